@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import asyncio
 import atexit
+import os
 import socket
+import sys
 import tempfile
 import threading
 import webbrowser
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +25,7 @@ import numpy as np
 import umsgpack
 import zmq
 from meshcat.servers.zmqserver import WebSocketHandler, ZMQWebSocketBridge
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from tornado.httpserver import HTTPServer
 from tornado.web import Application, RequestHandler
 
@@ -33,16 +34,11 @@ from calib.result.calibration import Calibration
 from calib.robot.robot import Robot
 from calib.viewer.page import floats, puppets, view_page
 from calib.viewer.scene import SCENE
-from calib.viewer.shapes import Visual, packed, read_visuals
+from calib.viewer.shapes import packed, read_visuals
 from calib.viewer.view import View, view_of, view_of_robots
-
-Array = NDArray[np.float64]
 
 #: The only address listened on: other computers cannot reach it.
 HOST = "127.0.0.1"
-
-#: What a user draws stands below this node of a robot's.
-_OWN = "own"
 
 
 class Viewer:
@@ -65,23 +61,27 @@ class Viewer:
         warnings: What could not be drawn as the URDF says.
 
     Raises:
-        UrdfError: Pinocchio cannot build a model of a URDF.
         CalibError: The port is in use.
     """
 
     def __init__(self, view: View, *, port: int = 0) -> None:
         self._one = view.select([view.start])
-        self._visuals: dict[str, Sequence[Visual]] = {
-            who: read_visuals(robot.urdf)[0] for who, robot in view.robots.items()
-        }
+        self._visuals = {who: read_visuals(one.urdf)[0] for who, one in view.robots.items()}
         page = view_page(view, live=True)
         self.warnings: tuple[str, ...] = page.warnings
         listener = _listening(port)
         self.port: int = listener.getsockname()[1]
         self.url = f"http://{HOST}:{self.port}/"
-        self._window = _Window(page.html, listener, self.url)
-        root = meshcat.Visualizer.view_into(self._window, meshcat.path.Path())
-        self.visualizer: meshcat.Visualizer = root[SCENE][tuple(view.robots)[-1]][_OWN]
+        self._lock, ready = threading.Lock(), threading.Event()
+        self._thread = threading.Thread(
+            target=lambda: asyncio.run(self._serve(page.html, listener, ready)), daemon=True
+        )
+        self._thread.start()
+        ready.wait()
+        self._socket = ZMQWebSocketBridge.context.socket(zmq.REQ)
+        self._socket.connect(f"inproc://{self.url}")
+        root = meshcat.Visualizer.view_into(self, meshcat.path.Path())
+        self.visualizer: meshcat.Visualizer = root[SCENE][tuple(view.robots)[-1]]["own"]
         # Otherwise the interpreter would take the thread away from under its sockets.
         atexit.register(self.close)
 
@@ -108,25 +108,37 @@ class Viewer:
                 f"{choices(self.joint_names)}."
             )
         shown = puppets(replace(self._one, q=values[None]), self._visuals)
-        robots = {who: floats(packed(puppet.poses[:1])) for who, puppet in shown.items()}
+        robots = {who: floats(packed(puppet.poses)) for who, puppet in shown.items()}
         # meshcat's server keeps it for later windows as it keeps a transform.
-        told = {
-            "type": "set_transform",
-            "path": "/pose",
-            "pose": {"label": label, "robots": robots},
-        }
-        self._window.send(SimpleNamespace(lower=lambda: told))
+        pose = {"label": label, "robots": robots}
+        told = {"type": "set_transform", "path": "/pose", "pose": pose}
+        self.send(SimpleNamespace(lower=lambda: told))
+
+    def send(self, command: Any) -> None:  # noqa: ANN401  a command of meshcat
+        """Draw, move or remove, in all windows, also in those that open later; `CalibError` once it is closed."""
+        message = command.lower()
+        parts = (message["type"].encode(), message["path"].encode(), umsgpack.packb(message))
+        with self._lock:
+            if self._socket.closed:
+                raise CalibError(
+                    f"{self.url} was closed, and shows nothing any more; open a new one."
+                )
+            self._socket.send_multipart(parts)
+            self._socket.recv()
 
     def open(self) -> bool:
-        """Open the page in the browser; False if none was found."""
-        return webbrowser.open(self.url)
+        """Open the page in the browser; False if none was found, or one that would take over the terminal."""
+        windows = sys.platform in ("win32", "darwin") or any(
+            os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")
+        )
+        return windows and webbrowser.open(self.url)
 
     def wait(self) -> None:
         """Wait for Ctrl-C; the viewer is closed afterwards."""
         try:
-            while self._window.thread.is_alive():
+            while self._thread.is_alive():
                 # A join without end cannot be interrupted on every system.
-                self._window.thread.join(0.5)
+                self._thread.join(0.5)
         except KeyboardInterrupt:
             pass
         finally:
@@ -134,7 +146,11 @@ class Viewer:
 
     def close(self) -> None:
         """Free the port; the windows keep their picture. Once closed, it does nothing."""
-        self._window.close()
+        with self._lock:
+            self._socket.close(0)
+            with suppress(RuntimeError):
+                self._loop.call_soon_threadsafe(self._stop.set)
+            self._thread.join()
         atexit.unregister(self.close)
 
     def __enter__(self) -> Viewer:
@@ -147,50 +163,12 @@ class Viewer:
 
     def __repr__(self) -> str:
         """Where the page is."""
-        return f"<Viewer {self.url if self._window.thread.is_alive() else 'closed'}>"
+        return f"<Viewer {self.url if self._thread.is_alive() else 'closed'}>"
 
-
-class _Window:
-    """What meshcat draws into: a thread with meshcat's server, told through a socket inside this process."""
-
-    def __init__(self, page: bytes, listener: socket.socket, url: str) -> None:
-        self._page, self._listener, self._url = page, listener, url
-        self._lock, ready = threading.Lock(), threading.Event()
-        self.thread = threading.Thread(
-            target=lambda: asyncio.run(self._serve(ready)), name=f"calib {url}", daemon=True
-        )
-        self.thread.start()
-        ready.wait()
-        self._socket = ZMQWebSocketBridge.context.socket(zmq.REQ)
-        self._socket.connect(f"inproc://{url}")
-
-    def send(self, command: Any) -> None:  # noqa: ANN401  a command of meshcat
-        """Draw, move or remove, in all windows, also in those that open later.
-
-        Raises:
-            CalibError: The page is closed.
-        """
-        message = command.lower()
-        parts = (message["type"].encode(), message["path"].encode(), umsgpack.packb(message))
-        with self._lock:
-            if self._socket.closed:
-                text = f"{self._url} was closed, and shows nothing any more; open a new one."
-                raise CalibError(text)
-            self._socket.send_multipart(parts)
-            self._socket.recv()
-
-    def close(self) -> None:
-        """Close the windows' connections, free the port and end the thread; once closed, it does nothing."""
-        with self._lock:
-            self._socket.close(0)
-            with suppress(RuntimeError):
-                self._loop.call_soon_threadsafe(self._stop.set)
-            self.thread.join()
-
-    async def _serve(self, ready: threading.Event) -> None:
+    async def _serve(self, page: bytes, listener: socket.socket, ready: threading.Event) -> None:
         """Answer until asked to stop, then leave nothing open."""
         self._loop, self._stop = asyncio.get_running_loop(), asyncio.Event()
-        bridge = _Server(self._page, self._listener, f"inproc://{self._url}")
+        bridge = _Server(page, listener, f"inproc://{self.url}")
         ready.set()
         await self._stop.wait()
         bridge.http.stop()
@@ -222,24 +200,19 @@ class _Server(ZMQWebSocketBridge):  # type: ignore[misc]
                 server.http = http
                 return http
 
+        class Page(RequestHandler):
+            """The page."""
+
+            def get(self) -> None:
+                """Send it."""
+                self.set_header("Cache-Control", "no-store")
+                self.write(server._page)
+
         app = Listening(log_function=lambda _: None)
-        handlers = [("/", _Page, {"page": self._page}), ("/live", _Live, {"bridge": self})]
+        handlers = [("/", Page), ("/live", _Live, {"bridge": self})]
         # A web site may let its own name point to 127.0.0.1: who asks for another host finds nothing.
         app.add_handlers(r"127\.0\.0\.1|localhost", handlers)  # type: ignore[arg-type]
         return app
-
-
-class _Page(RequestHandler):
-    """The page."""
-
-    def initialize(self, page: bytes) -> None:
-        """Keep it; called by tornado."""
-        self._page = page
-
-    def get(self) -> None:
-        """Send it."""
-        self.set_header("Cache-Control", "no-store")
-        self.write(self._page)
 
 
 class _Live(WebSocketHandler):  # type: ignore[misc]
@@ -259,20 +232,13 @@ class _Live(WebSocketHandler):  # type: ignore[misc]
 
 
 def _listening(port: int) -> socket.socket:
-    """A socket that listens on 127.0.0.1.
-
-    Raises:
-        CalibError: It cannot.
-    """
-    if not 0 <= port <= 65535:
-        raise CalibError(
-            f"The port was given as {port}; give a number from 1024 to 65535, or 0 for any that is free."
-        )
+    """A socket that listens on 127.0.0.1; `CalibError` where it cannot."""
     try:
         listener = socket.create_server((HOST, port))
     except OSError as error:
-        why = f"cannot be used ({error.strerror}); give another number, or 0 for any that is free"
-        raise CalibError(f"Port {port} of {HOST} {why}.") from error
+        raise CalibError(
+            f"Port {port} of {HOST} cannot be used ({error.strerror}); give another number, or 0 for any that is free."
+        ) from error
     listener.setblocking(False)
     return listener
 
@@ -304,22 +270,16 @@ def view(
         The page, in a temporary folder of its own; or the viewer.
 
     Raises:
-        ModelError: It is no calibration and no robot, or the robots have different joints.
+        ModelError: The robots have different joints.
     """
-    if isinstance(shown, Calibration) and other is None:
+    if isinstance(shown, Calibration):
         scene = view_of(shown)
-    elif isinstance(shown, Robot) and (other is None or isinstance(other, Robot)):
+    else:
         names = (("First", shown.urdf.source), ("Second", (other or shown).urdf.source))
         scene = view_of_robots(shown, other, names=names)
-    else:
-        given = repr(shown) if other is None else f"{shown!r} and {other!r}"
-        raise ModelError(
-            f"view takes a Calibration, a Robot or two Robots; {given} was given. Make them with calib.calibrate(...) "
-            "or calib.Robot.load(...)."
-        )
     if live:
         viewer = Viewer(scene)
-        viewer.open()
+        webbrowser.open(viewer.url)
         return viewer
     page = view_page(scene).write(Path(tempfile.mkdtemp(prefix="calib-")) / "view.html")
     webbrowser.open(page.as_uri())

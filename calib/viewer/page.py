@@ -2,8 +2,7 @@
 
 The page of robots shows the nominal and the calibrated one side by side or overlaid, at every measured pose: its script
 moves them from pose to pose and draws what was measured, with arrows at a stated magnification. Pages open from disk
-and load nothing. The stage is the calibrated robot's base; where joints move the base itself, as they do a camera's,
-it is the root of the URDF.
+and load nothing.
 """
 
 from __future__ import annotations
@@ -44,15 +43,7 @@ from calib.viewer.scene import (
     row_direction,
     translation,
 )
-from calib.viewer.shapes import (
-    Puppet,
-    Visual,
-    packed,
-    read_visuals,
-    same_visuals,
-    span,
-    stage_poses,
-)
+from calib.viewer.shapes import Puppet, Visual, packed, read_visuals, span, stage_poses
 from calib.viewer.view import Cloud, View, thinned, view_of
 
 Array = NDArray[np.float64]
@@ -71,7 +62,7 @@ _ROWS = {
 _LIVE = "; connect-src 'self' ws://127.0.0.1:* ws://localhost:*"
 
 #: The files of the script of a page of robots, in order.
-SCRIPTS = ("robots.js", "marks.js", "words.js", "controls.js")
+_SCRIPTS = ("robots.js", "marks.js", "words.js", "controls.js")
 
 #: Between slider and legend below and the heading above, as a part of the picture, see `look_at`.
 _TEXT = (-0.54, 0.67)
@@ -120,9 +111,14 @@ def filled_page(
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    texts = [_read(viewer / "dist/main.min.js"), _read(folder / "page.js")]
+
+    def read(path: Path) -> str:
+        """A file whose text cannot end the script that it stands in."""
+        return path.read_text("utf-8").replace("</script", "<\\/script").replace("<!--", "<\\!--")
+
+    texts = [read(viewer / "dist/main.min.js"), read(folder / "page.js")]
     if table:
-        own = "\n".join(_read(folder / name) for name in SCRIPTS)
+        own = "\n".join(read(folder / name) for name in _SCRIPTS)
         texts.append(f'"use strict";\n(() => {{\n{own}}})();\n')
     # No other script runs, whatever a name may hold.
     digests = [hashlib.sha256(text.encode("utf-8")).digest() for text in texts]
@@ -130,13 +126,12 @@ def filled_page(
     # A block of JSON that no name in it can end.
     told = json.dumps(table, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     # The notices that must go with a copy of the viewer: meshcat's own and those of what it contains.
-    names = ("LICENSE.txt", "THIRD_PARTY_LICENSES.json")
-    notices = [viewer / "LICENSE", *(viewer / f"dist/main.min.js.{name}" for name in names)]
+    notices = [viewer / "LICENSE", *sorted((viewer / "dist").glob("main.min.js.*LICENSE*"))]
     page = environment.get_template(template).render(
         hashes=Markup(hashes + (_LIVE if live else "")),
         live=live,
         colours=COLOURS,
-        licences=Markup("\n\n".join(_read(path) for path in notices if path.is_file())),
+        licences=Markup("\n\n".join(map(read, notices))),
         scene=_base64(scene),
         table=Markup(told) if table else "",
         scripts=[Markup(text) for text in texts],
@@ -145,14 +140,14 @@ def filled_page(
     return page.encode("utf-8", "replace")
 
 
-def _read(path: Path) -> str:
-    """A file whose text cannot end the script that it stands in."""
-    return path.read_text("utf-8").replace("</script", "<\\/script").replace("<!--", "<\\!--")
-
-
 def _base64(data: bytes) -> str:
     """Bytes as text that needs no escaping."""
     return base64.b64encode(data).decode("ascii")
+
+
+def floats(values: ArrayLike) -> str:
+    """Numbers as base64 of little-endian float32."""
+    return _base64(np.ascontiguousarray(values, dtype="<f4").tobytes())
 
 
 def single_page(
@@ -169,21 +164,17 @@ def single_page(
 
     ``draw`` draws below the node given, in the base frame, things about as large as the size given [m], and returns
     their lines of the legend.
-
-    Raises:
-        UrdfError: Pinocchio cannot build a model of the URDF.
     """
     visuals, warnings = read_visuals(robot.urdf)
     puppet = Puppet.of(robot, q[None], visuals, np.eye(4)[None], np.eye(4))
     upright = np.eye(4)
     upright[:3, :3] = stage_poses(robot, q[None])[0, :3, :3]
-    drawn = puppet.outline(0) @ upright[:3, :3].T
+    drawn = puppet.outline() @ upright[:3, :3].T
     everything = np.concatenate([drawn, points @ upright[:3, :3].T])
     size, grid = span(everything), round_length(span(everything) / 7.0)
     camera = look_at(everything, row_direction(puppet.origins[0] @ upright[:3, :3].T))
     window, root = new_scene()
-    floor = float(drawn[:, 2].min())
-    draw_stage(root, camera, size=size, floor=floor, grid=grid, through=np.zeros(3))
+    draw_stage(root, camera, size=size, floor=float(drawn[:, 2].min()), grid=grid)
     root[SCENE].set_transform(translation(-camera.centre) @ upright)
     draw_puppet(root[SCENE]["nominal"], puppet, 0, NOMINAL, 0.0, front=False)
     keys = [Key(legend, NOMINAL, "nominal"), *draw(root[SCENE], size)]
@@ -197,46 +188,28 @@ def write_page(calibration: Calibration, path: str | Path, *, overwrite: bool = 
 
 
 def view_page(view: View, *, live: bool = False) -> Page:
-    """Draw a view; a ``live`` page listens to the server that it came from. Many poses are thinned out.
-
-    Raises:
-        UrdfError: Pinocchio cannot build a model of a URDF.
-    """
+    """Draw a view; a ``live`` page listens to the server that it came from. Many poses are thinned out."""
     view = thinned(view)
-    visuals: dict[str, Sequence[Visual]] = {}
-    warnings: dict[str, None] = {}
-    for who, robot in view.robots.items():
-        if who == "calibrated" and same_visuals(view.nominal.urdf, robot.urdf):
-            visuals[who] = visuals["nominal"]
-        else:
-            visuals[who], more = read_visuals(robot.urdf)
-            warnings |= dict.fromkeys(more)
-    shown = puppets(view, visuals)
-    layout = Layout.of(view, shown)
+    visuals = {who: read_visuals(robot.urdf) for who, robot in view.robots.items()}
+    warnings = tuple(dict.fromkeys(text for _, texts in visuals.values() for text in texts))
+    shown = puppets(view, {who: found for who, (found, _) in visuals.items()})
+    layout = layout_of(view, shown)
     window, root = new_scene()
-    draw_stage(
-        root,
-        layout.side,
-        size=layout.size,
-        floor=layout.foot[2],
-        grid=layout.grid,
-        through=layout.offsets["nominal"],
-    )
+    draw_stage(root, layout.side, size=layout.size, floor=layout.foot[2], grid=layout.grid)
     for who, puppet in shown.items():
         group, ball = root[SCENE][who], _BALL * layout.size
         group.set_transform(translation(layout.offsets[who] - layout.side.centre))
         draw_puppet(group, puppet, view.start, COLOURS[who], ball, front=who == "calibrated")
-    cloud = None if view.nominal.base_moves else view.cloud
+    cloud = None if view.nominal.base_moves or view.cloud is None else _cloud(view.cloud)
     factor = magnification(view, layout.size)
-    table = _table(view, shown, layout, cloud, factor)
     both = " and ".join(name for name, _ in view.names[: len(shown)]).lower()
     html = filled_page(
         "robots.html",
         window.scene(),
         title=view.title or f"{view.nominal.name or 'Robot'}: {both}",
-        warnings=list(warnings),
+        warnings=warnings,
         grid=layout.grid,
-        keys=_keys(view, cloud),
+        keys=_keys(view, cloud=cloud is not None),
         view=view,
         two=len(shown) > 1,
         measures=view.measures,
@@ -245,24 +218,24 @@ def view_page(view: View, *, live: bool = False) -> Page:
         factors=FACTORS,
         robot_factors=[one for one in FACTORS if one <= _MOST_FOR_ROBOTS],
         labels=_labels(view, layout),
-        scale=[] if cloud is None else table["cloud"]["scale"],
+        scale=cloud["scale"] if cloud else [],
         little_to_much=LITTLE_TO_MUCH,
-        table=table,
+        table={**script_table(view, shown, layout), "arrows": factor, "cloud": cloud},
         live=live,
     )
-    return Page(html, tuple(warnings))
+    return Page(html, warnings)
 
 
 def puppets(view: View, visuals: Mapping[str, Sequence[Visual]]) -> dict[str, Puppet]:
     """The robots of a view by ``"nominal"`` and ``"calibrated"``, upright on the stage."""
     T_stage_base = stage_poses(view.nominal, view.q)
-    shown = {
-        "nominal": (T_stage_base @ view.T_base_nominal, view.nominal_target),
-        "calibrated": (T_stage_base, view.calibrated_target),
-    }
+    places = (
+        (T_stage_base @ view.T_base_nominal, view.nominal_target),
+        (T_stage_base, view.calibrated_target),
+    )
     return {
-        who: Puppet.of(robot, view.q, visuals[who], *shown[who])
-        for who, robot in view.robots.items()
+        who: Puppet.of(robot, view.q, visuals[who], *place)
+        for (who, robot), place in zip(view.robots.items(), places, strict=False)
     }
 
 
@@ -270,10 +243,13 @@ def puppets(view: View, visuals: Mapping[str, Sequence[Visual]]) -> dict[str, Pu
 class Layout:
     """Where everything goes on the stage [m].
 
-    ``offsets`` say where each robot stands when they stand side by side, as the camera ``side`` sees them, whose
-    centre is the scene's origin; ``over`` is the camera when one is laid over the other. A label stands at the
-    ``foot``, below the middle of a robot; ``size`` is the diagonal of one robot and the points that it reaches,
-    ``grid`` a square of the floor.
+    Attributes:
+        offsets: Where each robot stands when they stand side by side.
+        foot: The place of a label, below the middle of a robot.
+        size: The diagonal of one robot and the points that it reaches.
+        grid: Edge of a square of the floor.
+        side: The camera of the robots side by side; its centre is the scene's origin.
+        over: The camera when one is laid over the other.
     """
 
     offsets: Mapping[str, Array]
@@ -283,36 +259,34 @@ class Layout:
     side: Camera
     over: Camera
 
-    @classmethod
-    def of(cls, view: View, shown: Mapping[str, Puppet]) -> Layout:
-        """Place the robots side by side so that nothing of one reaches into the other."""
-        start = np.concatenate([puppet.outline(view.start) for puppet in shown.values()])
-        outline = np.concatenate([start, *(puppet.reach() for puppet in shown.values())])
-        size = span(outline)
-        back = row_direction(shown["nominal"].origins[view.start])
-        right = np.array([-back[1], back[0], 0.0])
-        step = 0.5 * max(np.ptp(outline @ right) + 0.06 * size, 0.4 * size) * right
-        offsets = (
-            {"nominal": -step, "calibrated": step} if len(shown) > 1 else {"nominal": 0 * step}
-        )
-        across = start @ right
-        foot = 0.5 * (across.min() + across.max()) * right
-        foot[2] = start[:, 2].min()
-        foot += (start[start[:, 2] < foot[2] + 0.2 * size] @ back).max() * back
-        # A wild measurement must not make the robots small: what was measured far away is not looked at.
-        one = np.vstack([outline, foot])
-        both = np.concatenate([one + at for at in offsets.values()])
-        side, over = look_at(both, back, _TEXT), look_at(one, back, _TEXT)
-        return cls(offsets, foot, size, round_length(size / 7.0), side, over)
+
+def layout_of(view: View, shown: Mapping[str, Puppet]) -> Layout:
+    """Place the robots side by side so that nothing of one reaches into the other."""
+    first = slice(view.start, view.start + 1)
+    start = np.concatenate([puppet.outline(first) for puppet in shown.values()])
+    outline = np.concatenate([start, *(puppet.outline() for puppet in shown.values())])
+    size = span(outline)
+    back = row_direction(shown["nominal"].origins[view.start])
+    right = np.array([-back[1], back[0], 0.0])
+    step = 0.5 * max(np.ptp(outline @ right) + 0.06 * size, 0.4 * size) * right
+    offsets = dict(zip(shown, (-step, step) if len(shown) > 1 else (0 * step,), strict=True))
+    across = start @ right
+    foot = 0.5 * (across.min() + across.max()) * right
+    foot[2] = start[:, 2].min()
+    foot += (start[start[:, 2] < foot[2] + 0.2 * size] @ back).max() * back
+    # A wild measurement must not make the robots small: what was measured far away is not looked at.
+    one = np.vstack([outline, foot])
+    both = np.concatenate([one + at for at in offsets.values()])
+    cameras = look_at(both, back, _TEXT), look_at(one, back, _TEXT)
+    return Layout(offsets, foot, size, round_length(size / 7.0), *cameras)
 
 
 def magnification(view: View, size: float) -> int:
     """The factor of `FACTORS` that makes the typical arrow of the nominal robot well visible, of rows not flagged."""
     nominal, calibrated = view.predicted
     apart = np.linalg.norm((view.measured if view.measures else calibrated) - nominal, axis=1)
-    there = np.isfinite(apart)
-    good = there & (np.array(view.kinds) != "flagged")
-    typical = float(np.median(apart[good if np.any(good) else there]))
+    good = np.isfinite(apart) & (np.array(view.kinds) != "flagged")
+    typical = float(np.median(apart[good])) if np.any(good) else 0.0
     wanted = _ARROW * size / typical if typical > 0 else 1.0
     return max((factor for factor in FACTORS if factor <= wanted), default=1)
 
@@ -321,51 +295,54 @@ def _labels(view: View, layout: Layout) -> list[tuple[Array, str, str, str]]:
     """The labels below the robots: where, in which mode, the name and what it means; none for one robot."""
     if view.calibrated is None:  # the heading says what it is
         return []
-    (first, what_first), (second, what_second) = view.names
-    overlaid = f"{first.lower()} solid, {second.lower()} translucent"
+    first, second = (name.lower() for name, _ in view.names)
     beside, over = layout.foot - layout.side.centre, layout.foot - layout.over.centre
     return [
-        (layout.offsets["nominal"] + beside, "side", first, what_first),
-        (layout.offsets["calibrated"] + beside, "side", second, what_second),
-        (over, "over", "Overlaid", overlaid),
+        *(
+            (offset + beside, "side", *names)
+            for offset, names in zip(layout.offsets.values(), view.names, strict=True)
+        ),
+        (over, "over", "Overlaid", f"{first} solid, {second} translucent"),
     ]
 
 
-def _keys(view: View, cloud: Cloud | None) -> list[Key]:
+def _keys(view: View, *, cloud: bool) -> list[Key]:
     """What is drawn in which colour; each can be hidden."""
     groups = tuple(view.robots)
+    names = [name.lower() for name, _ in view.names[: len(groups)]]
+    kinds = np.array(view.kinds)[np.isfinite(view.measured[:, 0])].tolist()
 
     def nodes(name: str) -> str:
         return " ".join(f"{group}/{name}" for group in groups)
 
-    names = [name.lower() for name, _ in view.names[: len(groups)]]
-    keys = [
-        Key(name, f"var(--{who})", f"{who}/robot") for who, name in zip(groups, names, strict=True)
+    robots = [Key(n, f"var(--{w})", f"{w}/robot") for w, n in zip(groups, names, strict=True)]
+    rows = [
+        Key(f"{text} ({kinds.count(kind)})", colour, nodes(kind), "dot")
+        for kind, (colour, text) in _ROWS.items()
+        if kind in kinds
     ]
-    measured = np.isfinite(view.measured[:, 0])
-    for kind, (colour, text) in _ROWS.items():
-        count = int(np.sum((np.array(view.kinds) == kind) & measured))
-        keys += [Key(f"{text} ({count})", colour, nodes(kind), "dot")] * bool(count)
-    if view.measures:
-        keys.append(Key("error arrows, predicted to measured", "", nodes("arrows"), "arrow"))
-        keys.append(Key("predicted, in the robot's colour", "", nodes("predicted"), "ring"))
-    elif len(groups) > 1:
-        keys.append(Key(f"from {names[0]} to {names[1]}", "", "nominal/arrows", "arrow"))
-    keys.append(Key("frames of base, tip, target", "", nodes("frames"), "frame", on=False))
-    if np.any(np.isfinite(view.instruments)):
-        nodes_of = f"{groups[-1]}/instrument"
-        keys.append(Key("measurement frame and beams", BEAM, nodes_of, on=False))
-    if cloud is not None:
-        region, everywhere = LITTLE_TO_MUCH[1:3]
-        keys.append(Key("region measured, by uncertainty", region, "calibrated/cloud", on=False))
-        keys.append(Key("whole workspace", everywhere, "calibrated/cloud-everywhere", on=False))
-    return keys
+    arrows = [
+        Key("error arrows, predicted to measured", "", nodes("arrows"), "arrow"),
+        Key("predicted, in the robot's colour", "", nodes("predicted"), "ring"),
+    ]
+    if not view.measures:
+        text = f"from {names[0]} to {names[-1]}"
+        arrows = [Key(text, "", "nominal/arrows", "arrow")] * (len(groups) > 1)
+    frames = Key("frames of base, tip, target", "", nodes("frames"), "frame", on=False)
+    beams = Key("measurement frame and beams", BEAM, f"{groups[-1]}/instrument", on=False)
+    region, everywhere = (
+        Key(text, colour, f"calibrated/{node}", on=False)
+        for text, colour, node in (
+            ("region measured, by uncertainty", LITTLE_TO_MUCH[1], "cloud"),
+            ("whole workspace", LITTLE_TO_MUCH[2], "cloud-everywhere"),
+        )
+    )
+    seen = bool(np.any(np.isfinite(view.instruments)))
+    return [*robots, *rows, *arrows, frames, *[beams] * seen, *[region, everywhere] * cloud]
 
 
-def _table(
-    view: View, shown: Mapping[str, Puppet], layout: Layout, cloud: Cloud | None, factor: int
-) -> dict[str, Any]:
-    """Everything that the script needs, as values that JSON can hold; arrays as base64 of little-endian float32."""
+def script_table(view: View, shown: Mapping[str, Puppet], layout: Layout) -> dict[str, Any]:
+    """What the script needs of the poses, as values that JSON can hold; arrays as `floats`."""
 
     def numbers(rows: Array) -> list[list[float | None]]:
         return [[float(f"{v:.9g}") if np.isfinite(v) else None for v in row] for row in rows]
@@ -385,7 +362,7 @@ def _table(
         "kinds": list(view.kinds),
         "names": [name for name, _ in view.names],
         "colours": {**COLOURS, **{kind: c for kind, (c, _) in _ROWS.items()}, "beam": BEAM},
-        "robots": {who: _robot(shown[who], shown["nominal"]) for who in shown},
+        "robots": {who: _robot(puppet, shown["nominal"]) for who, puppet in shown.items()},
         "measured": floats(measured),
         "errors": numbers(view.errors),
         "angles": numbers(view.angles),
@@ -397,8 +374,6 @@ def _table(
         "cameras": {"side": layout.side.position, "over": layout.over.position},
         "size": layout.size,
         "ball": _BALL * layout.size,
-        "arrows": factor,
-        "cloud": None if cloud is None else _cloud(cloud),
     }
 
 
@@ -407,23 +382,18 @@ def _robot(puppet: Puppet, nominal: Puppet) -> dict[str, Any]:
     count, others = puppet.poses.shape[1], len(nominal.links)
     same = [nominal.links.index(one) if one in nominal.links else -1 for one in puppet.links]
     same += range(others, others + count - len(puppet.links))
-    rods = [*(list(rod) for rod in puppet.rods), [count - 2, count - 1]]
+    rods = [*map(list, puppet.rods), [count - 2, count - 1]]
     return {"movers": count, "poses": floats(packed(puppet.poses)), "rods": rods, "same": same}
 
 
 def _cloud(cloud: Cloud) -> dict[str, Any]:
     """The cloud's points with their colours, by the logarithm of the standard deviation; both ends of it [mm]."""
-    low, high = (float(value) for value in np.quantile(cloud.std, _ENDS))
-    high = max(high, low * 1.0001, 1e-12)
-    low, ends = max(low, 1e-15), [f"{float(f'{1e3 * v:.2g}'):g}" for v in (low, high)]
-    share = np.log(np.maximum(cloud.std, 1e-15) / low) / np.log(high / low)
+    std = np.maximum(cloud.std, 1e-12)
+    low, high = (float(value) for value in np.quantile(std, _ENDS))
+    share = np.log(std / low) / max(np.log(high / low), 1e-9)
     stops = np.array([[int(c[i : i + 2], 16) for i in (1, 3, 5)] for c in LITTLE_TO_MUCH]) / 255.0
     along = np.linspace(0.0, 1.0, len(stops))
     rgb = np.stack([np.interp(share, along, stops[:, k]) for k in range(3)], axis=1)
     values = {"points": cloud.points, "colours": rgb, "measured": cloud.measured}
+    ends = [f"{float(f'{1e3 * v:.2g}'):g}" for v in (low, high)]
     return {name: floats(value) for name, value in values.items()} | {"scale": ends}
-
-
-def floats(values: ArrayLike) -> str:
-    """Numbers as base64 of little-endian float32."""
-    return _base64(np.ascontiguousarray(values, dtype="<f4").tobytes())

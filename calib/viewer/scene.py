@@ -22,7 +22,7 @@ from meshcat.servers.tree import SceneTree, find_node, walk
 from numpy.typing import ArrayLike, NDArray
 
 from calib.files import write_atomically
-from calib.viewer.shapes import Box, Cylinder, Puppet, Shape, Triangles, rod_between
+from calib.viewer.shapes import Puppet, rod_between
 
 Array = NDArray[np.float64]
 
@@ -44,33 +44,16 @@ _STALK = 0.3
 #: three.js turns cylinders about y, URDF about z.
 _Y_TO_Z = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 
-#: How msgpack-lite, meshcat's decoder in the browser, names typed arrays.
-_ARRAYS = {
-    np.dtype(np.int8): ("Int8Array", 0x11),
-    np.dtype(np.uint16): ("Uint16Array", 0x14),
-    np.dtype(np.uint32): ("Uint32Array", 0x16),
-    np.dtype(np.float32): ("Float32Array", 0x17),
-}
-
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """A complete HTML page.
-
-    Attributes:
-        html: The file's bytes, UTF-8.
-        warnings: What could not be drawn as the URDF says, a sentence each; the page lists them too.
-    """
+    """A complete HTML page, UTF-8, and what could not be drawn as the URDF says, a sentence each."""
 
     html: bytes = field(repr=False)
     warnings: tuple[str, ...]
 
     def write(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
-        """Write the page, whole or not at all; it opens from disk without a network.
-
-        Raises:
-            FileError: The file exists and ``overwrite`` is False, or it cannot be written.
-        """
+        """Write the page, whole or not at all; `FileError` where the file exists or cannot be written."""
         return write_atomically(path, self.html, overwrite=overwrite)
 
 
@@ -124,22 +107,6 @@ class SceneWindow:
             lowered["object"]["material"] = lowered["materials"][0]["uuid"]
 
 
-class PackedGeometry(mc.Geometry):  # type: ignore[misc]
-    """Triangles with their normals, in meshcat's form."""
-
-    def __init__(self, triangles: Triangles) -> None:
-        super().__init__()
-        self.triangles = triangles
-
-    def lower(self, _object_data: dict[str, Any]) -> dict[str, Any]:
-        """The geometry as three.js reads it."""
-        mesh = self.triangles
-        normals = {**_packed(mesh.normals, 3), "normalized": True}
-        attributes = {"position": _packed(mesh.vertices, 3), "normal": normals}
-        data = {"attributes": attributes, "index": _packed(mesh.faces, 1)}
-        return {"uuid": self.uuid, "type": "BufferGeometry", "data": data}
-
-
 class ShadowMaterial(mc.GenericMaterial):  # type: ignore[misc]
     """A surface that shows the shadows on it and nothing else."""
 
@@ -154,7 +121,7 @@ def new_scene() -> tuple[SceneWindow, meshcat.Visualizer]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Camera:
-    """A camera that looks at a centre [m] from a distance; it holds what lies within a radius about the centre [m].
+    """A camera at a distance of a centre [m], and a radius about the centre that it holds [m].
 
     The rows of ``axes`` of shape (3, 3) point right, up and towards the camera.
     """
@@ -212,22 +179,17 @@ def look_at(points: Array, back: Array, between: tuple[float, float] = (-0.69, 0
 
 
 def draw_stage(
-    root: meshcat.Visualizer,
-    camera: Camera,
-    *,
-    size: float,
-    floor: float,
-    grid: float,
-    through: Array,
+    root: meshcat.Visualizer, camera: Camera, *, size: float, floor: float, grid: float
 ) -> None:
     """Camera, lights, background, floor and grid; the scene's origin is what the camera looks at.
 
     ``size`` is that of what is drawn, ``floor`` the height of the floor in the frame of the camera's centre, ``grid``
-    the edge of a square of it, and above the point ``through`` of shape (3,) a line of the grid passes [m].
+    the edge of a square of it [m].
     """
-    towards, right = camera.axes[2], camera.axes[0]
+    towards, right, radius = camera.axes[2], camera.axes[0], camera.radius
     lens = mc.PerspectiveCamera(fov=FOV_DEG, aspect=16 / 9, near=0.02 * size, far=100 * size)
     root["/Cameras/default/rotated"].set_object(lens)
+    fill = (20 * size * (towards + 1.2 * right)).tolist()
     for node, name, value in (
         ("/Background", "top_color", [0.985, 0.99, 1.0]),
         ("/Background", "bottom_color", [0.86, 0.885, 0.915]),
@@ -237,48 +199,38 @@ def draw_stage(
         ("/Lights/PointLightPositiveX/<object>", "visible", False),
         ("/Lights/AmbientLight/<object>", "intensity", 0.52),
         ("/Lights/FillLight/<object>", "intensity", 0.22),
-        (
-            "/Lights/FillLight/<object>",
-            "position",
-            (20 * size * (towards + 1.2 * right)).tolist(),
-        ),
+        ("/Lights/FillLight/<object>", "position", fill),
         ("/Cameras/default/rotated/<object>", "position", camera.position),
     ):
         root[node].set_property(name, value)
-    above = np.array([0.0, 0.0, 1.0])
-    _draw_sun(root["/Lights/Key"], 1.1 * above + 0.55 * towards - 0.55 * right, camera.radius)
+    # A light from far away that casts shadows within a sphere about the scene's origin.
+    sun = 1.1 * np.array([0.0, 0.0, 1.0]) + 0.55 * towards - 0.55 * right
+    far = translation(3.0 * radius * sun / np.linalg.norm(sun)).T.ravel().tolist()
+    box = {"left": -radius, "right": radius, "top": radius, "bottom": -radius}
+    ends = {"near": 1.5 * radius, "far": 4.5 * radius, "zoom": 1.0}
+    eye = {"uuid": "shadow camera", "type": "OrthographicCamera", **box, **ends}
+    shadow = {"bias": -3e-4, "normalBias": 2e-3 * radius, "mapSize": [4096, 4096], "camera": eye}
+    light = {"uuid": "", "type": "DirectionalLight", "color": 0xFFFFFF, "intensity": 0.5}
+    lowered = {
+        "metadata": {"version": 4.5, "type": "Object"},
+        "object": {**light, "matrix": far, "shadow": shadow},
+    }
+    _send(root["/Lights/Key"], {"type": "set_object", "object": lowered})
 
     floor = floor - camera.centre[2]
     corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * 30.0 * size
     plane = mc.TriangularMeshGeometry(corners, np.array([[0, 1, 2], [0, 2, 3]]))
-    shadow = ShadowMaterial(
-        color=0x1B2733, opacity=0.17, transparent=True, side=0, depthWrite=False
-    )
-    root["/Floor/shadow"].set_object(mc.Mesh(plane, shadow))
+    dark = ShadowMaterial(color=0x1B2733, opacity=0.17, transparent=True, side=0, depthWrite=False)
+    root["/Floor/shadow"].set_object(mc.Mesh(plane, dark))
     root["/Floor/shadow"].set_transform(translation([0, 0, floor - 0.002 * size]))
-    # A square grid cut to a disc; a line of it passes through the base of the robot in the middle.
-    radius = 1.15 * camera.radius
-    at = grid * np.arange(-int(radius / grid), int(radius / grid) + 1)
-    half = np.sqrt(radius**2 - at**2)
-    ends = np.array([[x, side * h, 0.0] for x, h in zip(at, half, strict=True) for side in (-1, 1)])
-    lines = np.concatenate([ends, ends[:, [1, 0, 2]]])
-    draw_lines(root["/Floor/grid"], lines, "#9aa7b4", 0.42)
-    shift = np.remainder(through - camera.centre, grid)
-    root["/Floor/grid"].set_transform(translation([shift[0], shift[1], floor - 0.001 * size]))
-
-
-def _draw_sun(node: meshcat.Visualizer, direction: Array, radius: float) -> None:
-    """A light from far away that casts shadows within a sphere about the scene's origin [m]."""
-    r, far = radius, translation(3.0 * radius * direction / np.linalg.norm(direction))
-    box = {"left": -r, "right": r, "top": r, "bottom": -r, "near": 1.5 * r, "far": 4.5 * r}
-    lens = {"uuid": "shadow camera", "type": "OrthographicCamera", "zoom": 1.0} | box
-    shadow = {"bias": -0.0003, "normalBias": 0.002 * r, "mapSize": [4096, 4096], "camera": lens}
-    light = {"uuid": "", "type": "DirectionalLight", "color": 0xFFFFFF, "intensity": 0.5}
-    lowered = {
-        "metadata": {"version": 4.5, "type": "Object"},
-        "object": {**light, "matrix": far.T.ravel().tolist(), "shadow": shadow},
-    }
-    _send(node, {"type": "set_object", "object": lowered})
+    # A square grid cut to a disc.
+    at = grid * np.arange(-int(1.15 * radius / grid), int(1.15 * radius / grid) + 1)
+    half = np.sqrt((1.15 * radius) ** 2 - at**2)
+    across = np.array(
+        [[x, side * h, 0.0] for x, h in zip(at, half, strict=True) for side in (-1, 1)]
+    )
+    draw_lines(root["/Floor/grid"], np.concatenate([across, across[:, [1, 0, 2]]]), "#9aa7b4", 0.42)
+    root["/Floor/grid"].set_transform(translation([0, 0, floor - 0.001 * size]))
 
 
 def without_shadow(node: meshcat.Visualizer) -> None:
@@ -301,27 +253,25 @@ def draw_puppet(
     robot is laid over the other, surfaces a fraction of a millimetre apart would flicker otherwise.
     """
     at, robot, material = puppet.poses[pose], group["robot"], solid(colour, front=front)
-    for mover in sorted({part.mover for part in puppet.parts}):
-        robot["links"][f"{mover:03d}"].set_transform(at[mover])
-    for i, part in enumerate(puppet.parts):
-        node = robot["links"][f"{part.mover:03d}"][f"{i:03d}"]
-        shape, T_shape_mesh = _geometry(part.shape)
-        node.set_object(shape, material)
-        node.set_transform(part.T_mover_shape @ T_shape_mesh)
+    for i, (mover, mesh, T_mover_shape) in enumerate(puppet.parts):
+        node = robot["links"][f"{mover:03d}"]
+        node.set_transform(at[mover])
+        node[f"{i:03d}"].set_object(mc.TriangularMeshGeometry(*mesh), material)
+        node[f"{i:03d}"].set_transform(T_mover_shape)
     target = len(at) - 1
     rods = [(*rod, puppet.radius) for rod in puppet.rods]
     if ball:
-        robot["links"][f"{target:03d}"].set_transform(at[target])
-        robot["links"][f"{target:03d}"]["ball"].set_object(mc.Sphere(ball), material)
+        node = robot["links"][f"{target:03d}"]
+        node.set_transform(at[target])
+        node["ball"].set_object(mc.Sphere(ball), material)
         rods.append((target - 1, target, _STALK * ball))
     for k, (one, other, radius) in enumerate(rods):
         node = robot["rods"][f"{k:03d}"]
         T, length = rod_between(at[one, :3, 3], at[other, :3, 3])
         # A rod of length one, stretched: the page's script does the same at every other pose.
         node.set_transform(T @ np.diag([1.0, 1.0, max(length, 1e-9), 1.0]))
-        shape, T_shape_mesh = _geometry(Cylinder(radius, 1.0))
-        node["rod"].set_object(shape, material)
-        node["rod"].set_transform(T_shape_mesh)
+        node["rod"].set_object(mc.Cylinder(1.0, radius), material)
+        node["rod"].set_transform(_Y_TO_Z)
 
 
 def draw_points(node: meshcat.Visualizer, points: Array, colour: str, radius: float) -> None:
@@ -381,30 +331,7 @@ def translation(offset: ArrayLike) -> Array:
     return T
 
 
-def _geometry(shape: Shape) -> tuple[mc.Geometry, Array]:
-    """The form that meshcat has of a shape, and its pose in the shape."""
-    if isinstance(shape, Triangles):
-        return PackedGeometry(shape), np.eye(4)
-    if isinstance(shape, Box):
-        return mc.Box(list(shape.size)), np.eye(4)
-    if isinstance(shape, Cylinder):
-        return mc.Cylinder(shape.length, shape.radius), _Y_TO_Z
-    return mc.Sphere(shape.radius), np.eye(4)
-
-
 def round_length(longest: float) -> float:
     """The largest 1, 2 or 5 times a power of ten that is not above a length."""
     power = 10.0 ** np.floor(np.log10(longest))
     return float(power * max(step for step in (1, 2, 5) if step * power <= longest * 1.000001))
-
-
-def _packed(array: NDArray[Any], item_size: int) -> dict[str, Any]:
-    """An array in little-endian bytes with its type."""
-    name, code = _ARRAYS[array.dtype]
-    data = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<")).tobytes()
-    return {
-        "itemSize": item_size,
-        "type": name,
-        "array": umsgpack.Ext(code, data),
-        "normalized": False,
-    }

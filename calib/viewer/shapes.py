@@ -1,4 +1,4 @@
-"""What the links of a URDF look like: its ``<visual>`` elements, with meshes found, read, shaded and kept small."""
+"""What a robot looks like: the ``<visual>`` elements of its links as triangles, and where they are at each pose."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import pinocchio as pin
 import trimesh
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from calib.robot.chain import full_configurations, full_model, link_frame
@@ -22,63 +23,26 @@ from calib.robot.urdf import Urdf
 
 Array = NDArray[np.float64]
 
-#: All the meshes of a robot together are drawn with about this many triangles at most.
-MOST_TRIANGLES = 250_000
+#: Vertices, shape (V, 3), [m], and faces, shape (F, 3), indices of vertices.
+Mesh = tuple[NDArray[np.floating], NDArray[np.int64]]
+
+#: A mesh is drawn with so many triangles at most.
+MOST_TRIANGLES = 40_000
 
 #: Faces that meet at less than this angle look like one smooth surface [rad].
 CREASE = np.deg2rad(35.0)
 
-#: A mesh in which so many pairs of corners share a vertex is drawn with flat faces: it has fans of thousands.
-_MOST_PAIRS = 5_000_000
-
 #: Radius of a stick figure's rods, as a part of the robot's size.
 STICK = 0.018
 
-#: The movers beside the links, in this order, last.
+#: The movers behind the links are the frames of base, tip and target.
 FRAMES = ("base", "tip", "target")
-
-#: At most so many poses are looked at for what the shapes reach; the origins of links are at all of them.
-_REACHED = 60
-
-#: The 26 directions to a cube's corners, edges and faces.
-_DIRECTIONS = np.array([d for d in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
 
 #: The corners of a cube about the origin.
 _CORNERS = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
 
-
-@dataclass(frozen=True, slots=True)
-class Box:
-    """A box about the origin; edges along x, y, z [m]."""
-
-    size: tuple[float, float, float]
-
-
-@dataclass(frozen=True, slots=True)
-class Cylinder:
-    """A cylinder about the z axis, centred at the origin [m]."""
-
-    radius: float
-    length: float
-
-
-@dataclass(frozen=True, slots=True)
-class Sphere:
-    """A sphere about the origin [m]."""
-
-    radius: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Triangles:
-    """A triangle mesh as a graphics card takes it: vertices [m], outward normals times 127, faces as indices."""
-
-    vertices: NDArray[np.float32]
-    normals: NDArray[np.int8]
-    faces: NDArray[np.uint16] | NDArray[np.uint32]
-
-
-Shape = Box | Cylinder | Sphere | Triangles
+#: At most so many poses are looked at for what the shapes reach.
+_REACHED = 60
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,87 +51,76 @@ class Visual:
 
     link: str
     T_link_shape: Array
-    shape: Shape | None
+    mesh: Mesh | None
 
 
 def read_visuals(urdf: Urdf) -> tuple[tuple[Visual, ...], tuple[str, ...]]:
-    """Every visual of every link, and what could not be drawn as the URDF says.
-
-    Returns:
-        The visuals, in the file's order, and one sentence for each mesh that is missing, unreadable or was
-        simplified. Each file is read once, also for the robots after this one, as long as it stays as it is.
-    """
-    shapes = list(link_shapes(urdf, "visual"))
+    """Every visual of every link, in the file's order, and a sentence for each that is not drawn as the URDF says."""
     folders = mesh_folders(urdf)
-    asked = {one.mesh: _read(*_file(one.mesh, folders)) for one in shapes if one.mesh}
-    total = sum(len(mesh[1]) for mesh, _ in asked.values() if mesh is not None)
-    most = MOST_TRIANGLES if total <= MOST_TRIANGLES else MOST_TRIANGLES // len(asked)
-    visuals, warnings = [], []
-    for one in shapes:
-        shape, problem = _shape(one, folders, most)
-        warnings += [problem] * bool(problem)
-        visuals.append(Visual(one.link, one.T_link_shape, shape))
-    return tuple(visuals), tuple(dict.fromkeys(warnings))
+    visuals: list[Visual] = []
+    warnings: dict[str, None] = {}
+    for one in link_shapes(urdf, "visual"):
+        mesh, text = _solid(one), f"a visual of link '{one.link}' has no geometry that can be drawn"
+        if one.mesh is not None:
+            name, scale = one.mesh
+            path = find_mesh(name, folders)
+            mesh, problem = None, "was not found; a simple shape stands for it"
+            if path is not None:
+                mesh, problem = _mesh_file(path, scale, path.stat().st_mtime_ns)
+            text = f"link '{one.link}': the mesh '{name}' {problem}" * bool(problem)
+        elif mesh is not None:
+            text = ""
+        visuals.append(Visual(one.link, one.T_link_shape, mesh))
+        warnings |= {text: None} if text else {}
+    return tuple(visuals), tuple(warnings)
 
 
-def same_visuals(one: Urdf, other: Urdf) -> bool:
-    """Whether two URDFs show the same links with the same shapes; their joints may differ."""
+@lru_cache(maxsize=64)
+def _mesh_file(
+    path: Path,
+    scale: tuple[float, float, float],
+    _modified: int,
+) -> tuple[Mesh | None, str]:
+    """The triangles of a file that was last changed then, and what is wrong with them."""
+    mesh, problem = read_mesh(path, scale)
+    if mesh is None:
+        return None, f"{problem}; a simple shape stands for it"
+    fewer = simplified(*mesh, MOST_TRIANGLES)
+    problem = "is drawn simplified" if len(fewer[1]) < len(mesh[1]) else ""
+    return creased(*fewer), problem
 
-    def shown(urdf: Urdf) -> list[tuple[str, bytes, str, object]]:
-        return [
-            (s.link, s.T_link_shape.tobytes(), s.geometry.tag, tuple(s.geometry.attrib.items()))
-            for s in link_shapes(urdf, "visual")
-        ]
 
-    return mesh_folders(one) == mesh_folders(other) and shown(one) == shown(other)
+def _solid(shape: LinkShape) -> Mesh | None:
+    """A box, a sphere or a cylinder as triangles; a capsule is drawn as a cylinder."""
+    sizes, make = shape.sizes, trimesh.creation
+    if sizes is None:
+        return None
+    if shape.geometry.tag == "box":
+        solid = make.box(sizes)
+    elif shape.geometry.tag == "sphere":
+        solid = make.icosphere(3, sizes[0])
+    else:
+        solid = make.cylinder(sizes[0], sizes[1])
+    return creased(solid.vertices, solid.faces)
 
 
-def shaded(vertices: Array, faces: NDArray[np.int64]) -> Triangles | None:
-    """A mesh with normals that are smooth except across creases; None if no face has an area.
-
-    The normal at a corner is the mean, weighted by the angle there, of the faces at its vertex that are turned by
-    less than `CREASE` against its own face. Equal vertices of shape (V, 3) are welded; one on a crease is doubled.
-    """
+def creased(vertices: NDArray[np.floating], faces: NDArray[np.int64]) -> Mesh:
+    """A mesh whose vertices on a crease are doubled, one for each smooth side: three.js smooths at each vertex."""
     mesh = trimesh.Trimesh(vertices.astype(np.float32), faces)
     mesh.update_faces(mesh.area_faces > 0.0)
-    if not len(mesh.faces):
-        return None
-    at = mesh.faces.ravel()
-    unit = np.repeat(mesh.face_normals, 3, axis=0)
-    weighted = mesh.face_angles.reshape(-1, 1) * unit
-    sums = weighted
-    if np.sum(np.bincount(at) ** 2) <= _MOST_PAIRS:  # else the faces stay flat
-        # Every corner against every corner of the same vertex.
-        of_vertex = coo_matrix((np.ones(len(at)), (np.arange(len(at)), at))).tocsr()
-        one, other = (of_vertex @ of_vertex.T).nonzero()
-        alike = np.einsum("ij,ij->i", unit[one], unit[other]) > np.cos(CREASE)
-        one, other = one[alike], other[alike]
-        sums = np.stack([np.bincount(one, weighted[other, k]) for k in range(3)], axis=1)
-    normals = sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-12)
-    # Halves such as 127 cos(60 deg) go up whatever the rounding before, so that equal normals stay equal.
-    packed = np.floor(127.0 * normals + 0.50001).astype(np.int8)
-    _, first, corner = np.unique(
-        np.column_stack([at, packed]), axis=0, return_index=True, return_inverse=True
-    )
-    return Triangles(
-        vertices=mesh.vertices[at[first]].astype(np.float32),
-        normals=packed[first],
-        faces=corner.reshape(-1, 3).astype(np.uint16 if len(first) <= 1 << 16 else np.uint32),
-    )
+    one, other = mesh.face_adjacency[mesh.face_adjacency_angles < CREASE].T
+    pairs = coo_matrix((np.ones(len(one)), (one, other)), shape=(len(mesh.faces),) * 2)
+    _, side = connected_components(pairs, directed=False)
+    corners = np.column_stack([mesh.faces.ravel(), np.repeat(side, 3)])
+    used, numbers = np.unique(corners, axis=0, return_inverse=True)
+    return np.asarray(mesh.vertices[used[:, 0]], dtype=np.float32), numbers.reshape(-1, 3)
 
 
-def clustered(
-    vertices: Array, faces: NDArray[np.int64], most_faces: int
-) -> tuple[Array, NDArray[np.int64], float]:
-    """A mesh with at most so many faces: the vertices in each cell of a grid become their mean.
-
-    Returns:
-        The vertices, the faces and the edge of a cell [m]: no vertex moved farther than its diagonal; 0 if the mesh was
-        small enough.
-    """
+def simplified(vertices: NDArray[np.floating], faces: NDArray[np.int64], most: int) -> Mesh:
+    """A mesh with at most so many faces: the vertices in each cell of a grid become their mean."""
     merged, means, cell = faces, vertices, 0.0
     diagonal = float(np.linalg.norm(np.ptp(vertices, axis=0)))
-    while len(merged) > most_faces and cell < diagonal:
+    while len(merged) > most and cell < diagonal:
         cell = 1.4 * cell or diagonal / 1000.0
         grid = np.floor((vertices - vertices.min(axis=0)) / cell).astype(np.int64)
         _, inverse = np.unique(grid @ [1 << 40, 1 << 20, 1], return_inverse=True)
@@ -175,93 +128,24 @@ def clustered(
         means = np.stack([np.bincount(inverse, vertices[:, k]) / count for k in range(3)], axis=1)
         a, b, c = inverse[faces].T
         merged = np.unique(inverse[faces][(a != b) & (b != c) & (c != a)], axis=0)
-    return means, merged, cell
-
-
-def _shape(visual: LinkShape, folders: Sequence[Path], most_faces: int) -> tuple[Shape | None, str]:
-    """The shape of a visual, and what is wrong with it; a capsule is drawn as a cylinder."""
-    if visual.mesh is None:
-        sizes, tag = visual.sizes, visual.geometry.tag
-        if sizes is None:
-            return None, f"a visual of link '{visual.link}' has no geometry that can be drawn"
-        if tag == "box":
-            return Box((sizes[0], sizes[1], sizes[2])), ""
-        return Sphere(sizes[0]) if tag == "sphere" else Cylinder(sizes[0], sizes[1]), ""
-    triangles, problem, cell = _drawn(*_file(visual.mesh, folders), most_faces)
-    name, stands = visual.mesh[0], "a simple shape stands for it"
-    if triangles is None:
-        return None, f"link '{visual.link}': the mesh '{name}' {problem}; {stands}"
-    return triangles, f"mesh '{name}' is drawn simplified to {1e3 * cell:.2g} mm" if cell else ""
-
-
-def _file(
-    mesh: tuple[str, tuple[float, float, float]], folders: Sequence[Path]
-) -> tuple[Path | None, tuple[float, float, float], int]:
-    """The file that a name means, its scale, and when it was changed: then it is read again."""
-    path = find_mesh(mesh[0], folders)
-    exists = path is not None and path.exists()
-    return path, mesh[1], path.stat().st_mtime_ns if exists and path is not None else 0
-
-
-@lru_cache(maxsize=64)
-def _read(
-    path: Path | None,
-    scale: tuple[float, ...],
-    modified: int,  # noqa: ARG001
-) -> tuple[tuple[Array, NDArray[np.int64]] | None, str]:
-    """A mesh's vertices and faces, or None and why it cannot be drawn."""
-    if path is None:
-        return None, "was not found"
-    return read_mesh(path, scale)
-
-
-@lru_cache(maxsize=64)
-def _drawn(
-    path: Path | None, scale: tuple[float, ...], modified: int, most_faces: int
-) -> tuple[Triangles | None, str, float]:
-    """A mesh as it is drawn, or what is wrong with it; and the cell that simplified it, or 0 [m]."""
-    mesh, problem = _read(path, scale, modified)
-    if mesh is None:
-        return None, problem, 0.0
-    vertices, faces, cell = clustered(*mesh, most_faces)
-    triangles = shaded(vertices, faces)
-    return triangles, "" if triangles else "is empty", cell
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Part:
-    """A shape that is fixed to the mover of a number, at T_mover_shape of shape (4, 4), [m]."""
-
-    mover: int
-    shape: Shape
-    T_mover_shape: Array
-
-    def corners(self) -> Array:
-        """Points in the mover that hold the shape: its outermost, or the corners of its box, shape (K, 3), [m]."""
-        shape, T = self.shape, self.T_mover_shape
-        if isinstance(shape, Triangles):
-            vertices = shape.vertices.astype(np.float64)
-            points = vertices[np.argmax(vertices @ (_DIRECTIONS @ T[:3, :3]).T, axis=0)]
-        elif isinstance(shape, Sphere):
-            points = 2.0 * shape.radius * _CORNERS
-        elif isinstance(shape, Cylinder):
-            points = _CORNERS * [2.0 * shape.radius, 2.0 * shape.radius, shape.length]
-        else:
-            points = _CORNERS * shape.size
-        return np.asarray(points @ T[:3, :3].T + T[:3, 3])
+    return means, merged
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Puppet:
     """What of one robot is drawn, and where it is.
 
-    Movers are the ``links``, and behind them the frames of `FRAMES`; ``poses`` of shape (N, L, 4, 4) has where each
-    of them is on the stage at each pose, ``origins`` of shape (N, K, 3) where all links of the URDF are [m]. ``rods``
-    are pairs of movers with a rod of a ``radius`` from the origin of one to that of the other.
+    Attributes:
+        links: The links that move; the movers are these and behind them `FRAMES`.
+        parts: A mover's number, a mesh, and T_mover_shape of shape (4, 4), [m].
+        rods: Pairs of movers with a rod from the origin of one to that of the other.
+        radius: Of the rods [m].
+        poses: shape (N, L, 4, 4), each mover on the stage at each pose [m].
+        origins: shape (N, K, 3), all links of the URDF [m].
     """
 
     links: tuple[str, ...]
-    parts: tuple[Part, ...]
+    parts: tuple[tuple[int, Mesh, Array], ...]
     rods: tuple[tuple[int, int], ...]
     radius: float
     poses: Array
@@ -276,58 +160,48 @@ class Puppet:
         T_stage_base: Array,
         T_tip_target: Array,
     ) -> Puppet:
-        """A robot at poses q of shape (N, m), standing at T_stage_base of shape (N, 4, 4) [m].
+        """A robot at poses q of shape (N, m), standing at T_stage_base of shape (N, 4, 4), [m].
 
-        Raises:
-            UrdfError: Pinocchio cannot build a model of the URDF.
+        Links whose mesh is missing, or all links of a robot without shapes, are balls with rods between them.
         """
         in_root = root_poses(robot, q)
         T_stage_root = T_stage_base @ rigid_inverse(in_root[robot.base])
-        shown = {v.link for v in visuals if v.shape is not None} & set(in_root)
-        missing = {v.link for v in visuals if v.shape is None}
-        sticks = missing if shown else set(robot.urdf.links)
+        shown = {v.link for v in visuals if v.mesh is not None} & set(in_root)
+        sticks = {v.link for v in visuals if v.mesh is None} if shown else set(robot.urdf.links)
         joints = [joint for joint in robot.urdf.joints if joint.parent in sticks]
         needed = shown | sticks | {joint.child for joint in joints}
         links = tuple(link for link in robot.urdf.links if link in needed)
-        number = {link: k for k, link in enumerate(links)}
         # The robot's own forward kinematics put tip and target: those are the points that the tables speak of.
         T_tip = T_stage_base @ robot.poses(q)
         moved = [T_stage_root @ in_root[link] for link in links]
         poses = np.stack([*moved, T_stage_base, T_tip, T_tip @ T_tip_target], axis=1)
         origins = np.stack([(T_stage_root @ T)[:, :3, 3] for T in in_root.values()], axis=1)
         radius = STICK * span(origins[0])
-        balls = [Visual(link, np.eye(4), Sphere(1.6 * radius)) for link in links if link in sticks]
-        parts = [
-            Part(number[v.link], v.shape, v.T_link_shape)
-            for v in (*visuals, *balls)
-            if v.shape is not None and v.link in number
+        ball = trimesh.creation.icosphere(3, 1.6 * radius)
+        balls = [
+            Visual(link, np.eye(4), creased(ball.vertices, ball.faces))
+            for link in links
+            if link in sticks
         ]
-        rods = tuple((number[joint.parent], number[joint.child]) for joint in joints)
-        return cls(links, tuple(parts), rods, radius, read_only(poses), read_only(origins))
+        parts = tuple(
+            (links.index(v.link), v.mesh, v.T_link_shape)
+            for v in (*visuals, *balls)
+            if v.mesh is not None and v.link in links
+        )
+        rods = tuple((links.index(joint.parent), links.index(joint.child)) for joint in joints)
+        return cls(links, parts, rods, radius, read_only(poses), read_only(origins))
 
-    @property
-    def targets(self) -> Array:
-        """Where the target is, shape (N, 3), [m]."""
-        return np.asarray(self.poses[:, -1, :3, 3])
-
-    def outline(self, n: int) -> Array:
-        """Points that hold the robot at a pose, shape (K, 3), [m]."""
-        at = self.poses[n]
-        corners = [p.corners() @ at[p.mover, :3, :3].T + at[p.mover, :3, 3] for p in self.parts]
-        return np.concatenate([self.origins[n], *corners])
-
-    def reach(self) -> Array:
-        """Points that hold the robot at all its poses, shape (K, 3), [m]: movers' origins, boxes about parts."""
-        count = min(len(self.poses), _REACHED)
-        some = self.poses[np.linspace(0, len(self.poses) - 1, count).round().astype(int)]
-        points = [self.poses[:, :, :3, 3].reshape(-1, 3)]
-        for mover in {part.mover for part in self.parts}:
-            held = np.concatenate([part.corners() for part in self.parts if part.mover == mover])
-            low, high = held.min(axis=0), held.max(axis=0)
+    def outline(self, poses: slice = slice(None)) -> Array:
+        """Points that hold the robot at some poses: origins, and the corners of boxes about parts, (K, 3), [m]."""
+        at = self.poses[poses]
+        at = at[np.linspace(0, len(at) - 1, min(len(at), _REACHED)).round().astype(int)]
+        points = [self.origins[poses].reshape(-1, 3), self.poses[poses][:, :, :3, 3].reshape(-1, 3)]
+        for mover, (vertices, _), T in self.parts:
+            low, high = vertices.min(axis=0), vertices.max(axis=0)
             box = 0.5 * (low + high) + _CORNERS * (high - low)
-            at = some[:, mover]
-            points.append((box @ at[:, :3, :3].swapaxes(1, 2) + at[:, None, :3, 3]).reshape(-1, 3))
-        return np.concatenate(points)
+            at_box = at[:, mover] @ T
+            points.append(box @ at_box[:, :3, :3].swapaxes(1, 2) + at_box[:, None, :3, 3])
+        return np.concatenate([one.reshape(-1, 3) for one in points])
 
 
 def root_poses(robot: Robot, q: Array) -> dict[str, Array]:
@@ -354,7 +228,7 @@ def stage_poses(robot: Robot, q: Array) -> Array:
 
 
 def packed(poses: Array) -> NDArray[np.float32]:
-    """Poses as position and quaternion (x, y, z, w), shape (..., 7), of poses of shape (..., 4, 4), [m]."""
+    """Poses of shape (..., 4, 4), [m], as position and quaternion (x, y, z, w), shape (..., 7)."""
     flat = poses.reshape(-1, 4, 4)
     # A copy: SciPy before 1.14 takes no matrix that is read-only.
     turned = Rotation.from_matrix(flat[:, :3, :3].copy()).as_quat()

@@ -1,30 +1,34 @@
-"""View: which robots are shown, at which poses, with what was measured there; values only.
+"""What is shown: which robots, at which poses, with what was measured there; values only.
 
-Of a calibration every row is a pose; of robots alone poses are spread over the joint limits.
+At the rows of a table each row is a pose; of robots alone poses are spread over the joint limits.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.errors import ModelError, choices
 from calib.estimate.setup import Setup
 from calib.report.label_rows import angles_of, flagged_rows, lengths_of, measured_in_base, placed
 from calib.result.calibration import Calibration
 from calib.result.comparison import Comparison
-from calib.result.evaluation import Evaluation
+from calib.result.evaluation import PLACES, evaluate
 from calib.robot.readback import column_ranges, spread_between, spread_poses
-from calib.robot.robot import Robot, read_only, rigid_inverse
+from calib.robot.robot import Robot, rigid_inverse
 from calib.text.comparison import sentence
+from calib.viewer.scene import translation
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 #: What two robots are called, and what that means.
-Names = tuple[tuple[str, str], tuple[str, str]]
+Names = Sequence[tuple[str, str]]
 NAMES: Names = (("Nominal", "the URDF as given"), ("Calibrated", "the corrected URDF"))
 
 #: Poses of two robots of which nothing was measured.
@@ -39,8 +43,8 @@ EVERYWHERE, MEASURED = 4000, 2000
 #: Frames nearer to the base's than this are the base's own: there is no instrument to show [m, and 1].
 _THE_BASE = 1e-9
 
-#: One robot, where its frames and targets are, and what it leaves over of which columns of each row.
-_Half = tuple[Robot, Setup, Array, NDArray[np.bool_]]
+#: A robot, where its frames and targets are, measured minus predicted of each row, and which of that was measured.
+_Half = tuple[Robot, Setup, Array, Mask]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,40 +59,36 @@ class Cloud:
 
     points: Array
     std: Array
-    measured: NDArray[np.bool_]
+    measured: Mask
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """What is shown. N poses, one of them at a time; the marks of all of them at once.
+    """What is shown: N poses, one of them at a time, and the marks of all of them. What is left out is filled in.
 
     Attributes:
         nominal: The robot before calibration.
         calibrated: The robot after it, the same chain; None to show one robot alone.
-        q: shape (N, m), [rad] or [m], the poses, in the order of ``nominal.joint_names``.
-        labels: What each pose is called, such as ``"row 31"``, N of them; none for numbers from 1.
-        kinds: ``"estimation"``, ``"validation"``, ``"flagged"`` or, where nothing was measured, ``"pose"``, N of them;
-            none for ``"pose"``.
+        q: shape (N, m), [rad] or [m], in the order of ``nominal.joint_names``.
+        labels: What each pose is called, such as ``"row 31"``.
+        kinds: ``"estimation"``, ``"validation"``, ``"flagged"`` or, where nothing was measured, ``"pose"``.
         nominal_target: shape (N, 4, 4) or (4, 4), T_tip_target of the nominal robot [m].
-        calibrated_target: shape (N, 4, 4) or (4, 4), T_tip_target of the calibrated robot [m].
-        measured: shape (N, 3), the measured targets in the base [m]; NaN where nothing was measured; may be empty.
-        errors: shape (2, N), the size of what the nominal and the calibrated robot leave over of each row [m]; NaN
-            where nothing was measured; empty to take the distances in the picture.
-        angles: shape (2, N), likewise of orientations [rad]; may be empty.
-        T_base_nominal: shape (N, 4, 4) or (4, 4), where the nominal robot stands in the calibrated one's base: the two
-            find the measurement frame a little differently [m].
-        instruments: shape (N, 4, 4), pose in the base of what each row was seen with, such as a tracker [m]; NaN where
-            that is not known; may be empty.
+        calibrated_target: Likewise of the calibrated one.
+        measured: shape (N, 3), the measured targets in the base [m]; NaN where nothing was measured.
+        errors: shape (2, N), norm of each robot's residual of lengths [m]; NaN where none was measured.
+        angles: shape (2, N), likewise of orientations [rad].
+        T_base_nominal: shape (N, 4, 4) or (4, 4), base of the nominal robot in the calibrated one's [m].
+        instruments: shape (N, 4, 4), pose in the base of what each row was seen with [m]; NaN where unknown.
         cloud: How well positions are known over the workspace; None for none.
         start: Which pose is shown first.
         rows: How many rows there are, where those shown are a choice; 0 where all are shown.
         title: The page's heading.
-        verdict: What a calibration's verdict is; none for none.
-        note: A sentence or two below the heading, such as what the verdict stands on.
+        verdict: What a calibration's verdict is.
+        note: A sentence below the heading, such as the verdict's first reason.
         names: What the two robots are called, and what that means.
 
     Raises:
-        ModelError: The robots have different joints, or an array has another shape or is not finite.
+        ModelError: The robots have different joints.
     """
 
     nominal: Robot
@@ -98,11 +98,11 @@ class View:
     kinds: tuple[str, ...] = ()
     nominal_target: Array = field(default_factory=lambda: np.eye(4))
     calibrated_target: Array = field(default_factory=lambda: np.eye(4))
-    measured: Array = field(default_factory=lambda: np.zeros((0, 3)))
-    errors: Array = field(default_factory=lambda: np.zeros((2, 0)))
-    angles: Array = field(default_factory=lambda: np.zeros((2, 0)))
+    measured: Array = field(default_factory=lambda: np.full(3, np.nan))
+    errors: Array = field(default_factory=lambda: np.full((2, 1), np.nan))
+    angles: Array = field(default_factory=lambda: np.full((2, 1), np.nan))
     T_base_nominal: Array = field(default_factory=lambda: np.eye(4))
-    instruments: Array = field(default_factory=lambda: np.zeros((0, 4, 4)))
+    instruments: Array = field(default_factory=lambda: np.full((4, 4), np.nan))
     cloud: Cloud | None = None
     start: int = 0
     rows: int = 0
@@ -112,37 +112,20 @@ class View:
     names: Names = NAMES
 
     def __post_init__(self) -> None:
-        """Copy the arrays, fill in what was left out, and check that all of it fits together."""
-        robot, other = self.nominal, self.calibrated
+        """Fill in what was left out."""
+        robot, other, count = self.nominal, self.calibrated, len(self.q)
         if other is not None and robot.joint_names != other.joint_names:
             raise ModelError(
                 f"The nominal robot has the joints {choices(robot.joint_names)}, the calibrated one "
                 f"{choices(other.joint_names)}. Show two robots with the same chain."
             )
-        count = len(self.q)
-        poses, gaps = (count, 4, 4), np.nan
-        for name, shape, otherwise in (
-            ("q", (count, len(robot.joint_names)), None),
-            ("nominal_target", poses, None),
-            ("calibrated_target", poses, None),
-            ("T_base_nominal", poses, None),
-            ("measured", (count, 3), gaps),
-            ("instruments", poses, gaps),
-            ("errors", (2, count), gaps),
-            ("angles", (2, count), gaps),
-        ):
-            given = np.asarray(getattr(self, name), dtype=np.float64)
-            values = given if given.size else np.full(shape, otherwise)
-            values = np.broadcast_to(values, shape) if values.shape == (4, 4) else values
-            if values.shape != shape or not count or (otherwise is None and np.isnan(values).any()):
-                wanted = f"finite numbers of shape {shape} are wanted, for one pose at least"
-                raise ModelError(f"{name} has shape {given.shape}; {wanted}.")
-            object.__setattr__(self, name, read_only(values))
-        for words, default in (
-            ("labels", tuple(f"pose {k + 1}" for k in range(count))),
-            ("kinds", ("pose",) * count),
-        ):
-            object.__setattr__(self, words, tuple(getattr(self, words)) or default)
+        shapes = {"measured": (count, 3), "errors": (2, count), "angles": (2, count)}
+        poses = ("nominal_target", "calibrated_target", "T_base_nominal", "instruments")
+        for name, shape in (shapes | dict.fromkeys(poses, (count, 4, 4))).items():
+            object.__setattr__(self, name, np.broadcast_to(getattr(self, name), shape))
+        labels = self.labels or tuple(f"pose {k + 1}" for k in range(count))
+        object.__setattr__(self, "labels", labels)
+        object.__setattr__(self, "kinds", self.kinds or ("pose",) * count)
 
     @property
     def robots(self) -> dict[str, Robot]:
@@ -156,28 +139,20 @@ class View:
         return bool(np.any(np.isfinite(self.measured)))
 
     @property
-    def distances(self) -> Array:
-        """The errors as they are in the picture, from measured to predicted target, shape (2, N), [m]; or NaN."""
-        return np.array([np.linalg.norm(self.measured - at, axis=1) for at in self.predicted])
-
-    @property
     def predicted(self) -> Array:
         """Where each robot puts the target, in the base, shape (2, N, 3), [m]; of one robot twice."""
-        robots = [self.nominal, self.calibrated or self.nominal]
-        targets = [self.nominal_target, self.calibrated_target]
-        own = [robot.poses(self.q) @ T for robot, T in zip(robots, targets, strict=True)]
-        return np.array([(self.T_base_nominal @ own[0])[:, :3, 3], own[1][:, :3, 3]])
+        nominal = self.T_base_nominal @ self.nominal.poses(self.q) @ self.nominal_target
+        other = (self.calibrated or self.nominal).poses(self.q) @ self.calibrated_target
+        return np.array([nominal[:, :3, 3], other[:, :3, 3]])
 
     def select(self, chosen: ArrayLike, start: int = 0) -> View:
         """Some of the poses by their numbers, and which of those chosen is shown first."""
         at = np.asarray(chosen, dtype=int)
-        new: dict[str, object] = {"start": start, "rows": self.rows or len(self.q)}
-        for name in ("q", "nominal_target", "calibrated_target", "measured", "T_base_nominal"):
-            new[name] = getattr(self, name)[at]
-        for name in ("labels", "kinds"):
-            new[name] = tuple(getattr(self, name)[i] for i in at)
-        new |= {"errors": self.errors[:, at], "angles": self.angles[:, at]}
-        return replace(self, instruments=self.instruments[at], **new)  # type: ignore[arg-type]
+        arrays = ("q", "nominal_target", "calibrated_target", "measured", "T_base_nominal")
+        new = {name: getattr(self, name)[at] for name in (*arrays, "instruments")}
+        new |= {name: getattr(self, name)[:, at] for name in ("errors", "angles")}
+        new |= {name: tuple(getattr(self, name)[i] for i in at) for name in ("labels", "kinds")}
+        return replace(self, start=start, rows=self.rows or len(self.q), **new)
 
 
 def thinned(view: View) -> View:
@@ -186,97 +161,110 @@ def thinned(view: View) -> View:
     most = max(1, min(MOST_POSES, _MOST_MOVERS // (len(view.nominal.urdf.links) + 3)))
     if count <= most:
         return view
-    flagged = np.array(view.kinds) == "flagged"
-    kept = np.union1d(_spread(np.flatnonzero(flagged), most // 4), [view.start])
-    rest = np.setdiff1d(np.flatnonzero(~flagged), kept)
-    chosen = np.union1d(kept, _spread(rest, max(most - len(kept), 0)))
+    flagged = np.flatnonzero(np.array(view.kinds) == "flagged")
+    kept = np.union1d(flagged[:: -(-len(flagged) // max(most // 4, 1)) or 1], [view.start])
+    rest = np.setdiff1d(np.arange(count), np.union1d(kept, flagged))
+    evenly = np.linspace(0, len(rest) - 1, max(min(most - len(kept), len(rest)), 0)).round()
+    chosen = np.union1d(kept, rest[evenly.astype(int)])
     return view.select(chosen, int(np.searchsorted(chosen, view.start)))
 
 
-def _spread(numbers: NDArray[np.int64], most: int) -> NDArray[np.int64]:
-    """At most so many of some numbers, evenly spread."""
-    if len(numbers) <= most:
-        return numbers
-    at = np.linspace(0, len(numbers) - 1, most).round().astype(int)
-    return numbers[at] if most else numbers[:0]
-
-
-def translated(point: ArrayLike) -> Array:
-    """A pose without rotation, shape (4, 4): that of a target of which only the place is known, shape (3,), [m]."""
-    T = np.eye(4)
-    T[:3, 3] = point
-    return T
-
-
 def view_of(calibration: Calibration, *, cloud: bool = True) -> View:
-    """The view of a calibration: every row a pose, with the ``cloud`` of how well positions are known if asked for.
-
-    Shown first is the one where the nominal robot is furthest off, of the validation rows if there are any, flagged
-    ones aside.
-    """
+    """The view of a calibration: every row a pose, with the ``cloud`` of how well positions are known if asked for."""
     c, m = calibration, calibration.measurements
-    flagged = frozenset(np.array(m.rows)[flagged_rows(c)].tolist())
-    shown = _view_of_rows(
+    shown = _at_rows(
         m,
         (c.nominal, c.nominal_setup, c.residual_nominal, c.used),
         (c.robot, c.setup, c.residual_calibrated, c.used),
-        flagged,
+        flagged_rows(c),
     )
     if c.cell.tracker is not None:  # the instrument of points that were measured in the base itself
         seen = (m.positions & np.isnan(shown.instruments[:, 0, 0]))[:, None, None]
-        where = np.where(seen, translated(c.cell.tracker.position), shown.instruments)
+        where = np.where(seen, translation(c.cell.tracker.position), shown.instruments)
         shown = replace(shown, instruments=where)
-    reasons = ["No verdict: nothing was cross-validated."]
-    return replace(
-        shown,
-        cloud=cloud_of(c) if cloud else None,
-        title=f"{c.nominal.name or 'Robot'}: nominal and calibrated",
-        verdict="" if c.verdict is None else c.verdict.use,
-        note=" ".join(reasons if c.verdict is None else map(str, c.verdict.reasons[:1])),
-    )
+    title = f"{c.nominal.name or 'Robot'}: nominal and calibrated"
+    return _judged(replace(shown, cloud=cloud_of(c) if cloud else None, title=title), c)
+
+
+def view_of_result(
+    result: Calibration,
+    robot: Robot,
+    table: Measurements | None = None,
+    cell: Cell | None = None,
+    *,
+    known: Sequence[str] = PLACES,
+    source: str = "the result",
+) -> View:
+    """A robot with the origins before and after a result that was read from a file.
+
+    Errors are those of the result's frames and targets, as `calib.evaluate` finds them.
+
+    Args:
+        result: The result.
+        robot: The robot, nominal or corrected.
+        table: The measurements; None for poses over the joint limits. Rows that the fit flagged are marked if the table
+            is the one that was fitted.
+        cell: Targets and frames that were given.
+        known: Which of ``"frame"`` and ``"target"`` the result says, not the cell.
+        source: What the result is called.
+    """
+    cell = cell or Cell()
+    both = result.uncorrected(robot), result.corrected(robot)
+    setups = result.nominal_setup, result.setup
+    if table is None:
+        shown = view_of_robots(*both, cells=(cell, cell))
+        if "target" in known:
+            targets = [setup.T_tip_target[0] for setup in setups]
+            shown = replace(shown, nominal_target=targets[0], calibrated_target=targets[1])
+    else:
+        first, second = (
+            _half(one, table, cell, setup, tuple(known))
+            for one, setup in zip(both, setups, strict=True)
+        )
+        rows = [one.row for one in (*result.outliers, *result.suspects)]
+        same = result.source.sha256 == table.sha256
+        shown = _at_rows(table, first, second, np.isin(table.rows, rows) & same)
+    origins = ("Nominal", "before the calibration"), ("Calibrated", f"joint origins of {source}")
+    return _judged(replace(shown, names=origins), result)
 
 
 def view_of_robots(
     nominal: Robot,
     calibrated: Robot | None = None,
+    table: Measurements | None = None,
     *,
+    cells: Sequence[Cell] | None = None,
     names: Names = NAMES,
-    evaluations: tuple[Evaluation, Evaluation | None] | None = None,
-    flagged: frozenset[int] = frozenset(),
     title: str = "",
-    verdict: str = "",
-    note: str = "",
 ) -> View:
-    """The view of one or two robots, with what was measured if there is a table.
+    """One or two robots at the rows of a table, with the errors that `calib.evaluate` finds.
 
-    Without measurements two robots go through poses spread over the joint limits, and one robot moves one joint after
-    the other.
+    Without a table two robots go through poses spread over the joint limits, and one moves one joint after the other.
 
     Args:
         nominal: The first robot.
         calibrated: The second; None for none.
-        names: What they are called, and what that means.
-        evaluations: What `calib.evaluate` says of the two robots and one table; None for no table.
-        flagged: Rows that do not belong to the others.
+        table: The measurements; None for none.
+        cells: Target and frame of each robot, where they are known.
+        names: What the robots are called, and what that means.
         title: The page's heading.
-        verdict: What a calibration's verdict is; none for none.
-        note: A sentence or two below the heading.
     """
-    if evaluations is not None:
-        first, second = evaluations
-        after: _Half | None = None
-        if calibrated is not None and second is not None:
-            after = (calibrated, second.setup, second.residual, second.used)
-        before = (nominal, first.setup, first.residual, first.used)
-        shown = _view_of_rows(first.measurements, before, after, flagged)
-    elif calibrated is None:
-        shown = _one_joint_after_the_other(nominal)
-        title = title or nominal.name
+    cells = cells or [Cell()] * 2
+    title = title or (nominal.name if calibrated is None else "")
+    if table is not None:
+        second = None if calibrated is None else _half(calibrated, table, cells[-1])
+        none = np.zeros(len(table), dtype=np.bool_)
+        shown = _at_rows(table, _half(nominal, table, cells[0]), second, none)
+        return replace(shown, names=names, title=title)
+    if calibrated is None:
+        q, labels = _one_joint_after_the_other(nominal)
     else:
         q = spread_poses(nominal, _POSES)
         labels = tuple(f"pose {k + 1} of {len(q)} over the joint limits" for k in range(len(q)))
-        shown = View(nominal, calibrated, q, labels)
-    return replace(shown, names=names, title=title, verdict=verdict, note=note)
+    points = [[*cell.targets.values(), cell.target] for cell in cells]
+    targets = [translation((0.0, 0.0, 0.0) if own[0] is None else own[0]) for own in points]
+    view = View(nominal, calibrated, q, labels, names=names, title=title)
+    return replace(view, nominal_target=targets[0], calibrated_target=targets[-1])
 
 
 def view_of_comparison(comparison: Comparison) -> View:
@@ -285,16 +273,13 @@ def view_of_comparison(comparison: Comparison) -> View:
     The poses are not measured ones: they are spread over the joint limits, and their labels say so.
     """
     c = comparison
-    first, second = c.robots
-    target = translated(c.a.target)
     view = view_of_robots(
-        first,
-        second,
+        *c.robots,
         names=((f"a: {c.names[0]}", "the first result"), (f"b: {c.names[1]}", "the second result")),
         title=f"{c.a.nominal.name or 'Robot'}: two calibrations",
-        note=sentence(c),
     )
-    return replace(view, nominal_target=target, calibrated_target=target)
+    target = translation(c.a.target)
+    return replace(view, nominal_target=target, calibrated_target=target, note=sentence(c))
 
 
 def cloud_of(calibration: Calibration) -> Cloud:
@@ -304,37 +289,59 @@ def cloud_of(calibration: Calibration) -> Cloud:
     standard deviations are those of `calib.workspace_uncertainty`: they know nothing of errors that the model lacks.
     """
     robot = calibration.robot
-    seen = calibration.measurements.joints_for(robot.joint_names)[calibration.weights > 0.0]
     limits = column_ranges(robot)
-    inner = np.stack([seen.min(axis=0), seen.max(axis=0)], axis=1) if len(seen) else limits
+    inner = np.where(np.isfinite(calibration.ranges), calibration.ranges, limits)
     q = np.concatenate([spread_between(limits, EVERYWHERE), spread_between(inner, MEASURED)])
-    std = calibration.position_std(q, larger=False)
     T = robot.poses(q)
     points = T[:, :3, :3] @ calibration.target + T[:, :3, 3]
-    return Cloud(points, std, np.all((q >= inner[:, 0]) & (q <= inner[:, 1]), axis=1))
+    inside = np.all((q >= inner[:, 0]) & (q <= inner[:, 1]), axis=1)
+    return Cloud(points, calibration.position_std(q, larger=False), inside)
 
 
-def _view_of_rows(
-    m: Measurements, first: _Half, second: _Half | None, flagged: frozenset[int]
-) -> View:
-    """The view of one or two robots at the rows of a table."""
+def _judged(view: View, c: Calibration) -> View:
+    """The view with the verdict of a result and its first reason."""
+    if c.verdict is None:
+        return replace(view, note="No verdict: nothing was cross-validated.")
+    return replace(view, verdict=c.verdict.use, note=" ".join(map(str, c.verdict.reasons[:1])))
+
+
+def _half(
+    robot: Robot,
+    table: Measurements,
+    cell: Cell,
+    known: Setup | None = None,
+    which: tuple[str, ...] = PLACES,
+) -> _Half:
+    """A robot with what `calib.evaluate` says of it."""
+    found = evaluate(robot, table, cell, known=known, which=which)
+    return robot, found.setup, found.residual, found.used
+
+
+def _at_rows(m: Measurements, first: _Half, second: _Half | None, flagged: Mask) -> View:
+    """One or two robots at the rows of a table.
+
+    Shown first is the row where the nominal robot is furthest off, of the validation rows if there are any, flagged
+    ones aside.
+    """
     T_frame_nominal, nominal_target = placed(first[1], m)
     T_frame_base, calibrated_target = placed((second or first)[1], m)
     T_base_frame = rigid_inverse(T_frame_base)
-    # Its error in the picture is then that of the tables, not where each of the two finds the tracker. Where nothing
+    # The error in the picture is then that of the tables, not where each of the two finds the tracker. Where nothing
     # tells a place, neither finds where it stands: the two share their base.
     places = np.any(m.where(lambda kind: kind.coordinates))
     elsewhere = np.max(np.abs(T_base_frame - np.eye(4)), axis=(1, 2)) > _THE_BASE
-    kinds = np.where(m.validation, "validation", "estimation").astype(object)
-    kinds[np.isin(m.rows, list(flagged))] = "flagged"
     halves = [(residual, used) for _, _, residual, used in (first, second or first)]
     errors = np.array([lengths_of(*half) for half in halves])
+    rank = np.where(flagged, 0.0, np.where(m.validation, 2.0, 1.0)) * 1e6
     return View(
         nominal=first[0],
         calibrated=None if second is None else second[0],
         q=m.joints_for(first[0].joint_names),
         labels=tuple(f"row {row}" for row in m.rows),
-        kinds=tuple(kinds),
+        kinds=tuple(
+            "flagged" if odd else "validation" if held else "estimation"
+            for odd, held in zip(flagged, m.validation, strict=True)
+        ),
         nominal_target=nominal_target,
         calibrated_target=calibrated_target,
         measured=measured_in_base(m, T_frame_base),
@@ -342,21 +349,12 @@ def _view_of_rows(
         angles=np.array([angles_of(*half) for half in halves]),
         T_base_nominal=T_base_frame @ T_frame_nominal if places else np.eye(4),
         instruments=np.where((m.positions & elsewhere)[:, None, None], T_base_frame, np.nan),
-        start=_worst(errors[0], kinds),
+        start=int(np.argmax(np.where(np.isfinite(errors[0]), rank + errors[0], -1.0))),
     )
 
 
-def _worst(lengths: Array, kinds: NDArray[np.object_]) -> int:
-    """The row with the largest length, of validation rows if there are any, flagged ones aside."""
-    for wanted in ("validation", "estimation", "flagged"):
-        chosen = (kinds == wanted) & np.isfinite(lengths)
-        if np.any(chosen):
-            return int(np.argmax(np.where(chosen, lengths, -1.0)))
-    return 0
-
-
-def _one_joint_after_the_other(robot: Robot) -> View:
-    """Poses in which each joint in turn goes through its range."""
+def _one_joint_after_the_other(robot: Robot) -> tuple[Array, tuple[str, ...]]:
+    """Poses in which each joint in turn goes through its range, and what they are called."""
     ranges = column_ranges(robot)
     middle = np.clip(0.0, ranges[:, 0], ranges[:, 1])
     poses, labels = [middle], ["all joints at zero, or as near as they can be"]
@@ -365,4 +363,4 @@ def _one_joint_after_the_other(robot: Robot) -> View:
         for value in np.linspace(ranges[k, 0], ranges[k, 1], 9):
             poses.append(np.where(np.arange(len(middle)) == k, value, middle))
             labels.append(f"{joint.name} at {scale * value:.4g} {unit}")
-    return View(robot, None, np.array(poses), tuple(labels))
+    return np.array(poses), tuple(labels)

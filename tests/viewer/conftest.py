@@ -12,7 +12,8 @@ from calib.data.measurements import Measurements
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from calib.viewer.page import view_page
-from calib.viewer.view import View, translated
+from calib.viewer.scene import translation
+from calib.viewer.view import View
 from tests import hard_cases
 
 #: A gantry with a turning wrist: prismatic and continuous joints, no visuals, its base not at the root.
@@ -98,7 +99,7 @@ def disturb():
 @pytest.fixture(scope="session")
 def ur3_view(ur3):
     m = Measurements.read(example.paper_measurements(), ur3.joint_names, ur3.joint_types)
-    target = translated(example.PAPER_TARGET)
+    target = translation(example.PAPER_TARGET)
     view = View(
         ur3,
         disturbed(ur3, 0.5),
@@ -110,7 +111,7 @@ def ur3_view(ur3):
         measured=m.points,
         start=30,
     )
-    return replace(view, errors=view.distances)
+    return replace(view, errors=np.linalg.norm(view.measured - view.predicted, axis=2))
 
 
 @pytest.fixture(scope="session")
