@@ -194,7 +194,7 @@ def one_plain(count: int) -> dict[str, float]:
         return points, J
 
     def residual(x: Array) -> Array:
-        return np.asarray((rows.points - each(x, columns=False)[0]).ravel() / 5e-5)
+        return np.asarray((rows.measured[:, :3] - each(x, columns=False)[0]).ravel() / 5e-5)
 
     def derivative(x: Array) -> Array:
         return np.asarray(-each(x, columns=True)[1].reshape(-1, len(model)) / 5e-5)

@@ -28,10 +28,8 @@ from calib.estimate.rows import Rows
 from calib.estimate.setup import (
     FIRST_SIGMA_ANGLE,
     Setup,
-    along_own_axes,
     rows_of,
     setup_of,
-    targets_along_tip,
 )
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Kinematics, Samples
@@ -104,7 +102,7 @@ class Sensitivity:
                 "sigma_angle_deg in the cell says what yours is."
             )
         model = model_of(Task(robot, cell, setup, planned_model(cell), lenient=cell.model == AUTO))
-        model = targets_along_tip(along_own_axes(model, setup), setup)
+        model = setup.aligned(model)
         if cell.model != AUTO:
             for wanted in (*cell.parameter_priors, *cell.bounds):
                 model.index(wanted)

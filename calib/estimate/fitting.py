@@ -1,37 +1,57 @@
 """One fit: register, estimate, and what the fit says of rows that it did not see.
 
-This is what cross-validation repeats and what `calibrate` reports on.
+Registration puts target and frame in place. From there: least squares with wide priors, then the stages of
+`calib.estimate.stages`, each followed by a new solve from where the last one stopped. This is what cross-validation
+repeats and what `calibrate` reports on.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.data.cell import Cell
+from calib.data.cell import Cell, Priors
 from calib.errors import MeasurementError, ModelError, choices
-from calib.estimate.fit_stages import Estimate, estimate, plain_estimate
-from calib.estimate.problem import Problem, parts_of
+from calib.estimate.likelihood import Linear, Normal
+from calib.estimate.problem import PART, Problem
 from calib.estimate.registration import register
-from calib.estimate.robust import scores
+from calib.estimate.robust import Limits, as_of_a_point, deleted_norms
 from calib.estimate.rows import Rows
-from calib.estimate.setup import KnownDistance, Setup, along_own_axes, targets_along_tip
+from calib.estimate.setup import KnownDistance, Setup
 from calib.estimate.solvers import SOLVERS, Solution, Solver, paper_levenberg_marquardt
-from calib.estimate.stage import Holds
+from calib.estimate.stages import PriorTerms, Stage, staged
+from calib.estimate.statistics import repeats
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
+from calib.model.observability import steps
 from calib.model.parameters import FRAME, TARGET, ErrorModel, Parameter
 from calib.robot.kernel import one_blas_thread
 from calib.robot.robot import Robot, read_only
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 #: The paper's algorithm, which is no least-squares solver: it knows no weights and no priors.
 PAPER = "paper"
+
+#: Tolerance between stages, whose weights and sizes change far more, and of the last solve.
+_ROUGH, _FINE = 0.1, 1e-9
+
+#: A stage's solution within this is looked for by the linearised problem first, in steps of 1 mm and 1 mrad.
+_CLOSE = 5.0
+
+#: A change below this is none: weak priors leave traces of that size on what takes part with the target [m, rad].
+_NOTHING = 1e-8
+
+#: Covariance of the minimum of summed fourth powers over that of summed squares, for normal noise in 3-D.
+_FOURTH_POWERS = 1.4
+
+#: A parameter at its bound is let go where that lowers the squares by more than this.
+_TELLING = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,14 +61,38 @@ class Task:
     robot: Robot  # The nominal robot
     cell: Cell  # What is known, and how to estimate
     setup: Setup  # Frames and targets as given
-    # Name of the parameter set and families, or the robot's own parameters themselves
-    model: str | Sequence[Parameter]
+    model: (
+        str | Sequence[Parameter]
+    )  # Name of the parameter set and families, or the robot's own parameters themselves
     distances: tuple[KnownDistance, ...] = ()  # Known distances between set-ups
-    # A name of `calib.estimate.solvers.SOLVERS`, `PAPER`, or a solver itself
-    solver: str | Solver = "lm"
+    solver: str | Solver = (
+        "lm"  # A name of `calib.estimate.solvers.SOLVERS`, `PAPER`, or a solver itself
+    )
     robust: bool = True  # Whether outliers lose their weight
-    # Whether the cell may name parameters that this model lacks, because it is one of several
-    lenient: bool = False
+    lenient: bool = False  # Whether the cell may name parameters that this model lacks, because it is one of several
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimate:
+    """The parameters that a fit found, and what it found on the way."""
+
+    x: Array  # (p,), offsets from the registered start [m, rad, ...]
+    problem: Problem  # The problem in its last form: weights, scales and prior precision as found
+    solution: Solution  # The solver's, all stages one after the other
+    covariance: Array  # (p, p), of x
+    scores: Array  # (N,), how far each row lies from what the others predict
+    flag_limit: float  # The score above which a row is named as an outlier
+    freedom: float  # Degrees of freedom left for the noise
+    noise: tuple[float, ...]  # Found noise of each instrument over the one given
+    sizes: Mapping[str, float]  # Size of the errors of each family; empty without priors
+    weights: Array  # (N,), robust weights, repeats not shared out
+    log_likelihood: float  # The restricted one, at these sizes
+    at_bound: tuple[int, ...] = ()  # Parameters that are at a bound
+
+    @property
+    def outliers(self) -> Mask:
+        """Which rows lie beyond the limit, shape (N,)."""
+        return self.scores > self.flag_limit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,6 +119,33 @@ class Fitted:
         """Measured minus predicted, shape (N, D), [m] and [rad]."""
         return rows.residual(self.kinematics.poses(self.estimate.x, rows.samples))
 
+    def unseen_scores(self, rows: Rows) -> Array:
+        """The scores of rows that the fit did not use, shape (N,); see `calib.estimate.robust`."""
+        result, estimate = np.zeros(len(rows)), self.estimate
+        for own in rows.parts(PART):
+            part = rows.select(own)
+            poses, twists = self.kinematics.twists(estimate.x, part.samples)
+            scale = self._scales(part)
+            residual = part.residual(poses)[None] / scale
+            slopes = part.derivative(poses, twists) / scale[:, :, None]
+            none, ones = np.zeros((1, len(part))), np.ones(residual.shape)
+            norms = deleted_norms(residual, slopes, estimate.covariance[None], none, ones)
+            result[own] = as_of_a_point(norms[0], np.sum(part.used, axis=1))
+        return read_only(result)
+
+    def _scales(self, rows: Rows) -> Array:
+        """The noise that was found, for each scalar of some rows; of a kind not fitted, the first instrument's."""
+        seen, result = self.estimate.problem.rows, rows.scales
+        for kind in np.unique(rows.kinds):
+            own, inside = rows.kinds == kind, seen.kinds == kind
+            for column in range(rows.width):
+                known = seen.instruments[
+                    inside & (column < seen.width), min(column, seen.width - 1)
+                ]
+                number = int(known[0]) if len(known) and known[0] >= 0 else 0
+                result[own, column] *= self.estimate.noise[number]
+        return result
+
 
 @one_blas_thread()
 def fit(
@@ -82,7 +153,7 @@ def fit(
 ) -> Fitted:
     """Register and estimate.
 
-    weights, shape (N,), stay, repeats shared out; None to find them. started is where `registered` puts frames and
+    weights, shape (N,), stay, repeats shared out; None to find them. started is where registration puts frames and
     targets, of another fit to these rows; None to register.
 
     Raises:
@@ -94,7 +165,7 @@ def fit(
         raise ModelError(
             f"There is no solver '{task.solver}'. Choose one of {choices((*SOLVERS, PAPER))}."
         )
-    model = model_of(task)
+    model, setup = model_of(task), task.setup
     if task.cell.priors.sizes == "off" and rows.count < len(model):
         raise MeasurementError(
             f"{len(rows)} rows give {rows.count} numbers for {len(model)} parameters, and priors are off. Measure more "
@@ -104,47 +175,27 @@ def fit(
         raise ModelError(
             f"The model '{model.name}' leaves nothing to estimate: every parameter is frozen or known."
         )
-    started = registered(task, rows) if started is None else started
-    model = targets_along_tip(along_own_axes(model, started), started)
+    if started is None:
+        # The paper's algorithm starts where it was told to, if it was told.
+        told = task.solver == PAPER and bool(np.all(setup.target_given))
+        asked = setup.as_known(np.zeros(len(setup.groups), bool), np.full(len(setup.targets), told))
+        started = replace(register(task.robot, asked, rows), target_unknown=setup.target_unknown)
+    model = started.aligned(model)
     kinematics = Kinematics(task.robot, model, started.T_frame_base, started.T_tip_target)
     seen = set(np.unique(rows.samples.frame).tolist())
     distances = tuple(d for d in task.distances if {d.first, d.second} <= seen)
     problem = Problem.first(kinematics, rows, distances)
     if task.solver == PAPER:
-        estimated = plain_estimate(problem, _solve_as_the_paper(problem, started))
+        estimated = _by_the_paper(problem, task, started)
     else:
-        solver = task.solver if callable(task.solver) else SOLVERS[task.solver]
-        estimated = estimate(
-            problem,
-            solver,
-            holds_of(task, model, started),
-            repeats=task.cell.repeats,
-            robust=task.robust,
-            weights=weights,
-        )
-    assert np.all(np.isfinite(estimated.x)), (
-        "a solver takes no step to where the cost is not finite"
-    )
+        estimated = _estimate(problem, task, prior_terms(task, model, started), weights)
+    assert np.all(np.isfinite(estimated.x)), "no solver steps to where the cost is not finite"
     return Fitted(task, started, kinematics, estimated)
 
 
-def registered(task: Task, rows: Rows) -> Setup:
-    """Frames and targets where the nominal robot puts them, which is where an estimation starts.
-
-    Raises:
-        MeasurementError: Too few rows.
-    """
-    # The paper's algorithm starts where it was told to, if it was told.
-    as_given = task.solver == PAPER and bool(np.all(task.setup.target_given))
-    known = np.full(len(task.setup.targets), as_given)
-    no_frame = np.zeros(len(task.setup.groups), dtype=bool)
-    started = register(task.robot, task.setup.as_known(no_frame, known), rows)
-    return replace(started, target_unknown=task.setup.target_unknown)
-
-
-def holds_of(task: Task, model: ErrorModel, started: Setup) -> Holds:
-    """Priors and bounds of a task from a registered start; see `calib.estimate.stage.Holds.of_cell`."""
-    return Holds.of_cell(task.cell, model, task.setup, started, lenient=task.lenient)
+def prior_terms(task: Task, model: ErrorModel, started: Setup) -> PriorTerms:
+    """Priors and bounds of a task from a registered start."""
+    return PriorTerms.of(task.cell, model, task.setup, started, lenient=task.lenient)
 
 
 def model_of(task: Task) -> ErrorModel:
@@ -178,57 +229,197 @@ def model_of(task: Task) -> ErrorModel:
     return model.tied(ties).without(frozen)
 
 
-def _solve_as_the_paper(problem: Problem, setup: Setup) -> Solution:
-    """The paper's algorithm in its own units, mm and rad, at absolute parameters; x in m and rad comes back.
+def _estimate(problem: Problem, task: Task, prior: PriorTerms, weights: Array | None) -> Estimate:
+    """The parameters of a registered problem; those that would leave their bounds are held there.
 
-    Raises:
-        ModelError: Anything but points of one target, which the paper does not have.
+    Active set: what would leave its bounds stays there and the others are estimated again; what then is no longer
+    pushed against its bound is let go, once.
     """
-    parameters = problem.kinematics.model.parameters
-    if any(kind.name != "point" for kind in problem.rows.present) or len(setup.targets) > 1:
+    low, high = prior.limits.T
+    fixed: dict[int, float] = {}
+    released: set[int] = set()
+    result = _within(problem, task, prior, weights)
+    for _ in range(3 * problem.size):
+        beyond = np.flatnonzero((result.x < low) | (result.x > high)).tolist()
+        loose = [] if beyond else _pushed_inside(result, prior, fixed)
+        loose = [k for k in loose if k not in released]
+        if not beyond and not loose:
+            break
+        fixed |= {k: float(np.clip(result.x[k], low[k], high[k])) for k in beyond}
+        released |= set(loose)
+        fixed = {k: value for k, value in fixed.items() if k not in loose}
+        result = _within(problem, task, prior.at_bounds(fixed), weights)
+    return result
+
+
+def _within(problem: Problem, task: Task, prior: PriorTerms, weights: Array | None) -> Estimate:
+    """The estimate with what is held at a bound; each solve begins where the last one stopped."""
+    solver = task.solver if callable(task.solver) else SOLVERS[str(task.solver)]
+    size = steps(problem.kinematics.model.units)
+    x, solution, last = prior.centre.copy(), None, None
+
+    def solve(stage: Stage, tolerance: float) -> Solution:
+        nonlocal x, solution
+        found = solver(_problem_of(problem, stage).system, x, size, tolerance)
+        solution = found if solution is None else found.after(solution)
+        x = solution.x
+        return solution
+
+    def linear_at(stage: Stage) -> Linear:
+        """The problem linearised at the solution with a stage's weights and sizes, or where it hardly differs."""
+        nonlocal x, last
+        if last is not None:
+            found = stage.fit(last)[0][0]
+            moves = np.linalg.norm((found - x) / size)
+            if moves <= _ROUGH:  # what it leaves out is of the order of 1e-8 m and rad
+                return last
+            if moves <= _CLOSE:
+                # A step as short as this needs no damping, if the next one confirms it.
+                moved = problem.linear(found)
+                if np.linalg.norm((stage.fit(moved)[0][0] - found) / size) <= _ROUGH:
+                    x, last = found, moved
+                    return moved
+        solve(stage, _ROUGH)
+        last = problem.linear(x)
+        return last
+
+    every, instruments = np.ones((1, len(problem.rows)), dtype=bool), len(problem.smallest)
+    if weights is None:
+        repeating, robust, first = (
+            task.cell.repeats,
+            task.robust,
+            Stage.first(prior, every, instruments),
+        )
+    else:
+        first = Stage.first(prior, every, instruments, weights)
+        repeating, robust = "independent", False  # shared out before
+    stage, _ = staged(first, linear_at, problem.rows.poses, repeating, robust=robust)
+    return _finish(problem, stage, solve(stage, _FINE))
+
+
+def _problem_of(problem: Problem, stage: Stage) -> Problem:
+    """The problem with a stage's weights, noise and priors."""
+    scales = np.append(stage.noise[0], 1.0)[problem.rows.instruments] * problem.rows.scales
+    priors = stage.priors
+    return replace(
+        problem,
+        weights=stage.effective[0],
+        scales=scales,
+        precision=priors.precision[0],
+        centre=priors.centre,
+    )
+
+
+def _pushed_inside(result: Estimate, prior: PriorTerms, fixed: Mapping[int, float]) -> list[int]:
+    """Parameters at a bound that measurements and priors would have inside of it."""
+    known = {} if prior.off else result.sizes
+    sizes = np.array([known.get(f, size) for f, size in zip(prior.names, prior.start, strict=True)])
+    precision = prior.precision + (1.0 / sizes**2) @ prior.families
+    free = replace(result.problem, precision=precision, centre=prior.centre)
+    residual, jacobian = free.system(result.x)
+    slope, bend = jacobian.T @ residual, np.sum(jacobian**2, axis=0)
+    loose = []
+    for k, value in fixed.items():
+        inwards = -slope[k] if value <= prior.limits[k, 0] else slope[k]
+        if inwards > 0.0 and inwards**2 > _TELLING * bend[k]:
+            loose.append(k)
+    return loose
+
+
+def _by_the_paper(problem: Problem, task: Task, started: Setup) -> Estimate:
+    """The estimate of the paper's solver, in mm and rad at absolute parameters, without priors and weights.
+
+    It minimises the sum of |r_i|^4. For normal noise in three coordinates that spreads the parameters by 7/5 of least
+    squares' covariance: the second derivative is 10 sigma^2 J^T J in the mean and the gradient's covariance
+    140 sigma^6 J^T J; so the squares left over are sigma^2 (3 N - 3/5 rank) in the mean.
+    """
+    model = problem.kinematics.model
+    if any(kind.name != "point" for kind in problem.rows.present) or len(started.targets) > 1:
         raise ModelError(
             "The solver 'paper' takes positions of one target, as the paper does. Choose --solver lm."
         )
-    unit = np.array([1e3 if p.unit == "m" else 1.0 for p in parameters])
-    target = setup.T_tip_target[0, :3, 3]
+    unit = np.array([1e3 if p.unit == "m" else 1.0 for p in model.parameters])
+    target = started.T_tip_target[0, :3, 3]
     at_target = dict(zip(("target_x", "target_y", "target_z"), target, strict=True))
-    nominal = np.array([at_target.get(p.name, p.nominal) for p in parameters])
-    solution = paper_levenberg_marquardt(
-        partial(problem.paper_system, nominal, unit), nominal * unit
-    )
-    return replace(solution, x=solution.x / unit - nominal)
+    nominal = np.array([at_target.get(p.name, p.nominal) for p in model.parameters])
+    system = partial(problem.paper_system, nominal, unit)
+    solution = paper_levenberg_marquardt(system, nominal * unit)
+    solution = replace(solution, x=solution.x / unit - nominal)
+    linear = problem.linear(solution.x)
+    cell = replace(task.cell, priors=Priors("off"), bounds={}, parameter_priors={})
+    prior = PriorTerms.of(cell, model, task.setup, started, lenient=True)
+    every = np.ones((1, len(problem.rows)), dtype=bool)
+    stage = Stage.first(prior, every, len(problem.smallest))
+    data = linear.data(stage.effective)
+    rank = np.linalg.matrix_rank(data.H[0, 0], hermitian=True)
+    left = max(float(data.count[0, 0]) - (2.0 - _FOURTH_POWERS) * rank, 1.0)
+    noise = np.sqrt(np.sum(np.square(linear.residual(solution.x))) / left)
+    stage = replace(stage, noise=np.array([[max(noise, linear.smallest[0])]]))
+    return _finish(problem, stage, solution, spread=_FOURTH_POWERS)
 
 
-def unseen_scores(fitted: Fitted, rows: Rows) -> Array:
-    """The scores of rows that the fit did not use, shape (N,); see `calib.estimate.robust`."""
-    result = np.zeros(len(rows))
-    for own in parts_of(rows):
-        part = rows.select(own)
-        poses, twists = fitted.kinematics.twists(fitted.estimate.x, part.samples)
-        scale = scale_of(fitted, part)
-        result[own] = scores(
-            part.residual(poses) / scale,
-            part.derivative(poses, twists) / scale[:, :, None],
-            fitted.estimate.covariance,
-            np.zeros(len(part)),
-            part.used,
-        )
-    return read_only(result)
+def _finish(problem: Problem, stage: Stage, solution: Solution, spread: float = 1.0) -> Estimate:
+    """The estimate at the last stage, with covariance and scores at the solution itself.
 
-
-def scale_of(fitted: Fitted, rows: Rows) -> Array:
-    """The noise that a fit found, for each scalar of some rows, shape (N, D), [m] and [rad].
-
-    A kind that was not fitted has the noise of the first instrument.
+    ``spread`` is the covariance that the solver's estimator has, over that of least squares.
     """
-    seen = fitted.estimate.problem.rows
-    index, _ = seen.instruments
-    result: Array = rows.scales.copy()
-    for kind in np.unique(rows.kinds):
-        own = rows.kinds == kind
-        for column in range(rows.width):
-            inside = (seen.kinds == kind) & (column < seen.width)
-            known = index[inside, min(column, seen.width - 1)]
-            number = int(known[0]) if len(known) and known[0] >= 0 else 0
-            result[own, column] *= fitted.estimate.noise[number]
-    return result
+    linear, model = problem.linear(solution.x), problem.kinematics.model
+    effective, prior, priors = stage.effective, stage.prior, stage.priors
+    _, of_least_squares, freedom = stage.fit(linear)
+    # The estimate itself stays: weights that targets share would be less sharp where they lie to each other.
+    told = _shared_by_stops(problem.rows, linear, stage, float(freedom[0]))
+    _, covariance = told.posterior(np.sqrt(spread) * stage.noise, priors)
+    # Without priors there is nothing to keep a6 small beside the target, and so no trace to remove.
+    cleaned = ~model.family(FRAME, TARGET) & np.isin(model.units, ("m", "rad")) & (not prior.off)
+    x = np.where(cleaned & (np.abs(solution.x) < _NOTHING), 0.0, solution.x)
+    x[list(prior.fixed)] = prior.centre[list(prior.fixed)]
+    scores = linear.scores(solution.x[None], of_least_squares, effective, stage.noise)
+    own = np.where(prior.flat, 0.0, priors.precision)
+    likelihood = linear.data(effective).log_likelihood(stage.noise, priors, own)
+    return Estimate(
+        x=read_only(x),
+        problem=_problem_of(problem, stage),
+        solution=replace(solution, x=read_only(x)),
+        covariance=read_only(covariance[0]),
+        scores=read_only(scores[0]),
+        flag_limit=float(Limits.of(len(problem.rows), freedom[0]).flagged),
+        freedom=float(freedom[0]),
+        noise=tuple(stage.noise[0].tolist()),
+        sizes={} if prior.off else dict(zip(prior.names, stage.sizes[0].tolist(), strict=True)),
+        weights=read_only(stage.weights[0]),
+        log_likelihood=float(likelihood[0]),
+        at_bound=prior.fixed,
+    )
+
+
+def _shared_by_stops(rows: Rows, linear: Linear, stage: Stage, freedom: float) -> Normal:
+    """The normal equations with the derivative as several targets of one stop let it be known.
+
+    They share where the robot stopped beside where it should: with the correlation rho the mean of n rows has the
+    variance s^2 (1 + (n - 1) rho) / n, and so much less is known of what moves all of them alike. What they say of
+    each other counts as ever, though it is known better.
+    """
+    effective, data = stage.effective[0], linear.data(stage.effective)
+    weights = stage.weights[0] * rows.where(lambda kind: kind.position)
+    alive, tiny = weights > 0.0, np.finfo(np.float64).tiny
+    if len(np.unique(rows.samples.target[alive])) < 2:
+        return data
+    labels = np.column_stack([rows.blocks, rows.samples.frame])
+    stops = np.unique(labels, axis=0, return_inverse=True)[1].reshape(-1)
+    counts = np.bincount(stops, alive)
+    if np.max(counts) < 2:
+        return data
+    paid = max(float(np.sum(effective @ linear.used)) - freedom, 0.0)
+    noise = linear.noise_of(stage.noise)[0, :, :3]
+    residual = linear.residual(linear.x)[:, :3] / noise
+    rho = repeats(residual, linear.used[:, :3], stops, weights, fitted=paid).rho
+    # Repeats have been shared out already.
+    w = np.where(alive, effective, 0.0)
+    sums = np.maximum(np.bincount(stops, w), tiny)
+    already = sums / np.maximum(np.bincount(stops, weights), tiny)
+    wider = np.maximum((1.0 + np.maximum(counts - 1.0, 0.0) * rho) * already, 1.0)
+    less = np.where(alive, 1.0 - 1.0 / np.sqrt(wider[stops]), 0.0)
+    share, columns = w / sums[stops], linear.columns.copy()
+    for column in columns[:-1, :3].reshape(-1, len(rows)):
+        column -= less * np.bincount(stops, share * column)[stops]
+    return replace(linear, columns=columns).data(stage.effective)

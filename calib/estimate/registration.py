@@ -7,15 +7,17 @@ by Levenberg-Marquardt.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from calib.errors import MeasurementError
-from calib.estimate.rows import NONE, Rows, evenly, keeps_frames, with_partners
-from calib.estimate.setup import Setup, along_own_axes
+from calib.estimate.rows import LENGTHS, NONE, Rows
+from calib.estimate.setup import Setup
 from calib.estimate.solvers import levenberg_marquardt
 from calib.model.error_model import frame_and_target_model
 from calib.model.observability import steps
@@ -29,25 +31,19 @@ Mask = NDArray[np.bool_]
 #: Distances from the tip at which a target is looked for when nothing is known of it [m].
 _REACHES = (0.15, 0.7)
 
-#: Of all starts so many are refined, those that fit best with the frames that suit them.
+#: So many starts are refined, those that fit best with the frames that suit them.
 _REFINED = 5
 
 #: Rows of each view of a target used to find a start; more do not make it better.
-_ROWS = 200
-_FEWEST_ROWS = 20
-
-#: Columns of a residual that are lengths; angles are behind them.
-_LENGTHS = 3
+_ROWS, _FEWEST_ROWS = 200, 20
 
 #: Directions of a frame that is wholly unknown, and the points that show all of them.
-_ALL = 6
-_FEWEST_POINTS = 3
+_ALL, _FEWEST_POINTS = 6, 3
 
 #: A row that is this many median distances off does not take part in a nominal robot's registration.
-_GROSS = 5.0
-_GROSS_ROUNDS = 5
+_GROSS, _GROSS_ROUNDS = 5.0, 5
 
-#: Rows in which gross ones are looked for; more do not change where targets and frames are registered.
+#: Rows in which gross ones, and patterns of residuals, are looked for; more do not change what is found.
 ENOUGH = 20_000
 
 
@@ -72,9 +68,9 @@ def register_poses(
     """`register` with the poses of the tip, shape (N, 4, 4), in place of a robot, and with every row."""
     if not setup.count:
         return setup
-    linear = linear_start(setup, T_base_tip, rows)
+    linear = _linear_start(setup, T_base_tip, rows)
     if linear is not None and np.all(rows.where(lambda kind: kind.position and kind.size == 3)):
-        return setup.placed(*linear)  # of points this is the least-squares solution itself
+        return linear  # of points this is the least-squares solution itself
     model = frame_and_target_model(
         setup.frame_unknowns,
         setup.unknown_targets,
@@ -82,26 +78,25 @@ def register_poses(
         rotation=setup.rotation,
     )
     starts = [
-        setup.placed(frames, turned_targets(setup, frames, targets, T_base_tip, rows))
-        for frames, targets in ([linear] if linear else _starts(setup, T_base_tip, rows))
+        _turned_targets(start, T_base_tip, rows)
+        for start in ([linear] if linear else _starts(setup, T_base_tip, rows))
     ]
     misfits = []
     for start in starts:
         residual = rows.residual(start.seen(T_base_tip, rows.samples)) / rows.scales
         misfits.append(float(np.sum(residual[rows.used] ** 2)))
-    best: tuple[float, Setup] | None = None
+    found = []
     for i in np.argsort(misfits, kind="stable")[:_REFINED]:
-        own = along_own_axes(model, starts[i])
+        own = starts[i].aligned(model)
         solution = levenberg_marquardt(
             partial(_system, own, T_base_tip, rows, starts[i]),
             np.zeros(len(model)),
             step_size=steps(model.units),
             tolerance=tolerance,
         )
-        if best is None or solution.cost < best[0]:
-            best = (solution.cost, starts[i].displaced(own.displacements(solution.x)[0]))
-    assert best is not None
-    return _settled(best[1], rows)
+        placed = starts[i].displaced(own.displacements(solution.x)[0])
+        found.append((solution.cost, placed))
+    return _settled(min(found, key=lambda one: one[0])[1], rows)
 
 
 def nominal_setup(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
@@ -116,7 +111,7 @@ def nominal_setup(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
     setup = setup.as_known(setup.frame_given, setup.target_given)
     if not setup.count:
         return setup
-    some = evenly(rows, ENOUGH)
+    some = rows.evenly(ENOUGH)
     T_base_tip, rows = T_base_tip[some], rows.select(some)
     alive = np.any(rows.used, axis=1)
     kept = np.ones(len(rows), dtype=bool)
@@ -128,8 +123,8 @@ def nominal_setup(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
         residual = rows.residual(found.seen(T_base_tip, rows.samples))
         distance = np.sqrt(np.sum((residual / rows.scales) ** 2, axis=1))
         near = (distance <= _GROSS * np.median(distance[alive])) | ~alive
-        few = np.sum(near & alive) < 0.6 * np.sum(alive) or not keeps_frames(rows, near)
-        near = with_partners(rows, near)
+        few = np.sum(near & alive) < 0.6 * np.sum(alive) or not rows.keeps_frames(near)
+        near = rows.with_partners(near)
         if few or np.array_equal(near, kept):
             break
         kept = near
@@ -153,12 +148,12 @@ def _settled(setup: Setup, rows: Rows) -> Setup:
 
 def _check_enough(setup: Setup, rows: Rows) -> None:
     """Refuse fewer numbers than unknowns, in all and for each frame."""
-    parts = ["the measurement frames" if len(setup.groups) > 1 else "the measurement frame"]
-    parts = [*(parts if any(setup.unknown) else []), *(["the target"] * setup.estimate_target)]
     whole = [len(directions) == _ALL for directions in setup.unknown]
     points = rows.where(lambda kind: kind.coordinates and not kind.orientation)
     least = _FEWEST_POINTS if any(whole) else 1
     if rows.count < setup.count or (np.all(points) and len(rows) < least):
+        parts = [f"the measurement frame{'s' * (len(setup.groups) > 1)}"] * any(setup.unknown)
+        parts += ["the target"] * setup.estimate_target
         raise MeasurementError(
             f"{len(rows)} rows give {rows.count} numbers; {setup.count} are needed to find "
             f"{' and '.join(parts)} alone. Measure more poses, or give what is known of the set-up."
@@ -188,45 +183,32 @@ def _some(rows: Rows) -> Mask:
     for v in views:
         own = told[view == v]
         mask[own[np.linspace(0, len(own) - 1, min(len(own), most)).astype(int)]] = True
-    return with_partners(rows, mask)
+    return rows.with_partners(mask)
 
 
-def _starts(setup: Setup, T_base_tip: Array, rows: Rows) -> list[tuple[Array, Array]]:
+def _starts(setup: Setup, T_base_tip: Array, rows: Rows) -> list[Setup]:
     """Targets to begin with, each with the frames that suit them."""
-    oriented = pose_start(setup, T_base_tip, rows)
+    oriented = _pose_start(setup, T_base_tip, rows)
     if oriented is not None:
         return [oriented]
+    offsets = [reach * axis for reach in _REACHES for axis in [*np.eye(3), *-np.eye(3)]]
+    if np.any(setup.target_given & setup.target_unknown):
+        offsets.append(np.zeros(3))
     places = [setup.T_tip_target]
-    if setup.estimate_target:
-        for reach in _REACHES:
-            for axis in np.concatenate([np.eye(3), -np.eye(3)]):
-                moved = setup.T_tip_target.copy()
-                moved[setup.target_unknown, :3, 3] = reach * axis
-                places.append(moved)
-        if np.any(setup.target_given & setup.target_unknown):
-            nowhere = setup.T_tip_target.copy()
-            nowhere[setup.target_unknown, :3, 3] = 0.0
-            places.append(nowhere)
-    turned = [setup, *_turned(setup)]
-    return [
-        (frames_around(one, targets, T_base_tip, rows), targets)
-        for one in turned
-        for targets in places
-    ]
-
-
-def _turned(setup: Setup) -> list[Setup]:
-    """Frames of which one rotation is unknown, but not all: turned by quarters, so that none is out of reach."""
-    result = []
+    for offset in offsets if setup.estimate_target else ():
+        moved = setup.T_tip_target.copy()
+        moved[setup.target_unknown, :3, 3] = offset
+        places.append(moved)
+    # A frame of which one rotation is unknown, but not all, is turned by quarters, so that none is out of reach.
+    turned, unknown = [setup], setup.unknown[0]
     for axis, name in enumerate(("rx", "ry", "rz")):
-        partly = [f for f, d in enumerate(setup.unknown) if name in d and len(d) < 6]
-        for quarter in (1, 2, 3) if partly and len(setup.groups) == 1 else ():
-            R = np.eye(4)
-            i, j = (axis + 1) % 3, (axis + 2) % 3
-            c, s = float(np.cos(quarter * np.pi / 2)), float(np.sin(quarter * np.pi / 2))
-            R[i, i], R[i, j], R[j, i], R[j, j] = c, -s, s, c
-            result.append(setup.placed(setup.T_frame_base @ R, setup.T_tip_target))
-    return result
+        if len(setup.groups) == 1 and name in unknown and len(unknown) < _ALL:
+            for quarter in (1, 2, 3):
+                R = np.eye(4)
+                R[:3, :3] = Rotation.from_euler("xyz"[axis], quarter * np.pi / 2).as_matrix()
+                turned.append(setup.placed(setup.T_frame_base @ R, setup.T_tip_target))
+    pairs = itertools.product(turned, places)
+    return [_frames_around(one.placed(one.T_frame_base, T), T_base_tip, rows) for one, T in pairs]
 
 
 def _system(
@@ -241,34 +223,33 @@ def _system(
     outer = np.array([T[:, :3].transpose(2, 1, 0) for T in (T_frame_base, T_frame_target)])
     moves = kernel.regressor(outer, outer[1, 3])
     columns = np.zeros((len(model), 6, len(rows)))
-    for k, (at, which) in enumerate(
-        ((local[:frames], rows.samples.frame), (local[frames + 1 :], rows.samples.target))
-    ):
+    places = (local[:frames], rows.samples.frame), (local[frames + 1 :], rows.samples.target)
+    for k, (at, which) in enumerate(places):
         kernel.add_columns(columns[:, :3], moves[k], at, which)
-        if rows.width > _LENGTHS:
+        if rows.width > LENGTHS:
             kernel.add_columns(columns[:, 3:], outer[k, :3], at[:, 3:], which)
-    twists = columns.transpose(2, 1, 0)
     used, scales = rows.used, rows.scales
     residual = (rows.residual(T_frame_target) / scales)[used]
-    J = (rows.derivative(T_frame_target, twists) / -scales[:, :, None])[used]
-    return residual, J
+    slopes = rows.derivative(T_frame_target, columns.transpose(2, 1, 0))
+    return residual, (slopes / -scales[:, :, None])[used]
 
 
-def linear_start(setup: Setup, T_base_tip: Array, rows: Rows) -> tuple[Array, Array] | None:
+def _linear_start(setup: Setup, T_base_tip: Array, rows: Rows) -> Setup | None:
     """Targets, and the unknown translations of frames, by one linear least squares; None where it does not apply.
 
     It does where each frame's rotation is known, every row measures a position in it, and the targets' rotations do not
     matter: R_f (R_i t + p_i) + s_f = m_i.
-
-    Returns:
-        T_frame_base, shape (F, 4, 4), and T_tip_target, shape (T, 4, 4), [m].
     """
     known_turns = all(not {"rx", "ry", "rz"} & set(directions) for directions in setup.unknown)
     if not known_turns or not all(kind.coordinates for kind in rows.present):
         return None
     frame, target = rows.samples.frame, rows.samples.target
     R = setup.T_frame_base[frame][:, :3, :3]
-    rhs = rows.points - _carried(setup.T_frame_base[frame], T_base_tip[:, :3, 3])
+    points = np.zeros((len(rows), 3))
+    positions = rows.where(lambda kind: kind.position)
+    if np.any(positions):
+        points[positions] = rows.measured[positions, :3]
+    rhs = points - _carried(setup.T_frame_base[frame], T_base_tip[:, :3, 3])
     frames, targets = len(setup.groups), len(setup.targets)
     A = np.zeros((len(rows), 3, 3 * (targets + frames)))
     R_tip = R @ T_base_tip[:, :3, :3]
@@ -286,14 +267,13 @@ def linear_start(setup: Setup, T_base_tip: Array, rows: Rows) -> tuple[Array, Ar
     T_frame_base[:, :3, 3] += x[3 * targets :].reshape(-1, 3)
     seen = np.isin(np.arange(targets), target) & setup.target_unknown
     T_tip_target[seen, :3, 3] = x[: 3 * targets].reshape(-1, 3)[seen]
-    if setup.rotation:
-        T_tip_target = turned_targets(setup, T_frame_base, T_tip_target, T_base_tip, rows)
-    return T_frame_base, T_tip_target
+    found = setup.placed(T_frame_base, T_tip_target)
+    return _turned_targets(found, T_base_tip, rows) if setup.rotation else found
 
 
-def frames_around(setup: Setup, T_tip_target: Array, T_base_tip: Array, rows: Rows) -> Array:
-    """The frames that suit targets at these places, each by its own kind, shape (F, 4, 4), [m]."""
-    seen = T_base_tip @ T_tip_target[rows.samples.target]
+def _frames_around(setup: Setup, T_base_tip: Array, rows: Rows) -> Setup:
+    """The set-up with the frames that suit its targets, each by its own kind of rows."""
+    seen = T_base_tip @ setup.T_tip_target[rows.samples.target]
     frames: Array = setup.T_frame_base.copy()
     positions = rows.where(lambda kind: kind.position)
     for f, directions in enumerate(setup.unknown):
@@ -303,7 +283,11 @@ def frames_around(setup: Setup, T_tip_target: Array, T_base_tip: Array, rows: Ro
         points, measured = seen[own, :3, 3], rows.measured[own]
         placed = positions[own]
         if len(directions) == _ALL and np.sum(placed) >= 3:
-            frames[f] = best_fit(points[placed], measured[placed, :3])
+            # The pose that carries the points to where they were seen best (W. Kabsch, 1976).
+            there, here = measured[placed, :3], points[placed]
+            centre, middle = here.mean(axis=0), there.mean(axis=0)
+            frames[f, :3, :3] = R = _nearest_rotation((there - middle).T @ (here - centre))
+            frames[f, :3, 3] = middle - R @ centre
             continue
         # What has most scalars a row tells most: a socket before a plane.
         telling = [(k, rows.where(k.__eq__)[own]) for k in rows.present if k.locate is not None]
@@ -313,13 +297,14 @@ def frames_around(setup: Setup, T_tip_target: Array, T_base_tip: Array, rows: Ro
             assert kind.locate is not None
             frames[f] = kind.locate(points[mine], measured[mine, : kind.size], frames[f])
         elif np.any(placed):
-            shift = measured[placed, :3] - _carried(frames[f], points[placed])
+            T = np.broadcast_to(frames[f], (int(placed.sum()), 4, 4))
+            shift = measured[placed, :3] - _carried(T, points[placed])
             allowed = np.array([axis in directions for axis in "xyz"])
             frames[f, :3, 3] += np.where(allowed, shift.mean(axis=0), 0.0)
-    return frames
+    return setup.placed(frames, setup.T_tip_target)
 
 
-def pose_start(setup: Setup, T_base_tip: Array, rows: Rows) -> tuple[Array, Array] | None:
+def _pose_start(setup: Setup, T_base_tip: Array, rows: Rows) -> Setup | None:
     """Rotations of frames and targets from measured orientations, then their translations; None without enough.
 
     M_i = R_f R_i R_t for each row: M_i R_t^T - R_f R_i = 0 is linear in both rotations; the null vector is projected
@@ -339,26 +324,23 @@ def pose_start(setup: Setup, T_base_tip: Array, rows: Rows) -> tuple[Array, Arra
         # The target seen most often from this frame tells both; the others follow from the frame.
         t = int(np.bincount(target[own]).argmax())
         own = own[target[own] == t]
-        R_f, R_t = _both_rotations(
-            T_base_tip[own, :3, :3], rows.measured[own, 3:12].reshape(-1, 3, 3)
-        )
-        T_frame_base[f, :3, :3] = R_f
+        R_i, M_i = T_base_tip[own, :3, :3], rows.measured[own, 3:12].reshape(-1, 3, 3)
+        A = np.zeros((len(own), 9, 18))
+        for a, b in itertools.product(range(3), repeat=2):
+            # Entry (a, b) of M_i R_t^T - R_f R_i, with R_f and R_t^T row by row.
+            A[:, 3 * a + b, 9 + b : 18 : 3] = M_i[:, a]
+            A[:, 3 * a + b, 3 * a : 3 * a + 3] = -R_i[:, :, b]
+        vector = np.linalg.eigh(np.einsum("nij,nik->jk", A, A))[1][:, 0].reshape(2, 3, 3)
+        R_f, R_t = vector[0], vector[1].T
+        sign = -1.0 if np.linalg.det(R_f) < 0.0 else 1.0
+        T_frame_base[f, :3, :3] = _nearest_rotation(sign * R_f)
         if t not in done:
-            T_tip_target[t, :3, :3] = R_t
+            T_tip_target[t, :3, :3] = _nearest_rotation(sign * R_t)
             done.add(t)
-    turned = setup.placed(T_frame_base, T_tip_target)
-    T_tip_target = turned_targets(turned, T_frame_base, T_tip_target, T_base_tip, rows)
+    turned = _turned_targets(setup.placed(T_frame_base, T_tip_target), T_base_tip, rows)
     known = tuple(tuple(x for x in d if x in "xyz") for d in setup.unknown)
-    return linear_start(replace(turned, unknown=known, rotation=False), T_base_tip, rows)
-
-
-def best_fit(points: Array, seen: Array) -> Array:
-    """The pose that carries points to where they were seen best (W. Kabsch, 1976), shape (4, 4), [m]."""
-    centre, middle = points.mean(axis=0), seen.mean(axis=0)
-    T = np.eye(4)
-    T[:3, :3] = _nearest_rotation((seen - middle).T @ (points - centre))
-    T[:3, 3] = middle - T[:3, :3] @ centre
-    return T
+    found = _linear_start(replace(turned, unknown=known, rotation=False), T_base_tip, rows)
+    return found and setup.placed(found.T_frame_base, found.T_tip_target)
 
 
 def _nearest_rotation(M: Array) -> Array:
@@ -367,40 +349,19 @@ def _nearest_rotation(M: Array) -> Array:
     return np.asarray(U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ V))]) @ V)
 
 
-def _both_rotations(R_i: Array, M_i: Array) -> tuple[Array, Array]:
-    """R_f and R_t with M_i = R_f R_i R_t, shapes (3, 3)."""
-    A = np.zeros((len(R_i), 9, 18))
-    for a in range(3):
-        for b in range(3):
-            # Entry (a, b) of M_i R_t^T - R_f R_i, with R_f and R_t^T row by row.
-            A[:, 3 * a + b, 9 + b : 18 : 3] = M_i[:, a]
-            A[:, 3 * a + b, 3 * a : 3 * a + 3] = -R_i[:, :, b]
-    normal = np.einsum("nij,nik->jk", A, A)
-    vector = np.linalg.eigh(normal)[1][:, 0]
-    R_f, R_t = vector[:9].reshape(3, 3), vector[9:].reshape(3, 3).T
-    if np.linalg.det(R_f) < 0.0:
-        R_f, R_t = -R_f, -R_t
-    return _nearest_rotation(R_f), _nearest_rotation(R_t)
-
-
-def turned_targets(
-    setup: Setup, T_frame_base: Array, T_tip_target: Array, T_base_tip: Array, rows: Rows
-) -> Array:
-    """The targets with the mean rotation that their poses were seen with, shape (T, 4, 4)."""
-    result: Array = T_tip_target.copy()
-    R_frame_tip = T_frame_base[rows.samples.frame][:, :3, :3] @ T_base_tip[:, :3, :3]
+def _turned_targets(setup: Setup, T_base_tip: Array, rows: Rows) -> Setup:
+    """The set-up with the targets turned by the mean rotation that their poses were seen with."""
+    result: Array = setup.T_tip_target.copy()
+    R_frame_tip = setup.T_frame_base[rows.samples.frame][:, :3, :3] @ T_base_tip[:, :3, :3]
     oriented = rows.where(lambda kind: kind.orientation)
-    for t in range(len(setup.targets)):
+    for t in np.flatnonzero(setup.target_unknown):
         own = (rows.samples.target == t) & oriented
-        if np.any(own) and setup.target_unknown[t]:
-            mean = np.einsum(
-                "nji,njk->ik", R_frame_tip[own], rows.measured[own, 3:12].reshape(-1, 3, 3)
-            )
-            result[t, :3, :3] = _nearest_rotation(mean)
-    return result
+        if np.any(own):
+            R = rows.measured[own, 3:12].reshape(-1, 3, 3)
+            result[t, :3, :3] = _nearest_rotation(np.einsum("nji,njk->ik", R_frame_tip[own], R))
+    return setup.placed(setup.T_frame_base, result)
 
 
 def _carried(T: Array, points: Array) -> Array:
-    """Points carried by one pose or by one each, shape (N, 3)."""
-    T = np.broadcast_to(T, (len(points), 4, 4))
+    """Points carried by one pose each, shape (N, 3)."""
     return np.asarray(np.einsum("nij,nj->ni", T[:, :3, :3], points) + T[:, :3, 3])

@@ -7,20 +7,24 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 import calib.data.kinds as registry
 from calib.data.kinds import Kind
-from calib.estimate.statistics import Mask
 from calib.model.kinematics import Samples
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int_]
+Mask = NDArray[np.bool_]
 
 #: The number in place of a kind's of rows that say nothing themselves: the second ones of pairs.
 NONE = -1
 
-#: Residuals have their lengths from column 0 on, and their angles from this one.
-_ANGLES = 3
+#: A residual has its lengths in the columns from 0 on, and its angles from this one.
+LENGTHS = 3
+
+#: Rows whose joint values differ by less than this are repeats of a pose [rad or m].
+_SAME_POSE = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,54 +32,43 @@ class Rows:
     """The rows of one fit."""
 
     samples: Samples  # Joint values, frame and target of each of N rows
-    # shape (N,), numbers of the kinds in the registry `calib.data.kinds`; `NONE` for the second row of a pair
-    kinds: Integers
-    # shape (N, K), what was measured, as `calib.data.kinds.Kind` says; zero in columns that a row's kind lacks
-    measured: Array
-    partner: Integers  # shape (N,), the other row of a pair; -1 elsewhere
-    sigma: Array  # shape (N,), standard deviation of one length as given or first assumed [m]
-    sigma_angle: Array  # shape (N,), of one angle [rad]
-    # shape (N,), rows of one number are repeats: one pose, one target, one frame
-    poses: Integers
-    # shape (N,), rows of one number are left out together: one pose, and both rows of a pair
-    blocks: Integers
+    kinds: Integers  # (N,), numbers of `calib.data.kinds`; `NONE` for the second row of a pair
+    measured: (
+        Array  # (N, K), as `calib.data.kinds.Kind` says; zero in columns that a row's kind lacks
+    )
+    partner: Integers  # (N,), the other row of a pair; -1 elsewhere
+    sigma: Array  # (N,), standard deviation of one length as given or first assumed [m]
+    sigma_angle: Array  # (N,), of one angle [rad]
+    poses: Integers  # (N,), rows of one number are repeats: one pose, one target, one frame
+    blocks: Integers  # (N,), rows of one number are left out together: one pose, and both rows of a pair
     width: int = field(init=False)  # Columns of a residual: 6 with angles, 3 with positions, else 1
-    # shape (N, width), which columns of each row hold a scalar
-    used: Mask = field(init=False, repr=False)
-    # Which noise each scalar has, shape (N, width), numbered from 0, lengths first, -1 where no scalar is; and which
-    # of these noises are angles, shape (instruments,). Rows of different kinds were measured with different
-    # instruments, and lengths and angles of one kind have each a noise of their own
-    instruments: tuple[NDArray[np.int8], Mask] = field(init=False, repr=False)
-    # The kinds that there are, in the order of their numbers; which rows they have (a slice for all), and in which
-    # columns of the residual
-    _parts: tuple[_Part, ...] = field(init=False, repr=False)
+    used: Mask = field(
+        init=False, repr=False
+    )  # (N, width), which columns of each row hold a scalar
+    # (N, width), the noise of each scalar by its number, -1 where no scalar is: each kind has one for its lengths and
+    # one for its angles, lengths first
+    instruments: NDArray[np.int8] = field(init=False, repr=False)
+    # The kinds that there are; which rows they have (a slice for all), and in which columns of the residual
+    _parts: tuple[tuple[Kind, Integers | slice, Integers], ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Work out once what every evaluation of a fit asks for."""
         rows, parts = np.arange(len(self.kinds))[:, None], []
         for k in np.flatnonzero(np.bincount(self.kinds - NONE)[1:]).tolist():
             kind, own = registry.at(k), self.kinds == k
-            columns = np.r_[: kind.lengths, _ANGLES : _ANGLES + kind.angles]
+            columns = np.r_[: kind.lengths, LENGTHS : LENGTHS + kind.angles]
             parts.append((kind, slice(None) if np.all(own) else np.flatnonzero(own), columns))
         width = max((int(columns[-1]) + 1 for _, _, columns in parts), default=1)
-        index = np.full((len(rows), width), -1, dtype=np.int8)
-        number = 0
+        index, number = np.full((len(rows), width), -1, dtype=np.int8), 0
         for angles in (False, True):
             for _, own, columns in parts:
-                wanted = columns[(columns >= _ANGLES) == angles]
+                wanted = columns[(columns >= LENGTHS) == angles]
                 index[rows[own], wanted] = number
                 number += bool(len(wanted))
-        turned = sum(bool(kind.angles) for kind, _, _ in parts)
-        instruments = index, np.arange(number) >= number - turned
         used = index >= 0
         used.setflags(write=False)
-        index.setflags(write=False)
-        for name, value in (
-            ("width", width),
-            ("used", used),
-            ("instruments", instruments),
-            ("_parts", tuple(parts)),
-        ):
+        values = {"width": width, "used": used, "instruments": index, "_parts": tuple(parts)}
+        for name, value in values.items():
             object.__setattr__(self, name, value)
 
     def __len__(self) -> int:
@@ -96,8 +89,13 @@ class Rows:
     def scales(self) -> Array:
         """Standard deviation of each column as given or first assumed, shape (N, width), [m] and [rad]."""
         result = np.repeat(self.sigma[:, None], self.width, axis=1)
-        result[:, _ANGLES:] = self.sigma_angle[:, None]
+        result[:, LENGTHS:] = self.sigma_angle[:, None]
         return result
+
+    @property
+    def present(self) -> tuple[Kind, ...]:
+        """The kinds that there are, in the order of their numbers."""
+        return tuple(kind for kind, _, _ in self._parts)
 
     def where(self, test: Callable[[Kind], bool]) -> Mask:
         """The rows of kinds that pass a test, such as ``lambda kind: kind.position``, shape (N,)."""
@@ -106,42 +104,27 @@ class Rows:
             result[own] = test(kind)
         return result
 
-    @property
-    def present(self) -> tuple[Kind, ...]:
-        """The kinds that there are, in the order of their numbers."""
-        return tuple(kind for kind, _, _ in self._parts)
-
-    @property
-    def points(self) -> Array:
-        """Measured positions, shape (N, 3), [m]; zero in rows that measure none."""
-        measured = np.pad(self.measured, ((0, 0), (0, max(3 - self.measured.shape[1], 0))))
-        return np.where(self.where(lambda kind: kind.position)[:, None], measured[:, :3], 0.0)
-
     def select(self, which: Mask | slice) -> Rows:
         """Some of the rows, in their order; of a pair both or none."""
         chosen = np.arange(len(self))[which]
         if len(chosen) == len(self):
             return self
         partner = self.partner[chosen]
-        position = np.full(len(self) if np.any(partner >= 0) else 1, -1)
-        if len(position) == len(self):
+        if np.any(partner >= 0):
+            position = np.full(len(self), -1)
             position[chosen] = np.arange(len(chosen))
+            partner = np.where(partner >= 0, position[partner], -1)
+        names = ("kinds", "measured", "sigma", "sigma_angle", "poses", "blocks")
         return replace(
             self,
             samples=self.samples.select(chosen),
-            kinds=self.kinds[chosen],
-            measured=self.measured[chosen],
-            partner=np.where(partner >= 0, position[partner], -1),
-            sigma=self.sigma[chosen],
-            sigma_angle=self.sigma_angle[chosen],
-            poses=self.poses[chosen],
-            blocks=self.blocks[chosen],
+            partner=partner,
+            **{name: getattr(self, name)[chosen] for name in names},
         )
 
     def residual(self, T_frame_target: Array) -> Array:
         """Measured minus predicted, shape (N, width), [m] and [rad]."""
-        result = np.zeros((len(self), self.width))
-        numbers = np.arange(len(self))[:, None]
+        result, numbers = np.zeros((len(self), self.width)), np.arange(len(self))[:, None]
         for kind, own, columns in self._parts:
             seen = self._seen(kind, own, T_frame_target)
             result[numbers[own], columns] = kind.residual_of(self.measured[own, : kind.size], seen)
@@ -178,59 +161,67 @@ class Rows:
             return values[own]
         return np.stack([values[own], values[self.partner[own]]], axis=1)
 
+    def with_partners(self, kept: Mask) -> Mask:
+        """The rows that are kept and the second rows of their pairs, shape (N,)."""
+        result: Mask = kept.copy()
+        result[self.partner[kept & (self.partner >= 0)]] = True
+        return result
 
-#: A kind, its rows and its columns, see `Rows`.
-_Part = tuple[Kind, Integers | slice, Integers]
+    def keeps_frames(self, kept: Mask) -> bool:
+        """Whether half of each set-up's rows or more are kept."""
+        every = np.bincount(self.samples.frame)
+        return bool(np.all(2 * np.bincount(self.samples.frame, kept, len(every)) >= every))
+
+    def evenly(self, most: int) -> Mask:
+        """All rows, or about so many, the same share of each frame, target and kind, shape (N,); whole pairs.
+
+        Which ones is drawn at random, always alike: tables have cycles, and every tenth row may be of one kind of pose.
+        """
+        if len(self) <= most:
+            return np.ones(len(self), dtype=bool)
+        told = np.flatnonzero(self.kinds != NONE)
+        seen = np.stack([self.samples.frame, self.samples.target, self.kinds], axis=1)[told]
+        _, view, count = np.unique(seen, axis=0, return_inverse=True, return_counts=True)
+        view = view.reshape(-1)
+        fewest = min(100, max(most // len(count), 1))
+        quota = np.minimum(count, np.maximum(most * count // max(len(self), 1), fewest))
+        order = np.lexsort((np.random.default_rng(0).random(len(told)), view))
+        first = np.concatenate([[0], np.cumsum(count)[:-1]])
+        place = np.arange(len(told)) - first[view[order]]
+        result = np.zeros(len(self), dtype=bool)
+        result[told[order[place < quota[view[order]]]]] = True
+        return self.with_partners(result)
+
+    def parts(self, size: int) -> Iterator[slice | Mask]:
+        """The rows in parts of about so many; where there are pairs, both of one and all repeats of a pose together."""
+        if len(self) <= size or not np.any(self.partner >= 0):
+            yield from (slice(k, min(k + size, len(self))) for k in range(0, len(self), size))
+            return
+        order = np.argsort(self.blocks, kind="stable")
+        ends = np.flatnonzero(np.diff(self.blocks[order], append=-1)) + 1
+        first = 0
+        while first < len(self):
+            last = int(ends[np.searchsorted(ends, min(first + size, len(self)))])
+            mask = np.zeros(len(self), dtype=bool)
+            mask[order[first:last]] = True
+            yield mask
+            first = last
 
 
-def evenly(rows: Rows, most: int) -> Mask:
-    """All rows, or about so many, the same share of each frame, target and kind, shape (N,); whole pairs.
+def same_poses(joints: Array) -> Integers:
+    """Which pose each row, shape (N, n), [rad] or [m], was measured at: repeats get the same number, from 0 on.
 
-    Which ones is drawn at random, always alike: tables have cycles, and every tenth row may be of one kind of pose.
+    Rows within `_SAME_POSE` of another in every joint are repeats of it: of the first one in the table's order that is
+    no repeat itself.
     """
-    if len(rows) <= most:
-        return np.ones(len(rows), dtype=bool)
-    told = np.flatnonzero(rows.kinds != NONE)
-    seen = np.stack([rows.samples.frame, rows.samples.target, rows.kinds], axis=1)[told]
-    _, view, count = np.unique(seen, axis=0, return_inverse=True, return_counts=True)
-    view = view.reshape(-1)
-    fewest = min(100, max(most // len(count), 1))
-    quota = np.minimum(count, np.maximum(most * count // max(len(rows), 1), fewest))
-    order = np.lexsort((np.random.default_rng(0).random(len(told)), view))
-    first = np.concatenate([[0], np.cumsum(count)[:-1]])
-    place = np.arange(len(told)) - first[view[order]]
-    result = np.zeros(len(rows), dtype=bool)
-    result[told[order[place < quota[view[order]]]]] = True
-    return with_partners(rows, result)
-
-
-def whole_blocks(rows: Rows, size: int) -> Iterator[Mask]:
-    """The rows in parts of about so many, repeats of a pose and pairs together, as masks of shape (N,)."""
-    order = np.argsort(rows.blocks, kind="stable")
-    ends = np.flatnonzero(np.diff(rows.blocks[order], append=-1)) + 1
-    first = 0
-    while first < len(rows):
-        last = int(ends[np.searchsorted(ends, min(first + size, len(rows)))])
-        mask = np.zeros(len(rows), dtype=bool)
-        mask[order[first:last]] = True
-        yield mask
-        first = last
-
-
-def with_partners(rows: Rows, kept: Mask) -> Mask:
-    """The rows that are kept and the second rows of their pairs, shape (N,)."""
-    result: Mask = kept.copy()
-    result[rows.partner[kept & (rows.partner >= 0)]] = True
-    return result
-
-
-def keeps_frames(rows: Rows, kept: Mask) -> bool:
-    """Whether half of each set-up's rows or more are kept."""
-    every = np.bincount(rows.samples.frame)
-    return bool(np.all(2 * np.bincount(rows.samples.frame, kept, len(every)) >= every))
-
-
-def without_outliers(rows: Rows, outliers: Mask) -> Mask:
-    """The rows to register with, shape (N,): not the outliers, unless they are more than half of a set-up's rows."""
-    kept = ~outliers
-    return with_partners(rows, kept if keeps_frames(rows, kept) else ~np.zeros_like(kept))
+    unique, first, copy = np.unique(joints, axis=0, return_index=True, return_inverse=True)
+    tree, leader = cKDTree(unique), first.copy()
+    reach = 1.01 * _SAME_POSE
+    near = tree.query(unique, k=[2], p=np.inf, distance_upper_bound=reach)[0][:, 0] < reach
+    free = np.ones(len(unique), dtype=bool)
+    for i in np.flatnonzero(near)[np.argsort(first[near])].tolist():
+        if free[i]:  # a leader takes its neighbours, and they are asked no more
+            found = np.array(tree.query_ball_point(unique[i], _SAME_POSE, p=np.inf))
+            found = found[free[found]]
+            leader[found], free[found] = first[i], False
+    return np.unique(leader[copy.reshape(-1)], return_inverse=True)[1].reshape(-1)

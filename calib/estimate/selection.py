@@ -1,13 +1,12 @@
 """auto: how much model the data support, decided by the data.
 
-Every candidate is fitted with prior sizes and noise by restricted likelihood, with the same weights of the rows, for
-outliers and for repeats, so that likelihoods can be compared: a candidate that adds errors the data do not show gains
-nothing, whatever its number of parameters. One step up the ladder must gain `_STEP` in log likelihood, and must not be
-worse on left-out rows.
+Every candidate is fitted with prior sizes and noise by restricted likelihood, with the same weights of the rows, so
+that likelihoods can be compared: one that adds errors the data do not show gains nothing, whatever its number of
+parameters. A step up the ladder must gain `_STEP` in log likelihood, and must not be worse on left-out rows.
 
-The geometry (frames only, zeros, DH, Hayati, full placement) is chosen first: it alone goes into a URDF. The families
-that no URDF can hold (`calib.model.families`) are then added to it one by one, as long as one of them passes.
-What they left over may have hidden a larger geometry: with one of them found, the sets above are asked again.
+The geometry is chosen first: it alone goes into a URDF. The families that no URDF can hold (`calib.model.families`) are
+then added to it one by one, as long as one of them passes. What they left over may have hidden a larger geometry: with
+one of them found, the sets above are asked again.
 """
 
 from __future__ import annotations
@@ -15,7 +14,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.errors import MeasurementError, ModelError, choices
 from calib.estimate.crossvalidation import linear_cross_validation
@@ -23,8 +21,6 @@ from calib.estimate.fitting import Fitted, Task, fit, model_of
 from calib.estimate.rows import Rows
 from calib.estimate.statistics import CrossValidation
 from calib.model.families import FAMILIES, joint_families
-
-Array = NDArray[np.float64]
 
 #: The geometries, from the smallest to the largest.
 LADDER = ("frames", "zeros", "dh", "hayati", "placement")
@@ -48,9 +44,9 @@ class Candidate:
     name: str  # Its set and families
     parameters: int  # Number of parameters
     log_likelihood: float  # Restricted log likelihood
-    # Errors on left-out rows, on the linearised problem; of the rows that have a weight, where errors are without
-    # outliers
-    cross_validation: CrossValidation
+    cross_validation: (
+        CrossValidation  # On the linearised problem; "outliers" are the rows without weight
+    )
     sizes: dict[str, float]  # Size of the errors of each family
     chosen: str = ""  # ``"geometry"``, ``"larger"`` or ``""``
     needed: float = _STEP  # What it had to gain over a smaller one in log likelihood
@@ -61,7 +57,7 @@ class Selection:
     """What `select` chose."""
 
     geometry: str  # Name of the set that goes into the URDF
-    larger: str  # Name of the larger model; "" where the data support none
+    larger: str  # Name of the non-geometric model; "" where the data support none
     candidates: tuple[Candidate, ...]  # All that were fitted, in order
     common: Fitted  # The fit that the weights are from, with weights of its own
 
@@ -74,26 +70,20 @@ def select(task: Task, rows: Rows) -> Selection:
         MeasurementError: Too few rows.
     """
     _check_names(task)
-    task = replace(task, lenient=True)
-    common = _common(task, rows)
-    weights = common.estimate.problem.weights
-    tried: dict[str, Candidate] = {}
-    # Without priors the likelihood would be that of errors of metres: then left-out rows alone decide.
+    task, off = replace(task, lenient=True), task.cell.priors.sizes == "off"
+    models = {name: model_of(replace(task, model=name)).names for name in LADDER}
+    # The weights, repeats shared out, are those of the largest geometry that there are enough rows for: what a smaller
+    # one leaves over is shared by the repeats of a pose, and with weights of its own it would answer for fewer numbers.
+    enough = [name for name in LADDER if not off or len(models[name]) <= rows.count]
+    common = fit(replace(task, model=(enough or LADDER[:1])[-1]), rows)
     step = _STEP * (1.0 + _FEW / max(rows.count - task.setup.count, 1))
-    off = task.cell.priors.sizes == "off"
-
-    def better(one: Candidate, than: Candidate) -> bool:
-        """Whether the data support a larger candidate in place of a smaller one."""
-        # Each row in units of its own scale would let one instrument decide; lengths and angles are asked one by one.
-        a, b = (c.cross_validation.errors_without_outliers for c in (one, than))
-        share = _CLEARLY if off else 1.0
-        lower = a.rms <= share * b.rms or (b.n_angle and a.rms_angle <= share * b.rms_angle)
-        return bool(lower and (off or one.log_likelihood >= than.log_likelihood + step))
+    tried: dict[str, Candidate] = {}
 
     def candidate(name: str) -> Candidate | None:
         if name in tried:
             return tried[name]
         try:
+            weights = common.estimate.problem.weights
             fitted = fit(replace(task, model=name), rows, weights, common.setup)
         except MeasurementError:
             return None  # more parameters than numbers, and no priors
@@ -104,75 +94,56 @@ def select(task: Task, rows: Rows) -> Selection:
             # Rows without weight are the same for all candidates; what each flags by itself is not.
             cross_validation=linear_cross_validation(fitted, fitted.estimate.weights <= 0.0),
             sizes=dict(fitted.estimate.sizes),
+            needed=step,
         )
         return tried[name]
 
+    def better(one: Candidate, than: Candidate) -> bool:
+        """Whether the data support a larger candidate; without priors left-out rows alone decide."""
+        # Each row in units of its own scale would let one instrument decide; lengths and angles are asked one by one.
+        a, b = (c.cross_validation.errors_without_outliers for c in (one, than))
+        share = _CLEARLY if off else 1.0
+        lower = a.rms <= share * b.rms or (b.n_angle and a.rms_angle <= share * b.rms_angle)
+        return bool(lower and (off or one.log_likelihood >= than.log_likelihood + step))
+
     best: Candidate | None = None
-    geometries: list[str] = []
-    seen: set[tuple[str, ...]] = set()
-    for name in LADDER:
-        columns = model_of(replace(task, model=name)).names
-        if not columns or columns in seen:
-            continue  # nothing to estimate, or the same as before: hayati without near-parallel axes is dh
-        seen.add(columns)
-        geometries.append(name)
-        one = candidate(name)
+    # Those with something to estimate, once each: hayati without near-parallel axes is dh.
+    first = {columns: name for name, columns in reversed(models.items()) if columns}
+    geometries = [name for name in LADDER if name in first.values()]
+    for one in map(candidate, geometries):
         if one is not None and (best is None or better(one, best)):
             best = one
     assert best is not None, "the weights are of a model that there are enough rows for"
-    geometry = best
-    load = rows.samples.load
+    geometry, load = best, rows.samples.load
     loaded = load is not None and bool(np.max(np.abs(load), initial=0.0) > _NO_LOAD)
     families = [f for f in joint_families() if loaded or not FAMILIES[f].loaded]
     while True:
-        names = _steps(best.name, geometries, families)
+        # One family more and, with any family in it, a larger geometry.
+        base, *has = best.name.split("+")
+        wider = geometries[geometries.index(base) + 1 :] if has else []
+        names = [f"{best.name}+{f}" for f in families if f not in has]
+        names += ["+".join([one, *has]) for one in wider]
         passed = [c for c in map(candidate, names) if c is not None and better(c, best)]
         if not passed:
             break
         best = max(passed, key=lambda one: one.log_likelihood)
     larger = best.name if best is not geometry else ""
     marks = {geometry.name: "geometry", larger: "larger"}
-    return Selection(
-        geometry.name,
-        larger,
-        tuple(replace(c, chosen=marks.get(c.name, ""), needed=step) for c in tried.values()),
-        common,
-    )
-
-
-def _steps(name: str, geometries: list[str], families: list[str]) -> list[str]:
-    """The models one step up from a model: one family more and, with any family in it, a larger geometry."""
-    geometry, *has = name.split("+")
-    larger = geometries[geometries.index(geometry) + 1 :] if has else []
-    more = [f for f in families if f not in has]
-    return [*(f"{name}+{f}" for f in more), *("+".join([g, *has]) for g in larger)]
-
-
-def _common(task: Task, rows: Rows) -> Fitted:
-    """The fit that the weights are from, repeats shared out: of the largest geometry that there are enough rows for.
-
-    What a smaller model leaves over is shared by the repeats of a pose. Weights of its own would thus let it answer for
-    fewer numbers than a larger one, and their likelihoods would be those of different data.
-    """
-    # Rows are enough for any model that its priors hold; without priors for one of as many parameters at most.
-    enough = [
-        name
-        for name in LADDER
-        if task.cell.priors.sizes != "off" or len(model_of(replace(task, model=name))) <= rows.count
-    ]
-    return fit(replace(task, model=enough[-1] if enough else LADDER[0]), rows)
+    candidates = tuple(replace(c, chosen=marks.get(c.name, "")) for c in tried.values())
+    return Selection(geometry.name, larger, candidates, common)
 
 
 def _check_names(task: Task) -> None:
     """Refuse names in the cell that no model of the ladder has."""
-    if not (task.cell.frozen or task.cell.ties or task.cell.bounds or task.cell.parameter_priors):
+    cell = task.cell
+    named = {*cell.frozen, *cell.bounds, *cell.parameter_priors, *cell.ties}
+    named |= {other for other, _ in cell.ties.values()}
+    if not named:
         return
-    cell = replace(task.cell, frozen=(), ties={})
     every = "+".join(("placement", *joint_families()))
-    tasks = [replace(task, cell=cell, model=one) for one in (every, "dh", "hayati", "zeros")]
-    known = {name for one in tasks for name in model_of(one).names}
-    named = {*task.cell.frozen, *task.cell.bounds, *task.cell.parameter_priors, *task.cell.ties}
-    strange = sorted(({other for other, _ in task.cell.ties.values()} | named) - known)
+    free = replace(task, cell=replace(cell, frozen=(), ties={}))
+    known = {n for m in (every, *LADDER[1:4]) for n in model_of(replace(free, model=m)).names}
+    strange = sorted(named - known)
     if strange:
         raise ModelError(
             f"No model has the parameters {choices(strange)}. 'calib inspect --model dh' (or another) lists what there "

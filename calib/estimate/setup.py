@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
@@ -14,8 +13,7 @@ import calib.data.kinds as registry
 from calib.data.cell import AUTO, Cell
 from calib.data.measurements import Measurements
 from calib.errors import MeasurementError, ModelError, choices
-from calib.estimate.rows import NONE, Rows
-from calib.estimate.statistics import same_poses
+from calib.estimate.rows import NONE, Array, Integers, Mask, Rows, same_poses
 from calib.model.error_model import DIRECTIONS, split_name
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Samples
@@ -23,9 +21,6 @@ from calib.model.parameters import ErrorModel, Parameter, frame_place, target_pl
 from calib.robot.kernel import over_blocks
 from calib.robot.robot import Robot, read_only
 from calib.robot.torques import gravity_load
-
-Array = NDArray[np.float64]
-
 
 #: The noise assumed until the data have told theirs [m], [rad].
 FIRST_SIGMA, FIRST_SIGMA_ANGLE = 1e-4, 1e-3
@@ -47,25 +42,23 @@ class Setup:
 
     groups: tuple[str, ...]  # Names of the set-ups; one frame each
     targets: tuple[str, ...]  # Names of the targets
-    T_frame_base: Array  # shape (F, 4, 4), pose of the base in each frame [m]
-    T_tip_target: Array  # shape (T, 4, 4), pose of each target in the tip [m]
+    T_frame_base: Array  # (F, 4, 4), pose of the base in each frame [m]
+    T_tip_target: Array  # (T, 4, 4), pose of each target in the tip [m]
     unknown: tuple[tuple[str, ...], ...]  # For each frame the directions that are estimated
-    # Whether the poses of the frames are the ones that were given; else they are to be found
-    frame_given: NDArray[np.bool_]
-    target_unknown: NDArray[np.bool_]  # shape (T,), whether a target is estimated
-    target_given: NDArray[np.bool_]  # shape (T,), whether a target's place was given
+    frame_given: Mask  # (F,), whether a frame's pose was given; else it is to be found
+    target_unknown: Mask  # (T,), whether a target is estimated
+    target_given: Mask  # (T,), whether a target's place was given
     rotation: bool  # Whether targets are frames, because orientations were measured, or points
-    # shape (F,), whether a frame's directions are its own axes; else they are the base's. A plane is known along and
-    # about its own axes only
-    own_axes: NDArray[np.bool_]
+    own_axes: (
+        Mask  # (F,), whether a frame's directions are its own axes, as a plane's; else the base's
+    )
     oriented: bool = False  # Whether the targets' orientations are known, measured or given
 
     @property
     def frame_unknowns(self) -> Mapping[str, tuple[str, ...]]:
         """The estimated directions of each frame by its set-up's name; "" stands for the only one."""
-        if len(self.groups) == 1:
-            return {"": self.unknown[0]}
-        return dict(zip(self.groups, self.unknown, strict=True))
+        names = self.groups if len(self.groups) > 1 else ("",)
+        return dict(zip(names, self.unknown, strict=True))
 
     @property
     def target_names(self) -> tuple[str, ...]:
@@ -80,20 +73,18 @@ class Setup:
     @property
     def unknown_targets(self) -> tuple[str, ...]:
         """The names of the targets that are estimated, as `target_names` has them."""
-        pairs = zip(self.target_names, self.target_unknown, strict=True)
-        return tuple(name for name, unknown in pairs if unknown)
+        return tuple(self.target_names[t] for t in np.flatnonzero(self.target_unknown))
 
     @property
     def count(self) -> int:
         """Number of unknowns."""
         of_targets = (6 if self.rotation else 3) * int(np.sum(self.target_unknown))
-        return of_targets + sum(len(directions) for directions in self.unknown)
+        return of_targets + sum(map(len, self.unknown))
 
     def placed(self, T_frame_base: Array, T_tip_target: Array) -> Setup:
         """The same with frames and targets elsewhere."""
-        return replace(
-            self, T_frame_base=read_only(T_frame_base), T_tip_target=read_only(T_tip_target)
-        )
+        frames, targets = read_only(T_frame_base), read_only(T_tip_target)
+        return replace(self, T_frame_base=frames, T_tip_target=targets)
 
     def displaced(self, displacement: Array) -> Setup:
         """The same with the displacements of all places of an error model, shape (F + ... + T, 4, 4)."""
@@ -113,22 +104,43 @@ class Setup:
         over_blocks(work, len(samples))
         return result
 
-    def as_known(self, frames: NDArray[np.bool_], targets: NDArray[np.bool_]) -> Setup:
+    def as_known(self, frames: Mask, targets: Mask) -> Setup:
         """The same, with some frames and targets taken for known."""
-        unknown = tuple(
-            () if known else directions
-            for known, directions in zip(frames, self.unknown, strict=True)
-        )
+        pairs = zip(frames, self.unknown, strict=True)
+        unknown = tuple(() if known else directions for known, directions in pairs)
         return replace(self, unknown=unknown, target_unknown=self.target_unknown & ~targets)
 
+    def aligned(self, model: ErrorModel) -> ErrorModel:
+        """The model with the directions of planes' frames along the planes' axes, and of targets along the tip's.
 
-def setup_of(cell: Cell, measurements: Measurements, kinds: NDArray[np.int_]) -> Setup:
+        A frame is displaced in the base, T_frame_base D: with the rotation R of T_frame_base the twist of a unit along
+        one of its own axes e is R^T e. A target is displaced in its own frame, T_tip_target D, and its position is
+        given and told along the tip's axes; its angles stay about its own.
+        """
+        frames = zip(self.frame_unknowns, self.own_axes, self.T_frame_base, strict=True)
+        targets = zip(self.target_names, self.T_tip_target, strict=True)
+        turned = {frame_place(name): T[:3, :3].T for name, own, T in frames if own}
+        positions = {target_place(name): T[:3, :3].T for name, T in targets}
+
+        def turn(one: Parameter) -> Parameter:
+            R = turned.get(one.place, positions.get(one.place) if one.unit == "m" else None)
+            if R is None or one.unit not in ("m", "rad") or np.array_equal(R, np.eye(3)):
+                return one
+            return replace(one, direction=read_only((R @ one.direction.reshape(2, 3).T).T.ravel()))
+
+        parameters, terms = (tuple(map(turn, some)) for some in (model.parameters, model.terms))
+        if parameters == model.parameters and terms == model.terms:
+            return model
+        return replace(model, parameters=parameters, terms=terms)
+
+
+def setup_of(cell: Cell, measurements: Measurements, kinds: Integers) -> Setup:
     """What a cell says of the frames and targets of a table.
 
     Sockets, planes and anchors are always unknown where the cell does not give their group's frame.
 
     Raises:
-        ModelError: The cell names a set-up or a target that the table lacks, or all of a frame stay unknown to it.
+        ModelError: The cell names a set-up or a target that the table lacks.
     """
     groups = tuple(dict.fromkeys(measurements.groups))
     targets = tuple(dict.fromkeys(measurements.targets))
@@ -158,14 +170,12 @@ def setup_of(cell: Cell, measurements: Measurements, kinds: NDArray[np.int_]) ->
         frame_given.append(given is not None or not unknown[-1])
         own_axes.append(scene and any(kind.own_axes for kind in seen))
     T_tip_target = np.tile(np.eye(4), (len(targets), 1, 1))
-    target_given = []
-    for t, name in enumerate(targets):
-        place = cell.targets.get(name, cell.target)
-        target_given.append(place is not None)
+    places = [cell.targets.get(name, cell.target) for name in targets]
+    for T, place in zip(T_tip_target, places, strict=True):
         if place is not None:
-            T_tip_target[t, :3, 3] = place
+            T[:3, 3] = place
         if cell.target_rotation is not None:
-            T_tip_target[t, :3, :3] = cell.target_rotation
+            T[:3, :3] = cell.target_rotation
     rotation = any(registry.at(k).angles for k in np.unique(kinds).tolist() if k != NONE)
     return Setup(
         groups=groups,
@@ -175,49 +185,11 @@ def setup_of(cell: Cell, measurements: Measurements, kinds: NDArray[np.int_]) ->
         unknown=tuple(unknown),
         frame_given=np.array(frame_given),
         target_unknown=np.full(len(targets), cell.estimate_target),
-        target_given=np.array(target_given),
+        target_given=np.array([place is not None for place in places]),
         rotation=rotation,
         own_axes=np.array(own_axes),
         oriented=cell.target_rotation is not None or rotation,
     )
-
-
-def along_own_axes(model: ErrorModel, setup: Setup) -> ErrorModel:
-    """The model with the directions of planes' frames along the planes' own axes, wherever these point in the base.
-
-    A frame is displaced in the base, T_frame_base D: with the rotation R of T_frame_base the twist of a unit along one
-    of its own axes e is R^T e.
-    """
-    frames = zip(setup.frame_unknowns, setup.own_axes, setup.T_frame_base, strict=True)
-    turned = {frame_place(name): T[:3, :3].T for name, own, T in frames if own}
-    return _turned_at(model, turned, ("m", "rad"))
-
-
-def targets_along_tip(model: ErrorModel, setup: Setup) -> ErrorModel:
-    """The model with the positions of targets along the tip's axes, in which they are given and told.
-
-    A target is displaced in its own frame, T_tip_target D; its angles stay about its own axes.
-    """
-    targets = zip(setup.target_names, setup.T_tip_target[:, :3, :3], strict=True)
-    turned = {target_place(n): R.T for n, R in targets if not np.array_equal(R, np.eye(3))}
-    return _turned_at(model, turned, ("m",))
-
-
-def _turned_at(
-    model: ErrorModel, turned: Mapping[str, Array], units: tuple[str, ...]
-) -> ErrorModel:
-    """The model with the directions at some places turned, of parameters of these units."""
-    if not turned:
-        return model
-
-    def turn(one: Parameter) -> Parameter:
-        if one.place not in turned or one.unit not in units:
-            return one
-        direction = (turned[one.place] @ one.direction.reshape(2, 3).T).T.ravel()
-        return replace(one, direction=read_only(direction))
-
-    parameters, terms = (tuple(map(turn, some)) for some in (model.parameters, model.terms))
-    return replace(model, parameters=parameters, terms=terms)
 
 
 def rows_of(robot: Robot, measurements: Measurements, cell: Cell) -> tuple[Rows, Setup]:
@@ -229,8 +201,7 @@ def rows_of(robot: Robot, measurements: Measurements, cell: Cell) -> tuple[Rows,
     """
     m, count = measurements, len(measurements)
     q = m.joints_for(robot.joint_names)
-    kinds = _numbers(m.kinds, registry.names())
-    partner = _partners(m)
+    kinds, partner = _numbers(m.kinds, registry.names()), _partners(m)
     # Of a pair the earlier row carries what was measured, and the later one nothing more.
     kinds[(partner >= 0) & (partner < np.arange(count))] = NONE
     partner = np.where(kinds == NONE, -1, partner)
@@ -244,14 +215,24 @@ def rows_of(robot: Robot, measurements: Measurements, cell: Cell) -> tuple[Rows,
         target=_numbers(m.targets, setup.targets),
         load=_load(robot, m, cell, q) if counts else None,
     )
+
+    def sigma(by_row: Array | None, by_cell: float | None, first: float) -> Array:
+        general = np.full(count, first if by_cell is None else by_cell)
+        return general if by_row is None else np.where(np.isfinite(by_row), by_row, general)
+
+    poses = blocks
+    if int(blocks.max(initial=-1)) + 1 < count:  # repeats: of one pose, frame, target and kind
+        own = np.column_stack([blocks, samples.frame, samples.target, kinds])
+        other = np.where((partner >= 0)[:, None], own[partner], -1)
+        poses = np.unique(np.hstack([own, other]), axis=0, return_inverse=True)[1].reshape(-1)
     rows = Rows(
         samples=samples,
         kinds=kinds,
         measured=_measured(m, kinds),
         partner=partner,
-        sigma=_sigma(m.sigma, cell.sigma, FIRST_SIGMA, count),
-        sigma_angle=_sigma(m.sigma_angle, cell.sigma_angle, FIRST_SIGMA_ANGLE, count),
-        poses=_repeats(blocks, samples, kinds, partner),
+        sigma=sigma(m.sigma, cell.sigma, FIRST_SIGMA),
+        sigma_angle=sigma(m.sigma_angle, cell.sigma_angle, FIRST_SIGMA_ANGLE),
+        poses=poses,
         blocks=_joined(blocks, [(int(i), int(partner[i])) for i in np.flatnonzero(partner >= 0)]),
     )
     return rows, setup
@@ -271,58 +252,38 @@ def known_distances(cell: Cell, setup: Setup) -> tuple[KnownDistance, ...]:
                 f"A distance is stated between the groups '{known.first}' and '{known.second}', which fits no two of "
                 f"{choices(setup.groups)}."
             )
-        result += [
-            KnownDistance(setup.groups.index(a), setup.groups.index(b), known.length, known.sigma)
-            for a, b in pairs
-        ]
+        for ends in pairs:
+            a, b = map(setup.groups.index, ends)
+            result.append(KnownDistance(a, b, known.length, known.sigma))
     return tuple(result)
 
 
-def joined_setups(rows: Rows, distances: Sequence[KnownDistance]) -> NDArray[np.int_]:
+def joined_setups(rows: Rows, distances: Sequence[KnownDistance]) -> Integers:
     """The set-up of each row, those with a known distance between them taken for one, shape (N,)."""
     frames = np.arange(int(rows.samples.frame.max()) + 1)
     return _joined(frames, [(d.first, d.second) for d in distances])[rows.samples.frame]
 
 
-def _repeats(
-    blocks: NDArray[np.int_],
-    samples: Samples,
-    kinds: NDArray[np.int_],
-    partner: NDArray[np.int_],
-) -> NDArray[np.int_]:
-    """A number for each pose, frame, target and kind, and of a pair for those of both its rows, shape (N,)."""
-    if int(blocks.max(initial=-1)) + 1 == len(blocks):
-        return blocks  # no pose twice
-    own = np.column_stack([blocks, samples.frame, samples.target, kinds])
-    other = np.where((partner >= 0)[:, None], own[partner], -1)
-    return np.unique(np.hstack([own, other]), axis=0, return_inverse=True)[1].reshape(-1)
-
-
-def _numbers(words: Sequence[str], names: Sequence[str]) -> NDArray[np.int_]:
+def _numbers(words: Sequence[str], names: Sequence[str]) -> Integers:
     """The number of each word among some names, shape (N,)."""
-    if len(set(words)) == 1:
-        return np.full(len(words), names.index(words[0]))
     number = {name: i for i, name in enumerate(names)}
     return np.array([number[word] for word in words], dtype=np.int_)
 
 
-def _joined(labels: NDArray[np.int_], pairs: Sequence[tuple[int, int]]) -> NDArray[np.int_]:
+def _joined(labels: Integers, pairs: Sequence[tuple[int, int]]) -> Integers:
     """Labels after joining those of some pairs of entries, numbered from 0 in order."""
-    if not len(pairs):
-        return np.unique(labels, return_inverse=True)[1].reshape(-1)
-    count = int(labels.max()) + 1
-    one, other = labels[np.array(pairs)].T
-    graph = coo_matrix((np.ones(len(one)), (one, other)), shape=(count, count))
-    _, component = connected_components(graph, directed=False)
-    # Components are numbered in the order of their smallest labels.
-    return np.unique(component[labels], return_inverse=True)[1].reshape(-1)
+    if len(pairs):
+        count = int(labels.max()) + 1
+        one, other = labels[np.array(pairs)].T
+        graph = coo_matrix((np.ones(len(one)), (one, other)), shape=(count, count))
+        # Components are numbered in the order of their smallest labels.
+        labels = connected_components(graph, directed=False)[1][labels]
+    return np.unique(labels, return_inverse=True)[1].reshape(-1)
 
 
-def _measured(m: Measurements, kinds: NDArray[np.int_]) -> Array:
+def _measured(m: Measurements, kinds: Integers) -> Array:
     """What was measured, as `calib.estimate.rows.Rows` has it, shape (N, K)."""
-    present = [
-        (registry.at(int(k)), np.flatnonzero(kinds == k)) for k in np.unique(kinds) if k != NONE
-    ]
+    present = [(registry.at(int(k)), kinds == k) for k in np.unique(kinds) if k != NONE]
     result = np.zeros((len(m), max((kind.size for kind, _ in present), default=0)))
     for kind, rows in present:
         parts = [m.points[rows]] if kind.position else []
@@ -333,7 +294,7 @@ def _measured(m: Measurements, kinds: NDArray[np.int_]) -> Array:
     return result
 
 
-def _partners(m: Measurements) -> NDArray[np.int_]:
+def _partners(m: Measurements) -> Integers:
     """The other row of each pair, shape (N,); -1 where there is none."""
     partner = np.full(len(m), -1)
     one, other = m.pair_rows.T
@@ -351,19 +312,12 @@ def _partners(m: Measurements) -> NDArray[np.int_]:
 def _load(robot: Robot, m: Measurements, cell: Cell, q: Array) -> Array:
     """The load on each joint: by gravity and payload, and measured where there are torques, shape (N, n)."""
     load = gravity_load(robot, q, cell.payload, cell.gravity)
-    if m.torques is not None:
-        names = [joint.name for joint in robot.joints]
-        for column, name in enumerate(m.joint_names):
-            if name in names:
-                measured = -m.torques[:, column]  # the load is what the drive holds against
-                own = load[:, names.index(name)]
-                load[:, names.index(name)] = np.where(np.isfinite(measured), measured, own)
+    names = [joint.name for joint in robot.joints]
+    for column, name in enumerate(m.joint_names if m.torques is not None else ()):
+        if name in names and m.torques is not None:
+            measured, k = (
+                -m.torques[:, column],
+                names.index(name),
+            )  # the load is what the drive holds against
+            load[:, k] = np.where(np.isfinite(measured), measured, load[:, k])
     return load
-
-
-def _sigma(by_row: Array | None, by_cell: float | None, first: float, count: int) -> Array:
-    """The standard deviation of each row: its own, the cell's, or the first guess, shape (N,)."""
-    general = first if by_cell is None else by_cell
-    if by_row is None:
-        return np.full(count, general)
-    return np.where(np.isfinite(by_row), by_row, general)

@@ -27,8 +27,7 @@ class Iteration:
     """One trial step."""
 
     cost: float  # E before the step
-    # The damping that the step was computed with; 0 for SciPy, which has a trust region instead
-    mu: float
+    mu: float  # Its damping; 0 for SciPy, which has a trust region instead
     gain: float | None  # Actual over predicted decrease of E; None where the solver does not tell
     step: float  # Length of the step, in the solver's units
     accepted: bool  # Whether x moved
@@ -52,11 +51,8 @@ class Solution:
 
     def after(self, earlier: Solution) -> Solution:
         """This solution with the iterations of the stage before it put in front."""
-        return replace(
-            self,
-            evaluations=earlier.evaluations + self.evaluations,
-            history=earlier.history + self.history,
-        )
+        evaluations = earlier.evaluations + self.evaluations
+        return replace(self, evaluations=evaluations, history=earlier.history + self.history)
 
 
 def levenberg_marquardt(
@@ -70,12 +66,9 @@ def levenberg_marquardt(
 ) -> Solution:
     """Levenberg-Marquardt with a damped step solved by QR.
 
-    The step minimises |r + J dx|^2 + mu |D dx|^2, solved as the stacked least squares [J; sqrt(mu) D] dx = [-r; 0],
-    never by normal equations; D are the largest column norms seen (J. Moré, 1978). mu follows the gain ratio as in
-    H. B. Nielsen, 1999: a step that raises E is not taken.
-
-    From x0, shape (p,), until a step promises to lower E by less than the share ``tolerance``, or is shorter than
-    ``step_tolerance`` in units of ``step_size``, shape (p,): a step of each parameter that is worth talking about.
+    The step minimises |r + J dx|^2 + mu |D dx|^2; D are the largest column norms seen (J. Moré, 1978), mu follows the
+    gain ratio (H. B. Nielsen, 1999). It stops where a step promises to lower E by less than the share ``tolerance``, or
+    is shorter than ``step_tolerance`` in units of ``step_size``, shape (p,).
 
     Raises:
         SolverError: The residual at the start is not finite.
@@ -132,19 +125,13 @@ def paper_levenberg_marquardt(
     dX = -(J^T J + mu I)^-1 J^T e;  stop when |dX| <= epsilon (|X| + epsilon);
     gain = 2 (E_(k+1) - E_k) / (dX^T (J^T e - mu dX));  mu / nu where gain > 0, mu nu otherwise.
 
-    Two readings of the printed text are needed for it to work: step 6 goes to the end when the test holds (the two
-    branches are printed the other way round), and a step with gain <= 0 is not taken (taking it makes E grow to
-    1e17). The damped step is solved as stacked least squares, which is the same step in exact arithmetic, because
-    J^T J is singular here.
-
-    The system is e(X), shape (m,), and de/dX, shape (m, p), at the *absolute* parameters X in the paper's mm and rad;
-    x0 the nominal X. mu, nu (2 to 3) and epsilon are the paper's; it has no limit of iterations.
+    Read in two places so that it works: step 6 goes to the end when the test holds (the branches are printed the other
+    way round), and a step with gain <= 0 is not taken. The system is e(X), shape (m,), and de/dX, shape (m, p), at the
+    *absolute* parameters X in mm and rad; x0 is the nominal X.
 
     Raises:
-        SolverError: ``nu`` outside 2 to 3, or the error at the start is not finite.
+        SolverError: The error at the start is not finite.
     """
-    if not 2.0 <= nu <= 3.0:
-        raise SolverError(f"nu = {nu} was given; the paper's algorithm takes a factor from 2 to 3.")
     x = np.array(x0, dtype=np.float64)
     e, J = _checked_start(system, x)
     cost, evaluations = 0.5 * float(e @ e), 1
@@ -175,14 +162,8 @@ def scipy_least_squares(
     x0: Array,
     step_size: Array,
     step_tolerance: float = 1e-9,  # noqa: ARG001  it goes to the end each time
-    *,
-    iterations: int = 100,
 ) -> Solution:
-    """SciPy's ``least_squares`` (trust-region reflective, exact SVD steps).
-
-    Raises:
-        SolverError: The residual at the start is not finite.
-    """
+    """SciPy's ``least_squares`` (trust-region reflective); raises `SolverError` as `levenberg_marquardt` does."""
     from scipy.optimize import least_squares
 
     r, _ = _checked_start(system, x0)
@@ -202,24 +183,16 @@ def scipy_least_squares(
                 best, at = cost, x.copy()
         return value
 
+    tolerances = {"ftol": 1e-14, "xtol": 1e-12, "gtol": 1e-12, "max_nfev": 100}
     result = least_squares(
-        residual,
-        x0,
-        jac=lambda x: system(x)[1],
-        x_scale=step_size,
-        ftol=1e-14,
-        xtol=1e-12,
-        gtol=1e-12,
-        max_nfev=iterations,
+        residual, x0, jac=lambda x: system(x)[1], x_scale=step_size, **tolerances
     )
     status = "converged" if result.status > 0 else "stopped"
-    return Solution(
-        result.x, float(result.cost), status, result.message, int(result.nfev), tuple(history)
-    )
+    cost, evaluations = float(result.cost), int(result.nfev)
+    return Solution(result.x, cost, status, result.message, evaluations, tuple(history))
 
 
-#: Called with a system, a start, a step of each parameter that is worth talking about, and the share of these that a
-#: last step may have.
+#: Called with a system, a start, a step of each parameter that matters, and the share of these that a last step may be.
 Solver = Callable[[System, Array, Array, float], Solution]
 
 #: The least-squares solvers by the name that `calib.calibrate` and ``--solver`` take; yours is one more.
@@ -260,7 +233,7 @@ def triangle(A: Array) -> Array:
 
 
 def _packed(A: Array) -> Array:
-    """The triangle R of A = Q R, with Q's reflections below it: `numpy.linalg.qr` without what it does besides."""
+    """R of A = Q R, with Q's reflections below it."""
     if not A.size:  # LAPACK refuses it
         return np.zeros((min(A.shape), A.shape[1]))
     packed, _, _, _ = dgeqrf(A, overwrite_a=1)

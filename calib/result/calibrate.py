@@ -23,13 +23,14 @@ from calib.estimate.crossvalidation import (
     cross_validation,
     nominal_cross_validation,
 )
-from calib.estimate.fitting import Fitted, Task, fit, unseen_scores
+from calib.estimate.fitting import Fitted, Task, fit
 from calib.estimate.registration import nominal_setup
-from calib.estimate.robust import Limits, Repeats, repeats
+from calib.estimate.robust import Limits
 from calib.estimate.rows import Rows
 from calib.estimate.selection import Candidate, select
 from calib.estimate.setup import known_distances, rows_of
 from calib.estimate.solvers import Solver
+from calib.estimate.statistics import Repeats, repeats
 from calib.model.error_model import split_name
 from calib.model.kinematics import Samples
 from calib.model.observability import Observability, analyse
@@ -171,10 +172,10 @@ def _validated(
         parts = 1 if larger is None else 2
         return lambda done, every: progress(part * every + done, parts * every)
 
-    of_calibrated = cross_validation(task, rows, outliers, of_part(0), fitted=result.fitted)
+    of_calibrated = cross_validation(result.fitted, outliers, of_part(0))
     candidates = result.candidates
     if larger is not None and fit.larger is not None:
-        found = cross_validation(fit.larger.task, rows, outliers, of_part(1), fitted=fit.larger)
+        found = cross_validation(fit.larger, outliers, of_part(1))
         larger = replace(larger, cross_validation=found)
         left = [
             np.sum((v.residual / result.fitted.estimate.problem.scales)[~outliers] ** 2)
@@ -245,7 +246,7 @@ def _assembled(measurements: Measurements, fits: Fits) -> Calibration:
     residual = fitted.residual(every)
     scores, weights = np.empty(len(mask)), np.zeros(len(mask))
     weights[mask], scores[mask] = estimated.weights, estimated.scores
-    scores[~mask] = unseen_scores(fitted, every.select(~mask))
+    scores[~mask] = fitted.unseen_scores(every.select(~mask))
     lengths = np.where(
         np.any(every.used[:, :3], axis=1), np.linalg.norm(residual[:, :3], axis=1), np.nan
     )

@@ -18,11 +18,10 @@ from calib.data.measurements import Measurements
 from calib.data.table import SETS
 from calib.errors import ModelError, choices
 from calib.estimate.fitting import Fitted
-from calib.estimate.robust import Repeats
 from calib.estimate.selection import Candidate
 from calib.estimate.setup import Setup
 from calib.estimate.solvers import Solution
-from calib.estimate.statistics import CrossValidation, Errors
+from calib.estimate.statistics import CrossValidation, Errors, Repeats
 from calib.model.kinematics import Samples
 from calib.model.observability import Observability
 from calib.model.parameters import TARGET
@@ -107,7 +106,7 @@ class Fit:
     @property
     def jacobian(self) -> Array:
         """Derivative of the prediction of the fitted rows, shape (N, D, p), in the units of ``x``."""
-        return read_only(self.geometry.estimate.problem.residual_and_jacobian(self.x)[1])
+        return read_only(self.geometry.estimate.problem.jacobian(self.x))
 
     @property
     def used(self) -> Mask:

@@ -18,11 +18,10 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.estimate.robust import Repeats
 from calib.estimate.selection import Candidate
 from calib.estimate.setup import Setup
 from calib.estimate.solvers import Iteration
-from calib.estimate.statistics import CrossValidation, Errors
+from calib.estimate.statistics import CrossValidation, Errors, Repeats
 from calib.model.families import FAMILIES
 from calib.model.observability import Combination
 from calib.model.parameters import ErrorModel, Parameter

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from calib.estimate.crossvalidation import only_there
 from calib.estimate.fitting import Fitted, fit
+from calib.estimate.likelihood import Priors
 from calib.estimate.problem import Problem
 from calib.estimate.registration import ENOUGH
-from calib.estimate.robust import pose_means
-from calib.estimate.rows import Rows, evenly
+from calib.estimate.rows import Rows
 from calib.estimate.setup import joined_setups
-from calib.estimate.statistics import Errors, Mask
+from calib.estimate.statistics import Errors, pose_means
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
 from calib.model.parameters import FRAME, TARGET, ErrorModel
@@ -33,6 +33,7 @@ from calib.robot.readback import column_ranges, spread_poses
 from calib.robot.robot import Robot
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 #: A joint that moves less than this over the rows tells little of itself [rad, m].
 _STILL_RAD, _STILL_M = 0.35, 0.05
@@ -129,7 +130,7 @@ def thin(fitted: Fitted, most: int = ENOUGH) -> Fitted:
     problem, estimate = fitted.estimate.problem, fitted.estimate
     if len(problem.rows) <= most:
         return fitted
-    some = evenly(problem.rows, most)
+    some = problem.rows.evenly(most)
     rows = problem.rows.select(some)
     few = replace(
         Problem.first(problem.kinematics, rows, problem.distances),
@@ -215,7 +216,7 @@ def _patterns(fitted: Fitted) -> Iterator[Reason]:
     problem, rows = estimate.problem, estimate.problem.rows
     if estimate.freedom < _TELLING or np.median(problem.scales[rows.used]) < _ROUNDING_NOISE:
         return
-    residual, jacobian = problem.residual_and_jacobian(estimate.x)
+    residual, jacobian = problem.residual(estimate.x), problem.jacobian(estimate.x)
     placed, setup = fitted.placed(), fitted.setup
     model = error_model(
         robot,
@@ -264,7 +265,7 @@ def disagreeing_setups(fitted: Fitted) -> tuple[Reason, ...]:
     if count < 2 or estimate.freedom < _TELLING:
         return ()
     linear = problem.linear(estimate.x)
-    known = linear.known(problem.precision, problem.centre)
+    known = Priors(problem.precision, problem.centre)
     of_fit = np.array([estimate.noise])
     noise = linear.noise_of(of_fit)[0]
     counts = np.any(linear.used, axis=1) & (estimate.weights > 0.0)
@@ -273,7 +274,7 @@ def disagreeing_setups(fitted: Fitted) -> tuple[Reason, ...]:
         own = labels == g
         weights = np.where(own, 0.0, problem.weights)
         x, covariance, freedom = (f[0] for f in linear.fit(weights[None], of_fit, known))
-        loose = only_there(fitted.kinematics.model, fitted.setup, rows, own)
+        loose = only_there(fitted, own)
         x = np.where(loose, estimate.x, x)
         rest = np.where(linear.used, linear.residual(x) / noise, 0.0)
         # Repeats count for one measurement where they share what the model lacks.

@@ -14,12 +14,7 @@ from calib.errors import ModelError
 from calib.estimate.fitting import Task, model_of
 from calib.estimate.problem import Problem
 from calib.estimate.registration import register
-from calib.estimate.setup import (
-    along_own_axes,
-    known_distances,
-    rows_of,
-    targets_along_tip,
-)
+from calib.estimate.setup import known_distances, rows_of
 from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability, analyse
 from calib.model.parameters import ErrorModel
@@ -83,8 +78,7 @@ def inspect(robot: Robot, cell: Cell, measurements: Measurements | None = None) 
     name = cell.model if cell.model != AUTO else "dh"
     seen = set(rows.samples.frame.tolist())
     distances = tuple(d for d in known_distances(cell, setup) if {d.first, d.second} <= seen)
-    model = along_own_axes(model_of(Task(robot, cell, setup, name, distances)), setup)
-    model = targets_along_tip(model, setup)
+    model = setup.aligned(model_of(Task(robot, cell, setup, name, distances)))
     kinematics = Kinematics(robot, model, setup.T_frame_base, setup.T_tip_target)
     x = np.zeros(len(model))
     jacobian = rows.derivative(*kinematics.twists(x, rows.samples))

@@ -23,9 +23,9 @@ from calib.errors import MeasurementError, ModelError
 from calib.estimate.crossvalidation import linear_cross_validation
 from calib.estimate.fitting import Fitted, fit
 from calib.estimate.registration import register
-from calib.estimate.rows import Rows
+from calib.estimate.rows import Mask, Rows
 from calib.estimate.setup import Setup
-from calib.estimate.statistics import Errors, Mask
+from calib.estimate.statistics import Errors
 from calib.model.error_model import DIRECTIONS
 from calib.result.prediction import without_rigid_motion
 from calib.result.verdict import Reason, Why

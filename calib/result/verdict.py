@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.estimate.statistics import CrossValidation, Errors, Mask
+from calib.estimate.rows import Mask
+from calib.estimate.statistics import CrossValidation, Errors
 
 USE, CARE, NO = "use", "use with care", "do not use"
 

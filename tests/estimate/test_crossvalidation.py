@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -11,21 +12,17 @@ import pytest
 from calib.data.cell import Cell, GroupDistance
 from calib.data.measurements import Measurements
 from calib.errors import MeasurementError
+from calib.estimate import crossvalidation
 from calib.estimate.crossvalidation import (
+    Folds,
     cross_validation,
-    fold_fits,
-    fold_means,
-    folds_of,
     linear_cross_validation,
     nominal_cross_validation,
     only_there,
 )
-from calib.estimate.fit_stages import estimate as estimated
-from calib.estimate.fitting import Fitted, Task, fit, holds_of
-from calib.estimate.problem import Problem
+from calib.estimate.fitting import Fitted, Task, fit
 from calib.estimate.rows import Rows
 from calib.estimate.setup import known_distances, rows_of
-from calib.estimate.solvers import SOLVERS
 
 #: Numbers of kinds in the registry.
 POSE = 1
@@ -44,30 +41,30 @@ def of_case(case: Any) -> tuple[Task, Rows]:
 
 def test_every_row_is_left_out_once(case):
     task, rows = of_case(case)
-    found = folds_of(task, rows)
+    found = Folds.of_task(task, rows)
     np.testing.assert_array_equal(np.sum(found.masks, axis=0), np.ones(len(rows)))
 
 
 def test_both_rows_of_a_pair_are_left_out_together(calibrated):
     task, rows = of_case(calibrated("pairs"))
-    found = folds_of(task, rows)
+    found = Folds.of_task(task, rows)
     for mask in found.masks:
         inside = np.flatnonzero(mask & (rows.partner >= 0))
         assert np.all(mask[rows.partner[inside]])
     few = rows.select(np.arange(len(rows)) < 40)
-    assert folds_of(task, few).method == "leave-one-out"
-    assert [int(m.sum()) for m in folds_of(task, few).masks] == [2] * 20
+    assert Folds.of_task(task, few).method == "leave-one-out"
+    assert [int(m.sum()) for m in Folds.of_task(task, few).masks] == [2] * 20
 
 
 def test_set_ups_are_left_out_whole_from_three_on(calibrated):
     task, rows = of_case(calibrated("set-ups"))
-    found = folds_of(task, rows)
+    found = Folds.of_task(task, rows)
     assert found.method == "leave-one-set-up-out"
     assert len(found.masks) == 3
     for mask in found.masks:
         assert len(set(rows.samples.frame[mask])) == 1
     two = rows.select(rows.samples.frame < 2)
-    assert folds_of(task, two).method != "leave-one-set-up-out"
+    assert Folds.of_task(task, two).method != "leave-one-set-up-out"
 
 
 def test_sockets_on_one_bar_are_one_set_up(make_scene, join):
@@ -78,11 +75,11 @@ def test_sockets_on_one_bar_are_one_set_up(make_scene, join):
     table = join(*(scene.fixed(10, f) for f in range(4)))
     bars = (GroupDistance("0", "1", 0.1, 1e-5), GroupDistance("2", "3", 0.1, 1e-5))
     task, rows = task_of(scene, table, Cell(distances=bars[:1]))
-    found = folds_of(task, rows)
+    found = Folds.of_task(task, rows)
     together = [sorted(set(rows.samples.frame[m].tolist())) for m in found.masks]
     assert together == [[0, 1], [2], [3]]
     both, rows = task_of(scene, table, Cell(distances=bars))
-    assert folds_of(both, rows).method == "leave-one-out"
+    assert Folds.of_task(both, rows).method == "leave-one-out"
 
 
 def test_a_set_up_that_alone_measures_orientations_is_not_left_out_whole(calibrated):
@@ -90,48 +87,8 @@ def test_a_set_up_that_alone_measures_orientations_is_not_left_out_whole(calibra
     case = calibrated("mixed")
     task, rows = of_case(case)
     assert len(set(rows.samples.frame[rows.kinds == POSE])) == 1
-    assert folds_of(task, rows).method == "10-fold"
+    assert Folds.of_task(task, rows).method == "10-fold"
     assert case[1].cross_validation.errors.rms_angle < 1e-3
-
-
-def test_a_set_up_that_alone_is_in_a_known_frame_is_not_left_out_whole(make_scene, join):
-    """Planes and anchors do not say where the base stands: without the points it is anywhere."""
-    frames = [np.eye(4) for _ in range(4)]
-    for k, T in enumerate(frames):
-        T[:3, 3] = [-0.3, 0.1 * k, -0.3]
-    frames[0] = np.eye(4)
-    scene = make_scene(83, frames=frames, model="placement", length=3e-4, angle=3e-3, noise=2e-5)
-    wires = [scene.distances(20, f) for f in (1, 2)]
-    table = join(scene.points(40), *wires, scene.plane(20, 3))
-    task, rows = task_of(scene, table, Cell())
-    assert folds_of(task, rows).method == "10-fold"
-    chosen = linear_cross_validation(fit(replace(task, model="placement"), rows))
-    assert chosen.errors.rms < 2e-4
-    task, rows = task_of(scene, join(*wires, scene.plane(20, 3)), Cell())
-    assert folds_of(task, rows).method == "leave-one-set-up-out"
-
-
-def test_repeats_are_left_out_together(make_scene):
-    scene = make_scene(82, frames=[np.eye(4)], length=3e-4, angle=3e-3, noise=2e-5)
-    m = scene.points(24)
-    twice = Measurements(m.joint_names, np.tile(m.joints, (2, 1)), np.tile(m.points, (2, 1)))
-    task, rows = task_of(scene, twice, Cell())
-    found = folds_of(task, rows)
-    assert found.method == "leave-one-pose-out"
-    assert [np.flatnonzero(mask).tolist() for mask in found.masks] == [
-        [k, k + 24] for k in range(24)
-    ]
-
-
-def test_rows_that_only_validate_make_no_empty_folds(make_scene):
-    scene = make_scene(83, frames=[np.eye(4)])
-    m = scene.points(70)
-    sets = tuple("validate" if k % 7 == 3 else "estimate" for k in range(70))
-    table = Measurements(m.joint_names, m.joints, m.points, sets=sets)
-    task, rows = task_of(scene, table, Cell())
-    found = folds_of(task, rows)
-    assert (found.method, len(found.masks)) == ("leave-one-out", 60)
-    assert all(mask.sum() == 1 for mask in found.masks)
 
 
 def test_one_pose_cannot_be_cross_validated(make_scene):
@@ -140,16 +97,7 @@ def test_one_pose_cannot_be_cross_validated(make_scene):
     one = Measurements(m.joint_names, np.tile(m.joints, (3, 1)), np.tile(m.points, (3, 1)))
     task, rows = task_of(scene, one, Cell())
     with pytest.raises(MeasurementError, match=r"3 rows of one pose cannot be.*--no-validate"):
-        folds_of(task, rows)
-
-
-def test_others_that_are_too_few_are_said(make_scene):
-    scene = make_scene(85)
-    task, rows = task_of(scene, scene.points(3), Cell(estimate_frame=True), "frames")
-    with pytest.raises(
-        MeasurementError, match=r"leaves out 1 of 3 rows at a time.*too few.*--no-validate"
-    ):
-        cross_validation(task, rows, np.zeros(3, dtype=bool))
+        Folds.of_task(task, rows)
 
 
 def test_the_linear_one_agrees_with_the_refitted_one(case):
@@ -169,21 +117,6 @@ def test_the_linear_one_agrees_with_the_refitted_one(case):
     assert np.sqrt(np.mean(apart[used] ** 2)) < 0.5
 
 
-def test_a_left_out_fold_does_not_move_its_own_prediction(calibrated):
-    """A row moved by 5 mm is 5 mm off where it is left out, and moves no other fold's fit that lacks it."""
-    scene, c = calibrated("points")
-    task, rows = of_case((scene, c))
-    outliers = np.zeros(len(rows), dtype=bool)
-    before = cross_validation(task, rows, outliers).residual
-    moved = rows.measured.copy()
-    moved[7] += [3e-3, 4e-3, 0.0]
-    after = cross_validation(task, replace(rows, measured=moved), outliers).residual
-    np.testing.assert_allclose(after[7] - before[7], [3e-3, 4e-3, 0.0], atol=1e-9)
-    mask = next(m for m in folds_of(task, rows).masks if m[7])
-    mask = mask & (np.arange(len(rows)) != 7)
-    np.testing.assert_allclose(after[mask], before[mask], atol=1e-9)
-
-
 def test_the_nominal_robot_is_given_what_the_calibrated_one_is(calibrated):
     """Its frames and targets are registered without the fold, and its errors are those of the robot as it is."""
     scene, c = calibrated("set-ups")
@@ -199,13 +132,13 @@ def test_parameters_that_only_the_left_out_rows_see(calibrated):
     _, c = calibrated("set-ups")
     rows = c.fitted.estimate.problem.rows
     mask = rows.samples.frame == 1
-    loose = only_there(c.model, c.setup, rows, mask)
+    loose = only_there(c.fitted, mask)
     names = {n for n, is_loose in zip(c.model.names, loose, strict=True) if is_loose}
     assert names == {f"frame_{d}[1]" for d in ("x", "y", "z", "rx", "ry", "rz")}
-    assert not np.any(only_there(c.model, c.setup, rows, mask & (np.arange(len(rows)) % 2 == 0)))
+    assert not np.any(only_there(c.fitted, mask & (np.arange(len(rows)) % 2 == 0)))
     _, two = calibrated("targets")
     rows = two.fitted.estimate.problem.rows
-    loose = only_there(two.model, two.setup, rows, rows.samples.target == 0)
+    loose = only_there(two.fitted, rows.samples.target == 0)
     names = {n for n, is_loose in zip(two.model.names, loose, strict=True) if is_loose}
     assert names == {"target_x[t0]", "target_y[t0]", "target_z[t0]"}
 
@@ -235,42 +168,11 @@ def with_outliers(make_scene: Any, **given: Any) -> tuple[Any, Measurements]:
     return scene, replace(table, points=points)
 
 
-def test_folds_by_the_linearised_problem_go_through_the_stages_of_a_fit(make_scene):
-    """At the solution without a fold, the linearised problem has the fold's own estimate."""
-    scene, table = with_outliers(make_scene)
-    fitted = fitted_to(scene, table, Cell())
-    masks = folds_of(fitted.task, rows_of_fit(fitted)).masks[:6]
-    problem, estimate = fitted.estimate.problem, fitted.estimate
-    holds = holds_of(fitted.task, fitted.kinematics.model, fitted.setup)
-    found, _ = fold_fits(fitted, holds, problem.linear(estimate.x), masks)
-    std = np.sqrt(np.diag(estimate.covariance))
-    for mask, x in zip(masks, found, strict=True):
-        first = Problem.first(problem.kinematics, problem.rows.select(~mask))
-        np.testing.assert_allclose(
-            estimated(first, SOLVERS["lm"], holds).x / std, x / std, atol=0.05
-        )
-
-
-def test_means_at_sizes_that_stay(make_scene):
-    scene, table = with_outliers(make_scene)
-    fitted = fitted_to(scene, table, Cell())
-    problem, estimate = fitted.estimate.problem, fitted.estimate
-    linear = problem.linear(estimate.x)
-    known, noise = linear.known(problem.precision, problem.centre), np.array([estimate.noise])
-    masks = folds_of(fitted.task, problem.rows).masks
-    found = fold_means(fitted, linear, masks)
-    for mask, x in zip(masks, found, strict=True):
-        one = linear.data(np.where(mask, 0.0, problem.weights)[None]).posterior(noise, known)[0]
-        np.testing.assert_allclose(x, one[0], rtol=1e-6, atol=1e-12)
-
-
 def both(fitted: Fitted) -> tuple[Any, Any]:
     """Cross-validation on the linearised problem, and by fits from the beginning."""
-    task, rows, outliers = fitted.task, rows_of_fit(fitted), fitted.estimate.outliers
-    return (
-        cross_validation(task, rows, outliers, fitted=fitted),
-        cross_validation(task, rows, outliers),
-    )
+    linear = cross_validation(fitted, fitted.estimate.outliers)
+    with mock.patch.object(crossvalidation, "_on_the_linearised", return_value={}):
+        return linear, cross_validation(fitted, fitted.estimate.outliers)
 
 
 def assert_refitted(fitted: Fitted) -> None:
@@ -294,12 +196,6 @@ def test_outliers_are_found_in_each_fold_as_by_refits(make_scene):
     fitted = fitted_to(scene, table, Cell())
     assert np.flatnonzero(fitted.estimate.outliers).tolist() == [4, 17]
     assert_refitted(fitted)
-
-
-def test_the_papers_rows_are_predicted_as_by_refits(ur3, table, paper_cell):
-    every, setup = rows_of(ur3, table, paper_cell)
-    task = Task(ur3, paper_cell, setup, "paper")
-    assert_refitted(fit(task, every.select(table.estimation)))
 
 
 @pytest.mark.parametrize(
@@ -329,20 +225,10 @@ def test_a_left_out_row_does_not_move_its_own_prediction(make_scene):
     moved = table.points.copy()
     moved[7] += [3e-3, 4e-3, 0.0]
     before, after = (
-        cross_validation(f.task, rows_of_fit(f), f.estimate.outliers, fitted=f).residual
+        cross_validation(f, f.estimate.outliers).residual
         for f in (fitted_to(scene, one, Cell()) for one in (table, replace(table, points=moved)))
     )
     np.testing.assert_allclose(after[7] - before[7], [3e-3, 4e-3, 0.0], atol=1e-7)
-
-
-def test_progress_is_told_of_each_fold(make_scene):
-    scene, table = with_outliers(make_scene)
-    fitted = fitted_to(scene, table, Cell())
-    told: list[tuple[int, int]] = []
-    task, rows = fitted.task, rows_of_fit(fitted)
-    outliers = fitted.estimate.outliers
-    cross_validation(task, rows, outliers, lambda *at: told.append(at), fitted=fitted)
-    assert told == [(k + 1, 30) for k in range(30)]
 
 
 def test_set_ups_that_were_not_seen_are_registered_to_their_good_rows(make_scene, join):
@@ -352,6 +238,6 @@ def test_set_ups_that_were_not_seen_are_registered_to_their_good_rows(make_scene
     points[44] += 0.02
     outliers = np.arange(60) == 44
     fitted = fitted_to(scene, replace(table, points=points), Cell(estimate_frame=True))
-    left = cross_validation(fitted.task, rows_of_fit(fitted), outliers, fitted=fitted).residual
+    left = cross_validation(fitted, outliers).residual
     assert np.sqrt(np.mean(left[40:][~outliers[40:]] ** 2)) < 1e-4
     np.testing.assert_allclose(left[44], 0.02, atol=5e-4)

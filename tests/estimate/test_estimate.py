@@ -13,8 +13,6 @@ from calib.data.measurements import Measurements
 from calib.estimate.fitting import Fitted, Task, fit
 from calib.estimate.rows import Rows
 from calib.estimate.setup import known_distances, rows_of
-from calib.model.error_model import error_model
-from calib.model.kinematics import Kinematics
 
 OFF = Priors(sizes="off")
 
@@ -22,7 +20,7 @@ OFF = Priors(sizes="off")
 def fitted(virtual, cell: Cell, rows: Rows, **options) -> Fitted:
     """A fit to rows of points of one target in one frame."""
     robot = virtual.kinematics.robot
-    table = Measurements(robot.joint_names, rows.joints, rows.points)
+    table = Measurements(robot.joint_names, rows.joints, rows.measured)
     _, setup = rows_of(robot, table, cell)
     return fit(Task(robot, cell, setup, cell.model, **options), rows)
 
@@ -54,7 +52,7 @@ def absolute(virtual, result: Fitted):
 
 
 @pytest.mark.parametrize("solver", ["lm", "scipy"])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("rows", [15, 30])
 def test_without_noise_unseen_poses_are_exact(virtual, paper_cell, solver, seed, rows):
     rng = np.random.default_rng(seed)
@@ -64,7 +62,7 @@ def test_without_noise_unseen_poses_are_exact(virtual, paper_cell, solver, seed,
     assert np.abs(error_at(virtual, result, x, virtual.unseen())).max() < 3e-9
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_without_noise_every_identifiable_combination_is_recovered(virtual, paper_cell, seed):
     """One parameter of each combination that cannot be identified is held, here and in the truth."""
     rng = np.random.default_rng(seed)
@@ -77,18 +75,6 @@ def test_without_noise_every_identifiable_combination_is_recovered(virtual, pape
     kept = [k for k, name in enumerate(names) if name not in held]
     assert len(kept) == 21
     assert np.abs(absolute(virtual, result) - x[kept]).max() < 1e-9
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_combinations_of_a_full_truth_agree_to_first_order(virtual, paper_cell, seed):
-    """All 27 wrong: what the Jacobian of the measured rows sees of the difference is nothing."""
-    rng = np.random.default_rng(seed)
-    x = virtual.offsets(rng, 1e-6, 5e-6)
-    data = virtual.rows(rng, x, 40, 0.0)
-    result = fitted(virtual, replace(paper_cell, priors=OFF), data)
-    _, jacobian = virtual.kinematics.points_jacobian(x, data.joints)
-    difference = absolute(virtual, result) - x
-    assert np.abs(jacobian.reshape(-1, 27) @ difference).max() < 1e-9
 
 
 @pytest.mark.slow
@@ -137,7 +123,7 @@ def test_error_on_unseen_poses_is_near_the_bound(virtual, paper_cell):
 
 
 @pytest.mark.parametrize("rows", [40, 100])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_fifth_of_gross_rows_is_flagged_and_does_no_harm(virtual, paper_cell, rows, seed):
     rng = np.random.default_rng(seed)
     x = virtual.offsets(rng, 1e-3, 5e-3)
@@ -147,7 +133,7 @@ def test_a_fifth_of_gross_rows_is_flagged_and_does_no_harm(virtual, paper_cell, 
     thrown *= rng.uniform(5e-3, 50e-3, (gross.sum(), 1)) / np.linalg.norm(
         thrown, axis=1, keepdims=True
     )
-    points = data.points.copy()
+    points = data.measured.copy()
     points[gross] += thrown
     spoilt = fitted(virtual, paper_cell, with_points(data, points))
     clean = fitted(virtual, paper_cell, data.select(~gross))
@@ -173,7 +159,7 @@ def test_without_robust_weights_rows_are_named_but_keep_their_weight(virtual, pa
     rng = np.random.default_rng(14)
     x = virtual.offsets(rng, 1e-3, 5e-3)
     data = virtual.rows(rng, x, 60, 1e-4)
-    points = data.points.copy()
+    points = data.measured.copy()
     points[5] += 0.01
     result = fitted(virtual, paper_cell, with_points(data, points), robust=False)
     assert np.all(result.estimate.problem.weights == 1.0)
@@ -203,35 +189,6 @@ def test_given_sizes_stay(virtual, paper_cell):
     assert off.sizes == {}
 
 
-def test_given_sigmas_weigh_the_rows(virtual, paper_cell):
-    """Half of the rows ten times noisier, and said to be: as good as the bound for known noise."""
-    rng = np.random.default_rng(17)
-    q, told, untold = virtual.unseen(), [], []
-    for _ in range(15):
-        x = virtual.offsets(rng, 1e-3, 5e-3)
-        data = virtual.rows(rng, x, 60, 0.0)
-        sigma = np.where(np.arange(60) % 2, 5e-4, 5e-5)
-        points = data.points + sigma[:, None] * rng.normal(size=(60, 3))
-        for given, errors in ((sigma, told), (np.full(60, 1e-4), untold)):
-            result = fitted(virtual, paper_cell, with_points(data, points, given), robust=False)
-            errors.append(rms(error_at(virtual, result, x, q)))
-    assert np.mean(told) < 0.6 * np.mean(untold)
-
-
-def test_three_rows_lean_on_the_priors_and_stay_near_the_nominal_robot(virtual, paper_cell):
-    rng = np.random.default_rng(18)
-    x = virtual.offsets(rng, 2e-4, 3e-3)
-    result = fitted(virtual, paper_cell, virtual.rows(rng, x, 3, 1e-4))
-    nominal = Kinematics(
-        virtual.kinematics.robot,
-        error_model(virtual.kinematics.robot, "frames"),
-        np.eye(4),
-        result.kinematics.T_tip_target,
-    ).points(np.zeros(3), virtual.unseen())
-    truth = virtual.kinematics.points(x, virtual.unseen())
-    assert rms(error_at(virtual, result, x, virtual.unseen())) < 2.0 * rms(nominal - truth)
-
-
 @pytest.mark.parametrize("model", ["dh", "hayati", "placement"])
 def test_with_an_unknown_frame_too(virtual, model):
     rng = np.random.default_rng(19)
@@ -240,7 +197,7 @@ def test_with_an_unknown_frame_too(virtual, model):
     T = np.eye(4)
     T[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
     T[:3, 3] = [2.0, -1.0, 0.4]
-    moved = with_points(data, data.points @ T[:3, :3].T + T[:3, 3])
+    moved = with_points(data, data.measured @ T[:3, :3].T + T[:3, 3])
     result = fitted(virtual, Cell(estimate_frame=True, model=model), moved)
     q = virtual.unseen()
     truth = virtual.kinematics.points(x, q) @ T[:3, :3].T + T[:3, 3]
@@ -252,7 +209,7 @@ def test_with_an_unknown_frame_too(virtual, model):
 def test_noise_below_any_instruments_does_not_take_every_row_for_an_outlier(
     virtual, paper_cell, solver, noise
 ):
-    for seed in range(3):
+    for seed in range(2):
         rng = np.random.default_rng(seed)
         x = virtual.offsets(rng, 1e-3, 5e-3)
         data = virtual.rows(rng, x, 15, noise)

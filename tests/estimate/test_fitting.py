@@ -12,8 +12,7 @@ from scipy.special import stdtrit
 from calib.calibration import calibrate
 from calib.data.cell import Cell, GroupDistance, Priors
 from calib.errors import MeasurementError, ModelError
-from calib.estimate.fitting import Task, fit, scale_of, unseen_scores
-from calib.estimate.registration import best_fit
+from calib.estimate.fitting import Task, fit
 from calib.estimate.setup import known_distances, rows_of
 from calib.estimate.solvers import SOLVERS, Solution
 from calib.model.error_model import MODELS, error_model
@@ -48,8 +47,8 @@ def errors(scene, found, *, placed=True, target=0):
         mine = found.placed().T_frame_base[0] @ mine
         true = scene.kinematics.T_frame_base[group] @ true
         return mine[:, :3, 3] - true[:, :3, 3]
-    T = best_fit(mine[:, :3, 3], true[:, :3, 3])
-    return mine[:, :3, 3] @ T[:3, :3].T + T[:3, 3] - true[:, :3, 3]
+    a, b = (T[:, :3, 3] - T[:, :3, 3].mean(axis=0) for T in (mine, true))
+    return Rotation.align_vectors(b, a)[0].apply(a) - b
 
 
 def sockets(make_scene, seed, count, **options):
@@ -73,7 +72,7 @@ KINDS = {
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_without_noise_unseen_poses_are_exact(make_scene, join, kind, seed):
     tables, placed = KINDS[kind]
     scene = make_scene(seed, frames=3, targets=3)
@@ -83,14 +82,14 @@ def test_without_noise_unseen_poses_are_exact(make_scene, join, kind, seed):
     assert not found.estimate.outliers.any()
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(1))
 def test_without_noise_a_plane_and_an_anchor_are_exact(make_scene, join, seed):
     scene = sockets(make_scene, seed, 2)
     found, _ = fitted(scene, join(scene.plane(40, 0), scene.distances(40, 1)), FREE)
     assert np.abs(errors(scene, found, placed=False)).max() < 1e-8
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(1))
 def test_sockets_have_no_scale_until_a_distance_is_known(make_scene, join, seed):
     scene = sockets(make_scene, seed, 4)
     names = ("a/0", "a/1", "b/0", "b/1")
@@ -105,26 +104,6 @@ def test_sockets_have_no_scale_until_a_distance_is_known(make_scene, join, seed)
     with_bar, _ = fitted(scene, table, Cell(distances=known, priors=OFF))
     assert np.abs(errors(scene, alone, placed=False)).max() > 1e-4
     assert np.abs(errors(scene, with_bar, placed=False)).max() < 1e-8
-
-
-def test_one_bar_on_many_places_by_its_pattern(make_scene, join):
-    """The same two sockets, 0.2 m apart, on a plate at three places: "*/0" and "*/1" of each."""
-    rng = np.random.default_rng(5)
-    frames = []
-    for _ in range(3):
-        middle = np.array([0.3, 0.0, 0.15]) + rng.uniform(-0.12, 0.12, 3)
-        along = rng.normal(size=3)
-        for side in (-0.1, 0.1):
-            T = np.eye(4)
-            T[:3, 3] = -(middle + side * along / np.linalg.norm(along))
-            frames.append(T)
-    scene = make_scene(5, frames=frames)
-    table = join(*(scene.fixed(15, k) for k in range(6)))
-    table = replace(table, groups=tuple(f"{int(g) // 2}/{int(g) % 2}" for g in table.groups))
-    cell = Cell(distances=(GroupDistance("*/0", "*/1", 0.2, 1e-6),), priors=OFF)
-    found, _ = fitted(scene, table, cell)
-    assert len(found.estimate.problem.distances) == 3
-    assert np.abs(errors(scene, found, placed=False)).max() < 1e-8
 
 
 @pytest.mark.parametrize("kind", ["points", "poses"])
@@ -235,19 +214,6 @@ def test_repeats_leave_the_covariance_right(make_scene, mode, shared, own, ratio
     assert 0.93 < np.mean(inside) < 0.975
 
 
-def test_repeats_taken_for_independent_promise_too_much(make_scene):
-    scene = make_scene(3, frames=[np.eye(4)])
-    once = scene.points(25)
-    rng = np.random.default_rng(0)
-    seen = np.repeat(once.points + 1e-4 * rng.normal(size=(25, 3)), 4, axis=0)
-    table = type(once)(once.joint_names, np.repeat(once.joints, 4, axis=0), seen)
-    told, lured = (
-        fitted(scene, table, Cell(repeats=mode))[0] for mode in ("weighted", "independent")
-    )
-    k = told.kinematics.model.index("theta2")
-    assert told.estimate.covariance[k, k] > 3.0 * lured.estimate.covariance[k, k]
-
-
 def test_a_target_with_a_prior_or_a_bound_stays_near_where_it_was_said_to_be(make_scene):
     """Not near where the nominal robot registers it, which is 6 mm from there."""
     scene = make_scene(0, frames=[np.eye(4)], noise=1e-4)
@@ -260,15 +226,6 @@ def test_a_target_with_a_prior_or_a_bound_stays_near_where_it_was_said_to_be(mak
         found, _ = fitted(scene, table, Cell(target=said, **options))
         assert abs(found.placed().T_tip_target[0, 0, 3] - said[0]) < 2e-6
         assert np.linalg.norm(found.setup.T_tip_target[0, :3, 3] - said) > 3e-3
-
-
-@pytest.mark.parametrize(
-    "options", [{"parameter_priors": {"target_x": 1e-6}}, {"bounds": {"target_x": (0.0, 1e-3)}}]
-)
-def test_a_change_from_nowhere_is_refused(make_scene, options):
-    scene = make_scene(0, frames=[np.eye(4)])
-    with pytest.raises(ModelError, match=r"'target_x' has a bound or a prior.*not said from where"):
-        fitted(scene, scene.points(20), Cell(**options))
 
 
 @pytest.mark.slow
@@ -289,7 +246,7 @@ def test_bounds_hold_and_let_go_of_what_they_no_longer_hold(make_scene):
         precision, centre = e.problem.precision.copy(), e.problem.centre.copy()
         for k in e.at_bound:
             precision[k], centre[k] = sizes[model.parameters[k].family] ** -2, 0.0
-        free = e.problem.reweighted(e.problem.weights, e.problem.scales, precision, centre)
+        free = replace(e.problem, precision=precision, centre=centre)
         r, J = free.system(e.x)
         slope, bend = J.T @ r, np.sum(J**2, axis=0)
         for k in e.at_bound:
@@ -308,17 +265,6 @@ def test_ties_are_followed_and_frozen_parameters_stay(make_scene):
     assert values["a3"] == pytest.approx(-2.0 * values["a2"])
     assert values["a2"] != 0.0
     assert "d1" not in names
-
-
-def test_a_single_prior_holds_its_parameter_alone(make_scene):
-    scene = make_scene(2, frames=[np.eye(4)], noise=1e-4)
-    table = scene.points(40)
-    tight, _ = fitted(scene, table, Cell(parameter_priors={"a2": 1e-7}))
-    loose, _ = fitted(scene, table, Cell())
-    k = tight.kinematics.model.index("a2")
-    assert abs(tight.estimate.x[k]) < 1e-6 < 5e-4 < abs(loose.estimate.x[k])
-    other = tight.kinematics.model.index("a3")
-    assert abs(tight.estimate.x[other]) > 1e-5
 
 
 @pytest.mark.parametrize(
@@ -354,11 +300,11 @@ def test_unseen_rows_are_judged_by_the_noise_of_their_own_kind(make_scene, join)
     seen = np.arange(len(rows)) % 3 != 0
     found = fit(task, rows.select(seen))
     left = rows.select(~seen)
-    scale = scale_of(found, left)
+    scale = found._scales(left)
     assert np.ptp(scale[left.kinds == 1][:, 3:]) == 0.0
     assert scale[left.kinds == 1][0, 4] == pytest.approx(5e-4, rel=0.25)
-    assert np.median(unseen_scores(found, left)) == pytest.approx(1.54, rel=0.25)
-    assert len(unseen_scores(found, rows.select(np.zeros(len(rows), dtype=bool)))) == 0
+    assert np.median(found.unseen_scores(left)) == pytest.approx(1.54, rel=0.25)
+    assert len(found.unseen_scores(rows.select(np.zeros(len(rows), dtype=bool)))) == 0
 
 
 def test_a_parameter_set_and_a_solver_of_ones_own(ur3, monkeypatch, make_scene):

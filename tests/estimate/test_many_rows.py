@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.data.measurements import Measurements
 from calib.estimate import problem
-from calib.estimate.rows import NONE, Rows, evenly, whole_blocks
+from calib.estimate.rows import NONE, Rows
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
 from calib.result.calibrate import calibrate
@@ -98,7 +98,7 @@ def table(ur3) -> Measurements:
 def test_parts_and_blocks_do_not_matter(ur3, table, monkeypatch):
     whole = calibrate(ur3, table, model="dh")
     monkeypatch.setattr(kernel, "BLOCK", 100)
-    monkeypatch.setattr(problem, "_PART", 300)
+    monkeypatch.setattr(problem, "PART", 300)
     parts = calibrate(ur3, table, model="dh")
     std = np.sqrt(np.diag(whole.covariance))
     np.testing.assert_allclose(parts.x, whole.x, atol=1e-6 * std.min())
@@ -120,37 +120,13 @@ def test_the_linearised_problem_in_parts(ur3, kind, monkeypatch):
     covariance, both = np.linalg.inv(data.H.sum(axis=1) + np.eye(len(x))), np.stack([x, 0.9 * x])
     scores = whole.scores(both, covariance, weights, noise)
     monkeypatch.setattr(kernel, "BLOCK", 31)
-    monkeypatch.setattr(problem, "_PART", 50)
+    monkeypatch.setattr(problem, "PART", 50)
     parts = problem.Problem.first(kinematics, rows).linear(x)
     np.testing.assert_allclose(parts.columns, whole.columns, rtol=1e-9, atol=1e-6)
     again = parts.data(weights)
     np.testing.assert_allclose(again.H, data.H, rtol=1e-9, atol=1e-9 * np.abs(data.H).max())
     np.testing.assert_allclose(again.count, data.count)
     np.testing.assert_allclose(parts.scores(both, covariance, weights, noise), scores, rtol=1e-6)
-
-
-@pytest.mark.parametrize("kind", ["point", "all"])
-def test_rows_are_thinned_evenly_and_whole(ur3, kind):
-    _, rows = rows_of_kinds(ur3, KINDS[kind], count=2000)
-    mask = evenly(rows, 500)
-    assert 490 <= np.sum(mask) <= 900
-    chosen = np.flatnonzero(mask)
-    for view in {(f, t) for f, t in zip(rows.samples.frame, rows.samples.target, strict=True)}:
-        own = (rows.samples.frame[chosen] == view[0]) & (rows.samples.target[chosen] == view[1])
-        assert np.sum(own) >= 100
-    partners = rows.partner[chosen]
-    assert set(partners[partners >= 0]) <= set(chosen)
-    assert not np.any((rows.kinds[chosen] == NONE) & ~np.isin(chosen, rows.partner[chosen]))
-    assert np.all(evenly(rows, 2000))
-
-
-def test_parts_hold_whole_blocks(ur3):
-    _, rows = rows_of_kinds(ur3, KINDS["all"], count=400)
-    parts = list(whole_blocks(rows, 50))
-    assert len(parts) > 5
-    np.testing.assert_array_equal(np.sum(parts, axis=0), 1)
-    for mask in parts:
-        assert not np.isin(rows.blocks[mask], rows.blocks[~mask]).any()
 
 
 def test_a_thin_fit_is_the_fit_on_some_of_its_rows(ur3, table):
@@ -160,7 +136,7 @@ def test_a_thin_fit_is_the_fit_on_some_of_its_rows(ur3, table):
     assert 500 <= len(rows) <= 700
     np.testing.assert_array_equal(few.estimate.x, fitted.estimate.x)
     own = np.isin(fitted.estimate.problem.rows.samples.q[:, 0], rows.samples.q[:, 0])
-    own &= np.isin(fitted.estimate.problem.rows.points[:, 0], rows.points[:, 0])
+    own &= np.isin(fitted.estimate.problem.rows.measured[:, 0], rows.measured[:, 0])
     np.testing.assert_array_equal(fitted.estimate.scores[own], few.estimate.scores)
     np.testing.assert_array_equal(fitted.estimate.problem.scales[own], few.estimate.problem.scales)
     assert thin(fitted) is fitted
@@ -170,9 +146,9 @@ def test_thin_rows_have_every_kind_and_no_cycle(ur3):
     _, rows = rows_of_kinds(ur3, KINDS["point"], count=4000)
     kinds = rows.kinds.copy()
     kinds[1234] = PLANE
-    some = np.flatnonzero(evenly(replace(rows, kinds=kinds), 400))
+    some = np.flatnonzero(replace(rows, kinds=kinds).evenly(400))
     assert 1234 in some
     for cycle in (2, 3, 10):
         shares = np.bincount(some % cycle) / len(some)
         assert np.all(np.abs(shares * cycle - 1.0) < 0.5)
-    np.testing.assert_array_equal(evenly(rows, 400), evenly(rows, 400))
+    np.testing.assert_array_equal(rows.evenly(400), rows.evenly(400))

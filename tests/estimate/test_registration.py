@@ -13,14 +13,12 @@ from calib.data.cell import Cell
 from calib.data.kinds import get
 from calib.errors import MeasurementError
 from calib.estimate.registration import (
+    _frames_around,
+    _linear_start,
+    _pose_start,
     _some,
     _system,
-    best_fit,
-    frames_around,
-    linear_start,
-    pose_start,
     register,
-    register_poses,
 )
 from calib.estimate.setup import rows_of
 from calib.model.error_model import frame_and_target_model
@@ -116,7 +114,7 @@ POINTS_AND_POSES = {
 @pytest.mark.parametrize("case", POINTS_AND_POSES)
 def test_points_and_poses(make_scene, join, case):
     options, cell, tables = POINTS_AND_POSES[case]
-    for seed in range(6):
+    for seed in range(2):
         scene = make_scene(seed, **options)
         found, rows, _ = registered(scene, join(*tables(scene)), cell)
         assert rms(scene, found, rows) < LEFT
@@ -153,20 +151,11 @@ SCENES = {
 @pytest.mark.parametrize("case", SCENES)
 def test_anchors_pairs_sockets_and_planes(make_scene, join, case):
     frames, targets, tables = SCENES[case]
-    for seed in range(4):
+    for seed in range(2):
         scene = within_reach(make_scene, seed, frames, targets)
         found, rows, _ = registered(scene, join(*tables(scene)), FREE)
         assert rms(scene, found, rows) < LEFT
         assert off(scene, found)[0] < 0.12  # a target 0.3 m away, from lengths alone
-
-
-def test_three_planes_that_were_once_missed(make_scene, join):
-    """With a plane's directions taken in the base these ended 2 to 5 cm off: walls could not be moved."""
-    for seed in (3, 13, 14):
-        scene = within_reach(make_scene, seed)
-        table = join(*every(scene.plane, range(3), [0], 15))
-        found, rows, _ = registered(scene, table, Cell())
-        assert rms(scene, found, rows) < 0.012
 
 
 @pytest.mark.parametrize("case", ["points", "poses", "three anchors", "three planes", "pairs"])
@@ -195,29 +184,11 @@ def test_other_arms_too(make_scene, name, tip):
 @pytest.mark.parametrize("case", ["points", "three targets"])
 def test_a_guess_that_is_wrong_does_no_harm(make_scene, join, case):
     options, _, tables = POINTS_AND_POSES[case]
-    for seed in range(4):
+    for seed in range(2):
         scene = make_scene(seed, **options)
         cell = Cell(estimate_frame=True, target=np.array([0.3, -0.3, 0.3]))
         found, *_ = registered(scene, join(*tables(scene)), cell)
         assert off(scene, found)[0] < 0.06
-
-
-def test_known_targets_leave_the_frame(make_scene):
-    scene = make_scene(4, length=0.0, angle=0.0)
-    place = scene.kinematics.T_tip_target[0, :3, 3]
-    cell = Cell(target=place, estimate_target=False, estimate_frame=True)
-    found, *_ = registered(scene, scene.points(6), cell)
-    np.testing.assert_allclose(found.T_frame_base, scene.kinematics.T_frame_base, atol=1e-9)
-    np.testing.assert_array_equal(found.T_tip_target[0, :3, 3], place)
-
-
-def test_what_is_known_stays_as_it_is(make_scene):
-    scene = make_scene(5)
-    T = scene.kinematics.T_frame_base[0]
-    cell = Cell(target=np.array([0.1, 0.0, 0.0]), estimate_target=False, T_frame_base=T)
-    found, _, setup = registered(scene, scene.points(3), cell)
-    assert found is setup
-    assert register_poses(np.tile(np.eye(4), (3, 1, 1)), setup, scene.points(3)) is setup
 
 
 def test_a_target_that_is_seen_in_every_second_row_of_a_long_table_is_found(make_scene, join):
@@ -239,24 +210,6 @@ def test_a_target_that_is_seen_in_every_second_row_of_a_long_table_is_found(make
     assert np.bincount(chosen.samples.target).tolist() == [100, 100]
     found, *_ = registered(scene, table, FREE)
     assert off(scene, found)[0] < 0.05
-
-
-def test_of_pairs_both_rows_are_taken_or_none(make_scene, ur3):
-    scene = make_scene(7)
-    rows, _ = rows_of(ur3, scene.pairs(400), FREE)
-    chosen = rows.select(_some(rows))
-    assert len(chosen) == 400
-    assert np.sum(chosen.partner >= 0) == 200
-
-
-def test_noise_and_one_gross_row_leave_a_start_that_is_good_enough(make_scene):
-    scene = make_scene(8, length=0.0, angle=0.0, noise=1e-3)
-    table = scene.points(40)
-    points = table.points.copy()
-    points[7] += 0.05
-    found, *_ = registered(scene, type(table)(table.joint_names, table.joints, points), FREE)
-    place = scene.kinematics.T_tip_target[0, :3, 3]
-    assert np.linalg.norm(found.T_tip_target[0, :3, 3] - place) < 5e-3
 
 
 @pytest.mark.parametrize(
@@ -329,11 +282,9 @@ def started(scene, table, cell, start):
     return rows, setup, found
 
 
-def worst(scene, rows, setup, found):
+def worst(scene, rows, found):
     return np.abs(
-        rows.residual(setup.placed(*found).seen(scene.robot.poses(rows.joints), rows.samples))[
-            rows.used
-        ]
+        rows.residual(found.seen(scene.robot.poses(rows.joints), rows.samples))[rows.used]
     ).max()
 
 
@@ -349,43 +300,12 @@ def test_targets_and_translations_by_one_least_squares(make_scene, join):
         frame_directions=("x", "y", "z"),
         frames={"0": np.eye(4), "1": turned},
     )
-    rows, setup, found = started(scene, table, cell, linear_start)
-    assert worst(scene, rows, setup, found) < 1e-12
-    np.testing.assert_allclose(found[0][1], moved, atol=1e-12)
-    np.testing.assert_allclose(found[1][:, :3, 3], scene.kinematics.T_tip_target[:, :3, 3])
-
-
-def test_a_target_that_is_known_stays_and_one_that_no_row_sees_too(make_scene):
-    scene = right(make_scene, 1, frames=[np.eye(4)], targets=2)
-    place = scene.kinematics.T_tip_target[0, :3, 3] + 0.01
-    cell = Cell(target=place, estimate_target=False)
-    *_, found = started(scene, scene.points(5), cell, linear_start)
-    np.testing.assert_array_equal(found[1][0, :3, 3], place)
-
-
-@pytest.mark.parametrize("what", ["turned", "lengths"])
-def test_what_is_not_linear_has_no_linear_start(make_scene, what):
-    scene = right(make_scene, 2)
-    table = scene.points(5) if what == "turned" else scene.distances(9)
-    assert started(scene, table, Cell(estimate_frame=True), linear_start)[2] is None
-
-
-def test_best_fit_is_a_rotation_even_for_mirrored_points():
-    rng = np.random.default_rng(3)
-    points = rng.normal(size=(10, 3))
-    T = np.eye(4)
-    T[:3, :3] = Rotation.from_rotvec([1.0, 2.0, -0.5]).as_matrix()
-    T[:3, 3] = [5.0, -3.0, 2.0]
-    np.testing.assert_allclose(best_fit(points, points @ T[:3, :3].T + T[:3, 3]), T, atol=1e-12)
-    mirrored = best_fit(points, points * [1.0, 1.0, -1.0])
-    assert np.linalg.det(mirrored[:3, :3]) == pytest.approx(1.0)
-
-
-def test_best_fit_of_points_in_a_plane_is_exact_too():
-    rng = np.random.default_rng(4)
-    points = rng.normal(size=(6, 3)) * [1.0, 1.0, 0.0]
-    R = Rotation.from_rotvec([0.2, 2.5, -1.0]).as_matrix()
-    np.testing.assert_allclose(best_fit(points, points @ R.T)[:3, :3], R, atol=1e-12)
+    rows, _setup, found = started(scene, table, cell, _linear_start)
+    assert worst(scene, rows, found) < 1e-12
+    np.testing.assert_allclose(found.T_frame_base[1], moved, atol=1e-12)
+    np.testing.assert_allclose(
+        found.T_tip_target[:, :3, 3], scene.kinematics.T_tip_target[:, :3, 3]
+    )
 
 
 def test_the_anchor_is_where_the_distances_meet():
@@ -417,19 +337,13 @@ def test_frames_around_known_targets(make_scene, join):
     table = join(scene.points(4, 0), scene.distances(6, 1), scene.fixed(3, 2), scene.plane(6, 3))
     rows, setup = rows_of(scene.robot, table, Cell(estimate_frame=True))
     T = scene.robot.poses(rows.joints)
-    found = frames_around(setup, scene.kinematics.T_tip_target, T, rows)
-    assert worst(scene, rows, setup, (found, scene.kinematics.T_tip_target)) < 1e-9
+    placed = setup.placed(setup.T_frame_base, scene.kinematics.T_tip_target)
+    assert worst(scene, rows, _frames_around(placed, T, rows)) < 1e-9
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_poses_tell_both_rotations_and_all_places(make_scene, join, seed):
     scene = right(make_scene, seed, frames=2, targets=2)
     table = join(scene.poses(4, 0, 0), scene.poses(4, 1, 1), scene.poses(2, 1, 0))
-    rows, setup, found = started(scene, table, Cell(estimate_frame=True), pose_start)
-    assert worst(scene, rows, setup, found) < 1e-9
-
-
-def test_there_is_no_pose_start_without_orientations_of_all_rows(make_scene, join):
-    scene = right(make_scene, 8)
-    both = join(scene.poses(5), scene.points(5))
-    assert started(scene, both, Cell(estimate_frame=True), pose_start)[2] is None
+    rows, _setup, found = started(scene, table, Cell(estimate_frame=True), _pose_start)
+    assert worst(scene, rows, found) < 1e-9

@@ -13,12 +13,10 @@ from calib.data.cell import Cell, Priors
 from calib.data.measurements import Measurements
 from calib.errors import ModelError
 from calib.estimate.fitting import Task
-from calib.estimate.selection import LADDER, Candidate, Selection, select
+from calib.estimate.selection import LADDER, Selection, select
 from calib.estimate.setup import rows_of
-from calib.example import paper_urdf
 from calib.result.calibrate import _validated, calibrate
 from calib.robot.readback import random_joint_values
-from calib.robot.robot import Robot
 
 
 def scene_of(make_scene: Callable[..., Any], seed: int, model: str, **given: Any) -> Any:
@@ -32,7 +30,7 @@ def chosen(scene: Any, count: int = 80, cell: Cell | None = None) -> Selection:
     return select(Task(scene.robot, cell, setup, "auto"), rows)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize(
     ("truth", "given", "geometry", "larger"),
     [
@@ -72,14 +70,6 @@ def test_the_ladder_names_what_it_tried_and_marks_what_it_chose(make_scene):
         assert one.parameters >= 3
 
 
-def test_a_step_up_needs_likelihood_and_left_out_rows(make_scene):
-    found = chosen(scene_of(make_scene, 112, "dh"))
-    by_name: dict[str, Candidate] = {c.name: c for c in found.candidates}
-    assert by_name["dh"].log_likelihood > by_name["zeros"].log_likelihood + 100
-    for name in ("hayati", "placement", "dh+gain", "dh+eccentricity", "dh+compliance"):
-        assert by_name[name].log_likelihood < by_name["dh"].log_likelihood + 5
-
-
 def test_a_larger_geometry_that_bending_hid_is_found_with_it(make_scene):
     """What the joints' compliance leaves over covers the tilts of parallel axes."""
     scene = scene_of(
@@ -99,29 +89,6 @@ def test_without_load_there_is_no_compliance_to_find(make_scene):
     assert any("compliance" in c.name for c in chosen(scene).candidates)
 
 
-def test_hayati_without_parallel_axes_is_not_tried_twice(serial_urdf):
-    joints = [
-        ("revolute", (0.0, 0.0, 0.2), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
-        ("revolute", (0.1, 0.0, 0.1), (1.5, 0.1, 0.0), (0.0, 0.0, 1.0)),
-        ("revolute", (0.3, 0.05, 0.0), (1.4, 0.3, 0.2), (0.0, 0.0, 1.0)),
-    ]
-    robot = Robot.from_urdf(serial_urdf(joints), "l0", "tip")
-    q = random_joint_values(robot, 60, 1)
-    T = robot.poses(q)
-    points = T[:, :3, 3] + 1e-4 * np.random.default_rng(1).normal(size=(60, 3))
-    rows, setup = rows_of(robot, Measurements(robot.joint_names, q, points), Cell())
-    found = select(Task(robot, Cell(), setup, "auto"), rows)
-    assert "hayati" not in [c.name for c in found.candidates]
-
-
-def test_frames_alone_are_no_model_where_frame_and_target_are_known(make_scene):
-    scene = scene_of(make_scene, 114, "zeros")
-    target = scene.kinematics.T_tip_target[0, :3, 3]
-    found = chosen(scene, cell=Cell(target=target, estimate_target=False))
-    assert "frames" not in [c.name for c in found.candidates]
-    assert found.geometry == "zeros"
-
-
 def test_without_priors_left_out_rows_decide_among_what_rows_are_enough_for(make_scene):
     scene = scene_of(make_scene, 3, "dh")
     cell = Cell(priors=Priors("off"))
@@ -137,18 +104,6 @@ def test_names_that_no_model_has_are_refused(make_scene):
     cell = Cell(frozen=("a99",), ties={"a2": ("nothing", 1.0)}, parameter_priors={"x": 1.0})
     with pytest.raises(ModelError, match="No model has the parameters 'a99', 'nothing', 'x'"):
         chosen(scene, cell=cell)
-
-
-def test_names_of_single_models_are_accepted(make_scene):
-    scene = scene_of(make_scene, 116, "dh")
-    cell = Cell(
-        frozen=("d2", "elbow_joint.sin"),
-        bounds={"shoulder_pan_joint.zero": (-0.1, 0.1), "beta2": (-0.1, 0.1)},
-        parameter_priors={"wrist_1_joint.rx": 1e-3},
-    )
-    found = chosen(scene, cell=cell)
-    assert found.geometry == "dh"
-    assert {c.name: c.parameters for c in found.candidates}["dh"] == 26
 
 
 def test_a_larger_model_that_predicts_worse_when_refitted_is_dropped(calibrated):
@@ -174,12 +129,6 @@ def test_a_larger_model_that_predicts_worse_when_refitted_is_dropped(calibrated)
     assert named.larger is not None
     one, other = named.larger.cross_validation, named.cross_validation
     assert one.errors_without_outliers.rms > other.errors_without_outliers.rms
-
-
-def test_held_joints_leave_less_to_choose(make_scene):
-    robot = Robot.load(paper_urdf(), base="base", tip="tool0", held={"wrist_3_joint": 0.2})
-    found = chosen(scene_of(make_scene, 117, "zeros", robot=robot))
-    assert (found.geometry, found.larger) == ("zeros", "")
 
 
 @pytest.mark.parametrize("sigma", [None, 1e-5, 1e-3])

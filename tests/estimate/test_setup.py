@@ -16,8 +16,6 @@ from calib.estimate.setup import (
     FIRST_SIGMA,
     FIRST_SIGMA_ANGLE,
     KnownDistance,
-    _joined,
-    along_own_axes,
     joined_setups,
     known_distances,
     rows_of,
@@ -85,12 +83,6 @@ def test_sockets_planes_and_anchors_are_unknown_whatever_is_said_of_the_frame(
     assert setup.own_axes.tolist() == [kind == "plane"]
 
 
-def test_a_socket_is_unknown_beside_pairs_in_its_group(scene, join):
-    """Pairs say nothing of a frame, so they do not make a group one that is measured in."""
-    setup = setup_of(join(as_kind(scene.points(6), "fixed"), scene.pairs(3)), Cell())
-    assert setup.unknown == (("x", "y", "z"),)
-
-
 def test_each_group_has_the_unknowns_of_its_kinds(scene, join):
     table = join(scene.points(4, 0), as_kind(scene.points(4, 1), "plane"), scene.distances(4, 2))
     setup = setup_of(table, Cell(estimate_frame=True, frame_directions=("x", "rz")))
@@ -113,13 +105,6 @@ def test_what_is_given_by_name_wins(scene, join):
     np.testing.assert_array_equal(setup.T_tip_target[:, :3, 3], [np.zeros(3), np.ones(3)])
     assert setup.target_given.all()
     assert setup.target_names == setup.unknown_targets == ("t0", "t1")
-
-
-def test_a_socket_whose_frame_is_given_is_known(scene):
-    table = as_kind(scene.points(4), "fixed")
-    setup = setup_of(table, Cell(frames={"0": np.eye(4)}))
-    assert setup.unknown == ((),)
-    assert setup.frame_given.tolist() == [True]
 
 
 def test_known_frames_and_targets_lose_their_unknowns(scene, join):
@@ -158,7 +143,7 @@ def test_a_planes_directions_move_it_wherever_it_faces(scene, axis):
     plain = frame_and_target_model(
         setup.frame_unknowns, (), known_targets=setup.target_names, rotation=False
     )
-    model = along_own_axes(plain, setup)
+    model = setup.aligned(plain)
     assert model.names == plain.names == ("frame_z", "frame_rx", "frame_ry")
     names = tuple(joint.name for joint in scene.robot.joints)
     places = (model.places[0], *names, *model.places[1:])
@@ -170,12 +155,6 @@ def test_a_planes_directions_move_it_wherever_it_faces(scene, axis):
     np.testing.assert_allclose(twists[:, 2, 1], y, atol=1e-12)
     np.testing.assert_allclose(twists[:, 2, 2], -x, atol=1e-12)
     assert np.ptp(z) > 0.01
-
-
-def test_other_frames_keep_the_bases_axes(scene):
-    setup = setup_of(scene.points(4), Cell(estimate_frame=True))
-    model = frame_and_target_model(setup.frame_unknowns, ("",))
-    assert along_own_axes(model, setup) is model
 
 
 #: Numbers of kinds in the registry.
@@ -204,25 +183,15 @@ def test_every_kind_has_its_number_and_nothing_is_nan(seen, join, ur3):
     np.testing.assert_array_equal(
         rows.kinds, [POINT, POINT, POSE, POSE, DISTANCE, DISTANCE, PAIR, NONE, FIXED, PLANE]
     )
-    for values in (rows.points, rows.measured, rows.scales):
+    for values in (rows.measured, rows.scales):
         assert np.all(np.isfinite(values))
-    np.testing.assert_array_equal(rows.points[:4], table.points[:4])
-    np.testing.assert_array_equal(rows.points[4:], 0.0)
+    np.testing.assert_array_equal(rows.measured[:4, :3], table.points[:4])
     np.testing.assert_array_equal(rows.measured[2:4, 3:], table.rotations[2:4].reshape(2, 9))
     np.testing.assert_array_equal(rows.measured[4:7, 0], table.distances[4:7])
     np.testing.assert_array_equal(rows.measured[7:], 0.0)
     np.testing.assert_array_equal(rows.samples.frame, [0, 0, 1, 1, 2, 2, 0, 0, 3, 1])
     np.testing.assert_array_equal(rows.samples.target, [0, 0, 1, 1, 0, 0, 1, 1, 0, 0])
     assert setup.rotation
-
-
-def test_columns_stand_in_the_robots_order(seen, ur3):
-    table = seen.points(3)
-    order = [3, 0, 5, 1, 2, 4]
-    names = tuple(table.joint_names[k] for k in order)
-    turned = Measurements(names, table.joints[:, order], table.points)
-    rows, _ = rows_of(ur3, turned, Cell())
-    np.testing.assert_array_equal(rows.joints, table.joints)
 
 
 def test_the_first_row_of_a_pair_carries_the_distance(seen, ur3):
@@ -270,16 +239,6 @@ def test_repeats_share_pose_frame_target_and_kind(seen, join, ur3):
     assert len(set(rows.poses.tolist())) == 8
     # However it was measured, a pose is left out as a whole.
     np.testing.assert_array_equal(rows.blocks, np.tile([0, 1], 5))
-
-
-def test_pairs_are_repeats_where_both_poses_are(seen, ur3):
-    table = seen.pairs(3)
-    q = table.joints.copy()
-    q[2] = q[0]  # the second pair shares one pose with the first
-    q[4:6] = q[0:2]  # the third repeats it
-    rows, _ = rows_of(ur3, replace(table, joints=q), Cell())
-    first, second, third = rows.poses[rows.kinds == PAIR]
-    assert first == third != second
 
 
 def test_noise_is_the_rows_the_cells_or_a_first_guess(seen, ur3):
@@ -331,23 +290,3 @@ def test_a_star_stands_for_the_same_text_in_both_groups(seen, ur3):
     )
     np.testing.assert_array_equal(joined_setups(rows, known), [0, 0, 0, 0, 1, 2, 3, 3])
     np.testing.assert_array_equal(joined_setups(rows, ()), np.arange(8))
-
-
-def test_a_pattern_that_fits_no_two_groups_is_refused(seen, ur3):
-    table = named(kind_of(seen.points(2), "fixed"), ["a/0", "b/1"])
-    cell = Cell(distances=(GroupDistance("*/0", "*/1", 0.2, 1e-5),))
-    _, setup = rows_of(ur3, table, cell)
-    with pytest.raises(ModelError, match=r"'\*/0' and '\*/1', which fits no two of 'a/0', 'b/1'"):
-        known_distances(cell, setup)
-
-
-def test_many_pairs_are_joined_as_one_after_the_other():
-    rng = np.random.default_rng(0)
-    labels = rng.integers(0, 60, 200)
-    pairs = [(int(i), int(j)) for i, j in rng.integers(0, 200, (25, 2))]
-    expected = labels.copy()
-    for i, j in pairs:
-        low, high = sorted((expected[i], expected[j]))
-        expected[expected == high] = low
-    expected = np.unique(expected, return_inverse=True)[1]
-    np.testing.assert_array_equal(_joined(labels, pairs), expected)

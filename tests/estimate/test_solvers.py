@@ -36,42 +36,16 @@ def powell(x):
 
 
 # NIST StRD, Misra1a: data, certified parameters and certified residual sum of squares.
-MISRA_X = np.array(
-    [
-        77.6,
-        114.9,
-        141.1,
-        190.8,
-        239.9,
-        289.0,
-        332.8,
-        378.4,
-        434.8,
-        477.3,
-        536.8,
-        593.1,
-        689.1,
-        760.0,
-    ]
-)
-MISRA_Y = np.array(
-    [
-        10.07,
-        14.73,
-        17.94,
-        23.93,
-        29.61,
-        35.18,
-        40.02,
-        44.82,
-        50.76,
-        55.05,
-        61.01,
-        66.40,
-        75.47,
-        81.78,
-    ]
-)
+# fmt: off
+MISRA_X = np.array([
+    77.6, 114.9, 141.1, 190.8, 239.9, 289, 332.8, 378.4, 434.8, 477.3,
+    536.8, 593.1, 689.1, 760,
+])
+MISRA_Y = np.array([
+    10.07, 14.73, 17.94, 23.93, 29.61, 35.18, 40.02, 44.82, 50.76, 55.05,
+    61.01, 66.4, 75.47, 81.78,
+])
+# fmt: on
 MISRA_CERTIFIED = np.array([2.3894212918e02, 5.5015643181e-04])
 MISRA_SQUARES = 1.2455138894e-01
 
@@ -87,9 +61,7 @@ SOLVERS = {
     "paper": lambda system, x0: paper_levenberg_marquardt(
         system, x0, epsilon=1e-14, iterations=5000
     ),
-    "scipy": lambda system, x0: scipy_least_squares(
-        system, x0, step_size=np.abs(x0) + 1e-3, iterations=500
-    ),
+    "scipy": lambda system, x0: scipy_least_squares(system, x0, step_size=np.abs(x0) + 1e-3),
 }
 
 
@@ -108,23 +80,11 @@ def test_nist_misra1a_reaches_the_certified_values(name, start):
     assert 2 * solution.cost == pytest.approx(MISRA_SQUARES, rel=1e-9)
 
 
-@pytest.mark.parametrize("name", ["lm", "scipy"])
-def test_a_singular_jacobian_at_the_solution_does_not_stop_it(name):
-    solution = SOLVERS[name](powell, np.array([3.0, -1.0, 0.0, 1.0]))
-    assert solution.cost < 1e-12
-
-
 def test_linear_problem_takes_the_least_squares_solution():
     rng = np.random.default_rng(0)
     A, b = rng.normal(size=(20, 5)), rng.normal(size=20)
     solution = levenberg_marquardt(lambda x: (A @ x - b, A), np.zeros(5), step_size=np.ones(5))
     np.testing.assert_allclose(solution.x, np.linalg.lstsq(A, b)[0], atol=1e-7)
-
-
-def test_fewer_rows_than_parameters_is_solved_too():
-    A, b = np.array([[1.0, 2.0, 3.0]]), np.array([6.0])
-    solution = levenberg_marquardt(lambda x: (A @ x - b, A), np.zeros(3), step_size=np.ones(3))
-    assert A @ solution.x == pytest.approx(b)
 
 
 def test_the_cost_never_rises_and_the_history_tells_it():
@@ -166,12 +126,6 @@ def test_papers_gain_is_the_usual_one_although_both_signs_are_turned():
     assert 0.5 * dx @ (mu * dx - J.T @ e) == pytest.approx(predicted, rel=1e-9)
 
 
-@pytest.mark.parametrize("nu", [1.9, 3.1, -2.0])
-def test_papers_factor_outside_two_to_three_is_refused(nu):
-    with pytest.raises(SolverError, match=r"nu = .* from 2 to 3"):
-        paper_levenberg_marquardt(rosenbrock, np.zeros(2), nu=nu)
-
-
 @pytest.mark.parametrize("name", SOLVERS)
 def test_a_residual_that_is_not_finite_is_refused(name):
     with pytest.raises(SolverError, match="not finite at the start"):
@@ -187,32 +141,3 @@ def test_a_trial_that_is_not_finite_is_not_taken():
     solution = levenberg_marquardt(log_system, np.array([10.0]), step_size=np.ones(1))
     assert solution.x[0] == pytest.approx(1.0, abs=1e-8)
     assert any(not entry.accepted for entry in solution.history)
-
-
-@pytest.mark.parametrize(
-    "solve",
-    [
-        lambda: levenberg_marquardt(
-            rosenbrock, np.array([-1.2, 1.0]), step_size=np.ones(2), iterations=3
-        ),
-        lambda: paper_levenberg_marquardt(rosenbrock, np.array([-1.2, 1.0]), iterations=3),
-        lambda: scipy_least_squares(
-            rosenbrock, np.array([-1.2, 1.0]), step_size=np.ones(2), iterations=3
-        ),
-    ],
-)
-def test_the_limit_of_iterations_is_said(solve):
-    solution = solve()
-    assert solution.status == "stopped"
-    assert "maximum" in solution.message or "limit" in solution.message
-
-
-def test_stages_add_up():
-    first = levenberg_marquardt(
-        rosenbrock, np.array([-1.2, 1.0]), step_size=np.ones(2), iterations=3
-    )
-    second = levenberg_marquardt(rosenbrock, first.x, step_size=np.ones(2))
-    both = second.after(first)
-    assert both.iterations == first.iterations + second.iterations
-    assert both.evaluations == first.evaluations + second.evaluations
-    assert both.cost == second.cost

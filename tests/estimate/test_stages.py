@@ -7,13 +7,33 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.data.cell import Priors
-from calib.estimate.problem import SMALLEST_SIGMA, Problem
-from calib.estimate.stage import Holds, Stage
+from calib.data.cell import Cell
+from calib.data.measurements import Measurements
+from calib.estimate.likelihood import Priors
+from calib.estimate.problem import Problem
+from calib.estimate.setup import rows_of
+from calib.estimate.stages import PriorTerms, Stage
 from calib.model.error_model import error_model
 from calib.model.families import ZERO
 from calib.model.kinematics import Samples
 from calib.model.parameters import FRAME, TARGET
+
+#: How far registration moves the target.
+OFF = np.zeros((4, 4))
+OFF[0, 3] = 1e-3
+
+
+def prior_terms(virtual, model, **given):
+    """The prior terms of a cell whose target was given where the fit starts."""
+    robot, rows = (
+        virtual.kinematics.robot,
+        virtual.rows(np.random.default_rng(0), np.zeros(27), 3, 0.0),
+    )
+    cell = Cell(target=virtual.kinematics.T_tip_target[0, :3, 3], estimate_frame=True, **given)
+    table = Measurements(robot.joint_names, rows.joints, rows.measured)
+    _, setup = rows_of(robot, table, cell)
+    started = setup.placed(setup.T_frame_base, virtual.kinematics.T_tip_target + OFF)
+    return PriorTerms.of(cell, model, setup, started, lenient=False)
 
 
 @pytest.fixture(scope="module")
@@ -21,47 +41,34 @@ def model(ur3):
     return error_model(ur3, "dh+compliance", frame=True, rotation=True)
 
 
-def test_each_family_has_a_size_and_frame_and_target_a_weak_hold(model):
-    holds = Holds.of(model, Priors())
+def test_each_family_has_a_size_and_frame_and_target_a_weak_hold(virtual, model):
+    holds = prior_terms(virtual, model)
     assert holds.names == ("length", "angle", "zero", "compliance")
     assert holds.start == (3e-3, 15e-3, 15e-3, 1e-5)
     placed = model.family(FRAME, TARGET)
     np.testing.assert_array_equal(holds.flat, placed)
     np.testing.assert_array_equal(holds.precision, np.where(placed, 1.0, 0.0))
     np.testing.assert_array_equal(sum(holds.families) + placed, 1)
-    assert holds.bounds[0] != holds.bounds[3]  # another unit, other bounds
     assert not np.any(holds.centre)
 
 
-def test_a_prior_of_its_own_takes_a_parameter_out_of_its_family(model):
-    nominal = 1e-3 * np.arange(len(model))
+def test_a_prior_of_its_own_takes_a_parameter_out_of_its_family(virtual, model):
     k, t = model.index("theta2"), model.index("target_x")
     single = {"theta2": 1e-4, "target_x": 2e-4}
-    holds = Holds.of(model, Priors(), single, nominal=nominal)
+    holds = prior_terms(virtual, model, parameter_priors=single)
     assert not holds.families[holds.names.index(ZERO)][k]
     assert holds.precision[[k, t]] == pytest.approx([1e8, 2.5e7])
     assert not holds.flat[t]
-    np.testing.assert_array_equal(np.flatnonzero(holds.centre), [k, t])
-    assert holds.centre[t] == nominal[t]
+    assert holds.centre[t] == pytest.approx(-1e-3)  # where it was said to be, from where it starts
+    assert np.flatnonzero(holds.centre).tolist() == [t]
 
 
-def test_a_parameter_at_its_bound_stays_there(model):
+def test_a_parameter_at_its_bound_stays_there(virtual, model):
     k = model.index("d1")
-    holds = Holds.of(model, Priors()).at_bounds({k: 2e-3})
+    holds = prior_terms(virtual, model).at_bounds({k: 2e-3})
     assert holds.centre[k] == 2e-3
     assert holds.precision[k] > 1e15
     assert not any(members[k] for members in holds.families)
-
-
-def test_the_linear_problem_is_the_problem_at_that_place(virtual):
-    rng = np.random.default_rng(0)
-    x = virtual.offsets(rng, 1e-3, 5e-3)
-    rows = virtual.rows(rng, x, 12, 1e-4)
-    problem = Problem.first(virtual.kinematics, rows)
-    linear = problem.linear(x)
-    np.testing.assert_allclose(linear.residual(x) * 1e-4, problem.residual(x), atol=1e-15)
-    assert linear.smallest == pytest.approx((SMALLEST_SIGMA / 1e-4,))
-    assert linear.noise_of(np.array([[3.0], [2.0]])).shape == (2, 12, 3)
 
 
 def test_freedom_is_what_scalars_are_left_after_the_parameters(virtual):
@@ -71,7 +78,7 @@ def test_freedom_is_what_scalars_are_left_after_the_parameters(virtual):
     nothing, free = np.zeros(27), np.full(27, 1e-6)
     weights, noise = np.stack([np.ones(40), np.full(40, 0.5)]), np.ones((2, 1))
     (held, _), (loose, half) = (
-        linear.fit(weights, noise, linear.known(precision, nothing))[2]
+        linear.fit(weights, noise, Priors(precision, nothing))[2]
         for precision in (np.full(27, 1e20), free)
     )
     assert held == pytest.approx(120, abs=1e-3)
@@ -83,7 +90,7 @@ def repeated(virtual, rng, shared, own, poses=40, times=4):
     """Rows of which every four share a pose and a part of their error."""
     once = virtual.rows(rng, np.zeros(27), poses, 0.0)
     rows = virtual.rows(rng, np.zeros(27), poses * times, 0.0)
-    noise = np.repeat(once.points + shared * rng.normal(size=(poses, 3)), times, axis=0)
+    noise = np.repeat(once.measured + shared * rng.normal(size=(poses, 3)), times, axis=0)
     return replace(
         rows,
         samples=Samples.at(np.repeat(once.joints, times, axis=0)),
@@ -108,7 +115,7 @@ def test_repeats_count_for_what_they_do_not_share(virtual, mode, shared, own, rh
         rows = repeated(virtual, np.random.default_rng(seed), shared, own)
         problem = Problem.first(virtual.kinematics, rows)
         stage = Stage.first(
-            Holds.of(virtual.kinematics.model, Priors()), np.ones((1, len(rows)), dtype=bool), 1
+            prior_terms(virtual, virtual.kinematics.model), np.ones((1, len(rows)), dtype=bool), 1
         )
         linear = problem.linear(np.zeros(27))
         stage = stage.sharing(linear, rows.poses, mode)
@@ -117,25 +124,14 @@ def test_repeats_count_for_what_they_do_not_share(virtual, mode, shared, own, rh
     assert np.mean(shares) == pytest.approx(1.0 / (1.0 + 3.0 * rho), abs=0.06)
 
 
-def test_a_flagged_repeat_leaves_its_part_to_the_others(virtual):
-    rows = repeated(virtual, np.random.default_rng(3), 1e-4, 1e-6)
-    problem = Problem.first(virtual.kinematics, rows)
-    weights = np.ones(len(rows))
-    weights[0] = 0.0
-    holds = Holds.of(virtual.kinematics.model, Priors())
-    stage = Stage.first(holds, np.ones((1, len(rows)), dtype=bool), 1, weights)
-    share = stage.sharing(problem.linear(np.zeros(27)), rows.poses, "average").share
-    np.testing.assert_allclose(share[0, :5], [1 / 3, 1 / 3, 1 / 3, 1 / 3, 1 / 4])
-
-
 def test_first_weights_name_gross_rows_and_the_median_finds_the_noise(virtual):
     rng = np.random.default_rng(4)
     rows = virtual.rows(rng, np.zeros(27), 60, 2e-4)
-    points = rows.points.copy()
+    points = rows.measured.copy()
     points[:6] += 0.02
     problem = Problem.first(virtual.kinematics, replace(rows, measured=points))
     stage = Stage.first(
-        Holds.of(virtual.kinematics.model, Priors()), np.ones((1, len(rows)), dtype=bool), 1
+        prior_terms(virtual, virtual.kinematics.model), np.ones((1, len(rows)), dtype=bool), 1
     )
     for _ in range(4):
         stage = stage.by_median(problem.linear(np.zeros(27)))

@@ -1,0 +1,302 @@
+"""The stages of an estimation: robust weights, noise and prior sizes on the linearised problem, until they settle.
+
+From wide priors and all rows in full: robust weights whose scale is a median; then sizes of noise and priors by
+restricted likelihood (`calib.estimate.likelihood`) with weights that name the outliers. B fits go through them at a
+time, that lack some rows each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from calib.data.cell import Cell
+from calib.errors import ModelError
+from calib.estimate.likelihood import Linear, Priors, sizes_by_reml
+from calib.estimate.robust import Limits, cauchy_weights, median_noise
+from calib.estimate.setup import Setup
+from calib.estimate.statistics import repeats
+from calib.model.families import FAMILIES
+from calib.model.parameters import FRAME, TARGET, ErrorModel, frame_place, target_place
+from calib.robot.robot import rigid_inverse
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Integers = NDArray[np.int_]
+
+#: The noise may be ten times larger or smaller than the one given or assumed, a standard deviation of its logarithm.
+_NOISE_SPREAD = float(np.log(10.0))
+
+#: With fewer degrees of freedom no row can be told from the others, and all keep their weight.
+FEWEST_FREEDOM = 6.0
+
+#: The weak prior of what no measurement determines, where priors are off, and of target and frame about where
+#: registration put them: far wider than an arm's errors [m and rad].
+_WEAK = 1.0
+
+#: How tightly a parameter is held at its bound, in its unit.
+_FIXED = 1e-10
+
+#: Weights that change by less have settled, and noise and sizes that change by less of themselves.
+_SETTLED, _SETTLED_SIZES = 0.02, 0.01
+
+#: Repeats must leave this many degrees of freedom before their scatter is believed.
+_TELLING_REPEATS = 6.0
+
+#: Limit of the rounds in which weights, and then sizes, settle.
+_ROUNDS = 12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PriorTerms:
+    """What holds parameters besides the measurements: families with a size each, single priors, bounds."""
+
+    names: tuple[str, ...]  # The families' names
+    families: Mask  # (K, p), which parameters belong to each
+    start: tuple[float, ...]  # The sizes to begin with
+    precision: Array  # (p,), of parameters with a prior of their own, and of frames and targets
+    centre: Array  # (p,), the priors' means: 0 but at a bound, and where target or frame were said to be
+    flat: Mask  # (p,), frames and targets without a prior of their own
+    adapts: bool  # Whether the sizes are found from the data
+    off: bool  # Whether there are no priors but the weak one
+    limits: Array  # (p, 2), lowest and highest value of each parameter
+    fixed: tuple[int, ...] = ()  # Parameters that are at a bound
+
+    @classmethod
+    def of(
+        cls, cell: Cell, model: ErrorModel, given: Setup, started: Setup, *, lenient: bool
+    ) -> PriorTerms:
+        """The cell's priors and bounds, from a registered start.
+
+        A change counts from the nominal value. That of a target or a frame is where the cell says it is, which is not
+        where registration puts it and where the estimation starts.
+
+        Raises:
+            ModelError: A bound or a prior for a parameter that the model lacks, or for that of a target or frame that
+                was not said to be anywhere.
+        """
+        priors, single = cell.priors, cell.parameter_priors
+        asked = [k for k in {**cell.bounds, **single} if k in model.names or not lenient]
+        nominal = _nominal(given, started, model, [model.index(name) for name in asked])
+        placed = model.family(FRAME, TARGET)
+        std = np.array([single.get(name, np.nan) for name in model.names])
+        alone, off = np.isfinite(std), priors.sizes == "off"
+        names = tuple(f for f in model.families if np.any(model.family(f) & ~alone))
+        limits = np.tile([-np.inf, np.inf], (len(model), 1))
+        for name in asked:
+            k = model.index(name)
+            limits[k] = nominal[k] + np.array(cell.bounds.get(name, (-np.inf, np.inf)))
+        return cls(
+            names=names,
+            families=np.array([model.family(f) & ~alone for f in names]).reshape(-1, len(model)),
+            start=tuple(_WEAK if off else priors.of(f) for f in names),
+            precision=np.where(alone, 1.0 / std**2, np.where(placed, 1.0 / _WEAK**2, 0.0)),
+            centre=np.where(alone, nominal, 0.0),
+            flat=placed & ~alone,
+            adapts=priors.sizes == "data",
+            off=off,
+            limits=limits,
+        )
+
+    def at_bounds(self, fixed: Mapping[int, float]) -> PriorTerms:
+        """With some parameters, by their numbers, held at these values."""
+        at, centre = np.zeros(len(self.precision), dtype=bool), self.centre.copy()
+        at[list(fixed)], centre[list(fixed)] = True, list(fixed.values())
+        families = self.families & ~at
+        kept = np.flatnonzero(families.any(axis=1)).tolist()
+        return replace(
+            self,
+            names=tuple(self.names[k] for k in kept),
+            families=families[kept],
+            start=tuple(self.start[k] for k in kept),
+            precision=np.where(at, 1.0 / _FIXED**2, self.precision),
+            centre=centre,
+            flat=self.flat & ~at,
+            fixed=tuple(sorted(fixed)),
+        )
+
+
+def _nominal(given: Setup, started: Setup, model: ErrorModel, asked: list[int]) -> Array:
+    """Where the changes of parameters count from, shape (p,): 0, but for targets and frames, which registration moved.
+
+    A displacement by x, y, z, rx, ry, rz in this order has these translations and these angles about moving axes.
+    """
+    frames = zip(given.frame_given, started.T_frame_base, given.T_frame_base, strict=True)
+    targets = zip(given.target_given, started.T_tip_target, given.T_tip_target, strict=True)
+    places = dict(zip(map(frame_place, given.frame_unknowns), frames, strict=True))
+    places |= dict(zip(map(target_place, given.target_names), targets, strict=True))
+    result = np.zeros(len(model))
+    for k in asked:
+        parameter = model.parameters[k]
+        if parameter.place not in places:
+            continue
+        known, start, wanted = places[parameter.place]
+        if not known:
+            what = "target" if parameter.family == TARGET else "frame"
+            raise ModelError(
+                f"'{parameter.name}' has a bound or a prior on its change, but it is not said from where: give the "
+                f"{what} in the cell file, or drop the bound."
+            )
+        moved = rigid_inverse(start) @ wanted
+        angles = Rotation.from_matrix(moved[:3, :3]).as_euler("XYZ")
+        result[k] = parameter.direction @ np.concatenate([moved[:3, 3], angles])
+    return result
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stage:
+    """Weights, noise and prior sizes at one time of an estimation, of B fits that lack some rows each."""
+
+    prior: PriorTerms
+    kept: Mask  # (B, N), the rows that each fit has
+    weights: Array  # (B, N), robust weights; 0 for rows that are not there
+    share: Array  # (B, N), what a row counts for beside its repeats
+    noise: Array  # (B, C), of each instrument, in units of the sigma given
+    sizes: Array  # (B, K), of each family
+
+    @classmethod
+    def first(
+        cls, prior: PriorTerms, kept: Mask, instruments: int, weights: Array | float = 1.0
+    ) -> Stage:
+        """The noise as given, the priors as wide as they were given; all rows in full, or with these weights."""
+        sizes = np.tile(np.array(prior.start, dtype=np.float64), (len(kept), 1))
+        noise = np.ones((len(kept), instruments))
+        return cls(
+            prior, kept, np.asarray(kept * weights, np.float64), np.ones(kept.shape), noise, sizes
+        )
+
+    @property
+    def effective(self) -> Array:
+        """The weights of the rows, repeats shared out, shape (B, N)."""
+        return self.weights * self.share
+
+    @property
+    def priors(self) -> Priors:
+        """All that is known beforehand, at these sizes."""
+        own = (1.0 / self.sizes**2) @ self.prior.families
+        return Priors(own + self.prior.precision, self.prior.centre)
+
+    def fit(self, linear: Linear) -> tuple[Array, Array, Array]:
+        """See `calib.estimate.likelihood.Linear.fit`."""
+        return linear.fit(self.effective, self.noise, self.priors)
+
+    def by_median(self, linear: Linear) -> Stage:
+        """Robust weights against a scale that outliers cannot move."""
+        stage = self
+        for _ in range(3):
+            x, covariance, _ = stage.fit(linear)
+            noise = np.empty_like(stage.noise)
+            for c, smallest in enumerate(linear.smallest):
+                unit = covariance / stage.noise[:, c, None, None] ** 2
+                single = linear.norms(x, unit, stage.effective, c)
+                typical = median_noise(single, linear.instruments == c, stage.kept)
+                noise[:, c] = np.maximum(typical, smallest)
+            stage = replace(stage, noise=noise)
+            # Scores in units of the new noise need the covariance that goes with it.
+            x, covariance, _ = stage.fit(linear)
+            scores = linear.scores(x, covariance, stage.effective, noise)
+            stage = replace(stage, weights=cauchy_weights(scores) * stage.kept)
+        return stage
+
+    def by_likelihood(self, linear: Linear, *, robust: bool) -> Stage:
+        """Noise and prior sizes by restricted likelihood, and the weights that go with them."""
+        stage, prior = self, self.prior
+        free = slice(None) if prior.adapts else slice(0)
+        for _ in range(2 if robust else 1):
+            if robust:
+                stage = replace(stage, weights=stage._row_weights(linear))
+            noise, sizes = sizes_by_reml(
+                linear.data(stage.effective),
+                prior.families[free],
+                stage.noise,
+                stage.sizes[:, free],
+                Priors(prior.precision, prior.centre) if prior.adapts else self.priors,
+                smallest_noise=linear.smallest,
+                bounds=tuple(FAMILIES[f].bounds for f in prior.names[free]),
+                noise_spread=_NOISE_SPREAD,
+            )
+            stage = replace(stage, noise=noise, sizes=sizes if prior.adapts else stage.sizes)
+        return stage
+
+    def _row_weights(self, linear: Linear) -> Array:
+        """The weights that the scores of the linear fit ask for."""
+        x, covariance, freedom = self.fit(linear)
+        count = np.sum(self.kept, axis=1)
+        scores = linear.scores(x, covariance, self.effective, self.noise)
+        found = Limits.of(count[:, None], freedom[:, None]).weights(scores) * self.kept
+        # Half of the rows cannot be outliers of the other half: then it is the noise that is taken too small.
+        told = (freedom > FEWEST_FREEDOM) & (np.sum(found, axis=1) > 0.5 * count)
+        return np.where(told[:, None], found, self.kept)
+
+    def sharing(self, linear: Linear, poses: Integers, mode: str) -> Stage:
+        """What each of n repeats counts for, 1 / (1 + (n - 1) rho), with their correlation rho from what is left over.
+
+        The mode is ``"independent"``: rho = 0; ``"average"``: 1; ``"weighted"``: found. poses has the shape (N,).
+        """
+        number, alive = int(poses.max()) + 1, self.weights > 0.0
+        counts = np.array([np.bincount(poses[own], minlength=number)[poses] for own in alive])
+        if mode == "independent" or np.max(counts) < 2:
+            return self
+        rho = np.ones(len(alive))
+        if mode == "weighted":
+            x, _, freedom = self.fit(linear)
+            residual = linear.residual(x) / linear.noise_of(self.noise)
+            paid = np.maximum(np.sum(self.effective @ linear.used, axis=1) - freedom, 0.0)
+            for b, weights in enumerate(self.weights):
+                found = repeats(residual[b], linear.used, poses, weights, fitted=float(paid[b]))
+                rho[b] = found.rho if found.freedom >= _TELLING_REPEATS else 1.0
+        return replace(self, share=1.0 / (1.0 + (np.maximum(counts, 1) - 1.0) * rho[:, None]))
+
+    def weighs_like(self, other: Stage) -> Mask:
+        """Which fits have about the same weights, shape (B,)."""
+        return np.asarray(np.abs(self.effective - other.effective).max(axis=1) < _SETTLED)
+
+    def is_like(self, other: Stage) -> Mask:
+        """Which fits differ by too little to matter, shape (B,)."""
+        own, others = (np.hstack([one.noise, one.sizes]) for one in (self, other))
+        return self.weighs_like(other) & np.isclose(own, others, rtol=_SETTLED_SIZES).all(axis=1)
+
+
+def staged(
+    stage: Stage,
+    linear_at: Callable[[Stage], Linear],
+    poses: Integers,
+    repeats: str,
+    *,
+    robust: bool,
+) -> tuple[Stage, Array]:
+    """Weights, noise and sizes from the first stage on, until they settle, for each fit of the stage.
+
+    Returns:
+        The last stage, and the degrees of freedom of the first fit, shape (B,): where they are few no row loses its
+        weight.
+    """
+    linear = linear_at(stage)
+    stage = stage.sharing(linear, poses, repeats)
+    freedom = stage.fit(linear)[2]
+    robust = robust and bool(np.any(freedom > FEWEST_FREEDOM))
+    for likely in (False, True) if robust else (True,):
+        going = np.arange(len(stage.kept))  # the fits that still change
+        for _ in range(_ROUNDS):
+            each = {name: getattr(stage, name) for name in _EACH}
+            before = replace(stage, **{name: value[going] for name, value in each.items()})
+            step = partial(Stage.by_likelihood, robust=robust) if likely else Stage.by_median
+            after = step(before, linear).sharing(linear, poses, repeats)
+            linear = linear_at(after)
+            for name, value in each.items():
+                each[name] = value.copy()
+                each[name][going] = getattr(after, name)
+            stage = replace(stage, **each)
+            going = going[~(after.is_like if likely else after.weighs_like)(before)]
+            if not len(going):
+                break
+    return stage, freedom
+
+
+#: What a stage has one of for each fit.
+_EACH = ("kept", "weights", "share", "noise", "sizes")
