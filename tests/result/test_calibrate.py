@@ -389,7 +389,7 @@ def test_suspects_are_judged_by_their_own_number(virtual):
         rows = virtual.rows(rng, x, 430, 1e-4)
         sets = ("estimate",) * 30 + ("validate",) * 400
         names = virtual.kinematics.robot.joint_names
-        data = Measurements(joint_names=names, joints=rows.joints, points=rows.points, sets=sets)
+        data = Measurements(joint_names=names, joints=rows.joints, points=rows.measured, sets=sets)
         result = calibrate(virtual.kinematics.robot, data, validate=False)
         with_suspects += bool(result.suspects)
     assert with_suspects <= 2
@@ -432,7 +432,7 @@ def test_repeats_of_a_few_poses_are_not_taken_for_evidence(virtual):
 def test_a_robot_that_is_right_already_is_to_be_kept(ur3, virtual):
     rng = np.random.default_rng(24)
     rows = virtual.rows(rng, np.zeros(27), 40, 1e-4)
-    data = Measurements(joint_names=ur3.joint_names, joints=rows.joints, points=rows.points)
+    data = Measurements(joint_names=ur3.joint_names, joints=rows.joints, points=rows.measured)
     verdict = calibrate(ur3, data).verdict
     assert verdict.use == "do not use"
     assert verdict.reasons[0].code == "nothing_to_gain"
@@ -447,7 +447,7 @@ def test_expected_errors_are_those_of_the_covariance(virtual):
     for _ in range(30):
         x = virtual.offsets(rng, 2e-4, 3e-3)
         rows = virtual.rows(rng, x, 40, 1e-4)
-        data = Measurements(joint_names=robot.joint_names, joints=rows.joints, points=rows.points)
+        data = Measurements(joint_names=robot.joint_names, joints=rows.joints, points=rows.measured)
         result = calibrate(robot, data, validate=False)
         errors = result.predict(q) - virtual.kinematics.points(x, q)
         ratios.append(np.mean(np.sum(errors**2, axis=1)) / result.expected_everywhere**2)
@@ -464,7 +464,7 @@ def test_the_papers_solver_says_how_sure_it_is(virtual, paper_cell):
     for _ in range(25):
         x = virtual.offsets(rng, 2e-4, 3e-3)
         rows = virtual.rows(rng, x, 60, 1e-4)
-        data = Measurements(joint_names=robot.joint_names, joints=rows.joints, points=rows.points)
+        data = Measurements(joint_names=robot.joint_names, joints=rows.joints, points=rows.measured)
         result = calibrate(robot, data, cell=paper_cell, solver="paper", validate=False)
         nominal = np.array([p.nominal for p in result.parameters])
         low, high = (
@@ -518,7 +518,7 @@ def test_changes_of_nothing_leave_the_origin_alone(virtual):
 def _points_of(virtual, x) -> Measurements:
     rows = virtual.rows(np.random.default_rng(27), x, 20, 0.0)
     names = virtual.kinematics.robot.joint_names
-    return Measurements(joint_names=names, joints=rows.joints, points=rows.points)
+    return Measurements(joint_names=names, joints=rows.joints, points=rows.measured)
 
 
 def off_by(a: np.ndarray, b: np.ndarray) -> float:

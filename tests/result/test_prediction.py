@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from calib.calibration import calibrate
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.estimate.registration import best_fit
 from calib.model.error_model import error_model
 from calib.model.parameters import FRAME
 from calib.result.calibration import Calibration
@@ -69,8 +69,10 @@ def test_of_lengths_it_is_the_error_as_one_body(ur3: Robot, model: str, size: fl
         truth = errors.apply(ur3, size * rng.normal(size=len(errors)))
         found = by_lengths(ur3, truth, rng, model)
         wanted, there = points_of(truth, where), found.predict(where)
-        T = best_fit(found.predict(q), points_of(truth, q))
-        moved = there @ T[:3, :3].T + T[:3, 3]
+        here, true = found.predict(q), points_of(truth, q)
+        middle, centre = here.mean(axis=0), true.mean(axis=0)
+        turn, _ = Rotation.align_vectors(true - centre, here - middle)
+        moved = turn.apply(there - middle) + centre
         told = np.mean(found.position_std(where) ** 2)
         as_one_body.append(np.mean(np.sum((moved - wanted) ** 2, axis=1)) / told)
         in_base.append(np.mean(np.sum((there - wanted) ** 2, axis=1)) / told)
