@@ -53,8 +53,7 @@ if TYPE_CHECKING:
     )
     from calib.robot.robot import Robot as Robot
     from calib.robot.torques import Payload as Payload
-    from calib.simulation.scenario import Scenario as Scenario
-    from calib.simulation.study import Study as Study, Trials as Trials, study as study
+    from calib.simulation.scenario import Scenario as Scenario, simulate as simulate
     from calib.viewer.live import view as view
 
 from calib.version import __version__ as __version__
@@ -80,8 +79,7 @@ _NAMES = {
     "calib.data.surroundings": "Box Reflector Tracker TrackerNoise",
     "calib.robot.robot": "Robot",
     "calib.robot.torques": "Payload",
-    "calib.simulation.scenario": "Scenario",
-    "calib.simulation.study": "Study Trials study",
+    "calib.simulation.scenario": "Scenario simulate",
     "calib.viewer.live": "view",
 }
 #: Modules that a user adds a row to.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import typer
 
 from calib.cli.verbs.base_frame import base_frame
-from calib.cli.verbs.calibrate import fit
+from calib.cli.verbs.calibrate import calibrate
 from calib.cli.verbs.compare import compare
 from calib.cli.verbs.compensate import compensate
 from calib.cli.verbs.convert import convert
@@ -29,7 +29,7 @@ app = typer.Typer(
 )
 for verb in (
     demo,
-    fit,
+    calibrate,
     fleet,
     evaluate,
     compare,
@@ -43,6 +43,8 @@ for verb in (
     workspace,
 ):
     app.command()(verb)
+# The name that it had before the verbs were those of the Python functions.
+app.command("fit", hidden=True)(calibrate)
 
 
 def _print_version(wanted: bool) -> None:

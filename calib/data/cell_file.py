@@ -339,6 +339,7 @@ def read_cell_file(path: str | Path) -> dict[str, Any]:
 def _values(given: Mapping[str, Any]) -> dict[str, Any]:
     """The cell's values that a file gives; what it leaves out is left out here."""
     allowed = fields()
+    given = {key: value for key, value in given.items() if key != "simulation"}
     for key in _NAMED:
         # TOML's own trap: what stands below a [table] belongs to it.
         own = given.get(key)

@@ -20,7 +20,7 @@ import calib.data.kinds as registry
 from calib.data.cell import Cell
 from calib.data.kinds import Kind
 from calib.data.measurements import Measurements
-from calib.data.ranges import column_limits, joint_ranges, range_text
+from calib.data.ranges import joint_ranges
 from calib.data.surroundings import TrackerNoise, vector
 from calib.data.table import SETS
 from calib.errors import CalibError, choices
@@ -43,9 +43,6 @@ DEFAULT_TRACKER = read_only((3.0, 0.0, 0.0))
 
 #: The set of errors where the cell leaves the choice to the data.
 DEFAULT_MODEL = "placement"
-
-#: A joint value may pass a limit by this [rad or m]: tables hold a few digits.
-_ROUNDING = 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -170,24 +167,6 @@ class Scenario:
         extra = self.random_poses(validation, seed, validation=True)
         words = (sets or (SETS[0],) * len(q)) + (SETS[1],) * len(extra)
         return np.concatenate([q, extra]), words
-
-
-def outside_limits(robot: Robot, q: ArrayLike) -> tuple[str, ...]:
-    """What a person must be told of poses that the robot cannot take: a sentence for each joint beyond its limits."""
-    limits = column_limits(robot)
-    values = np.atleast_2d(np.asarray(q, dtype=np.float64))
-    beyond = (values < limits[:, 0] - _ROUNDING) | (values > limits[:, 1] + _ROUNDING)
-    said = []
-    for k in np.flatnonzero(beyond.any(axis=0)):
-        name, poses = robot.joint_names[k], np.flatnonzero(beyond[:, k])
-        slides = robot.joint_types[name] == "prismatic"
-        scale, unit = (1e3, "mm") if slides else (180.0 / np.pi, "deg")
-        count = f"{poses.size} poses are" if poses.size > 1 else "1 pose is"
-        said.append(
-            f"{count} outside the limits of '{name}', {range_text(robot, name, limits[k])}: first pose "
-            f"{poses[0] + 1}, {scale * values[poses[0], k]:.6g} {unit}."
-        )
-    return tuple(said)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -368,6 +347,19 @@ class VirtualCell:
             if one.positive:  # what noise would make negative is seen from the other side
                 result[:, k] = np.abs(result[:, k])
         return result
+
+
+def simulate(
+    scenario: Scenario,
+    count: int = 30,
+    validation: int = 10,
+    seed: int = 0,
+    poses: Array | None = None,
+    sets: tuple[str, ...] = (),
+) -> Simulated:
+    """Measurements of a robot whose errors are drawn by the seed, with the truth; arguments as for `Scenario.poses`."""
+    q, words = scenario.poses(seed, count, validation, poses, sets)
+    return scenario.draw(seed).measure(q, seed, words)
 
 
 def _partners(sets: Sequence[str], pose: Rows, targets: int) -> Rows:

@@ -3,27 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.data.ranges import column_limits, range_text
 from calib.model.families import FAMILIES, unit_of
-from calib.simulation.scenario import Scenario, Simulated, outside_limits
+from calib.simulation.scenario import Scenario, Simulated
 from calib.simulation.study import VERIFIED, Study, Trials
 from calib.text.lines import fill, row_ranges
-
-if TYPE_CHECKING:
-    pass
 
 Array = NDArray[np.float64]
 
 #: Columns of a row's label.
 _LABEL = 26
 
+#: A joint value may pass a limit by this [rad or m]: tables hold a few digits, and encoders have steps.
+_ROUNDING = 1e-3
 
-def simulated_text(scenario: Scenario, made: Simulated, q: Array) -> str:
-    """What was simulated at the poses q: what is wrong with the robot, and what disturbs the measurements."""
+
+def simulated_text(scenario: Scenario, made: Simulated) -> str:
+    """What was simulated: what is wrong with the robot, and what disturbs the measurements."""
     table, robot = made.measurements, scenario.robot
     rows = f"{len(table)} rows"
     if held_back := int(table.validation.sum()):
@@ -41,10 +41,23 @@ def simulated_text(scenario: Scenario, made: Simulated, q: Array) -> str:
         *_errors(made),
         *_places(scenario, made),
         *_disturbances(scenario, made),
-        *(("Note", note) for note in outside_limits(robot, q)),
+        *_outside(made),
     ):
         lines.append(fill(f"{label:<{_LABEL - 1}} {value}", "", " " * _LABEL))
     return "\n".join(lines)
+
+
+def _outside(made: Simulated) -> Iterator[tuple[str, str]]:
+    """The joints that stood beyond their limits."""
+    robot = made.truth.nominal
+    limits = column_limits(robot)
+    beyond = (made.q < limits[:, 0] - _ROUNDING) | (made.q > limits[:, 1] + _ROUNDING)
+    for k in np.flatnonzero(beyond.any(axis=0)):
+        name, rows = robot.joint_names[k], np.array(made.measurements.rows)[beyond[:, k]]
+        yield (
+            "Note",
+            f"outside the limits of '{name}', {range_text(robot, name, limits[k])}: rows {row_ranges(rows)}",
+        )
 
 
 def _errors(made: Simulated) -> Iterator[tuple[str, str]]:

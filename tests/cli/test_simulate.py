@@ -76,7 +76,8 @@ def test_the_next_command_works_as_it_is_printed(simulate, call, shop: Path):
 
 def test_the_same_seed_gives_the_same_files_and_another_others(simulate, shop: Path):
     words = (*["--outliers", "2", "--model", "placement+gain+compliance"], "--payload", "2 kg")
-    words += ("--encoder", "0.001 deg")
+    (shop / "cell.toml").write_text("[simulation]\nencoder_deg = 0.001\n")
+    words += ("--cell", "cell.toml")
     for name, seed in (("a", "5"), ("b", "5"), ("c", "6")):
         assert simulate("-o", f"{name}.csv", "--seed", seed, *words).code == 0
     for suffix in (".csv", "_truth.json"):
@@ -102,7 +103,7 @@ def test_poses_outside_the_limits_are_measured_and_said(simulate, shop: Path):
     done = simulate("--poses", "wide.csv", "-o", "t.csv")
     assert done.code == 0
     assert (
-        "Note                      1 pose is outside the limits of 'elbow_joint', -180 to 180 deg"
+        "Note                      outside the limits of 'elbow_joint', -180 to 180 deg: rows 1\n"
         in done.out
     )
     assert len(table(shop)) == 35
@@ -134,11 +135,13 @@ def test_everything_that_disturbs_is_said(simulate, shop: Path):
         "[targets_mm]\nupper = [0, 0, 120]\nlower = [80, 0, 20]\n"
         "[frames.morning]\nxyz_mm = [1500, 0, 0]\n[frames.evening]\nxyz_mm = [2500, 0, 0]\n"
         '[tracker]\nxyz_mm = [2000, 500, 0]\nnoise = "30 um"\nrepeatability_mm = 0\n'
+        "[simulation]\nvisits = 2\nencoder_deg = 0.001\noutlier_size_mm = 8\ndrift_mm = [0.1, 0, 0]\n"
+        'moved_row = 25\nmoved_mm = [0, 0, 0.5]\nmoved_target = "upper"\n'
     )
+    text = (shop / "two.toml").read_text()
+    (shop / "two.toml").write_text("sigma_angle_deg = 0.02\n" + text)
     done = simulate(
-        "-o", "t.csv", "--cell", "two.toml", "--kind", "pose", "--outliers", "5 %", "--outlier-size", "8 mm",
-        "--moved-target", "25 upper: 0 0 0.5 mm", "--drift", "0.1 0 0 mm", "--encoder", "0.001 deg",
-        "--visits", "2", "--angle-noise", "0.02 deg",
+        "-o", "t.csv", "--cell", "two.toml", "--kind", "pose", "--outliers", "5 %",
     )  # fmt: skip
     assert (done.code, done.err) == (0, "")
     text = " ".join(done.out.split())
@@ -161,14 +164,9 @@ def test_everything_that_disturbs_is_said(simulate, shop: Path):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("--repeatability", "-1 mm"), 'must not be below 0'),
-        (("--angle-noise", "1 deg"), "--angle-noise is the noise of orientations"),
         (("--outliers", "31"), "31 outliers were asked for among 30 measurements"),
-        (("--outlier-size", "5 mm"), "say how many there are, such as --outliers 3"),
-        (("--moved-target", "41: 0 0 1 mm"), "before row 41; the table has the rows 1 to 40"),
         (("--kind", "fixed"), "Measurements of the kind 'fixed' cannot be simulated"),
         (("--kind", "pair", "--count", "3"), "even number of poses; 3 are to 'estimate'"),
-        (("--poses", "data.csv", "--count", "3"), "--poses gives the poses; leave --count"),
         (("--poses", "nothing.csv"), "'nothing.csv' does not exist"),
         (("--truth-robot", "data.csv"), "is not XML"),
     ],

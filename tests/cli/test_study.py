@@ -104,10 +104,9 @@ def test_without_noise_there_is_no_forecast(simulate):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("--planned -o t.csv", "'--planned' is for a study of many robots; add --study 200"),
-        ("--study 2 -o t.csv", "A study writes no table and no truth; leave '-o' out."),
+        ("--planned -o t.csv", "'--planned' does not go without --study"),
+        ("--study 2 -o t.csv", "'-o' does not go with --study"),
         ("--study 2 --fit-model dhh", "--fit-model: there is no model 'dhh'"),
-        ("--study 2 --planned --poses data.csv", "--poses gives the poses; leave --count and"),
         ("--study 2 --planned --count 4 --workers 1", "None of the 2 trials came to an end."),
     ],
 )

@@ -9,8 +9,8 @@ from calib.data.cell import Cell
 from calib.data.surroundings import Tracker, TrackerNoise
 from calib.errors import CalibError
 from calib.robot.readback import column_ranges
-from calib.robot.robot import Robot, rigid_inverse
-from calib.simulation.scenario import DEFAULT_TRACKER, Scenario, outside_limits
+from calib.robot.robot import rigid_inverse
+from calib.simulation.scenario import DEFAULT_TRACKER, Scenario
 
 TRACKER = Tracker(np.array([2.0, 1.0, 0.5]), noise=TrackerNoise(1e-5, 1e-6, 0.0))
 
@@ -51,30 +51,12 @@ def test_random_poses_lie_inside_the_limits_or_the_cell_s_ranges(ur3):
     assert (q >= low).all()
     assert (q <= high).all()
     assert (np.ptp(q, axis=0) > 0.95 * (high - low)).all()
-    assert outside_limits(ur3, q) == ()
     assert (scenario.random_poses(20, 1) == q[:20]).all()
     assert not np.allclose(scenario.random_poses(20, 1, validation=True), q[:20])
     q = Scenario(ur3, Cell(ranges={"elbow_joint": (0.1, 0.2)})).random_poses(100, 1)
     assert ((q[:, 2] >= 0.1) & (q[:, 2] <= 0.2)).all()
     with pytest.raises(CalibError, match="joint 'elbow', which does not move the chain"):
         Scenario(ur3, Cell(ranges={"elbow": (0.1, 0.2)})).random_poses(3, 1)
-
-
-def test_poses_outside_the_limits_are_named(ur3):
-    q = np.zeros((4, 6))
-    q[2:, 2] = [3.5, -7.0]
-    said = outside_limits(ur3, q)
-    assert len(said) == 1
-    assert said[0].startswith("2 poses are outside the limits of 'elbow_joint', -180 to 180 deg: ")
-    assert said[0].endswith("first pose 3, 200.535 deg.")
-    slides = Robot.load("tiago", tip="arm_7_link")
-    q = np.zeros((1, len(slides.joint_names)))
-    q[0, slides.joint_names.index("torso_lift_joint")] = 0.5
-    said = outside_limits(slides, q)
-    assert (
-        "1 pose is outside the limits of 'torso_lift_joint', 0 to 350 mm: first pose 1, 500 mm."
-        in said
-    )
 
 
 def test_a_scenario_travels_to_another_process(ur3):

@@ -1,4 +1,4 @@
-"""``calib fit``: a URDF and a table in, a corrected URDF out."""
+"""``calib calibrate``: a URDF and a table in, a corrected URDF out."""
 
 from __future__ import annotations
 
@@ -203,20 +203,20 @@ class Intervals:
 
 \b
 Examples:
-  calib fit robot.urdf data.csv -o corrected.urdf
-  calib fit robot.urdf data.csv --base base --tip tool0 --target "70 -70 22.5 mm" \\
+  calib calibrate robot.urdf data.csv -o corrected.urdf
+  calib calibrate robot.urdf data.csv --base base --tip tool0 --target "70 -70 22.5 mm" \\
         -o corrected.urdf --json result.json --report report.html --view view.html
-  calib fit robot.urdf tracker.csv --frame estimate -o corrected.urdf
-  calib fit robot.urdf joints.csv --points tracker.txt --frame estimate -o corrected.urdf
-  calib fit robot.urdf data.csv --columns "J1=joint_1 [deg]" --columns "X=x [mm]" ...
-  calib fit robot.urdf data.csv --bootstrap 1000 --seed 1 --profile alpha2
+  calib calibrate robot.urdf tracker.csv --frame estimate -o corrected.urdf
+  calib calibrate robot.urdf joints.csv --points tracker.txt --frame estimate -o corrected.urdf
+  calib calibrate robot.urdf data.csv --columns "J1=joint_1 [deg]" --columns "X=x [mm]" ...
+  calib calibrate robot.urdf data.csv --bootstrap 1000 --seed 1 --profile alpha2
 
 The table holds one row a pose: a column for each joint, such as "joint_1 [deg]", and the measured point "x [mm]",
 "y [mm]", "z [mm]". Orientations, distances, balls in sockets and touched planes can be measured too; see
 docs/data-format.md. An optional column "set" says which rows are for estimation ("estimate") and which for validation
 ("validate").
 """)
-def fit(
+def calibrate(
     robot: RobotFile,
     data: DataFile,
     setup: FitOptions,
@@ -240,10 +240,10 @@ def fit(
         cell = read_cell(**asdict(setup))
         arm, rows = load_with_data(robot, cell, data, **asdict(table))
 
-        from calib.calibration import calibrate
+        from calib.calibration import calibrate as calibrated
 
         with progress_bar("cross-validation", quiet=quiet) as progress:
-            result = calibrate(
+            result = calibrated(
                 arm,
                 rows,
                 cell=cell,
