@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     )
     from calib.circle_points.survey import Survey as Survey, survey as survey
     from calib.circle_points.sweeps import Sweeps as Sweeps, read_sweeps as read_sweeps
-    from calib.compensation.commands import Commands as Commands, commands as commands
+    from calib.compensation.commands import Commands as Commands, compensate as compensate
     from calib.compensation.program import Program as Program
     from calib.data.cell import Cell as Cell, GroupDistance as GroupDistance, Priors as Priors
     from calib.data.measurements import Measurements as Measurements
@@ -63,7 +63,7 @@ _NAMES = {
     "calib.circle_points.survey": "Survey survey",
     "calib.circle_points.sweeps": "Sweeps read_sweeps",
     "calib.calibration": "Calibration Comparison calibrate compare",
-    "calib.compensation.commands": "Commands commands",
+    "calib.compensation.commands": "Commands compensate",
     "calib.compensation.program": "Program",
     "calib.design.forecast": "forecast",
     "calib.design.plan": "Plan plan",

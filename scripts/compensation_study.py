@@ -20,7 +20,7 @@ from rich.console import Console
 from rich.progress import track
 
 from calib.calibration import Calibration, calibrate
-from calib.compensation.commands import Commands, commands
+from calib.compensation.commands import Commands, compensate
 from calib.compensation.inverse import Matching, solve
 from calib.compensation.nominal_actual import Arm
 from calib.compensation.program import Program
@@ -82,15 +82,15 @@ def print_random(title: str, result: Calibration, count: int, seed: int) -> None
     nominal, true = result.nominal, result.robot
     q = random_joint_values(nominal, count, seed)
     begun = time.perf_counter()
-    found = commands(result, Program.of_joints(q))
+    found = compensate(result, Program.of_joints(q))
     seconds = time.perf_counter() - begun
     wanted = nominal.poses(q)
     before = POSE.misses(true.poses(q), wanted)
     reached = found.reached
     by_joints = POSE.misses(true.poses(found.q[reached]), wanted[reached])
-    near = np.array([any(w.code == "singular" for w in said) for said in found.warnings])
+    near = np.array([any(w.code == "near singularity" for w in said) for said in found.warnings])
     plain = reached & np.array(
-        [not any(w.code == "by pose" for w in said) for said in found.warnings]
+        [not any(w.code == "ambiguous pose" for w in said) for said in found.warnings]
     )
     sent = sent_to_controller(nominal, found, plain)
     by_poses = POSE.misses(true.poses(sent), wanted[plain])
@@ -99,7 +99,9 @@ def print_random(title: str, result: Calibration, count: int, seed: int) -> None
     print(f"  without correction    {figures(before)}")
     print(f"  joint values          {figures(by_joints)}   {reached.sum()} poses")
     print(f"  poses to a controller {figures(by_poses)}   {plain.sum()} poses")
-    warned = reached & np.array([any(w.code == "by pose" for w in s) for s in found.warnings])
+    warned = reached & np.array(
+        [any(w.code == "ambiguous pose" for w in s) for s in found.warnings]
+    )
     print(f"  warned that poses may go astray: {warned.sum()}")
     print(f"  without command: {(~reached).sum()}, each with its reason: {named}")
     print(f"  near a singularity: {(near & reached).sum()}")
@@ -125,7 +127,7 @@ def print_paper(result: Calibration) -> None:
     judge = calibrate(robot, everything, cell=result.cell, validate=False)
     rows = table.validation
     points, q = table.points[rows], table.joints_for(robot.joint_names)[rows]
-    found = commands(result, Program.of_points(points, q), tool="", frame="")
+    found = compensate(result, Program.of_points(points, q), tool="", frame="")
     print("\nThe paper's rows 31 to 35, judged by a fit of all 35 rows [mm]")
     for name, values in (("nominal", found.q_nominal), ("compensated", found.q)):
         miss = 1e3 * np.linalg.norm(judge.predict(values) - points, axis=1)
@@ -139,10 +141,10 @@ def print_path(result: Calibration, count: int) -> None:
     path[:, :3, 3] += np.linspace(0.0, 1.0, count)[:, None] * [0.1, 0.15, -0.05]
     start = dict(zip(robot.joint_names, START.tolist(), strict=True))
     begun = time.perf_counter()
-    found = commands(result, Program.of_poses(path), start=start)
+    found = compensate(result, replace(Program.of_poses(path), start=start))
     by_poses = time.perf_counter() - begun
     begun = time.perf_counter()
-    commands(result, Program.of_joints(found.q_nominal))
+    compensate(result, Program.of_joints(found.q_nominal))
     by_joints = time.perf_counter() - begun
     jumps = [np.degrees(np.abs(np.diff(q, axis=0)).max()) for q in (found.q_nominal, found.q)]
     print(f"\nA straight path of {count} points, 190 mm, {found.reached.sum()} with commands")

@@ -1,25 +1,19 @@
 """Inverse kinematics of an arm with known errors: joint values that bring its tool to a pose, near those given.
 
-What of a pose is to be reached is an error along the tool's own axes, in the order of a twist; a robot that moves by
-that twist is where it should be, to first order:
+The error of a pose along the tool's own axes, in the order of a twist, and a Levenberg-Marquardt step on it, all rows
+at once, with the singular values of the Jacobian J = U S V^T:
 
-    e = (R_now^T (p_wanted - p_now), log(R_now^T R_wanted))
-
-Levenberg-Marquardt on each row's error, all rows at once, with the singular values of the Jacobian J = U S V^T:
-
+    e  = (R_now^T (p_wanted - p_now), log(R_now^T R_wanted))
     dq = V S (S^2 + lambda^2)^-1 U^T e + (1 - V_r V_r^T) (q_start - q)
 
-The damping lambda is zero until a step fails to lower the error, so that a solution is reached to rounding; the second
-term keeps a redundant arm at the joint values nearest to where it started. Steps are short, so that a row stays in its
-branch. Source: Y. Nakamura, H. Hanafusa, Inverse kinematic solutions with singularity robustness, 1986.
-
-With joint values for each row the solution next to them is meant. With poses alone each row follows the one before, and
-the first is the solution nearest to a start, found from joint values spread over the limits.
+The damping lambda is zero until a step fails to lower the error; the second term keeps a redundant arm at the joint
+values nearest to where it started. Steps are short, so that a row stays in its branch. Source: Y. Nakamura,
+H. Hanafusa, Inverse kinematic solutions with singularity robustness, 1986.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -38,23 +32,20 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.int_]
 
-POSE, POSITION, AXIS, WEIGHTED = "pose", "position", "axis", "weighted"
+POSE, POSITION, AXIS = "pose", "position", "axis"
 
-MATCHES = (POSE, POSITION, AXIS, WEIGHTED)
-"""What is matched: position and orientation; the position alone; position and direction of the tool's z axis; both as
-well as can be, an angle counting as a length."""
+MATCHES = (POSE, POSITION, AXIS)
+"""What is matched: position and orientation; the position alone; position and direction of the tool's z axis."""
 
-_ROWS = {POSE: 6, POSITION: 3, AXIS: 5, WEIGHTED: 6}
+_ROWS = {POSE: 6, POSITION: 3, AXIS: 5}
 
 #: No joint moves further than this in one step [rad or m]; a row rests when its next step is shorter than the second or
 #: lowers its squared error by a smaller share than the third.
 _LONGEST_STEP, _STILL, _STALLED = 0.3, 1e-12, 1e-9
 
-#: An error below this is rounding [m]; what the pull of a redundant arm adds to it is none.
-_NOTHING = 1e-13
-
-#: Above this an error was not reached [m]: by a redundant arm that was pulled, by one that follows the row before.
-_REACHED, _FOLLOWED = 1e-9, 1e-8
+#: An error below this is rounding [m]; above the second it was not reached by a redundant arm that was pulled, above
+#: the third not by one that follows the row before.
+_NOTHING, _REACHED, _FOLLOWED = 1e-13, 1e-9, 1e-8
 
 #: Damping after the first step that failed, relative to the largest singular value; and when to give up.
 _FIRST_DAMPING, _LARGEST_DAMPING = 1e-3, 1e3
@@ -79,23 +70,10 @@ _SPREAD, _STEPS = 48, 30
 
 @dataclass(frozen=True, slots=True)
 class Matching:
-    """What is matched, one of `MATCHES`, and the length that an angle of one radian counts as [m].
-
-    Raises:
-        ModelError: No such name, or a lever that is not a positive length.
-    """
+    """What is matched, one of `MATCHES`, and the length that one radian weighs as [m]."""
 
     name: str
-    lever: float
-
-    def __post_init__(self) -> None:
-        """Check both."""
-        if self.name not in MATCHES:
-            raise ModelError(
-                f"Poses cannot be matched by '{self.name}'; choose one of {choices(MATCHES)}."
-            )
-        if not (np.isfinite(self.lever) and self.lever > 0.0):
-            raise ModelError(f"The lever is {self.lever} m; it must be a length greater than 0.")
+    length: float
 
     @property
     def rows(self) -> int:
@@ -103,25 +81,25 @@ class Matching:
         return _ROWS[self.name]
 
     def error(self, T_now: Array, T_wanted: Array) -> Array:
-        """The error, angles times the lever, shape (N, rows), [m]; of poses of shape (N, 4, 4)."""
+        """The error of poses (N, 4, 4), angles times the length, shape (N, rows), [m]."""
         turned = np.swapaxes(T_now[:, :3, :3], 1, 2)
         moved = (turned @ (T_wanted[:, :3, 3] - T_now[:, :3, 3])[:, :, None])[:, :, 0]
         if self.name == POSITION:
             return np.asarray(moved)
         relative = turned @ T_wanted[:, :3, :3]
         angles = _tilt(relative[:, :, 2]) if self.name == AXIS else _turn(relative)
-        return np.concatenate([moved, self.lever * angles], axis=1)
+        return np.concatenate([moved, self.length * angles], axis=1)
 
     def jacobian(self, twists: Array) -> Array:
-        """The same rows of the tool's twists of shape (N, 6, m), shape (N, rows, m), [m per rad or m]."""
+        """The same rows of the tool's twists (N, 6, m), shape (N, rows, m), [m per rad or m]."""
         rows = twists[:, : self.rows].copy()
-        rows[:, 3:] *= self.lever
+        rows[:, 3:] *= self.length
         return np.asarray(rows)
 
     def misses(self, T_now: Array, T_wanted: Array) -> Array:
         """Distance [m] and angle [rad] between poses, shape (N, 2); the angle is NaN where it is not matched."""
         error = self.error(T_now, T_wanted)
-        angle = np.linalg.norm(error[:, 3:], axis=1) / self.lever
+        angle = np.linalg.norm(error[:, 3:], axis=1) / self.length
         distance = np.linalg.norm(error[:, :3], axis=1)
         return np.stack([distance, angle if self.rows > 3 else np.full(len(angle), np.nan)], axis=1)
 
@@ -143,36 +121,27 @@ def solve(
     *,
     steps: int = 400,
 ) -> Solved:
-    """Joint values that bring the tool to poses, near those that each row starts at.
+    """Joint values that bring the tool to poses T_base_tool (N, 4, 4) [m], near those that each row starts at (N, m).
 
-    Args:
-        arm: The arm.
-        T_wanted: shape (N, 4, 4), T_base_tool [m].
-        start: shape (N, m), [rad] or [m].
-        matching: What of the poses is to be reached.
-        limits: shape (m, 2), lowest and highest joint values. An arm that can do without a joint keeps to them; one
-            that cannot goes beyond, which is for the caller to see. None for none.
-        steps: At most so many.
-
-    Returns:
-        What was found; how far it is from what was wanted is for the caller to see, too.
+    An arm that can do without a joint keeps to the limits (m, 2); one that cannot goes beyond them. That, and how far a
+    pose is missed, is for the caller to see.
     """
     redundant = start.shape[1] > matching.rows
-    first = _State(arm, T_wanted, start, matching, limits, pulled=redundant)
-    first.run(steps)
-    left = np.linalg.norm(first.error, axis=1) > _REACHED
-    if redundant and left.any():
+    bounds = limits if redundant else None
+    found = _Search(arm, T_wanted, start, matching, bounds, pulled=redundant)
+    found.run(steps)
+    left = np.flatnonzero(np.linalg.norm(found.error, axis=1) > _REACHED)
+    if redundant and len(left):
         # Next to a singularity the pull can be in the way of what can be reached.
-        kept = np.flatnonzero(left)
-        again = _State(arm, T_wanted[kept], start[kept], matching, limits, pulled=False)
+        again = _Search(arm, T_wanted[left], start[left], matching, bounds, pulled=False)
         again.run(steps)
-        nearer = np.linalg.norm(again.error, axis=1) < np.linalg.norm(first.error[kept], axis=1)
-        first.take(kept[nearer], *(one[nearer] for one in (again.q, again.poses, again.twists)))
-    return Solved(read_only(first.q), read_only(first.poses), read_only(first.twists))
+        nearer = np.linalg.norm(again.error, axis=1) < np.linalg.norm(found.error[left], axis=1)
+        found.move(left[nearer], *(one[nearer] for one in (again.q, again.poses, again.twists)))
+    return Solved(*map(read_only, (found.q, found.poses, found.twists)))
 
 
-class _State:
-    """Where the rows are; the only thing here that changes, and no one else holds it."""
+class _Search:
+    """Where the rows are."""
 
     def __init__(
         self,
@@ -184,9 +153,7 @@ class _State:
         *,
         pulled: bool,
     ) -> None:
-        """At the start; joint values beyond their limits are brought to them where the arm can do without."""
-        if start.shape[1] <= matching.rows and matching.name != WEIGHTED:
-            limits = None
+        """At the start, or at the limits that it lies beyond."""
         self.arm, self.wanted, self.start, self.matching = arm, wanted, start, matching
         self.limits, self.pulled = limits, pulled
         self.q = start.copy() if limits is None else np.clip(start, limits[:, 0], limits[:, 1])
@@ -201,40 +168,36 @@ class _State:
                 break
             self.step()
 
-    def take(self, rows: Indices, q: Array, poses: Array, twists: Array) -> None:
+    def move(self, rows: Indices, q: Array, poses: Array, twists: Array) -> None:
         """Move some rows."""
         self.q[rows], self.poses[rows], self.twists[rows] = q, poses, twists
 
     def step(self) -> None:
         """One step of every row that still moves."""
         rows = np.flatnonzero(self.moving)
-        dq, stopped = self._within_limits(rows, self._bounded_direction(rows))
+        dq, stopped = self._bounded_step(rows)
         q = self.q[rows] + dq
         poses, twists = self.arm.motion(q)
         error = self.matching.error(poses, self.wanted[rows])
         before = np.einsum("ni,ni->n", self.error[rows], self.error[rows])
         after = np.einsum("ni,ni->n", error, error)
         better = after <= np.maximum(before, _NOTHING**2)
-        self.take(rows[better], q[better], poses[better], twists[better])
+        self.move(rows[better], q[better], poses[better], twists[better])
         self.error[rows[better]] = error[better]
         still = np.abs(dq).max(axis=1) <= _STILL
         stalled = better & (after > _NOTHING**2) & (before - after <= _STALLED * after)
-        self.damping[rows] = np.where(
+        damping = self.damping[rows]
+        damping = np.where(
             better,
-            np.where(self.damping[rows] > 1e-6, self.damping[rows] / 5.0, 0.0),
-            np.maximum(10.0 * self.damping[rows], _FIRST_DAMPING),
+            np.where(damping > 1e-6, damping / 5.0, 0.0),
+            np.maximum(10.0 * damping, _FIRST_DAMPING),
         )
-        rest = ((still | stalled) & ~stopped) | (self.damping[rows] > _LARGEST_DAMPING)
-        self.moving[rows] = ~rest
+        self.damping[rows] = damping
+        self.moving[rows] = ~(((still | stalled) & ~stopped) | (damping > _LARGEST_DAMPING))
 
-    def _bounded_direction(self, rows: Indices) -> Array:
-        """The step of each row, not too long, with joints that it would push through a limit held there.
-
-        Which of those at a limit are to be held for this step is tried out: of the sets with which no joint is pushed
-        through, the one whose step does most for the error, and of these the one nearest to the start.
-        """
-        nothing = np.zeros((len(rows), self.q.shape[1]), dtype=bool)
-        dq = self._direction(rows, nothing)
+    def _bounded_step(self, rows: Indices) -> tuple[Array, Mask]:
+        """The step of each row, not too long and no further than the first limit in its way, and which end there."""
+        dq = self._direction(rows, np.zeros((len(rows), self.q.shape[1]), dtype=bool))
         if self.limits is not None:
             low, high = self.limits.T
             at_low, at_high = self.q[rows] <= low + _AT_LIMIT, self.q[rows] >= high - _AT_LIMIT
@@ -243,22 +206,29 @@ class _State:
                 dq[through] = self._held_direction(rows[through], at_low[through], at_high[through])
             dq = np.where(_pushed(dq, at_low, at_high, 0.0), 0.0, dq)
         longest = np.abs(dq).max(axis=1)
-        shorter = np.minimum(1.0, _LONGEST_STEP / np.maximum(longest, 1e-300))
-        return np.asarray(dq * shorter[:, None])
+        dq = dq * np.minimum(1.0, _LONGEST_STEP / np.maximum(longest, 1e-300))[:, None]
+        if self.limits is None:
+            return dq, np.zeros(len(rows), dtype=bool)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            room = (np.where(dq > 0.0, high, low) - self.q[rows]) / dq
+        first = np.clip(np.where(dq != 0.0, room, np.inf).min(axis=1), 0.0, 1.0)
+        return np.asarray(dq * first[:, None]), first < 1.0
 
     def _held_direction(self, rows: Indices, at_low: Mask, at_high: Mask) -> Array:
-        """The steps of rows of which some joints are at limits that a free step would push them through."""
+        """The steps of rows of which a free step would push joints through their limits.
+
+        Of the sets of joints to hold with which none is pushed through, the one whose step does most for the error, and
+        of these the one nearest to the start.
+        """
         at_limit = at_low | at_high
-        best = np.zeros(at_limit.shape)
-        lowest = np.full(len(rows), np.inf)
-        # The order of the joints at their limits, in each row, and which bit of a set stands for each.
+        best, lowest = np.zeros(at_limit.shape), np.full(len(rows), np.inf)
+        # The order of the joints at their limits, in each row: which bit of a set stands for each.
         number = np.where(at_limit, at_limit.cumsum(axis=1) - 1, -1)
         count = min(int(at_limit.sum(axis=1).max()), _TRIED)
         jacobian = self.matching.jacobian(self.twists[rows])
         for chosen in range(1, 2**count):
             bits = (chosen >> np.maximum(number, 0)) & 1 == 1
-            # Joints beyond those that are tried are held.
-            held = at_limit & (bits | (number >= _TRIED))
+            held = at_limit & (bits | (number >= _TRIED))  # those beyond the ones tried are held
             dq = self._direction(rows, held)
             missing = self.error[rows] - np.einsum("nij,nj->ni", jacobian, dq)
             away = self.q[rows] + dq - self.start[rows]
@@ -286,17 +256,6 @@ class _State:
             step += pull - np.einsum("nji,nj->ni", vt, used)
         return np.where(held, 0.0, step)
 
-    def _within_limits(self, rows: Indices, dq: Array) -> tuple[Array, Mask]:
-        """Steps that end at the first limit in their way, and which do."""
-        if self.limits is None:
-            return dq, np.zeros(len(rows), dtype=bool)
-        low, high = self.limits.T
-        bound = np.where(dq > 0.0, high, low)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            share = np.where(dq != 0.0, (bound - self.q[rows]) / dq, np.inf)
-        first = np.clip(share.min(axis=1), 0.0, 1.0)
-        return np.asarray(dq * first[:, None]), first < 1.0
-
 
 def _pushed(dq: Array, at_low: Mask, at_high: Mask, rounding: float = _AT_LIMIT) -> Mask:
     """Which joints at a limit a step would push through it by more than rounding."""
@@ -315,25 +274,17 @@ def _turn(rotations: Array) -> Array:
 def _tilt(z: Array) -> Array:
     """The smallest turn that brings the tool's z axis to a direction given in the tool, (N, 3) to (N, 2), [rad]."""
     sine = np.hypot(z[:, 0], z[:, 1])
-    angle = np.arctan2(sine, z[:, 2])
     across = np.stack([-z[:, 1], z[:, 0]], axis=1)
-    # A direction straight back may be reached by any turn; about x is one.
-    across[sine == 0.0] = [1.0, 0.0]
+    across[sine == 0.0] = [1.0, 0.0]  # straight back may be reached by any turn; about x is one
+    angle = np.arctan2(sine, z[:, 2])
     return np.asarray(across / np.where(sine == 0.0, 1.0, sine)[:, None] * angle[:, None])
 
 
-def following(
-    arm: Arm,
-    T_wanted: Array,
-    start: Array,
-    matching: Matching,
-    progress: Callable[[int, int], None] | None = None,
-) -> Solved:
+def following(arm: Arm, T_wanted: Array, start: Array, matching: Matching) -> Solved:
     """Each row's solution follows the row before, and that of the first is the nearest to a start, shape (m,).
 
-    A path is followed in blocks, which grow as long as all goes well: rows of a block start at the row before it.
-
-    ``T_wanted`` (N, 4, 4) is in the base; ``progress`` is called with the number of rows done and of all.
+    A path T_base_tool (N, 4, 4) is followed in blocks, which grow as long as all goes well; where a row cannot follow,
+    all solutions found from joint values spread over the limits are looked at.
     """
     low, high = full_ranges(arm.robot).T
     unit = qmc.Sobol(len(low), scramble=False).random_base2(6)[:_SPREAD]
@@ -342,25 +293,22 @@ def following(
     limits = column_limits(arm.robot)
     count = len(T_wanted)
     q, poses = np.empty((count, len(start))), np.empty_like(T_wanted)
-    q[0], poses[0] = _nearest(arm, T_wanted[0], start, np.vstack([start, spread]), matching)
+    q[0], poses[0] = _nearest(arm, T_wanted[0], np.vstack([start, spread]), matching)
     done, block = 1, 1
     while done < count:
         wanted, before = T_wanted[done : done + block], q[done - 1]
         starts = np.tile(before, (len(wanted), 1))
         solved = solve(arm, wanted, starts, matching, limits, steps=_FEW_STEPS)
-        good = _good(arm, solved.q, solved.T_base_tool, wanted, matching, limits)
+        good = _good(solved.q, matching.error(solved.T_base_tool, wanted), limits)
         jumps = np.abs(np.diff(np.vstack([before, solved.q]), axis=0)).max(axis=1)
         good &= jumps <= (_NEAR if len(wanted) == 1 else _VERY_NEAR)
         taken = len(good) if good.all() else int(np.argmin(good))
         q[done : done + taken] = solved.q[:taken]
         poses[done : done + taken] = solved.T_base_tool[:taken]
         if not taken and block == 1:
-            seeds = np.vstack([before, spread])
-            q[done], poses[done] = _nearest(arm, wanted[0], before, seeds, matching)
+            q[done], poses[done] = _nearest(arm, wanted[0], np.vstack([before, spread]), matching)
             taken = 1
         done += taken
-        if progress is not None:
-            progress(done, count)
         block = min(2 * block, _LONGEST_BLOCK) if taken == len(good) else 1
     return Solved(read_only(q), read_only(poses), arm.motion(q)[1])
 
@@ -368,9 +316,7 @@ def following(
 def start_values(
     robot: Robot, named: Mapping[str, float] | None, others: float | None = None
 ) -> Array:
-    """Joint values to start near, shape (m,): those that are named, the others in the middle of their range.
-
-    Or all the others at one value [rad or m].
+    """Joint values to start near, shape (m,) [rad or m]: those named, the others at one value or in mid range.
 
     Raises:
         ModelError: A joint that the chain does not have, or a value in a unit that is not the joint's.
@@ -391,33 +337,25 @@ def start_values(
     return read_only(values)
 
 
-def _nearest(
-    arm: Arm, T: Array, reference: Array, seeds: Array, matching: Matching
-) -> tuple[Array, Array]:
-    """Of the solutions that are found from some joint values the one nearest to a reference; or the best there is."""
-    limits = column_limits(arm.robot)
+def _nearest(arm: Arm, T: Array, seeds: Array, matching: Matching) -> tuple[Array, Array]:
+    """Of the solutions that are found from seeds the one nearest to the first of these; or the best there is."""
+    limits, reference = column_limits(arm.robot), seeds[0]
     wanted = np.tile(T, (len(seeds), 1, 1))
     solved = solve(arm, wanted, seeds, matching, limits, steps=_STEPS)
     q = _turned_to(arm.robot, solved.q, reference, limits)
-    good = _good(arm, q, solved.T_base_tool, wanted, matching, limits)
-    distance = np.linalg.norm(q - reference, axis=1)
+    error = matching.error(solved.T_base_tool, wanted)
+    good = _good(q, error, limits)
+    cost = np.linalg.norm(error, axis=1)
     if good.any():
-        best = int(np.argmin(np.where(good, distance, np.inf)))
-    else:
-        error = np.linalg.norm(matching.error(solved.T_base_tool, wanted), axis=1)
-        best = int(np.argmin(error))
+        cost = np.where(good, np.linalg.norm(q - reference, axis=1), np.inf)
+    best = int(np.argmin(cost))
     return q[best], solved.T_base_tool[best]
 
 
-def _good(
-    arm: Arm, q: Array, poses: Array, wanted: Array, matching: Matching, limits: Array
-) -> NDArray[np.bool_]:
-    """Which rows have reached what they can, inside the limits, shape (N,)."""
-    error = np.linalg.norm(matching.error(poses, wanted), axis=1)
-    may_be_left = matching.name == WEIGHTED and len(arm.robot.joint_names) < matching.rows
-    enough = max(_FOLLOWED, 2.0 * float(error.min())) if may_be_left else _FOLLOWED
+def _good(q: Array, error: Array, limits: Array) -> Mask:
+    """Which rows have reached their pose inside the limits, shape (N,)."""
     inside = ((q >= limits[:, 0] - _ROUNDING) & (q <= limits[:, 1] + _ROUNDING)).all(axis=1)
-    return np.asarray((error <= enough) & inside, dtype=np.bool_)
+    return np.asarray((np.linalg.norm(error, axis=1) <= _FOLLOWED) & inside)
 
 
 def _turned_to(robot: Robot, q: Array, reference: Array, limits: Array) -> Array:

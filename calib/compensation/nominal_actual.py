@@ -1,8 +1,8 @@
 """The robot as its controller has it and as it is: poses of a tool on both, and how it moves with the joints.
 
-Both are `calib.model.kinematics`: the actual robot with the errors that were identified, and with them the errors of
-its joints where the result has a larger model. How a tool moves with the measured joints is asked of the same
-kinematics, by a parameter for each joint that moves it by one, and by what its own errors add:
+Both are `calib.model.kinematics`: the actual robot with the errors that were identified, those of its joints included.
+How a tool moves with the measured joints is asked of the same kinematics, by a parameter for each joint that moves it
+by one, and by what its own errors add:
 
     dT/dq_j  =  (1 + sum_k x_k df_k/dq_j) dT/d(displacement of joint j),    dq_j = x_1 f_1(q_j) + x_2 f_2(q_j) + ...
 """
@@ -42,7 +42,7 @@ _NO_CALIBRATION, _POSES = 0.1, 64
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Arm:
-    """A robot whose errors are known, with a tool.
+    """A robot whose errors are known, with a tool; made by `of` or `of_larger`.
 
     Attributes:
         robot: The robot, with the errors of its geometry.
@@ -65,11 +65,11 @@ class Arm:
         robot: Robot,
         T_tip_tool: Array,
         terms: tuple[Parameter, ...] = (),
-        sizes: Array | None = None,
+        sizes: ArrayLike = (),
         load: Callable[[Array], Array] | None = None,
     ) -> Arm:
         """A robot, with the errors of its joints that change with their state and their values (len(terms),)."""
-        values = np.zeros(0) if sizes is None else np.asarray(sizes)
+        values = np.asarray(sizes, dtype=np.float64)
         directions = dict(
             zip((joint.name for joint in robot.joints), axis_twists(robot), strict=True)
         )
@@ -97,7 +97,7 @@ class Arm:
     def of_larger(
         cls, larger: Larger, nominal: Robot, T_tip_tool: Array, payload: Payload | None = None
     ) -> Arm:
-        """The robot of a result's larger model, with another payload than at its calibration if one is given."""
+        """The robot of a result's non-geometric model, with another payload than at its calibration if one is given."""
         model, x = larger.model, larger.x
         displacements, _ = model.displacements(x)
         order = [model.places.index(name) for name in (*(j.name for j in nominal.joints), TIP)]
@@ -120,7 +120,7 @@ class Arm:
         """T_base_tool at joint values (N, m), shape (N, 4, 4), and the tool's velocity with each, (N, 6, m).
 
         Twists are along the tool's own axes, linear first [m or rad per rad or m]. How the load changes with q is left
-        out of them: it is a part in a thousand, and costs an iteration where joint values are looked for, no accuracy.
+        out of them: it costs an iteration where joint values are looked for, no accuracy.
         """
         poses, twists = self.kinematics.twists(self.x, self._samples(q))
         back = np.swapaxes(poses[:, :3, :3], 1, 2)
@@ -134,14 +134,15 @@ class Arm:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pair:
-    """The same tool on the robot as its controller has it, and on the actual one.
+    """The same tool on the nominal robot and on the actual one; made by `pair_of`.
 
     Attributes:
-        nominal: The nominal robot, with the tool where the controller has it.
+        nominal: The robot as its controller has it, with the tool that the controller is to be set to.
         actual: The calibrated robot, with the tool where it is.
         T_frame_base: shape (4, 4), the base in the frame that poses are given and sent in [m].
         target, set_up: Names of the target that the tool is, of the set-up whose frame it is; None where it is none.
         result: What is known of the actual robot and how far to trust it; None where two robots were given.
+        larger: Whether the actual robot is the result's non-geometric model.
     """
 
     nominal: Arm
@@ -150,6 +151,7 @@ class Pair:
     target: str | None = None
     set_up: str | None = None
     result: Calibration | None = None
+    larger: bool = False
 
     def __post_init__(self) -> None:
         """Refuse two robots that are no calibration of each other."""
@@ -185,20 +187,31 @@ def pair_of(
     *,
     tool: ArrayLike | str | None = None,
     frame: ArrayLike | str | None = None,
-    larger: bool = True,
-    payload: Payload | None = None,
+    larger: bool | Payload = True,
 ) -> Pair:
-    """The two robots; the arguments are those of `calib.compensation.commands.commands`.
+    """The two robots; the arguments are those of `calib.compensation.commands.compensate`.
 
     Raises:
-        ModelError: No nominal robot, one with other joints, or a tool or frame that there is not.
+        ModelError: No nominal robot, one that is not the calibration's, or a tool or frame that there is not.
         UrdfError: The robot lacks joints of the result.
     """
     if isinstance(calibration, Robot):
-        return _of_robots(nominal, calibration, tool, frame)
+        if nominal is None or any(isinstance(one, (str, Payload)) for one in (tool, frame, larger)):
+            raise ModelError(
+                "With a corrected robot in place of a result give the nominal robot too, tool and frame as poses, and "
+                "no payload: it knows no targets, set-ups and compliances."
+            )
+        actual = calibration.rebuilt(base=nominal.base, tip=nominal.tip)
+        if actual.joint_names != nominal.joint_names:
+            raise ModelError(
+                f"The corrected robot has the joints {choices(actual.joint_names)} between '{actual.base}' and "
+                f"'{actual.tip}', the nominal one {choices(nominal.joint_names)}. Give two URDFs of one robot."
+            )
+        T_tip_tool = _pose(tool, "tool")
+        return Pair(Arm.of(nominal, T_tip_tool), Arm.of(actual, T_tip_tool), _pose(frame, "frame"))
     result, nominal = calibration, nominal or calibration.nominal
-    began, corrected = result.uncorrected(nominal), result.corrected(nominal)
-    model = result.larger if larger else None
+    began = result.uncorrected(nominal) if is_corrected(result, nominal) else nominal
+    model = result.larger if larger is not False else None
     known = result.setup if model is None else model.setup
     target = set_up = None
     if isinstance(tool, str):
@@ -215,50 +228,45 @@ def pair_of(
         T_frame_base = read_only(known.T_frame_base[known.groups.index(set_up)])
     else:
         T_frame_base = _pose(frame, "frame")
-    actual = (
-        Arm.of(corrected, T_actual)
-        if model is None
-        else Arm.of_larger(model, began, T_actual, payload)
+    payload = larger if isinstance(larger, Payload) else None
+    if model is None:
+        arm = Arm.of(result.corrected(nominal), T_actual)
+    else:
+        arm = Arm.of_larger(model, result.uncorrected(nominal), T_actual, payload)
+    if payload is not None and arm.load is None:
+        raise ModelError(
+            "A payload is given, but the result has no compliances: its commands would be the same with any. Leave the "
+            "payload out; the model 'dh+compliance' estimates compliances."
+        )
+    return Pair(
+        Arm.of(began, T_nominal), arm, T_frame_base, target, set_up, result, model is not None
     )
-    if payload is not None and actual.load is None:
+
+
+def is_corrected(result: Calibration, robot: Robot) -> bool:
+    """Whether a robot has the joint origins that a result corrected; False: those that it began with.
+
+    Raises:
+        ModelError: It has neither.
+    """
+    own = result.nominal
+    if (robot.base, robot.tip) != (own.base, own.tip):
         raise ModelError(
-            "A payload is given, but the model in use has no compliances: its commands would be the same with any. "
-            "Leave the payload out; 'calib fit --model dh+compliance' estimates compliances."
+            f"The result is for --base {own.base} --tip {own.tip}, not for '{robot.base}' to '{robot.tip}'."
         )
-    # The corrected robot stands for the one that the result began with.
-    own = Arm.of(began if differing_joint(nominal, corrected) is None else nominal, T_nominal)
-    return Pair(own, actual, T_frame_base, target=target, set_up=set_up, result=result)
-
-
-def _of_robots(
-    nominal: Robot | None,
-    corrected: Robot,
-    tool: ArrayLike | str | None,
-    frame: ArrayLike | str | None,
-) -> Pair:
-    """Of two robots; they know no targets and no set-ups."""
-    if nominal is None:
+    if _differing_joint(robot, result.corrected(robot)) is None:
+        return True
+    joint = _differing_joint(robot, result.uncorrected(robot))
+    if joint is not None:
         raise ModelError(
-            "Commands need the robot as its controller has it, beside the calibrated one. Give it too."
+            f"{robot.urdf.source}: the origin of '{joint}' is neither the one that the calibration began with nor its "
+            "corrected one. Give the URDF that the result was made with. If the controller has a model of its own, "
+            "such as a factory calibration, give that and the corrected URDF in place of the result."
         )
-    for name, what in ((tool, "tool"), (frame, "frame")):
-        if isinstance(name, str):
-            raise ModelError(
-                f"The {what} is to be '{name}' of a calibration, but two robots were given and no result. Give the "
-                f"{what}'s pose, or the result."
-            )
-    actual = corrected.rebuilt(base=nominal.base, tip=nominal.tip)
-    if actual.joint_names != nominal.joint_names:
-        raise ModelError(
-            f"The corrected robot '{actual.name}' has the joints {choices(actual.joint_names)} from '{actual.base}' to "
-            f"'{actual.tip}', the nominal robot '{nominal.name}' has {choices(nominal.joint_names)}. Give two URDFs of "
-            "one robot."
-        )
-    T_tip_tool, T_frame_base = _pose(tool, "tool"), _pose(frame, "frame")
-    return Pair(Arm.of(nominal, T_tip_tool), Arm.of(actual, T_tip_tool), T_frame_base)
+    return False
 
 
-def differing_joint(a: Robot, b: Robot) -> str | None:
+def _differing_joint(a: Robot, b: Robot) -> str | None:
     """A joint whose origin is not the same in two robots of the same joints, up to rounding; None without one."""
     others = b.origins()
     far = (name for name, T in a.origins().items() if np.abs(T - others[name]).max() > _SAME)
@@ -271,13 +279,12 @@ def _name(names: Sequence[str], name: str, what: str) -> str:
         return name
     if not name and len(names) == 1:
         return names[0]
-    meant = f"no {what} '{name}'; it has" if name else f"{len(names)} {what}s:"
     raise ModelError(
-        f"The calibration has {meant} {choices(own or 'the one without a name' for own in names)}. Name one of them."
+        f"The calibration has no {what} '{name}'; it has {choices(own or '(no name)' for own in names)}. Name one."
     )
 
 
-def _pose(given: ArrayLike | None, what: str) -> Array:
+def _pose(given: ArrayLike | str | None, what: str) -> Array:
     """A pose, shape (4, 4), from a pose or from a position, shape (3,), [m]; the identity of nothing."""
     T = np.eye(4)
     values = T if given is None else np.asarray(given, dtype=np.float64)

@@ -1,8 +1,7 @@
 """Program: what a robot is to do, row by row: joint values made for the nominal robot, or poses of its tool.
 
-As a file it is read as a table of measurements is (`calib.data.values`): units in the header, decimal commas between
-semicolons, values in a wrong unit refused. What is different: poses may also be given by roll, pitch and yaw, nothing
-may be missing, and columns that mean nothing here are kept.
+As a file it is read as a table of measurements is (`calib.data.values`). What is different: poses may also be given by
+roll, pitch and yaw, nothing may be missing, and columns that mean nothing here are kept.
 """
 
 from __future__ import annotations
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
+from calib.compensation.inverse import MATCHES, POSITION
 from calib.data.checks import no_rotation
 from calib.data.layout import Layout
 from calib.data.table import (
@@ -24,33 +24,27 @@ from calib.data.table import (
     ROTATION_VECTOR,
     STATUS,
     Column,
-    Row,
     Table,
-    close_names,
     list_columns,
     name_columns,
     with_unit,
     without_unit,
 )
 from calib.data.values import Values
-from calib.errors import MeasurementError, ModelError, choices
+from calib.errors import MeasurementError, ModelError, choices, did_you_mean
 from calib.robot.robot import Robot, read_only
-from calib.units import split_header
 
 Array = NDArray[np.float64]
 
-#: The forms of an orientation, and what a message calls them; angles are about fixed axes: Rz(yaw) Ry(pitch) Rx(roll).
+#: The forms of an orientation; roll, pitch and yaw are about fixed axes: Rz(yaw) Ry(pitch) Rx(roll).
 FORMS = {
-    ROTATION_VECTOR: "a rotation vector",
-    QUATERNION: "a quaternion",
-    ROLL_PITCH_YAW: "roll, pitch and yaw",
+    ROTATION_VECTOR: "rotation vector",
+    QUATERNION: "quaternion",
+    ROLL_PITCH_YAW: "roll, pitch, yaw",
 }
 
 #: What stands before the names of columns that say what was changed, in a table of commands.
 CORRECTION = "correction "
-
-#: What a program may be where a table has both.
-GIVEN = ("joints", "poses")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,8 +58,11 @@ class Program:
         T_wanted: shape (N, 4, 4), poses of the tool that are wanted [m]; None where they are those that the nominal
             robot reaches at ``q``.
         oriented: Whether ``T_wanted`` says the orientation too, or the position alone.
+        match: What of the poses is to be reached, one of `MATCHES`; None: ``"pose"``, ``"axis"`` with five joints,
+            ``"position"`` with fewer or where no orientation is given.
+        start: Joint values by name [rad] or [m] that the first of poses alone starts near; others start in mid range.
         kept: Other columns of the table, header and cells, that go into the commands unchanged.
-        form: How the file's orientations were read, in words; empty if there are none.
+        form: How the file's orientations were given; empty if there are none.
 
     Raises:
         ModelError: Neither joint values nor poses, no rows, other shapes, or a number that is not finite.
@@ -75,34 +72,37 @@ class Program:
     q: Array | None = None
     T_wanted: Array | None = None
     oriented: bool = True
+    match: str | None = None
+    start: Mapping[str, float] | None = None
     kept: tuple[tuple[str, tuple[str, ...]], ...] = ()
     form: str = ""
 
     def __post_init__(self) -> None:
         """Copy the arrays and check them."""
         if not self.labels or (self.q is None and self.T_wanted is None):
-            raise ModelError(
-                "A program has rows of joint values, of poses, or of both. Give one at least."
+            raise ModelError("A program has rows of joint values, of poses, or of both.")
+        if self.match not in (None, *(MATCHES if self.oriented else (POSITION,))):
+            known = (
+                choices(MATCHES) if self.oriented else f"'{POSITION}', as no orientation is given"
             )
+            raise ModelError(f"'{self.match}' cannot be matched; choose {known}.")
+        if self.start and self.q is not None:
+            raise ModelError("Each row has joint values to start at: leave out the start.")
         for name, what, own in (("q", "joint values", ()), ("T_wanted", "poses", (4, 4))):
             if getattr(self, name) is None:
                 continue
             values = read_only(getattr(self, name))
-            wanted = (len(self.labels), *(own or values.shape[1:2]))
-            if values.shape != wanted or values.ndim < 2:
+            if values.ndim < 2 or values.shape != (len(self), *(own or values.shape[1:2])):
                 raise ModelError(
-                    f"The {what} of a program have the shape {values.shape}; {'(N, 4, 4)' if own else '(N, m)'} is "
-                    f"wanted, with N = {len(self.labels)}."
+                    f"The {what} of a program of {len(self)} rows have the shape {values.shape}."
                 )
             wrong = ~np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
             if own:
                 wrong |= no_rotation(values[:, :3, :3])
                 wrong |= (values[:, 3] != [0.0, 0.0, 0.0, 1.0]).any(axis=1)
             if wrong.any():
-                is_what = "finite numbers, a rotation and the row 0 0 0 1" if own else "numbers"
                 raise ModelError(
-                    f"The {what} of {self.labels[int(np.argmax(wrong))]} of a program are not all finite: {is_what} "
-                    "are wanted."
+                    f"The {what} of {self.labels[int(np.argmax(wrong))]} of a program are not finite or no pose."
                 )
             object.__setattr__(self, name, values)
 
@@ -147,7 +147,8 @@ def read_program(
     robot: Robot,
     *,
     columns: Mapping[str, str] | None = None,
-    given: str | None = None,
+    match: str | None = None,
+    start: Mapping[str, float] | None = None,
 ) -> Program:
     """Read a table of joint values, of poses, or of both; see docs/compensation.md.
 
@@ -155,114 +156,88 @@ def read_program(
         path: CSV with the unit of each number in the header.
         robot: The robot whose joints the columns are of.
         columns: Names of the table to names of calib, see `Measurements.read`.
-        given: One of `GIVEN`: which of the two is wanted where the table has both; None: the poses.
+        match: As of `Program`, like ``start``.
+        start: Where the first row starts.
 
     Raises:
         MeasurementError: The table cannot be read; the text names file, row and column.
+        ModelError: The program has no use for ``match`` or ``start``.
     """
-    if given is not None and given not in GIVEN:
-        raise MeasurementError(
-            f"A program cannot be given as '{given}'; it is one of {choices(GIVEN)}."
-        )
     table = Table.read(path)
     rows = list(table.rows())
     names = robot.joint_names
     named, _ = name_columns(table, names, columns or {})
-    old = {CORRECTION + name for name in ("position", "angle", *names)} & set(named)
-    if old and given is None:
+    if {CORRECTION + name for name in ("position", "angle", *names)} & set(named):
         raise MeasurementError(
             f"{table.source}: these are commands that calib compensate wrote: they are corrected already. Give the "
-            "program that they were made from; or --given joints or --given poses, if these are to be corrected once "
-            "more."
+            "program that they were made from."
         )
     filled = {i for row in rows for i, cell in enumerate(row.cells) if cell}
 
-    def block(wanted: Sequence[str], what: str) -> tuple[Column, ...]:
+    def block(wanted: Sequence[str]) -> tuple[Column, ...]:
         """The columns of these names, all or none; none if no cell is filled in, as in a plan of poses."""
         own = [named[n] for n in wanted if n in named and (wanted is names or n not in names)]
         if own and len(own) < len(wanted):
-            raise MeasurementError(_incomplete(table, named, wanted, own, what))
+            missing = [n for n in wanted if n not in named]
+            hint = did_you_mean(missing[0], [n for n in named if n not in wanted])
+            raise MeasurementError(
+                f"{table.source}: {choices(missing)} missing beside {choices(c.name for c in own)}{hint}. "
+                f'{list_columns(table)} Map another name with --columns "name in the table={missing[0]}", hold a joint '
+                f'that stands still with --hold, or leave out what is there with --columns "{own[0].name}=-".'
+            )
         return tuple(own) if not rows or {column.index for column in own} & filled else ()
 
-    joints = block(names, f"the chain '{robot.base}' to '{robot.tip}'")
-    points = block(POINT, "a position")
-    forms = [form for form, what in FORMS.items() if block(form, what)]
-    if not {"joints": joints, "poses": points, None: joints or points}[given]:
-        missing = {"joints": "joint values", "poses": "positions"}.get(given or "")
-        missing = missing or f"joint values and {'an orientation but ' * bool(forms)}no positions"
+    joints, points = block(names), block(POINT)
+    forms = [form for form in FORMS if block(form)]
+    if not (joints or points):
         raise MeasurementError(
-            f"{table.source}: there are no {missing}, or all their cells are empty. {list_columns(table)} A program "
-            f"has a column for each joint, such as '{names[0] if names else 'joint_1'} [deg]', or 'x [mm]', 'y [mm]', "
-            "'z [mm]' and an orientation; another name is mapped by --columns \"name in the table=x [mm]\"."
+            f"{table.source}: there are no joint values and no positions, or all their cells are empty. "
+            f"{list_columns(table)} A program has a column for each joint, such as '{names[0]} [deg]', or 'x [mm]', "
+            "'y [mm]', 'z [mm]' and an orientation; another name is mapped by --columns."
         )
     if len(forms) > 1:
-        said = " and as ".join(f"{FORMS[form]} ({', '.join(form)})" for form in forms)
         raise MeasurementError(
-            f"{table.source}: the orientation is there twice, as {said}. Leave one out: --columns "
-            f'"{forms[1][0]}=-" and so on.'
+            f"{table.source}: the orientation is there twice, as {' and as '.join(FORMS[f] for f in forms)}. Leave "
+            f'one out: --columns "{forms[1][0]}=-" and so on.'
         )
-    meant = [n for form in (POINT, *FORMS) for n in form if n not in names and n in named]
-    used = {named[name].index for name in (*meant, *old, *names, STATUS) if name in named}
+    meant = {n for form in (POINT, *FORMS) for n in form if n not in names} | {*names, STATUS}
+    used = {column.index for name, column in named.items() if name in meant}
     # A column without a name is kept if anything stands in it: separators at the end of each line are none.
     unread = {column.index for column in named.values()} - used
     unread |= {i for i, label in enumerate(table.header) if not label and i in filled}
-    if given == "joints":
-        points = ()
     form = forms[0] if forms and points else ()
+    numbered = named.get("row")
+    labels = [] if numbered is None else [row.cells[numbered.index] for row in rows]
+    if not labels or len(set(labels)) < len(labels) or "" in labels:
+        labels = [str(row.ordinal) for row in rows]
+    q, T_wanted = _numbers(table, robot, joints, points, tuple(named[name] for name in form))
     return Program(
-        labels=_labels(rows, named.get("row")),
-        **_numbers(table, robot, joints, points, [named[name] for name in form], form),
+        labels=tuple(f"row {label}" for label in labels),
+        q=q,
+        T_wanted=T_wanted,
         oriented=bool(form) or not points,
+        match=match,
+        start=start,
         kept=tuple((table.header[i], tuple(row.cells[i] for row in rows)) for i in sorted(unread)),
         form=FORMS.get(form, ""),
     )
 
 
-def _incomplete(
-    table: Table,
-    named: Mapping[str, Column],
-    wanted: Sequence[str],
-    own: Sequence[Column],
-    what: str,
-) -> str:
-    """What to say of a table that has some columns of a position, of an orientation, or of the joints."""
-    there = [column.name for column in own]
-    missing = [name for name in wanted if name not in there]
-    free = [name for name in named if name not in there]
-    close = dict.fromkeys(hit for name in missing for hit in close_names(name, free)[:1])
-    hint = f" Close to them: {choices(close)}." if close else ""
-    left_out = " ".join(f'--columns "{split_header(c.label)[0]}=-"' for c in own)
-    return (
-        f"{table.source}: {what} has the columns {', '.join(wanted)}; {choices(missing)} "
-        f"{'is' if len(missing) == 1 else 'are'} missing. {list_columns(table)}{hint} Map another name with --columns "
-        f'"name in the table={missing[0]}", hold a joint that stands still with --hold, or leave out what is there '
-        f"with {left_out}."
-    )
-
-
-def _labels(rows: Sequence[Row], column: Column | None) -> tuple[str, ...]:
-    """What messages call each row: by the column ``row`` where that tells them apart."""
-    own = [] if column is None else [row.cells[column.index] for row in rows]
-    if not own or len(set(own)) < len(own) or "" in own:
-        own = [str(row.ordinal) for row in rows]
-    return tuple(f"row {name}" for name in own)
-
-
 def _numbers(
     table: Table,
     robot: Robot,
-    joints: Sequence[Column],
-    points: Sequence[Column],
-    turns: Sequence[Column],
-    form: tuple[str, ...],
-) -> dict[str, Array | None]:
+    joints: tuple[Column, ...],
+    points: tuple[Column, ...],
+    turns: tuple[Column, ...],
+) -> tuple[Array | None, Array | None]:
     """Joint values and poses of the rows, in SI units; roll, pitch and yaw are read as joint values are."""
+    form = tuple(column.name for column in turns)
     by_angles = form == ROLL_PITCH_YAW
     if form == QUATERNION:
-        turns = [without_unit(table, column) for column in turns]
+        turns = tuple(without_unit(table, column) for column in turns)
     else:
         common = "deg" if by_angles else "rad"
-        turns = [with_unit(table, c, "angle", FORMS[form], common) for c in turns]
+        turns = tuple(with_unit(table, c, "angle", FORMS[form], common) for c in turns)
     own = []
     for column in joints:
         kind = robot.joint_types[column.name]
@@ -271,16 +246,15 @@ def _numbers(
     blocks = {
         "joints": (*own, *(turns if by_angles else ())),
         "points": tuple(with_unit(table, column, "length") for column in points),
-        "orientation": () if by_angles else tuple(turns),
+        "orientation": () if by_angles else turns,
     }
     kind = "fixed" if not points else "pose" if blocks["orientation"] else "point"
     empty = dict.fromkeys(("torques", "distance", "sigma", "sigma_angle"), ())
     values = Values.read(table, Layout({}, (), {**empty, **blocks}, (kind,), ()))
     if values.unmeasured:
-        row = next(row for row in table.rows() if row.ordinal == values.unmeasured[0])
         raise MeasurementError(
-            f"{table.source}, line {row.line} (row {row.ordinal}): there is no position, all its cells are empty, "
-            "while other rows have one. Fill it in, or remove the row."
+            f"{table.source}, row {values.unmeasured[0]}: there is no position, all its cells are empty, while other "
+            "rows have one. Fill it in, or remove the row."
         )
     poses = _unturned(values.points) if points else None
     if poses is not None and by_angles:
@@ -288,4 +262,4 @@ def _numbers(
         poses[:, :3, :3] = Rotation.from_euler("xyz", angles).as_matrix()
     elif poses is not None and values.rotations is not None:
         poses[:, :3, :3] = values.rotations
-    return {"q": values.joints[:, : len(joints)] if joints else None, "T_wanted": poses}
+    return values.joints[:, : len(joints)] if joints else None, poses

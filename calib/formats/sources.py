@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.compensation.nominal_actual import differing_joint
+from calib.compensation.nominal_actual import is_corrected
 from calib.errors import CalibError, FileError, ModelError, choices
 from calib.files import read_bytes
 from calib.formats.origins import origins_of, parse_yaml, read_origins
@@ -122,16 +122,10 @@ def _result(source: str, kind: str, asked: Asked) -> Source:
                 f"'{arm.base}' to '{arm.tip}' of {arm.urdf.source}, has {choices(arm.origins())}. Give the URDF that "
                 "the result was made with as --robot."
             )
-        off = differing_joint(arm, robot)
-        if differing_joint(arm, nominal) is None:
-            nominal, robot = arm, result.corrected(arm)
-        elif off is None:
+        if is_corrected(result, arm):
             nominal, robot = result.uncorrected(arm), arm
         else:
-            raise ModelError(
-                f"{source} is of another robot than {arm.urdf.source}: the origin of '{off}' is not the result's. Give "
-                "the URDF that the result was made with, or that was corrected by it, as --robot."
-            )
+            nominal, robot = arm, result.corrected(arm)
     remarks: tuple[str, ...] = ()
     if result.larger is not None:
         remarks = (

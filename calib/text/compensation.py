@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,19 +12,13 @@ from scipy.spatial.transform import Rotation
 
 from calib.robot.robot import rigid_inverse
 from calib.text.lines import fill, row_ranges
-from calib.units import split_header
 
 if TYPE_CHECKING:
     from calib.compensation.commands import Commands
-    from calib.compensation.program import Program
-    from calib.result.calibration import Calibration
+    from calib.compensation.warnings import Code, Finding
     from calib.robot.robot import Robot
 
 Array = NDArray[np.float64]
-
-#: The words for the tool that is the calibrated target, for poses in the robot's base, and for poses in the frame that
-#: the points were measured in, where there is one.
-TARGET, BASE, MEASURED = "target", "base", "measured"
 
 #: One metre and one radian in the units that are printed.
 MM, DEG = 1e3, float(np.degrees(1.0))
@@ -33,112 +26,85 @@ MM, DEG = 1e3, float(np.degrees(1.0))
 #: What a controller misses by above this, sent as a pose and not as joint values, is worth a line [m], [rad].
 _WORTH = 1e-7
 
-#: Rows and joints of the table of corrections; and corrections that differ by less are the same [deg or mm].
-_ROWS, _JOINTS, _TIE = 5, 7, 1e-6
-
 #: Columns and rows that are named at most, and rows with a reason each.
 _COLUMNS, _NAMED, _REASONS = 12, 8, 50
 
 #: Joint values of a program further from its poses than this ask for a second look [m]: no calibration moves a tool so.
 _ELSEWHERE = 0.02
 
-#: The link of a URDF that is the controller's frame, where there is one.
-_CONTROLLER = "base"
-
-#: Names of orientations on controllers, in small letters; whose they are, and what calib calls each.
-_MEANT = (
-    (("a", "b", "c"), "KUKA", ("yaw", "pitch", "roll")),
-    (("w", "p", "r"), "FANUC", ("roll", "pitch", "yaw")),
-    (("q1", "q2", "q3", "q4"), "ABB", ("qw", "qx", "qy", "qz")),
-    (("q0", "q1", "q2", "q3"), "a quaternion that begins with w", ("qw", "qx", "qy", "qz")),
-    (("o", "a", "t"), "Kawasaki", ()),
-    (("alpha", "beta", "gamma"), "", ()),
-    (("phi", "theta", "psi"), "", ()),
-)
-
 _MATCHED = {
     "pose": "position and orientation",
     "position": "position; the orientation is left free",
     "axis": "position and direction of the tool's z axis",
-    "weighted": "position and orientation, as well as they can be",
 }
 
-_SENT = {
-    "joints": "Send the joint values.",
-    "poses": "Send the poses to the controller that keeps its own model.",
-    "both": "Send the joint values, or the poses to the controller that keeps its own model.",
+#: What each code says: {0} and {1} are its numbers, in mm and deg, {joint} and {row} what it is about.
+_TEXTS: dict[Code, str] = {
+    "unreachable": "the true robot cannot reach it: {0:.4f} mm, {1:.4f} deg would be left",
+    "beyond limit": "'{joint}' would have to be at {0:.4f} {unit}, beyond its limit {1:.4f}",
+    "other branch": "next to a singularity: the solution lies in another branch of the arm",
+    "nominal unreachable": "the nominal robot cannot reach the pose itself",
+    "error left": "an error is left: {0:.4f} mm, {1:.4f} deg",
+    "near singularity": "near a singularity: 1 mm of the tool may take {0:.1f} {unit} of '{joint}'",
+    "large pose correction": "the pose to send is moved by {0:.2f} mm, {1:.2f} deg",
+    "large joint correction": "a joint is corrected by {0:.1f} {unit}: '{joint}'",
+    "configuration change": "another configuration: from {row}, close by, '{joint}' moves {0:.1f} {unit}",
+    "jump": "a jump: from {row} '{joint}' moves {0:.1f} {unit}, much more than in the program",
+    "far from start": "far from the joint values given: '{joint}' by {0:.1f} {unit}",
+    "ambiguous pose": "sent as a pose it may end {0:.3g} mm off: the controller can come to other joint values",
+    "outside measured range": "outside the joint range that was measured: '{joint}' by {0:.3g} {unit}",
 }
 
 
-class Robots(NamedTuple):
-    """The robot as its controller has it, and what is known of the actual one: a result, or a corrected robot.
-
-    ``was_corrected``: ROBOT has the result's joint origins already.
-    """
-
-    nominal: Robot
-    actual: Calibration | Robot
-    result: Calibration | None
-    name: str
-    was_corrected: bool = False
-
-
-def text(
-    found: Commands,
-    robots: Robots,
-    tool: str | None,
-    poses_in: str,
-    send: str,
-    written: Path | None,
-    *,
-    larger: bool,
-) -> str:
-    """All of it.
-
-    ``tool``, ``poses_in`` and ``send`` are what was given; ``written`` is where to, None where nothing was; ``larger``:
-    whether the larger model of the result was used.
-    """
-    of_target = tool is not None and tool.startswith(TARGET)
-    poses = send != "joints"
-    notes = _notes(found, robots, of_target=of_target, poses=poses, in_base=poses_in == BASE)
-    rows = _reasons(found)
+def text(found: Commands, name: str, written: Path | None) -> str:
+    """All of it; ``name`` is the file that the true robot is from, ``written`` the table, None where there is none."""
     after = "Nothing was written; -o commands.csv writes the commands."
     if written is not None:
-        more = " Do not send corrected poses to a controller that was given the corrected model."
         after = f"Written: {written}\n" + fill(
-            f"{_SENT[send]}{more * poses} Then measure some rows and see what was gained: docs/compensation.md."
+            "Send the joint values, or the poses to a controller that keeps its nominal model: one that has the "
+            "corrected model would correct twice. Then measure some rows: docs/compensation.md."
         )
+    reasons = _reasons(found)
     parts = [
-        _expected(robots, of_target=of_target, larger=larger),
-        _asked(found, tool, poses_in),
-        _errors(found, poses=poses),
-        *_corrections(found),
-        *map(fill, filter(None, notes)),
-        "\n".join(
-            [f"{_have(found, len(rows))} no command; the table has empty cells:", *rows]
-            * bool(rows)
-        ),
-        _warnings(found, larger=larger),
+        _expected(found, name),
+        _program(found),
+        _errors(found),
+        _corrections(found),
+        *map(fill, filter(None, _notes(found))),
+        "\n".join([f"{_have(found, len(reasons))} no command:", *reasons]) if reasons else "",
+        _warnings(found),
         after,
     ]
     return "\n\n".join(part for part in parts if part)
 
 
-def no_commands(found: Commands, *, skip: bool) -> str:
-    """The message that names each row without a command and why it has none; with ``skip`` no row has one."""
-    rows = _reasons(found)
-    count = len(rows)
+def no_commands(found: Commands) -> str:
+    """The message that names each row without a command and why it has none."""
+    rows, count = _reasons(found), int((~found.reached).sum())
     if count > _REASONS:
         labels = np.array(found.program.labels)[~found.reached].tolist()
         rows = [*rows[:_REASONS], f"  and rows {_listed(labels[_REASONS:], count)}"]
     advice = _elsewhere(found) or (
-        "Check --tool, --poses-in and the units; --accept takes rows of which little is left, --match position or "
-        "weighted those that cannot be reached exactly."
+        "Check --tool, --poses-in and the units; --accept takes rows of which little is left, --match position those "
+        "whose orientation may be free."
     )
-    if not skip and count < len(found):
+    if count < len(found):
         advice += " --skip leaves these rows empty and writes the others."
     head = f"{_have(found, count)} no command, and nothing was written:"
     return "\n".join([head, *rows, fill(advice)])
+
+
+def finding_text(finding: Finding, robot: Robot) -> str:
+    """A finding in words, in mm and deg."""
+    slides = robot.joint_types.get(finding.joint) == "prismatic"
+    scales, unit = (MM, DEG), ""
+    if finding.joint:
+        scales, unit = ((MM, MM), "mm") if slides else ((DEG, DEG), "deg")
+    numbers = [scale * number for scale, number in zip(scales, finding.numbers, strict=False)]
+    words = _TEXTS[finding.code]
+    if len(numbers) > 1 and np.isnan(numbers[1]):  # of a position alone
+        words = words.partition(", {1")[0] + " would be left" * (finding.code == "unreachable")
+    return words.format(*numbers, joint=finding.joint, row=finding.row, unit=unit)
 
 
 def _have(found: Commands, count: int) -> str:
@@ -147,210 +113,146 @@ def _have(found: Commands, count: int) -> str:
 
 
 def _table(
-    title: str,
-    heads: Iterable[str],
-    rows: Iterable[tuple[str, Iterable[float], str]],
-    digits: int = 4,
-    widths: tuple[int, int] = (58, 10),
+    title: str, heads: Iterable[str], rows: Iterable[tuple[str, Iterable[float], str]], digits: int
 ) -> str:
     """Labelled numbers in columns, "-" where there is none, and words behind them."""
-    wide, cell = widths
-    lines = [f"{title:<{wide}}" + "".join(f"{head:>{cell}}" for head in heads)]
+    lines = [f"{title:<58}" + "".join(f"{head:>10}" for head in heads)]
     for label, values, behind in rows:
-        cells = [
-            f"{round(float(v), digits) + 0.0:>{cell}.{digits}f}"
-            if np.isfinite(v)
-            else f"{'-':>{cell}}"
-            for v in values
-        ]
-        lines.append(f"{label:<{wide}}" + "".join(cells) + behind)
+        cells = [f"{round(float(v), digits) + 0.0:.{digits}f}" if v == v else "-" for v in values]
+        lines.append(f"{label:<58}" + "".join(f"{cell:>10}" for cell in cells) + behind)
     return "\n".join(lines)
 
 
-def _expected(robots: Robots, *, of_target: bool, larger: bool) -> str:
+def _expected(found: Commands, name: str) -> str:
     """The verdict of the result and its error on rows that it had not seen: what to expect on the robot."""
-    result, name = robots.result, robots.name
+    result, larger = found.pair.result, found.pair.larger
     if result is None:
         return fill(
-            f"The true robot is {name}. How far it can be relied on is not in a URDF: with --calibration result.json "
-            "this says what to expect."
+            f"The true robot is {name}, a URDF: with --calibration the errors to expect are known."
         )
     part, verdict = result.part(larger=larger), result.verdict
-    own = "its joint origins"
-    if larger:
-        of = f"its larger model '{part.model.name}'"
-        own = of if verdict is None else f"{own}. The commands and the errors are of {of}"
-    elif result.larger is not None:
-        own += ", without the larger model that it has"
-    said = [f"of {name}, {own}."]
+    own = f"non-geometric model '{part.model.name}'" if larger else "joint origins"
     if verdict is None:
-        said.append(
-            "The result was not validated (calib fit --no-validate): how far it can be relied on is not known."
-        )
-        return "\n".join(["Verdict: none", *(fill(one, "  ") for one in said)])
+        return f"Verdict: none ({name}, {own}), the result was not validated."
+    lines = [f"Verdict: {verdict.use} ({name}, {own})"]
     if verdict.use != "use":
-        said += map(str, verdict.reasons)
-    if verdict.use == "do not use":
-        said.append("Commands made with this result may be worse than none. Calibrate anew.")
-    lines = [f"Verdict: {verdict.use}", *(fill(one, "  ") for one in said)]
+        lines += [fill(str(reason), "  ") for reason in verdict.reasons]
     errors, crossed = result.errors, part.cross_validation
     unseen = [
-        ("validation rows, with the nominal robot", errors["nominal"]["validation"]),
+        ("validation rows, nominal robot", errors["nominal"]["validation"]),
         ("validation rows", errors["larger" if larger else "calibrated"]["validation"]),
         *([("left-out rows", crossed.errors_without_outliers)] if crossed is not None else []),
     ]
     rows = [(label, MM * np.array([e.max, e.mean, e.rms]), "") for label, e in unseen if e.n]
     if rows:
-        whose = "These are errors of the target that was measured; this tool may miss by more."
-        expect = "Expect errors of this size on the robot." if of_target else whose
-        heads = ("max", "mean", "rms")
-        lines += ["", _table("Position error of the result [mm]", heads, rows, 3)]
-        lines.append(fill(f"{expect} What is computed below leaves them out."))
+        title = "Position error of the result [mm]"
+        lines += ["", _table(title, ("max", "mean", "rms"), rows, 3)]
+        other = ", of another tool than the measured target more" * (found.pair.target is None)
+        lines.append(f"Expect errors of this size on the robot{other}.")
     return "\n".join(lines)
 
 
-def _asked(found: Commands, tool: str | None, poses_in: str) -> str:
+def _program(found: Commands) -> str:
     """What is to arrive, how it is matched, and in which frame poses are."""
-    robot, program = found.nominal, found.program
+    robot, program, pair = found.nominal, found.program, found.pair
     what = "joint values"
     if program.T_wanted is not None:
         what = "poses" if program.oriented else "positions"
-        what += f" (orientation: {program.form})" if program.form else ""
-        what += ", joint values to start at" if program.q is not None else ""
-    point = "" if tool is None else f"the point {_place(found.T_tip_tool)} in "
-    frames = {BASE: f"'{robot.base}'", MEASURED: "the frame that was measured in"}
-    frame = frames.get(poses_in, f"the frame of the set-up '{poses_in}'")
+        what += f" ({program.form})" if program.form else ""
+        what += " with joint values to start at" if program.q is not None else ""
+    frame = f"'{robot.base}'"
+    if pair.set_up is not None:
+        frame = f"the measured frame{f' of {pair.set_up!r}' if pair.set_up else ''}"
+    labels = [label for label, _ in program.kept if label]
+    more = f" and {len(labels) - _COLUMNS} more" if len(labels) > _COLUMNS else ""
+    unread = f" Passed through unread: {', '.join(labels[:_COLUMNS])}{more}." if labels else ""
     return fill(
-        f"Program: {len(found)} row{'s' * (len(found) > 1)} of {what}. What arrives: "
-        f"{point or 'the tip '}'{robot.tip}'. Matched: {_MATCHED[found.match]}. Poses are in {frame}. "
-        f"{passed_through(program)}"
+        f"Program: {len(found)} row{'s' * (len(found) > 1)} of {what}. Tool: {_place(pair.actual.T_tip_tool)} in "
+        f"'{robot.tip}'. Matched: {_MATCHED[found.match]}. Poses are in {frame}.{unread}"
     )
 
 
-def _errors(found: Commands, *, poses: bool) -> str:
+def _errors(found: Commands) -> str:
     """How far the robot would have missed, what is left, and how far the poses are moved."""
     rows = found.reached
-    count = int(rows.sum())
     angles = bool(np.isfinite(found.missed[rows, 1]).any())
     # A controller with a redundant joint may come to other joint values than those that were meant.
-    other = poses and bool((np.abs(found.left_by_pose - found.left)[rows] > _WORTH).any())
+    other = bool((np.abs(found.left_by_pose - found.left)[rows] > _WORTH).any())
     table = [
-        ("the tool would miss without correction by", found.missed),
-        ("it misses with it by", found.left),
-        *[("it misses by, if sent as a pose", found.left_by_pose)] * other,
-        ("standard deviation of where it arrives (covariance)", found.std),
-        ("the pose to send is moved by", found.pose_corrections),
+        ("error without compensation", found.missed),
+        ("model residual after compensation", found.left),
+        *[("model residual if sent as a pose", found.left_by_pose)] * other,
+        ("standard deviation of the prediction (covariance)", found.std),
+        ("correction of the pose to send", found.pose_corrections),
     ]
+    count = int(rows.sum())
     return _table(
-        f"By the calibrated model, over {count} row{'s' * (count != 1)} with commands",
+        f"By the calibrated model, {count} row{'s' * (count != 1)} with commands",
         ("max mm", "mean mm", "max deg", "mean deg")[: 2 + 2 * angles],
         [
             (
                 label,
-                [*_most_and_mean(MM * own[rows, 0]), *_most_and_mean(DEG * own[rows, 1]) * angles],
+                [*_most_and_mean(MM * own[:, 0]), *_most_and_mean(DEG * own[:, 1]) * angles],
                 "",
             )
-            for label, own in table
-            if np.isfinite(own[rows]).any()
+            for label, own in ((label, values[rows]) for label, values in table)
+            if np.isfinite(own).any()
         ],
+        4,
     )
 
 
 def _most_and_mean(values: Array) -> tuple[float, ...]:
     """Largest and mean of those that there are."""
     there = values[np.isfinite(values)]
-    return (float(there.max()), float(there.mean())) if there.size else (math.nan, math.nan)
+    return (float(there.max()), float(there.mean())) if there.size else (np.nan, np.nan)
 
 
-def _corrections(found: Commands) -> Iterator[str]:
-    """How far each joint is moved; and the corrections of all rows, or of those where a joint is moved most."""
-    robot, labels = found.nominal, found.program.labels
-    slides = [robot.joint_types[name] == "prismatic" for name in robot.joint_names]
-    changes = np.where(slides, MM, DEG) * found.joint_corrections
-    sizes = np.abs(changes)
-    if np.isfinite(changes).any():
-        rows = []
-        for name, slide, size in zip(robot.joint_names, slides, sizes.T, strict=True):
-            # The first of those that differ by rounding.
-            at = int(np.flatnonzero(size >= np.nanmax(size) - _TIE)[0])
-            label = f"  {name[:48]} [{'mm' if slide else 'deg'}]"
-            rows.append((label, _most_and_mean(size), f"   {labels[at][:16]}"))
-        yield _table("Correction of each joint", ("max", "      mean   in"), rows)
-    shown, title = np.flatnonzero(found.reached), "Corrections [mm, deg]"
-    if len(shown) > _ROWS:
-        most = np.nan_to_num(sizes[shown]).max(axis=1)
-        # Those that differ by rounding stay in their order.
-        shown = shown[np.argsort(-most.round(6), kind="stable")[:_ROWS]]
-        title = "Largest corrections [mm,deg]"
-    heads = ["pose mm", *(f"joint {i + 1}" for i in range(len(slides)))][: 1 + _JOINTS]
-    moved = MM * found.pose_corrections[:, 0]
-    lines = [(labels[i][:26], [moved[i], *changes[i, :_JOINTS]], "") for i in shown]
-    yield _table(title, heads, lines, widths=(28, 9))
+def _corrections(found: Commands) -> str:
+    """How far each joint is moved, and in which row most."""
+    robot, sizes = found.nominal, np.abs(found.joint_corrections)
+    rows = []
+    for name, size in zip(robot.joint_names, sizes.T, strict=True):
+        scale, unit = (MM, "mm") if robot.joint_types[name] == "prismatic" else (DEG, "deg")
+        if np.isfinite(size).any():
+            row = found.program.labels[int(np.nanargmax(size.round(8)))]
+            rows.append((f"  {name[:48]} [{unit}]", _most_and_mean(scale * size), f"   {row[:16]}"))
+    return _table("Correction of each joint", ("max", "      mean   in"), rows, 4) if rows else ""
 
 
-def _notes(
-    found: Commands, robots: Robots, *, of_target: bool, poses: bool, in_base: bool
-) -> Iterator[str]:
+def _notes(found: Commands) -> Iterator[str]:
     """What to look at before the commands go to the robot, a note each; empty ones are none."""
-    robot, program, rows, result = found.nominal, found.program, found.reached, robots.result
-    yield unread_orientation(program)
+    program, rows, pair = found.program, found.reached, found.pair
+    robot, result = found.nominal, pair.result
+    if program.T_wanted is not None and not program.oriented and program.kept:
+        yield (
+            "No orientation was read: positions alone are matched. If one of the unread columns is a part of it, name "
+            'it: --columns "A=yaw [deg]".'
+        )
     yield _elsewhere(found)
-    known = np.isfinite(found.std[rows]).any()
+    known = result is not None and np.isfinite(found.std[rows]).any()
     if result is not None and not result.setup.rotation and found.match != "position" and known:
         unsure, moved = (DEG * one[rows, 1].mean() for one in (found.std, found.pose_corrections))
-        best = "--match position corrects the position alone, and leaves the orientation near the nominal robot's."
-        other = "The calibrated target is known best: --tool target; or --match position."
         yield (
-            f"Positions alone were measured for the result: how the tip is turned follows from them to {unsure:.2f} "
-            f"deg (standard deviation), and the corrections turn it by {moved:.2f} deg on average. "
-            f"{best if of_target else other}"
+            f"Only positions were measured: the tip's orientation is known to {unsure:.2f} deg (standard deviation), "
+            f"and the corrections turn it by {moved:.2f} deg on average. --match position corrects the position alone."
         )
-    if in_base and result is not None and result.frame_estimated and known:
+    if pair.set_up is None and result is not None and result.frame_estimated and known:
         yield (
-            "The frame of the measurements was estimated with the robot, so that places in the base are known to "
-            f"{MM * found.std[rows, 0].mean():.2f} mm (standard deviation) only. Places in the frame that was measured "
-            "in are known better: --poses-in measured."
+            "The measurement frame was estimated with the robot: places in the base are known to "
+            f"{MM * found.std[rows, 0].mean():.2f} mm (standard deviation), "
+            "those in the measured frame better: --poses-in measured."
         )
-    if robots.was_corrected:
-        yield "ROBOT has the corrected joint origins already; what the controller has was taken from the result."
-    computed = program.T_wanted is None
-    if of_target and result is not None and (poses or computed):
-        where = f"a tool at {_place(found.T_tip_tool_nominal)} in '{robot.tip}'"
-        why = "It is where the target was stated to be before the calibration, which found it elsewhere."
-        if np.array_equal(found.T_tip_tool, found.T_tip_tool_nominal):
-            why = "It is where the calibration found the target, whose place was not stated before."
-        wanted = "The poses wanted were computed from the joint values with"
-        if poses:
-            note = (
-                f"The poses to send are those of {where}: set the controller's tool to that. {why}"
-            )
-            yield note + f" {wanted} the same tool." * computed
-        else:
-            yield f"{wanted} {where}. {why}"
-    if in_base and (poses or not computed):
-        yield _another_base(robot, "give" if result is None else "fit with")
-    if poses and not in_base:
+    if pair.target is not None:
         yield (
-            "The poses to send are in the frame that was measured in: set the controller's work object to "
-            f"{_place(rigid_inverse(found.T_frame_base))} in '{robot.base}'."
+            f"Set the controller's tool to {_place(pair.nominal.T_tip_tool)} in '{robot.tip}': the poses to send, and "
+            "those computed from joint values, are of it."
         )
-
-
-def _another_base(robot: Robot, how: str) -> str:
-    """The link that is named as the controller's frame is, where poses are in one that stands otherwise."""
-    if robot.base == _CONTROLLER or _CONTROLLER not in robot.urdf.links:
-        return ""
-    other = robot.rebuilt(base=_CONTROLLER, tip=robot.tip)
-    q = np.zeros(len(robot.joint_names))
-    if other.joint_names != robot.joint_names:
-        return ""
-    T = robot.poses(q)[0] @ rigid_inverse(other.poses(q)[0])
-    if np.allclose(T, np.eye(4), rtol=0.0, atol=1e-6):
-        return ""
-    return (
-        f"The robot also has a link '{_CONTROLLER}', at {_place(T)} in '{robot.base}'. On Universal Robots and in "
-        f"URDFs of ROS-Industrial the controller's poses are in it: {how} --base {_CONTROLLER} where it is so."
-    )
+    if pair.set_up is not None:
+        place = _place(rigid_inverse(pair.T_frame_base))
+        yield f"Set the controller's work object to {place} in '{robot.base}': the poses to send are in it."
+    elif robot.base != "base" and "base" in robot.urdf.links:
+        yield "The controllers of Universal Robots count in the link 'base': check the base link (--base)."
 
 
 def _place(T: Array) -> str:
@@ -364,43 +266,43 @@ def _place(T: Array) -> str:
 
 def _elsewhere(found: Commands) -> str:
     """A program whose joint values do not belong to its poses: mostly another tool, or another frame."""
-    program = found.program
+    program, pair = found.program, found.pair
     if program.q is None or program.T_wanted is None:
         return ""
-    poses = found.T_frame_base @ found.nominal.poses(program.q) @ found.T_tip_tool_nominal
+    poses = pair.T_frame_base @ pair.nominal.poses(program.q)
     far = float(np.median(np.linalg.norm(poses[:, :3, 3] - program.T_wanted[:, :3, 3], axis=1)))
     if far < _ELSEWHERE:
         return ""
     return (
         f"At the program's joint values the nominal robot has the tool {MM * far:.0f} mm from the program's positions "
-        "(median). Are these of another tool (--tool), in another frame (--poses-in), or measured ones (--given "
-        "joints)?"
+        "(median). Are these of another tool (--tool), in another frame (--poses-in), or measured ones (--columns "
+        '"x=-" leaves one out)?'
     )
 
 
 def _reasons(found: Commands) -> list[str]:
     """The rows without a command, and why."""
     rows = zip(found.program.labels, found.reasons, strict=True)
-    return [fill(f"{label}: {why}", "  ", "  ") for label, why in rows if why]
+    return [
+        fill(f"{label}: {finding_text(why, found.nominal)}", "  ", "  ")
+        for label, why in rows
+        if why
+    ]
 
 
-def _warnings(found: Commands, *, larger: bool) -> str:
-    """The warnings of all rows, one line for each kind of them, the first of its rows as the example."""
-    kinds: dict[str, list[tuple[str, str]]] = {}
+def _warnings(found: Commands) -> str:
+    """The warnings of all rows, one line for each code, the first of its rows as the example."""
+    kinds: dict[str, dict[str, str]] = {}
     for label, said in zip(found.program.labels, found.warnings, strict=True):
-        for warned in said:
-            kinds.setdefault(warned.code, []).append((label, str(warned)))
+        for one in said:
+            kinds.setdefault(one.code, {}).setdefault(label, finding_text(one, found.nominal))
     if not kinds:
         return ""
     lines = [f"{_have(found, sum(map(bool, found.warnings)))} a warning:"]
-    for (label, what), *others in kinds.values():
-        names = _listed([other for other, _ in others], _NAMED)
-        more = f"; and {len(others)} more row{'s' * (len(others) > 1)}: {names}" if others else ""
-        lines.append(fill(f"{label}: {what}{more}", "  ", "  "))
-    if "outside" in kinds:
-        grows = " Errors that grow with a joint's value or load, as those of the larger model, can be far off there."
-        text = "The result was not tested outside of the measured range: measure there too."
-        lines.append(fill(text + grows * larger))
+    for rows in kinds.values():
+        first, *others = rows
+        more = f"; and {len(others)} more: {_listed(others, _NAMED)}" if others else ""
+        lines.append(fill(f"{first}: {rows[first]}{more}", "  ", "  "))
     return "\n".join(lines)
 
 
@@ -411,34 +313,3 @@ def _listed(labels: Sequence[str], most: int) -> str:
         return row_ranges(map(int, names), most)
     more = len(names) - most
     return ", ".join(names[:most]) + (f" and {more} more" if more > 0 else "")
-
-
-def passed_through(program: Program) -> str:
-    """The columns that go into the commands unread; nothing where there are none."""
-    labels = [label for label, _ in program.kept if label]
-    if not labels:
-        return ""
-    more = f" and {len(labels) - _COLUMNS} more" if len(labels) > _COLUMNS else ""
-    return f"Passed through unread: {', '.join(labels[:_COLUMNS])}{more}."
-
-
-def unread_orientation(program: Program) -> str:
-    """What to do about columns that look like an orientation, where positions alone were read."""
-    if program.T_wanted is None or program.oriented:
-        return ""
-    names = [split_header(label)[0] for label, _ in program.kept]
-    named = {name.casefold(): name for name in names}
-    for looked, whose, meaning in _MEANT:
-        if not set(looked) <= set(named):
-            continue
-        there = [named[name] for name in looked]
-        unit = "" if "qw" in meaning else " [deg]"
-        pairs = zip(there, meaning, strict=False)
-        options = " ".join(f'--columns "{column}={name}{unit}"' for column, name in pairs)
-        how = f"({whose}): {options}" if meaning else "convert them to quaternions, qx, qy, qz, qw"
-        return (
-            f"The columns {', '.join(there)} look like an orientation and were not read: positions alone are matched, "
-            f"and in the table the old one stands beside the new one. If they are one {how}. Otherwise they mean "
-            "nothing here."
-        )
-    return ""

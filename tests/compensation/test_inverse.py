@@ -32,7 +32,7 @@ def well(
     return q[condition(arm, q, matching) > least][:count]
 
 
-@pytest.mark.parametrize("match", ["pose", "position", "axis", "weighted"])
+@pytest.mark.parametrize("match", ["pose", "position", "axis"])
 @pytest.mark.parametrize("name", ["ur3", "panda"])
 def test_the_true_robot_arrives_near_the_nominal_joint_values(name, match, request):
     nominal = request.getfixturevalue(name)
@@ -160,37 +160,6 @@ def test_what_cannot_be_reached_is_as_near_as_can_be(ur3):
     assert np.abs(gradient).max() < 1e-3 * distance
 
 
-def test_few_joints_weigh_position_against_angle(serial_urdf):
-    four = Robot.from_urdf(
-        serial_urdf(
-            [
-                ("revolute", (0, 0, 0.3), (0, 0, 0), (0, 0, 1)),
-                ("revolute", (0.25, 0, 0), (0, 0, 0), (0, 0, 1)),
-                ("prismatic", (0.2, 0, 0), (0, 0, 0), (0, 0, 1)),
-                ("revolute", (0, 0, -0.1), (0, 0, 0), (0, 0, 1)),
-            ]
-        )
-    )
-    true, believed = Arm.of(off(four), np.eye(4)), Arm.of(four, np.eye(4))
-    q = 0.5 * random_joint_values(four, 20)
-    q[:, 1] += 1.0
-    wanted = believed.poses(q)
-    before = Matching("pose", 1.0).misses(true.poses(q), wanted)
-    left = {}
-    for lever in (1e-3, 10.0):
-        matching = Matching("weighted", lever)
-        found = solve(true, wanted, q, matching, None)
-        left[lever] = matching.misses(found.T_base_tool, wanted)
-        error = matching.error(found.T_base_tool, wanted)
-        gradient = np.einsum("nij,ni->nj", matching.jacobian(found.twists), error)
-        scale = np.linalg.norm(error, axis=1).max()
-        assert np.abs(gradient).max() < 1e-4 * scale
-    # Four joints cannot undo a tilt: with a short lever the position is nearly exact all the same.
-    assert left[1e-3][:, 0].max() < 1e-5 < before[:, 0].min() + 1e-4
-    assert left[10.0][:, 1].max() <= left[1e-3][:, 1].max()
-    assert np.median(left[10.0][:, 1]) > 1e-3
-
-
 TWIST = st.lists(st.floats(-0.5, 0.5), min_size=6, max_size=6).map(np.array)
 
 
@@ -230,31 +199,13 @@ def test_a_direction_straight_back_is_half_a_turn():
     assert np.linalg.norm(error[3:]) == pytest.approx(np.pi)
 
 
-def test_an_angle_counts_as_a_length():
-    now, wanted = stack(np.eye(4)), stack(pose([0, 0, 0, 0.1, 0, 0]))
-    assert Matching("weighted", 0.02).error(now, wanted)[0, 3] == pytest.approx(0.002)
-    twists = np.ones((1, 6, 2))
-    assert Matching("weighted", 0.02).jacobian(twists)[0, :, 0].tolist() == [
-        1,
-        1,
-        1,
-        0.02,
-        0.02,
-        0.02,
-    ]
-    assert twists.min() == 1.0  # what was given is not changed
-
-
 def test_misses_are_a_distance_and_the_angle_that_is_matched():
     now, wanted = stack(np.eye(4)), stack(pose([0, 0, 0, 0, 0, 0.3]))
     wanted[:, :3, 3] = 0.0, 0.03, 0.04
     assert Matching("pose", 1.0).misses(now, wanted)[0] == pytest.approx([0.05, 0.3])
-    assert Matching("weighted", 9.0).misses(now, wanted)[0] == pytest.approx([0.05, 0.3])
     assert Matching("axis", 1.0).misses(now, wanted)[0] == pytest.approx([0.05, 0.0])
     assert np.isnan(Matching("position", 1.0).misses(now, wanted)[0, 1])
 
-
-POSE = Matching("pose", 0.01)
 
 START = np.radians([-20.0, -80.0, 60.0, -70.0, -90.0, 10.0])
 
@@ -274,10 +225,7 @@ def path(arm: Arm, count: int) -> np.ndarray:
 
 def test_a_path_is_followed_in_one_branch(arm):
     wanted = path(arm, 300)
-    told: list[tuple[int, int]] = []
-    found = following(arm, wanted, START, POSE, lambda done, count: told.append((done, count)))
-    assert told[-1] == (300, 300)
-    assert sorted(told) == told
+    found = following(arm, wanted, START, POSE)
     assert found.T_base_tool == pytest.approx(wanted, abs=1e-9)
     assert found.q[0] == pytest.approx(START, abs=1e-9)
     steps = np.abs(np.diff(found.q, axis=0)).max(axis=1)
@@ -334,12 +282,8 @@ def test_the_start_is_named_or_in_the_middle(arm):
     )
 
 
-def test_a_start_of_a_joint_that_is_not_there_is_refused(arm):
-    with pytest.raises(
-        ModelError, match=r"no joint 'elbow' to start at .*'elbow_joint'.*; it has 'shoulder_pan"
-    ):
+def test_a_start_that_the_chain_does_not_have_is_refused(arm):
+    with pytest.raises(ModelError, match=r"no joint 'elbow' to start at .*'elbow_joint'"):
         start_values(arm.robot, {"elbow": 0.3})
-    with pytest.raises(
-        ModelError, match="'elbow_joint' to start at is a length, and the joint tur"
-    ):
+    with pytest.raises(ModelError, match="'elbow_joint' to start at is a length"):
         start_values(arm.robot, {"elbow_joint": Length(0.3)})
