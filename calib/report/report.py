@@ -9,36 +9,26 @@ import base64
 import os
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+import calib.report.report_tables as tables
+import calib.text.summary as texts
 from calib.data.kinds import get as kind_named
 from calib.errors import FileError
 from calib.estimate.statistics import interval_factor
 from calib.files import write_atomically
-from calib.report import report_tables as tables
-from calib.report.figures import Drawing, drawings, rendered_with_width
 from calib.result.calibration import Calibration
 from calib.result.calibration_fields import versions
 from calib.result.support import outside_sentence
 from calib.result.verdict import Why
-from calib.text.summary import (
-    EXPECTED,
-    SCATTER,
-    SIZES,
-    TOGETHER,
-    errorless,
-    facts,
-    frame_sentences,
-    solver_text,
-    target_sentences,
-    unidentifiable_text,
-    weights_text,
-)
+
+if TYPE_CHECKING:
+    from calib.report.figures import Drawing
 
 #: A drawing with more bytes than this as SVG goes in as PNG.
 _LARGE = 260_000
@@ -83,20 +73,18 @@ def write_report(
 
 
 def check_ending(path: str | Path) -> None:
-    """Refuse a name that no page has.
-
-    Raises:
-        FileError: It does not end in .html or .htm.
-    """
+    """Refuse a name that does not end in .html or .htm."""
     if Path(path).suffix.lower() not in (".html", ".htm"):
         raise FileError(
             f"'{path}': a report is a page; let the name end in .html. The summary is its text."
         )
 
 
-def report_bytes(calibration: Calibration, *, command: str = "", date: str = "") -> bytes:
+def report_bytes(calibration: Calibration, *, command: str = "") -> bytes:
     """The page, UTF-8. Nothing but its date, now or ``SOURCE_DATE_EPOCH``, differs between two of a calibration."""
     import jinja2
+
+    from calib.report.figures import drawings
 
     environment = jinja2.Environment(
         autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
@@ -106,8 +94,19 @@ def report_bytes(calibration: Calibration, *, command: str = "", date: str = "")
     epoch = os.environ.get("SOURCE_DATE_EPOCH", "")
     now = datetime.now(timezone.utc)
     when = datetime.fromtimestamp(int(epoch), timezone.utc) if epoch.isdecimal() else now
-    content = _content(calibration, command, date or f"{when:%Y-%m-%d %H:%M} UTC")
+    content = _content(calibration, command, f"{when:%Y-%m-%d %H:%M} UTC")
+    content["figures"] = [(one, _picture(one)) for one in drawings(calibration)]
     return environment.from_string(source).render(**content).encode("utf-8", "replace")
+
+
+def _picture(drawing: Drawing) -> str:
+    """The figure as a data address, lines as SVG and as PNG where that would be large."""
+    from calib.report.figures import rendered
+
+    media, data = "svg+xml", rendered(drawing, "svg")
+    if len(data) > _LARGE:
+        media, data = "png", rendered(drawing, "png")
+    return f"data:image/{media};base64,{base64.b64encode(data).decode('ascii')}"
 
 
 def _content(c: Calibration, command: str, date: str) -> dict[str, Any]:
@@ -118,16 +117,13 @@ def _content(c: Calibration, command: str, date: str) -> dict[str, Any]:
     use = "none" if c.verdict is None else c.verdict.use
     # Of a text in CSS all but letters, digits and blanks are numbers, so that nothing ends it.
     footer = re.sub(r"[^A-Za-z0-9 ]", lambda found: f"\\{ord(found[0]):x} ", title[:80])
-    m, v, said = c.measurements, c.cross_validation, facts(c)
-    chain = f"{c.nominal.name}, {c.nominal.base} to {c.nominal.tip}"
-    joints, estimated = len(c.nominal.joints), f"{m.estimation.sum():,}"
-    rows = f"{estimated} rows to estimate, {m.validation.sum():,} to validate"
+    m, v, said = c.measurements, c.cross_validation, texts.facts(c)
+    chain = f"{c.nominal.name}, {c.nominal.base} to {c.nominal.tip}, {len(c.nominal.joints)} joints"
+    estimated, source = f"{m.estimation.sum():,}", m.source or "from memory"
     without = int(np.sum(c.weights[m.estimation] <= 0.0))
-    weightless = f", {without:,} of which have no weight" * bool(without)
     # What the measured poses cannot tell apart, and validation rows beyond the joint values that were fitted, where the
     # verdict does not name them.
     every = [str(one) for one in c.observability.unidentifiable]
-    rest = [f"and {len(every) - _MOST} more"] * (len(every) > _MOST)
     outside = outside_sentence(c.outside, np.array(m.rows)[m.validation].tolist())
     if c.verdict is not None and any(reason.why == Why.OUTSIDE for reason in c.verdict.reasons):
         outside = ""
@@ -138,28 +134,31 @@ def _content(c: Calibration, command: str, date: str) -> dict[str, Any]:
         "footer": Markup(f'"{footer}"'),
         "date": date,
         "heading": [
-            ("Robot", f"{chain}, {joints} joint{'s' * (joints > 1)}"),
-            ("Measurements", f"{m.source or 'from memory'}: {rows}"),
+            ("Robot", chain),
+            (
+                "Measurements",
+                f"{source}: {estimated} to estimate, {m.validation.sum():,} to validate",
+            ),
             ("Date of the report", date),
         ],
         "verdict": (use, *_VERDICTS[use]),
         "tables": tables,
-        "figures": [(one, *_picture(one)) for one in drawings(c)],
-        "estimated": f"{estimated} estimation rows{weightless}",
+        "estimated": f"{estimated} estimation rows"
+        + f", {without:,} of which have no weight" * bool(without),
         "factor": f"{interval_factor(c.fitted.estimate.freedom):.2f}",
-        "errorless": bool(errorless(c)),
-        "places": [*target_sentences(c, _MOST), *frame_sentences(c, _MOST)],
-        "weights": weights_text(c),
+        "errorless": bool(texts.errorless(c)),
+        "places": [*texts.target_sentences(c, _MOST), *texts.frame_sentences(c, _MOST)],
+        "weights": texts.weights_text(c),
         "rank": f"Rank: {said['Rank']}",
-        "unidentifiable": unidentifiable_text(c),
-        "combinations": every[:_MOST] + rest,
+        "unidentifiable": texts.unidentifiable_text(c),
+        "combinations": every[:_MOST] + [f"and {len(every) - _MOST} more"] * (len(every) > _MOST),
         "known_together": [
-            f"{label}: {said[label]}" for label in (TOGETHER, SIZES) if label in said
+            f"{label}: {said[label]}" for label in (texts.TOGETHER, texts.SIZES) if label in said
         ],
-        "measured": list(_measured(c, said)),
+        "measured": _measured(c, said),
         "outside": outside,
         "method": [
-            f"{solver_text(c)}. {c.solution.message}",
+            f"{texts.solver_text(c)}. {c.solution.message}",
             f"Outliers {'have no' if c.fitted.task.robust else 'keep their'} weight in the fit.",
             left_out if v is None else f"Errors of left-out rows: {v.method}, {v.folds} fits.",
             _PRIORS[c.cell.priors.sizes],
@@ -168,7 +167,7 @@ def _content(c: Calibration, command: str, date: str) -> dict[str, Any]:
         "trace": [
             ("Nominal robot", c.nominal.urdf.source or "from memory"),
             ("  SHA-256", c.nominal.urdf.sha256),
-            ("Measurements", m.source or "from memory"),
+            ("Measurements", source),
             ("  SHA-256", m.sha256.replace(" + ", ", ") or "-"),
             ("Corrected robot", "as written without a target link"),
             ("  SHA-256", c.robot.urdf.sha256),
@@ -179,55 +178,45 @@ def _content(c: Calibration, command: str, date: str) -> dict[str, Any]:
     }
 
 
-def _picture(drawing: Drawing) -> tuple[str, str]:
-    """The figure as a data address, lines as SVG and as PNG where that would be large; and its width [%]."""
-    media = "svg+xml"
-    data, share = rendered_with_width(drawing, "svg")
-    if len(data) > _LARGE:
-        media = "png"
-        data, share = rendered_with_width(drawing, "png")
-    text = base64.b64encode(data).decode("ascii")
-    return f"data:image/{media};base64,{text}", f"{100.0 * share:.1f}"
-
-
-def _measured(c: Calibration, said: Mapping[str, str]) -> Iterator[tuple[str, str]]:
-    """What was measured, and how well."""
-    m = c.measurements
+def _measured(c: Calibration, said: dict[str, str]) -> list[tuple[str, str]]:
+    """What was measured, and how well; rows without a text are not shown."""
+    m, slides = c.measurements, {j.name for j in c.nominal.urdf.joints if j.type == "prismatic"}
     rows = f"{m.estimation.sum():,} to estimate, {m.validation.sum():,} to validate (column 'set')"
     more = f"; {len(m.unmeasured):,} more without a measurement, left out" if m.unmeasured else ""
-    yield "Rows", f"{len(m):,}: {rows}{more}"
     kinds = [f"{kind_named(kind).words} ({n:,} rows)" for kind, n in Counter(m.kinds).items()]
-    yield "Each row measures", "; ".join(kinds)
-    for what, names in (("Targets", m.targets), ("Set-ups", m.groups)):
-        if len(set(names)) > 1:
-            yield what, _named(tuple(dict.fromkeys(names)))
     found = sum(bool(directions) for directions in c.setup.unknown)
     placed = c.cell.T_frame_base is not None or bool(c.cell.frames)
-    known = f"known: {'as the set-up places it' if placed else c.nominal.base}"
-    estimated = f"estimated from the rows, for {found} of {len(c.setup.groups)} set-ups"
-    yield "Measurement frame", estimated if found else known
-    yield "Noise of the rows", said["Noise"]
-    if m.sigma is not None or c.cell.sigma is not None:
-        given = c.cell.sigma if m.sigma is None else float(np.nanmedian(m.sigma))
-        yield "Noise stated", f"{1e3 * (given or 0.0):.3f} mm a coordinate (median of the rows)"
-    if SCATTER in said:
-        yield SCATTER, said[SCATTER]
-    if c.nominal.held:
-        slides = {j.name for j in c.nominal.urdf.joints if j.type == "prismatic"}
-        held = c.nominal.held.items()
-        texts = [
-            f"{k} at {1e3 * v:.3f} mm" if k in slides else f"{k} at {np.degrees(v):.3f} deg"
-            for k, v in held
-        ]
-        yield "Joints held", ", ".join(texts)
-    if m.ignored:
-        yield "Columns not used", _named(m.ignored)
+    frame = f"known: {'as the set-up places it' if placed else c.nominal.base}"
+    if found:
+        frame = f"estimated from the rows, for {found} of {len(c.setup.groups)} set-ups"
+    sigma = c.cell.sigma if m.sigma is None else float(np.nanmedian(m.sigma))
+    held = [
+        f"{k} at {1e3 * v:.3f} mm" if k in slides else f"{k} at {np.degrees(v):.3f} deg"
+        for k, v in c.nominal.held.items()
+    ]
     what = "one standard deviation of the target's position, from the covariance of the parameters"
-    yield EXPECTED, f"{said[EXPECTED].removesuffix('.')}; {what}."
+    pairs = (
+        ("Rows", f"{len(m):,}: {rows}{more}"),
+        ("Each row measures", "; ".join(kinds)),
+        ("Targets", _named(m.targets) if len(set(m.targets)) > 1 else ""),
+        ("Set-ups", _named(m.groups) if len(set(m.groups)) > 1 else ""),
+        ("Measurement frame", frame),
+        ("Noise of the rows", said["Noise"]),
+        (
+            "Noise stated",
+            f"{1e3 * sigma:.3f} mm a coordinate (median of the rows)" if sigma else "",
+        ),
+        (texts.SCATTER, said.get(texts.SCATTER, "")),
+        ("Joints held", ", ".join(held)),
+        ("Columns not used", _named(m.ignored)),
+        (texts.EXPECTED, f"{said[texts.EXPECTED].removesuffix('.')}; {what}."),
+    )
+    return [(label, text) for label, text in pairs if text]
 
 
 def _named(names: Sequence[str]) -> str:
-    """Names, the first dozen."""
-    shown = ", ".join(f"'{name}'" for name in names[:_MOST_NAMES])
-    rest = len(names) - _MOST_NAMES
+    """Different names, the first dozen."""
+    different = list(dict.fromkeys(names))
+    shown = ", ".join(f"'{name}'" for name in different[:_MOST_NAMES])
+    rest = len(different) - _MOST_NAMES
     return shown + (f" and {rest} more" if rest > 0 else "")

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import io
-import json
-import subprocess
-import sys
 from xml.etree import ElementTree
 
 import matplotlib as mpl
 import pytest
-from hypothesis import given, strategies as st
 from PIL import Image
 
 from calib.errors import FileError
-from calib.report.figure_base import log_axis, new_figure, short_names
+from calib.report.figure_base import new_figure, short_names
 from calib.report.figures import Drawing, rendered
 
 NASTY = "<b>$\\frac{a}{$</b> & \"x' 関節\n"
@@ -37,7 +33,7 @@ def text_of(svg):
     return [element.text for element in root.iter("{http://www.w3.org/2000/svg}text")], root
 
 
-@pytest.mark.parametrize("kind", ["png", "svg", "pdf"])
+@pytest.mark.parametrize("kind", ["svg", "pdf"])
 def test_the_same_figure_is_the_same_file_whatever_the_users_settings(kind):
     first = rendered(drawing(), kind)
     with mpl.rc_context({"font.size": 30.0, "axes.facecolor": "red", "svg.fonttype": "path"}):
@@ -68,45 +64,6 @@ def test_names_are_text_and_no_formula():
     assert all(element.tag.split("}")[1] != "b" for element in root.iter())
     for kind in ("png", "pdf"):
         assert len(rendered(drawing(name), kind)) > 1000
-
-
-@pytest.mark.slow
-def test_importing_and_listing_takes_no_matplotlib_and_drawing_no_window():
-    program = """
-import json, sys
-import calib.report.figures as figures
-early = "matplotlib" in sys.modules
-import matplotlib as mpl
-before = mpl.rcParams.copy()
-from calib.report.figure_base import new_figure
-for kind in figures.KINDS:
-    figures.rendered(figures.Drawing("a", "b", "c", "d", lambda: new_figure(1.0)), kind)
-print(json.dumps([early, "matplotlib.pyplot" in sys.modules, mpl.rcParams.copy() == before]))
-"""
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", program], capture_output=True, text=True, check=True
-    )
-    assert json.loads(done.stdout) == [False, False, True]
-    assert done.stderr == ""
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [(1.0, "1"), (0.001, "0.001"), (1000.0, "1000"), (1e4, "10⁴"), (1e-12, "10⁻¹²"), (0.0, "")],
-)
-def test_numbers_of_a_logarithmic_axis_are_no_formulas(value, text):
-    ax = sketch().axes[0]
-    log_axis(ax, "y")
-    assert ax.yaxis.get_major_formatter()(value, 0) == text
-
-
-names = st.text(st.characters(exclude_categories=()), max_size=120)
-
-
-@given(st.lists(names, min_size=1, max_size=6, unique=True), st.integers(8, 30))
-def test_short_names_fit_on_a_line(given_names, longest):
-    short = short_names(given_names, longest)
-    assert all(len(name) <= longest + 4 and name.isprintable() for name in short)
 
 
 def test_a_long_name_keeps_its_ends_and_two_of_one_kind_stay_different():
