@@ -18,6 +18,7 @@ ORDER = (
     "errors",
     "units",
     "files",
+    "fields",
     "example",
     "robot",
     "model",

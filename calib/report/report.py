@@ -23,7 +23,7 @@ from calib.errors import FileError
 from calib.estimate.statistics import interval_factor
 from calib.files import write_atomically
 from calib.result.calibration import Calibration
-from calib.result.calibration_fields import versions
+from calib.result.calibration_file import versions
 from calib.result.support import outside_sentence
 from calib.result.verdict import Why
 

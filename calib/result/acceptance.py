@@ -12,31 +12,45 @@ Without U this is the plain comparison of A with T. Rows that a calibration was 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaincinv
 
+from calib.data.cell import Cell
+from calib.data.measurements import Measurements
 from calib.errors import CalibError, MeasurementError, choices
 from calib.estimate.statistics import interval_factor
-from calib.result.accuracy import Accuracy, PoseAccuracy, accuracy
-from calib.result.evaluation import Evaluation
+from calib.result.accuracy import Accuracy, PoseAccuracy, accuracy, fitted_rows
+from calib.result.calibration import Calibration
+from calib.result.evaluation import Evaluation, Moved, evaluate, evaluate_larger, hint, moved
+from calib.result.support import OutsideRow, outside
+from calib.result.verdict import Reason
+from calib.robot.robot import Robot
+from calib.units import split_header
 
 Mask = NDArray[np.bool_]
-
-PASS, UNDECIDED, FAIL = "pass", "undecided", "fail"
+Outcome = Literal["pass", "undecided", "fail"]
 
 #: From the best to the worst: of several checks the worst outcome counts.
-OUTCOMES = (PASS, UNDECIDED, FAIL)
+OUTCOMES: tuple[Outcome, ...] = ("pass", "undecided", "fail")
 
 #: What is compared with the tolerance: the largest AP, their mean, or the largest error of a single repeat.
 CRITERIA = ("max", "mean", "single")
 
+#: Origins that differ by less are the same [m] and [1].
+_SAME = 1e-9
+
+#: A column that every table of commands has, and how exactly the poses to send are those of the nominal robot [m].
+_COMMANDS, _EXACT = "correction position", 1e-6
+
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One figure held against its tolerance, in m or rad.
+    """One figure compared with its tolerance, in m or rad.
 
     Attributes:
         figure: What is judged.
@@ -55,7 +69,7 @@ class Check:
     seen: bool
 
     @property
-    def outcome(self) -> str:
+    def outcome(self) -> Outcome:
         """One of `OUTCOMES`.
 
         Example:
@@ -63,12 +77,12 @@ class Check:
             'undecided'
         """
         if self.figure - self.uncertainty > self.tolerance:
-            return FAIL
-        return PASS if self.held <= self.tolerance and not self.seen else UNDECIDED
+            return "fail"
+        return "pass" if self.held <= self.tolerance and not self.seen else "undecided"
 
     @property
     def held(self) -> float:
-        """The sum f A + U, which must be within the tolerance for a pass; infinite where nothing is left over."""
+        """The sum f A + U, which must be within the tolerance for a pass."""
         return self.figure * self.factor + self.uncertainty
 
 
@@ -97,14 +111,14 @@ class Acceptance:
         return tuple((check, angle) for check, angle in both if check is not None)
 
     @property
-    def outcome(self) -> str:
+    def outcome(self) -> Outcome:
         """``"pass"``, ``"undecided"`` or ``"fail"``: the worst of the checks."""
         return max((check.outcome for check, _ in self.checks), key=OUTCOMES.index)
 
     @property
     def passed(self) -> bool:
         """Whether the tolerance was shown to be kept."""
-        return self.outcome == PASS
+        return self.outcome == "pass"
 
     @property
     def share(self) -> float:
@@ -117,6 +131,20 @@ class Acceptance:
             return 0.0
         return float(betaincinv(self.within, count - self.within + 1, 0.05))
 
+    def size(self, pose: PoseAccuracy, *, angle: bool) -> float:
+        """What the criterion looks at in a pose [m] or [rad]; NaN if it has none."""
+        name = "single" if self.criterion == "single" else "ap"
+        return float(getattr(pose, f"{name}_angle" if angle else name))
+
+    def worst_first(self) -> list[PoseAccuracy]:
+        """The poses by how much of their tolerance they use, the worst first."""
+
+        def used(pose: PoseAccuracy) -> float:
+            shares = (self.size(pose, angle=angle) / c.tolerance for c, angle in self.checks)
+            return max((share for share in shares if np.isfinite(share)), default=0.0)
+
+        return sorted(self.accuracy.poses, key=used, reverse=True)
+
 
 def acceptance(
     evaluation: Evaluation,
@@ -128,7 +156,7 @@ def acceptance(
     criterion: str = "max",
     seen: bool | Mask = False,
 ) -> Acceptance:
-    """Hold a robot's pose accuracy against a tolerance.
+    """Compare a robot's pose accuracy with a tolerance.
 
     Args:
         evaluation: The errors of the robot that is judged.
@@ -154,43 +182,161 @@ def acceptance(
     """
     given = ((tolerance, uncertainty, "m"), (tolerance_angle, uncertainty_angle, "rad"))
     if tolerance is None and tolerance_angle is None:
-        raise CalibError(
-            "State a tolerance: of positions in m, of orientations in rad, or of both."
-        )
+        raise CalibError("State a tolerance: of positions in m, of orientations in rad, or both.")
     for limit, sure, unit in given:
-        if limit is not None and not 0.0 < limit < np.inf:
-            raise CalibError(f"The tolerance is {limit} {unit}; it must be a number above 0.")
-        if not 0.0 <= sure < np.inf:
-            raise CalibError(f"The measuring uncertainty is {sure} {unit}; it must be 0 or larger.")
+        if (limit is not None and not 0.0 < limit < np.inf) or not 0.0 <= sure < np.inf:
+            raise CalibError(
+                f"The tolerance is {limit} {unit} with an uncertainty of {sure} {unit}; the first must be above 0, the "
+                "second 0 or larger."
+            )
     if criterion not in CRITERIA:
         raise CalibError(f"The criterion is '{criterion}'; choose one of {choices(CRITERIA)}.")
-    found = accuracy(evaluation, seen=seen)
-    if tolerance_angle is not None and not len(found.of("ap_angle")):
+    one = accuracy(evaluation, seen=seen)
+    if tolerance_angle is not None and not len(one.of("ap_angle")):
         raise MeasurementError(
             f"{evaluation.measurements.source or 'Measurements'}: a tolerance of {np.degrees(tolerance_angle):g} deg "
-            "was stated, and no orientation was measured in the rows that are judged. Measure poses, or state a "
-            "tolerance of positions alone."
+            "was stated, and no orientation was measured in the rows that are judged."
         )
-    fine = np.ones(len(found.poses), dtype=bool)
+    fine = np.ones(len(one.poses), dtype=bool)
+    found = Acceptance(one, criterion, None, None, 0)
     checks: list[Check | None] = [None, None]  # of lengths, of angles
     for k, (limit, sure, _) in enumerate(given):
         if limit is None:
             continue
-        values = np.array([size_of(pose, criterion, angle=k > 0) for pose in found.poses])
+        values = np.array([found.size(pose, angle=k > 0) for pose in one.poses])
         fine &= ~(values > limit)  # a pose without an orientation is judged by its position
-        std, freedom = (found.scatter, found.scatter_angle)[k]
-        half = interval_factor(freedom) * std / np.sqrt(found.repeats[0]) if freedom else np.nan
+        std, freedom = (one.scatter, one.scatter_angle)[k]
+        half = interval_factor(freedom) * std / np.sqrt(one.repeats[0]) if freedom else np.nan
         figure = float(np.nanmean(values) if criterion == "mean" else np.nanmax(values))
-        checks[k] = Check(figure, limit, sure, found.factor, float(half), found.seen)
-    return Acceptance(found, criterion, checks[0], checks[1], int(np.sum(fine)))
+        checks[k] = Check(figure, limit, sure, one.factor, float(half), one.seen)
+    return Acceptance(one, criterion, checks[0], checks[1], int(np.sum(fine)))
 
 
-def size_of(pose: PoseAccuracy, criterion: str, *, angle: bool) -> float:
-    """What a criterion looks at in a pose: AP, or the largest error of a single repeat [m] or [rad]; NaN if none."""
-    if criterion == "single":
-        return pose.single_angle if angle else pose.single
-    return pose.ap_angle if angle else pose.ap
+@dataclass(frozen=True, slots=True, eq=False)
+class Assessment:
+    """Every robot that a URDF and a result hold, compared with one table.
+
+    Attributes:
+        found: Errors, by ``"nominal"``, ``"urdf"``, ``"calibration"`` and ``"larger"`` as far as they are there.
+        figures: Their accuracy.
+        judged: The robot that is judged.
+        accepted: The acceptance, where a tolerance was stated.
+        own: Whether the URDF is neither the nominal nor the calibrated robot.
+        outside: Judged rows with joint values that the fit did not see, and the numbers of the rows asked for.
+        moved: A frame or target that moved since the calibration.
+        hint: A set-up that would explain the rows far better, without a calibration.
+    """
+
+    found: Mapping[str, Evaluation]
+    figures: Mapping[str, Accuracy]
+    judged: str
+    accepted: Acceptance | None
+    own: bool
+    outside: tuple[tuple[OutsideRow, ...], tuple[int, ...]]
+    moved: Moved | None
+    hint: Reason | None
 
 
-#: What ISO 9283 asks for: repeats of a pose, and poses.
-ISO_REPEATS, ISO_POSES = 30, 5
+def assess(
+    robot: Robot,
+    table: Measurements,
+    cell: Cell,
+    c: Calibration | None = None,
+    *,
+    which: tuple[str, ...] = (),
+    judge: str | None = None,
+    limits: Mapping[str, Any] | None = None,
+) -> Assessment:
+    """Evaluate the robot as it is; and of a result its nominal robot, its joint origins, and its larger model.
+
+    Args:
+        robot: The robot.
+        table: The rows.
+        cell: The set-up.
+        c: The result.
+        which: Which of its ``"frame"`` and ``"target"`` are used.
+        judge: Which robot is judged; by default the corrected one.
+        limits: What `calib.acceptance` is given; without it nothing is judged.
+
+    Raises:
+        CalibError: There is no such robot to be judged, or what `evaluate` and `acceptance` raise.
+        MeasurementError: The table holds commands, and nothing was measured.
+    """
+    _check_measured(robot if c is None else c.uncorrected(robot), table)
+    seen = np.zeros(len(table), dtype=bool)
+    if c is None:
+        found = {"urdf": evaluate(robot, table, cell)}
+    else:
+        states = {
+            "nominal": (c.uncorrected(robot), c.nominal_setup),
+            "urdf": (robot, c.setup),
+            "calibration": (c.corrected(robot), c.setup),
+        }
+        found = {
+            who: evaluate(one, table, cell, known=known, which=which)
+            for who, (one, known) in states.items()
+        }
+        larger = evaluate_larger(c, robot, table, cell, which)
+        found |= {} if larger is None else {"larger": larger}
+        seen = fitted_rows(c, robot, table, cell)
+    judged = judge or ("urdf" if c is None else "calibration")
+    if judged not in found:
+        raise CalibError(
+            f"--judge {judged}: there is no such robot; choose one of {choices(found)}."
+        )
+    figures = {who: accuracy(one, seen=seen) for who, one in found.items()}
+    origins = {who: one.robot.origins() for who, one in found.items()}
+    own = c is not None and not any(
+        all(abs(T - origins["urdf"][joint]).max() < _SAME for joint, T in origins[who].items())
+        for who in ("nominal", "calibration")
+    )
+    beyond: tuple[tuple[OutsideRow, ...], tuple[int, ...]] = ((), ())
+    if c is not None and judged in ("calibration", "larger"):
+        beyond = _outside(c, found[judged], figures[judged])
+    return Assessment(
+        found=found,
+        figures=figures,
+        judged=judged,
+        accepted=acceptance(found[judged], **limits, seen=seen) if limits else None,
+        own=own,
+        outside=beyond,
+        moved=moved(found["calibration"].robot, table, cell, c.setup)
+        if c is not None and set(which) == {"frame", "target"}
+        else None,
+        hint=hint(found["urdf"], cell) if c is None else None,
+    )
+
+
+def _outside(
+    c: Calibration, evaluation: Evaluation, judged: Accuracy
+) -> tuple[tuple[OutsideRow, ...], tuple[int, ...]]:
+    """The judged rows with joint values that the fit did not see."""
+    robot, m = evaluation.robot, evaluation.measurements
+    ranges = dict(zip(c.nominal.joint_names, c.ranges, strict=True))
+    # A joint that turns without end has no range to be outside of.
+    known = [
+        k
+        for k, joint in enumerate(robot.inputs)
+        if joint.type != "continuous" and np.isfinite(ranges.get(joint.name, np.nan)).all()
+    ]
+    names = [robot.joint_names[k] for k in known]
+    ends = np.array([ranges[name] for name in names]).reshape(-1, 2).T
+    chosen = np.isin(m.rows, [row for pose in judged.poses for row in pose.rows[:1]])
+    q = m.joints_for(robot.joint_names)[chosen][:, known]
+    found = outside(ends, q, names, [robot.inputs[k].type for k in known])
+    return found, tuple(np.array(m.rows)[chosen].tolist())
+
+
+def _check_measured(nominal: Robot, m: Measurements) -> None:
+    """Refuse a table of commands, whose poses the nominal robot predicts: any tolerance would seem to be kept."""
+    if _COMMANDS not in {split_header(label)[0] for label in m.ignored}:
+        return
+    try:
+        found = evaluate(nominal, m, Cell(estimate_frame=True))
+    except CalibError:
+        return  # too few rows to tell
+    if found.used.sum() > found.setup.count and found.errors["all"].max < _EXACT:
+        raise MeasurementError(
+            f"{m.source}: these are commands that 'calib compensate' wrote, and nothing was measured. Put what was "
+            "measured in the place of x, y, z, or give it as a list of its own with --points."
+        )

@@ -8,20 +8,15 @@ for the joint values of that row, in the axes of the base,
     AP_a, AP_b, AP_c = mean e_j about x, y, z       of orientations
     RP_a, RP_b, RP_c = 3 S_a, 3 S_b, 3 S_c
 
-where S are the standard deviations over n - 1. What a controller with this model would command to bring about these
-joint values is what the model predicts: so the figures are those of a controller with this model. Repeats whose joint
-values were read a little differently are compared each with its own prediction. Rows that measure one length have
-AP = |mean e_j| along it, as ISO 9283's distance accuracy, and RP = 3 S.
-
-A row that a result was fitted to is known again by what was left over there: the residuals of the nominal and of the
-calibrated robot, which hang on every digit of its joint values and of what was measured. So it is known in any file,
-in any order, and under any number.
+where S are the standard deviations over n - 1. These are the figures of a controller with this model. Rows that measure
+one length have AP = |mean e_j| along it, as ISO 9283's distance accuracy, and RP = 3 S.
 """
 
 from __future__ import annotations
 
 import contextlib
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,7 +100,7 @@ class Accuracy:
     """
 
     poses: tuple[PoseAccuracy, ...]
-    rows: str
+    rows: Literal["all", "validation", "fresh"]
     others: tuple[str, ...]
     measured: int
     fitted: int
@@ -120,7 +115,7 @@ class Accuracy:
     def factor(self) -> float:
         """Random errors were this many times larger before something was registered to the same rows.
 
-        With n numbers and u unknowns sqrt(n / (n - u)); infinite where nothing is left over.
+        With n numbers and u unknowns sqrt(n / (n - u)); infinite where no degree of freedom remains.
         """
         left = self.numbers - self.unknowns
         if not self.registered:
@@ -131,6 +126,17 @@ class Accuracy:
         """``"ap"``, ``"rp"``, ``"single"`` [m], ``"ap_angle"``, ... [rad] of the poses that have it."""
         values = np.array([getattr(pose, name) for pose in self.poses])
         return np.asarray(values[np.isfinite(values)])
+
+    def figures(self, *, angle: bool = False) -> dict[str, float]:
+        """Largest and mean AP and RP, and the largest single error, [m] or [rad]; NaN where there are none."""
+        ap, rp, one = (self.of(f"{name}{'_angle' * angle}") for name in ("ap", "rp", "single"))
+        return {
+            "ap_max": float(ap.max()) if len(ap) else np.nan,
+            "ap_mean": float(ap.mean()) if len(ap) else np.nan,
+            "rp_max": float(rp.max()) if len(rp) else np.nan,
+            "rp_mean": float(rp.mean()) if len(rp) else np.nan,
+            "single_max": float(one.max()) if len(one) else np.nan,
+        }
 
     @property
     def repeats(self) -> tuple[int, int]:
@@ -143,7 +149,7 @@ def accuracy(evaluation: Evaluation, *, seen: bool | Mask = False) -> Accuracy:
     """Pose accuracy and repeatability of an evaluation's robot.
 
     Where a target or a frame was registered to the estimation rows, the validation rows are judged alone, if there are
-    any; where a calibration was fitted to some rows, the others, see `judged_rows`: of those nothing was taken away.
+    any; where a calibration was fitted to some rows, the others, see `judged_rows`.
 
     Args:
         evaluation: The errors of a robot.
@@ -157,16 +163,12 @@ def accuracy(evaluation: Evaluation, *, seen: bool | Mask = False) -> Accuracy:
     rows = rows_of(evaluation.robot, m, Cell())[0]
     told = np.any(used, axis=1)
     if not np.any(told):
-        raise MeasurementError(
-            f"{m.source or 'Measurements'}: no row measures anything, so no accuracy can be told."
-        )
+        raise MeasurementError(f"{m.source or 'Measurements'}: no row measures anything.")
     base = registering(m)
     fitted = told & (seen if isinstance(seen, np.ndarray) else base & seen)
     judged = judged_rows(m, told, fitted, rows.poses, registered=bool(evaluation.registered))
     apart = not np.any(judged & base)
-    others = (("calibration",) if np.any(fitted & ~judged) else ()) + (
-        evaluation.registered if apart else ()
-    )
+    others = ("calibration",) * bool(np.any(fitted & ~judged)) + evaluation.registered * apart
     _, first = np.unique(rows.poses[told & base], return_index=True)
     found = np.flatnonzero(told & base)[first]
     pairs = zip(setup.unknown, setup.frame_given, strict=True)
@@ -182,10 +184,14 @@ def accuracy(evaluation: Evaluation, *, seen: bool | Mask = False) -> Accuracy:
     order = chosen[np.argsort(rows.poses[chosen], kind="stable")]
     groups = np.split(order, np.flatnonzero(np.diff(rows.poses[order])) + 1)
     groups.sort(key=lambda own: int(own[0]))
-    named = {"all": told, "validation": told & m.validation, "fresh": judged}
+    which: Literal["all", "validation", "fresh"] = "fresh"
+    if np.array_equal(judged, told):
+        which = "all"
+    elif np.array_equal(judged, told & m.validation):
+        which = "validation"
     return Accuracy(
         poses=tuple(_of_pose(evaluation, residual, own) for own in groups),
-        rows=next(name for name, mask in named.items() if np.array_equal(judged, mask)),
+        rows=which,
         others=others,
         measured=int(np.sum(told)),
         fitted=int(np.sum(fitted)),
@@ -242,11 +248,11 @@ def _scatter(groups: list[NDArray[np.intp]], residual: Array, used: Mask) -> tup
 def judged_rows(
     m: Measurements, told: Mask, fitted: Mask, poses: NDArray[np.int_], *, registered: bool
 ) -> Mask:
-    """Which rows a robot is judged by, shape (N,).
+    """Which rows a robot is judged by, shape (N,); the number of each row's pose is in ``poses``.
 
     Those that measure something and the calibration was not fitted to, if the table sets some of them aside or they are
     of five poses; and of these the validation rows, if there are any and something was registered to the others.
-    Otherwise all. The number of each row's pose is in ``poses``.
+    Otherwise all.
     """
     fresh = told & ~fitted
     aside = fresh & m.validation & np.any(m.estimation)
@@ -257,39 +263,27 @@ def judged_rows(
 
 
 def fitted_rows(c: Calibration, robot: Robot, measurements: Measurements, cell: Cell) -> Mask:
-    """Which rows of a table a result was fitted to, shape (N,): by its own frames and targets, whatever is judged.
+    """Which rows of a table a result was fitted to, shape (N,), in any file, in any order and under any number.
 
-    In the very file these are the estimation rows where none is known again.
+    A row is known again by its residuals with the nominal and with the corrected robot, which depend on every digit of
+    its joint values and of what was measured. In the very file these are the estimation rows where none is known again.
     """
-    found = np.zeros(len(measurements), dtype=bool)
+    fitted = np.zeros(len(measurements), dtype=bool)
     # A set-up that the result does not know has none of its rows.
     with contextlib.suppress(CalibError):
         nominal = evaluate(c.uncorrected(robot), measurements, cell, known=c.nominal_setup)
         calibrated = evaluate(c.corrected(robot), measurements, cell, known=c.setup)
-        found = known_again(c, nominal, calibrated)
+        ours = (calibrated.used[:, :3], nominal.residual, calibrated.residual)
+        theirs = (c.used[:, :3], c.residual_nominal, c.residual_calibrated)
+        for k in range(1, 4):  # by the number of lengths that a row measures
+            at = np.flatnonzero(ours[0].sum(axis=1) == k)
+            of = np.flatnonzero(c.rows.estimation & (theirs[0].sum(axis=1) == k))
+            if len(at) and len(of):
+                own, stored = (
+                    np.hstack([one[rows, :3][used[rows]].reshape(-1, k) for one in residuals])
+                    for rows, (used, *residuals) in ((at, ours), (of, theirs))
+                )
+                near = KDTree(stored).query(own, p=np.inf, distance_upper_bound=_SAME)[0]
+                fitted[at] = near <= _SAME
     same = bool(c.source.sha256) and c.source.sha256 == measurements.sha256
-    return measurements.estimation if same and not np.any(found) else found
-
-
-def known_again(c: Calibration, nominal: Evaluation, calibrated: Evaluation) -> Mask:
-    """Which rows of a table are some of those that a result was fitted to, shape (N,), by what is left over in them.
-
-    The errors are those of its nominal and its corrected robot, each with the result's own targets and frames for it.
-    """
-    fitted = np.zeros(len(calibrated.used), dtype=bool)
-    ours, theirs = calibrated.used[:, :3], c.used[:, :3]
-    for k in range(1, 4):  # by the number of lengths that a row measures
-        at = np.flatnonzero(ours.sum(axis=1) == k)
-        of = np.flatnonzero(c.rows.estimation & (theirs.sum(axis=1) == k))
-        if not (len(at) and len(of)):
-            continue
-        stored, own = (
-            np.hstack([one[rows, :3][used[rows]].reshape(-1, k) for one in residuals])
-            for rows, used, residuals in (
-                (of, theirs, (c.residual_nominal, c.residual_calibrated)),
-                (at, ours, (nominal.residual, calibrated.residual)),
-            )
-        )
-        near = KDTree(stored).query(own, p=np.inf, distance_upper_bound=_SAME)[0]
-        fitted[at] = near <= _SAME
-    return fitted
+    return measurements.estimation if same and not np.any(fitted) else fitted

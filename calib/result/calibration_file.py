@@ -1,50 +1,42 @@
 """The result as JSON, there and back: SI units, the unit in each key's suffix; the keys are in docs/result-json.md.
 
 A result read back is equal to the one written, field by field, but for ``fit``: measurements and solved problem are no
-part of the file. The nominal URDF is, so that a result needs no other file. Numbers that do not exist (the error of no
-rows) are null.
+part of the file. The nominal URDF is, so that a result needs no other file. Numbers that do not exist are null.
 """
 
 from __future__ import annotations
 
+import importlib.metadata
+import platform
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from calib.data.table import SETS
 from calib.errors import CalibError, FileError
+from calib.estimate.robust import Repeats
+from calib.estimate.selection import Candidate
 from calib.estimate.setup import Setup
 from calib.estimate.solvers import Solution
-from calib.estimate.statistics import CrossValidation
+from calib.estimate.statistics import CrossValidation, Errors
+from calib.fields import Json, Key, Layout, nested
 from calib.files import damage, json_bytes, read_json, write_atomically
+from calib.model.families import FAMILIES, Factor
 from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability
-from calib.model.parameters import ErrorModel
-from calib.result import calibration_fields as fields
+from calib.model.parameters import ErrorModel, Parameter
 from calib.result.calibration import Calibration, RowNames, Source
-from calib.result.calibration_fields import (
-    EXACT,
-    FLAG,
-    NUMBER,
-    NUMBERS,
-    ONLY,
-    TEXT,
-    WORDS,
-    Field,
-    Json,
-    Part,
-    many,
-    numbers,
-    optional,
-    table,
-    values,
-)
-from calib.result.prediction import Larger
-from calib.result.support import Robustness
+from calib.result.prediction import Larger, Outlier, Solved
+from calib.result.support import OutsideRow, Robustness
+from calib.result.verdict import Reason
 from calib.robot.robot import Robot, read_only
+from calib.robot.torques import Payload
 from calib.robot.urdf import Urdf
 from calib.version import __version__
 
@@ -57,104 +49,182 @@ SCHEMA = 3
 #: By how much correlations may be wrong.
 _ROUNDING = 1e-6
 
-_ERRORS = Part(
-    table=lambda sets: {name: fields.ERRORS.table(errors) for name, errors in sets.items()}
-)
-_ORIGINS = Part(
-    table=lambda r: [{"joint": name, **fields.pose_table(T)} for name, T in r.origins().items()]
-)
-_LEFT_OUT = optional(Part(table=lambda found: table(found, fields.LEFT_OUT)))
-_MOTION = optional(Part(lambda found: numbers(found).reshape(6, -1)))
-_TIES = Part(
-    lambda found: {one["name"]: (one["other"], float(one["factor"])) for one in found},
-    lambda ties: [{"name": n, "other": o, "factor": factor} for n, (o, factor) in ties.items()],
-)
 
-#: What the geometry and the larger model both have.
-_SOLVED: tuple[Field, ...] = (
-    ("parameters", "parameters", many(fields.PARAMETER)),
-    ("x", "x", NUMBERS),
-    ("base_motion", "base_motion", _MOTION),
-    ("covariance", "covariance", Part(lambda found: numbers(found).reshape(len(found), -1))),
+def _square(found: Any) -> Array:  # noqa: ANN401
+    """A matrix of as many rows as there are, none or more."""
+    return read_only(np.array(found, dtype=np.float64).reshape(len(found), -1))
+
+
+def _no_rows(found: Json) -> CrossValidation:
+    """A cross-validation without what stands in the rows: poses and residuals."""
+    own = _LAYOUT.values(CrossValidation, found)
+    return CrossValidation(poses=np.zeros(0, dtype=int), residual=np.zeros((0, 0)), **own)
+
+
+def error_table(e: Errors) -> dict[str, Any]:
+    """Errors of one set of rows, see docs/result-json.md: angles only where there are any."""
+    return {k: v for k, v in _LAYOUT.table(e).items() if e.n_angle or not k.endswith("_rad")}
+
+
+#: The size of each family's errors, the unit in the key.
+_SIZES = Key(
+    "sizes",
+    lambda sizes: {f"{name}_{FAMILIES[name].unit.key}": size for name, size in sizes.items()},
+    lambda found: {
+        name: float(found[key])
+        for name, row in FAMILIES.items()
+        if (key := f"{name}_{row.unit.key}") in found
+    },
 )
-_LARGER: tuple[Field, ...] = (
-    ("model", "", Part(table=lambda model: table(model, fields.MODEL))),
-    ("model.names", "names", Part(table=list)),
-    *_SOLVED,
-    ("sizes", "sizes", fields.SIZES),
-    ("setup", "", Part(table=fields.places_table)),
-    ("cross_validation", "cross_validation", _LEFT_OUT),
-    ("payload", "payload", optional(fields.PAYLOAD)),
-    ("gravity", "gravity_m_s2", NUMBERS),
+_LEFT_OUT = Key(
+    "cross_validation",
+    lambda v: v and _LAYOUT.table(v),
+    lambda found: found and _no_rows(found),
 )
-_RESULT: tuple[Field, ...] = (
-    (lambda _: SCHEMA, "schema", ONLY),
-    *((f"nominal.{name}", f"robot.{name}", ONLY) for name in ("name", "base", "tip")),
-    ("nominal.joint_names", "robot.joints", Part(table=list)),
-    (lambda c: _held_table(c.nominal), "robot.held", ONLY),
-    (lambda c: _ranges_table(c), "robot.ranges", ONLY),
-    ("robot", "robot.origins", _ORIGINS),
-    ("nominal", "robot.nominal_origins", _ORIGINS),
-    ("T_frame_base", "frames.", Part(table=lambda T: fields.pose_table(T, "frame_base_"))),
-    ("frame_estimated", "frames.frame_estimated", FLAG),
-    ("target", "frames.target_m", ONLY),
-    (
-        lambda c: c.nominal_setup.T_tip_target[0, :3, 3] if c.setup.target_given[0] else None,
-        "frames.target_given_m",
-        ONLY,
-    ),
-    ("setup.estimate_target", "frames.target_estimated", ONLY),
-    (
-        lambda c: list(np.array(c.setup.targets)[c.setup.target_given]),
-        "frames.targets_given",
-        ONLY,
-    ),
-    ("setup", "frames.", Part(table=fields.places_table)),
-    ("nominal_setup", "frames.nominal", Part(table=fields.places_table)),
-    ("errors", "errors", Part(table=lambda e: {who: _ERRORS.table(one) for who, one in e.items()})),
-    (lambda c: _validated_table(c), "cross_validation", ONLY),
-    ("sigma", "noise.sigma_m", NUMBER),
-    ("freedom", "noise.freedom", EXACT),
-    ("sigma_angle", "noise.sigma_angle_rad", NUMBER),
-    ("repeats", "noise.repeats", optional(fields.REPEATS)),
-    ("sizes", "noise.sizes", fields.SIZES),
-    ("sizes_from", "noise.sizes_from", TEXT),
-    ("flag_limit", "noise.flag_limit", EXACT),
-    *_SOLVED,
-    ("outliers", "outliers", many(fields.OUTLIER)),
-    ("suspects", "suspects", many(fields.OUTLIER)),
-    ("outside", "outside", many(fields.OUTSIDE)),
-    ("robustness", "robustness", optional(Part(table=lambda r: table(r, fields.ROBUSTNESS)))),
-    ("expected_measured", "expected.measured_rms_m", NUMBER),
-    ("expected_everywhere", "expected.everywhere_rms_m", NUMBER),
-    ("observability", "observability", Part(table=lambda o: table(o, fields.OBSERVABILITY))),
-    ("model", "model.", Part(table=lambda model: table(model, fields.MODEL))),
-    ("frozen", "model.frozen", WORDS),
-    ("ties", "model.ties", _TIES),
-    ("candidates", "model.candidates", many(fields.CANDIDATE)),
-    (lambda c: _larger_table(c), "larger", ONLY),
-    ("solver", "solver.name", TEXT),
-    ("seconds", "solver.seconds", NUMBER),
-    ("solution", "solver.", Part(table=lambda found: table(found, fields.SOLUTION))),
-    ("verdict", "verdict", optional(fields.VERDICT)),
-    (lambda c: _rows_table(c), "rows", ONLY),
-    ("nominal.urdf.source", "inputs.urdf.name", ONLY),
-    ("nominal.urdf.sha256", "inputs.urdf.sha256", ONLY),
-    (
-        "nominal.urdf.data",
-        "inputs.urdf.text",
-        Part(table=lambda data: data.decode("utf-8", "surrogateescape")),
-    ),
-    ("source.name", "inputs.measurements.name", ONLY),
-    ("source.sha256", "inputs.measurements.sha256", ONLY),
-    ("rows", "inputs.measurements.rows", Part(table=len)),
-    (lambda _: fields.versions(), "versions", ONLY),
-)
+#: Where attributes stand in the file, by class; see `Layout`.
+_LAYOUT: Layout = Layout(
+    {
+        Errors: {
+            **{name: f"{name}_m" for name in ("max", "mean", "rms")},
+            **{f"{name}_axis": f"{name}_xyz_m" for name in ("mean", "rms", "span")},
+            **{f"{name}_angle": f"{name}_rad" for name in ("n", "max", "mean", "rms")},
+        },
+        CrossValidation: {
+            "poses": None,
+            "residual": None,
+            "errors": Key("", error_table),
+            "errors_without_outliers": Key("without_outliers", error_table),
+        },
+        Outlier: {"residual": "residual_m"},
+        OutsideRow: {"beyond": "joints"},
+        Reason: {
+            "why": "code",
+            "values": Key(
+                "values",
+                lambda values: [{"name": name, "value": value} for name, value in values.items()],
+                lambda found: {one["name"]: one["value"] for one in found},
+            ),
+        },
+        Payload: {"mass": "mass_kg", "com": "com_m"},
+        Repeats: {"within": "scatter", "freedoms": "freedom", "freedom": None, "rho": "correlation"},
+        Candidate: {"name": "set", "sizes": _SIZES, "cross_validation": _LEFT_OUT},
+        Robustness: {
+            "lowered": "weights_lowered",
+            "moved": "moved_m",
+            "names": None,
+            "errors_lowered": Key("lowered", error_table),
+            "errors_full": Key("full", error_table),
+        },
+        Observability: {
+            "identifiable": None,
+            "condition": Key("condition", None, lambda v: np.inf if v is None else float(v)),
+        },
+        Solution: {"x": None},
+        Parameter: {
+            "factor": Key("factor", lambda factor: factor and factor.name, lambda name: name and _FACTORS[name])
+        },
+        ErrorModel: {"name": "set", "parameters": None, "mixing": None},
+        Solved: {
+            "kinematics": None,
+            "setup": Key("", lambda s: _places_table(s)),
+            "covariance": Key("covariance", None, _square),
+            "base_motion": Key("base_motion", None, lambda v: v and np.reshape(v, (6, -1))),
+            "sizes": _SIZES,
+            "cross_validation": _LEFT_OUT,
+        },
+        Larger: {"residual": None, "gravity": "gravity_m_s2"},
+        Calibration: {
+            **dict.fromkeys(
+                ("nominal", "robot", "source", "rows", "residual_nominal", "residual_calibrated", "used", "scores",
+                 "weights", "ranges", "nominal_cross_validation", "fit"),
+            ),
+            "setup": Key("frames.", lambda s: _places_table(s)),
+            "nominal_setup": Key("frames.nominal", lambda s: _places_table(s), lambda v: _places_of(v)),
+            "frame_estimated": "frames.frame_estimated",
+            **{name: f"noise.{name}" for name in ("freedom", "repeats", "sizes_from", "flag_limit")},
+            "sizes": replace(_SIZES, path="noise.sizes"),
+            "sigma": "noise.sigma_m",
+            "sigma_angle": "noise.sigma_angle_rad",
+            "expected_measured": "expected.measured_rms_m",
+            "expected_everywhere": "expected.everywhere_rms_m",
+            **{name: f"model.{name}" for name in ("frozen", "candidates")},
+            "ties": Key(
+                "model.ties",
+                lambda ties: [{"name": n, "other": o, "factor": f} for n, (o, f) in ties.items()],
+                lambda found: {one["name"]: (one["other"], float(one["factor"])) for one in found},
+            ),
+            "solver": "solver.name",
+            "seconds": "solver.seconds",
+            "solution": "solver.",
+        },
+    }
+)  # fmt: skip
+_FACTORS: dict[str, Factor] = {
+    factor.name: factor for row in FAMILIES.values() for factor in row.factors
+}
+
+
+def versions() -> dict[str, str]:
+    """What computed the result."""
+    packages = {name: importlib.metadata.version(name) for name in ("pin", "numpy", "scipy")}
+    return {"calib": __version__, "python": platform.python_version(), **packages}
+
+
+def pose_table(T: Array, prefix: str = "") -> dict[str, Any]:
+    """A pose, shape (4, 4), as position [m] and roll, pitch, yaw [rad]."""
+    return {f"{prefix}xyz_m": T[:3, 3], f"{prefix}rpy_rad": pin.rpy.matrixToRpy(T[:3, :3])}
 
 
 def result_table(c: Calibration) -> dict[str, Any]:
     """The result as nested tables of plain values, before missing numbers become null."""
-    return table(c, _RESULT)
+    r, urdf = c.nominal, c.nominal.urdf
+    units = {j.name: "m" if j.type == "prismatic" else "rad" for j in urdf.joints}
+    given = c.nominal_setup.T_tip_target[0, :3, 3] if c.setup.target_given[0] else None
+    errors = {
+        who: {name: error_table(one) for name, one in sets.items()}
+        for who, sets in c.errors.items()
+    }
+    found = nested(
+        {
+            "schema": SCHEMA,
+            "robot": {"name": r.name, "base": r.base, "tip": r.tip, "joints": r.joint_names},
+            "robot.held": [
+                {"joint": n, "value": v, "unit": units[n]} for n, v in r.held.items()
+            ],
+            "robot.ranges": [
+                {"joint": name, "low": low, "high": high, "unit": units[name]}
+                for name, (low, high) in zip(r.joint_names, c.ranges, strict=True)
+            ],
+            **{
+                f"robot.{key}": [{"joint": n, **pose_table(T)} for n, T in robot.origins().items()]
+                for key, robot in (("origins", c.robot), ("nominal_origins", r))
+            },
+            "frames": {**pose_table(c.T_frame_base, "frame_base_"), "target_m": c.target},
+            "frames.target_given_m": given,
+            "frames.target_estimated": c.setup.estimate_target,
+            "errors": errors,
+            **{f"model.{key}": value for key, value in _model_table(c.model).items()},
+            "rows": _rows_table(c),
+            "inputs.urdf": {"name": urdf.source, "sha256": urdf.sha256},
+            "inputs.urdf.text": urdf.data.decode("utf-8", "surrogateescape"),
+            "inputs.measurements": {"name": c.source.name, "sha256": c.source.sha256},
+            "inputs.measurements.rows": len(c.rows),
+            "versions": versions(),
+        }
+    )  # fmt: skip
+    for key, value in _LAYOUT.table(c).items():
+        found[key] = found.get(key, {}) | value if isinstance(value, dict) else value
+    found["solver"]["iterations"] = c.solution.iterations
+    if c.robustness is not None:
+        found["robustness"] |= {
+            f"{n}_m": getattr(c.robustness, n) for n in ("moved_rms", "moved_max")
+        }
+    if c.nominal_cross_validation is not None:
+        found["cross_validation"]["nominal"] = _LAYOUT.table(c.nominal_cross_validation)
+    if c.larger is not None:
+        found["larger"] |= {"names": c.larger.model.names, "errors": errors["larger"]}
+        found["larger"] |= _model_table(c.larger.model)
+    return found
 
 
 def write_result(
@@ -170,174 +240,187 @@ def write_table(table: Json, path: str | Path, *, overwrite: bool = False) -> Pa
 
 
 def read_result(path: str | Path) -> Calibration:
-    """Read a calibration.
-
-    Raises:
-        FileError: It cannot be read, is no JSON, no result of calib, of another schema, or damaged.
-    """
+    """Read a calibration; `FileError` where it cannot be read, is no result, of another schema, or damaged."""
     expected = (
-        f"a result of calib {__version__} has {SCHEMA}. Make it again from the same files: calib fit ROBOT DATA --json "
-        f"{Path(path).name}"
+        f"a result of calib {__version__} has {SCHEMA}. Make it again from the same files: calib calibrate ROBOT DATA "
+        f"--json {Path(path).name}"
     )
     found = read_json(path, "calibration result", SCHEMA, expected)
     try:
-        return _checked(_calibration(found, Path(path).parent))
-    except CalibError as error:
-        why = str(error)
-    except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
-        why = f"{damage(error)}."
-    raise FileError(
-        f"{path}: the result is damaged ({why}) Write it again with 'calib fit --json'."
-    )
+        return _calibration(found, Path(path).parent)
+    except (
+        CalibError, KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError,
+    ) as error:  # fmt: skip
+        raise FileError(
+            f"{path}: the result is damaged ({damage(error)}). Write it again with 'calib calibrate --json'."
+        ) from error
 
 
 def _calibration(found: Json, folder: Path) -> Calibration:
     """A result from its tables; meshes lie beside the URDF, where that is in a folder."""
-    robot, frames, inputs, rows = (found[k] for k in ("robot", "frames", "inputs", "rows"))
+    robot, inputs, rows = (found[k] for k in ("robot", "inputs", "rows"))
     name, text = inputs["urdf"]["name"], inputs["urdf"]["text"]
     urdf = Urdf.from_bytes(text.encode("utf-8", "surrogateescape"), name, folder / name)
     held = {one["joint"]: float(one["value"]) for one in robot["held"]}
     nominal = Robot.from_urdf(urdf, robot["base"], robot["tip"], held=held)
     labels = [tuple(str(one[k]) for one in rows) for k in ("set", "kind", "group", "target")]
     names = RowNames(tuple(int(one["row"]) for one in rows), *labels)
-    own = [one for one in rows if one["set"] == SETS[0]]
-    used, rotation = _used_of(rows), "pose" in names.kinds
+    used, turned = _used_of(rows), "pose" in names.kinds
 
-    def left_out(one: Json | None, who: str) -> CrossValidation | None:
-        """A cross-validation, with its residuals from the rows."""
-        if one is None:
+    def left_out(v: CrossValidation | None, who: str) -> CrossValidation | None:
+        """A cross-validation with its poses and residuals, from the rows."""
+        if v is None:
             return None
-        poses = np.array([row["pose"] for row in own], dtype=int)
+        own = [row for row in rows if row["set"] == SETS[0]]
         residual = _residuals_of(own, f"left_out_{who}", used[names.estimation])
-        return fields.left_out_of(one, poses, residual)
-
-    def larger_of(one: Json) -> Larger:
-        """The larger model, which no URDF can hold."""
-        solved, setup = values(one, _LARGER), fields.places_of(one, rotation=rotation)
-        model = fields.model_of(one, one["names"])
-        return Larger(
-            kinematics=_kinematics(nominal, model, setup, solved["x"]),
-            setup=setup,
-            residual=_residuals_of(rows, "larger", used),
-            cross_validation=left_out(one["cross_validation"], "larger"),
-            **solved,
+        return replace(
+            v, poses=np.array([row["pose"] for row in own], dtype=int), residual=residual
         )
 
-    own_values = values(found, _RESULT)
-    x, parameters = own_values["x"], own_values["parameters"]
-    parameter_names = tuple(one.name for one in parameters)
-    setup = fields.places_of(frames, rotation=rotation)
-    model = fields.model_of(found["model"], parameter_names)
-    validated, robust, larger = (found[k] for k in ("cross_validation", "robustness", "larger"))
-    ends = numbers([(one["low"], one["high"]) for one in robot["ranges"]]).reshape(-1, 2)
+    def solved(
+        kind: type[Solved], table: Json, model: Json, places: Json, who: str
+    ) -> dict[str, Any]:
+        """The attributes of the geometry, or of the larger model."""
+        own = _LAYOUT.values(
+            kind, table, without=("setup", "larger", "robustness", "observability", "solution")
+        )
+        x, C, parameters = own["x"], own["covariance"], own["parameters"]
+        error_model = _model_of(model, [one.name for one in parameters])
+        std = np.sqrt(np.where(np.diag(C) > 0.0, np.diag(C), 1.0))
+        R = C / std[:, None] / std
+        if C.shape != x.shape * 2 or not np.isfinite([*x, *(one.push for one in parameters)]).all():
+            raise ValueError("a number of 'x', 'covariance' or 'parameters' is missing")
+        if not np.abs(R - R.T).max(initial=0.0) < _ROUNDING or np.any(
+            np.linalg.eigvalsh(R) < -_ROUNDING
+        ):
+            raise ValueError("'covariance' is none")
+        setup, back = (
+            _places_of(places, turned=turned),
+            np.linalg.inv(error_model.displacements(x)[0]),
+        )
+        own["kinematics"] = Kinematics(
+            nominal,
+            error_model,
+            setup.T_frame_base @ back[: len(setup.groups)],
+            setup.T_tip_target @ back[-len(setup.targets) :],
+        )
+        return own | {"setup": setup, "cross_validation": left_out(own["cross_validation"], who)}
+
+    own = solved(Calibration, found, found["model"], found["frames"], "calibrated")
+    larger = found["larger"]
+    if larger is not None:
+        residual = _residuals_of(rows, "larger", used)
+        larger = Larger(**solved(Larger, larger, larger, larger, "larger"), residual=residual)
+    model, robust = own["kinematics"].model, found["robustness"]
+    ends = np.array([(one["low"], one["high"]) for one in robot["ranges"]], dtype=np.float64)
+    if len(ends) != len(nominal.joint_names) or not set(names.sets) <= set(SETS):
+        raise ValueError("'robot.ranges' or 'rows[].set' are not those of a result")
+    validated = found["cross_validation"] and _no_rows(found["cross_validation"]["nominal"])
     return Calibration(
+        **own | {"nominal_setup": replace(own["nominal_setup"], rotation=turned)},
         nominal=nominal,
-        robot=model.apply(nominal, x),
+        robot=model.apply(nominal, own["x"]),
         source=Source(inputs["measurements"]["name"], inputs["measurements"]["sha256"]),
         rows=names,
-        nominal_setup=fields.places_of(frames["nominal"], rotation=rotation),
-        setup=setup,
-        kinematics=_kinematics(nominal, model, setup, x),
-        solution=Solution(x=x, **values(found["solver"], fields.SOLUTION)),
+        solution=Solution(x=own["x"], **_LAYOUT.values(Solution, found["solver"])),
         residual_nominal=_residuals_of(rows, "nominal", used),
         residual_calibrated=_residuals_of(rows, "calibrated", used),
         used=used,
-        scores=numbers([one["score"] for one in rows]),
-        weights=numbers([one["weight"] for one in rows]),
+        scores=_LAYOUT.read(Array, [one["score"] for one in rows]),
+        weights=_LAYOUT.read(Array, [one["weight"] for one in rows]),
         ranges=read_only(np.where(np.isnan(ends), [np.inf, -np.inf], ends)),
-        robustness=robust
-        and Robustness(names=parameter_names, **values(robust, fields.ROBUSTNESS)),
-        cross_validation=left_out(validated, "calibrated"),
-        nominal_cross_validation=left_out(validated and validated["nominal"], "nominal"),
+        robustness=robust and Robustness(names=model.names, **_LAYOUT.values(Robustness, robust)),
+        nominal_cross_validation=left_out(validated, "nominal"),
         observability=Observability(
-            identifiable=np.array([one.identifiable for one in parameters], dtype=bool),
-            **values(found["observability"], fields.OBSERVABILITY),
+            identifiable=np.array([one.identifiable for one in own["parameters"]], dtype=bool),
+            **_LAYOUT.values(Observability, found["observability"]),
         ),
-        larger=None if larger is None else larger_of(larger),
-        **own_values,
+        larger=larger,
     )
 
 
-def _checked(c: Calibration) -> Calibration:
-    """The same; a `ValueError` where numbers are missing or contradict each other."""
-    C, p = c.covariance, len(c.x)
-    std = np.sqrt(np.where(np.diag(C) > 0.0, np.diag(C), 1.0))
-    R = C / std[:, None] / std
-    push = np.array([one.push for one in c.parameters])
-    names = tuple(one.name for one in c.parameters)
-    parts = [c] if c.larger is None else [c, c.larger]
-    for wrong, what in (
-        (any(one.covariance.shape != one.x.shape * 2 for one in parts), "'covariance' is none"),
-        (names != c.model.names, "'parameters' and 'model.terms' name other parameters"),
-        (not np.isfinite([*c.x, *push]).all(), "a number of 'x' or 'parameters' is missing"),
-        (not np.isfinite(R).all() or np.any(np.diag(C) < 0.0), "'covariance' is none"),
-        (np.abs(R - R.T).max(initial=0.0) > _ROUNDING, "'covariance' is not symmetric"),
-        (p and np.linalg.eigvalsh(R)[0] < -_ROUNDING, "'covariance' has an eigenvalue below zero"),
-        (len(c.ranges) != len(c.nominal.joint_names), "'robot.ranges' are not those of the joints"),
-        (not set(c.rows.sets) <= set(SETS), f"'rows[].set' is none of {', '.join(SETS)}"),
-    ):
-        if wrong:
-            raise ValueError(what)
-    return c
+def _model_table(model: ErrorModel) -> dict[str, Any]:
+    """Where each term of an error model acts, and which parameters the terms follow."""
+    mixing = None if model.terms is model.parameters else model.mixing
+    return _LAYOUT.table(model) | {"mixing": mixing}
 
 
-def _kinematics(nominal: Robot, model: ErrorModel, setup: Setup, x: Array) -> Kinematics:
-    """The nominal robot under a model, with frames and targets where x counts from."""
-    back = np.linalg.inv(model.displacements(x)[0])
-    frames, targets = back[: len(setup.groups)], back[-len(setup.targets) :]
-    return Kinematics(nominal, model, setup.T_frame_base @ frames, setup.T_tip_target @ targets)
+def _model_of(found: Json, names: Sequence[str]) -> ErrorModel:
+    """The same back, with these parameters."""
+    terms = tuple(_LAYOUT.read(Parameter, one) for one in found["terms"])
+    by_name, places = {one.name: one for one in terms}, tuple(found["places"])
+    parameters = tuple(by_name[name] for name in names)
+    if found["mixing"] is not None:
+        mixing = np.array(found["mixing"], dtype=np.float64).reshape(len(terms), len(names))
+        return ErrorModel(found["set"], places, parameters, terms, read_only(mixing))
+    if parameters != terms:
+        raise ValueError("'parameters' and 'model.terms' name other parameters")
+    return ErrorModel(found["set"], places, terms)
 
 
-def _held_table(robot: Robot) -> list[dict[str, Any]]:
-    """The joints that were not measured, with the values that they were held at."""
-    slides = {joint.name for joint in robot.urdf.joints if joint.type == "prismatic"}
-    return [
-        {"joint": name, "value": value, "unit": "m" if name in slides else "rad"}
-        for name, value in robot.held.items()
-    ]
+def _places_table(s: Setup) -> dict[str, Any]:
+    """Frames and targets."""
+    frames = zip(s.groups, s.T_frame_base, s.unknown, s.frame_given, s.own_axes, strict=True)
+    targets = zip(s.targets, s.T_tip_target, s.target_unknown, s.target_given, strict=True)
+    return {
+        "set_ups": [
+            {"group": group, **pose_table(T, "frame_base_")}
+            | {"estimated": list(unknown), "given": bool(given), "own_axes": bool(own)}
+            for group, T, unknown, given, own in frames
+        ],
+        "targets": [
+            {"target": name, **pose_table(T), **({} if s.oriented else {"rpy_rad": None})}
+            | {"estimated": bool(unknown), "given": bool(given)}
+            for name, T, unknown, given in targets
+        ],
+    }
 
 
-def _ranges_table(c: Calibration) -> list[dict[str, Any]]:
-    """The measured range of each joint; infinite ends where no row was fitted."""
-    return [
-        {"joint": j.name, "low": low, "high": high, "unit": "m" if j.type == "prismatic" else "rad"}
-        for j, (low, high) in zip(c.nominal.inputs, c.ranges, strict=True)
-    ]
+def _places_of(found: Json, *, turned: bool = False) -> Setup:
+    """The same back, where orientations were measured or not; at least one frame and one target."""
 
+    def poses(every: Sequence[Json], prefix: str = "") -> Array:
+        """Of each; a missing orientation is none."""
+        T = np.tile(np.eye(4), (len(every), 1, 1))
+        T[:, :3, 3] = [one[f"{prefix}xyz_m"] for one in every]
+        rpy = [one[f"{prefix}rpy_rad"] or [0.0] * 3 for one in every]
+        T[:, :3, :3] = Rotation.from_euler("xyz", np.array(rpy, dtype=np.float64)).as_matrix()
+        if not np.isfinite(T).all():
+            raise ValueError("a number of a pose is missing")
+        return read_only(T)
 
-def _validated_table(c: Calibration) -> dict[str, Any] | None:
-    """Errors on left-out rows, those of the nominal robot below."""
-    if c.cross_validation is None:
-        return None
-    nominal = _LEFT_OUT.table(c.nominal_cross_validation)
-    return {**table(c.cross_validation, fields.LEFT_OUT), "nominal": nominal}
-
-
-def _larger_table(c: Calibration) -> dict[str, Any] | None:
-    """The larger model and its errors."""
-    if c.larger is None:
-        return None
-    return {**table(c.larger, _LARGER), "errors": _ERRORS.table(c.errors["larger"])}
+    frames, targets = found["set_ups"], found["targets"]
+    return Setup(
+        groups=tuple(str(one["group"]) for one in frames),
+        targets=tuple(str(one["target"]) for one in targets),
+        T_frame_base=poses(frames, "frame_base_"),
+        T_tip_target=poses(targets),
+        unknown=tuple(tuple(map(str, one["estimated"])) for one in frames),
+        frame_given=np.array([one["given"] for one in frames], dtype=bool),
+        target_unknown=np.array([one["estimated"] for one in targets], dtype=bool),
+        target_given=np.array([one["given"] for one in targets], dtype=bool),
+        rotation=turned,
+        own_axes=np.array([one["own_axes"] for one in frames], dtype=bool),
+        oriented=all(one["rpy_rad"] is not None for one in targets),
+    )
 
 
 def _rows_table(c: Calibration) -> list[dict[str, Any]]:
-    """What each row is, and what is left over in it: nominal, calibrated, larger, and left out of the fit."""
+    """What each row is, and its residuals: nominal, calibrated, larger, and left out of the fit."""
     every = {"nominal": c.residual_nominal, "calibrated": c.residual_calibrated}
     left = {"nominal": c.nominal_cross_validation, "calibrated": c.cross_validation}
     if c.larger is not None:
         every["larger"], left["larger"] = c.larger.residual, c.larger.cross_validation
     seen, names, result = np.cumsum(c.rows.estimation) - 1, c.rows, []
     labels = zip(names.numbers, names.sets, names.kinds, names.groups, names.targets, strict=True)
-    for i, of_row in enumerate(labels):
+    for i, label in enumerate(labels):
         row: dict[str, Any] = dict(
-            zip(("row", "set", "kind", "group", "target"), of_row, strict=True)
+            zip(("row", "set", "kind", "group", "target"), label, strict=True)
         )
         found = {who: residual[i] for who, residual in every.items()}
         if c.cross_validation is not None and names.estimation[i]:
             row["pose"] = c.cross_validation.poses[seen[i]]
-            found |= {
-                f"left_out_{w}": v.residual[seen[i]] for w, v in left.items() if v is not None
-            }
+            found |= {f"left_out_{w}": v.residual[seen[i]] for w, v in left.items() if v}
         for who, residual in found.items():
             row[f"residual_{who}_m"] = residual[:3][c.used[i, :3]]
             if np.any(c.used[i, 3:]):
@@ -356,7 +439,7 @@ def _used_of(rows: Sequence[Json]) -> Mask:
 
 
 def _residuals_of(rows: Sequence[Mapping[str, Any]], who: str, used: Mask) -> Array:
-    """What is left over, shape (N, D), zero where nothing was measured."""
+    """Residuals, shape (N, D), zero where nothing was measured."""
     result = np.zeros(used.shape)
     for i, one in enumerate(rows):
         result[i, :3][used[i, :3]] = one[f"residual_{who}_m"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from calib.data.cell import Cell
 from calib.data.kinds import DIRECTIONS
 from calib.data.measurements import Measurements
-from calib.errors import CalibError, MeasurementError, ModelError, choices
+from calib.errors import CalibError, ModelError, choices
 from calib.estimate.registration import nominal_setup
 from calib.estimate.setup import Setup, rows_of
 from calib.estimate.statistics import Errors
@@ -18,21 +19,19 @@ from calib.model.kinematics import Samples
 from calib.result.calibration import Calibration
 from calib.result.prediction import Larger
 from calib.result.support import better_setup
+from calib.result.verdict import Reason
 from calib.robot.kernel import one_blas_thread
 from calib.robot.robot import Robot, read_only
-from calib.units import split_header
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Place = Literal["frame", "target"]
 
 #: What of an earlier result can be taken for known.
-PLACES = ("frame", "target")
+PLACES: tuple[Place, ...] = ("frame", "target")
 
-#: What is found anew must make an rms above the last [m] this many times smaller, with this many numbers an unknown.
+#: A place found anew must make an rms above the last [m] this many times smaller, with this many numbers an unknown.
 _BETTER, _NUMBERS, _SMALL = 3.0, 3, 1e-4
-
-#: A column that every table of commands has, and how exactly the poses to send are those of the nominal robot [m].
-_COMMANDS, _EXACT = "correction position", 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,7 +52,7 @@ class Evaluation:
     setup: Setup
     registered: tuple[str, ...]
     residual: Array
-    used: NDArray[np.bool_]
+    used: Mask
 
     @property
     def T_frame_base(self) -> Array:
@@ -68,12 +67,9 @@ class Evaluation:
     @property
     def errors(self) -> dict[str, Errors]:
         """``errors["estimation" | "validation" | "all"]``."""
-        m = self.measurements
-        return {
-            "estimation": Errors.of(self.residual[m.estimation], self.used[m.estimation]),
-            "validation": Errors.of(self.residual[m.validation], self.used[m.validation]),
-            "all": Errors.of(self.residual, self.used),
-        }
+        m, every = self.measurements, slice(None)
+        sets = (("estimation", m.estimation), ("validation", m.validation), ("all", every))
+        return {name: Errors.of(self.residual[mask], self.used[mask]) for name, mask in sets}
 
 
 @one_blas_thread()
@@ -88,8 +84,7 @@ def evaluate(
     """Compare a robot with measurements.
 
     Target and measurement frame are used as the cell gives them; what it does not give is registered to the
-    estimation rows (to all rows where there are none), so that the errors say what the robot is worth and not where
-    the tracker stands.
+    estimation rows (to all rows where there are none).
 
     Args:
         robot: The robot, nominal or corrected.
@@ -103,8 +98,7 @@ def evaluate(
         MeasurementError: Too few rows to register what was not given, or a joint's column is missing.
         ModelError: The table has a set-up that neither the earlier result nor the cell knows.
     """
-    cell = Cell() if cell is None else cell
-    return _evaluated(robot, measurements, cell, known, which)
+    return _evaluated(robot, measurements, cell or Cell(), known, which)
 
 
 def evaluate_larger(
@@ -136,7 +130,7 @@ def _evaluated(
 ) -> Evaluation:
     """The errors of a robot, or of a larger model."""
     every, setup = rows_of(robot, measurements, cell)
-    setup = setup if known is None else at_known(setup, known, which)
+    setup = setup if known is None else _at_known(setup, known, which)
     q = every.joints
     poses = robot.poses(q) if larger is None else larger.tips(Samples.at(q, every.samples.load))
     chosen = registering(measurements)
@@ -156,73 +150,71 @@ def _evaluated(
     )
 
 
-def registering(m: Measurements) -> NDArray[np.bool_]:
+def registering(m: Measurements) -> Mask:
     """The rows that something is registered to, shape (N,): the estimation rows, or all where there are none."""
     return m.estimation if np.any(m.estimation) else np.ones(len(m), dtype=bool)
 
 
-def at_known(setup: Setup, known: Setup, which: tuple[str, ...] = PLACES) -> Setup:
+def _at_known(setup: Setup, known: Setup, which: tuple[str, ...]) -> Setup:
     """A table's set-up with the frames and targets of an earlier result.
 
     The only one of a result stands for the only one of a table, whatever their names are.
-
-    Raises:
-        ModelError: The table has a set-up that is not known there, and the cell does not say where it stands.
     """
 
-    def found(own: tuple[str, ...], names: tuple[str, ...], poses: Array, into: Array) -> Mask:
+    def found(
+        what: str, own: tuple[str, ...], names: tuple[str, ...], poses: Array, into: Array
+    ) -> Mask:
         """Put known poses in place, by name or the only one for the only one; which were found."""
         alone = len(own) == len(names) == 1
-        there = np.array([alone or name in names for name in own])
+        there = np.array([what in which and (alone or name in names) for name in own])
         for k in np.flatnonzero(there):
             into[k] = poses[0 if alone else names.index(own[k])]
         return there
 
     frames, targets = setup.T_frame_base.copy(), setup.T_tip_target.copy()
-    framed = np.zeros(len(setup.groups), dtype=bool)
-    aimed = np.zeros(len(setup.targets), dtype=bool)
-    if "frame" in which:
-        framed = found(setup.groups, known.groups, known.T_frame_base, frames)
-    if "target" in which:
-        aimed = found(setup.targets, known.targets, known.T_tip_target, targets)
-    lost = [
-        group
-        for group, there, directions in zip(setup.groups, framed, setup.unknown, strict=True)
-        if "frame" in which and not there and not directions
-    ]
-    if lost:
+    framed = found("frame", setup.groups, known.groups, known.T_frame_base, frames)
+    aimed = found("target", setup.targets, known.targets, known.T_tip_target, targets)
+    own = zip(setup.groups, framed, setup.unknown, strict=True)
+    lost = [group for group, there, unknown in own if not there and not unknown]
+    if lost and "frame" in which:
         raise ModelError(
             f"The result has the set-ups {choices(known.groups)}; the table's {choices(lost)} are none of them. Let "
             "the measurement frames be found (--frame estimate), or give them in a cell file."
         )
     # A position is not enough where orientations are to be met: then it is where the target is looked for.
     fixed = aimed if known.oriented or not setup.rotation else np.zeros_like(aimed)
-    placed = setup.as_known(framed, fixed).placed(frames, targets)
     return replace(
-        placed,
+        setup.as_known(framed, fixed).placed(frames, targets),
         frame_given=setup.frame_given | framed,
         target_given=np.where(aimed, fixed, setup.target_given),
     )
 
 
-def hint(evaluation: Evaluation, cell: Cell) -> str:
-    """A sentence that names a set-up which explains the rows far better than the evaluation's cell, or nothing."""
+def hint(evaluation: Evaluation, cell: Cell) -> Reason | None:
+    """A set-up that explains the rows far better than the evaluation's cell."""
     every, setup = rows_of(evaluation.robot, evaluation.measurements, cell)
     rows = every.select(registering(evaluation.measurements))
-    return str(better_setup(evaluation.robot, cell, setup, rows) or "")
+    return better_setup(evaluation.robot, cell, setup, rows)
 
 
-def moved(robot: Robot, measurements: Measurements, cell: Cell, known: Setup) -> str:
-    """Which of frame and target explains the errors of fresh rows by far when found anew, in a sentence; or nothing."""
+class Moved(NamedTuple):
+    """The place whose registration explains the errors of fresh rows, and their rms with the old and the new [m]."""
+
+    place: Place
+    before: float
+    after: float
+
+
+def moved(robot: Robot, measurements: Measurements, cell: Cell, known: Setup) -> Moved | None:
+    """Which of frame and target explains the errors of fresh rows by far when found anew."""
     before = evaluate(robot, measurements, cell, known=known)
-    rms = before.errors["all"].rms
+    rms, found = before.errors["all"].rms, []
     if before.registered or not rms > _SMALL:
-        return ""
-    anew = {
+        return None
+    anew: dict[Place, Cell] = {
         "frame": replace(cell, estimate_frame=True, frame_directions=DIRECTIONS),
         "target": replace(cell, estimate_target=True),
     }
-    found = {}
     for what, open_cell in anew.items():
         kept = tuple(one for one in PLACES if one != what)
         try:
@@ -231,38 +223,6 @@ def moved(robot: Robot, measurements: Measurements, cell: Cell, known: Setup) ->
             continue  # too few rows to find it
         unknowns = after.setup.count
         if unknowns and int(after.used.sum()) >= _NUMBERS * unknowns:
-            found[what] = after.errors["all"].rms
-    best = min(found, key=lambda what: found[what], default="")
-    if not best or _BETTER * found[best] > rms:
-        return ""
-    advice = {
-        "frame": "measurement frame is found anew: did the tracker, or the robot's foot, move since the calibration? "
-        "Then add --frame estimate.",
-        "target": "target is found anew: was it mounted anew since the calibration? Then give its place with --target.",
-    }
-    return (
-        f"The rms is {1e3 * rms:.3g} mm with frame and target of the result, and only {1e3 * found[best]:.3g} mm if "
-        f"the {advice[best]}"
-    )
-
-
-def check_measured(nominal: Robot, measurements: Measurements) -> None:
-    """Refuse a table of commands, whose poses to send the nominal robot predicts: any tolerance would seem to be kept.
-
-    Raises:
-        MeasurementError: The points are those of the nominal robot, with a tool and in a frame of any kind.
-    """
-    m = measurements
-    if _COMMANDS not in {split_header(label)[0] for label in m.ignored}:
-        return
-    for cell in (Cell(), Cell(estimate_frame=True)):
-        try:
-            found = evaluate(nominal, m, cell)
-        except CalibError:
-            return  # too few rows to tell
-        if found.used.sum() > found.setup.count and found.errors["all"].max < _EXACT:
-            raise MeasurementError(
-                f"{m.source}: these are commands that 'calib compensate' wrote, and x, y, z are the poses to send, "
-                "which the nominal robot predicts; nothing was measured. Put what was measured in their place, or give "
-                "it as a list of its own with --points."
-            )
+            found.append(Moved(what, rms, after.errors["all"].rms))
+    best = min(found, key=lambda one: one.after, default=None)
+    return best if best and _BETTER * best.after <= rms else None

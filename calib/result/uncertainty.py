@@ -1,19 +1,17 @@
 """Uncertainty on demand: bootstrap, profiles, the workspace.
 
 The covariance that comes with every calibration, C = (A^T W A + P)^-1, is that of the linearised problem with normal
-noise. What is here asks less, at the price of many fits; noise, prior sizes and robust weights stay as they were found.
+noise. What is here assumes less, at the price of many fits; noise, prior std and robust weights stay.
 
 **Bootstrap.** Whole poses, with their repeats, are drawn with replacement within each set-up: B. Efron, R. J.
-Tibshirani, An Introduction to the Bootstrap, 1993, sections 9.5 and 13.3. Drawing rows alone would find no spread in
-what only a prior holds; so each sample draws the priors' means too, from the priors themselves (J. M. Bardsley and
-others, SIAM Journal on Scientific Computing 36, 2014; E. Pompe, arXiv:2103.14445, 2021), and known distances between
-set-ups about what was given. For a linear problem the samples' covariance is then
+Tibshirani, An Introduction to the Bootstrap, 1993, sections 9.5 and 13.3. Each sample draws the priors' means too
+(J. M. Bardsley and others, SIAM Journal on Scientific Computing 36, 2014; E. Pompe, arXiv:2103.14445, 2021), and known
+distances between set-ups. For a linear problem with derivative A, weights W and priors P the samples' covariance is
 
     C (sum_i A_i^T W_i r_i r_i^T W_i A_i + P) C
 
-with the whitened derivative A of the predictions, the rows' weights W and the priors' precisions P, which is C where
-the residuals r are noise as large as was found. With few rows for a parameter it is too wide (N. El Karoui, E. Purdom,
-JMLR 19, 2018).
+which is C where the residuals r are noise as large as was found. With few rows for a parameter it is too wide
+(N. El Karoui, E. Purdom, JMLR 19, 2018).
 
 **Profile.** The interval of one parameter where the cost, minimised over all others, has risen by no more than the
 quantile of F(1, dof): D. M. Bates, D. G. Watts, Nonlinear Regression Analysis, 1988, section 6.1.
@@ -24,12 +22,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.special import fdtri, gammaincinv
 
-from calib.errors import CalibError, ModelError, choices
+from calib.errors import CalibError, ModelError
 from calib.estimate.fitting import Fitted
 from calib.estimate.jobs import batch_size, run
 from calib.estimate.solvers import levenberg_marquardt
@@ -37,12 +36,12 @@ from calib.model.kinematics import Samples, Where
 from calib.model.observability import steps
 from calib.result.calibration import Calibration
 from calib.result.prediction import ParameterEstimate, without_rigid_motion
-from calib.result.resampling import Profile, bootstrap_indices, check_level, fit_sample, profile
 from calib.robot.kernel import one_blas_thread
 from calib.robot.readback import spread_poses
 from calib.robot.robot import read_only
 
 Array = NDArray[np.float64]
+Integers = NDArray[np.int_]
 
 #: Called with the number of samples done and of samples in all.
 Progress = Callable[[int, int], None]
@@ -50,11 +49,17 @@ Progress = Callable[[int, int], None]
 #: With fewer samples the ends of a 95 % interval lie beyond them; more tell nothing, and do not fit into memory.
 FEWEST_SAMPLES, MOST_SAMPLES = 40, 100_000
 
-#: Fewer joint values than this have no 95 % quantile.
-_FEWEST_POSES = 20
-
 #: Poses over which a bootstrap's predicted spread is told.
 _POSES = 200
+
+#: A prior wider than this is no prior but a hold on what nothing determines; its mean stays [m, rad].
+_LEASH = 1.0
+
+#: A fit of a sample ends with steps below this, in steps of 1 mm and 1 mrad.
+_STEP = 1e-4
+
+#: Steps are doubled this many times before an end of a profile counts as open; an end is found to this share.
+_DOUBLINGS, _TOLERANCE = 10, 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,7 +93,6 @@ class Bootstrap:
 
     def intervals(self, level: float = 0.95) -> Array:
         """Percentile interval of each parameter's value at a level of probability, shape (p, 2), in its unit."""
-        check_level(level)
         tail = 0.5 * (1.0 - level)
         ends = np.quantile(self.x, (tail, 1.0 - tail), axis=0).T
         values = np.array([p.value for p in self.parameters])
@@ -101,8 +105,7 @@ class Bootstrap:
     def position_std(self, where: Where) -> Array:
         """Standard deviation of the predicted position over the samples, see `Calibration.position_std`, shape (N,).
 
-        Args:
-            where: N samples (see `Calibration.samples`), or joint values of shape (N, m) of the first frame and target.
+        At N samples (see `Calibration.samples`), or joint values of shape (N, m) of the first frame and target.
         """
         samples = where if isinstance(where, Samples) else Samples.at(where)
         problem = self.fitted.estimate.problem
@@ -151,17 +154,61 @@ def bootstrap(
     fitted = _least_squares(calibration.fitted)
     problem, start = fitted.estimate.problem, fitted.estimate.x
     rows = problem.rows
-    drawn = bootstrap_indices(rows.blocks, count, seed, strata=rows.samples.frame)
+    drawn = bootstrap_indices(rows.blocks, count, seed, rows.samples.frame)
     # Not the generator that draws the rows: priors would follow them.
     rng = np.random.default_rng([seed, 1])
     noise = rng.normal(size=(count, len(start) + len(problem.distances)))
     x, stopped = np.empty((count, len(start))), 0
     items, size = zip(drawn, noise, strict=True), batch_size(count)
-    for done, (k, found) in enumerate(run(fit_sample, fitted, items, executor, batch=size), 1):
+    for done, (k, found) in enumerate(run(_fit_sample, fitted, items, executor, batch=size), 1):
         x[k], stopped = found[0], stopped + (not found[1])
         if progress is not None:
             progress(done, count)
     return Bootstrap(fitted, calibration.parameters, read_only(x), seed, stopped)
+
+
+def bootstrap_indices(
+    blocks: NDArray[np.generic], count: int, seed: int, strata: NDArray[np.generic]
+) -> Integers:
+    """How often each row is drawn in each sample, shape (count, N): as many blocks as there are, with replacement.
+
+    blocks, shape (N,), labels what is drawn together: the pose where it was repeated, or the set-up. Within strata,
+    labels of shape (N,), blocks are drawn apart, so that every set-up stays in every sample.
+    """
+    rng = np.random.default_rng(seed)
+    result = np.zeros((count, len(blocks)), dtype=np.int_)
+    for stratum in np.unique(strata):
+        rows = np.flatnonzero(strata == stratum)
+        labels, block = np.unique(blocks[rows], return_inverse=True)
+        draws = rng.multinomial(len(labels), np.full(len(labels), 1.0 / len(labels)), size=count)
+        result[:, rows] = draws[:, block]
+    return result
+
+
+def _fit_sample(fitted: Fitted, drawn: tuple[Array, Array]) -> tuple[Array, bool]:
+    """The parameters of one sample, and whether its fit converged."""
+    problem, start = fitted.estimate.problem, fitted.estimate.x
+    count, normal = drawn
+    held = problem.precision > 1.0 / _LEASH**2
+    wide = np.where(held, 1.0 / np.sqrt(np.where(held, problem.precision, 1.0)), 0.0)
+    centre = problem.centre + wide * normal[: len(start)]
+    weights = problem.weights * count
+    sample = problem.reweighted(weights, problem.scales, problem.precision, centre)
+    moved = zip(problem.distances, normal[len(start) :].tolist(), strict=True)
+    distances = tuple(replace(d, length=d.length + d.sigma * by) for d, by in moved)
+    sample = replace(sample, distances=distances)
+    size = steps(fitted.kinematics.model.units)
+    solution = levenberg_marquardt(sample.system, start, step_size=size, step_tolerance=_STEP)
+    return solution.x, solution.status == "converged"
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """An interval from the profile of the cost; an end is infinite where the cost does not rise enough."""
+
+    low: float
+    high: float
+    level: float  # Probability that the interval holds the true value
 
 
 @one_blas_thread()
@@ -178,81 +225,66 @@ def profile_interval(calibration: Calibration, name: str, level: float = 0.95) -
     fitted = calibration.fitted
     if calibration.fit is not None and calibration.fit.larger is not None:
         fitted = fitted if name in calibration.model.names else calibration.fit.larger
-    fitted = _least_squares(fitted)
-    estimate = fitted.estimate
+    estimate = _least_squares(fitted).estimate
     k = fitted.kinematics.model.index(name)
     if k in estimate.at_bound:
         raise ModelError(
-            f"'{name}' stands at its bound, {found.value:g} {found.unit}, where the cost has no least value: it has "
-            "no profile. Widen the bound in the cell file's table [bounds]."
+            f"'{name}' stands at its bound, {found.value:g} {found.unit}: it has no profile. Widen the bound in the "
+            "cell file's table [bounds]."
         )
     at = float(estimate.x[k])
-    shift = found.value - at
-    result = profile(
-        partial(_least_cost, fitted, k), at, found.std, level, freedom=estimate.freedom
+    low, high = profile(
+        lambda value: _least_cost(fitted, k, value), at, found.std, level, estimate.freedom
     )
-    return Profile(result.low + shift, result.high + shift, level)
+    return Profile(low + found.value - at, high + found.value - at, level)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class WorkspaceUncertainty:
-    """How sure predicted positions are, std (count,) [m], at joint values q (count, m) spread over the joint limits."""
+def profile(
+    cost_at: Callable[[float], float],
+    value: float,
+    std: float,
+    level: float = 0.95,
+    freedom: float = np.inf,
+) -> tuple[float, float]:
+    """The interval where the cost, minimised over the others, is not too high.
 
-    q: Array
-    std: Array
-
-    @property
-    def rms(self) -> float:
-        """Root mean square [m]."""
-        return _rms(self.std)
-
-    @property
-    def quantile_95(self) -> float:
-        """What 95 % of the poses do not exceed [m]."""
-        return float(np.quantile(self.std, 0.95))
-
-    @property
-    def max(self) -> float:
-        """The largest [m]."""
-        return float(np.max(self.std))
-
-    def worst(self, count: int = 5) -> tuple[Array, Array]:
-        """Where it is largest, in falling order: joint values, shape (count, m), and their std, shape (count,), [m]."""
-        order = np.argsort(-self.std, kind="stable")[:count]
-        return self.q[order], self.std[order]
-
-
-def workspace_uncertainty(
-    calibration: Calibration, count: int = 1000, *, larger: bool = True
-) -> WorkspaceUncertainty:
-    """Standard deviation of predicted positions, sqrt(trace(J C J^T)), over the joint limits.
-
-    It knows nothing of errors that the model lacks, and joint values far from the measured ones are where those show.
+    cost(x) - cost(estimate) <= quantile of chi^2(1), or of F(1, freedom) where the noise was estimated.
 
     Args:
-        calibration: The calibration.
-        count: Number of joint values, a Sobol sequence over the limits (one turn or one metre where there are none).
-        larger: Whether to use the larger model, where there is one.
+        cost_at: Squares over their variance, with the parameter held at a value and the others fitted. What is not
+            finite counts as too high.
+        value: The estimate, where the cost is least.
+        std: Its standard deviation, roughly; the first step.
+        level: Probability that the interval holds the true value.
+        freedom: Degrees of freedom of the noise's estimate; infinite where the noise is known.
 
-    Raises:
-        CalibError: Too few joint values for a quantile.
+    Example:
+        >>> low, high = profile(lambda x: ((x - 1.0) / 0.5) ** 2, value=1.0, std=0.5)
+        >>> round(low, 3), round(high, 3)
+        (0.02, 1.98)
     """
-    if count < _FEWEST_POSES:
-        raise CalibError(
-            f"Over {count} joint values there is no 95 % quantile; take {_FEWEST_POSES} or more, such as 1000."
-        )
-    q = spread_poses(calibration.nominal, count)
-    return WorkspaceUncertainty(q, read_only(calibration.position_std(q, larger=larger)))
+    if not 0.0 < level < 1.0:
+        raise CalibError(f"The level of an interval is {level:g}; it must lie between 0 and 1.")
+    known = not np.isfinite(freedom)
+    rise = float(2.0 * gammaincinv(0.5, level) if known else fdtri(1.0, max(freedom, 1.0), level))
+    least = cost_at(value)
 
+    def above(x: float) -> float:
+        """The cost over the limit; finite, for the root finder."""
+        over = cost_at(x) - least - rise
+        return float(min(over, 1e6 * rise)) if np.isfinite(over) else 1e6 * rise
 
-def _least_squares(fitted: Fitted) -> Fitted:
-    """The fit, refused where the paper's solver made it: it is not the least cost of its own problem."""
-    if fitted.task.solver == "paper":
-        raise ModelError(
-            "The solver 'paper' minimises fourth powers, of which there is neither bootstrap nor profile here. Choose "
-            f"one of {choices(('lm', 'scipy'))}."
-        )
-    return fitted
+    def end(step: float) -> float:
+        """Where the cost crosses the limit, on one side."""
+        inner, reach = value, step * float(np.sqrt(rise))
+        for _ in range(_DOUBLINGS + 1):
+            outer = value + reach
+            if above(outer) >= 0.0:
+                return float(brentq(above, inner, outer, xtol=_TOLERANCE * abs(reach)))
+            inner, reach = outer, 2.0 * reach
+        return float(np.copysign(np.inf, step))
+
+    return end(-std), end(std)
 
 
 def _least_cost(fitted: Fitted, k: int, value: float) -> float:
@@ -275,6 +307,35 @@ def _least_cost(fitted: Fitted, k: int, value: float) -> float:
 
     size = steps(fitted.kinematics.model.units)[others]
     return 2.0 * levenberg_marquardt(system, start[others], step_size=size).cost
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WorkspaceUncertainty:
+    """How sure predicted positions are, std (count,) [m], at joint values q (count, m) spread over the joint limits."""
+
+    q: Array
+    std: Array
+
+
+def workspace_uncertainty(
+    calibration: Calibration, count: int = 1000, *, larger: bool = True
+) -> WorkspaceUncertainty:
+    """Standard deviation of predicted positions, sqrt(trace(J C J^T)), over a Sobol sequence in the joint limits.
+
+    It knows nothing of errors that the model lacks. ``larger``: by the larger model, where there is one.
+    """
+    q = spread_poses(calibration.nominal, count)
+    return WorkspaceUncertainty(q, read_only(calibration.position_std(q, larger=larger)))
+
+
+def _least_squares(fitted: Fitted) -> Fitted:
+    """The fit, refused where the paper's solver made it: it is not the least cost of its own problem."""
+    if fitted.task.solver == "paper":
+        raise ModelError(
+            "The solver 'paper' minimises fourth powers, of which there is neither bootstrap nor profile. Choose 'lm' "
+            "or 'scipy'."
+        )
+    return fitted
 
 
 def _some(samples: Samples) -> Samples:

@@ -1,266 +1,221 @@
-"""What `calib evaluate` finds of every robot that a URDF and a result hold: one value, its text and its table."""
+"""What `calib evaluate` finds of every robot that a URDF and a result hold, as text and as nested tables."""
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
-from calib.data.cell import Cell
-from calib.data.measurements import Measurements
-from calib.errors import CalibError, choices
+import calib.data.kinds as registry
+from calib.errors import choices
 from calib.estimate.statistics import Errors
-from calib.result.acceptance import Acceptance, acceptance
-from calib.result.accuracy import (
-    Accuracy,
-    accuracy,
-    fitted_rows,
-)
-from calib.result.calibration import Calibration
-from calib.result.calibration_fields import ERRORS, pose_table, versions
-from calib.result.evaluation import Evaluation, evaluate, evaluate_larger, hint, moved
-from calib.result.support import outside, outside_sentence
-from calib.robot.robot import Robot
-from calib.text.acceptance import (
-    acceptance_reasons,
-    acceptance_text,
-    accuracy_text,
-    figures_of,
-    poses_text,
-)
+from calib.result.acceptance import Acceptance, Assessment, Check
+from calib.result.accuracy import FEWEST_APART, Accuracy, PoseAccuracy
+from calib.result.calibration_file import error_table, pose_table, versions
+from calib.result.evaluation import Evaluation
+from calib.result.support import outside_sentence
+from calib.text.lines import deg, mm, wrap
 from calib.text.summary import ANGLE_HEAD, angle_row, error_head, error_row, error_title
 
 #: Residuals that differ by less are the same [m] and [rad].
 _SAME = 1e-9
+
+#: Poses that are listed, and rows of a pose that are named.
+_MOST_POSES, _MOST_ROWS = 10, 3
+
+#: What ISO 9283 asks for: repeats of a pose, and poses.
+_ISO_REPEATS, _ISO_POSES = 30, 5
 
 #: The robots: in the table of accuracies, and in a sentence.
 _NAMES = {
     "nominal": ("nominal", "the nominal robot of {}"),
     "urdf": ("URDF as it is", "the URDF as it is"),
     "calibration": ("calibrated", "the robot with the joint origins of {}"),
-    "larger": ("larger model", "the robot with the larger model of {}"),
+    "larger": ("larger model", "the robot with the non-geometric model of {}"),
 }
 
-#: Attribute of a pose, and its key in the file.
-_POSE_KEYS = {
-    **{name: name for name in ("rows", "kind", "group", "target")},
-    **{name: f"{name}_m" for name in ("ap", "ap_xyz", "rp", "single")},
-    **{f"{name}_angle": f"{name}_rad" for name in ("ap", "single")},
-    **{name: f"{name}_rad" for name in ("ap_abc", "rp_abc")},
+#: What the criteria look at.
+_FIGURES = {
+    "max": "largest AP",
+    "mean": "mean AP",
+    "single": "largest error of a single repeat",
 }
 
+_MOVED = {
+    "frame": "measurement frame is registered anew: did the tracker or the robot move? Then add --frame estimate.",
+    "target": "target is registered anew: was it mounted anew? Then give its place with --target.",
+}
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Evaluated:
-    """What was found, by ``"nominal"``, ``"urdf"``, ``"calibration"`` and ``"larger"`` as far as they are there."""
-
-    found: Mapping[str, Evaluation]
-    figures: Mapping[str, Accuracy]
-    judged: str
-    accepted: Acceptance | None
-    result: str  # name of its file
-    notes: tuple[str, ...]  # what must be minded with the outcome
-    advice: str  # a set-up that would explain the rows far better
-
-    @property
-    def name(self) -> str:
-        """What the robot is called that is judged."""
-        return _NAMES[self.judged][1].format(self.result)
+_COLUMNS = "{:<33}{:>5} {:>9} {:>9} {:>9} {:>9} {:>9}"
 
 
-def evaluate_all(
-    robot: Robot,
-    table: Measurements,
-    cell: Cell,
-    c: Calibration | None,
-    *,
-    result: str = "",
-    which: tuple[str, ...] = (),
-    judge: str | None = None,
-    limits: Mapping[str, Any] | None = None,
-) -> Evaluated:
-    """Evaluate the robot as it is; and of a result its nominal robot, its joint origins, and its larger model.
-
-    Args:
-        robot: The robot.
-        table: The rows.
-        cell: The set-up.
-        c: The result.
-        result: Name of its file.
-        which: Which of its ``"frame"`` and ``"target"`` are used.
-        judge: Which robot is judged; by default the corrected one.
-        limits: What `calib.acceptance` is given; without it nothing is judged.
-
-    Raises:
-        CalibError: There is no such robot to be judged, or what `evaluate` and `acceptance` raise.
-    """
-    seen = np.zeros(len(table), dtype=bool)
-    if c is None:
-        found = {"urdf": evaluate(robot, table, cell)}
-    else:
-        states = {
-            "nominal": (c.uncorrected(robot), c.nominal_setup),
-            "urdf": (robot, c.setup),
-            "calibration": (c.corrected(robot), c.setup),
-        }
-        found = {
-            who: evaluate(one, table, cell, known=known, which=which)
-            for who, (one, known) in states.items()
-        }
-        larger = evaluate_larger(c, robot, table, cell, which)
-        found |= {} if larger is None else {"larger": larger}
-        seen = fitted_rows(c, robot, table, cell)
-    judged = judge or ("urdf" if c is None else "calibration")
-    if judged not in found:
-        reason = "takes --calibration" if c is None else f"is none of {result}"
-        raise CalibError(f"--judge {judged} {reason}; choose one of {choices(found)}.")
-    figures = {who: accuracy(one, seen=seen) for who, one in found.items()}
-    accepted = acceptance(found[judged], **limits, seen=seen) if limits else None
-    notes, advice = [], ""
-    if c is None:
-        advice = hint(found["urdf"], cell)
-    elif set(which) == {"frame", "target"}:
-        advice = moved(found["calibration"].robot, table, cell, c.setup)
-    if c is not None and judged in ("calibration", "larger"):
-        notes.append(_unseen_text(c, found[judged], figures[judged]))
-    if len(found) > 1 and judged != "urdf" and _own(found):
-        notes.append(
-            "The URDF as it is, is another robot than the nominal and the calibrated one; --judge urdf judges it."
-        )
-    notes = [note for note in (*notes, advice) if note]
-    return Evaluated(found, figures, judged, accepted, result, tuple(notes), advice)
-
-
-def evaluated_text(e: Evaluated, source: str) -> str:
+def assessment_text(e: Assessment, result: str, source: str) -> str:
     """Everything as text of 100 columns: the outcome first, where targets are, errors and accuracy of each robot.
 
-    Args:
-        e: What was found.
-        source: Where the targets are from, if they were not registered.
+    With the name of the result's file, and where targets are from that were not registered.
     """
-    parts = [_places_text(e.found["urdf"], source), _errors_text(e.found, e.result)]
+    judged = _NAMES[e.judged][1].format(result)
+    parts = [_places_text(e.found["urdf"], source), _errors_text(e.found, result)]
     if e.accepted is not None or any(one.repeats[1] > 1 for one in e.figures.values()):
         shown = {
             _NAMES[who][0]: one
             for who, one in e.figures.items()
-            if who != "urdf" or e.judged == "urdf" or _own(e.found)
+            if who != "urdf" or e.judged == "urdf" or e.own or len(e.found) == 1
         }
         parts.append(accuracy_text(shown))
     if e.accepted is not None:
-        said = acceptance_text(e.accepted, e.name, e.notes)
-        parts = [said, *parts, poses_text(e.accepted, e.name)]
-    elif e.advice:
-        parts.append(textwrap.fill(e.advice, 100, break_on_hyphens=False))
+        reasons = (wrap(reason, "  ") for reason in _reasons(e, e.accepted, judged))
+        first = "\n".join([f"Verdict: {e.accepted.outcome}", *reasons])
+        parts = [first, *parts, poses_text(e.accepted, judged)]
+    elif advice := _advice(e):
+        parts.append(textwrap.fill(advice, 100, break_on_hyphens=False))
     return "\n\n".join(parts)
 
 
-def evaluated_table(e: Evaluated) -> dict[str, Any]:
-    """Everything as nested tables in SI units, which `calib evaluate --json` writes."""
-    a = e.accepted
-    accepted = None if a is None else acceptance_table(a, e.judged, e.name, e.notes)
-    return {
-        **evaluation_table(e.found),
-        "accuracy": {who: accuracy_table(one) for who, one in e.figures.items()},
-        "acceptance": accepted,
-    }
+def _advice(e: Assessment) -> str:
+    """A set-up, or a place that moved, which would explain the rows far better."""
+    if e.moved is not None:
+        return (
+            f"The rms is {1e3 * e.moved.before:.3g} mm with frame and target of the result, and only "
+            f"{1e3 * e.moved.after:.3g} mm if the {_MOVED[e.moved.place]}"
+        )
+    return "" if e.hint is None else str(e.hint)
 
 
-def evaluation_table(found: Mapping[str, Evaluation]) -> dict[str, Any]:
-    """The errors of each robot, and where targets and frames are for the URDF as it is."""
-    e = found["urdf"]
-    m, setup = e.measurements, e.setup
-    frames = zip(setup.groups, setup.T_frame_base, strict=True)
-    targets = zip(setup.targets, setup.T_tip_target, strict=True)
-    return {
-        "schema": "evaluation 1",  # a word, so that it is not taken for a result's
-        "robot": {"name": e.robot.name, "base": e.robot.base, "tip": e.robot.tip},
-        "frames": {
-            **pose_table(e.T_frame_base, "frame_base_"),
-            "target_m": e.target,
-            "registered": list(e.registered),
-            "set_ups": [{"group": name, **pose_table(T, "frame_base_")} for name, T in frames],
-            "targets": [{"target": name, **pose_table(T)} for name, T in targets],
-        },
-        "errors": {
-            who: {name: ERRORS.table(errors) for name, errors in one.errors.items()}
-            for who, one in found.items()
-        },
-        "inputs": {
-            "urdf": {"name": e.robot.urdf.source, "sha256": e.robot.urdf.sha256},
-            "measurements": {"name": m.source, "sha256": m.sha256, "rows": len(m)},
-        },
-        "versions": versions(),
-    }
-
-
-def accuracy_table(one: Accuracy) -> dict[str, Any]:
-    """Accuracy and repeatability of one robot."""
-    low, high = one.repeats
-    names = ("rows", "measured", "fitted", "seen")
-    table: dict[str, Any] = {name: getattr(one, name) for name in names}
-    table |= {"repeats_min": low, "repeats_max": high}
-    for unit, angle in (("m", False), ("rad", True)):
-        keys = ("ap_max", "ap_mean", "rp_max", "rp_mean", "single_max")
-        figures = zip(keys, figures_of(one, angle=angle), strict=True)
-        table |= {f"{key}_{unit}": value for key, value in figures}
-    poses = [{key: getattr(p, name) for name, key in _POSE_KEYS.items()} for p in one.poses]
-    return table | {"poses": poses}
-
-
-def acceptance_table(
-    a: Acceptance, who: str, judged: str, notes: Sequence[str] = ()
-) -> dict[str, Any]:
-    """An acceptance of the robot with the key ``who``, which is called ``judged``."""
-    table: dict[str, Any] = {
-        "outcome": a.outcome,
-        "robot": who,
-        "criterion": a.criterion,
-        "within": a.within,
-        "share": a.share,
-        "length": None,
-        "angle": None,
-        "reasons": acceptance_reasons(a, judged, notes),
-    }
+def _reasons(e: Assessment, a: Acceptance, judged: str) -> Iterator[str]:
+    """What an outcome rests on and what must be minded with it, sentence by sentence."""
+    one = a.accuracy
     for check, angle in a.checks:
-        names = ("figure", "tolerance", "uncertainty", "random", "held")
-        unit = "rad" if angle else "m"
-        table["angle" if angle else "length"] = {
-            **{f"{name}_{unit}": getattr(check, name) for name in names},
-            "factor": check.factor,
-            "outcome": check.outcome,
-        }
-    return table
+        yield from _check_reasons(a, check, judged, angle=angle)
+    kinds = dict.fromkeys(p.kind for p in one.poses if not registry.get(p.kind).coordinates)
+    beyond = outside_sentence(*e.outside)
+    yield from _rows_reasons(a)
+    every = {
+        "Orientations have no tolerance and are not judged.": (
+            a.angle is None and len(one.of("ap_angle"))
+        ),
+        "Positions have no tolerance and are not judged.": a.length is None,
+        f"Rows of the kind {choices(kinds)} say nothing of errors across them.": kinds,
+        f"Joint values outside of the calibrated range: {beyond}.": beyond,
+        "The URDF is neither the nominal nor the calibrated robot; --judge urdf judges it.": (
+            e.own and e.judged != "urdf"
+        ),
+        _advice(e): _advice(e),
+    }
+    yield from (sentence for sentence, applies in every.items() if applies)
 
 
-def _unseen_text(c: Calibration, evaluation: Evaluation, judged: Accuracy) -> str:
-    """The judged rows with joint values that the fit did not see, or nothing."""
-    robot, m = evaluation.robot, evaluation.measurements
-    ranges = dict(zip(c.nominal.joint_names, c.ranges, strict=True))
-    # A joint that turns without end has no range to be outside of.
-    known = [
-        k
-        for k, joint in enumerate(robot.inputs)
-        if joint.type != "continuous" and np.isfinite(ranges.get(joint.name, np.nan)).all()
-    ]
-    names = [robot.joint_names[k] for k in known]
-    ends = np.array([ranges[name] for name in names]).reshape(-1, 2).T
-    chosen = np.isin(m.rows, [row for pose in judged.poses for row in pose.rows[:1]])
-    q = m.joints_for(robot.joint_names)[chosen][:, known]
-    found = outside(ends, q, names, [robot.inputs[k].type for k in known])
-    said = outside_sentence(found, np.array(m.rows)[chosen].tolist())
-    return f"The calibration did not see such joint values: {said}." if said else ""
+def _check_reasons(a: Acceptance, check: Check, judged: str, *, angle: bool) -> Iterator[str]:
+    """The figure, the sum that decided where it is another, and whether the repeats tell it well enough."""
+    unit, size = ("deg", lambda v: deg(v, 4)) if angle else ("mm", mm)
+    poses, figure, tolerance = a.accuracy.poses, check.figure, check.tolerance
+    worst = np.nanargmax([a.size(pose, angle=angle) for pose in poses])
+    where = "" if a.criterion == "mean" else f" ({_rows_label(poses[worst])})"
+    yield (
+        f"Judged is {judged}: {_FIGURES[a.criterion]}{' of orientation' * angle} of {len(poses)} "
+        f"pose{'s' * (len(poses) != 1)} {size(figure)} {unit}{where}, {'above' if figure > tolerance else 'within'} "
+        f"the tolerance of {size(tolerance)} {unit}."
+    )
+    fails, sums = check.outcome == "fail", size(figure)
+    total = figure - check.uncertainty if fails else check.held
+    if np.isfinite(check.held) and total != figure:
+        sums += f" x {check.factor:.3f} (registration)" * (not fails and check.factor != 1.0)
+        guard = (
+            f" {'-' if fails else '+'} guard band {size(check.uncertainty)} (k = 2, ISO 14253-1)"
+        )
+        sums += guard * (check.uncertainty > 0.0)
+        sign = ">" if total > tolerance else "<="
+        yield f"{sums} = {size(total)} {unit} {sign} {size(tolerance)} {unit}."
+    if abs(figure - tolerance) < check.random:
+        yield f"By the repeats an AP is known to ± {size(check.random)} {unit} (95 %) only: repeat more often."
+
+
+def _rows_reasons(a: Acceptance) -> Iterator[str]:
+    """Which rows were judged, what was registered to them, and what they say of others."""
+    one, (low, high), count = a.accuracy, a.accuracy.repeats, len(a.accuracy.poses)
+    if one.seen:
+        yield (
+            f"The calibration was fitted to {one.fitted} of the {one.measured} rows, and the others are of fewer than "
+            f"{FEWEST_APART} poses: they can fail, but not pass. Measure fresh ones."
+        )
+    elif one.rows != "all":
+        used, others = sum(len(pose.rows) for pose in one.poses), " and the ".join(one.others)
+        yield f"Judged are {used} of the {one.measured} rows; the others were used for the {others}."
+    if one.registered:
+        lost = f"random errors are scaled by {one.factor:.3f}"
+        yield (
+            f"Registered to these rows: {' and '.join(one.registered)}, {one.unknowns} unknowns from {one.numbers} "
+            f"numbers; {lost if np.isfinite(one.factor) else 'no degree of freedom remains'}."
+        )
+    if low < _ISO_REPEATS or count < _ISO_POSES:
+        made = f"{low}" if low == high else f"{low} to {high}"
+        asked = f"ISO 9283 asks for {_ISO_REPEATS} repeats of {_ISO_POSES} poses"
+        yield f"{asked}; measured: {made} of {count}."
+    if a.criterion != "mean" and count > 1 and not (a.within and one.seen):
+        yield (
+            f"{a.within} of {count} poses are within: of poses chosen at random in the same way at least "
+            f"{np.floor(100.0 * a.share):.0f} % are, with 95 % confidence."
+        )
+
+
+def accuracy_text(found: Mapping[str, Accuracy]) -> str:
+    """AP and RP of several robots, by name: positions [mm], and orientations [deg] where there are any."""
+    poses = [pose for one in found.values() for pose in one.poses]
+    narrow = not any(registry.get(pose.kind).coordinates for pose in poses)
+    titles = ["Length accuracy [mm]" if narrow else "Pose accuracy, ISO 9283 [mm]"]
+    titles += ["Orientation, ISO 9283 [deg]"] * any(np.isfinite(p.ap_angle) for p in poses)
+    parts = []
+    for angle, title in zip((False, True), titles, strict=False):
+        lines = [_COLUMNS.format(title, "poses", "AP max", "mean", "RP max", "mean", "single")]
+        for name, one in found.items():
+            values = one.figures(angle=angle).values()
+            count = len(one.of("ap_angle" if angle else "ap"))
+            cells = (deg(v, 4) if angle else mm(v) for v in values)
+            lines.append(_COLUMNS.format(f"  {name}", count, *cells))
+        parts.append("\n".join(lines))
+    return "\n\n".join(parts)
+
+
+def poses_text(a: Acceptance, judged: str) -> str:
+    """The poses one by one, the worst first; at most ten."""
+    poses = a.worst_first()
+    head = ["repeats", "AP [mm]", "x", "y", "z", "RP", "single"]
+    turned = any(np.isfinite(pose.ap_angle) for pose in poses)
+    head += ["AP [deg]", "RP"] if turned else []
+    rows = [("", head)]
+    for pose in poses[:_MOST_POSES]:
+        cells = [str(len(pose.rows)), *map(mm, (pose.ap, *pose.ap_xyz, pose.rp, pose.single))]
+        cells += [deg(pose.ap_angle, 4), deg(pose.rp_angle, 4)] if turned else []
+        # The target and the set-up of a pose, where the table has several.
+        named = [pose.target] * (len({p.target for p in poses}) > 1)
+        named += [pose.group] * (len({p.group for p in poses}) > 1)
+        label = _rows_label(pose) + (f" ({', '.join(named)})" if named else "")
+        rows.append((f"  {textwrap.shorten(label, 22, placeholder='...')}", cells))
+    widths = (8, 9, 8, 8, 8, 8, 8, 9, 8)
+    lines = [wrap(f"Poses, the worst first, of {judged}:")]
+    for label, cells in rows:
+        set_cells = (f"{cell:>{width}}" for cell, width in zip(cells, widths, strict=False))
+        lines.append(f"{label:<24}{''.join(set_cells)}")
+    more = len(poses) - _MOST_POSES
+    return "\n".join([*lines, *[f"  and {more} more"] * (more > 0)])
+
+
+def _rows_label(pose: PoseAccuracy) -> str:
+    """The rows of a pose in few words."""
+    rows = pose.rows[:1] if registry.get(pose.kind).paired else pose.rows
+    listed = ", ".join(map(str, rows[:_MOST_ROWS])) + ", ..." * (len(pose.rows) > _MOST_ROWS)
+    return f"row{'s' * (len(rows) > 1)} {listed}"
 
 
 def _places_text(first: Evaluation, source: str) -> str:
     """Where targets and frames are, and how that is known."""
     how = "registered to the rows" if "target" in first.registered else source
-    lines = []
-    targets = first.setup.targets
+    lines, targets = [], first.setup.targets
     for name, T in zip(targets, first.setup.T_tip_target, strict=True):
-        place = ", ".join(f"{1e3 * v:.3f}" for v in T[:3, 3])
+        place = ", ".join(map(mm, T[:3, 3]))
         label = f"Target '{name}'" if len(targets) > 1 else "Target"
         lines.append(textwrap.fill(f"{label} at ({place}) mm in {first.robot.tip}, {how}.", 100))
     if "frame" in first.registered:
@@ -287,8 +242,8 @@ def _errors_text(found: Mapping[str, Evaluation], result: str) -> str:
             # Where the table sets none aside, nothing says that anything is estimated from these rows.
             called = {} if np.any(one.measurements.validation) else {"estimation": "measured"}
             for name, errors in one.errors.items():
-                said = name == "all" and sizes["all"] in (sizes["estimation"], sizes["validation"])
-                if sizes[name] and not said:
+                alone = name == "all" and sizes["all"] in (sizes["estimation"], sizes["validation"])
+                if sizes[name] and not alone:
                     lines.append(row(f"  {called.get(name, name)} rows", errors))
         return "\n".join(lines)
 
@@ -298,11 +253,68 @@ def _errors_text(found: Mapping[str, Evaluation], result: str) -> str:
     return "\n\n".join(parts)
 
 
-def _own(found: Mapping[str, Evaluation]) -> bool:
-    """Whether the URDF as it is, is neither the nominal nor the calibrated robot."""
-    own = found["urdf"].robot.origins()
-    return not any(
-        all(abs(T - own[joint]).max() < _SAME for joint, T in found[other].robot.origins().items())
-        for other in ("nominal", "calibration")
-        if other in found
-    )
+def assessment_table(e: Assessment) -> dict[str, Any]:
+    """Everything as nested tables in SI units, which `calib evaluate --json` writes; see docs/result-json.md."""
+    urdf, a = e.found["urdf"], e.accepted
+    m, setup, robot = urdf.measurements, urdf.setup, urdf.robot
+    frames = zip(setup.groups, setup.T_frame_base, strict=True)
+    targets = zip(setup.targets, setup.T_tip_target, strict=True)
+    return {
+        "schema": "evaluation 2",  # a word, so that it is not taken for a result's
+        "robot": {"name": robot.name, "base": robot.base, "tip": robot.tip},
+        "frames": {
+            **pose_table(urdf.T_frame_base, "frame_base_"),
+            "target_m": urdf.target,
+            "registered": list(urdf.registered),
+            "set_ups": [{"group": name, **pose_table(T, "frame_base_")} for name, T in frames],
+            "targets": [{"target": name, **pose_table(T)} for name, T in targets],
+        },
+        "errors": {
+            who: {name: error_table(errors) for name, errors in one.errors.items()}
+            for who, one in e.found.items()
+        },
+        "inputs": {
+            "urdf": {"name": robot.urdf.source, "sha256": robot.urdf.sha256},
+            "measurements": {"name": m.source, "sha256": m.sha256, "rows": len(m)},
+        },
+        "versions": versions(),
+        "accuracy": {who: accuracy_table(one) for who, one in e.figures.items()},
+        "acceptance": None if a is None else {"robot": e.judged, **acceptance_table(a)},
+    }
+
+
+def accuracy_table(one: Accuracy) -> dict[str, Any]:
+    """Accuracy and repeatability of one robot."""
+    low, high = one.repeats
+    figures = {f"{key}_m": value for key, value in one.figures().items()}
+    figures |= {f"{key}_rad": value for key, value in one.figures(angle=True).items()}
+    names = ("rows", "measured", "fitted", "seen")
+    units = {name: f"{name}_m" for name in ("ap", "ap_xyz", "rp", "single")}
+    units |= {"ap_angle": "ap_rad", "single_angle": "single_rad"}
+    units |= {name: f"{name}_rad" for name in ("ap_abc", "rp_abc")}
+    return {
+        **{name: getattr(one, name) for name in names},
+        "repeats_min": low, "repeats_max": high,
+        **figures,
+        "poses": [
+            {units.get(name, name): v for name, v in asdict(p).items() if name != "rp_angle"}
+            for p in one.poses
+        ],
+    }
+
+
+def acceptance_table(a: Acceptance) -> dict[str, Any]:
+    """An acceptance: outcome, criterion and both checks."""
+    table: dict[str, Any] = {
+        name: getattr(a, name) for name in ("outcome", "criterion", "within", "share")
+    }
+    table |= {"length": None, "angle": None}
+    for check, angle in a.checks:
+        unit = "rad" if angle else "m"
+        sizes = ("figure", "tolerance", "uncertainty", "random", "held")
+        table["angle" if angle else "length"] = {
+            **{f"{name}_{unit}": getattr(check, name) for name in sizes},
+            "factor": check.factor,
+            "outcome": check.outcome,
+        }
+    return table

@@ -1,6 +1,6 @@
 """The result as text for a terminal: what to do, how good it is, what was found. At most 100 columns, no colours.
 
-What the report says too is public: facts, places, rows of errors and of parameters; each sets them in its own way.
+What the report shows too is public: facts, places, rows of errors and of parameters.
 """
 
 from __future__ import annotations
@@ -20,40 +20,39 @@ from calib.model.families import FAMILIES, unit_of
 from calib.model.parameters import FRAME, TARGET
 from calib.result.calibration import Calibration
 from calib.result.prediction import Outlier, ParameterEstimate, correlations
-from calib.text.lines import three, wrap
+from calib.text.lines import deg, mm, number, wrap
 from calib.version import __version__
 
-#: Columns of the text; a parameter with a longer name than that gets a line for its name alone.
-WIDTH, _LONGEST_NAME = 100, 46
+#: A parameter with a longer name gets a line for its name alone.
+_LONGEST_NAME = 46
 
-#: More combinations that nothing determines, validation rows, targets or measurement frames than this are not listed.
-_MOST_COMBINATIONS, _MOST_ROWS, _MOST_PLACES = 12, 12, 6
+#: More combinations or rows, and more targets or measurement frames than this are not listed.
+_MOST_ROWS, _MOST_PLACES = 12, 6
 
 #: Labels of `facts` that the report asks for.
 EXPECTED, SCATTER = "Expected error, if the model is complete", "Scatter of repeats"
-SIZES, TOGETHER = "Size of the robot's errors", "Known together better than apart (correlation)"
+SIZES, TOGETHER = "Size of the robot's errors", "Strongly correlated parameters"
 
-#: Correlations beyond this are told, the largest few.
+#: Correlations beyond this are named, the largest few.
 _WORTH_NAMING, _MOST_PAIRS = 0.95, 4
 
 #: Degrees of freedom from which on the noise is that of the rows.
 _TELLING = 6.0
 
-#: A size of errors below this says that there are none [mm, mrad, urad/Nm].
+#: A size of errors below this is none [mm, mrad, urad/Nm].
 _NOTHING = 2e-3
 
-#: What is left out at a time.
+#: What each method of cross-validation leaves out at a time.
 _LEFT_OUT = {
     "leave-one-out": "each row predicted from the others alone",
     "leave-one-pose-out": "each pose, repeats and all, predicted from the others alone",
-    "leave-one-set-up-out": "each set-up predicted from the others, but for where it stands itself",
-    "leave-set-ups-out": "some set-ups predicted from the others, but for where they stand themselves",
+    "leave-one-set-up-out": "each set-up predicted from the others, but for its own frame",
+    "leave-set-ups-out": "some set-ups predicted from the others, but for their own frames",
     "10-fold": "a tenth of the poses at a time, predicted from the others",
 }
 
-#: A row of the error table has the columns: label, n, max, mean, rms, span x, span y, span z.
-_COLUMNS = "{:<33}{:>5}" + " {:>9}" * 6
-_ANGLE_COLUMNS = "{:<33}{:>5}" + " {:>9}" * 3
+#: A row of the error table: label, n, max, mean, rms, span x, span y, span z.
+_COLUMNS, _ANGLE_COLUMNS = "{:<33}{:>5}" + " {:>9}" * 6, "{:<33}{:>5}" + " {:>9}" * 3
 ANGLE_HEAD = _ANGLE_COLUMNS.format("Orientation error [deg]", "rows", "max", "mean", "rms")
 _ROW_COLUMNS = "{:<18}" + " {:>8}" * 4 + "   " + " {:>8}" * 4
 
@@ -66,7 +65,9 @@ def summary(c: Calibration) -> str:
     verdict = ["Verdict: none, because nothing was cross-validated."]
     if c.verdict is not None:
         verdict = [f"Verdict: {c.verdict.use}", *(wrap(str(r), "  ") for r in c.verdict.reasons)]
-    larger = [] if c.larger is None else [f"Larger model '{c.larger.name}', not in the URDF:"]
+    larger = (
+        [] if c.larger is None else [f"Non-geometric model '{c.larger.name}', not in the URDF:"]
+    )
     for name, value, half, unit in larger_parameters(c):
         larger.append(f"  {name:<{_LONGEST_NAME}}{value:>10} {half} {unit}")
     parts = (
@@ -94,19 +95,16 @@ def summary(c: Calibration) -> str:
 def facts(c: Calibration) -> dict[str, str]:
     """What was found in numbers, a sentence for each label, as far as there is something to say."""
     of = measured_lengths(c.used)
-    noise = [f"{1e3 * c.sigma:.3f} mm a {of}"] * bool(np.isfinite(c.sigma))
-    noise += [f"{np.degrees(c.sigma_angle):.4f} deg about an axis"] * bool(
-        np.isfinite(c.sigma_angle)
-    )
-    telling = f"found from what is left over ({c.freedom:.0f} d.o.f.)"
-    assumed = "mostly assumed: too few rows to tell"
-    result = {"Noise": f"{' and '.join(noise)}, {telling if c.freedom >= _TELLING else assumed}."}
+    noise = [f"{mm(c.sigma)} mm per {of}"] * math.isfinite(c.sigma)
+    noise += [f"{deg(c.sigma_angle, 4)} deg about an axis"] * math.isfinite(c.sigma_angle)
+    source = f"from residuals, {c.freedom:.0f} d.o.f."
+    source = source if c.freedom >= _TELLING else "mostly assumed: too few rows"
+    result = {"Noise": f"{' and '.join(noise)} (1 sigma, {source})."}
     if c.repeats is not None and np.isfinite(c.repeats.within[0]):
-        scatter, freedom = 1e3 * c.repeats.within[0], c.repeats.freedoms[0]
-        result[SCATTER] = f"{scatter:.3f} mm a {of} ({freedom:.0f} d.o.f.)."
+        scatter, freedom = c.repeats.within[0], c.repeats.freedoms[0]
+        result[SCATTER] = f"{mm(scatter)} mm per {of} ({freedom:.0f} d.o.f.)."
     result[EXPECTED] = (
-        f"{1e3 * c.expected_measured:.3f} mm rms at the measured poses, "
-        f"{1e3 * c.expected_everywhere:.3f} mm over the joint limits."
+        f"{mm(c.expected_measured)} mm rms at the measured poses, {mm(c.expected_everywhere)} mm over the joint limits."
     )
     if c.sizes:
         shown = [(family, size, *FAMILIES[family].unit.shown) for family, size in c.sizes.items()]
@@ -118,12 +116,10 @@ def facts(c: Calibration) -> dict[str, str]:
         result[SIZES] = f"{', '.join(sizes)} ({how})."
     o = c.observability
     result["Rank"] = f"{o.rank} of {o.columns} parameters, condition number {o.condition:.0f}."
-    pairs = [
-        f"{first} and {second} ({value:+.2f})"
-        for first, second, value in correlations(c, _WORTH_NAMING)[:_MOST_PAIRS]
-    ]
+    pairs = correlations(c, _WORTH_NAMING)[:_MOST_PAIRS]
     if pairs:
-        result[TOGETHER] = f"{', '.join(pairs)}."
+        named = (f"{first} and {second} ({value:+.2f})" for first, second, value in pairs)
+        result[TOGETHER] = f"{', '.join(named)}."
     return result
 
 
@@ -146,11 +142,10 @@ def error_rows(c: Calibration) -> list[tuple[str, Errors]]:
         for name in ("estimation", "validation")
         for who in c.errors
     ]
-    larger = None if c.larger is None else c.larger.cross_validation
     for who, v in (
         ("nominal", c.nominal_cross_validation),
         ("calibrated", c.cross_validation),
-        ("larger", larger),
+        ("larger", None if c.larger is None else c.larger.cross_validation),
     ):
         if v is not None:
             rows.append((f"left-out rows*, {who}", v.errors))
@@ -170,30 +165,28 @@ def error_head(title: str = "Position error") -> str:
     return _COLUMNS.format(f"{title} [mm]", "rows", "max", "mean", "rms", "span x", "y", "z")
 
 
-def angle_row(label: str, errors: Errors) -> str:
-    """One row of the table of orientations, [deg]."""
-    values = [errors.max_angle, errors.mean_angle, errors.rms_angle]
-    return _ANGLE_COLUMNS.format(label, errors.n_angle, *(f"{np.degrees(v):.4f}" for v in values))
-
-
-def error_row(label: str, errors: Errors) -> str:
+def error_row(label: str, e: Errors) -> str:
     """One row of the error table, [mm]."""
-    values = [errors.max, errors.mean, errors.rms, *errors.span_axis]
-    texts = [f"{1e3 * v:.3f}" if np.isfinite(v) else "-" for v in values]
-    return _COLUMNS.format(label, errors.n, *texts)
+    return _COLUMNS.format(label, e.n, *map(mm, (e.max, e.mean, e.rms, *e.span_axis)))
+
+
+def angle_row(label: str, e: Errors) -> str:
+    """One row of the table of orientations, [deg]."""
+    values = [deg(v, 4) for v in (e.max_angle, e.mean_angle, e.rms_angle)]
+    return _ANGLE_COLUMNS.format(label, e.n_angle, *values)
 
 
 def weights_text(c: Calibration) -> str:
     """Whether the outliers count in the fit."""
     weights = dict(zip(c.rows.numbers, c.weights, strict=True))
     unused = not any(weights.get(o.row) for o in c.outliers)
-    return "they have no weight in the fit" if unused else "they keep their weight in this fit"
+    return "no weight in the fit" if unused else "full weight in the fit"
 
 
 def candidate_rms(one: Candidate) -> str:
     """Error of a candidate on left-out rows, outliers aside, with its unit."""
     errors = one.cross_validation.errors_without_outliers
-    return f"{1e3 * errors.rms:.3f} mm" if errors.n else f"{np.degrees(errors.rms_angle):.4f} deg"
+    return f"{mm(errors.rms)} mm" if errors.n else f"{deg(errors.rms_angle, 4)} deg"
 
 
 def errorless(c: Calibration) -> frozenset[str]:
@@ -207,19 +200,18 @@ def errorless(c: Calibration) -> frozenset[str]:
     return frozenset(
         p.name
         for p, found in zip(c.model.parameters, c.parameters, strict=True)
-        if p.family in nothing
-        and c.sizes[p.family] <= nothing[p.family]
+        if c.sizes.get(p.family, np.inf) <= nothing.get(p.family, 0.0)
         # One with a prior of its own does not share the family's.
         and found.prior_std <= nothing[p.family]
     )
 
 
 def unidentifiable_text(c: Calibration) -> str:
-    """What is said before the combinations that nothing determines; empty if there are none."""
+    """What heads the combinations that nothing determines; empty if there are none."""
     if not c.observability.unidentifiable:
         return ""
-    held = ", so the priors share them out" if c.sizes else ""
-    return f"These changes move nothing that was measured{held}"
+    held = " (resolved by the priors only)" if c.sizes else ""
+    return f"Unidentifiable combinations{held}"
 
 
 def shown_parameters(c: Calibration) -> list[ParameterEstimate]:
@@ -238,7 +230,7 @@ def larger_parameters(c: Calibration) -> Sequence[tuple[str, str, str, str]]:
         if p.name not in c.model.names:
             factor, unit = unit_of(p.unit).shown
             half = "(at bound)" if p.at_bound else f"± {0.5 * factor * (p.high - p.low):.3f}"
-            result.append((p.name, three(factor * p.value), half, unit))
+            result.append((p.name, number(factor * p.value), half, unit))
     return result
 
 
@@ -250,17 +242,16 @@ def solver_text(c: Calibration) -> str:
 
 def target_sentences(c: Calibration, most: int = _MOST_PLACES) -> list[str]:
     """Where each target is, how sure that is, and how far it moved; more than ``most`` are counted."""
-    names, own = c.setup.targets, c.setup.target_names
+    own, count = c.setup.target_names, len(c.setup.targets)
     shown = [_target(c, t, name) for t, name in enumerate(own[:most])]
-    return shown + [f"... and {len(names) - most} more targets"] * (len(names) > most)
+    return shown + [f"... and {count - most} more targets"] * (count > most)
 
 
 def _target(c: Calibration, t: int, name: str) -> str:
     """One target."""
     T, rotation = c.setup.T_tip_target[t], c.setup.rotation
-    turned = f", rpy ({_degrees(T)}) deg" if rotation else ""
-    place = f"({_listed(1e3 * T[:3, 3])}) mm{turned} in {c.nominal.tip}"
     what = f"Target '{name}'" if name else "Target"
+    place = f"({_listed(T[:3, 3])}) mm{_rpy(T) if rotation else ''} in {c.nominal.tip}"
     if not c.setup.target_unknown[t]:
         return f"{what}: {place}, as given."
     sure = f"({_half_widths(c, 'target', 'xyz', name)}) mm"
@@ -269,9 +260,9 @@ def _target(c: Calibration, t: int, name: str) -> str:
     if not c.setup.target_given[t]:
         return f"{what}: found at {place}, 95 % ± {sure}."
     moved = float(np.linalg.norm(T[:3, 3] - c.nominal_setup.T_tip_target[t, :3, 3]))
-    text = f"{what}: {place}, 95 % ± {sure}; it moved {1e3 * moved:.1f} mm from the position given."
+    text = f"{what}: {place}, 95 % ± {sure}; {mm(moved, 1)} mm from the position given."
     if moved > 5e-3:  # given wrongly, rather than mounted inexactly
-        text += " That is further than mounting explains: check the sign and the order of the numbers given."
+        text += " Check the sign and the order of the numbers given."
     return text
 
 
@@ -292,12 +283,10 @@ def _frame(c: Calibration, f: int, group: str) -> str:
     what += f" '{group}'" if group else ""
     own = {kind.directions if kind.own_frame else () for kind in kinds}
     if own == {("x", "y", "z")}:
-        return f"{what}: found at ({_listed(-1e3 * T[:3, :3].T @ T[:3, 3])}) mm in {base}."
+        return f"{what}: found at ({_listed(-T[:3, :3].T @ T[:3, 3])}) mm in {base}."
     if own == {("z", "rx", "ry")}:
         normal = ", ".join(f"{v:.5f}" for v in T[2, :3])
-        return (
-            f"{what}: found with the normal ({normal}) in {base}, {-1e3 * T[2, 3]:.3f} mm along it."
-        )
+        return f"{what}: found with the normal ({normal}) in {base}, {mm(-T[2, 3])} mm along it."
     sure = [
         f"({_half_widths(c, 'frame', some, group)}) {unit}"
         for unit, some in (
@@ -306,21 +295,21 @@ def _frame(c: Calibration, f: int, group: str) -> str:
         )
         if some
     ]
+    axes = "the frame" if c.setup.own_axes[f] else base
     return (
-        f"{what}: {base} found at ({_listed(1e3 * T[:3, 3])}) mm, rpy ({_degrees(T)}) deg in it; 95 % ± "
-        f"{' and '.join(sure)} for {', '.join(directions)} along and about the axes of "
-        f"{'the frame' if c.setup.own_axes[f] else base}."
+        f"{what}: {base} found at ({_listed(T[:3, 3])}) mm{_rpy(T)} in it; 95 % ± {' and '.join(sure)} for "
+        f"{', '.join(directions)} along and about the axes of {axes}."
     )
 
 
-def _listed(values: Iterable[float]) -> str:
-    """Numbers with commas between them."""
-    return ", ".join(three(float(v)) for v in values)
+def _listed(lengths: Iterable[float]) -> str:
+    """Lengths [m] in mm with commas between them."""
+    return ", ".join(map(mm, lengths))
 
 
-def _degrees(T: NDArray[np.float64]) -> str:
-    """Roll, pitch and yaw of a pose [deg]."""
-    return _listed(np.degrees(pin.rpy.matrixToRpy(T[:3, :3])))
+def _rpy(T: NDArray[np.float64]) -> str:
+    """Roll, pitch and yaw of a pose."""
+    return f", rpy ({', '.join(map(deg, pin.rpy.matrixToRpy(T[:3, :3])))}) deg"
 
 
 def _half_widths(c: Calibration, what: str, directions: Iterable[str], name: str) -> str:
@@ -349,7 +338,7 @@ def _validation_rows(c: Calibration) -> str:
     lines = [_ROW_COLUMNS.format("Validation rows", *head)]
     for i in chosen:
         both = c.residual_nominal[i, :3], c.residual_calibrated[i, :3]
-        values = [three(1e3 * float(v)) for one in both for v in (*one, np.linalg.norm(one))]
+        values = [mm(v) for one in both for v in (*one, np.linalg.norm(one))]
         lines.append(_ROW_COLUMNS.format(f"  row {m.numbers[i]} [mm]", *values))
     return "\n".join(lines)
 
@@ -362,17 +351,17 @@ def _flagged(c: Calibration) -> str:
         if c.robustness is not None:
             lines.append(wrap(c.robustness.sentence(), "  "))
     if c.suspects:
-        what = "Validation rows that the calibrated robot does not explain"
-        lines.append(wrap(f"{what}: {_outliers(c.suspects)}"))
+        lines.append(wrap(f"Outliers among the validation rows: {_outliers(c.suspects)}"))
     return "\n".join(lines)
 
 
 def _outliers(every: Sequence[Outlier]) -> str:
     """Rows with residual and score; the first dozen."""
-    text = "; ".join(
-        f"row {o.row} ({1e3 * o.residual:.2f} mm, {o.score:.1f} sigma)" for o in every[:_MOST_ROWS]
-    )
-    return text + (f"; and {len(every) - _MOST_ROWS} more" if len(every) > _MOST_ROWS else "")
+    shown = [
+        f"row {o.row} ({mm(o.residual, 2)} mm, {o.score:.1f} sigma)" for o in every[:_MOST_ROWS]
+    ]
+    more = len(every) - _MOST_ROWS
+    return "; ".join(shown + [f"and {more} more"] * (more > 0))
 
 
 def _ladder(c: Calibration) -> str:
@@ -382,16 +371,14 @@ def _ladder(c: Calibration) -> str:
     row = "{:<36}{:>10}{:>10}{:>16}  {}"
     lines = [row.format("Models tried", "parameters", "evidence", "left-out rms", "chosen for")]
     best = max(one.log_likelihood for one in c.candidates)
-    words = {"geometry": "the URDF", "larger": "result file, predict()"}
+    uses = {"geometry": "the URDF", "larger": "result file, predict()"}
     for one in c.candidates:
-        gain, chosen = f"{one.log_likelihood - best:.1f}", words.get(one.chosen, "")
+        gain, chosen = f"{one.log_likelihood - best:.1f}", uses.get(one.chosen, "")
         cells = f"  {one.name}", one.parameters, gain, candidate_rms(one), chosen
         lines.append(row.format(*cells).rstrip())
-    lines.append(
-        "  evidence: restricted log likelihood, less the best one's; a step up must gain "
-        f"{c.candidates[0].needed:.1f}"
-    )
-    return "\n".join(lines)
+    needed = c.candidates[0].needed
+    note = "  evidence: restricted log likelihood, less the best one's; a step up must gain"
+    return "\n".join([*lines, f"{note} {needed:.1f}"])
 
 
 def _unknown(c: Calibration) -> list[str]:
@@ -399,11 +386,8 @@ def _unknown(c: Calibration) -> list[str]:
     every = c.observability.unidentifiable
     if not every:
         return []
-    lines = [
-        f"{unidentifiable_text(c)}:",
-        *(wrap(str(u), "  ") for u in every[:_MOST_COMBINATIONS]),
-    ]
-    more = len(every) - _MOST_COMBINATIONS
+    more = len(every) - _MOST_ROWS
+    lines = [f"{unidentifiable_text(c)}:", *(wrap(str(u), "  ") for u in every[:_MOST_ROWS])]
     return lines + [f"  and {more} more"] * (more > 0)
 
 
@@ -422,14 +406,14 @@ def _parameters(c: Calibration) -> str:
         lines += [wrap(p.name)] * (len(p.name) > _LONGEST_NAME)
         cells = (
             p.name if len(p.name) <= _LONGEST_NAME else "",
-            "-" if p.nominal is None else three(scale * p.nominal),
-            three(scale * p.value),
-            "-" if p.nominal is None else three(scale * p.delta, "+"),
+            "-" if p.nominal is None else number(scale * p.nominal),
+            number(scale * p.value),
+            "-" if p.nominal is None else number(scale * p.delta, 3, "+"),
             "-" if p.name in none else half,
         )
         lines.append(f"{row.format(*cells)} {unit}{mark}")
     if none:
-        lines.append("# no errors of this kind were found, so it stays as it was")
+        lines.append("# no errors of this kind were found: kept at its nominal value")
     if not all(p.identifiable or p.name in none for p in shown):
         lines.append("* known in combination with others only; see above")
     return "\n".join(lines)

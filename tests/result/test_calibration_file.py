@@ -23,7 +23,7 @@ from calib.files import plain
 from calib.result.acceptance import acceptance
 from calib.result.accuracy import accuracy
 from calib.result.calibration import Calibration as Values
-from calib.result.calibration_fields import ERRORS
+from calib.result.calibration_file import ERRORS
 from calib.result.calibration_file import read_result, result_table, write_result, write_table
 from calib.result.evaluation import evaluate, evaluate_larger
 from calib.robot.readback import random_joint_values

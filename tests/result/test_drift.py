@@ -8,13 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from calib.result.drift import (
-    LEVEL,
-    DriftTest,
-    Estimated,
-    Pair,
-    drift_test,
-)
+from calib.result.drift import LEVEL, DriftTest, Estimate, drift_test, joint_covariance
 
 TAU = np.array([1.0, 1.0, 0.5, 0.5, 2.0])
 FLOOR = 1e-9
@@ -27,11 +21,11 @@ def design(seed: int, count: int = 12) -> np.ndarray:
     return A
 
 
-def posterior(A: np.ndarray) -> Estimated:
+def posterior(A: np.ndarray) -> Estimate:
     """What `x` of N(0, TAU^2) is known to by y = A x + noise of unit variance, with its coordinates the parameters."""
     P = np.diag(1.0 / TAU**2)
     C = np.linalg.inv(A.T @ A + P)
-    return Estimated(np.eye(5), C, C - C @ P @ C, C @ P, TAU**2, 1e6, np.zeros(5))
+    return Estimate(C, C - C @ P @ C, C @ P, TAU**2, 1e6, np.zeros(5))
 
 
 def means(A: np.ndarray, x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -41,7 +35,7 @@ def means(A: np.ndarray, x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def many() -> tuple[Estimated, Estimated, np.ndarray, np.ndarray, np.ndarray]:
+def many() -> tuple[Estimate, Estimate, np.ndarray, np.ndarray, np.ndarray]:
     """Two designs, and the estimates of 4000 unchanged robots by each, with the robots."""
     rng = np.random.default_rng(5)
     A, B = design(1), design(2)
@@ -49,16 +43,9 @@ def many() -> tuple[Estimated, Estimated, np.ndarray, np.ndarray, np.ndarray]:
     return posterior(A), posterior(B), means(A, x, rng), means(B, x, rng), x
 
 
-def test_the_covariance_of_the_difference_of_an_unchanged_robot(many):
-    a, b, of_a, of_b, _ = many
-    V = Pair(a, b, alike=True).covariance
-    np.testing.assert_allclose(np.cov((of_b - of_a).T), V, atol=0.05 * np.sqrt(V.diagonal().max()))
-    assert V[4, 4] < 1e-3 < 0.1 * a.spread[4, 4]  # both say what the prior says
-
-
-def judged(a: Estimated, b: Estimated, difference: np.ndarray) -> list[DriftTest]:
-    pair = Pair(a, b, alike=True)
-    return [drift_test(d, pair, FLOOR) for d in difference]
+def judged(a: Estimate, b: Estimate, difference: np.ndarray) -> list[DriftTest]:
+    joint, one = joint_covariance(a, b, alike=True), np.eye(5)
+    return [drift_test(d, (one, one), (a, b), joint, FLOOR) for d in difference]
 
 
 def test_false_alarms_come_at_the_rate_told(many):
@@ -71,14 +58,14 @@ def test_false_alarms_come_at_the_rate_told(many):
 
 def test_the_covariance_about_a_common_truth(many):
     a, b, of_a, of_b, x = many
-    joint = Pair(a, b, alike=True).joint
+    joint = joint_covariance(a, b, alike=True)
     size = np.sqrt(np.outer(joint.diagonal(), joint.diagonal()))
     found = np.cov(np.hstack([of_a - x, of_b - x]).T)
     np.testing.assert_allclose(found / size, joint / size, atol=0.08)
-    difference = np.hstack([-np.eye(5), np.eye(5)])
-    np.testing.assert_allclose(
-        difference @ joint @ difference.T, Pair(a, b, alike=True).covariance, atol=1e-12
-    )
+    both = np.hstack([-np.eye(5), np.eye(5)])
+    V = both @ joint @ both.T
+    np.testing.assert_allclose(np.cov((of_b - of_a).T), V, atol=0.05 * np.sqrt(V.diagonal().max()))
+    assert V[4, 4] < 1e-3 < 0.1 * a.covariance[4, 4]  # both say what the prior says
 
 
 def test_few_degrees_of_freedom_ask_for_more():

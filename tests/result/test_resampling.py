@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from calib.errors import CalibError
-from calib.result.resampling import bootstrap_indices, profile
+from calib.result.uncertainty import bootstrap_indices, profile
 
 BLOCKS = np.array(["b", "a", "a", "c", "b", "d", "d", "d"])
 

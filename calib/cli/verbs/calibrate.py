@@ -35,8 +35,7 @@ if TYPE_CHECKING:
 
     from calib.calibration import Calibration
     from calib.result.prediction import ParameterEstimate
-    from calib.result.resampling import Profile
-    from calib.result.uncertainty import Bootstrap
+    from calib.result.uncertainty import Bootstrap, Profile
 
 #: Probability that an interval holds the true value.
 LEVEL = 0.95
