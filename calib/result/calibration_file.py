@@ -61,6 +61,12 @@ def _no_rows(found: Json) -> CrossValidation:
     return CrossValidation(poses=np.zeros(0, dtype=int), residual=np.zeros((0, 0)), **own)
 
 
+def _repeats(found: Json) -> Repeats:
+    """Scatter of repeats; the sum of the degrees of freedom is not in the file."""
+    own = _LAYOUT.values(Repeats, found)
+    return Repeats(freedom=float(own["freedoms"].sum()), **own)
+
+
 def error_table(e: Errors) -> dict[str, Any]:
     """Errors of one set of rows, see docs/result-json.md: angles only where there are any."""
     return {k: v for k, v in _LAYOUT.table(e).items() if e.n_angle or not k.endswith("_rad")}
@@ -123,7 +129,6 @@ _LAYOUT: Layout = Layout(
         Parameter: {
             "factor": Key("factor", lambda factor: factor and factor.name, lambda name: name and _FACTORS[name])
         },
-        ErrorModel: {"name": "set", "parameters": None, "mixing": None},
         Solved: {
             "kinematics": None,
             "setup": Key("", lambda s: _places_table(s)),
@@ -141,7 +146,8 @@ _LAYOUT: Layout = Layout(
             "setup": Key("frames.", lambda s: _places_table(s)),
             "nominal_setup": Key("frames.nominal", lambda s: _places_table(s), lambda v: _places_of(v)),
             "frame_estimated": "frames.frame_estimated",
-            **{name: f"noise.{name}" for name in ("freedom", "repeats", "sizes_from", "flag_limit")},
+            "repeats": Key("noise.repeats", None, lambda v: v and _repeats(v)),
+            **{name: f"noise.{name}" for name in ("freedom", "sizes_from", "flag_limit")},
             "sizes": replace(_SIZES, path="noise.sizes"),
             "sigma": "noise.sigma_m",
             "sigma_angle": "noise.sigma_angle_rad",
@@ -342,7 +348,8 @@ def _calibration(found: Json, folder: Path) -> Calibration:
 def _model_table(model: ErrorModel) -> dict[str, Any]:
     """Where each term of an error model acts, and which parameters the terms follow."""
     mixing = None if model.terms is model.parameters else model.mixing
-    return _LAYOUT.table(model) | {"mixing": mixing}
+    terms = [_LAYOUT.table(one) for one in model.terms]
+    return {"set": model.name, "places": model.places, "terms": terms, "mixing": mixing}
 
 
 def _model_of(found: Json, names: Sequence[str]) -> ErrorModel:

@@ -294,7 +294,8 @@ def accuracy_table(one: Accuracy) -> dict[str, Any]:
     units |= {name: f"{name}_rad" for name in ("ap_abc", "rp_abc")}
     return {
         **{name: getattr(one, name) for name in names},
-        "repeats_min": low, "repeats_max": high,
+        "repeats_min": low,
+        "repeats_max": high,
         **figures,
         "poses": [
             {units.get(name, name): v for name, v in asdict(p).items() if name != "rp_angle"}

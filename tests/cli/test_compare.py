@@ -20,7 +20,7 @@ def test_the_example_of_the_document(examples, folder: Path):
     assert done.lines[4] == "No drift that these data could show."
     assert done.lines[-1] == "Written: compared.json"
     written = json.loads((folder / "compared.json").read_text(encoding="utf-8"))
-    assert (written["schema"], written["outcome"]) == ("comparison 2", "no drift shown")
+    assert (written["schema"], written["outcome"]) == ("comparison 3", "no drift shown")
     assert [one["name"] for one in written["results"]] == ["first.json", "later.json"]
     assert len(written["moves"]) == 2
 
@@ -50,7 +50,7 @@ def test_results_need_no_other_file(call, folder: Path, tmp_path: Path):
     ("words", "said"),
     [
         (("no.json", "later.json"), "calibration result 'no.json' does not exist; check"),
-        (("errors.json", "later.json"), "errors.json: its 'schema' is 'evaluation 1'; a result of"),
+        (("errors.json", "later.json"), "errors.json: its 'schema' is 'evaluation 2'; a result of"),
         (("first.json", "data.csv"), "data.csv: this is not a JSON file: "),
         (("first.json", "later.json", "--robot", "no.urdf"), "'no.urdf' does not exist"),
         (("first.json", "later.json", "--robot", "panda"), "base"),
@@ -83,4 +83,4 @@ def test_an_output_is_overwritten_when_asked(call, folder: Path, tmp_path: Path)
     words = ("compare", "first.json", "later.json", "--json", out)
     assert call(folder, *words).code == 1
     assert call(folder, *words, "--force").code == 0
-    assert '"comparison 2"' in out.read_text(encoding="utf-8")
+    assert '"comparison 3"' in out.read_text(encoding="utf-8")

@@ -10,8 +10,7 @@ from calib.calibration import Calibration, calibrate
 from calib.cli.verbs.calibrate import bootstrap_text, profile_text
 from calib.data.cell import Cell
 from calib.example import PAPER_TARGET
-from calib.result.uncertainty import Profile
-from calib.result.uncertainty import bootstrap
+from calib.result.uncertainty import Profile, bootstrap
 from calib.robot.robot import read_only
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,10 +13,10 @@ from scipy.spatial.transform import Rotation
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.result.accuracy import Accuracy, accuracy, judged_rows, known_again
+from calib.result.accuracy import Accuracy, accuracy, fitted_rows, judged_rows
 from calib.result.calibrate import Calibration
 from calib.result.calibration_file import read_result, write_result
-from calib.result.evaluation import Evaluation, evaluate
+from calib.result.evaluation import evaluate
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import Robot
 
@@ -131,17 +131,6 @@ def test_repeats_are_found_in_any_order_and_by_target_and_set_up(ur3: Robot):
     }
 
 
-def test_joint_values_that_were_read_differently_are_compared_each_with_its_own(ur3: Robot):
-    """The arm did not go to one place, and its encoders know: that is no error of its model."""
-    m = with_errors(ur3, 1e-3 * CROSS, 4)
-    q = m.joints + 4e-4 * np.random.default_rng(1).uniform(-1.0, 1.0, m.joints.shape)
-    poses = ur3.poses(q)
-    points = poses[:, :3, :3] @ np.asarray(KNOWN.target) + poses[:, :3, 3] + 1e-3 * CROSS
-    (pose,) = of(ur3, Measurements(ur3.joint_names, q, points)).poses
-    assert pose.ap == pytest.approx(5e-3, abs=1e-12)
-    assert pose.rp == pytest.approx(1e-3 * (1.5 + np.sqrt(3.0)), abs=1e-12)
-
-
 def test_lengths_have_the_standards_distance_accuracy(ur3: Robot):
     m = with_errors(ur3, np.zeros((6, 3)), 3)
     lengths = np.linalg.norm(m.points, axis=1)
@@ -157,12 +146,6 @@ def test_lengths_have_the_standards_distance_accuracy(ur3: Robot):
     assert np.all(np.isnan(first.ap_xyz))
     assert second.rp == pytest.approx(3e-3 * np.sqrt(3.0), abs=1e-12)
     assert second.kind == "distance"
-
-
-def _at(point: Sequence[float] | None) -> np.ndarray:
-    T = np.eye(4)
-    T[:3, 3] = point
-    return T
 
 
 @pytest.mark.parametrize("kind", ["mixed", "pairs"])
@@ -233,39 +216,24 @@ def test_rows_that_nothing_was_found_from_are_judged_alone(
     assert (alone.rows, alone.seen, len(alone.poses)) == ("all", seen, 12)
 
 
-def test_repeatability_by_chance(ur3: Robot):
-    """Of a scatter of 1 mm in each coordinate RP is 3.6 mm; three repeats show 2.6 of it, thirty 3.5."""
-    rng = np.random.default_rng(2)
-    for repeats, expected in ((3, 2.57), (30, 3.54)):
-        m = with_errors(ur3, 1e-3 * rng.normal(size=(40 * repeats, 3)), repeats)
-        found = of(ur3, m)
-        assert found.of("rp").mean() == pytest.approx(1e-3 * expected, rel=0.12)
-        assert found.scatter[0] == pytest.approx(1e-3, rel=0.12)
-
-
-def errors(c: Calibration, m: Measurements) -> tuple[Calibration, Evaluation, Evaluation]:
-    """What is left over in some rows, under a result that was written and read."""
+def known_again(c: Calibration, m: Measurements) -> np.ndarray:
+    """By a result that was written and read, its file's name and hash aside."""
     with TemporaryDirectory() as folder:
         stored = read_result(write_result(c, Path(folder) / "r.json"))
-    nominal = evaluate(stored.nominal, m, c.cell, known=stored.nominal_setup)
-    calibrated = evaluate(stored.robot, m, c.cell, known=stored.setup)
-    return stored, nominal, calibrated
+    return fitted_rows(stored, stored.nominal, replace(m, sha256=""), c.cell)
 
 
 def test_rows_of_every_kind_are_known_again(case):
     _, c = case
-    m = c.measurements
-    found = errors(c, m)
-    wanted = m.estimation & np.any(c.used, axis=1)
-    assert np.array_equal(known_again(*found), wanted)
+    wanted = c.measurements.estimation & np.any(c.used, axis=1)
+    assert np.array_equal(known_again(c, c.measurements), wanted)
 
 
 def test_neither_order_nor_number_nor_set_hides_a_row(default_result: Calibration):
     m = default_result.measurements
     order = np.random.default_rng(1).permutation(len(m))[:20]
     shuffled = Measurements(m.joint_names, m.joints[order], m.points[order])
-    found = errors(default_result, shuffled)
-    assert np.array_equal(known_again(*found), m.estimation[order])
+    assert np.array_equal(known_again(default_result, shuffled), m.estimation[order])
 
 
 @pytest.mark.parametrize(("change", "known"), [(1e-9, True), (1e-6, False)])
@@ -275,17 +243,7 @@ def test_a_row_that_was_measured_again_is_another(
     """What is lost in rounding is not a measurement; a micrometre is."""
     m = default_result.measurements
     again = replace(m, points=m.points + change * np.eye(3)[0])
-    found = errors(default_result, again)
-    assert known_again(*found).sum() == known * m.estimation.sum()
-
-
-def test_rows_without_errors_are_told_apart_by_the_nominal_robot(default_result: Calibration):
-    """Where the calibrated robot explains everything, as it may a simulation without noise."""
-    m = default_result.measurements
-    stored, nominal, calibrated = errors(default_result, m)
-    exact = replace(stored, residual_calibrated=0.0 * stored.residual_calibrated)
-    right = replace(calibrated, residual=0.0 * calibrated.residual)
-    assert np.array_equal(known_again(exact, nominal, right), m.estimation)
+    assert known_again(default_result, again).sum() == known * m.estimation.sum()
 
 
 @pytest.mark.parametrize(
@@ -312,10 +270,3 @@ def test_which_rows_are_judged(validate: str, fitted: str, registered: bool, jud
     told = np.ones(10, dtype=bool)
     found = judged_rows(m, told, mask(fitted), np.arange(10), registered=registered)
     assert np.array_equal(found, mask(judged))
-
-
-def test_repeats_of_one_pose_do_not_count_as_five():
-    m = Measurements(("a",), np.zeros((10, 1)), np.zeros((10, 3)))
-    told = np.ones(10, dtype=bool)
-    fitted = np.arange(10) < 4
-    assert judged_rows(m, told, fitted, np.arange(10) // 2, registered=False).all()

@@ -15,21 +15,18 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.calibration import Calibration, Comparison, calibrate, compare
-from calib.data.cell import Cell, Priors
+from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.errors import FileError, ModelError, UrdfError
 from calib.example import PAPER_TARGET, paper_urdf
 from calib.files import plain
 from calib.model.error_model import error_model
-from calib.model.families import ANGLE, LENGTH, ZERO, unit_of
 from calib.model.kinematics import Kinematics
 from calib.result.drift import LEVEL
 from calib.result.verdict import Verdict
-from calib.robot.readback import random_joint_values, spread_between
+from calib.robot.readback import spread_between
 from calib.robot.robot import Robot
-from calib.robot.urdf import Urdf
-from calib.simulation.scenario import Scenario
-from calib.text.comparison import notes, sentence
+from calib.text.comparison import notes
 
 DOC = Path(__file__).parents[2] / "docs" / "comparison.md"
 
@@ -116,7 +113,7 @@ def test_a_robot_that_did_not_change(unchanged: Comparison):
     # 24 parameters, less two of three parallel axes, two that the frame and four that the target make up for.
     assert c.test.combinations == 16
     assert set(c.untold) == {"d1", "theta1", "a6", "alpha6", "d6", "theta6"}
-    assert [m.where for m in c.moves] == ["the joint values that both measured", "the joint limits"]
+    assert [m.where for m in c.moves] == ["measured ranges", "joint limits"]
     for move in c.moves:
         assert 0.4 * move.noise < move.rms < 1.6 * move.noise
         assert move.rms < move.max < 5.0 * move.rms
@@ -127,18 +124,14 @@ def test_a_robot_that_did_not_change(unchanged: Comparison):
 
 def test_tracker_and_target_stand_elsewhere(arm: Arm, unchanged: Comparison):
     (_, T, t), (_, U, u) = arm.measured(1), arm.measured(2)
-    (frame,), (target,) = unchanged.frames, unchanged.targets
+    ((shift, turned),) = unchanged.frames.values()
+    ((by, target_turned),) = unchanged.targets.values()
     T, U = np.linalg.inv(T), np.linalg.inv(U)
     turn = Rotation.from_matrix(T[:3, :3].T @ U[:3, :3]).magnitude()
-    assert frame.found
-    assert target.found
-    assert frame.shift == pytest.approx(np.linalg.norm(U[:3, 3] - T[:3, 3]), abs=5e-3)
-    assert frame.turn == pytest.approx(turn, abs=5e-3)
-    assert target.shift == pytest.approx(np.linalg.norm(u[:3, 3] - t[:3, 3]), abs=2e-3)
-    assert np.isnan(target.turn)
-    text = " ".join(unchanged.summary().split())
-    assert "elsewhere and turned by" in text
-    assert text.count("that is no drift of the robot.") == 2
+    assert shift == pytest.approx(np.linalg.norm(U[:3, 3] - T[:3, 3]), abs=5e-3)
+    assert turned == pytest.approx(turn, abs=5e-3)
+    assert by == pytest.approx(np.linalg.norm(u[:3, 3] - t[:3, 3]), abs=2e-3)
+    assert np.isnan(target_turned)
 
 
 def true_move(arm: Arm, c: Comparison, change: Mapping[str, float]) -> float:
@@ -174,14 +167,6 @@ def test_a_joint_that_drifted_by_a_milliradian(arm: Arm, drifted: Comparison):
     assert theta3.sigmas == pytest.approx(theta3.difference / theta3.std)
 
 
-def test_the_order_turns_signs_alone(before, later, drifted: Comparison):
-    other = compare(later("theta3", 1e-3), before)
-    assert other.test.chi_square == pytest.approx(drifted.test.chi_square, rel=0.02)
-    for p, q in zip(other.parameters, drifted.parameters, strict=True):
-        assert p.difference == -q.difference
-        assert p.std == q.std
-
-
 def test_what_the_frame_makes_up_for_is_no_drift_but_with_a_known_frame_it_is(
     arm: Arm, before: Calibration, later: Callable[..., Calibration]
 ):
@@ -193,8 +178,7 @@ def test_what_the_frame_makes_up_for_is_no_drift_but_with_a_known_frame_it_is(
     assert found.outcome == "drift"
     assert found.test.combinations == 18
     assert set(found.untold) == {"a6", "alpha6", "d6", "theta6"}
-    assert any("Both take the measurement frame as known" in note for note in notes(found))
-    assert "Measurement frame: the same in both, as given." in found.summary()
+    assert set(found.frames.values()) == {(0.0, 0.0)}
 
 
 def test_other_parameters_of_the_same_robot_predict_the_same(
@@ -206,11 +190,9 @@ def test_other_parameters_of_the_same_robot_predict_the_same(
     assert c.moves[0].rms == pytest.approx(unchanged.moves[0].rms, rel=0.3)
     assert c.only_a == ()
     assert c.only_b == ("beta2", "beta3")  # of two parallel axes dh has no tilt
-    assert any("only b ('hayati') has 'beta2', 'beta3'" in note for note in notes(c))
     beta = next(p for p in c.parameters if p.name == "beta2")
     assert np.isnan(beta.a)
     assert np.isnan(beta.difference)
-    assert "Only b has the parameters 'beta2', 'beta3'." in c.summary()
 
 
 def test_a_model_that_leaves_errors_out_looks_like_a_drift_and_is_not_called_one(
@@ -220,9 +202,7 @@ def test_a_model_that_leaves_errors_out_looks_like_a_drift_and_is_not_called_one
     assert c.outcome == "cannot tell"
     assert c.test.drifted
     assert c.why == "other errors"
-    assert "only b ('dh') has 'a1', 'alpha1', 'a2', 'alpha2' and" in sentence(c)
-    first = c.summary().split("\n\n")[1]
-    assert first.startswith("Whether the robot drifted cannot be told.")
+    assert c.only_b[:4] == ("a1", "alpha1", "a2", "alpha2")
 
 
 def test_a_move_far_beyond_what_models_lack_is_a_drift(
@@ -233,8 +213,6 @@ def test_a_move_far_beyond_what_models_lack_is_a_drift(
     assert c.moves[0].moved > 3.0 * max(
         one.errors["calibrated"]["estimation"].rms for one in (c.a, c.b)
     )
-    assert any("only b ('dh') has" in note for note in notes(c))
-    assert "Fit both" not in c.summary()
 
 
 def test_the_same_measurements_are_no_second_opinion(before: Calibration):
@@ -247,10 +225,8 @@ def test_a_result_that_is_not_to_be_used(before, later):
     bad = replace(later("theta3", 1e-3), verdict=Verdict("do not use", ()))
     c = compare(before, bad)
     assert (c.outcome, c.why) == ("cannot tell", "bad verdict")
-    assert "The verdict on b is 'do not use': mend that first." in c.summary()
     careful = compare(before, replace(bad, verdict=Verdict("use with care", ())))
     assert careful.outcome == "drift"
-    assert "The verdict on b is 'use with care'; see there." in notes(careful)
 
 
 def test_results_that_began_with_different_urdfs(arm: Arm, before: Calibration):
@@ -259,23 +235,9 @@ def test_results_that_began_with_different_urdfs(arm: Arm, before: Calibration):
         c = compare(before, again)
         assert c.outcome == outcome
         assert all(np.isnan(p.difference) for p in c.parameters)
-        assert any("count from different nominal robots" in note for note in notes(c))
         if change:
             wanted = true_move(arm, c, change)
             assert c.moves[0].moved == pytest.approx(wanted, abs=3.0 * c.moves[0].std)
-
-
-def test_the_data_push_as_hard_as_the_priors_pull(before: Calibration):
-    of_robot = [
-        k for k, p in enumerate(before.model.parameters) if p.family in (LENGTH, ANGLE, ZERO)
-    ]
-    pull = before.x / np.array([p.prior_std for p in before.parameters]) ** 2
-    told = [k for k in of_robot if before.x[k]]
-    assert len(told) > 15
-    size = np.max(np.abs(pull[told]))
-    np.testing.assert_allclose(
-        np.array([p.push for p in before.parameters])[told], pull[told], atol=1e-2 * size
-    )
 
 
 def test_the_solver_of_the_paper_has_no_priors(arm: Arm):
@@ -305,20 +267,6 @@ def test_a_robot_that_is_right_already(ur3: Robot):
     assert found.outcome == "drift"
     wanted = true_move(right, found, {"theta3": 6e-4})
     assert found.moves[0].moved == pytest.approx(wanted, abs=3.0 * found.moves[0].std)
-
-
-@pytest.mark.parametrize("sizes", ["given", "off"])
-def test_priors_do_not_make_a_drift(before: Calibration, sizes: str):
-    # The same rows under other priors: what the data say is the same, and the sha256 alone gives them away.
-    m = before.measurements
-    cell = replace(before.cell, priors=Priors(sizes))
-    other = calibrate(before.nominal, m, cell=cell, validate=False)
-    c = compare(before, other)
-    assert c.why == "same data"
-    assert c.test.combinations == 16
-    assert c.test.chi_square < 1.0
-    raw = max(abs(p.difference) / unit_of(p.unit).step for p in c.parameters)
-    assert raw > 0.01  # in steps of 1 mm and 1 mrad: the results themselves do differ
 
 
 @pytest.mark.slow
@@ -363,7 +311,7 @@ def test_text_and_table(drifted: Comparison, unchanged: Comparison, tmp_path: Pa
         assert sum(line.startswith("theta") for line in lines) == 6
     assert "The robot drifted (" in drifted.summary().split("\n\n")[1]
     written = json.loads(drifted.write_json(tmp_path / "c.json").read_text(encoding="utf-8"))
-    assert written["schema"] == "comparison 2"
+    assert written["schema"] == "comparison 3"
     assert written["outcome"] == "drift"
     assert written["moves"][0]["rms_m"] == drifted.moves[0].rms
     assert [p["name"] for p in written["parameters"]] == [p.name for p in drifted.parameters]
@@ -393,8 +341,8 @@ def test_the_document_has_every_key(drifted: Comparison):
 @pytest.mark.parametrize(
     ("chain", "said"),
     [
-        ({"base": "world"}, "Base: 'base' in a, 'world' in b. Fit both"),
-        ({"tip": "ee_link"}, "Tip: 'tool0' in a, 'ee_link' in b."),
+        ({"base": "world"}, "Base: base in a, world in b. Fit both"),
+        ({"tip": "ee_link"}, "Tip: tool0 in a, ee_link in b."),
         ({"held": {"elbow_joint": 0.1}}, "Joints: 'shoulder_pan_joint'"),
     ],
 )
@@ -403,15 +351,6 @@ def test_other_chains_are_refused(before: Calibration, chain: dict[str, Any], sa
     other = replace(before, nominal=Robot.load(paper_urdf(), **own))
     with pytest.raises(ModelError, match=re.escape(said)):
         compare(before, other)
-
-
-def test_other_held_values_are_refused(before: Calibration):
-    held = [
-        replace(before, nominal=Robot.load(paper_urdf(), "base", "tool0", held={"elbow_joint": v}))
-        for v in (0.1, 0.2)
-    ]
-    with pytest.raises(ModelError, match=r"Value of 'elbow_joint': 0\.1 in a, 0\.2 in b"):
-        compare(*held)
 
 
 def test_another_robot_is_refused(before: Calibration, later):
@@ -433,7 +372,6 @@ def test_a_parameter_at_its_bound(arm: Arm, before: Calibration):
     a2 = next(p for p in c.parameters if p.name == "a2")
     assert np.isnan(a2.std)
     assert np.isnan(a2.sigmas)
-    assert any("'a2' stands at a bound" in note for note in notes(c))
 
 
 @pytest.mark.parametrize("name", ["poses", "distances", "held"])
@@ -442,47 +380,12 @@ def test_every_kind_of_measurement(calibrated, name: str):
     found = compare(c, c)
     assert found.test.chi_square == 0.0
     assert found.test.combinations > 0
-    text = found.summary()
-    assert max(map(len, text.splitlines())) <= 100
     everything = {"d1", "theta1", "a6", "alpha6", "d6", "theta6"}
     assert set(found.untold) == ({"wrist_3_joint.zero"} if name == "held" else everything)
     assert np.isfinite(found.moves[0].rms_angle) == (name == "poses")
-    assert ("Set-up '0'" in text) == (name == "distances")
-    of = ("Length", "length") if name == "distances" else ("Position", "coordinate")
-    assert f"     {of[0]} error [mm] " in text
-    assert f"Noise of a {of[1]}: " in text
-    assert any("larger model of a" in note for note in notes(found)) == (c.larger is not None)
 
 
-PLACES = {"upper": (0.1, 0.0, 0.05), "lower": (0.0, 0.1, 0.05), "third": (-0.1, 0.0, 0.0)}
-
-
-@cache
-def measured(
-    *targets: str, seed: int = 1, name: str = "ur3", poses: int = 12, **options: bool
-) -> Calibration:
-    """A calibration of one true UR3 by some targets."""
-    data = paper_urdf().read_bytes().replace(b'name="ur3"', f'name="{name}"'.encode(), 1)
-    robot = Robot.from_urdf(Urdf.from_bytes(data, "ur3.urdf"), "base", "tool0")
-    cell = Cell(targets={t: PLACES[t] for t in targets}, model="zeros", **options)
-    virtual = Scenario(robot, cell, "zeros").draw(7)
-    table = virtual.measure(random_joint_values(robot, poses, seed=seed), seed)
-    return calibrate(robot, table.measurements, cell=cell, validate=False)
-
-
-def test_places_without_a_partner_are_named_for_both():
-    found = compare(measured("upper", "lower"), measured("upper", "third", seed=2))
-    said = " ".join(found.summary().split())
-    assert "Without a partner of the same name: targets 'lower' of a; targets 'third' of b." in said
-
-
-def test_robots_of_other_names():
-    found = compare(measured("upper", "lower"), measured("upper", "lower", seed=2, name="cell 7"))
-    assert "The URDFs name their robots 'ur3' and 'cell 7'." in notes(found)
-
-
-def test_data_that_know_nothing_in_common():
-    one, other = (measured("upper", seed=seed, poses=1, estimate_target=True) for seed in (1, 2))
+def test_data_that_know_nothing_in_common(arm: Arm):
+    one, other = (arm.measured(visit, count=1, fit="zeros", elsewhere=False)[0] for visit in (1, 2))
     found = compare(one, other)
     assert (found.outcome, found.why) == ("cannot tell", "nothing known")
-    assert "know no combination of the robot's parameters in common" in sentence(found)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,9 +11,9 @@ import pytest
 from calib.data.cell import Cell
 from calib.errors import CalibError, ModelError, SolverError
 from calib.estimate.solvers import levenberg_marquardt, paper_levenberg_marquardt
+from calib.result.acceptance import assess
 from calib.result.calibrate import calibrate
 from calib.result.support import compare
-from calib.text.evaluation import evaluate_all
 
 
 def of_paper(robot: Any, table: Any) -> object:
@@ -34,19 +33,13 @@ def without_damping(_robot: Any, _table: Any) -> object:
         (lambda r, t: calibrate(r, t, solver="newton"), ModelError, "Choose one of 'lm', "),
         (of_paper, ModelError, "Choose --solver lm"),
         (without_damping, SolverError, "Start with a damping above 0"),
-        (lambda r, t: evaluate_all(r, t, Cell(), None, judge="larger"), CalibError, "takes --cal"),
+        (lambda r, t: assess(r, t, Cell(), judge="larger"), CalibError, "choose one of"),
     ],
 )
 def test_what_is_refused_names_the_fix(ur3, table, call: Callable[..., object], kind: type, fix):
     with pytest.raises(kind) as error:
         call(ur3, table)
     assert fix in str(error.value)
-
-
-def test_a_result_without_a_larger_model_cannot_be_judged_by_one(ur3, default_result):
-    c = replace(default_result, larger=None)
-    with pytest.raises(CalibError, match="choose one of 'nominal', 'urdf', 'calibration'"):
-        evaluate_all(ur3, c.measurements, Cell(), c, which=("frame", "target"), judge="larger")
 
 
 def test_a_minimum_between_two_numbers():

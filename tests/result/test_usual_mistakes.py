@@ -136,7 +136,7 @@ def test_the_verdict_and_the_evaluation_say_it_too(table: Measurements):
     assert judged is not None
     assert judged.use == "do not use"
     assert judged.reasons[0].values["link"] == "base"
-    assert hint(evaluate(world, table), Cell()) == str(judged.reasons[0])
+    assert str(hint(evaluate(world, table), Cell())) == str(judged.reasons[0])
 
 
 def spoilt(
