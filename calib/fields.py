@@ -28,9 +28,13 @@ class Key:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Writes and reads dataclasses by the keys of their attributes; None: an attribute that is not in the file."""
+    """Writes and reads dataclasses by the keys of their attributes; None: an attribute that is not in the file.
+
+    ``types`` has what writes and reads values of a type in another way; None for one of both: as usual.
+    """
 
     keys: Mapping[type, Mapping[str, Key | str | None]]
+    types: Mapping[type, tuple[Callable[[Any], Any] | None, Callable[[Any], Any] | None]]
 
     def table(self, value: Any) -> dict[str, Any]:  # noqa: ANN401  a dataclass
         """A dataclass as nested tables."""
@@ -58,6 +62,9 @@ class Layout:
     def read(self, hint: Any, found: Any) -> Any:  # noqa: ANN401  any type, any JSON
         """A value of a type; a missing number is NaN."""
         origin, args = get_origin(hint), get_args(hint)
+        own = self.types.get(hint, (None, None))[1] if isinstance(hint, type) else None
+        if own is not None:
+            return own(found)
         if hint is float:
             return float("nan") if found is None else float(found)
         if hint in (int, bool, str):
@@ -80,6 +87,9 @@ class Layout:
 
     def _write(self, value: Any) -> Any:  # noqa: ANN401
         """A value as JSON has it; arrays and numbers stay what they are."""
+        own = self.types.get(type(value), (None, None))[0]
+        if own is not None:
+            return own(value)
         if isinstance(value, enum.Enum):
             return value.name.lower()
         if isinstance(value, Mapping):

@@ -72,6 +72,58 @@ def error_table(e: Errors) -> dict[str, Any]:
     return {k: v for k, v in _LAYOUT.table(e).items() if e.n_angle or not k.endswith("_rad")}
 
 
+def pose_table(T: Array, prefix: str = "") -> dict[str, Any]:
+    """A pose, shape (4, 4), as position [m] and roll, pitch, yaw [rad]."""
+    return {f"{prefix}xyz_m": T[:3, 3], f"{prefix}rpy_rad": pin.rpy.matrixToRpy(T[:3, :3])}
+
+
+def _places_table(s: Setup) -> dict[str, Any]:
+    """Frames and targets."""
+    frames = zip(s.groups, s.T_frame_base, s.unknown, s.frame_given, s.own_axes, strict=True)
+    targets = zip(s.targets, s.T_tip_target, s.target_unknown, s.target_given, strict=True)
+    return {
+        "set_ups": [
+            {"group": group, **pose_table(T, "frame_base_")}
+            | {"estimated": list(unknown), "given": bool(given), "own_axes": bool(own)}
+            for group, T, unknown, given, own in frames
+        ],
+        "targets": [
+            {"target": name, **pose_table(T), **({} if s.oriented else {"rpy_rad": None})}
+            | {"estimated": bool(unknown), "given": bool(given)}
+            for name, T, unknown, given in targets
+        ],
+    }
+
+
+def _places_of(found: Json, *, turned: bool = False) -> Setup:
+    """The same back, where orientations were measured or not; at least one frame and one target."""
+
+    def poses(every: Sequence[Json], prefix: str = "") -> Array:
+        """Of each; a missing orientation is none."""
+        T = np.tile(np.eye(4), (len(every), 1, 1))
+        T[:, :3, 3] = [one[f"{prefix}xyz_m"] for one in every]
+        rpy = [one[f"{prefix}rpy_rad"] or [0.0] * 3 for one in every]
+        T[:, :3, :3] = Rotation.from_euler("xyz", np.array(rpy, dtype=np.float64)).as_matrix()
+        if not np.isfinite(T).all():
+            raise ValueError("a number of a pose is missing")
+        return read_only(T)
+
+    frames, targets = found["set_ups"], found["targets"]
+    return Setup(
+        groups=tuple(str(one["group"]) for one in frames),
+        targets=tuple(str(one["target"]) for one in targets),
+        T_frame_base=poses(frames, "frame_base_"),
+        T_tip_target=poses(targets),
+        unknown=tuple(tuple(map(str, one["estimated"])) for one in frames),
+        frame_given=np.array([one["given"] for one in frames], dtype=bool),
+        target_unknown=np.array([one["estimated"] for one in targets], dtype=bool),
+        target_given=np.array([one["given"] for one in targets], dtype=bool),
+        rotation=turned,
+        own_axes=np.array([one["own_axes"] for one in frames], dtype=bool),
+        oriented=all(one["rpy_rad"] is not None for one in targets),
+    )
+
+
 #: The size of each family's errors, the unit in the key.
 _SIZES = Key(
     "sizes",
@@ -81,11 +133,6 @@ _SIZES = Key(
         for name, row in FAMILIES.items()
         if (key := f"{name}_{row.unit.key}") in found
     },
-)
-_LEFT_OUT = Key(
-    "cross_validation",
-    lambda v: v and _LAYOUT.table(v),
-    lambda found: found and _no_rows(found),
 )
 #: Where attributes stand in the file, by class; see `Layout`.
 _LAYOUT: Layout = Layout(
@@ -98,8 +145,8 @@ _LAYOUT: Layout = Layout(
         CrossValidation: {
             "poses": None,
             "residual": None,
-            "errors": Key("", error_table),
-            "errors_without_outliers": Key("without_outliers", error_table),
+            "errors": "",
+            "errors_without_outliers": "without_outliers",
         },
         Outlier: {"residual": "residual_m"},
         OutsideRow: {"beyond": "joints"},
@@ -113,29 +160,25 @@ _LAYOUT: Layout = Layout(
         },
         Payload: {"mass": "mass_kg", "com": "com_m"},
         Repeats: {"within": "scatter", "freedoms": "freedom", "freedom": None, "rho": "correlation"},
-        Candidate: {"name": "set", "sizes": _SIZES, "cross_validation": _LEFT_OUT},
+        Candidate: {"name": "set", "sizes": _SIZES},
         Robustness: {
             "lowered": "weights_lowered",
             "moved": "moved_m",
             "names": None,
-            "errors_lowered": Key("lowered", error_table),
-            "errors_full": Key("full", error_table),
+            "errors_lowered": "lowered",
+            "errors_full": "full",
         },
         Observability: {
             "identifiable": None,
             "condition": Key("condition", None, lambda v: np.inf if v is None else float(v)),
         },
         Solution: {"x": None},
-        Parameter: {
-            "factor": Key("factor", lambda factor: factor and factor.name, lambda name: name and _FACTORS[name])
-        },
         Solved: {
             "kinematics": None,
-            "setup": Key("", lambda s: _places_table(s)),
+            "setup": "",
             "covariance": Key("covariance", None, _square),
             "base_motion": Key("base_motion", None, lambda v: v and np.reshape(v, (6, -1))),
             "sizes": _SIZES,
-            "cross_validation": _LEFT_OUT,
         },
         Larger: {"residual": None, "gravity": "gravity_m_s2"},
         Calibration: {
@@ -143,11 +186,10 @@ _LAYOUT: Layout = Layout(
                 ("nominal", "robot", "source", "rows", "residual_nominal", "residual_calibrated", "used", "scores",
                  "weights", "ranges", "nominal_cross_validation", "fit"),
             ),
-            "setup": Key("frames.", lambda s: _places_table(s)),
-            "nominal_setup": Key("frames.nominal", lambda s: _places_table(s), lambda v: _places_of(v)),
+            "setup": "frames.",
+            "nominal_setup": "frames.nominal",
             "frame_estimated": "frames.frame_estimated",
-            "repeats": Key("noise.repeats", None, lambda v: v and _repeats(v)),
-            **{name: f"noise.{name}" for name in ("freedom", "sizes_from", "flag_limit")},
+            **{name: f"noise.{name}" for name in ("freedom", "repeats", "sizes_from", "flag_limit")},
             "sizes": replace(_SIZES, path="noise.sizes"),
             "sigma": "noise.sigma_m",
             "sigma_angle": "noise.sigma_angle_rad",
@@ -163,22 +205,22 @@ _LAYOUT: Layout = Layout(
             "seconds": "solver.seconds",
             "solution": "solver.",
         },
-    }
+    },
+    {
+        Errors: (error_table, None),
+        CrossValidation: (None, _no_rows),
+        Repeats: (None, _repeats),
+        Setup: (_places_table, _places_of),
+        Factor: (lambda factor: factor.name, lambda name: _FACTORS[name]),
+    },
 )  # fmt: skip
-_FACTORS: dict[str, Factor] = {
-    factor.name: factor for row in FAMILIES.values() for factor in row.factors
-}
+_FACTORS: dict[str, Factor] = {one.name: one for row in FAMILIES.values() for one in row.factors}
 
 
 def versions() -> dict[str, str]:
     """What computed the result."""
     packages = {name: importlib.metadata.version(name) for name in ("pin", "numpy", "scipy")}
     return {"calib": __version__, "python": platform.python_version(), **packages}
-
-
-def pose_table(T: Array, prefix: str = "") -> dict[str, Any]:
-    """A pose, shape (4, 4), as position [m] and roll, pitch, yaw [rad]."""
-    return {f"{prefix}xyz_m": T[:3, 3], f"{prefix}rpy_rad": pin.rpy.matrixToRpy(T[:3, :3])}
 
 
 def result_table(c: Calibration) -> dict[str, Any]:
@@ -363,53 +405,6 @@ def _model_of(found: Json, names: Sequence[str]) -> ErrorModel:
     if parameters != terms:
         raise ValueError("'parameters' and 'model.terms' name other parameters")
     return ErrorModel(found["set"], places, terms)
-
-
-def _places_table(s: Setup) -> dict[str, Any]:
-    """Frames and targets."""
-    frames = zip(s.groups, s.T_frame_base, s.unknown, s.frame_given, s.own_axes, strict=True)
-    targets = zip(s.targets, s.T_tip_target, s.target_unknown, s.target_given, strict=True)
-    return {
-        "set_ups": [
-            {"group": group, **pose_table(T, "frame_base_")}
-            | {"estimated": list(unknown), "given": bool(given), "own_axes": bool(own)}
-            for group, T, unknown, given, own in frames
-        ],
-        "targets": [
-            {"target": name, **pose_table(T), **({} if s.oriented else {"rpy_rad": None})}
-            | {"estimated": bool(unknown), "given": bool(given)}
-            for name, T, unknown, given in targets
-        ],
-    }
-
-
-def _places_of(found: Json, *, turned: bool = False) -> Setup:
-    """The same back, where orientations were measured or not; at least one frame and one target."""
-
-    def poses(every: Sequence[Json], prefix: str = "") -> Array:
-        """Of each; a missing orientation is none."""
-        T = np.tile(np.eye(4), (len(every), 1, 1))
-        T[:, :3, 3] = [one[f"{prefix}xyz_m"] for one in every]
-        rpy = [one[f"{prefix}rpy_rad"] or [0.0] * 3 for one in every]
-        T[:, :3, :3] = Rotation.from_euler("xyz", np.array(rpy, dtype=np.float64)).as_matrix()
-        if not np.isfinite(T).all():
-            raise ValueError("a number of a pose is missing")
-        return read_only(T)
-
-    frames, targets = found["set_ups"], found["targets"]
-    return Setup(
-        groups=tuple(str(one["group"]) for one in frames),
-        targets=tuple(str(one["target"]) for one in targets),
-        T_frame_base=poses(frames, "frame_base_"),
-        T_tip_target=poses(targets),
-        unknown=tuple(tuple(map(str, one["estimated"])) for one in frames),
-        frame_given=np.array([one["given"] for one in frames], dtype=bool),
-        target_unknown=np.array([one["estimated"] for one in targets], dtype=bool),
-        target_given=np.array([one["given"] for one in targets], dtype=bool),
-        rotation=turned,
-        own_axes=np.array([one["own_axes"] for one in frames], dtype=bool),
-        oriented=all(one["rpy_rad"] is not None for one in targets),
-    )
 
 
 def _rows_table(c: Calibration) -> list[dict[str, Any]]:
