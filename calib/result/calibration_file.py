@@ -20,11 +20,10 @@ from scipy.spatial.transform import Rotation
 
 from calib.data.table import SETS
 from calib.errors import CalibError, FileError
-from calib.estimate.robust import Repeats
 from calib.estimate.selection import Candidate
 from calib.estimate.setup import Setup
 from calib.estimate.solvers import Solution
-from calib.estimate.statistics import CrossValidation, Errors
+from calib.estimate.statistics import CrossValidation, Errors, Repeats
 from calib.fields import Json, Key, Layout, nested
 from calib.files import damage, json_bytes, read_json, write_atomically
 from calib.model.families import FAMILIES, Factor

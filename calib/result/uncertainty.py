@@ -191,12 +191,13 @@ def _fit_sample(fitted: Fitted, drawn: tuple[Array, Array]) -> tuple[Array, bool
     count, normal = drawn
     held = problem.precision > 1.0 / _LEASH**2
     wide = np.where(held, 1.0 / np.sqrt(np.where(held, problem.precision, 1.0)), 0.0)
-    centre = problem.centre + wide * normal[: len(start)]
-    weights = problem.weights * count
-    sample = problem.reweighted(weights, problem.scales, problem.precision, centre)
     moved = zip(problem.distances, normal[len(start) :].tolist(), strict=True)
-    distances = tuple(replace(d, length=d.length + d.sigma * by) for d, by in moved)
-    sample = replace(sample, distances=distances)
+    sample = replace(
+        problem,
+        weights=problem.weights * count,
+        centre=problem.centre + wide * normal[: len(start)],
+        distances=tuple(replace(d, length=d.length + d.sigma * by) for d, by in moved),
+    )
     size = steps(fitted.kinematics.model.units)
     solution = levenberg_marquardt(sample.system, start, step_size=size, step_tolerance=_STEP)
     return solution.x, solution.status == "converged"

@@ -19,7 +19,7 @@ def test_what_it_prints(demo):
     for words in (
         "robot 'ur3', base to tool0, 6 joints; 30 rows to estimate and 5 to validate",
         "Verdict: use",
-        "Outliers (they have no weight in the fit): row 11 (",
+        "Outliers (no weight in the fit): row 11 (",
         "The signs of the paper's Table 1 do not fit its Table 2 as printed.",
         "Written: demo/ur3_calibrated.urdf",
         "Written: demo/calibration.json",

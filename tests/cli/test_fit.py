@@ -79,7 +79,7 @@ def test_the_target_with_the_printed_sign_leads_to_the_same_result(call, shop, r
     )  # fmt: skip
     assert (done.code, done.err) == (0, "")
     said = " ".join(done.out.split())
-    assert "it moved 198.3 mm from the position given. That is further than mounting" in said
+    assert "198.3 mm from the position given. Check the sign" in said
     assert "check the sign and the order of the numbers given." in said
     result = load(shop / "r.json")
     assert values(result) == pytest.approx(values(reference), abs=1e-7)
