@@ -8,8 +8,8 @@ write them, whose names do: ``plane_1``, ``joint1_03``. A sweep is called ``plan
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -221,25 +221,6 @@ def _from_points(points: Points, names: _Names) -> Sweeps:
     return Sweeps(sweeps, names.joint_names, points.source, points.sha256)
 
 
-@dataclass(frozen=True, slots=True)
-class _Filled(Table):
-    """A table in which rows of the plane have a zero where their joint values are left empty."""
-
-    sweep: int
-    joints: tuple[int, ...]
-    known: _Names
-
-    def blocks(self) -> Iterator[tuple[list[int], list[list[str]]]]:
-        """The data rows."""
-        for lines, block in Table.blocks(self):
-            for cells in block:
-                whole = len(cells) == len(self.header)
-                if whole and self.known.number(cells[self.sweep].strip()) == _PLANE_NUMBER:
-                    for k in self.joints:
-                        cells[k] = cells[k].strip() or "0"
-            yield lines, block
-
-
 def _from_table(
     table: Table,
     joint_names: Sequence[str] | None,
@@ -268,9 +249,15 @@ def _from_table(
     layout = Layout.find(table, there, types, columns, "point", points_elsewhere=apart)
     layout = replace(layout, groups=(sweep,))
     names = _Names(joint_names, words)
-    at = tuple(column.index for column in layout.blocks["joints"])
-    filled = _Filled(**asdict(table), sweep=sweep.index, joints=at, known=names)
-    values = Values.read(filled, layout, points)
+    at = {column.index for column in layout.blocks["joints"]}
+    # Rows of the plane may leave their joint values empty.
+    cells = tuple(
+        [cell or "0" if k in at else cell for k, cell in enumerate(row)]
+        if names.number(row[sweep.index]) == _PLANE_NUMBER
+        else row
+        for row in table.cells
+    )
+    values = Values.read(replace(table, cells=cells), layout, points)
     for row, word in zip(values.rows, values.groups, strict=True):
         if names.number(word) is None:
             raise names.refused(f"{table.source}, row {row}, column '{sweep.label}'", word)

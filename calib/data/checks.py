@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 import calib.data.kinds as registry
-from calib.data.table import QUATERNION, SETS, TORQUE, reserved
+from calib.data.table import SETS
 from calib.errors import MeasurementError, choices
 from calib.units import UNITS, Unit
 
@@ -133,37 +133,8 @@ class Where(NamedTuple):
         return found
 
 
-def _is_name(text: str) -> bool:
-    """Whether a text is one line and not empty, without blanks around it, such as a text file can hold."""
-    return text != "" and text == text.strip() and len(text.splitlines()) == 1 and "\0" not in text
-
-
-def check_joint_names(
-    source: str, names: Sequence[str], prismatic: Sequence[str], *, turned: bool, torques: bool
-) -> None:
-    """Refuse names of joints that a table cannot hold or that mean something else.
-
-    Raises:
-        MeasurementError: with the names.
-    """
-    taken = (*reserved(), *(QUATERNION if turned else ()))
-    if torques:
-        taken += tuple(name + TORQUE for name in names)
-    bad = [n for n, count in Counter(names).items() if n in taken or not _is_name(n) or count > 1]
-    if bad or not names:
-        raise MeasurementError(
-            f"{source}: joint names are unique, on one line, without blanks around them, and none "
-            f"of {choices(taken, limit=30)}; given were {choices(bad or ['no names at all'])}"
-        )
-    strange = [name for name in prismatic if name not in names]
-    if strange:
-        raise MeasurementError(
-            f"{source}: 'prismatic' names {choices(strange)}; the joints are {choices(names)}"
-        )
-
-
 def check_words(where: Where, words: Mapping[str, Sequence[str]], count: int) -> None:
-    """Refuse words that are not allowed; each different one is looked at once, for there may be a million rows.
+    """Refuse words that are not allowed, and row numbers that are not unique.
 
     Raises:
         MeasurementError: with the row and what is allowed.
@@ -173,27 +144,17 @@ def check_words(where: Where, words: Mapping[str, Sequence[str]], count: int) ->
             raise MeasurementError(
                 f"Measurements: '{name}' has {number} entries and should have {count}, one a row"
             )
-    known = registry.names()
-    allowed = {
-        "sets": (SETS.__contains__, f"one of {choices(SETS)}"),
-        "kinds": (known.__contains__, f"one of {choices(known)}"),
-        "targets": (_is_name, "a name on one line, without blanks around it"),
-        "groups": (lambda word: word == "" or _is_name(word), "a name on one line, or empty"),
-    }
-    for name, (is_good, what) in allowed.items():
-        wrong = {word for word in set(words[name]) if not is_good(word)}
+    for name, allowed in (("sets", SETS), ("kinds", registry.names())):
+        wrong = set(words[name]) - set(allowed)
         if wrong:
             i = next(i for i, word in enumerate(words[name]) if word in wrong)
-            where.fail(i, f"{words[name][i]!r} in '{name}' is not allowed; each is {what}")
-    for word, rows in where.pairs(words["pairs"]).items():
-        if not _is_name(word):
-            where.fail(rows[0], f"the pair {word!r} is a word on one line that two rows share")
-    strange = set(map(type, where.rows)) - {int}
-    broken = [row for row in where.rows if strange and not isinstance(row, (int, np.integer))]
-    if broken or len(set(where.rows)) < count:
-        said = f"{broken[0]!r}" if broken else f"{Counter(where.rows).most_common(1)[0][0]}, twice"
+            where.fail(
+                i, f"{words[name][i]!r} in '{name}' is not allowed; it is one of {choices(allowed)}"
+            )
+    if len(set(where.rows)) < count:
+        twice = Counter(where.rows).most_common(1)[0][0]
         raise MeasurementError(
-            f"{where.source or 'Measurements'}: row numbers are whole numbers, each once; there is {said}"
+            f"{where.source or 'Measurements'}: the row number {twice} stands there twice; each row has its own"
         )
 
 
@@ -220,7 +181,7 @@ def numbers(
         )
     if not told.any():
         return None
-    good = np.isfinite(array) & (array >= limits[0]) & (array <= limits[1])
+    good = (array >= limits[0]) & (array <= limits[1])
     wrong = np.argwhere(~good & told.reshape(-1, *(1 for _ in tail)))
     if len(wrong):
         at = tuple(int(i) for i in wrong[0])
@@ -239,27 +200,6 @@ def lacking(where: Where, told: Mask, name: str) -> NoReturn:
     """Refuse rows, shape (N,), whose kind needs numbers that there are none of."""
     i = int(np.argmax(told))
     where.fail(i, f"a row of the kind '{where.kinds[i]}' needs '{name}', and there are none")
-
-
-def checked_torques(where: Where, names: Sequence[str], torques: ArrayLike | None) -> Array | None:
-    """A read-only copy of torques, shape (N, n); of each joint there are all, or none (NaN).
-
-    Raises:
-        MeasurementError: another shape, or with the joint and a row without one.
-    """
-    if torques is None:
-        return None
-    result = np.array(torques, dtype=np.float64)
-    if result.shape != (len(where.rows), len(names)):
-        raise MeasurementError(
-            f"Measurements: 'torques' has shape {result.shape} and should have {(len(where.rows), len(names))}"
-        )
-    for name, there in zip(names, np.isfinite(result).T, strict=True):
-        if there.any() and not there.all():
-            what = f"joint '{name}' has no torque here and has one in other rows; give all of them, or none (NaN)"
-            where.fail(int(np.argmin(there)), what)
-    result.setflags(write=False)
-    return result
 
 
 def shared(where: Where, values: ArrayLike, pairs: Mapping[str, Sequence[int]]) -> Array:
@@ -294,25 +234,20 @@ def check_whole(where: Where, words: Mapping[str, Sequence[str]]) -> None:
 
     def named(at: Sequence[int]) -> str:
         """These rows, from 0, by their numbers."""
-        numbers = [str(where.rows[i]) for i in at[:8]] + (["..."] if len(at) > 8 else [])
-        return f"row {numbers[0]} only" if len(at) == 1 else f"rows {', '.join(numbers)}"
+        numbers = ", ".join(str(where.rows[i]) for i in at[:8])
+        return f"row {numbers} only" if len(at) == 1 else f"rows {numbers}"
 
     for word, at in where.pairs(words["pairs"]).items():
-        said = f"{where.source}: the pair '{word}' stands in {named(at)}"
-        if len(at) != 2:
+        if len(at) != 2 or words["sets"][at[0]] != words["sets"][at[1]]:
             raise MeasurementError(
-                f"{said}; a distance is between two rows. Give each pair a word of its own."
-            )
-        if words["sets"][at[0]] != words["sets"][at[1]]:
-            raise MeasurementError(
-                f"{said}, one 'estimate', one 'validate'. Put both into one set."
+                f"{where.source}: the pair '{word}' stands in {named(at)}; a distance is between two rows of one set. "
+                "Give each pair a word of its own."
             )
     for kind in registry.names():
         fewest = registry.get(kind).fewest
         for group, at in where.by_word(kind, words["groups"]).items() if fewest > 1 else ():
             if len(at) < fewest:
                 raise MeasurementError(
-                    f"{where.source}: the group '{group}' of the kind '{kind}' stands in {named(at)}"
-                    f"; it takes {fewest} rows or more to say anything of the robot. Measure more, "
-                    "correct the group's name, or remove it."
+                    f"{where.source}: the group '{group}' of the kind '{kind}' stands in {named(at)}; it takes "
+                    f"{fewest} rows or more. Measure more, or correct the group's name."
                 )

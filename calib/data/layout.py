@@ -21,7 +21,6 @@ from calib.data.table import (
     close_names,
     list_columns,
     name_columns,
-    place,
     reserved,
     with_unit,
     without_unit,
@@ -161,10 +160,7 @@ def _blocks(
 
 def _empty(table: Table, columns: Sequence[Column]) -> set[int]:
     """Where those of these columns stand that a plan has left empty in all rows."""
-    empty = {column.index for column in columns}
-    for row in table.rows() if empty else ():
-        empty = {i for i in empty if i >= len(row.cells) or not row.cells[i]}
-    return empty
+    return {column.index for column in columns if not any(table.column(column))}
 
 
 def _kinds(
@@ -189,18 +185,15 @@ def _kinds(
 
 def _kinds_in(table: Table, column: Column, numbers: Column | None) -> tuple[str, ...]:
     """The kinds that occur in the column ``kind``, in the order of the registry."""
-    known, at, seen = registry.names(), column.index, set()
-    for _, block in table.blocks():
-        seen |= {cells[at].strip() for cells in block if at < len(cells)}
-    strange = seen.difference(known)
-    for row in table.rows() if strange else ():
-        if at < len(row.cells) and row.cells[at] in strange:
+    known, cells = registry.names(), table.column(column)
+    for i, word in enumerate(cells):
+        if word not in known:
             raise MeasurementError(
-                f"{place(table, row, numbers, column)}: '{row.cells[at]}' is not a kind of measurement; "
-                f"allowed are {choices(known)}. If the column means something else, "
+                f"{table.place(i, numbers, column)}: '{word}' is not a kind of measurement; allowed are "
+                f"{choices(known)}. If the column means something else, "
                 f'--columns "{split_header(column.label)[0]}=-" leaves it out.'
             )
-    return tuple(kind for kind in known if kind in seen) or ("point",)
+    return tuple(kind for kind in known if kind in cells) or ("point",)
 
 
 def _guess_kind(named: Mapping[str, Column]) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
@@ -21,7 +22,16 @@ from calib.data import checks
 from calib.data.kinds import Kind
 from calib.data.layout import Layout
 from calib.data.points_file import read_points
-from calib.data.table import COMMON, DEFAULT_TARGET, POINT, QUATERNION, SETS, TORQUE, Table
+from calib.data.table import (
+    COMMON,
+    DEFAULT_TARGET,
+    POINT,
+    QUATERNION,
+    SETS,
+    TORQUE,
+    Table,
+    reserved,
+)
 from calib.data.values import Values
 from calib.errors import MeasurementError, choices
 from calib.files import write_atomically
@@ -96,13 +106,12 @@ class Measurements:
         for name, word in _WORDS.items():
             fill(self, name, tuple(getattr(self, name)) or (word,) * count)
         checks.check_words(self._where, {name: getattr(self, name) for name in _WORDS}, count)
-        checks.check_joint_names(
-            self.source or "Measurements",
-            self.joint_names,
-            self.prismatic,
-            turned=bool(self.where(lambda kind: kind.orientation).any()),
-            torques=self.torques is not None,
-        )
+        taken = [n for n, k in Counter(self.joint_names).items() if k > 1 or n in reserved()]
+        if taken or not self.joint_names:
+            raise MeasurementError(
+                f"{self.source or 'Measurements'}: joint names are unique and no other column's; given were "
+                f"{choices(taken or ['no names at all'])}"
+            )
         if any(self.pairs):
             told = zip(self.paired.tolist(), self.pairs, strict=True)
             fill(self, "pairs", tuple(word if paired else "" for paired, word in told))
@@ -126,7 +135,7 @@ class Measurements:
             "sigma_angle": checks.numbers(
                 where, "sigma_angle", self.sigma_angle, (), told, checks.SIGMAS
             ),
-            "torques": checks.checked_torques(where, self.joint_names, self.torques),
+            "torques": self._checked_torques(),
         }
         given, read = {"distance": self.distances, **self.readings}, registry.readings()
         strange = [name for name in given if name not in read]
@@ -158,6 +167,17 @@ class Measurements:
         found["distances"] = readings.pop("distance")
         there = {name: values for name, values in readings.items() if values is not None}
         return {**found, "readings": MappingProxyType(there)}
+
+    def _checked_torques(self) -> Array | None:
+        """A read-only copy of the torques; of each joint there are all, or none (NaN)."""
+        if self.torques is None:
+            return None
+        torques = _read_only(self.torques)
+        for name, there in zip(self.joint_names, np.isfinite(torques).T, strict=True):
+            if there.any() and not there.all():
+                what = f"joint '{name}' has no torque here and has one in other rows; give all of them, or none"
+                self._where.fail(int(np.argmin(there)), what)
+        return torques
 
     @property
     def _where(self) -> checks.Where:

@@ -7,7 +7,7 @@ import csv
 import hashlib
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -69,37 +69,40 @@ class Points:
     lines: tuple[int, ...]
     source: str
     sha256: str
-    _at: dict[str, list[int]] = field(default_factory=dict, init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        """Where each name stands, whole or by its last part, for tables of many rows."""
-        for function in (_last, str):
-            found: dict[str, list[int]] = {}
-            for i, whole in enumerate(self.names):
-                found.setdefault(function(whole), []).append(i)
-            self._at.update(found)  # a whole name wins
 
     def __len__(self) -> int:
         """The number of points, N."""
         return len(self.points)
 
-    def find(self, name: str) -> int | None:
-        """Which point has this name, from 0: the whole of it, or its last part; None when none has.
+    def index(self) -> dict[str, list[int]]:
+        """Which points, from 0, have a name: the whole of it, or its last part."""
+        found: dict[str, list[int]] = {}
+        for name in (_last, str):
+            own: dict[str, list[int]] = {}
+            for i, whole in enumerate(self.names):
+                own.setdefault(name(whole), []).append(i)
+            found |= own  # a whole name wins
+        return found
+
+    def find(self, names: Sequence[str]) -> list[int | None]:
+        """Which point has each of these names, from 0; None where none has.
 
         Raises:
             MeasurementError: several have.
         """
-        hits = self._at.get(name, [])
-        if len(hits) > 1:
-            whole = [self.names[i] for i in hits]
-            lines = ", ".join(str(self.lines[i]) for i in hits[:8])
-            fix = "Give each point a name of its own."
-            if len(set(whole)) == len(whole):
-                fix = f"Write the whole name: {choices(whole)}."
-            raise MeasurementError(
-                f"{self.source}: several points are called '{name}', in lines {lines}. {fix}"
-            )
-        return hits[0] if hits else None
+        at = self.index()
+        for name in names:
+            hits = at.get(name, [])
+            if len(hits) > 1:
+                whole = [self.names[i] for i in hits]
+                lines = ", ".join(str(self.lines[i]) for i in hits[:8])
+                fix = "Give each point a name of its own."
+                if len(set(whole)) == len(whole):
+                    fix = f"Write the whole name: {choices(whole)}."
+                raise MeasurementError(
+                    f"{self.source}: several points are called '{name}', in lines {lines}. {fix}"
+                )
+        return [at[name][0] if name in at else None for name in names]
 
 
 def read_points(path: str | Path, unit: str | None = None) -> Points:
@@ -153,8 +156,7 @@ def match_points(
             'them by. Add names to the points, or leave the column out: --columns "point=-".'
         )
     taken: dict[int, int] = {}  # point: row
-    for row, name in zip(rows, names, strict=True):
-        i = points.find(name)
+    for row, name, i in zip(rows, names, points.find(names), strict=True):
         if i is None:
             close = close_names(name, [*points.names, *map(_last, points.names)])
             hint = f"Close to it: {choices(close)}" if close else f"It has {choices(points.names)}"
@@ -177,7 +179,7 @@ def unmeasured_points(points: Points, names: Sequence[str]) -> tuple[int, ...]:
 
     None if the file has points that nobody names: then the names are more likely misspelt.
     """
-    found = [points.find(name) for name in names]
+    found = points.find(names)
     used = set(found) - {None}
     if len(used) < len(points):
         return ()
@@ -360,39 +362,34 @@ def _metres(
     return metres
 
 
+def _find_unit(remarks: Sequence[str], given: str | None, source: str) -> Unit:
+    """The unit of the coordinates, from the file or as given; both agree."""
+    named = list(dict.fromkeys(filter(None, map(_unit_of, remarks))))
+    allowed = f"allowed are {choices(symbols('length'))}"
+    units = [*named, *([given] if given and given not in named else [])]
+    if not units:
+        raise MeasurementError(
+            f"{source}: the unit of the points is not in it. Write a first line '# Units: mm', or give it "
+            f"(--points-unit mm); {allowed}."
+        )
+    if len(units) > 1:
+        raise MeasurementError(
+            f"{source}: several units of length are named, {choices(units)}. Leave one, as in '# Units: mm'."
+        )
+    if units[0] not in symbols("length"):
+        raise MeasurementError(f"{source}: '{units[0]}' is not a unit of length; {allowed}")
+    return UNITS[units[0]]
+
+
 def _unit_of(remark: str) -> str:
     """The unit of length that a remark names: behind the word unit, behind x, or alone; ``"ft"`` for a strange one."""
     plain = remark.casefold()
     behind = re.search(r"\bunits?\b(.*)", plain) or re.search(r"\bunit[^\W\d_]*\b(.*)", plain)
     bracket = re.search(r"\bx\s*[\[(]\s*([^\W\d_]+)\s*[\])]", plain)
-    words = _WORDS.findall(behind[1]) if behind else []
+    words = _WORDS.findall(behind[1]) if behind else _WORDS.findall(plain)
     if bracket:
         words = [bracket[1]]
-    elif not behind and len(_WORDS.findall(plain)) == 1:
-        words = _WORDS.findall(plain)
+    elif not behind and len(words) != 1:
+        words = []
     known = [_UNIT_WORDS[word] for word in words if word in _UNIT_WORDS]
     return known[0] if known else "in" if words[:1] == ["in"] else ""
-
-
-def _find_unit(remarks: Sequence[str], given: str | None, source: str) -> Unit:
-    """The unit of the coordinates, from the file or as given; both agree."""
-    named = list(dict.fromkeys(filter(None, map(_unit_of, remarks))))
-    allowed = f"allowed are {choices(symbols('length'))}"
-    message = ""
-    if len(named) > 1:
-        message = f"its remarks name several units of length, {choices(named)}. Leave one, as in '# Units: mm'."
-    elif given is None and not named:
-        message = (
-            "the unit of the points is not in it. Write a first line '# Units: mm', or give it "
-            f"(--points-unit mm); {allowed}."
-        )
-    elif {given or named[0], *named} - set(symbols("length")):
-        message = f"'{given or named[0]}' is not a unit of length; {allowed}"
-    elif given and named and given != named[0]:
-        message = (
-            f"the file says that its points are in {named[0]}, and {given} was given. "
-            "Leave the unit out, or correct the file."
-        )
-    if message:
-        raise MeasurementError(f"{source}: {message}")
-    return UNITS[given or named[0]]

@@ -13,8 +13,6 @@ import hashlib
 import io
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -51,9 +49,6 @@ EXPECTED = "expected "
 #: The unit that headers are proposed in, and tables written in.
 COMMON: Mapping[Quantity, str] = {"length": "mm", "angle": "deg", "torque": "Nm", "force": "N"}
 
-#: Rows that are read together.
-_TOGETHER = 5_000
-
 _EXAMPLE = "such as: set,joint_1 [deg],joint_2 [deg],x [mm],y [mm],z [mm]"
 
 
@@ -89,101 +84,99 @@ class Column:
         return 1.0 if self.unit is None else self.unit.to_si
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Table:
     """A text table: comma, semicolon or tab separated, one header line, blank and # lines skipped.
 
     Attributes:
         source: the file's name, for messages.
         sha256: of the file's bytes.
-        text: the whole file.
         separator: one of `SEPARATORS`.
         header: the header's cells.
+        lines: where each row ends in the file.
+        cells: the stripped cells of each row, as many as the header has.
     """
 
     source: str
     sha256: str
-    text: str
     separator: str
     header: tuple[str, ...]
+    lines: tuple[int, ...]
+    cells: tuple[list[str], ...]
 
     @classmethod
     def read(cls, path: str | Path) -> Table:
-        """Read a file and find its separator and its header.
+        """Read a file.
 
         Raises:
-            MeasurementError: there is no such file, it is too large, no text, or has no header.
+            MeasurementError: there is no such file, it is no text, has no header, or a row with other cells than it.
         """
         source = Path(path).name or str(path)
         try:
             data = read_bytes(path, "The table")
         except FileError as error:
             raise MeasurementError(str(error)) from error
-        text = _decode(data, source)
-        line = next((content for _, content in _kept(text)), None)
-        if line is None:
+        kept = [
+            (at, line)
+            for at, line in enumerate(io.StringIO(_decode(data, source)), 1)
+            if line.strip(" \t,;\n") and not line.lstrip().startswith(("#", '"#'))
+        ]
+        if not kept:
             raise MeasurementError(
                 f"{path}: the file is empty. A table begins with a header line, {_EXAMPLE}"
             )
-        separator = max(SEPARATORS, key=line.count)  # in a tie, the first: the comma
+        separator = max(SEPARATORS, key=kept[0][1].count)  # in a tie, the first: the comma
+        reader = csv.reader(
+            (line for _, line in kept), delimiter=separator, skipinitialspace=True, strict=True
+        )
+        lines, cells = [], []
         try:
-            read = csv.reader([line], delimiter=separator, skipinitialspace=True, strict=True)
-            header = tuple(cell.strip() for cell in next(read))
+            for row in reader:
+                lines.append(kept[reader.line_num - 1][0])
+                cells.append([cell.strip() for cell in row])
         except csv.Error as error:
             raise MeasurementError(
-                f'{source}: not a CSV table ({error}). Check the double quotes (") in its header.'
+                f"{source}, line {kept[reader.line_num - 1][0]}: not a CSV table ({error}). Check the double quotes "
+                '(") there and above.'
             ) from error
+        header = tuple(cells[0])
         if all(NUMBER.fullmatch(cell) for cell in header):
             raise MeasurementError(
                 f"{source}: the first line holds numbers where the header should stand (a line "
                 f"that begins with # is a comment). A table begins with a header line, {_EXAMPLE}"
             )
-        return cls(source, hashlib.sha256(data).hexdigest(), text, separator, header)
+        for n, (line, row) in enumerate(zip(lines, cells, strict=True)):
+            if len(row) != len(header):
+                fix = "Fill in what is missing."
+                if len(row) > len(header):
+                    fix = "Remove what is too much."
+                    if separator == ",":
+                        fix += " If the numbers have a decimal comma, separate the columns by semicolons."
+                raise MeasurementError(
+                    f"{source}, line {line} (row {n}): the row has {len(row)} cells, the header has {len(header)}. "
+                    f"{fix}"
+                )
+        sha256 = hashlib.sha256(data).hexdigest()
+        return cls(source, sha256, separator, header, tuple(lines[1:]), tuple(cells[1:]))
 
     def names(self, columns: Mapping[str, str]) -> set[str]:
         """The names of the columns without their units, and those that ``--columns`` gives them."""
         return {split_header(label)[0] for label in (*self.header, *columns.values())}
 
     def rows(self) -> Iterator[Row]:
-        """The data rows, in order, cells stripped.
+        """The data rows, in order."""
+        for number, (line, cells) in enumerate(zip(self.lines, self.cells, strict=True), 1):
+            yield Row(line, number, cells)
 
-        Raises:
-            MeasurementError: a quote is not closed, or a cell is too long.
-        """
-        ordinal = 0
-        for lines, block in self.blocks():
-            for line, cells in zip(lines, block, strict=True):
-                ordinal += 1
-                yield Row(line, ordinal, [cell.strip() for cell in cells])
+    def column(self, column: Column) -> list[str]:
+        """The cells of a column."""
+        return [row[column.index] for row in self.cells]
 
-    def blocks(self) -> Iterator[tuple[list[int], list[list[str]]]]:
-        """The data rows, some thousand at a time: the lines where they end, and their cells as written.
-
-        Raises:
-            MeasurementError: a quote is not closed, or a cell is too long.
-        """
-        numbers, lines = [], []
-        for number, line in _kept(self.text):
-            numbers.append(number)
-            lines.append(line)
-        read = partial(csv.reader, delimiter=self.separator, skipinitialspace=True, strict=True)
-        reader = read(lines)
-        try:
-            next(reader)  # the header
-            before = reader.line_num
-            while block := list(islice(reader, _TOGETHER)):
-                ends = numbers[before : reader.line_num]
-                if len(ends) > len(block):
-                    # A cell in quotes runs over several lines: a row stands where its last one is.
-                    again = read(lines[before : reader.line_num])
-                    ends = [ends[again.line_num - 1] for _ in again]
-                before = reader.line_num
-                yield ends, block
-        except csv.Error as error:
-            raise MeasurementError(
-                f"{self.source}, line {numbers[reader.line_num - 1]}: not a CSV table ({error}). Check the double "
-                'quotes (") there and above.'
-            ) from error
+    def place(self, row: int, numbers: Column | None = None, column: Column | None = None) -> str:
+        """Where a row, from 0, or a cell stands as a person sees it: file, line, row number, column."""
+        number = (self.cells[row][numbers.index] if numbers else "") or str(row + 1)
+        text = f"{self.source}, line {self.lines[row]} (row {number})"
+        return text if column is None else f"{text}, column '{column.label}'"
 
 
 def _decode(data: bytes, source: str) -> str:
@@ -202,49 +195,12 @@ def _decode(data: bytes, source: str) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
 
 
-def _kept(text: str) -> Iterator[tuple[int, str]]:
-    """The lines that are neither blank (separators aside) nor a comment, and their numbers."""
-    return (
-        (at, line)
-        for at, line in enumerate(io.StringIO(text), 1)
-        if line.strip(" \t,;\n") and not line.lstrip().startswith(("#", '"#'))
-    )
-
-
 # Columns
 
 
 def reserved() -> tuple[str, ...]:
     """The names of columns that no joint can have: those of words, noise, positions, and of the kinds' readings."""
     return (*WORDS, "sigma", "sigma_angle", *registry.readings(), *POINT)
-
-
-def place(table: Table, row: Row, numbers: Column | None, column: Column | None = None) -> str:
-    """Where a cell stands, as a person sees it: file, line, row number, column."""
-    number = str(row.ordinal)
-    if numbers is not None and numbers.index < len(row.cells):
-        number = row.cells[numbers.index] or number
-    text = f"{table.source}, line {row.line} (row {number})"
-    return text if column is None else f"{text}, column '{column.label}'"
-
-
-def check_cells(table: Table, row: Row, numbers: Column | None) -> None:
-    """Refuse a row that has not as many cells as the header.
-
-    Raises:
-        MeasurementError: with the place and both counts.
-    """
-    count, wanted = len(row.cells), len(table.header)
-    if count == wanted:
-        return
-    fix = "Fill in what is missing."
-    if count > wanted:
-        fix = "Remove what is too much."
-        if table.separator == ",":
-            fix += " If the numbers have a decimal comma, separate the columns by semicolons."
-    raise MeasurementError(
-        f"{place(table, row, numbers)}: the row has {count} cells, the header has {wanted}. {fix}"
-    )
 
 
 def list_columns(table: Table) -> str:

@@ -130,7 +130,7 @@ def test_a_list_beside_a_table(tmp_path: Path):
             {},
             r"line 4 \(row 3\), column 'y \[mm\]': 'nan' is not a finite",
         ),
-        (PLAIN.replace("800", "1_0"), {}, "'1_0' is not a number"),
+        (PLAIN.replace("800", "1_0"), {}, "'1_0' is not a finite number"),
         (PLAIN.replace("800", ""), {}, "the cell is empty. Fill in the number"),
         (PLAIN.replace(",800", ""), {}, "the row has 3 cells, the header has 4"),
         (PLAIN.replace("[mm]", "[m]"), {}, "further from the origin than 100 m. If it is in mm"),

@@ -186,7 +186,7 @@ def test_a_column_that_is_left_out_does_not_go_along(read):
         (["remark,speed", "a,5"], "no joint values and no positions"),
         ([f"{XYZ},rx [rad],ry [rad],rz [rad],qx,qy,qz,qw", "300,200,100,0,0,0,0,0,0,1"], "is there twice"),
         ([f"{XYZ},rx,ry,rz", "1,2,3,0,0,0"], "column 'rx' (rotation vector): the column has no unit"),
-        ([f"{XYZ},qx,qy,qz,qw", "300,200,100,0,0,0,1", "300,200,100,0,0,0,0.9"], "line 3 (row 2), columns qx, qy, qz"),
+        ([f"{XYZ},qx,qy,qz,qw", "300,200,100,0,0,0,1", "300,200,100,0,0,0,0.9"], "line 3 (row 2), column 'qx'"),
         ([f"{XYZ},note", "300,200,100,", ",,,a"], "row 2: there is no position"),
         ([IN_DEG.replace("elbow_joint", "elbow_jont"), VALUES], "'elbow_joint' missing beside"),
         ([IN_DEG.replace("elbow_joint", "elbow_jont"), VALUES], "did you mean 'elbow_jont'"),

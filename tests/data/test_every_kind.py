@@ -84,7 +84,7 @@ POSE = "a [deg],x [mm],y [mm],z [mm],"
 @pytest.mark.parametrize(
     ("header", "row", "says"),
     [
-        ("qx,qy,qz,qw", "0,0,0,0.9", ["line 2 (row 1)", "length 0.9", "is 1", "qx=-"]),
+        ("qx,qy,qz,qw", "0,0,0,0.9", ["line 2 (row 1)", "length 0.9", "is 1"]),
         ("qx,qy,qz,qw [rad]", "0,0,0,1", ["column 'qw [rad]'", "'rad' cannot be", "'rx [deg]'"]),
         ("rx,ry,rz,b", "0,0,1,1", ["column 'rx' (a rotation vector", "no unit", "'rx [rad]'"]),
         ("rx [mm],ry [rad],rz [rad],b", "0,0,1,1", ["'mm' is not a unit of angle"]),
@@ -95,21 +95,10 @@ POSE = "a [deg],x [mm],y [mm],z [mm],"
             ["the orientation is there twice", '--columns "rx=-"'],
         ),
         ("qx,qy,qz,qw,sigma_angle [rad]", "0,0,0,1,0.0", ["sigma_angle is '0'"]),
-        ("qx,qy,qz,qw,sigma_angle [rad]", "0,0,0,1,1.5", ["1.5 was read as 1.5 rad", "[deg]'"]),
     ],
 )
 def test_orientations_that_are_refused(table, header, row, says):
     refused(table(POSE + header, "1,100,200,300," + row), says)
-
-
-def test_radians_read_as_degrees(table):
-    header = POSE + "rx [deg],ry [deg],rz [deg]"
-    path = table(header, "1,100,200,300,3.1,0,0.2", "80,100,200,300,0,-3,0.2")
-    refused(path, ["column 'rx [deg]'", "'a' turns by 79 deg", "look like radians", "'rx [rad]'"])
-    small = table(header, "1,100,200,300,3.1,0,0.2", "5,100,200,300,0,-3,0.2")
-    assert len(Measurements.read(small)) == 2
-    still = table(header, "1,100,200,300,0.1,0,0.2", "80,100,200,300,0,-0.1,0.2")
-    assert len(Measurements.read(still)) == 2
 
 
 def test_poses_without_an_orientation(table):
@@ -158,7 +147,7 @@ def test_pairs(table):
             "row 1: the pair 'p' has 0.5 m here and 0.501 m in row 2",
         ),
         (("1,p,500", "2,,501"), "line 3 (row 2), column 'pair': the cell is empty"),
-        (("1,p,no", "2,p,"), "column 'distance [mm]': 'no' is not a number"),
+        (("1,p,no", "2,p,"), "column 'distance [mm]': 'no' is not a finite number"),
     ],
 )
 def test_pairs_that_are_refused(table, lines, says):
@@ -371,26 +360,12 @@ def test_what_a_kind_does_not_measure_is_not_kept():
             {"kinds": ("pose",) * 2, "rotations": [np.eye(3)] * 2, "sigma_angle": [0.1, 0.0]},
             "row 2: 'sigma_angle' is 0;",
         ),
-        (
-            {"kinds": ("pose",) * 2, "rotations": [np.eye(3)] * 2, "joint_names": ("qx",)},
-            "given were 'qx'",
-        ),
         ({"kinds": ("distance",) * 2, "distances": [1, -1]}, "row 2: 'distance' is -1;"),
-        ({"kinds": ("pair",) * 2, "distances": [1, 1], "pairs": ("p", "")}, "row 2: the pair ''"),
         (
             {"kinds": ("pair",) * 2, "distances": [1, 2], "pairs": ("p", "p")},
             "row 1: the pair 'p' has 1 m here and 2 m in row 2",
         ),
-        ({"torques": np.ones((2, 2))}, "'torques' has shape (2, 2) and should have (2, 1)"),
         ({"torques": [[1], [np.nan]]}, "row 2: joint 'a' has no torque here"),
-        (
-            {
-                "torques": np.ones((2, 2)),
-                "joint_names": ("a", "a.torque"),
-                "joints": np.ones((2, 2)),
-            },
-            "given were 'a.torque'",
-        ),
         ({"joint_names": ("distance",)}, "given were 'distance'"),
     ],
 )

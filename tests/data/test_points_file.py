@@ -143,17 +143,15 @@ def test_the_value(listed):
 
 def test_a_point_is_found_by_its_whole_name_or_its_last_part(listed):
     points = read_points(listed("A::M::P1 1 2 3", "A::M::P2 1 2 3", "B::M::P2 1 2 3"), "m")
-    assert points.find("P1") == points.find("A::M::P1") == 0
-    assert points.find("B::M::P2") == 2
-    assert points.find("M::P1") is None
+    assert points.find(["P1", "A::M::P1", "B::M::P2", "M::P1"]) == [0, 0, 2, None]
     with pytest.raises(MeasurementError) as caught:
-        points.find("P2")
+        points.find(["P2"])
     text = str(caught.value)
     assert "tracker.txt: several points are called 'P2', in lines 2, 3" in text
     assert "Write the whole name: 'A::M::P2', 'B::M::P2'." in text
     twice = read_points(listed("P1 1 2 3.5", "P1 1 2 4.5"), "m")
     with pytest.raises(MeasurementError, match="Give each point a name of its own"):
-        twice.find("P1")
+        twice.find(["P1"])
 
 
 # Refusals
@@ -172,8 +170,11 @@ def test_units_that_are_missing_or_contradict(listed):
     refused(bare, "'furlong' is not a unit", unit="furlong")
     path = listed("# units: mm", "P1 100 200 300")
     assert len(read_points(path, "mm")) == 1
-    refused(path, "says that its points are in mm, and m was given", unit="m")
-    refused(listed("# units: mm", "# unit: m", "P1 1 2 3"), "several units of length, 'mm', 'm'")
+    refused(path, "several units of length are named, 'mm', 'm'", unit="m")
+    refused(
+        listed("# units: mm", "# unit: m", "P1 1 2 3"),
+        "several units of length are named, 'mm', 'm'",
+    )
     refused(listed("# units: feet", "P1 1 2 3"), "'ft' is not a unit")
 
 

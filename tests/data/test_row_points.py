@@ -84,7 +84,7 @@ def test_tables_without_positions(ur3, paper, tmp_path):
     path.write_text(
         "\n".join([header + ",x [mm],y [mm],z [mm]", *[f"{row},a,b,c" for row in rows]])
     )
-    with pytest.raises(MeasurementError, match="is not a number"):
+    with pytest.raises(MeasurementError, match="is not a finite number"):
         read_rows(path, ur3)
 
 

@@ -134,7 +134,7 @@ def test_a_plan_of_which_nothing_is_measured(table):
 
 def test_only_validation_rows_are_measured(table):
     says = (
-        "plan.csv, column 'set': no row is 'estimate', all 1 are 'validate', 2 that are not measured yet aside. "
+        "plan.csv, column 'set': no measured row is 'estimate', all 1 are 'validate'. "
         "Mark those to estimate from"
     )
     refused(table(HEADER, *ROWS[1:]), says)
@@ -150,7 +150,7 @@ def test_a_list_of_points_that_is_not_complete_yet(table, listed):
         path, "row 2: tracker.txt has no point 'P2'", points=listed("P1 4 5 600", "P22 1 2 300")
     )
     only = listed("P3 1 2 300")
-    refused(path, "no row is 'estimate', all 1 are 'validate', 3 that are not", points=only)
+    refused(path, "no measured row is 'estimate', all 1 are 'validate'", points=only)
 
 
 def test_empty_columns_beside_a_list_need_no_word(table, listed):

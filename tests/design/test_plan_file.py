@@ -217,7 +217,7 @@ def test_tables_of_every_kind_count(table, arm):
     ("lines", "says"),
     [
         (("j2 [deg],x [mm]", "1,2"), "taken.csv: no column for the joints 'j1'."),
-        (("j1 [deg],x [mm]", "a,2"), "taken.csv, line 2 (row 1), column 'j1 [deg]': 'a' is not a number"),
+        (("j1 [deg],x [mm]", "a,2"), "taken.csv, line 2 (row 1), column 'j1 [deg]': 'a' is not a finite number"),
         (
             ("set,j1 [deg],x [mm]", "validate,1,200", "estimate,2,"),
             "taken.csv: no row that is measured is 'estimate', so that no pose counts as taken.",
