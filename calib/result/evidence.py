@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.estimate.crossvalidation import only_there
-from calib.estimate.fitting import Fitted, fit
+from calib.estimate.fitting import PAPER, Fitted, fit
 from calib.estimate.likelihood import Priors
 from calib.estimate.problem import Problem
 from calib.estimate.registration import ENOUGH
@@ -18,19 +18,12 @@ from calib.estimate.setup import joined_setups
 from calib.estimate.statistics import Errors, pose_means
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
-from calib.model.parameters import FRAME, TARGET, ErrorModel
+from calib.model.parameters import FRAME, TARGET
 from calib.result.calibration import Calibration
-from calib.result.residual_tests import (
-    Stack,
-    drift,
-    joint_patterns,
-    prediction_square,
-    unpredicted,
-)
-from calib.result.support import outside_sentence, shares_of_ranges, spread_of
+from calib.result.residual_tests import Stack, drift, joint_patterns, prediction_square, unpredicted
+from calib.result.support import shares_of_ranges, spread_of
 from calib.result.verdict import Evidence, Reason, Why
 from calib.robot.readback import column_ranges, spread_poses
-from calib.robot.robot import Robot
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -66,20 +59,24 @@ _TELLING = 10.0
 
 def evidence_of(result: Calibration, rows: Rows, hint: Reason | None) -> Evidence:
     """All that the verdict on a cross-validated result is based on; the hint is a set-up that explains more."""
-    fitted, m, larger = result.fitted, result.measurements, result.larger
-    assert result.cross_validation is not None
-    assert result.nominal_cross_validation is not None
-    suspects = {o.row for o in result.suspects}
+    fitted, m, larger, model = result.fitted, result.measurements, result.larger, result.model
+    nominal, calibrated = result.nominal_cross_validation, result.cross_validation
+    assert nominal is not None
+    assert calibrated is not None
     notes = []
     if larger is not None and larger.cross_validation is not None:
         errors = larger.cross_validation.errors_without_outliers
         notes.append(Reason.of(Why.LARGER_MODEL, model=larger.name, after=errors))
     if result.outside:
-        numbers = np.array(m.rows)[m.validation].tolist()
-        notes.append(Reason.of(Why.OUTSIDE, rows=outside_sentence(result.outside, numbers)))
+        one = max(result.outside, key=lambda row: row.beyond[0].by)
+        far, number = one.beyond[0], int(np.array(m.rows)[m.validation][one.index])
+        values = {"joint": far.joint, "by_m" if far.prismatic else "by_rad": far.by}
+        notes.append(Reason.of(Why.OUTSIDE, rows=len(result.outside), row=number, **values))
+    suspects = {o.row for o in result.suspects}
+    own = ~model.family(FRAME, TARGET) & np.isin(model.units, ("m", "rad"))
     return Evidence(
-        nominal=result.nominal_cross_validation,
-        calibrated=result.cross_validation,
+        nominal=nominal,
+        calibrated=calibrated,
         scales=fitted.estimate.problem.scales,
         used=rows.used,
         repeats=rows.poses,
@@ -94,8 +91,8 @@ def evidence_of(result: Calibration, rows: Rows, hint: Reason | None) -> Evidenc
         ),
         doubts=tuple(_doubts(result, rows)),
         notes=tuple(notes),
-        parameters=len(result.model),
-        largest=largest_change(result.model, result.x),
+        parameters=len(model),
+        largest=float(np.max(np.abs(result.x[own]), initial=0.0)),
         noise=result.sigma,
         hint=hint,
     )
@@ -103,10 +100,12 @@ def evidence_of(result: Calibration, rows: Rows, hint: Reason | None) -> Evidenc
 
 def _doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
     """What was found besides errors."""
-    fitted, few = result.fitted, thin(result.fitted)
-    if still := still_joints(fitted.task.robot, rows.joints):
-        yield Reason.of(Why.JOINTS_STILL, joints=", ".join(still))
-    if not result.candidates and result.solver != "paper":
+    fitted, few, robot = result.fitted, thin(result.fitted), result.fitted.task.robot
+    least = np.array([_STILL_M if j.type == "prismatic" else _STILL_RAD for j in robot.inputs])
+    still = np.flatnonzero(np.ptp(rows.joints, axis=0) < least)
+    if len(still):
+        yield Reason.of(Why.JOINTS_STILL, joints=", ".join(robot.joint_names[j] for j in still))
+    if not result.candidates and result.solver != PAPER:
         yield from _missing_model(few)
     yield from _corner(few)
     yield from _patterns(few)
@@ -123,10 +122,7 @@ def _doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
 
 
 def thin(fitted: Fitted, most: int = ENOUGH) -> Fitted:
-    """The fit with about so many of its rows, spread evenly over each frame and target; itself if it has no more.
-
-    What is left over is searched for patterns with all derivatives at hand; twenty thousand rows show any that matters.
-    """
+    """The fit with about so many of its rows, spread evenly over each frame and target; itself if it has no more."""
     problem, estimate = fitted.estimate.problem, fitted.estimate
     if len(problem.rows) <= most:
         return fitted
@@ -153,49 +149,26 @@ def validation_errors(
     nominal and of the calibrated robot [m], [rad], and which scalars were measured.
     """
     aside = suspects & validation
-    if np.sum(suspects) > max(1, int(_FEW_SUSPECTS * np.sum(validation))) or np.array_equal(
-        aside, validation
-    ):
+    many = np.sum(suspects) > max(1, int(_FEW_SUSPECTS * np.sum(validation)))
+    if many or np.array_equal(aside, validation):
         aside = np.zeros_like(suspects)
     chosen = validation & ~aside
     before, after = (Errors.of(one[chosen], used[chosen]) for one in (nominal, calibrated))
     return before, after, int(np.sum(aside))
 
 
-def still_joints(robot: Robot, joints: Array) -> tuple[str, ...]:
-    """Joints that the rows (N, m), [rad] or [m], hardly move, each with how far."""
-    words = []
-    for joint, span in zip(robot.inputs, np.ptp(joints, axis=0), strict=True):
-        slides = joint.type == "prismatic"
-        if span < (_STILL_M if slides else _STILL_RAD):
-            amount = f"{1e3 * span:.0f} mm" if slides else f"{np.degrees(span):.0f} deg"
-            words.append(f"'{joint.name}' ({amount})")
-    return tuple(words)
-
-
-def largest_change(model: ErrorModel, x: Array) -> float:
-    """The largest change of a length or angle of the robot itself, target and frame aside [m or rad]."""
-    own = ~model.family(FRAME, TARGET) & np.isin(model.units, ("m", "rad"))
-    return float(np.max(np.abs(x[own]), initial=0.0))
-
-
 def _missing_model(fitted: Fitted) -> Iterator[Reason]:
     """That the full placements would leave over far less than this fit leaves."""
-    task, rows = fitted.task, fitted.estimate.problem.rows
+    task, rows, name = fitted.task, fitted.estimate.problem.rows, fitted.kinematics.model.name
     columns = 6 * len(task.robot.joints) + task.setup.count
-    if fitted.kinematics.model.name.startswith("placement") or rows.count < 2 * columns:
+    if name.startswith("placement") or rows.count < 2 * columns:
         return
     free = replace(task.cell, frozen=(), ties={}, bounds={}, parameter_priors={})
     full = replace(task, model="placement", cell=free, solver="lm")
-    other = fit(full, rows, started=fitted.setup).estimate
-    if other.noise[0] <= _FAR_LESS * fitted.estimate.noise[0]:
+    noise, less = (one.estimate.noise[0] for one in (fitted, fit(full, rows, started=fitted.setup)))
+    if less <= _FAR_LESS * noise:
         unit = float(np.median(rows.sigma))
-        yield Reason.of(
-            Why.MODEL_LACKS,
-            model=fitted.kinematics.model.name,
-            noise_m=unit * fitted.estimate.noise[0],
-            less_m=unit * other.noise[0],
-        )
+        yield Reason.of(Why.MODEL_LACKS, model=name, noise_m=unit * noise, less_m=unit * less)
 
 
 def _corner(fitted: Fitted) -> Iterator[Reason]:
@@ -216,15 +189,9 @@ def _patterns(fitted: Fitted) -> Iterator[Reason]:
     problem, rows = estimate.problem, estimate.problem.rows
     if estimate.freedom < _TELLING or np.median(problem.scales[rows.used]) < _ROUNDING_NOISE:
         return
-    residual, jacobian = problem.residual(estimate.x), problem.jacobian(estimate.x)
     placed, setup = fitted.placed(), fitted.setup
-    model = error_model(
-        robot,
-        "zeros",
-        frame=dict.fromkeys(setup.frame_unknowns, ()),
-        target=(),
-        targets=setup.target_names,
-    )
+    frames = dict.fromkeys(setup.frame_unknowns, ())
+    model = error_model(robot, "zeros", frame=frames, target=(), targets=setup.target_names)
     own = Kinematics(robot, model, placed.T_frame_base, placed.T_tip_target)
     turned = rows.derivative(*own.twists(np.zeros(len(model)), rows.samples))
     counts = rows.used & (estimate.weights > 0.0)[:, None]
@@ -232,10 +199,10 @@ def _patterns(fitted: Fitted) -> Iterator[Reason]:
     row_of, component_of = np.nonzero(counts)
     # What the parameters did to the scalars. Directions in which an error of the size expected moves all of them by
     # less than their noise were not fitted: such a direction may be the residual itself, made larger or turned.
-    A = (jacobian * whiten[:, :, None])[counts]
+    A = (problem.jacobian(estimate.x) * whiten[:, :, None])[counts]
     A = A / np.sqrt(np.maximum(problem.precision, np.finfo(float).tiny))
     basis, effects, _ = np.linalg.svd(A, full_matrices=False)
-    r = (residual * whiten)[counts]
+    r = (problem.residual(estimate.x) * whiten)[counts]
     stack = Stack(basis[:, effects > _FITTED], r, row_of, component_of, whiten[counts], rows.poses)
     column = {name: k for k, name in enumerate(model.names)}
     tested = [i for i, joint in enumerate(robot.inputs) if f"{joint.name}.zero" in column]
@@ -243,14 +210,14 @@ def _patterns(fitted: Fitted) -> Iterator[Reason]:
     moved = (turned * whiten[:, :, None])[counts]
     found = joint_patterns(
         stack,
-        rows.samples.q[:, tested],
+        rows.joints[:, tested],
         [joint.type == "prismatic" for joint in joints],
         [moved[:, [column[f"{joint.name}.zero"]]] for joint in joints],
     )
     for i, one in found[:1]:
-        quantity = "position" if joints[i].type == "prismatic" else "angle"
+        values = {"quantity": "position" if joints[i].type == "prismatic" else "angle"}
         sure = {"share": one.share, "chance": one.chance, "p": one.p}
-        yield Reason.of(Why.JOINT_PATTERN, quantity=quantity, joint=joints[i].name, **sure)
+        yield Reason.of(Why.JOINT_PATTERN, **values, joint=joints[i].name, **sure)
     test = drift(stack, np.linspace(0.0, 1.0, len(rows)))
     if test is not None:
         yield Reason.of(Why.DRIFT, share=test.share, chance=test.chance, p=test.p)
@@ -258,22 +225,18 @@ def _patterns(fitted: Fitted) -> Iterator[Reason]:
 
 def disagreeing_setups(fitted: Fitted) -> tuple[Reason, ...]:
     """Set-ups that a fit to the others does not predict, the surest two."""
-    estimate = fitted.estimate
-    problem, rows = estimate.problem, estimate.problem.rows
+    estimate, problem, rows = fitted.estimate, fitted.estimate.problem, fitted.estimate.problem.rows
     labels = joined_setups(rows, fitted.task.distances)
-    count = int(labels.max()) + 1
-    if count < 2 or estimate.freedom < _TELLING:
+    if labels.max() < 1 or estimate.freedom < _TELLING:
         return ()
-    linear = problem.linear(estimate.x)
-    known = Priors(problem.precision, problem.centre)
-    of_fit = np.array([estimate.noise])
-    noise = linear.noise_of(of_fit)[0]
+    linear, of_fit = problem.linear(estimate.x), np.array([estimate.noise])
+    priors, noise = Priors(problem.precision, problem.centre), linear.noise_of(of_fit)[0]
     counts = np.any(linear.used, axis=1) & (estimate.weights > 0.0)
-    told = np.zeros((count, 4))
-    for g in range(count):
+    told = []
+    for g in range(int(labels.max()) + 1):
         own = labels == g
         weights = np.where(own, 0.0, problem.weights)
-        x, covariance, freedom = (f[0] for f in linear.fit(weights[None], of_fit, known))
+        x, covariance, freedom = (f[0] for f in linear.fit(weights[None], of_fit, priors))
         loose = only_there(fitted, own)
         x = np.where(loose, estimate.x, x)
         rest = np.where(linear.used, linear.residual(x) / noise, 0.0)
@@ -283,15 +246,13 @@ def disagreeing_setups(fitted: Fitted) -> tuple[Reason, ...]:
         r, first = pose_means(rest[chosen], at, alike)
         A, _ = pose_means((linear.A / noise[:, :, None])[chosen], at, alike)
         there = linear.used[chosen][first]
-        A = A[there]
-        square, degrees = prediction_square(
-            r[there], A[:, ~loose], covariance[np.ix_(~loose, ~loose)], A[:, loose]
-        )
+        A, C = A[there], covariance[np.ix_(~loose, ~loose)]
+        square, degrees = prediction_square(r[there], A[:, ~loose], C, A[:, loose])
         variance = float(weights @ np.sum(rest**2, axis=1)) / max(freedom, 1.0)
-        told[g] = square, degrees, variance, max(freedom, 0.0)
+        told.append((square, degrees, variance, max(freedom, 0.0)))
     return tuple(
         Reason.of(Why.SETUP_UNPREDICTED, setup=_setup_name(fitted, labels == g), ratio=ratio)
-        for g, ratio in unpredicted(*told.T)[:2]
+        for g, ratio in unpredicted(*np.array(told).T)[:2]
     )
 
 
@@ -305,12 +266,10 @@ def _flagged_setup(fitted: Fitted) -> Iterator[Reason]:
     """A set-up whose rows are flagged far more often than the others': it has moved, they have not."""
     flagged = fitted.estimate.outliers
     labels = joined_setups(fitted.estimate.problem.rows, fitted.task.distances)
-    several = len(np.unique(labels)) > 1
-    for g in np.unique(labels) if several else ():
+    for g in np.unique(labels) if labels.max() > 0 else ():
         own = labels == g
-        inside, outside = float(np.mean(flagged[own])), float(np.mean(flagged[~own]))
-        if np.sum(flagged[own]) >= _SOME_FLAGGED and inside > max(_SHARE_FLAGGED, 3.0 * outside):
-            count, rows = int(np.sum(flagged[own])), int(np.sum(own))
+        count, inside, others = int(flagged[own].sum()), flagged[own].mean(), flagged[~own].mean()
+        if count >= _SOME_FLAGGED and inside > max(_SHARE_FLAGGED, 3.0 * others):
             name = _setup_name(fitted, own)
-            yield Reason.of(Why.SETUP_FLAGGED, flagged=count, rows=rows, setup=name)
+            yield Reason.of(Why.SETUP_FLAGGED, flagged=count, rows=int(np.sum(own)), setup=name)
             return

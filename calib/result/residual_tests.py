@@ -89,17 +89,16 @@ class Stack:
     def times(self, functions: Array, directions: Array) -> Array:
         """Functions of the row (N, f), each times each direction (M, k): shape (M, f k)."""
         product = functions[self.row_of][:, :, None] * directions[:, None, :]
-        return product.reshape(len(self.r), -1)
+        return np.asarray(product.reshape(len(self.r), -1))
 
 
 def joint_patterns(
     stack: Stack, joints: Array, prismatic: Sequence[bool], directions: Sequence[Array]
 ) -> list[tuple[int, Explained]]:
-    """The joints whose value the residuals follow, beyond a constant of each component; the surest first.
+    """The joints whose value, ``joints`` (N, m), the residuals follow, beyond a constant of each component; surest first.
 
-    For each joint the regressors are functions of its value in the rows, ``joints`` of shape (N, m), sin q, cos q and
-    q, or q and q^2 where it slides, times the directions (M, k) of what displacements of it do to the scalars. A table
-    with nothing but noise gives any with `FALSE_ALARM`.
+    For each joint the regressors are sin q, cos q and q, or q and q^2 where it slides, times the directions (M, k) of
+    what displacements of it do to the scalars. A table with nothing but noise gives any with `FALSE_ALARM`.
     """
     if not len(stack.r):
         return []
@@ -116,13 +115,10 @@ def joint_patterns(
 
 
 def drift(stack: Stack, order: Array) -> Explained | None:
-    """Whether the residuals drift in the order of the rows, shape (N,), beyond a constant of each component.
+    """The drift of the residuals in the order of the rows, shape (N,); None where chance gives such a one.
 
     The drift between poses and that within the repeats of a pose are tested apart, and their probabilities combined by
-    Fisher's method: that holds however much of the residual the repeats share.
-
-    Returns:
-        The surer of the two tests; None where chance gives such a drift with `FALSE_ALARM` or more.
+    Fisher's method: that holds however much of the residual the repeats share. The surer test is returned.
     """
     if not len(stack.r):
         return None
@@ -130,9 +126,8 @@ def drift(stack: Stack, order: Array) -> Explained | None:
     tests = [one for one in (_between(stack)(Z), _within(stack, Z)) if one.columns]
     p = tests[0].p if len(tests) == 1 else 1.0
     if len(tests) == 2:
-        p = float(
-            chdtrc(4.0, -2.0 * sum(np.log(max(one.p, np.finfo(float).tiny)) for one in tests))
-        )
+        logs = [np.log(max(one.p, np.finfo(float).tiny)) for one in tests]
+        p = float(chdtrc(4.0, -2.0 * sum(logs)))
     return min(tests, key=lambda one: one.p) if p < FALSE_ALARM else None
 
 
@@ -152,10 +147,7 @@ def _between(stack: Stack) -> Callable[[Array], Explained]:
 
 def _within(stack: Stack, Z: Array) -> Explained:
     """The test on what differs between repeats; without repeats there is nothing to test."""
-    cells, (found, component) = (
-        stack.cells,
-        np.unique(stack.component_of, return_inverse=True),
-    )
+    cells, (found, component) = stack.cells, np.unique(stack.component_of, return_inverse=True)
     r, count = _centred(cells, stack.r), len(found)
     # Every cell loses one degree of freedom: its mean.
     freedom = np.bincount(component, 1.0 - 1.0 / np.bincount(cells)[cells], count)
@@ -187,10 +179,9 @@ def f_test(base: Array, r: Array, Z: Array, sizes: Array, lost: int = 0) -> Expl
 
 
 def even_factors(A: Array, r: Array, component_of: Integers) -> Array:
-    """What makes the residual of each component equally large, shape (M,).
+    """What makes the residual of each component equally large, shape (M,): an instrument may see depth worse.
 
-    An instrument that sees depth worse than the rest would otherwise raise many false alarms. With the factors right,
-    the expected square of each scalar is what the regressors leave of its freedom, 1 - h.
+    With the factors right, the expected square of each scalar is what the regressors leave of its freedom, 1 - h.
     """
     found, component = np.unique(component_of, return_inverse=True)
     factors, count = np.ones(len(r)), len(found)
@@ -220,8 +211,7 @@ def unpredicted(
     """The set-ups whose errors are larger than the noise, beyond chance and by a factor that matters; surest first.
 
     Of each the sum of whitened squares under the fit to the others (`prediction_square`) with its degrees of freedom,
-    and the variance of a whitened scalar in that fit, which one that saw the set-up would overstate, with its own. Each
-    is told by its number and its errors over those expected, rms. Of alike ones any is with a probability below 1 %.
+    and the variance of a whitened scalar in that fit with its own. Number, and errors over those expected, rms.
     """
     testable = np.flatnonzero((freedoms > 0.0) & (noise_freedoms > 0.0) & (noises > 0.0))
     F = squares[testable] / freedoms[testable] / noises[testable]

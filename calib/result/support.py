@@ -1,11 +1,9 @@
-"""What a result rests on: the poses that were measured, the rows whose weight was lowered, the set-up as it was said.
+"""What a result rests on: the poses that were measured, the rows whose weight was lowered, the set-up as it was given.
 
 A fit answers for what was measured. Functions of a joint's value extrapolate badly beyond its measured range, and
 poses in one corner leave most of the arm's errors free to be anything elsewhere. Robust weights rest on the belief
 that a few rows are accidents; how much hangs on it is seen by fitting again with every row in full. And where a
-nominal arm is off by centimetres, not millimetres, the usual mistakes are tried on it, with the target registered
-anew: a wrong base link, points in another frame, a joint with the sign or the zero of another convention, two columns
-swapped.
+nominal arm is off by centimetres, the usual mistakes are tried on it, with the target registered anew.
 """
 
 from __future__ import annotations
@@ -21,9 +19,9 @@ from numpy.typing import NDArray
 from calib.data.cell import Cell
 from calib.errors import MeasurementError, ModelError
 from calib.estimate.crossvalidation import linear_cross_validation
-from calib.estimate.fitting import Fitted, fit
+from calib.estimate.fitting import PAPER, Fitted, fit
 from calib.estimate.registration import register
-from calib.estimate.rows import Mask, Rows
+from calib.estimate.rows import Rows
 from calib.estimate.setup import Setup
 from calib.estimate.statistics import Errors
 from calib.model.error_model import DIRECTIONS
@@ -39,58 +37,43 @@ _MARGIN = 0.05
 #: Differences of joint values below this are none [rad or m].
 _STILL = 1e-3
 
-#: Rows that a sentence names one by one.
-_NAMED = 3
-
 
 @dataclass(frozen=True, slots=True)
 class Beyond:
-    """A joint value outside the measured range.
+    """A joint value outside the measured range."""
 
-    Attributes:
-        joint: The joint's name.
-        prismatic: Whether it slides.
-        by: How far beyond the nearest measured value [rad or m].
-    """
-
-    joint: str
-    prismatic: bool
-    by: float
+    joint: str  # The joint's name
+    prismatic: bool  # Whether it slides
+    by: float  # How far beyond the nearest measured value [rad or m]
 
 
 @dataclass(frozen=True, slots=True)
 class OutsideRow:
-    """A row with joint values outside the measured range.
+    """A row with joint values outside the measured range."""
 
-    Attributes:
-        index: Which of the rows asked for, from 0 on.
-        beyond: The joints, the one furthest out first, in shares of their measured range.
-    """
-
-    index: int
-    beyond: tuple[Beyond, ...]
+    index: int  # Which of the rows asked for, from 0 on
+    beyond: tuple[Beyond, ...]  # The joints, the one furthest out first, in shares of their measured range
 
 
 def outside(
     measured: Array, asked: Array, names: Sequence[str], types: Sequence[str]
 ) -> tuple[OutsideRow, ...]:
-    """The rows asked for that have joint values outside the range of the measured ones.
+    """The rows asked for, shape (K, m), with joint values outside the range of the measured ones, (N, m) [rad or m].
 
     A continuous joint's values are points on a circle: its range is what the largest gap leaves. A margin of 5 % of the
-    range is allowed, the distance is from the range.
-
-    Args:
-        measured: shape (N, m), joint values that a fit has seen [rad or m].
-        asked: shape (K, m), joint values that it should answer for.
-        names: m joint names.
-        types: m URDF joint types.
+    range is allowed, the distance is from the range. m names and URDF types of the joints.
     """
     if not len(measured) or not len(asked):
         return ()
     far, spans = np.zeros(asked.shape), np.zeros(len(names))
     for j, kind in enumerate(types):
         low, spans[j] = _range(measured[:, j], kind)
-        far[:, j] = _distance(asked[:, j], low, spans[j], kind)
+        after = asked[:, j] - low - spans[j]
+        far[:, j] = np.maximum(0.0, np.maximum(low - asked[:, j], after))
+        if kind == "continuous":
+            after = np.mod(asked[:, j] - low, 2.0 * np.pi) - spans[j]
+            nearest = np.minimum(after, 2.0 * np.pi - spans[j] - after)
+            far[:, j] = np.where(after <= 0.0, 0.0, nearest)
     spans = np.maximum(spans, _STILL)
     out = far > np.maximum(_MARGIN * spans, _STILL)
     result = []
@@ -101,48 +84,20 @@ def outside(
     return tuple(result)
 
 
-def outside_sentence(rows: Sequence[OutsideRow], numbers: Sequence[int]) -> str:
-    """The rows outside in plain words, the furthest joints of the first few; empty when there are none.
-
-    Args:
-        rows: From `outside`.
-        numbers: The number of each row asked for as a person sees it.
-
-    Example:
-        >>> outside_sentence([OutsideRow(1, (Beyond("elbow_joint", False, 0.663),))], [33, 34])
-        "row 34: 'elbow_joint' 38 deg beyond the measured range"
-    """
-    parts = []
-    for row in rows[:_NAMED]:
-        far = (
-            f"'{b.joint}' {1e3 * b.by:.3g} mm"
-            if b.prismatic
-            else f"'{b.joint}' {np.degrees(b.by):.3g} deg"
-            for b in row.beyond
-        )
-        parts.append(f"row {numbers[row.index]}: {', '.join(far)} beyond the measured range")
-    more = len(rows) - _NAMED
-    parts += [f"and {more} more row{'s' * (more > 1)}"] * (more > 0)
-    return "; ".join(parts)
-
-
 def spread_of(tips: Array, everywhere: Array) -> float:
     """Root mean square distance of measured tips (N, 3) from their mean, over that of tips all over the workspace."""
-    sizes = [
+    one, other = (
         float(np.sum((points - points.mean(axis=0)) ** 2)) / max(len(points) - 1, 1)
         for points in (tips, everywhere)
-    ]
+    )
     # An arm whose tip cannot move at all has been measured everywhere.
-    return float(np.sqrt(sizes[0] / sizes[1])) if sizes[1] > 0.0 else 1.0
+    return float(np.sqrt(one / other)) if other > 0.0 else 1.0
 
 
 def shares_of_ranges(joints: Array, ranges: Array, types: Sequence[str]) -> Array:
-    """The share of each joint's range that was used, 0 to 1, shape (m,); 1 where there is no range.
+    """The share of each joint's range (m, 2) that was used by rows (N, m), 0 to 1, shape (m,); 1 without a range.
 
-    Args:
-        joints: shape (N, m), measured joint values [rad or m].
-        ranges: shape (m, 2), the limits of each; a joint that turns has a full turn at most to use.
-        types: m URDF joint types.
+    A joint that turns has a full turn at most to use.
     """
     spans = np.array([_range(q, kind)[1] for q, kind in zip(joints.T, types, strict=True)])
     turning = np.array([kind != "prismatic" for kind in types])
@@ -161,38 +116,18 @@ def _range(q: Array, kind: str) -> tuple[float, float]:
     return float(turned[(widest + 1) % len(turned)]), float(2.0 * np.pi - gaps[widest])
 
 
-def _distance(q: Array, low: float, span: float, kind: str) -> Array:
-    """How far values lie from a range, 0 inside, shape (K,)."""
-    if kind != "continuous":
-        return np.maximum(0.0, np.maximum(low - q, q - low - span))
-    after = np.mod(q - low, 2.0 * np.pi)
-    return np.where(after <= span, 0.0, np.minimum(after - span, 2.0 * np.pi - after))
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Robustness:
-    """The fit with the weights of doubtful rows lowered, beside the one with every row in full.
+    """The fit with the weights of doubtful rows lowered, beside the one with every row in full."""
 
-    Attributes:
-        lowered: Whether it is the calibration that has the weights lowered, or the fit that it is compared with.
-        flagged: shape (N,), the fitted rows that the calibration flags.
-        moved: shape (N,), how far the other fit's prediction at each measured pose lies from the calibration's [m].
-        names: Names of the parameters.
-        change: shape (p,), the other fit's parameters minus the calibration's, in their units; of target and frame
-            both counted from the same place.
-        std: shape (p,), standard deviations of the calibration's parameters.
-        errors_lowered: Errors of the rows not flagged, left out of a linearised fit, with weights lowered.
-        errors_full: The same with every row in full.
-    """
-
-    lowered: bool
-    flagged: Mask
-    moved: Array
-    names: tuple[str, ...]
-    change: Array
-    std: Array
-    errors_lowered: Errors
-    errors_full: Errors
+    lowered: bool  # Whether it is the calibration that has the weights lowered, or the fit that it is compared with
+    flagged: NDArray[np.bool_]  # (N,), the fitted rows that the calibration flags
+    moved: Array  # (N,), how far the other fit's prediction at each measured pose lies from the calibration's [m]
+    names: tuple[str, ...]  # Names of the parameters
+    change: Array  # (p,), the other fit's parameters minus the calibration's, counted from the same place
+    std: Array  # (p,), standard deviations of the calibration's parameters
+    errors_lowered: Errors  # Of the rows not flagged, left out of a linearised fit, with weights lowered
+    errors_full: Errors  # The same with every row in full
 
     @property
     def moved_rms(self) -> float:
@@ -204,22 +139,6 @@ class Robustness:
         """How far they differ at most [m]."""
         return float(np.max(self.moved))
 
-    def sentence(self) -> str:
-        """What it comes to."""
-        now, other = self.errors_lowered, self.errors_full
-        if not self.lowered:
-            now, other = other, now
-        text = (
-            f"{'Without' if self.lowered else 'With'} these rows' weights lowered the prediction would move by "
-            f"{1e3 * self.moved_rms:.3f} mm rms at the measured poses, {1e3 * self.moved_max:.3f} mm at most"
-        )
-        if now.n:
-            text += (
-                f"; the error of the other rows, left out, would be {1e3 * other.rms:.3f} mm rms in place of "
-                f"{1e3 * now.rms:.3f} mm"
-            )
-        return text + "."
-
 
 def compare(fitted: Fitted) -> Robustness:
     """Fit once more with robust weights where there were none, or without where there were, and compare.
@@ -227,7 +146,7 @@ def compare(fitted: Fitted) -> Robustness:
     Raises:
         ModelError: The paper's solver made the fit, which has no weights.
     """
-    if fitted.task.solver == "paper":
+    if fitted.task.solver == PAPER:
         raise ModelError(
             "The solver 'paper' has no weights to compare with and without. Choose --solver lm."
         )
@@ -246,13 +165,12 @@ def compare(fitted: Fitted) -> Robustness:
         left = [linear_cross_validation(one).residual[~flagged] for one in both]
         lowered, full = (Errors.of(residual, rows.used[~flagged]) for residual in left)
     except MeasurementError:  # rows of a single pose, of which none can be left out
-        lowered = full = Errors.of(np.zeros((0, rows.used.shape[1])))
+        lowered = full = Errors.of(np.zeros((0, rows.width)))
     return Robustness(
         lowered=fitted.task.robust,
         flagged=flagged,
         moved=read_only(np.linalg.norm(moves[:, :, 0], axis=1)),
         names=fitted.kinematics.model.names,
-        # Registration is plain least squares and the same for both: they count from one start.
         change=read_only(other.estimate.x - estimate.x),
         std=read_only(np.sqrt(np.diag(estimate.covariance))),
         errors_lowered=lowered,
@@ -263,11 +181,8 @@ def compare(fitted: Fitted) -> Robustness:
 #: Nominal errors below this need no other explanation than an uncalibrated arm [m].
 PLAUSIBLE = 0.02
 
-#: Another set-up must lower the nominal robot's error to this share to be named.
-_FAR_BETTER = 0.2
-
-#: A nominal robot that is still further off is not explained [m].
-_EXPLAINED = 0.05
+#: Another set-up must lower the nominal robot's error to this share, and to this error [m], to be named.
+_FAR_BETTER, _EXPLAINED = 0.2, 0.05
 
 #: Joints up to which every combination of turned signs is tried.
 _MOST_SIGNS = 7
@@ -275,11 +190,10 @@ _MOST_SIGNS = 7
 #: Rows that are looked at; more would not tell more.
 _ROWS = 60
 
-#: A step that lowers the sum of squares by less than this share is the last one: errors to five digits are enough to
-#: compare, and a set-up that does not fit takes many steps for more.
+#: A step that lowers the sum of squares by less than this share is the last one: five digits are enough to compare.
 _TOLERANCE = 1e-6
 
-#: Factors between units that are taken for each other.
+#: Factors between units that are taken for each other, and the zeros that conventions differ by [deg].
 _LENGTHS = {
     "inches under [mm]": 25.4,
     "mm under [in]": 1.0 / 25.4,
@@ -287,35 +201,36 @@ _LENGTHS = {
     "mm under [m]": 1e-3,
 }
 _ANGLES = {"radians under [deg]": np.degrees(1.0), "degrees under [rad]": np.radians(1.0)}
-
-#: The zeros that conventions differ by [deg].
 _TURNS_DEG = (90.0, -90.0, 180.0)
 
-
-#: A set-up that is tried: what its error counts times, robot, set-up, rows, and what it would mean.
+#: A mistake undone: what its error counts times, robot, set-up, rows, and what it would mean.
 Trial = tuple[float, Robot, Setup, Rows, Why, dict[str, Any]]
 
 
 def better_setup(robot: Robot, cell: Cell, setup: Setup, rows: Rows) -> Reason | None:
-    """The set-up which explains the rows far better than the one given, if there is one.
+    """The set-up which explains the estimation rows far better than the one given, if there is one.
 
-    Only tables of points of one target in one frame are looked at; rows are the estimation rows.
+    Only tables of points of one target in one frame are looked at.
     """
-    if (
-        any(kind.name != "point" for kind in rows.present)
-        or len(setup.targets) > 1
-        or len(setup.groups) > 1
-    ):
+    several = len(setup.targets) > 1 or len(setup.groups) > 1
+    if several or any(kind.name != "point" for kind in rows.present):
         return None
     chosen = np.zeros(len(rows), dtype=bool)
     chosen[np.linspace(0, len(rows) - 1, min(len(rows), _ROWS)).astype(int)] = True
     rows = rows.select(chosen)
-    given = _rms(robot, setup, rows)
+
+    def rms(robot: Robot, setup: Setup, rows: Rows) -> float:
+        """Error of the nominal robot where target (and frame, if asked) are registered [m]."""
+        placed = register(robot, setup, rows, tolerance=_TOLERANCE)
+        residual = rows.residual(placed.seen(robot.poses(rows.joints), rows.samples))
+        return float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
+
+    given = rms(robot, setup, rows)
     if given < PLAUSIBLE:
         return None
     best, found = np.inf, None
     for factor, other, asked, changed, why, values in _trials(robot, cell, setup, rows):
-        error = _rms(other, asked, changed)
+        error = rms(other, asked, changed)
         if factor * error < best:
             best, found = factor * error, Reason.of(why, given_m=given, error_m=error, **values)
     if found is None or best > _FAR_BETTER * given or found.values["error_m"] > _EXPLAINED:
@@ -329,49 +244,46 @@ def _trials(robot: Robot, cell: Cell, setup: Setup, rows: Rows) -> Iterator[Tria
     if not setup.estimate_target:
         yield 1.0, robot, asked, rows, Why.TARGET_ELSEWHERE, {}
     if not cell.estimate_frame and cell.T_frame_base is None:
-        for link in _standing_links(robot):
-            yield 1.0, robot.rebuilt(base=link), asked, rows, Why.OTHER_BASE, {"link": link}
+        moving = {joint.name for joint in robot.urdf.joints if joint.type != "fixed"}
+        for link in robot.urdf.links:
+            way = itertools.chain(*robot.urdf.chain(robot.base, link))
+            if link != robot.base and moving.isdisjoint(way):
+                yield 1.0, robot.rebuilt(base=link), asked, rows, Why.OTHER_BASE, {"link": link}
         if len(rows) >= 4:
             # A frame of its own always fits a little better: it must do more than that.
             own = replace(asked, unknown=(DIRECTIONS,))
             yield 2.0, robot, own, rows, Why.OWN_FRAME, {}
-    for factor, joints, why, values in _joint_trials(robot, asked, rows.joints):
+    # A frame that is estimated too makes a trial a hundred times dearer: then one joint at a time.
+    most = len(robot.inputs) if not any(setup.unknown) else 1
+    for factor, joints, why, values in _joint_trials(robot, rows.joints, most):
         turned = replace(rows, samples=replace(rows.samples, q=joints))
         yield factor, robot, asked, turned, why, values
     for i, j in itertools.combinations(range(3), 2):
         points = rows.measured.copy()
         points[:, [i, j]] = points[:, [j, i]]
-        names = f"{'xyz'[i]} and {'xyz'[j]}"
-        swapped = replace(rows, measured=points)
-        yield 1.2, robot, asked, swapped, Why.COLUMNS_SWAPPED, {"columns": names}
+        values = {"columns": f"{'xyz'[i]} and {'xyz'[j]}"}
+        yield 1.2, robot, asked, replace(rows, measured=points), Why.COLUMNS_SWAPPED, values
     for unit, size in _LENGTHS.items():
-        scaled = replace(rows, measured=size * rows.measured)
-        yield 1.2, robot, asked, scaled, Why.WRONG_UNIT, {"what": "points", "unit": unit}
+        values = {"what": "points", "unit": unit}
+        yield 1.2, robot, asked, replace(rows, measured=size * rows.measured), Why.WRONG_UNIT, values
 
 
 def _joint_trials(
-    robot: Robot, setup: Setup, q: NDArray[np.float64]
-) -> Iterator[tuple[float, NDArray[np.float64], Why, dict[str, Any]]]:
+    robot: Robot, q: Array, most: int
+) -> Iterator[tuple[float, Array, Why, dict[str, Any]]]:
     """Joints of another convention, in other units, and in each other's columns; q has shape (N, n)."""
     names, n = robot.joint_names, len(robot.inputs)
     turns = np.array([joint.type != "prismatic" for joint in robot.inputs])
-    # A frame that is estimated too makes a trial a hundred times dearer: then one joint at a time.
-    most = n if n <= _MOST_SIGNS and not any(setup.unknown) else 1
-    for count in range(1, most + 1):
+    for count in range(1, (most if n <= _MOST_SIGNS else 1) + 1):
         for some in itertools.combinations(range(n), count):
             joints = q.copy()
             joints[:, some] *= -1.0
             listed = " and ".join(f"'{names[i]}'" for i in some)
             yield 1.0 + 0.2 * count, joints, Why.JOINTS_TURNED, {"joints": listed}
-    for i, degrees in itertools.product(np.flatnonzero(turns).tolist(), _TURNS_DEG):
+    for i, turn in itertools.product(np.flatnonzero(turns).tolist(), np.radians(_TURNS_DEG)):
         joints = q.copy()
-        joints[:, i] += np.radians(degrees)
-        yield (
-            1.2,
-            joints,
-            Why.JOINT_ZERO,
-            {"add_rad": float(np.radians(degrees)), "joint": names[i]},
-        )
+        joints[:, i] += turn
+        yield 1.2, joints, Why.JOINT_ZERO, {"add_rad": float(turn), "joint": names[i]}
     for i, j in itertools.combinations(range(n), 2):
         joints = q.copy()
         joints[:, [i, j]] = joints[:, [j, i]]
@@ -379,21 +291,3 @@ def _joint_trials(
     for unit, size in _ANGLES.items():
         values = {"what": "joint values", "unit": unit}
         yield 1.2, np.where(turns, size, 1.0) * q, Why.WRONG_UNIT, values
-
-
-def _standing_links(robot: Robot) -> list[str]:
-    """The links that no joint moves against the base, but for the base itself."""
-    moving = {joint.name for joint in robot.urdf.joints if joint.type != "fixed"}
-    return [
-        link
-        for link in robot.urdf.links
-        if link != robot.base
-        and moving.isdisjoint(itertools.chain(*robot.urdf.chain(robot.base, link)))
-    ]
-
-
-def _rms(robot: Robot, setup: Setup, rows: Rows) -> float:
-    """Error of the nominal robot where target (and frame, if asked) are registered, rms [m]."""
-    placed = register(robot, setup, rows, tolerance=_TOLERANCE)
-    residual = rows.residual(placed.seen(robot.poses(rows.joints), rows.samples))
-    return float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))

@@ -1,0 +1,160 @@
+"""The verdict in words, and what it rests on: reasons, rows outside of the measured range, weights that were lowered."""
+
+from __future__ import annotations
+
+import string
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from calib.result.support import OutsideRow, Robustness
+from calib.result.verdict import Reason, Why
+
+#: Rows that a sentence names one by one.
+_NAMED = 3
+
+_OFF = "The nominal robot is {given_m:mm.0f} mm rms off, which no uncalibrated arm is, and only {error_m:mm.1f} mm if "
+_NOT_NOISE = "What the model leaves over is not noise: "
+_SHARE = "explains {share:%.0f} % of it (chance: {chance:%.0f} %, {chance_p})"
+_CHANGED = "Did the arm, its tool or the instrument change in between?"
+_RIGHT = "are base and tip, the joint columns and their signs right"
+
+#: What each code says; a number is written as ``{name:unit.digits}``.
+SENTENCES = {
+    Why.TARGET_ELSEWHERE: _OFF + "the target is found from the data: leave out --fix-target.",
+    Why.WRONG_UNIT: _OFF + "the {what} are {unit}: check the unit in the header.",
+    Why.OTHER_BASE: _OFF + "the points are in the frame of '{link}': try --base {link}.",
+    Why.OWN_FRAME: _OFF + "the points are in a frame of their own: try --frame estimate.",
+    Why.JOINTS_TURNED: _OFF + "{joints} turned the other way: check the signs.",
+    Why.JOINT_ZERO: _OFF + "{add_rad:deg.0f} deg are added to '{joint}': check its zero.",
+    Why.COLUMNS_SWAPPED: _OFF + "the columns {columns} are swapped.",
+    Why.PARAMETER_ABSURD: "The nominal robot is {before_m:mm.0f} mm rms off on unseen rows, and the fit meets the rows "
+    f"only by moving a parameter by {{largest:mm.0f}} mm or mrad: {_RIGHT}, and is each set-up, socket or tracker "
+    "station a group of its own?",
+    Why.NOISE_ABSURD: "What the model leaves over is {noise_m:mm.0f} mm a coordinate, which no arm or instrument "
+    f"explains: {_RIGHT}, the measurements in the base frame (otherwise: --frame estimate)?",
+    Why.ORIENTATION_ABSURD: "On unseen rows the calibrated robot's orientations are {after_rad:deg.0f} deg rms off: are "
+    "they those of the target in the measurement frame and not the inverse, is the scalar of the quaternion in the "
+    "column qw, and are rx, ry, rz a rotation vector, not roll, pitch and yaw?",
+    Why.NOTHING_TO_GAIN: "Nothing to gain: the robot as it is meets these rows to {before} on unseen rows, which is "
+    "about their noise. Keep its URDF.",
+    Why.STILL_FAR_OFF: "On unseen rows ({method}) the calibrated robot is {after_m:mm.0f} mm rms off.",
+    Why.TOO_FEW: "{measured} for {parameters} parameters are too few to show a gain: on unseen rows {before} against "
+    "{after}, {gain:.1f} standard errors. Measure more poses.",
+    Why.NO_BETTER: "On unseen rows ({method}) the calibrated robot is no better than the nominal one, frame and target "
+    "fitted for both: {after} against {before}.",
+    Why.VALIDATION_NO_BETTER: "On the {rows} validation rows the error does not fall: {change}.",
+    Why.MAY_BE_CHANCE: "The gain on unseen rows is within chance: {gain:.1f} standard errors.",
+    Why.FEW_NUMBERS: "{measured} with {numbers} numbers for {parameters} parameters are few: the result leans on the "
+    "priors. Measure more poses.",
+    Why.FAR_OFF_BEFORE: "The nominal robot is {before_m:mm.0f} mm rms off on unseen rows, which no uncalibrated arm is. "
+    "Is it the right URDF?",
+    Why.JOINTS_STILL: "Hardly moved over these rows: {joints}. The result holds near these positions only; measure "
+    "poses that move every joint.",
+    Why.MODEL_LACKS: "The model '{model}' leaves {noise_m:mm.3f} mm a coordinate, all placements would leave "
+    "{less_m:mm.3f} mm: the robot has errors that this model lacks. Try --model auto or --model placement.",
+    Why.CORNER: "The poses cover a corner of the workspace only: their tips spread over {spread:%.0f} % of the distance "
+    "that the joint limits allow, and '{joint}' uses {used:%.0f} % of its range. Measure poses all over the workspace.",
+    Why.JOINT_PATTERN: _NOT_NOISE + "the {quantity} of '{joint}' " + _SHARE + ".",
+    Why.DRIFT: _NOT_NOISE
+    + "it drifts in the order of the rows, which "
+    + _SHARE
+    + ". Did something warm up, or move?",
+    Why.SETUP_UNPREDICTED: "The other set-ups do not predict set-up '{setup}': a fit without it leaves errors there "
+    "{ratio:.1f} times those expected. " + _CHANGED,
+    Why.SETUP_FLAGGED: "{flagged} of the {rows} rows of set-up '{setup}' are flagged as outliers: it does not agree "
+    "with the others. " + _CHANGED,
+    Why.REPEATS_AGREE: "Repeats of a pose scatter by {within_m:mm.3f} mm a coordinate, the model leaves {noise_m:mm.3f} "
+    "mm: these are errors that the model lacks.",
+    Why.NO_LENGTH: "Nothing that was measured is a length, so the size of the arm is the nominal one's: measure a "
+    "distance between two sockets, and give it in the cell file ([[distances]]).",
+    Why.PARAMETER_FAR: "A parameter has moved by {largest:mm.0f} mm or mrad, which is no error of an arm. Keep the "
+    "priors on, or choose a smaller model.",
+    Why.VALIDATION_UNLIKE: "The calibrated robot is {before} off on the {rows} validation rows and {after} on left-out "
+    "rows: was the target or the frame another one?",
+    Why.MANY_OUTLIERS: "{flagged} of {rows} rows are flagged as outliers: too many to be accidents.",
+    Why.GAIN: "On unseen rows ({method}{outliers_aside}) the error falls {change}.",
+    Why.LARGER_MODEL: "With the larger model '{model}' it would be {after}. No URDF can hold that; predict() does.",
+    Why.VALIDATION_GAIN: "On the {rows} validation rows{rows_aside} it falls {change}.",
+    Why.OUTSIDE: "{rows} validation rows lie outside of the joint values that were fitted, where errors may be larger: "
+    "'{joint}' of row {row} by {beyond}.",
+}
+
+
+def reason_text(reason: Reason) -> str:
+    """A reason of a verdict as a sentence.
+
+    Example:
+        >>> reason_text(Reason.of(Why.VALIDATION_NO_BETTER, rows=5, before_m=1e-3, after_m=2e-3))
+        'On the 5 validation rows the error does not fall: from 1.000 to 2.000 mm rms.'
+    """
+    v = reason.values
+    units = (("m", 1e3, "mm"), ("rad", float(np.degrees(1.0)), "deg"))
+    before, after = (
+        [f"{k * v[f'{name}_{si}']:.3f} {unit}" for si, k, unit in units if f"{name}_{si}" in v]
+        for name in ("before", "after")
+    )
+    first = [before[0].split()[0]] if len(before) == 1 else before  # the unit once is enough
+    measured = [f"{v[of]} {words}" for of, words in _MEASURED if v.get(of)]
+    p = v.get("p", 1.0)
+    beyond = [f"{k * v[f'by_{si}']:.3g} {unit}" for si, k, unit in units if f"by_{si}" in v]
+    words = {
+        **v,
+        "before": f"{' and '.join(before)} rms",
+        "after": f"{' and '.join(after)} rms",
+        "change": f"from {' and '.join(first)} to {' and '.join(after)} rms",
+        "measured": " and ".join(measured),
+        "beyond": "".join(beyond),
+        "chance_p": "p < 1e-6" if p < 1e-6 else f"p = {p:.1g}",
+        "outliers_aside": ", outliers aside" * bool(v.get("outliers")),
+        "rows_aside": f" ({v['aside']} more aside)" if v.get("aside") else "",
+    }
+    return _Units().vformat(SENTENCES[reason.why], (), words)
+
+
+_MEASURED = (("poses", "poses"), ("pairs", "pairs of poses"))
+
+
+class _Units(string.Formatter):
+    """Numbers in the unit that stands before their format: ``{noise_m:mm.3f}``."""
+
+    def format_field(self, value: Any, format_spec: str) -> Any:  # noqa: ANN401
+        for unit, scale in (("mm", 1e3), ("deg", float(np.degrees(1.0))), ("%", 100.0)):
+            if format_spec.startswith(unit):
+                return format(scale * value, format_spec.removeprefix(unit))
+        return format(value, format_spec)
+
+
+def outside_text(rows: Sequence[OutsideRow], numbers: Sequence[int]) -> str:
+    """The rows outside of the measured range, the furthest joints of the first few; empty when there are none.
+
+    ``numbers`` has the number of each row that was asked about as a person sees it.
+
+    Example:
+        >>> outside_text([OutsideRow(1, (Beyond("elbow_joint", False, 0.663),))], [33, 34])
+        "row 34: 'elbow_joint' 38 deg beyond the measured range"
+    """
+    parts = []
+    for row in rows[:_NAMED]:
+        units = [(1e3, "mm") if b.prismatic else (np.degrees(1.0), "deg") for b in row.beyond]
+        far = [f"'{b.joint}' {k * b.by:.3g} {u}" for b, (k, u) in zip(row.beyond, units, strict=True)]
+        parts.append(f"row {numbers[row.index]}: {', '.join(far)} beyond the measured range")
+    more = len(rows) - _NAMED
+    parts += [f"and {more} more row{'s' * (more > 1)}"] * (more > 0)
+    return "; ".join(parts)
+
+
+def robustness_text(found: Robustness) -> str:
+    """What lowering the weights of doubtful rows comes to."""
+    now, other = found.errors_lowered, found.errors_full
+    if not found.lowered:
+        now, other = other, now
+    text = (
+        f"{'Without' if found.lowered else 'With'} these rows' weights lowered the prediction would move by "
+        f"{1e3 * found.moved_rms:.3f} mm rms at the measured poses, {1e3 * found.moved_max:.3f} mm at most"
+    )
+    if now.n:
+        text += f"; the error of the other rows, left out, would be {1e3 * other.rms:.3f} mm rms in place of "
+        text += f"{1e3 * now.rms:.3f} mm"
+    return text + "."
