@@ -23,6 +23,7 @@ from calib.data.table import DEFAULT_TARGET
 from calib.design.candidates import planning_ranges
 from calib.errors import MeasurementError, ModelError, choices
 from calib.estimate.fitting import Task, model_of
+from calib.estimate.inspection import GENERIC_TARGET, any_measurement
 from calib.estimate.registration import register
 from calib.estimate.rows import Rows
 from calib.estimate.setup import (
@@ -34,7 +35,6 @@ from calib.estimate.setup import (
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability, analyse
-from calib.result.inspection import GENERIC_TARGET, any_measurement
 from calib.result.prediction import without_rigid_motion
 from calib.robot.readback import spread_between
 from calib.robot.robot import Robot, read_only

@@ -52,7 +52,9 @@ class OutsideRow:
     """A row with joint values outside the measured range."""
 
     index: int  # Which of the rows asked for, from 0 on
-    beyond: tuple[Beyond, ...]  # The joints, the one furthest out first, in shares of their measured range
+    beyond: tuple[
+        Beyond, ...
+    ]  # The joints, the one furthest out first, in shares of their measured range
 
 
 def outside(
@@ -126,7 +128,9 @@ class Robustness:
     names: tuple[str, ...]  # Names of the parameters
     change: Array  # (p,), the other fit's parameters minus the calibration's, counted from the same place
     std: Array  # (p,), standard deviations of the calibration's parameters
-    errors_lowered: Errors  # Of the rows not flagged, left out of a linearised fit, with weights lowered
+    errors_lowered: (
+        Errors  # Of the rows not flagged, left out of a linearised fit, with weights lowered
+    )
     errors_full: Errors  # The same with every row in full
 
     @property
@@ -265,7 +269,14 @@ def _trials(robot: Robot, cell: Cell, setup: Setup, rows: Rows) -> Iterator[Tria
         yield 1.2, robot, asked, replace(rows, measured=points), Why.COLUMNS_SWAPPED, values
     for unit, size in _LENGTHS.items():
         values = {"what": "points", "unit": unit}
-        yield 1.2, robot, asked, replace(rows, measured=size * rows.measured), Why.WRONG_UNIT, values
+        yield (
+            1.2,
+            robot,
+            asked,
+            replace(rows, measured=size * rows.measured),
+            Why.WRONG_UNIT,
+            values,
+        )
 
 
 def _joint_trials(

@@ -138,7 +138,9 @@ def outside_text(rows: Sequence[OutsideRow], numbers: Sequence[int]) -> str:
     parts = []
     for row in rows[:_NAMED]:
         units = [(1e3, "mm") if b.prismatic else (np.degrees(1.0), "deg") for b in row.beyond]
-        far = [f"'{b.joint}' {k * b.by:.3g} {u}" for b, (k, u) in zip(row.beyond, units, strict=True)]
+        far = [
+            f"'{b.joint}' {k * b.by:.3g} {u}" for b, (k, u) in zip(row.beyond, units, strict=True)
+        ]
         parts.append(f"row {numbers[row.index]}: {', '.join(far)} beyond the measured range")
     more = len(rows) - _NAMED
     parts += [f"and {more} more row{'s' * (more > 1)}"] * (more > 0)

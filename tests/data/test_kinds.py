@@ -13,7 +13,7 @@ from calib.data import kinds
 from calib.data.kinds import Kind, Reading, get, names, register
 from calib.design.plan_file import write_plan
 from calib.errors import CalibError, MeasurementError
-from calib.result.inspection import inspect
+from calib.estimate.inspection import inspect
 
 
 def line_distance(T):

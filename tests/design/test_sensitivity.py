@@ -13,10 +13,10 @@ from calib.data.measurements import Measurements
 from calib.data.surroundings import Tracker, TrackerNoise
 from calib.design.forecast import Sensitivity, forecast
 from calib.errors import ModelError
+from calib.estimate.inspection import inspect
 from calib.estimate.setup import FIRST_SIGMA_ANGLE
 from calib.model.kinematics import Kinematics, Samples
 from calib.result.calibrate import calibrate
-from calib.result.inspection import inspect
 from calib.result.prediction import without_rigid_motion
 from calib.robot.readback import random_joint_values, spread_poses
 from calib.robot.torques import Payload, gravity_load

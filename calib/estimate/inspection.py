@@ -1,4 +1,4 @@
-"""inspect: what a robot is made of, and which parameters can be identified from poses, before anything is fitted."""
+"""inspect: which parameters of a robot can be identified from poses, before anything is fitted."""
 
 from __future__ import annotations
 
@@ -25,55 +25,46 @@ from calib.robot.robot import Robot
 GENERIC_TARGET = (0.05, 0.07, 0.03)
 
 #: An anchor where none is known: off the first axis, which its distance would not tell of [m].
-_GENERIC_ANCHOR = (0.7, -0.5, 0.3)
+GENERIC_ANCHOR = (0.7, -0.5, 0.3)
 
 
 @dataclass(frozen=True, slots=True)
 class Inspection:
-    """What poses can tell.
+    """What poses can tell."""
 
-    Attributes:
-        model: The error model.
-        observability: Rank and combinations at the nominal robot.
-        poses: Which poses, in words.
-    """
-
-    model: ErrorModel
-    observability: Observability
-    poses: str
+    model: ErrorModel  # The error model
+    observability: Observability  # Rank and combinations at the nominal robot
+    poses: int  # How many there are
+    source: str | None  # The table that they are from; None: spread over the joint limits
+    assumed: tuple[str, ...] = ()  # What was put at a generic place, ``"target"`` or ``"anchor"``
 
 
 def inspect(robot: Robot, cell: Cell, measurements: Measurements | None = None) -> Inspection:
-    """Rank of the cell's model at the nominal robot.
+    """Rank of the cell's model at the nominal robot; ``"auto"`` is looked at as ``"dh"``.
 
-    Args:
-        robot: The nominal robot.
-        cell: Model, targets and frames; ``"auto"`` is looked at as ``"dh"``. A target that is not given is registered
-            to the measurements, or, without any, taken 50, 70, 30 mm off the tip; likewise the anchor of distances.
-        measurements: Whose estimation poses to judge; None: 200 poses of a Sobol sequence over the joint limits, of the
-            cell's kind of measurement.
+    Judged are a table's estimation poses or, without one, 200 poses of a Sobol sequence over the joint limits, of the
+    cell's kind. A target or anchor that is not given is registered to the table, or stands at a generic place.
 
     Raises:
         ModelError: Unknown parameter set or parameter; or the cell's kind says which poses can be, and only a table
             can tell them.
         MeasurementError: A joint's column is missing, or too few rows.
     """
+    assumed = []
     if measurements is None:
         rows, setup = rows_of(robot, _everywhere(robot, cell), cell)
-        words = "200 poses spread over the joint limits"
         frames, targets = setup.T_frame_base.copy(), setup.T_tip_target.copy()
         if not np.all(setup.target_given):
             targets[:, :3, 3] = GENERIC_TARGET
-            words += ", target 50, 70, 30 mm off the tip"
+            assumed.append("target")
         if any(kind.name == "distance" for kind in rows.present) and not np.all(setup.frame_given):
-            frames[:, :3, 3] = np.negative(_GENERIC_ANCHOR)
-            words += ", anchor 700, -500, 300 mm from the base"
+            frames[:, :3, 3] = np.negative(GENERIC_ANCHOR)
+            assumed.append("anchor")
         setup = setup.placed(frames, targets)
         rows = rows.as_measured_at(setup.seen(robot.poses(rows.joints), rows.samples))
     else:
         rows, setup = rows_of(robot, measurements, cell)
         rows = rows.select(measurements.estimation)
-        words = f"the {measurements.estimation.sum()} estimation rows of {measurements.source}"
         setup = register(robot, setup, rows)
     name = cell.model if cell.model != AUTO else "dh"
     seen = set(rows.samples.frame.tolist())
@@ -85,7 +76,9 @@ def inspect(robot: Robot, cell: Cell, measurements: Measurements | None = None) 
     jacobian = jacobian * (rows.scales[:, :1] / rows.scales)[:, :, None]
     known = Problem.first(kinematics, rows, distances).known_slopes(x)
     jacobian = np.concatenate([jacobian[rows.used], known])
-    return Inspection(model, analyse(jacobian, model.names, model.units), words)
+    seen_by = analyse(jacobian, model.names, model.units)
+    source = None if measurements is None else measurements.source
+    return Inspection(model, seen_by, len(rows), source, tuple(assumed))
 
 
 def _everywhere(robot: Robot, cell: Cell) -> Measurements:

@@ -7,7 +7,7 @@ import pytest
 
 from calib.data.cell import Cell
 from calib.errors import ModelError
-from calib.result.inspection import inspect
+from calib.estimate.inspection import inspect
 
 
 @pytest.mark.parametrize(
@@ -53,10 +53,9 @@ def test_pairs_are_for_a_table_to_say(ur3):
         inspect(ur3, Cell(kind="pair"))
 
 
-def test_which_poses_in_words(ur3, table):
-    assert inspect(ur3, Cell()).poses == (
-        "200 poses spread over the joint limits, target 50, 70, 30 mm off the tip"
-    )
-    known = Cell(target=np.array([0.0, 0.0, 0.1]))
-    assert inspect(ur3, known).poses == "200 poses spread over the joint limits"
-    assert inspect(ur3, Cell(), table).poses == "the 30 estimation rows of ur3_leica.csv"
+def test_what_was_assumed(ur3, table):
+    found = inspect(ur3, Cell())
+    assert (found.poses, found.source, found.assumed) == (200, None, ("target",))
+    assert inspect(ur3, Cell(target=np.array([0.0, 0.0, 0.1]))).assumed == ()
+    assert inspect(ur3, Cell(kind="distance")).assumed == ("target", "anchor")
+    assert (inspect(ur3, Cell(), table).poses, inspect(ur3, Cell(), table).assumed) == (30, ())
