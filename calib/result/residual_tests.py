@@ -2,28 +2,21 @@
 
 The residual r of a fit with regressors A, both whitened, is looked at in the space that A cannot reach. With Q an
 orthonormal basis of A's range and r' = r - Q Q^T r, further regressors Z, less what Q reaches of them, explain the
-square S of r':
+square S of r', and F follows Fisher's distribution when the rest is normal noise of one variance:
 
     F = (S / rank Z') / ((|r'|^2 - S) / (M - rank A - rank Z'))
 
-r' does not depend on where in A's range the fit stopped, so that priors do not matter, and F follows Fisher's
-distribution exactly when the rest is normal noise of one variance. Repeats of a pose share what the model lacks there:
-their mean is one measurement. Components that an instrument measures less well than others are brought to one size.
+Repeats of a pose share what the model lacks there: their mean is one measurement. A set-up is predicted by a fit to all
+the others, its own nuisance (measurement frame, target) registered anew. With C the covariance of that fit's parameters
+and A their regressors in the set-up, its residual r has the covariance I + A C A^T when nothing is wrong, and
 
-A set-up is predicted by a fit to all the others, its own nuisance (measurement frame, target) registered anew. With C
-the covariance of that fit's parameters and A their regressors in the set-up, its residual r has the covariance
-I + A C A^T when nothing is wrong, and
-
-    F = (r^T W r / freedom) / noise,   W = (I + A C A^T)^-1, less what the nuisance takes up,
-
-follows Fisher's distribution with the degrees of freedom of both.
+    F = (r^T W r / freedom) / noise,   W = (I + A C A^T)^-1, less what the nuisance takes up.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,11 +31,9 @@ FALSE_ALARM, _SETUP_ALARM = 0.003, 0.01
 #: A set-up is named when its errors are this much larger than the noise: less does not matter.
 _MATTERS = 1.5
 
-#: Directions whose singular value is below this, columns of norm 1, are not in the range of a matrix.
-CUT = 1e-6
-
-#: The same for what repeats of a pose change in the regressors: joint values repeat to `1e-3` only.
-_CUT_WITHIN = 1e-2
+#: Directions whose singular value is below this, columns of norm 1, are not in the range of a matrix; and the same for
+#: what repeats of a pose change in the regressors: joint values repeat to `1e-3` only.
+_CUT, _CUT_WITHIN = 1e-6, 1e-2
 
 #: Rounds in which the components' noise is found; in each it is taken as at least this share of the largest.
 _ROUNDS, _UNEVEN = 4, 0.01
@@ -95,7 +86,7 @@ class Stack:
 def joint_patterns(
     stack: Stack, joints: Array, prismatic: Sequence[bool], directions: Sequence[Array]
 ) -> list[tuple[int, Explained]]:
-    """The joints whose value, ``joints`` (N, m), the residuals follow, beyond a constant of each component; surest first.
+    """The joints whose value, ``joints`` (N, m), the residuals follow beyond a constant of each component; surest first.
 
     For each joint the regressors are sin q, cos q and q, or q and q^2 where it slides, times the directions (M, k) of
     what displacements of it do to the scalars. A table with nothing but noise gives any with `FALSE_ALARM`.
@@ -134,12 +125,12 @@ def drift(stack: Stack, order: Array) -> Explained | None:
 def _between(stack: Stack) -> Callable[[Array], Explained]:
     """The test on the means of repeats, of any further regressors (M, k)."""
     cells = stack.cells
-    A, r = _sums_over(cells, np.column_stack([stack.A, stack.ones])), _sums_over(cells, stack.r)
+    A, r = _means(cells, np.column_stack([stack.A, stack.ones])), _means(cells, stack.r)
     even = even_factors(A, r, stack.component_of[np.unique(cells, return_index=True)[1]])
     base = range_of(A * even[:, None])
 
     def test(Z: Array) -> Explained:
-        Z = _sums_over(cells, Z) * even[:, None]
+        Z = _means(cells, Z) * even[:, None]
         return f_test(base, r * even, Z, norms_of(Z))
 
     return test
@@ -148,26 +139,31 @@ def _between(stack: Stack) -> Callable[[Array], Explained]:
 def _within(stack: Stack, Z: Array) -> Explained:
     """The test on what differs between repeats; without repeats there is nothing to test."""
     cells, (found, component) = stack.cells, np.unique(stack.component_of, return_inverse=True)
-    r, count = _centred(cells, stack.r), len(found)
+    counts = np.bincount(cells)
+
+    def centred(values: Array) -> Array:
+        means = (_means(cells, values).T / np.sqrt(counts)).T
+        return np.asarray(values - means[cells])
+
+    r, count = centred(stack.r), len(found)
     # Every cell loses one degree of freedom: its mean.
-    freedom = np.bincount(component, 1.0 - 1.0 / np.bincount(cells)[cells], count)
+    freedom = np.bincount(component, 1.0 - 1.0 / counts[cells], count)
     even = _levelled(np.bincount(component, r**2, count), freedom)[component]
     A, Z = stack.A * even[:, None], Z * even[:, None]
-    base = range_of(_centred(cells, A), norms_of(A), _CUT_WITHIN)
-    return f_test(base, even * r, _centred(cells, Z), norms_of(Z), int(cells.max()) + 1)
+    base = range_of(centred(A), norms_of(A), _CUT_WITHIN)
+    return f_test(base, even * r, centred(Z), norms_of(Z), int(cells.max()) + 1)
 
 
 def f_test(base: Array, r: Array, Z: Array, sizes: Array, lost: int = 0) -> Explained:
     """The F test of further regressors Z (M, k) beyond an orthonormal base (M, rank A); the module's text has it.
 
-    A column of Z below `CUT` times its size counts for nothing; ``lost`` degrees of freedom were taken before.
+    A column of Z below `_CUT` times its size counts for nothing; ``lost`` degrees of freedom were taken before.
     """
     rest = r - base @ (base.T @ r)
     # Twice is enough to be orthogonal to rounding, where Z almost lies in the range of the base.
     Z = Z - base @ (base.T @ Z)
     further = range_of(Z - base @ (base.T @ Z), sizes)
-    square = float(rest @ rest)
-    before = len(r) - base.shape[1] - lost
+    square, before = float(rest @ rest), len(r) - base.shape[1] - lost
     columns, freedom = further.shape[1], before - further.shape[1]
     if columns == 0 or freedom < 1 or square <= _ROUNDING**2 * float(r @ r):
         return Explained(0.0, 1.0, 0.0, 0.0, 0, max(before, 0))
@@ -193,7 +189,7 @@ def even_factors(A: Array, r: Array, component_of: Integers) -> Array:
     return factors
 
 
-def _levelled(squares: NDArray[Any], freedom: NDArray[Any]) -> Array:
+def _levelled(squares: Array, freedom: Array) -> Array:
     """Factors that bring sums of squares to one variance a degree of freedom; 1 for all where none has any."""
     known = freedom > _SOME_FREEDOM
     variances = np.where(known, squares / np.where(known, freedom, 1.0), 0.0)
@@ -216,9 +212,8 @@ def unpredicted(
     testable = np.flatnonzero((freedoms > 0.0) & (noise_freedoms > 0.0) & (noises > 0.0))
     F = squares[testable] / freedoms[testable] / noises[testable]
     p = fdtrc(freedoms[testable], noise_freedoms[testable], F)
-    order = np.lexsort((-F, p))
     sure = (p < _SETUP_ALARM / max(len(testable), 1)) & (F > _MATTERS**2)
-    return [(int(testable[i]), float(np.sqrt(F[i]))) for i in order if sure[i]]
+    return [(int(testable[i]), float(np.sqrt(F[i]))) for i in np.lexsort((-F, p)) if sure[i]]
 
 
 def prediction_square(r: Array, A: Array, covariance: Array, nuisance: Array) -> tuple[float, int]:
@@ -244,7 +239,7 @@ def norms_of(A: Array) -> Array:
     return np.where(norms > 0.0, norms, 1.0)
 
 
-def range_of(A: Array, sizes: Array | None = None, cut: float = CUT) -> Array:
+def range_of(A: Array, sizes: Array | None = None, cut: float = _CUT) -> Array:
     """Orthonormal basis of the numerical range of A / sizes, by default its columns' norms, shape (M, rank)."""
     if 0 in A.shape:
         return np.zeros((len(A), 0))
@@ -253,15 +248,9 @@ def range_of(A: Array, sizes: Array | None = None, cut: float = CUT) -> Array:
     return np.asarray(vectors[:, values > cut])
 
 
-def _sums_over(cells: Integers, values: Array) -> Array:
+def _means(cells: Integers, values: Array) -> Array:
     """Sums over each cell over the root of its count: means, whitened like their rows when those are independent."""
     counts = np.bincount(cells)
     order, starts = np.argsort(cells, kind="stable"), np.cumsum(counts) - counts
     sums = np.add.reduceat(values[order], starts, axis=0)
     return np.asarray((sums.T / np.sqrt(counts)).T)
-
-
-def _centred(cells: Integers, values: Array) -> Array:
-    """Values less the mean of their cell."""
-    means = (_sums_over(cells, values).T / np.sqrt(np.bincount(cells))).T
-    return np.asarray(values - means[cells])

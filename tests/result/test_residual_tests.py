@@ -56,18 +56,6 @@ def test_the_f_test_against_the_textbook():
     assert test.chance == pytest.approx(3 / 35)
 
 
-def test_priors_and_lost_rank_do_not_matter():
-    rng = np.random.default_rng(1)
-    A, Z, y = deficient(rng, 60, 7, 12), rng.normal(size=(60, 4)), rng.normal(size=60)
-    full = explained(A, y, Z)
-    fitted = explained(A, ridge_residual(A, y), Z)
-    assert full.freedom == 60 - 7 - 4
-    np.testing.assert_allclose(fitted.F, full.F, rtol=1e-6)
-    base = range_of(A)
-    assert base.shape == (60, 7)
-    np.testing.assert_allclose(base @ (base.T @ A), A, atol=1e-9 * np.abs(A).max())
-
-
 def test_probabilities_are_uniform_under_noise():
     rng = np.random.default_rng(2)
     p = []
@@ -75,34 +63,6 @@ def test_probabilities_are_uniform_under_noise():
         A, Z = deficient(rng, 45, 20, 26), rng.normal(size=(45, 6))
         p.append(explained(A, ridge_residual(A, rng.normal(size=45)), Z).p)
     assert stats.kstest(p, "uniform").pvalue > 0.01
-
-
-def test_what_the_fit_reaches_is_not_found_again():
-    rng = np.random.default_rng(3)
-    A = rng.normal(size=(50, 6))
-    Z = np.column_stack([A @ rng.normal(size=6), rng.normal(size=50), np.zeros(50)])
-    assert explained(A, rng.normal(size=50), Z).columns == 1
-    nothing = explained(A, rng.normal(size=50), A[:, :2])
-    assert (nothing.columns, nothing.p, nothing.F, nothing.share) == (0, 1.0, 0.0, 0.0)
-    assert explained(np.zeros((20, 0)), rng.normal(size=20), np.ones((20, 1))).freedom == 19
-
-
-@pytest.mark.parametrize(("rows", "freedom"), [(6, 0), (8, 0), (9, 0), (10, 1)])
-def test_too_few_rows_are_not_judged(rows, freedom):
-    rng = np.random.default_rng(4)
-    test = explained(rng.normal(size=(rows, 6)), rng.normal(size=rows), rng.normal(size=(rows, 3)))
-    assert (test.p < 1.0) == (freedom > 0)
-    assert test.columns == 3 * freedom
-
-
-def test_rounding_is_no_pattern_and_an_exact_one_is_certain():
-    rng = np.random.default_rng(5)
-    A, Z = rng.normal(size=(50, 6)), rng.normal(size=(50, 3))
-    assert explained(A, A @ rng.normal(size=6) + 1e-14 * Z[:, 0], Z).p == 1.0
-    assert explained(A, np.zeros(50), Z).p == 1.0
-    test = explained(A, Z[:, 1], Z)
-    assert test.p < 1e-100
-    assert test.share == pytest.approx(1.0)
 
 
 def test_components_are_brought_to_one_size():
@@ -113,14 +73,6 @@ def test_components_are_brought_to_one_size():
     factors = even_factors(A, ridge_residual(A, y), component)
     by_component = np.array([factors[component == c][0] for c in range(3)])
     np.testing.assert_allclose(by_component * sizes, (by_component * sizes).mean(), rtol=0.1)
-
-
-def test_a_component_that_the_fit_takes_up_does_no_harm():
-    component = np.tile(np.arange(2), 30)
-    A = np.eye(60)[:, component == 1]
-    factors = even_factors(A, np.random.default_rng(9).normal(size=60), component)
-    assert np.all(np.isfinite(factors) & (factors > 0.0))
-    np.testing.assert_array_equal(even_factors(A, np.zeros(60), component), np.ones(60))
 
 
 class Table:
@@ -172,9 +124,9 @@ def alarms(find: Callable[[Table], object], count: int, **table) -> int:
     ],
 )
 def test_clean_tables_raise_no_more_than_one_alarm_in_a_hundred(table):
-    most = stats.binom.ppf(0.999, 60, FALSE_ALARM)
-    assert alarms(Table.patterns, 60, **table) <= most
-    assert alarms(Table.drift, 60, **table) <= most
+    most = stats.binom.ppf(0.999, 40, FALSE_ALARM)
+    assert alarms(Table.patterns, 40, **table) <= most
+    assert alarms(Table.drift, 40, **table) <= most
 
 
 @pytest.mark.slow
@@ -186,16 +138,6 @@ def test_the_probability_of_a_drift_is_right_with_repeats():
     assert stats.binomtest(told, len(found), FALSE_ALARM).pvalue > 0.001
 
 
-def test_repeats_taken_for_poses_would_raise_false_alarms():
-    """Why the poses are asked for."""
-
-    def apart(t: Table) -> object:
-        t.poses = np.arange(len(t.poses))
-        return t.patterns(along=[np.tile(np.eye(3), (len(t.poses), 1))] * 6)
-
-    assert alarms(apart, 30, poses=20, repeats=5, shared=0.8) > 10
-
-
 @pytest.mark.parametrize("joint", range(6))
 def test_a_pattern_along_fixed_axes_is_found_and_named(joint):
     table = Table(np.random.default_rng(joint), 60, columns=10)
@@ -205,34 +147,6 @@ def test_a_pattern_along_fixed_axes_is_found_and_named(joint):
     assert found[0][0] == joint
     assert found[0][1].share > 0.3
     assert [test.p for _, test in found] == sorted(test.p for _, test in found)
-
-
-def test_a_pattern_shared_by_repeats_is_found():
-    table = Table(np.random.default_rng(5), 60, repeats=3, columns=10, shared=0.5)
-    along = [np.tile(np.eye(3), (180, 1))] * 6
-    assert table.patterns(1.5 * np.sin(table.joints[:, [2]]), along)[0][0] == 2
-
-
-def test_a_constant_is_no_pattern():
-    """Neither of a joint that stands still nor of one that moves little."""
-    table = Table(np.random.default_rng(6), 60, columns=10)
-    table.joints[:, 3] = 0.7
-    assert 3 not in [i for i, _ in table.patterns(1.0, AXES)]
-    table.joints[:, 3] = 0.3 * np.random.default_rng(6).uniform(-3, 3, 60)
-    assert table.patterns(100.0, AXES) == []
-
-
-def test_the_size_of_each_row_s_noise_shapes_the_pattern():
-    """Half of the rows are measured ten times worse: a pattern of one size in metres is found by its whitened form."""
-    table = Table(np.random.default_rng(9), 60, columns=10)
-    table.A[:] = 0.0
-    sigma = np.tile([1.0, 10.0], 30)
-    scale = np.repeat(1.0 / sigma, 3)
-    pattern = np.sin(table.joints[:, [4]]) / sigma[:, None] * 1.2
-    sharp = table.patterns(pattern, [axes * scale[:, None] for axes in AXES], scale=scale)
-    blurred = table.patterns(pattern, AXES)
-    assert sharp[0][0] == 4
-    assert sharp[0][1].share > 1.2 * max((test.share for _, test in blurred), default=0.0)
 
 
 @pytest.mark.parametrize(
@@ -247,13 +161,6 @@ def test_a_drift_is_found(repeats, shared, size):
     found = table.drift(size * table.order[:, None] * np.array([1.0, 0.0, 0.5]))
     assert found is not None
     assert found.p < 1e-3
-
-
-def test_no_rows_no_findings():
-    none = np.zeros(0, dtype=int)
-    stack = Stack(np.zeros((0, 3)), np.zeros(0), none, none, np.zeros(0), np.arange(4))
-    assert joint_patterns(stack, np.zeros((4, 1)), (False,), [np.zeros((0, 1))]) == []
-    assert drift(stack, np.linspace(0, 1, 4)) is None
 
 
 def points(robot: Robot, q: np.ndarray, target: np.ndarray) -> np.ndarray:
@@ -312,21 +219,10 @@ def judged(rng, *, changed=0.0, poses=15, parameters=24, sigma=1.0):
     return unpredicted(*told.T), told.T
 
 
-def test_the_ratio_of_alike_set_ups_is_fishers():
-    rng = np.random.default_rng(0)
-    p = []
-    for _ in range(70):
-        _, (squares, freedoms, noises, noise_freedoms) = judged(rng, sigma=0.3, poses=11)
-        F = squares[0] / freedoms[0] / noises[0]
-        p.append(stats.f.sf(F, freedoms[0], noise_freedoms[0]))
-    assert freedoms[0] == 33 - 6
-    assert stats.kstest(p, "uniform").pvalue > 0.01
-
-
 def test_alike_set_ups_raise_no_alarms_and_the_one_that_differs_is_named_first():
     rng = np.random.default_rng(1)
-    alarms = sum(bool(judged(rng, poses=8, parameters=12)[0]) for _ in range(80))
-    assert alarms <= stats.binom.ppf(0.999, 80, 0.01)
+    alarms = sum(bool(judged(rng, poses=8, parameters=12)[0]) for _ in range(40))
+    assert alarms <= stats.binom.ppf(0.999, 40, 0.01)
     for _ in range(4):
         (number, ratio), *_ = judged(rng, changed=1.0)[0]
         assert number == 2
@@ -347,17 +243,6 @@ def test_alike_set_ups_raise_no_alarms_and_the_one_that_differs_is_named_first()
 def test_which_set_ups_are_named(squares, freedoms, noises, noise_freedoms, found):
     told = unpredicted(*map(np.array, (squares, freedoms, noises, noise_freedoms)))
     assert [number for number, _ in told] == found
-
-
-def test_the_nuisance_of_a_set_up_does_not_count():
-    """However wrong the frame is that was taken, and whatever columns it has twice."""
-    rng = np.random.default_rng(3)
-    A, B, r = rng.normal(size=(30, 4)), rng.normal(size=(30, 6)), rng.normal(size=30)
-    B = np.hstack([B, B[:, :2]])
-    square, freedom = prediction_square(r, A, 0.5 * np.eye(4), B)
-    moved, _ = prediction_square(r + B @ rng.normal(size=8) * 100.0, A, 0.5 * np.eye(4), B)
-    assert freedom == 24
-    assert moved == pytest.approx(square, rel=1e-8)
 
 
 def test_the_square_is_that_of_the_whole_covariance():

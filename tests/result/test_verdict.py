@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from string import Formatter
 
 import numpy as np
 import pytest
@@ -42,7 +41,7 @@ GOOD = Evidence(
     noise=1e-4,
 )
 LACKS = Reason.of(Why.MODEL_LACKS, model="dh", noise_m=1e-4, less_m=2e-5)
-STILL = Reason.of(Why.JOINTS_STILL, joints="'elbow_joint' (3 deg)")
+STILL = Reason.of(Why.JOINTS_STILL, joints="elbow_joint")
 HINT = Reason.of(Why.OTHER_BASE, given_m=0.5, error_m=2e-3, link="base")
 
 
@@ -57,23 +56,8 @@ def test_a_good_calibration_is_to_be_used_and_says_by_how_much():
     before, after = (v.errors_without_outliers.rms for v in (GOOD.nominal, GOOD.calibrated))
     assert (gain.values["before_m"], gain.values["after_m"]) == (before, after)
     assert gain.code == "gain"
-    assert str(gain) == (
-        f"On rows it did not see (leave-one-out, outliers aside) the error falls from {1e3 * before:.3f} to "
-        f"{1e3 * after:.3f} mm rms."
-    )
-    assert (
-        str(fresh) == "On the 5 validation rows (1 more aside) it falls from 2.700 to 0.250 mm rms."
-    )
-
-
-def test_every_code_has_a_sentence():
-    """And every number that it names; units are in the text."""
-    for why in Why:
-        names = {one[1].split(":")[0] for one in Formatter().parse(why.value) if one[1]}
-        values = dict.fromkeys(names - {"before", "after", "change", "chance_p"}, 0.5)
-        said = str(Reason(why, {"before_m": 2e-3, "after_m": 1e-3, "p": 1e-9} | values))
-        assert said.endswith((".", "?"))
-        assert "{" not in said
+    assert (gain.values["method"], gain.values["outliers"]) == ("leave-one-out", 2)
+    assert (fresh.values["rows"], fresh.values["aside"]) == (5, 1)
 
 
 @pytest.mark.parametrize(
@@ -152,18 +136,6 @@ def test_repeats_are_no_evidence_of_their_own():
     assert verdict(together).use == "use with care"
 
 
-def test_chance_alone_is_seldom_taken_for_a_gain():
-    """Two robots of the same quality, the second by luck a little better or worse: 'use' is rare."""
-    used = sum(
-        verdict(
-            replace(GOOD, nominal=validated(1e-3, 2 * i), calibrated=validated(1e-3, 2 * i + 1))
-        ).use
-        == "use"
-        for i in range(300)
-    )
-    assert used < 0.06 * 300
-
-
 def test_a_model_that_explains_nothing_does_not_make_the_robot_right():
     same = validated(2.5e-3)
     noise = np.full((ROWS, 3), 1.5e-3)
@@ -190,30 +162,11 @@ def test_orientations_that_no_instrument_measures_are_a_wrong_set_up():
 def test_a_larger_model_and_rows_outside_are_said_last_and_decide_nothing():
     notes = (
         Reason.of(Why.LARGER_MODEL, model="dh+gain", after=errors(5e-5)),
-        Reason.of(Why.OUTSIDE, rows="row 7: 'j1' 20 deg beyond the measured range"),
+        Reason.of(Why.OUTSIDE, rows=1, row=7, joint="j1", by_rad=0.3),
     )
     result = verdict(replace(GOOD, notes=notes))
     assert (result.use, result.reasons[-2:]) == ("use", notes)
-    assert str(notes[0]).startswith("With the larger model 'dh+gain' it would be 0.050 mm rms. ")
-
-
-def test_orientations_are_said_beside_positions():
-    def turned(size: float, angle: float, seed: int) -> CrossValidation:
-        both = np.hstack([validated(size, seed).residual, validated(angle, seed + 1).residual])
-        errors = Errors.of(both)
-        return CrossValidation("leave-one-out", ROWS, np.arange(ROWS), both, errors, errors)
-
-    scales = np.repeat([[1e-4, 1e-4]], ROWS, axis=0).repeat(3, axis=1)
-    before, after = turned(2e-3, 5e-3, 1), turned(2e-4, 4e-4, 3)
-    result = verdict(
-        replace(GOOD, nominal=before, calibrated=after, scales=scales, used=scales > 0)
-    )
-    assert result.use == "use"
-    old, new = before.errors, after.errors
-    assert (
-        f"falls from {1e3 * old.rms:.3f} mm and {np.degrees(old.rms_angle):.3f} deg to "
-        f"{1e3 * new.rms:.3f} mm and {np.degrees(new.rms_angle):.3f} deg rms."
-    ) in str(result.reasons[0])
+    assert notes[0].values == {"model": "dh+gain", "after_m": pytest.approx(5e-5)}
 
 
 def test_scalars_that_were_not_measured_do_not_count():
@@ -221,14 +174,14 @@ def test_scalars_that_were_not_measured_do_not_count():
     used = np.zeros((ROWS, 3), dtype=bool)
     used[:, 0] = True
 
-    def poses(**change) -> str:
+    def poses(**change) -> tuple[int, int, int]:
         reason = verdict(replace(GOOD, used=used, parameters=40, **change)).reasons[0]
         assert reason.why == Why.FEW_NUMBERS
-        return f"{reason.values['poses']}: {reason.values['numbers']}"
+        return tuple(reason.values[name] for name in ("poses", "pairs", "numbers"))
 
-    assert poses() == "30 poses: 30"
+    assert poses() == (30, 0, 30)
     # Of pairs the second rows hold nothing.
     used[ROWS // 2 :] = False
-    assert poses(pairs=np.arange(ROWS) < ROWS // 2) == "15 pairs of poses: 15"
-    assert poses(pairs=np.arange(ROWS) < 10) == "5 poses and 10 pairs of poses: 15"
+    assert poses(pairs=np.arange(ROWS) < ROWS // 2) == (0, 15, 15)
+    assert poses(pairs=np.arange(ROWS) < 10) == (5, 10, 15)
     assert verdict(replace(GOOD, parameters=40)).use == "use"

@@ -1,0 +1,39 @@
+"""Every code of the verdict has a sentence, with every number that it names."""
+
+from __future__ import annotations
+
+from string import Formatter
+
+import pytest
+
+from calib.result.support import Beyond, OutsideRow
+from calib.result.verdict import Reason, Why
+from calib.text.verdict import SENTENCES, outside_text, reason_text
+
+
+@pytest.mark.parametrize("why", Why)
+def test_every_code_has_a_sentence(why):
+    made = {"before", "after", "change", "chance_p", "measured", "beyond", "outliers_aside"}
+    names = {one[1].split(":")[0] for one in Formatter().parse(SENTENCES[why]) if one[1]}
+    values = dict.fromkeys(names - made - {"rows_aside"}, 0.5)
+    more = {"before_m": 2e-3, "after_m": 1e-3, "p": 1e-9, "by_rad": 0.3, "poses": 3}
+    text = reason_text(Reason(why, more | values))
+    assert text.endswith((".", "?"))
+    assert "{" not in text
+
+
+def test_orientations_are_told_beside_positions():
+    values = {"before_m": 2e-3, "after_m": 1e-3, "before_rad": 0.1, "after_rad": 0.01}
+    gain = Reason(Why.GAIN, values | {"method": "leave-one-out", "outliers": 2})
+    assert reason_text(gain) == (
+        "On unseen rows (leave-one-out, outliers aside) the error falls from 2.000 mm and 5.730 deg to 1.000 mm and "
+        "0.573 deg rms."
+    )
+
+
+def test_rows_outside():
+    rows = [OutsideRow(i, (Beyond("a", False, 0.1), Beyond("b", True, 0.3))) for i in range(5)]
+    assert (
+        outside_text(rows[:1], [7]) == "row 7: 'a' 5.73 deg, 'b' 300 mm beyond the measured range"
+    )
+    assert outside_text(rows, range(5)).endswith("; and 2 more rows")
