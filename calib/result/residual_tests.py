@@ -86,7 +86,7 @@ class Stack:
 def joint_patterns(
     stack: Stack, joints: Array, prismatic: Sequence[bool], directions: Sequence[Array]
 ) -> list[tuple[int, Explained]]:
-    """The joints whose value, ``joints`` (N, m), the residuals follow beyond a constant of each component; surest first.
+    """The joints whose value, ``joints`` (N, m), residuals follow beyond a constant of each component; surest first.
 
     For each joint the regressors are sin q, cos q and q, or q and q^2 where it slides, times the directions (M, k) of
     what displacements of it do to the scalars. A table with nothing but noise gives any with `FALSE_ALARM`.

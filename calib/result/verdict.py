@@ -1,4 +1,4 @@
-"""The verdict: whether the corrected robot should be used, and why; codes and numbers, `calib.text.verdict` words them."""
+"""The verdict: whether the corrected robot should be used, and why, in codes and numbers."""
 
 from __future__ import annotations
 
@@ -142,66 +142,67 @@ class Evidence:
 def verdict(e: Evidence) -> Verdict:
     """Judge a calibration by its errors on rows that it did not see."""
     before, after = e.nominal.errors_without_outliers, e.calibrated.errors_without_outliers
-    method, flagged, rows = e.calibrated.method, int(np.sum(e.outliers)), len(e.outliers)
-    wrong = e.hint
-    if wrong is None and before.rms > _ABSURD and e.largest > _TOO_FAR:
-        wrong = Reason.of(Why.PARAMETER_ABSURD, before=before, largest=e.largest)
-    elif wrong is None and e.noise > _ABSURD:
-        wrong = Reason.of(Why.NOISE_ABSURD, noise_m=e.noise)
-    elif wrong is None and after.n_angle and after.rms_angle > _ABSURD_ANGLE:
-        wrong = Reason.of(Why.ORIENTATION_ABSURD, after=after)
+    both: dict[str, Any] = {"before": before, "after": after, "method": e.calibrated.method}
+    turned = bool(after.n_angle) and after.rms_angle > _ABSURD_ANGLE
+    far = before.rms > _ABSURD and e.largest > _TOO_FAR
+    wrong = [e.hint] if e.hint else []
+    wrong += _those(
+        (far, Reason.of(Why.PARAMETER_ABSURD, before=before, largest=e.largest)),
+        (e.noise > _ABSURD, Reason.of(Why.NOISE_ABSURD, noise_m=e.noise)),
+        (turned, Reason.of(Why.ORIENTATION_ABSURD, after=after)),
+    )
     if wrong:
-        return Verdict(NO, (wrong,))  # nothing else that is told of such a fit means anything
-    gain, size = e.gain(), _size(e)
-    few = size["numbers"] < _FEW * e.parameters
-    against = _no_better(e, gain, size, few=few)
-    careful, gains = [], []
-    if not against and 0.0 < gain < _CHANCE:
-        careful.append(Reason.of(Why.MAY_BE_CHANCE, gain=gain))
-    if not against and few:
-        careful.append(Reason.of(Why.FEW_NUMBERS, **size, parameters=e.parameters))
-    if before.rms > _ABSURD:
-        careful.append(Reason.of(Why.FAR_OFF_BEFORE, before=before))
-    careful += e.doubts
-    if e.largest > _TOO_FAR:
-        careful.append(Reason.of(Why.PARAMETER_FAR, largest=e.largest))
+        return Verdict(NO, (wrong[0],))  # nothing else that is told of such a fit means anything
+    gain, size, flagged, rows = e.gain(), _size(e), int(np.sum(e.outliers)), len(e.outliers)
+    few, chance = size["numbers"] < _FEW * e.parameters, 0.0 < gain < _CHANCE
     nominal, fresh, aside = e.validation
-    if fresh.n and fresh.rms > _ANOTHER_MEASUREMENT * after.rms > 0.0:
-        careful.append(Reason.of(Why.VALIDATION_UNLIKE, rows=fresh.n, before=fresh, after=after))
-    if flagged > _MANY_OUTLIERS * rows:
-        careful.append(Reason.of(Why.MANY_OUTLIERS, flagged=flagged, rows=rows))
-    if gain > 0.0:
-        both = {"before": before, "after": after}
-        gains.append(Reason.of(Why.GAIN, method=method, outliers=flagged, **both))
-    if fresh.n and fresh.rms < (1.0 - _ROUNDING) * nominal.rms:
-        both = {"before": nominal, "after": fresh}
-        gains.append(Reason.of(Why.VALIDATION_GAIN, rows=fresh.n, aside=aside, **both))
+    of_fresh: dict[str, Any] = {"rows": fresh.n, "before": nominal, "after": fresh}
+    falls = fresh.rms < (1.0 - _ROUNDING) * nominal.rms
+    good = ~e.outliers
+    count = max(int(np.sum(e.used[good])), 1)
+    quiet = np.sqrt(np.sum(e.whitened(e.nominal)[good]) / count) < _AT_THE_NOISE
+    # What a model leaves over is noise only if a larger one does not leave far less.
+    lacks = any(doubt.why == Why.MODEL_LACKS for doubt in e.doubts)
+    short = both | size | {"parameters": e.parameters, "gain": gain}
+    against = _those(
+        (gain < _CHANCE and quiet and not lacks, Reason.of(Why.NOTHING_TO_GAIN, before=before)),
+        (after.rms > _ABSURD, Reason.of(Why.STILL_FAR_OFF, **both)),
+        (chance and few, Reason.of(Why.TOO_FEW, **short)),
+        (gain <= 0.0, Reason.of(Why.NO_BETTER, **both)),
+    )[:1]
+    unfit = bool(fresh.n) and not falls
+    against += _those((unfit, Reason.of(Why.VALIDATION_NO_BETTER, **of_fresh)))
+    unlike = bool(fresh.n) and fresh.rms > _ANOTHER_MEASUREMENT * after.rms > 0.0
+    careful = [
+        *_those(
+            (chance and not against, Reason.of(Why.MAY_BE_CHANCE, gain=gain)),
+            (
+                few and not against,
+                Reason.of(Why.FEW_NUMBERS, **size, parameters=e.parameters),
+            ),
+            (before.rms > _ABSURD, Reason.of(Why.FAR_OFF_BEFORE, before=before)),
+        ),
+        *e.doubts,
+        *_those(
+            (e.largest > _TOO_FAR, Reason.of(Why.PARAMETER_FAR, largest=e.largest)),
+            (unlike, Reason.of(Why.VALIDATION_UNLIKE, rows=fresh.n, before=fresh, after=after)),
+            (
+                flagged > _MANY_OUTLIERS * rows,
+                Reason.of(Why.MANY_OUTLIERS, flagged=flagged, rows=rows),
+            ),
+        ),
+    ]
+    gains = _those(
+        (gain > 0.0, Reason.of(Why.GAIN, **both, outliers=flagged)),
+        (bool(fresh.n) and falls, Reason.of(Why.VALIDATION_GAIN, **of_fresh, aside=aside)),
+    )
     use = NO if against else CARE if careful else USE
     return Verdict(use, (*against, *careful, *gains, *e.notes))
 
 
-def _no_better(e: Evidence, gain: float, size: Mapping[str, int], *, few: bool) -> list[Reason]:
-    """That the calibrated robot does not meet unseen rows better."""
-    before, after = e.nominal.errors_without_outliers, e.calibrated.errors_without_outliers
-    both: dict[str, Any] = {"before": before, "after": after, "method": e.calibrated.method}
-    lacks = any(doubt.why == Why.MODEL_LACKS for doubt in e.doubts)
-    good, result = ~e.outliers, []
-    count = max(int(np.sum(e.used[good])), 1)
-    at_the_noise = np.sqrt(np.sum(e.whitened(e.nominal)[good]) / count) < _AT_THE_NOISE
-    # What a model leaves over is noise only if a larger one does not leave far less.
-    if gain < _CHANCE and at_the_noise and not lacks:
-        result.append(Reason.of(Why.NOTHING_TO_GAIN, before=before))
-    elif after.rms > _ABSURD:
-        result.append(Reason.of(Why.STILL_FAR_OFF, **both))
-    elif 0.0 < gain < _CHANCE and few:
-        result.append(Reason.of(Why.TOO_FEW, **both, **size, parameters=e.parameters, gain=gain))
-    elif gain <= 0.0:
-        result.append(Reason.of(Why.NO_BETTER, **both))
-    nominal, fresh, _ = e.validation
-    if fresh.n and fresh.rms >= (1.0 - _ROUNDING) * nominal.rms:
-        both = {"before": nominal, "after": fresh}
-        result.append(Reason.of(Why.VALIDATION_NO_BETTER, rows=fresh.n, **both))
-    return result
+def _those(*told: tuple[bool, Reason]) -> list[Reason]:
+    """The reasons that apply."""
+    return [reason for applies, reason in told if applies]
 
 
 def _size(e: Evidence) -> dict[str, int]:

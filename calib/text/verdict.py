@@ -1,4 +1,4 @@
-"""The verdict in words, and what it rests on: reasons, rows outside of the measured range, weights that were lowered."""
+"""The verdict in words: its reasons, rows outside of the measured range, weights that were lowered."""
 
 from __future__ import annotations
 
@@ -30,32 +30,32 @@ SENTENCES = {
     Why.JOINT_ZERO: _OFF + "{add_rad:deg.0f} deg are added to '{joint}': check its zero.",
     Why.COLUMNS_SWAPPED: _OFF + "the columns {columns} are swapped.",
     Why.PARAMETER_ABSURD: "The nominal robot is {before_m:mm.0f} mm rms off on unseen rows, and the fit meets the rows "
-    f"only by moving a parameter by {{largest:mm.0f}} mm or mrad: {_RIGHT}, and is each set-up, socket or tracker "
-    "station a group of its own?",
+    f"only by moving a parameter by {{largest:mm.0f}} mm or mrad: {_RIGHT}, and has each set-up, socket or tracker "
+    "station its own group?",
     Why.NOISE_ABSURD: "What the model leaves over is {noise_m:mm.0f} mm a coordinate, which no arm or instrument "
     f"explains: {_RIGHT}, the measurements in the base frame (otherwise: --frame estimate)?",
-    Why.ORIENTATION_ABSURD: "On unseen rows the calibrated robot's orientations are {after_rad:deg.0f} deg rms off: are "
-    "they those of the target in the measurement frame and not the inverse, is the scalar of the quaternion in the "
+    Why.ORIENTATION_ABSURD: "On unseen rows the calibrated robot's orientations are {after_rad:deg.0f} deg rms off: "
+    "are they those of the target in the measurement frame and not the inverse, is the scalar of the quaternion in the "
     "column qw, and are rx, ry, rz a rotation vector, not roll, pitch and yaw?",
     Why.NOTHING_TO_GAIN: "Nothing to gain: the robot as it is meets these rows to {before} on unseen rows, which is "
     "about their noise. Keep its URDF.",
     Why.STILL_FAR_OFF: "On unseen rows ({method}) the calibrated robot is {after_m:mm.0f} mm rms off.",
     Why.TOO_FEW: "{measured} for {parameters} parameters are too few to show a gain: on unseen rows {before} against "
     "{after}, {gain:.1f} standard errors. Measure more poses.",
-    Why.NO_BETTER: "On unseen rows ({method}) the calibrated robot is no better than the nominal one, frame and target "
-    "fitted for both: {after} against {before}.",
+    Why.NO_BETTER: "On unseen rows ({method}) the calibrated robot is no better than the nominal one, frame and "
+    "target fitted for both: {after} against {before}.",
     Why.VALIDATION_NO_BETTER: "On the {rows} validation rows the error does not fall: {change}.",
     Why.MAY_BE_CHANCE: "The gain on unseen rows is within chance: {gain:.1f} standard errors.",
     Why.FEW_NUMBERS: "{measured} with {numbers} numbers for {parameters} parameters are few: the result leans on the "
     "priors. Measure more poses.",
-    Why.FAR_OFF_BEFORE: "The nominal robot is {before_m:mm.0f} mm rms off on unseen rows, which no uncalibrated arm is. "
-    "Is it the right URDF?",
+    Why.FAR_OFF_BEFORE: "The nominal robot is {before_m:mm.0f} mm rms off on unseen rows, which no uncalibrated arm "
+    "is. Is it the right URDF?",
     Why.JOINTS_STILL: "Hardly moved over these rows: {joints}. The result holds near these positions only; measure "
     "poses that move every joint.",
     Why.MODEL_LACKS: "The model '{model}' leaves {noise_m:mm.3f} mm a coordinate, all placements would leave "
     "{less_m:mm.3f} mm: the robot has errors that this model lacks. Try --model auto or --model placement.",
-    Why.CORNER: "The poses cover a corner of the workspace only: their tips spread over {spread:%.0f} % of the distance "
-    "that the joint limits allow, and '{joint}' uses {used:%.0f} % of its range. Measure poses all over the workspace.",
+    Why.CORNER: "The poses cover a corner of the workspace only: their tips spread over {spread:%.0f} % of the "
+    "distance that the joint limits allow, and '{joint}' uses {used:%.0f} % of its range. Measure poses all over the workspace.",
     Why.JOINT_PATTERN: _NOT_NOISE + "the {quantity} of '{joint}' " + _SHARE + ".",
     Why.DRIFT: _NOT_NOISE
     + "it drifts in the order of the rows, which "
