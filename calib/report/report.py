@@ -24,8 +24,8 @@ from calib.estimate.statistics import interval_factor
 from calib.files import write_atomically
 from calib.result.calibration import Calibration
 from calib.result.calibration_file import versions
-from calib.result.support import outside_sentence
 from calib.result.verdict import Why
+from calib.text.verdict import outside_text, reason_text, robustness_text
 
 if TYPE_CHECKING:
     from calib.report.figures import Drawing
@@ -124,12 +124,14 @@ def _content(c: Calibration, command: str, date: str) -> dict[str, Any]:
     # What the measured poses cannot tell apart, and validation rows beyond the joint values that were fitted, where the
     # verdict does not name them.
     every = [str(one) for one in c.observability.unidentifiable]
-    outside = outside_sentence(c.outside, np.array(m.rows)[m.validation].tolist())
+    outside = outside_text(c.outside, np.array(m.rows)[m.validation].tolist())
     if c.verdict is not None and any(reason.why == Why.OUTSIDE for reason in c.verdict.reasons):
         outside = ""
     left_out = "No rows were left out in turn (no cross-validation), so there is no verdict."
     return {
         "c": c,
+        "reasons": [reason_text(one) for one in (c.verdict.reasons if c.verdict else ())],
+        "robustness_text": robustness_text,
         "title": title,
         "footer": Markup(f'"{footer}"'),
         "date": date,

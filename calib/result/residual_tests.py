@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -189,7 +190,7 @@ def even_factors(A: Array, r: Array, component_of: Integers) -> Array:
     return factors
 
 
-def _levelled(squares: Array, freedom: Array) -> Array:
+def _levelled(squares: NDArray[Any], freedom: NDArray[Any]) -> Array:
     """Factors that bring sums of squares to one variance a degree of freedom; 1 for all where none has any."""
     known = freedom > _SOME_FREEDOM
     variances = np.where(known, squares / np.where(known, freedom, 1.0), 0.0)

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.robot.robot import rigid_inverse
 from calib.text.lines import fill, row_ranges
+from calib.text.verdict import reason_text
 
 if TYPE_CHECKING:
     from calib.compensation.commands import Commands
@@ -136,7 +137,7 @@ def _expected(found: Commands, name: str) -> str:
         return f"Verdict: none ({name}, {own}), the result was not validated."
     lines = [f"Verdict: {verdict.use} ({name}, {own})"]
     if verdict.use != "use":
-        lines += [fill(str(reason), "  ") for reason in verdict.reasons]
+        lines += [fill(reason_text(reason), "  ") for reason in verdict.reasons]
     errors, crossed = result.errors, part.cross_validation
     unseen = [
         ("validation rows, nominal robot", errors["nominal"]["validation"]),

@@ -16,9 +16,9 @@ from calib.result.acceptance import Acceptance, Assessment, Check
 from calib.result.accuracy import FEWEST_APART, Accuracy, PoseAccuracy
 from calib.result.calibration_file import error_table, pose_table, versions
 from calib.result.evaluation import Evaluation
-from calib.result.support import outside_sentence
 from calib.text.lines import deg, mm, wrap
 from calib.text.summary import ANGLE_HEAD, angle_row, error_head, error_row, error_title
+from calib.text.verdict import outside_text, reason_text
 
 #: Residuals that differ by less are the same [m] and [rad].
 _SAME = 1e-9
@@ -82,7 +82,7 @@ def _advice(e: Assessment) -> str:
             f"The rms is {1e3 * e.moved.before:.3g} mm with frame and target of the result, and only "
             f"{1e3 * e.moved.after:.3g} mm if the {_MOVED[e.moved.place]}"
         )
-    return "" if e.hint is None else str(e.hint)
+    return "" if e.hint is None else reason_text(e.hint)
 
 
 def _reasons(e: Assessment, a: Acceptance, judged: str) -> Iterator[str]:
@@ -91,7 +91,7 @@ def _reasons(e: Assessment, a: Acceptance, judged: str) -> Iterator[str]:
     for check, angle in a.checks:
         yield from _check_reasons(a, check, judged, angle=angle)
     kinds = dict.fromkeys(p.kind for p in one.poses if not registry.get(p.kind).coordinates)
-    beyond = outside_sentence(*e.outside)
+    beyond = outside_text(*e.outside)
     yield from _rows_reasons(a)
     every = {
         "Orientations have no tolerance and are not judged.": (

@@ -21,6 +21,7 @@ from calib.model.parameters import FRAME, TARGET
 from calib.result.calibration import Calibration
 from calib.result.prediction import Outlier, ParameterEstimate, correlations
 from calib.text.lines import deg, mm, number, wrap
+from calib.text.verdict import reason_text, robustness_text
 from calib.version import __version__
 
 #: A parameter with a longer name gets a line for its name alone.
@@ -64,7 +65,10 @@ def summary(c: Calibration) -> str:
     took = "" if math.isnan(c.seconds) else f", {1e3 * c.seconds:.0f} ms"
     verdict = ["Verdict: none, because nothing was cross-validated."]
     if c.verdict is not None:
-        verdict = [f"Verdict: {c.verdict.use}", *(wrap(str(r), "  ") for r in c.verdict.reasons)]
+        verdict = [
+            f"Verdict: {c.verdict.use}",
+            *(wrap(reason_text(r), "  ") for r in c.verdict.reasons),
+        ]
     larger = (
         [] if c.larger is None else [f"Non-geometric model '{c.larger.name}', not in the URDF:"]
     )
@@ -349,7 +353,7 @@ def _flagged(c: Calibration) -> str:
     if c.outliers:
         lines = [wrap(f"Outliers ({weights_text(c)}): {_outliers(c.outliers)}")]
         if c.robustness is not None:
-            lines.append(wrap(c.robustness.sentence(), "  "))
+            lines.append(wrap(robustness_text(c.robustness), "  "))
     if c.suspects:
         lines.append(wrap(f"Outliers among the validation rows: {_outliers(c.suspects)}"))
     return "\n".join(lines)

@@ -55,7 +55,8 @@ SENTENCES = {
     Why.MODEL_LACKS: "The model '{model}' leaves {noise_m:mm.3f} mm a coordinate, all placements would leave "
     "{less_m:mm.3f} mm: the robot has errors that this model lacks. Try --model auto or --model placement.",
     Why.CORNER: "The poses cover a corner of the workspace only: their tips spread over {spread:%.0f} % of the "
-    "distance that the joint limits allow, and '{joint}' uses {used:%.0f} % of its range. Measure poses all over the workspace.",
+    "distance that the joint limits allow, and '{joint}' uses {used:%.0f} % of its range. Measure poses "
+    "all over the workspace.",
     Why.JOINT_PATTERN: _NOT_NOISE + "the {quantity} of '{joint}' " + _SHARE + ".",
     Why.DRIFT: _NOT_NOISE
     + "it drifts in the order of the rows, which "
@@ -65,8 +66,8 @@ SENTENCES = {
     "{ratio:.1f} times those expected. " + _CHANGED,
     Why.SETUP_FLAGGED: "{flagged} of the {rows} rows of set-up '{setup}' are flagged as outliers: it does not agree "
     "with the others. " + _CHANGED,
-    Why.REPEATS_AGREE: "Repeats of a pose scatter by {within_m:mm.3f} mm a coordinate, the model leaves {noise_m:mm.3f} "
-    "mm: these are errors that the model lacks.",
+    Why.REPEATS_AGREE: "Repeats of a pose scatter by {within_m:mm.3f} mm a coordinate, the model leaves "
+    "{noise_m:mm.3f} mm: these are errors that the model lacks.",
     Why.NO_LENGTH: "Nothing that was measured is a length, so the size of the arm is the nominal one's: measure a "
     "distance between two sockets, and give it in the cell file ([[distances]]).",
     Why.PARAMETER_FAR: "A parameter has moved by {largest:mm.0f} mm or mrad, which is no error of an arm. Keep the "

@@ -22,6 +22,7 @@ from calib.result.evaluation import PLACES, evaluate
 from calib.robot.readback import column_ranges, spread_between, spread_poses
 from calib.robot.robot import Robot, rigid_inverse
 from calib.text.comparison import sentence
+from calib.text.verdict import reason_text
 from calib.viewer.scene import translation
 
 Array = NDArray[np.float64]
@@ -302,7 +303,9 @@ def _judged(view: View, c: Calibration) -> View:
     """The view with the verdict of a result and its first reason."""
     if c.verdict is None:
         return replace(view, note="No verdict: nothing was cross-validated.")
-    return replace(view, verdict=c.verdict.use, note=" ".join(map(str, c.verdict.reasons[:1])))
+    return replace(
+        view, verdict=c.verdict.use, note=" ".join(map(reason_text, c.verdict.reasons[:1]))
+    )
 
 
 def _half(

@@ -16,6 +16,7 @@ from calib.report import figures as figures, report as report, report_tables as 
 from calib.report.figures import drawings
 from calib.report.report import report_bytes, write_report
 from calib.text.summary import errorless
+from calib.text.verdict import reason_text
 
 CASES = ["paper", "hostile_names", "distances"]
 CASES += [
@@ -89,7 +90,7 @@ def test_every_page_is_whole_and_its_verdict_comes_first(page, calibrations, nam
     use = "none" if c.verdict is None else c.verdict.use
     assert text.index(f"Verdict: {use}") < text.index("Accuracy before and after")
     for reason in () if c.verdict is None else c.verdict.reasons:
-        assert " ".join(str(reason).split()) in text
+        assert " ".join(reason_text(reason).split()) in text
     assert made.tags.count("h2") == 11 + bool(c.candidates)
     assert made.tags.count("caption") == sum(bool(table.rows) for table in every_table(c))
     for one in every_table(c):  # every column of numbers has a unit or is a count

@@ -15,6 +15,7 @@ from calib.example import PAPER_TARGET
 from calib.result.calibration_file import read_result
 from calib.result.uncertainty import workspace_uncertainty
 from calib.robot.readback import column_ranges, random_joint_values
+from calib.text.verdict import reason_text
 from calib.viewer.scene import translation
 from calib.viewer.view import (
     EVERYWHERE,
@@ -93,7 +94,7 @@ def test_every_row_is_a_pose_and_the_worst_one_held_back_is_shown_first(result):
     assert view.kinds[30:] == ("validation",) * 5
     np.testing.assert_allclose(view.nominal_target[:, :3, 3], np.tile(PAPER_TARGET, (35, 1)))
     np.testing.assert_array_equal(view.calibrated_target[3, :3, 3], result.target)
-    assert (view.verdict, view.note) == ("use", str(result.verdict.reasons[0]))
+    assert (view.verdict, view.note) == ("use", reason_text(result.verdict.reasons[0]))
     assert np.isnan(view.instruments).all()  # measured in the base itself
     np.testing.assert_allclose(distances(view), view.errors, atol=1e-12)
     for k, who in enumerate(("nominal", "calibrated")):

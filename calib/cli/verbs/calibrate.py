@@ -262,8 +262,10 @@ def calibrate(
         if outputs.output is None:
             typer.echo("No URDF was written; add -o corrected.urdf to write it.")
     if outputs.output and result.verdict is not None and result.verdict.use == "do not use":
-        said = f"the verdict on {outputs.output} is 'do not use': {result.verdict.reasons[0]}"
-        typer.echo(f"calib: {said}", err=True)
+        from calib.text.verdict import reason_text
+
+        why = reason_text(result.verdict.reasons[0])
+        typer.echo(f"calib: the verdict on {outputs.output} is 'do not use': {why}", err=True)
 
 
 def bootstrap_text(result: Calibration, found: Bootstrap) -> str:
