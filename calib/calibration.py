@@ -1,7 +1,4 @@
-"""calibrate and compare, and their results with what writes them: above reports and below the command line.
-
-What writes is imported when it is asked for: to calibrate takes none of it.
-"""
+"""calibrate and compare, and their results with what writes them, which is imported when it is asked for."""
 
 from __future__ import annotations
 
@@ -71,16 +68,14 @@ class Calibration(CalibrationValues):
     def checked_urdf(self, *, target_link: bool = False) -> Urdf:
         """What `write_urdf` writes, read back with Pinocchio and yourdfpy as it does; it raises the same."""
         robot = self.robot
-        if target_link:
-            targets, urdf = self.setup.targets, robot.urdf
-            if len(targets) > 1:
-                raise ModelError(
-                    f"There are {len(targets)} targets, {choices(targets)}; a target link can be written for one. "
-                    "Do without it."
-                )
-            robot = replace(
-                robot, urdf=_with_target_link(urdf, robot.tip, self.setup.T_tip_target[0])
+        if target_link and len(self.setup.targets) > 1:
+            raise ModelError(
+                f"There are {len(self.setup.targets)} targets, {choices(self.setup.targets)}; a target link can be "
+                "written for one."
             )
+        if target_link:
+            urdf = _with_target_link(robot.urdf, robot.tip, self.setup.T_tip_target[0])
+            robot = replace(robot, urdf=urdf)
         q = random_joint_values(robot)
         # Straight from the parameters, by the path that the fit took, not through the corrected robot.
         check_written(robot, self.tips(Samples.at(q)), q)
@@ -107,10 +102,9 @@ class Calibration(CalibrationValues):
         return write_result(self, path, overwrite=overwrite)
 
     def write_report(self, path: str | Path, *, overwrite: bool = False) -> Path:
-        """Write the report, a page with figures that prints on A4.
+        """Write the report, a page with figures that prints on A4; `FileError` where that cannot be.
 
         Raises:
-            FileError: The name has another ending, the file exists, or it cannot be written.
             ModelError: The result was read from a file, which does not hold the measurements.
         """
         from calib.report.report import write_report
@@ -125,8 +119,8 @@ def _with_target_link(urdf: Urdf, tip: str, T_tip_target: NDArray[np.float64]) -
     joint = next(joint for joint in urdf.joints if joint.child == TARGET_LINK)
     if joint.parent != tip or joint.type != "fixed":
         raise UrdfError(
-            f"The URDF has a link '{TARGET_LINK}' already, and it is not fixed to the tip '{tip}' but hangs on "
-            f"'{joint.parent}' by a joint of type '{joint.type}'. Rename it, or do without the target link."
+            f"The URDF has a link '{TARGET_LINK}' already, not fixed to '{tip}' but a child of '{joint.parent}' "
+            f"by a {joint.type} joint. Rename it, or do without the target link."
         )
     return urdf.with_origins({joint.name: T_tip_target})
 

@@ -50,23 +50,16 @@ _COMMANDS, _EXACT = "correction position", 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One figure compared with its tolerance, in m or rad.
+    """One figure compared with its tolerance, in m or rad."""
 
-    Attributes:
-        figure: What is judged.
-        tolerance: What it may be.
-        uncertainty: Expanded measuring uncertainty as stated; 0 where none was.
-        factor: By how much errors were larger before something was registered to the same rows.
-        random: Half the 95 % interval of an AP as far as the repeats tell; NaN without repeats.
-        seen: Whether a calibration was fitted to the rows.
-    """
-
-    figure: float
-    tolerance: float
-    uncertainty: float
+    figure: float  #: What is judged
+    tolerance: float  #: What it may be
+    uncertainty: float  #: Expanded measuring uncertainty as stated; 0 where none was
+    #: By how much errors were larger before something was registered to the same rows
     factor: float
+    #: Half the 95 % interval of an AP as far as the repeats tell; NaN without repeats
     random: float
-    seen: bool
+    seen: bool  #: Whether a calibration was fitted to the rows
 
     @property
     def outcome(self) -> Outcome:
@@ -88,21 +81,14 @@ class Check:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Acceptance:
-    """What an acceptance test found.
+    """What an acceptance test found."""
 
-    Attributes:
-        accuracy: Accuracy and repeatability at each pose.
-        criterion: One of `CRITERIA`.
-        length: The check of positions or lengths; None where no tolerance was stated for them.
-        angle: That of orientations; likewise.
-        within: How many poses are within the tolerances, by what the criterion looks at in each.
-    """
-
-    accuracy: Accuracy
-    criterion: str
+    accuracy: Accuracy  #: Accuracy and repeatability at each pose
+    criterion: str  #: One of `CRITERIA`
+    #: The check of positions or lengths; None where no tolerance was stated for them
     length: Check | None
-    angle: Check | None
-    within: int
+    angle: Check | None  #: That of orientations; likewise
+    within: int  #: How many poses are within the tolerances, by what the criterion looks at in each
 
     @property
     def checks(self) -> tuple[tuple[Check, bool], ...]:
@@ -214,27 +200,18 @@ def acceptance(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Assessment:
-    """Every robot that a URDF and a result hold, compared with one table.
+    """Every robot that a URDF and a result hold, compared with one table."""
 
-    Attributes:
-        found: Errors, by ``"nominal"``, ``"urdf"``, ``"calibration"`` and ``"larger"`` as far as they are there.
-        figures: Their accuracy.
-        judged: The robot that is judged.
-        accepted: The acceptance, where a tolerance was stated.
-        own: Whether the URDF is neither the nominal nor the calibrated robot.
-        outside: Judged rows with joint values that the fit did not see, and the numbers of the rows asked for.
-        moved: A frame or target that moved since the calibration.
-        hint: A set-up that would explain the rows far better, without a calibration.
-    """
-
+    #: Errors, by ``"nominal"``, ``"urdf"``, ``"calibration"`` and ``"larger"`` as far as they are there
     found: Mapping[str, Evaluation]
-    figures: Mapping[str, Accuracy]
-    judged: str
-    accepted: Acceptance | None
-    own: bool
+    figures: Mapping[str, Accuracy]  #: Their accuracy
+    judged: str  #: The robot that is judged
+    accepted: Acceptance | None  #: The acceptance, where a tolerance was stated
+    own: bool  #: Whether the URDF is neither the nominal nor the calibrated robot
+    #: Judged rows with joint values that the fit did not see, and the numbers of the rows asked for
     outside: tuple[tuple[OutsideRow, ...], tuple[int, ...]]
-    moved: Moved | None
-    hint: Reason | None
+    moved: Moved | None  #: A frame or target that moved since the calibration
+    hint: Reason | None  #: A set-up that would explain the rows far better, without a calibration
 
 
 def assess(

@@ -45,71 +45,44 @@ _SAME = 1e-7
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseAccuracy:
-    """Accuracy and repeatability at one pose of one target in one set-up; NaN for what was not measured.
+    """Accuracy and repeatability at one pose of one target in one set-up; NaN for what was not measured."""
 
-    Attributes:
-        rows: Numbers of the rows in the table: the repeats of the pose.
-        kind: What they measure.
-        group: Their set-up.
-        target: Their target.
-        ap: Pose accuracy [m].
-        ap_xyz: shape (3,), its components along the base's axes [m]; NaN where one length was measured.
-        rp: Pose repeatability [m]; NaN below three repeats.
-        single: Largest error of a single repeat [m].
-        ap_angle: Angle between the commanded and the mean attained orientation [rad].
-        ap_abc: shape (3,), its components about the base's axes [rad].
-        rp_abc: shape (3,), repeatability about them [rad]; NaN below three repeats.
-        rp_angle: The largest of these [rad].
-        single_angle: Largest angle of a single repeat [rad].
-    """
-
-    rows: tuple[int, ...]
-    kind: str
-    group: str
-    target: str
-    ap: float
-    ap_xyz: Array
-    rp: float
-    single: float
-    ap_angle: float
-    ap_abc: Array
-    rp_abc: Array
-    rp_angle: float
-    single_angle: float
+    rows: tuple[int, ...]  #: Numbers of the rows in the table: the repeats of the pose
+    kind: str  #: What they measure
+    group: str  #: Their set-up
+    target: str  #: Their target
+    ap: float  #: Pose accuracy [m]
+    ap_xyz: Array  #: shape (3,), its components along the base's axes [m]; NaN where one length was measured
+    rp: float  #: Pose repeatability [m]; NaN below three repeats
+    single: float  #: Largest error of a single repeat [m]
+    ap_angle: float  #: Angle between the commanded and the mean attained orientation [rad]
+    ap_abc: Array  #: shape (3,), its components about the base's axes [rad]
+    rp_abc: Array  #: shape (3,), repeatability about them [rad]; NaN below three repeats
+    rp_angle: float  #: The largest of these [rad]
+    single_angle: float  #: Largest angle of a single repeat [rad]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Accuracy:
-    """Accuracy of a robot over the poses that it is judged by.
+    """Accuracy of a robot over the poses that it is judged by."""
 
-    Attributes:
-        poses: The poses in the order of the table.
-        rows: ``"all"``; where something was found from the others, ``"validation"``, the table's validation rows, or
-            ``"fresh"``, others that nothing was found from.
-        others: Where some rows alone are judged, what the others were used for: ``"calibration"``, ``"target"``,
-            ``"frame"``.
-        measured: Number of rows that measure something.
-        fitted: Number of those that the calibration was fitted to.
-        seen: Whether some of these are judged.
-        registered: What was registered to the rows that are judged: ``"target"``, ``"frame"``.
-        unknowns: Number of unknowns of targets and frames that were not given.
-        numbers: Number of scalars that they were found from, repeats counted once.
-        scatter: Standard deviation of one component of lengths within repeats [m], of the robot and the instrument
-            together, and its degrees of freedom; NaN and 0 without repeats.
-        scatter_angle: The same of angles [rad].
-    """
-
-    poses: tuple[PoseAccuracy, ...]
+    poses: tuple[PoseAccuracy, ...]  #: The poses in the order of the table
+    #: ``"all"``; where something was found from the others, ``"validation"``, the table's validation rows, or
+    #: ``"fresh"``, others that nothing was found from
     rows: Literal["all", "validation", "fresh"]
+    #: Where some rows alone are judged, what the others were used for: ``"calibration"``, ``"target"``, ``"frame"``
     others: tuple[str, ...]
-    measured: int
-    fitted: int
-    seen: bool
+    measured: int  #: Number of rows that measure something
+    fitted: int  #: Number of those that the calibration was fitted to
+    seen: bool  #: Whether some of these are judged
+    #: What was registered to the rows that are judged: ``"target"``, ``"frame"``
     registered: tuple[str, ...]
-    unknowns: int
-    numbers: int
+    unknowns: int  #: Number of unknowns of targets and frames that were not given
+    numbers: int  #: Number of scalars that they were found from, repeats counted once
+    #: Standard deviation of one component of lengths within repeats [m], of the robot and the instrument together, and
+    #: its degrees of freedom; NaN and 0 without repeats
     scatter: tuple[float, int]
-    scatter_angle: tuple[float, int]
+    scatter_angle: tuple[float, int]  #: The same of angles [rad]
 
     @property
     def factor(self) -> float:

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from calib.data.cell import AUTO, Cell
 from calib.data.measurements import Measurements
-from calib.errors import ModelError
 from calib.estimate.crossvalidation import (
     Progress,
     cross_validation,
@@ -30,7 +29,7 @@ from calib.estimate.rows import Rows
 from calib.estimate.selection import Candidate, select
 from calib.estimate.setup import known_distances, rows_of
 from calib.estimate.solvers import Solver
-from calib.estimate.statistics import Repeats, repeats
+from calib.estimate.statistics import CrossValidation, Repeats, repeats
 from calib.model.error_model import split_name
 from calib.model.kinematics import Samples
 from calib.model.observability import Observability, analyse
@@ -89,12 +88,6 @@ def calibrate(
         MeasurementError: Too few rows, or columns that the robot needs are missing.
         SolverError: No finite result.
     """
-    for thing, kind in ((robot, Robot), (measurements, Measurements)):
-        if not isinstance(thing, kind):
-            raise ModelError(
-                f"calibrate takes a {kind.__name__}; {thing!r} was given. Read it with calib.Robot.load(...) or "
-                "calib.Measurements.read(...)."
-            )
     cell = Cell() if cell is None else cell
     cell = replace(cell, model=model) if isinstance(model, str) else cell
     fits = fit_table(robot, measurements, cell, model=model, solver=solver, robust=robust)
@@ -108,14 +101,13 @@ def calibrate(
 class Fits:
     """What `calibrate` makes its result of."""
 
-    fitted: Fitted  # The fit of the geometry
-    larger: Fitted | None  # That of the larger model, if there is one
-    # The ladder they were chosen from; empty for a model that was named
-    candidates: tuple[Candidate, ...]
-    every: Rows  # All rows of the table
-    rows: Rows  # Those that were fitted
-    hint: Reason | None  # What set-up would explain the measurements far better, if one does
-    seconds: float  # How long the fits took
+    fitted: Fitted  #: Of the geometry
+    larger: Fitted | None  #: Of the larger model
+    candidates: tuple[Candidate, ...]  #: The ladder they were chosen from
+    every: Rows  #: All rows of the table
+    rows: Rows  #: Those that were fitted
+    hint: Reason | None  #: A set-up that would explain the measurements far better
+    seconds: float
 
 
 @one_blas_thread()
@@ -162,23 +154,22 @@ def _validated(
     result: Calibration, rows: Rows, hint: Reason | None, progress: Progress | None
 ) -> Calibration:
     """The result with cross-validation, of the larger model too, and the verdict."""
-    task, outliers = result.fitted.task, result.fitted.estimate.outliers
-    larger, fit = result.larger, result.fit
-    assert fit is not None
+    fit, larger, candidates = result.in_memory, result.larger, result.candidates
+    task, estimate = fit.geometry.task, fit.geometry.estimate
+    parts = 1 if larger is None else 2
 
-    def of_part(part: int) -> Progress | None:
-        if progress is None:
-            return None
-        parts = 1 if larger is None else 2
-        return lambda done, every: progress(part * every + done, parts * every)
+    def validated(fitted: Fitted, part: int) -> CrossValidation:
+        def told(done: int, every: int) -> None:
+            if progress is not None:
+                progress(part * every + done, parts * every)
 
-    of_calibrated = cross_validation(result.fitted, outliers, of_part(0))
-    candidates = result.candidates
+        return cross_validation(fitted, estimate.outliers, told)
+
+    of_calibrated = validated(fit.geometry, 0)
     if larger is not None and fit.larger is not None:
-        found = cross_validation(fit.larger, outliers, of_part(1))
-        larger = replace(larger, cross_validation=found)
+        larger = replace(larger, cross_validation=(found := validated(fit.larger, 1)))
         left = [
-            np.sum((v.residual / result.fitted.estimate.problem.scales)[~outliers] ** 2)
+            np.sum((v.residual / estimate.problem.scales)[~estimate.outliers] ** 2)
             for v in (found, of_calibrated)
         ]
         if candidates and not left[0] < left[1]:
@@ -191,65 +182,58 @@ def _validated(
         result,
         fit=fit,
         cross_validation=of_calibrated,
-        nominal_cross_validation=nominal_cross_validation(task, rows, outliers),
+        nominal_cross_validation=nominal_cross_validation(task, rows, estimate.outliers),
         larger=larger,
         candidates=candidates,
     )
     return replace(result, verdict=verdict(evidence_of(result, rows, hint)))
 
 
-def _observability(fitted: Fitted) -> Observability:
-    """What the rows that count determine, with every scalar in units of a length."""
+def _solved(fitted: Fitted) -> tuple[dict[str, Any], Observability]:
+    """The attributes of `calib.result.prediction.Solved`, the cross-validation aside, and what the rows determine."""
     estimated, model = fitted.estimate, fitted.kinematics.model
-    problem = estimated.problem
-    known, alive = problem.known_slopes(estimated.x), problem.weights > 0.0
-    counts = problem.rows.used & alive[:, None]
+    problem, rows = estimated.problem, estimated.problem.rows
+    known = problem.known_slopes(estimated.x)
+    counts = rows.used & (problem.weights > 0.0)[:, None]
     # Angles as lengths, by the ratio of the two standard deviations.
-    jacobian = (problem.linear(estimated.x).A * problem.rows.scales[:, :1, None])[counts]
+    jacobian = (problem.linear(estimated.x).A * rows.scales[:, :1, None])[counts]
     seen = np.concatenate([jacobian, known])
-    return analyse(seen, model.names, model.units, int(np.sum(counts)) + len(known))
-
-
-def _solved(fitted: Fitted, observability: Observability) -> dict[str, Any]:
-    """The attributes of `calib.result.prediction.Solved`, but for the cross-validation that is still to come."""
-    estimated, rows = fitted.estimate, fitted.estimate.problem.rows
+    observability = analyse(seen, model.names, model.units, int(np.sum(counts)) + len(known))
     placed = tells_place(kind.name for kind in rows.present)
-    return {
+    motion = None if placed else base_motion(fitted.kinematics, estimated.x, rows.samples)
+    solved = {
         "kinematics": fitted.kinematics,
         "x": estimated.x,
         "covariance": estimated.covariance,
         "sizes": estimated.sizes,
         "parameters": parameter_estimates(fitted, observability),
         "setup": fitted.placed(),
-        "base_motion": None
-        if placed
-        else base_motion(fitted.kinematics, estimated.x, rows.samples),
+        "base_motion": motion,
         "cross_validation": None,
     }
+    return solved, observability
 
 
-def _assembled(measurements: Measurements, fits: Fits) -> Calibration:
+def _assembled(m: Measurements, fits: Fits) -> Calibration:
     """Everything that the fits say, as one value; cross-validation and verdict are still to come."""
-    m, fitted, every, larger = measurements, fits.fitted, fits.every, None
+    fitted, every, larger = fits.fitted, fits.every, None
     task, estimated, problem = fitted.task, fitted.estimate, fitted.estimate.problem
     robot, cell, mask = task.robot, task.cell, m.estimation
     if fits.larger is not None:
         larger = Larger(
-            **_solved(fits.larger, _observability(fits.larger)),
+            **_solved(fits.larger)[0],
             residual=read_only(fits.larger.residual(every)),
             payload=cell.payload,
             gravity=cell.gravity,
         )
-    observability = _observability(fitted)
-    T_base_tip = robot.poses(every.joints)
+    T_base_tip, joints = robot.poses(every.joints), every.joints
     placed = nominal_setup(T_base_tip[mask], task.setup, every.select(mask))
     residual = fitted.residual(every)
     scores, weights = np.empty(len(mask)), np.zeros(len(mask))
     weights[mask], scores[mask] = estimated.weights, estimated.scores
     scores[~mask] = fitted.unseen_scores(every.select(~mask))
-    lengths = np.where(
-        np.any(every.used[:, :3], axis=1), np.linalg.norm(residual[:, :3], axis=1), np.nan
-    )
+    measured = np.any(every.used[:, :3], axis=1)
+    lengths = np.where(measured, np.linalg.norm(residual[:, :3], axis=1), np.nan)
 
     def named(chosen: NDArray[np.bool_], beyond: float) -> tuple[Outlier, ...]:
         return tuple(
@@ -259,13 +243,14 @@ def _assembled(measurements: Measurements, fits: Fits) -> Calibration:
 
     # Each set has a limit of its own, because each has its own number of chances for a false alarm.
     limit, suspect = estimated.flag_limit, Limits.of(np.sum(~mask), estimated.freedom).flagged
-    scales, joints = np.where(problem.rows.used, problem.scales, np.nan), every.joints
+    scales = np.where(problem.rows.used, problem.scales, np.nan)
     inside = joints[weights > 0.0]
     ranges = inside.min(axis=0, initial=np.inf), inside.max(axis=0, initial=-np.inf)
     types = [joint.type for joint in robot.inputs]
-    solved = _solved(fitted, observability)
+    solved, observability = _solved(fitted)
     expected = partial(expected_error, fitted.kinematics, estimated.x, estimated.covariance)
-    nothing = read_only(np.zeros((0, 0)))
+    no_poses, no_rows = np.zeros(0, dtype=int), read_only(np.zeros((0, 0)))
+    lowered = np.any(estimated.outliers) and task.solver != "paper"
     return Calibration(
         **solved,
         nominal=robot,
@@ -292,9 +277,7 @@ def _assembled(measurements: Measurements, fits: Fits) -> Calibration:
         flag_limit=limit,
         outliers=named(mask, limit),
         suspects=named(~mask, float(suspect)),
-        robustness=compare(fitted)
-        if np.any(estimated.outliers) and task.solver != "paper"
-        else None,
+        robustness=compare(fitted) if lowered else None,
         repeats=_repeats(fitted),
         outside=outside(joints[mask], joints[~mask], robot.joint_names, types),
         expected_measured=expected(problem.rows.samples, solved["base_motion"]),
@@ -305,9 +288,7 @@ def _assembled(measurements: Measurements, fits: Fits) -> Calibration:
         candidates=tuple(
             replace(
                 one,
-                cross_validation=replace(
-                    one.cross_validation, poses=np.zeros(0, dtype=int), residual=nothing
-                ),
+                cross_validation=replace(one.cross_validation, poses=no_poses, residual=no_rows),
             )
             for one in fits.candidates
         ),

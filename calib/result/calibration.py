@@ -1,14 +1,13 @@
 """Calibration: what was found of a robot, as immutable values: the same in memory and read from its file.
 
-`calib.calibrate` makes it, `calib.result.calibration_file` writes and reads it; whatever is made of a result (summary,
-evaluation, comparison, commands, controller files, views) takes this one value. What no file holds, the measurements
-and the solved problem, is its part ``fit``, which is None in a result that was read.
+What no file holds, the measurements and the solved problem, is its part ``fit``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -73,10 +72,7 @@ class Source:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """The solved problem, for those who want to go on from it: what a result in memory has beside its values.
-
-    Rows and cell are as given; ``geometry`` is the fit of what the URDF holds, ``larger`` that of the larger model.
-    """
+    """The solved problem: the fit of the geometry, which the URDF holds, and that of the larger model."""
 
     measurements: Measurements
     cell: Cell
@@ -84,130 +80,81 @@ class Fit:
     larger: Fitted | None = None
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """The p parameters of the geometry."""
-        return self.geometry.kinematics.model.names
-
-    @property
-    def x(self) -> Array:
-        """The solution, shape (p,): offsets from where frames and targets were registered [m], [rad], ..."""
-        return self.geometry.estimate.x
-
-    @property
     def covariance(self) -> Array:
-        """Of ``x``, shape (p, p)."""
+        """Of the geometry's p parameters, shape (p, p)."""
         return self.geometry.estimate.covariance
 
     @property
-    def residual(self) -> Array:
-        """Measured minus predicted of the fitted rows, shape (N, D): lengths [m], then angles [rad]."""
-        return read_only(self.geometry.estimate.problem.residual(self.x))
-
-    @property
     def jacobian(self) -> Array:
-        """Derivative of the prediction of the fitted rows, shape (N, D, p), in the units of ``x``."""
-        return read_only(self.geometry.estimate.problem.jacobian(self.x))
-
-    @property
-    def used(self) -> Mask:
-        """Which scalars of ``residual`` were measured, shape (N, D)."""
-        return self.geometry.estimate.problem.rows.used
+        """Derivative of the prediction of the fitted rows, shape (N, D, p), in the units of the parameters."""
+        estimate = self.geometry.estimate
+        return read_only(estimate.problem.jacobian(estimate.x))
 
     @property
     def weights(self) -> Array:
         """What each scalar's square counts for, shape (N, D): robust weight over its variance; 0 where not measured."""
-        problem = self.geometry.estimate.problem
-        return read_only(np.where(self.used, problem.weights[:, None] / problem.scales**2, 0.0))
+        p = self.geometry.estimate.problem
+        return read_only(np.where(p.rows.used, p.weights[:, None] / p.scales**2, 0.0))
 
     @property
     def prior_precision(self) -> Array:
         """One over the variance of each parameter's prior, shape (p,); 0 where there is none."""
         return self.geometry.estimate.problem.precision
 
-    @property
-    def system(self) -> tuple[Array, Array]:
-        """The whitened residual, priors and known distances included, and its own derivative, (M,) and (M, p)."""
-        return self.geometry.estimate.problem.system(self.x)
-
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Calibration(Solved):
-    """The result of `calib.calibrate`; the attributes of `Solved` are those of the geometry, which the URDF holds.
+    """The result of `calib.calibrate`; the attributes of `Solved` are those of the geometry, which the URDF holds."""
 
-    Attributes:
-        nominal: The robot as it came in.
-        robot: The calibrated robot, its URDF corrected.
-        source: The measurements' file.
-        rows: What each row is, all rows.
-        frame_estimated: Whether the cell left the measurement frames to be estimated.
-        frozen: Parameters that were kept at their nominal values.
-        ties: Parameters that follow others: for each the other's name and the factor.
-        sizes_from: Where the sizes of the priors are from: ``"data"``, ``"given"``, or ``"off"`` without priors.
-        nominal_setup: Frames and targets of the nominal robot's errors: as given, and registered where they were not.
-        solver: Name of the solver.
-        solution: Where it stopped, with its history.
-        seconds: Time that choosing a model, registration and estimation took; NaN where it is not to be told.
-        freedom: Degrees of freedom left for the noise.
-        sigma: Standard deviation of one measured length (median over rows) [m]; NaN where none was measured.
-        sigma_angle: Of one measured angle [rad]; NaN where none was.
-        residual_nominal: shape (N, D), measured minus predicted by the nominal robot, all rows: lengths [m] in the
-            first columns, angles [rad] in three more where poses were measured.
-        residual_calibrated: shape (N, D), by the calibrated robot.
-        used: shape (N, D), which scalars were measured.
-        scores: shape (N,), of all rows; see `calib.estimate.robust`.
-        weights: shape (N,), of all rows in the fit, between 0 and 1; 0 for validation rows.
-        ranges: shape (m, 2), the smallest and the largest value of each joint in the rows that were fitted [rad], [m].
-        flag_limit: The score above which a row is flagged.
-        outliers: The estimation rows flagged; they have no weight where the fit was robust.
-        suspects: The validation rows beyond such a limit, for their number; they never have a weight.
-        robustness: What lowering the weights of doubtful rows does; None where none is flagged, or by ``"paper"``.
-        repeats: Scatter of rows that repeat a pose; None where none does.
-        outside: The rows for validation whose joint values lie outside of the range that was fitted.
-        expected_measured: Standard deviation of the predicted point at the measured poses, rms [m]. From the
-            covariance, so it knows nothing of errors that the model lacks.
-        expected_everywhere: The same over joint values spread over the limits [m].
-        nominal_cross_validation: Of the nominal robot, its target (and frame, if estimated) fitted to the other rows.
-        observability: Rank, and what the measured poses cannot tell apart.
-        candidates: The ladder of models that ``auto`` chose from; empty for a model that was named.
-        larger: The larger model, if one was chosen or asked for.
-        verdict: Whether to use the result; None without cross-validation, unless the set-up is plainly wrong.
-        fit: Measurements and solved problem; None where the result was read from a file.
-    """
-
-    nominal: Robot
-    robot: Robot
-    source: Source
-    rows: RowNames
-    frame_estimated: bool
-    frozen: tuple[str, ...]
+    nominal: Robot  #: The robot as it came in
+    robot: Robot  #: The calibrated robot, its URDF corrected
+    source: Source  #: The measurements' file
+    rows: RowNames  #: What each row is, all rows
+    frame_estimated: bool  #: Whether the cell left the measurement frames to be estimated
+    frozen: tuple[str, ...]  #: Parameters that were kept at their nominal values
+    #: Parameters that follow others: for each the other's name and the factor
     ties: Mapping[str, tuple[str, float]]
-    sizes_from: str
+    sizes_from: str  #: Where the sizes of the priors are from: ``"data"``, ``"given"``, or ``"off"`` without priors
+    #: Frames and targets of the nominal robot's errors: as given, and registered where they were not
     nominal_setup: Setup
-    solver: str
-    solution: Solution
-    seconds: float
-    freedom: float
-    sigma: float
-    sigma_angle: float
+    solver: str  #: Name of the solver
+    solution: Solution  #: Where it stopped, with its history
+    seconds: float  #: Time that choosing a model, registration and estimation took; NaN where it is not to be told
+    freedom: float  #: Degrees of freedom left for the noise
+    sigma: float  #: Standard deviation of one measured length (median over rows) [m]; NaN where none was measured
+    sigma_angle: float  #: Of one measured angle [rad]; NaN where none was
+    #: shape (N, D), measured minus predicted by the nominal robot, all rows: lengths [m] in the first columns, angles
+    #: [rad] in three more where poses were measured
     residual_nominal: Array
-    residual_calibrated: Array
-    used: Mask
-    scores: Array
-    weights: Array
+    residual_calibrated: Array  #: shape (N, D), by the calibrated robot
+    used: Mask  #: shape (N, D), which scalars were measured
+    scores: Array  #: shape (N,), of all rows; see `calib.estimate.robust`
+    weights: Array  #: shape (N,), of all rows in the fit, between 0 and 1; 0 for validation rows
+    #: shape (m, 2), the smallest and the largest value of each joint in the rows that were fitted [rad], [m]
     ranges: Array
-    flag_limit: float
+    flag_limit: float  #: The score above which a row is flagged
+    #: The estimation rows flagged; they have no weight where the fit was robust
     outliers: tuple[Outlier, ...]
+    #: The validation rows beyond such a limit, for their number; they never have a weight
     suspects: tuple[Outlier, ...]
+    #: What lowering the weights of doubtful rows does; None where none is flagged, or by ``"paper"``
     robustness: Robustness | None
-    repeats: Repeats | None
+    repeats: Repeats | None  #: Scatter of rows that repeat a pose; None where none does
+    #: The rows for validation whose joint values lie outside of the range that was fitted
     outside: tuple[OutsideRow, ...]
+    #: Standard deviation of the predicted point at the measured poses, rms [m]. From the covariance, so it knows
+    #: nothing of errors that the model lacks
     expected_measured: float
-    expected_everywhere: float
+    expected_everywhere: float  #: The same over joint values spread over the limits [m]
+    #: Of the nominal robot, its target (and frame, if estimated) fitted to the other rows
     nominal_cross_validation: CrossValidation | None
-    observability: Observability
+    observability: Observability  #: Rank, and what the measured poses cannot tell apart
+    #: The ladder of models that ``auto`` chose from; empty for a model that was named
     candidates: tuple[Candidate, ...]
-    larger: Larger | None
+    larger: Larger | None  #: The larger model, if one was chosen or asked for
+    #: Whether to use the result; None without cross-validation, unless the set-up is plainly wrong
     verdict: Verdict | None
+    #: Measurements and solved problem; None where the result was read from a file
     fit: Fit | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:
@@ -218,24 +165,25 @@ class Calibration(Solved):
     @property
     def measurements(self) -> Measurements:
         """All rows; `ModelError` where the result was read from a file."""
-        return self._in_memory().measurements
+        return self.in_memory.measurements
 
     @property
     def cell(self) -> Cell:
         """The cell as given; `ModelError` where the result was read from a file."""
-        return self._in_memory().cell
+        return self.in_memory.cell
 
     @property
     def fitted(self) -> Fitted:
         """The fit of the geometry; `ModelError` where the result was read from a file."""
-        return self._in_memory().geometry
+        return self.in_memory.geometry
 
-    def _in_memory(self) -> Fit:
-        """The fit, which a file does not hold."""
+    @property
+    def in_memory(self) -> Fit:
+        """The fit; `ModelError` where the result was read from a file."""
         if self.fit is None:
             raise ModelError(
                 "This result was read from a file, which holds neither the measurements nor the solved problem. "
-                "Calibrate again (calib.calibrate) for what needs them."
+                "Calibrate again for what needs them."
             )
         return self.fit
 
@@ -287,10 +235,7 @@ class Calibration(Solved):
     ) -> Samples:
         """Joint values, shape (N, m) or (m,), as a prediction takes them, with the load on the joints.
 
-        Target and set-up are the first where None; the payload is what the tip carried when it was calibrated.
-
-        Raises:
-            ModelError: No such target or set-up.
+        Target and set-up are the first, and the payload is the calibration's, where None; `ModelError` for other names.
         """
         values = np.atleast_2d(np.asarray(q, dtype=np.float64))
         load, numbers = None, []
@@ -313,16 +258,14 @@ class Calibration(Solved):
         group: str | None = None,
         larger: bool = True,
     ) -> Array:
-        """Where the calibrated robot puts the target, in the measurement frame, or in the base where there is none.
+        """Where the calibrated robot puts the target, in the measurement frame, shape (N, 4, 4), [m].
 
         Args:
             q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
             target: Name of the target; the first where None.
-            group: Name of the set-up whose frame is meant; where None the first, or the base as said above.
+            group: Name of the set-up whose frame is meant; where None the first, or the base where no row tells where
+                it stands.
             larger: Whether to use the larger model, where there is one; else the geometry that the URDF holds.
-
-        Returns:
-            shape (N, 4, 4), [m].
         """
         part = self.part(larger=larger)
         poses = part.kinematics.poses(part.x, self.samples(q, target=target, group=group))
@@ -330,16 +273,9 @@ class Calibration(Solved):
             poses = rigid_inverse(part.setup.T_frame_base[0]) @ poses
         return poses
 
-    def predict(
-        self,
-        q: ArrayLike,
-        *,
-        target: str | None = None,
-        group: str | None = None,
-        larger: bool = True,
-    ) -> Array:
-        """The target's position, shape (N, 3), [m]; frame and arguments are those of `predict_poses`."""
-        return self.predict_poses(q, target=target, group=group, larger=larger)[:, :3, 3]
+    def predict(self, q: ArrayLike, **where: Any) -> Array:  # noqa: ANN401  as of predict_poses
+        """The target's position, shape (N, 3), [m]; the arguments are those of `predict_poses`."""
+        return self.predict_poses(q, **where)[:, :3, 3]
 
     def position_std(
         self,
@@ -351,9 +287,8 @@ class Calibration(Solved):
     ) -> Array:
         """How sure `predict` is, sqrt(trace(J C J^T)), shape (N,), [m]; the arguments are those of `predict_poses`.
 
-        C is the covariance of the parameters, J the derivative of the predicted position; where only sockets, planes,
-        anchors or pairs were measured, and no group is named, less what moves all positions as one body. It knows
-        nothing of errors that the model lacks.
+        Where only sockets, planes, anchors or pairs were measured, and no group is named, less what moves all positions
+        as one body. It knows nothing of errors that the model lacks.
         """
         part, samples = self.part(larger=larger), self.samples(q, target=target, group=group)
         in_base = group is None and part.base_motion is not None
@@ -367,16 +302,10 @@ class Calibration(Solved):
         target: str | None = None,
         group: str | None = None,
     ) -> Array:
-        """How sure it is where the corrected robot puts a tool, by the covariance of the geometry.
+        """How sure it is where the corrected robot puts a tool: position [m] and angle [rad], shape (N, 2).
 
-        Args:
-            q: shape (N, m), joint values [rad] or [m].
-            T_tip_tool: shape (4, 4), the tool in the tip [m]; known exactly, unless it is a target.
-            target: Name of the target that the tool is; its estimate is then part of what is not sure.
-            group: Name of the set-up in whose frame, estimated or not, the pose is asked for. None: in the base.
-
-        Returns:
-            shape (N, 2), standard deviations: of the position [m], of the angle [rad].
+        The tool in the tip, shape (4, 4), is known exactly, unless a target is named that it is. In the set-up's frame,
+        or in the base where none is named.
         """
         samples, part = self.samples(q, target=target, group=group), self
         if target is None:

@@ -53,42 +53,29 @@ class ParameterDifference:
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Comparison:
-    """The result of `compare`.
+    """The result of `compare`."""
 
-    Attributes:
-        a: The first result.
-        b: The second.
-        names: Their files, or ``"a"`` and ``"b"``.
-        outcome: ``"drift"``, ``"no drift shown"`` or ``"cannot tell"``.
-        why: Why nothing can be told; empty otherwise.
-        test: The test of the difference.
-        moves: Displacement of the target: over the joint values that both data cover, then over the limits.
-        parameters: The robot's own, of either result.
-        untold: Parameters that frame and target make up for, so that their drift cannot be told.
-        only_a: Parameters of the first that move the target in ways that the second's cannot.
-        only_b: The same of the second.
-        frames: How far the base lies elsewhere in set-ups of the same name, (shift [m], turn [rad]) by name; the only
-            one of each has the name "".
-        targets: The same of targets in the tip; the turn is NaN where orientations are not known.
-        same_start: Whether both count from the same nominal robot.
-        robot: The robot whose meshes are shown.
-    """
-
-    a: Calibration
-    b: Calibration
-    names: tuple[str, str]
-    outcome: Outcome
-    why: Why
-    test: DriftTest
+    a: Calibration  #: The first result
+    b: Calibration  #: The second
+    names: tuple[str, str]  #: Their files, or ``"a"`` and ``"b"``
+    outcome: Outcome  #: ``"drift"``, ``"no drift shown"`` or ``"cannot tell"``
+    why: Why  #: Why nothing can be told; empty otherwise
+    test: DriftTest  #: The test of the difference
+    #: Displacement of the target: over the joint values that both data cover, then over the limits
     moves: tuple[Displacement, Displacement]
-    parameters: tuple[ParameterDifference, ...]
+    parameters: tuple[ParameterDifference, ...]  #: The robot's own, of either result
+    #: Parameters that frame and target make up for, so that their drift cannot be told
     untold: tuple[str, ...]
+    #: Parameters of the first that move the target in ways that the second's cannot
     only_a: tuple[str, ...]
-    only_b: tuple[str, ...]
+    only_b: tuple[str, ...]  #: The same of the second
+    #: How far the base lies elsewhere in set-ups of the same name, (shift [m], turn [rad]) by name; the only one of
+    #: each has the name ""
     frames: Mapping[str, Place]
+    #: The same of targets in the tip; the turn is NaN where orientations are not known
     targets: Mapping[str, Place]
-    same_start: bool
-    robot: Robot
+    same_start: bool  #: Whether both count from the same nominal robot
+    robot: Robot  #: The robot whose meshes are shown
 
     def __repr__(self) -> str:
         """In one line."""

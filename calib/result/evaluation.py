@@ -36,23 +36,16 @@ _BETTER, _NUMBERS, _SMALL = 3.0, 3, 1e-4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evaluation:
-    """Errors of a robot as it is.
+    """Errors of a robot as it is."""
 
-    Attributes:
-        robot: The robot.
-        measurements: All rows.
-        setup: Frames and targets as given or registered.
-        registered: What was registered to the rows: some of ``"target"`` and ``"frame"``.
-        residual: shape (N, D), measured minus predicted: lengths [m] in the first columns, angles [rad] in three more.
-        used: shape (N, D), which scalars were measured.
-    """
-
-    robot: Robot
-    measurements: Measurements
-    setup: Setup
+    robot: Robot  #: The robot
+    measurements: Measurements  #: All rows
+    setup: Setup  #: Frames and targets as given or registered
+    #: What was registered to the rows: some of ``"target"`` and ``"frame"``
     registered: tuple[str, ...]
+    #: shape (N, D), measured minus predicted: lengths [m] in the first columns, angles [rad] in three more
     residual: Array
-    used: Mask
+    used: Mask  #: shape (N, D), which scalars were measured
 
     @property
     def T_frame_base(self) -> Array:

@@ -33,32 +33,26 @@ _MOST_EXPECTED, _ENOUGH = 1000, 20_000
 
 @dataclass(frozen=True, slots=True)
 class ParameterEstimate:
-    """One parameter of the result, in its unit.
+    """One parameter of the result, in its unit."""
 
-    Attributes:
-        name: Its name; its unit is ``"m"``, ``"rad"``, ``"1"``, ``"m/m"``, ``"rad/Nm"`` or ``"m/N"``.
-        nominal: The value before; None for a target that was not given.
-        value: The value after, with its standard deviation ``std`` and its 95 % interval from ``low`` to ``high``.
-        delta: The change; for a target that was not given, from where registration put it.
-        identifiable: Whether the measurements determine it; otherwise they know it in combinations only.
-        at_bound: Whether it was stopped by a bound; std and interval are then not to be told, NaN.
-        prior_std: Standard deviation of the prior on its change that the fit ended with; NaN where there was none.
-        push: How hard the data push it against its prior [1/unit]: minus the derivative of half their squares. At the
-            least of all squares that is the prior's pull, (x - mean) / std^2. Where a prior is next to nothing wide, x
-            is too, and only this still tells what the data say.
-    """
-
-    name: str
+    name: str  #: Its name; its unit is ``"m"``, ``"rad"``, ``"1"``, ``"m/m"``, ``"rad/Nm"`` or ``"m/N"``
     unit: str
-    nominal: float | None
-    value: float
-    delta: float
+    nominal: float | None  #: The value before; None for a target that was not given
+    value: float  #: The value after, with its standard deviation ``std`` and its 95 % interval from ``low`` to ``high``
+    delta: float  #: The change; for a target that was not given, from where registration put it
     std: float
     low: float
     high: float
+    #: Whether the measurements determine it; otherwise they know it in combinations only
     identifiable: bool
-    at_bound: bool = False
+    at_bound: bool = (
+        False  #: Whether it was stopped by a bound; std and interval are then not to be told, NaN
+    )
+    #: Standard deviation of the prior on its change that the fit ended with; NaN where there was none
     prior_std: float = np.nan
+    #: How hard the data push it against its prior [1/unit]: minus the derivative of half their squares. At the least of
+    #: all squares that is the prior's pull, (x - mean) / std^2. Where a prior is next to nothing wide, x is too, and
+    #: only this still tells what the data say
     push: float = np.nan
 
 
@@ -77,27 +71,20 @@ class Outlier:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Solved:
-    """What was found of one error model.
+    """What was found of one error model."""
 
-    Attributes:
-        kinematics: The nominal robot under it, with frames and targets where ``x`` counts from.
-        x: shape (p,), offsets from the registered start [m, rad].
-        covariance: shape (p, p), of ``x``.
-        sizes: Size of the errors of each family that the data showed, in its unit; empty without priors.
-        parameters: One entry for each element of ``x``.
-        setup: Frames and targets as estimated or given.
-        base_motion: shape (6, p), the motion of the base, linear part first, that makes up best for a unit of each
-            parameter over the measured poses; None where the rows tell where the base stands.
-        cross_validation: Errors on left-out estimation rows; None where it was not asked for.
-    """
-
+    #: The nominal robot under it, with frames and targets where ``x`` counts from
     kinematics: Kinematics
-    x: Array
-    covariance: Array
+    x: Array  #: shape (p,), offsets from the registered start [m, rad]
+    covariance: Array  #: shape (p, p), of ``x``
+    #: Size of the errors of each family that the data showed, in its unit; empty without priors
     sizes: Mapping[str, float]
-    parameters: tuple[ParameterEstimate, ...]
-    setup: Setup
+    parameters: tuple[ParameterEstimate, ...]  #: One entry for each element of ``x``
+    setup: Setup  #: Frames and targets as estimated or given
+    #: shape (6, p), the motion of the base, linear part first, that makes up best for a unit of each parameter over the
+    #: measured poses; None where the rows tell where the base stands
     base_motion: Array | None
+    #: Errors on left-out estimation rows; None where it was not asked for
     cross_validation: CrossValidation | None
 
     @property
@@ -110,7 +97,8 @@ class Solved:
 
         In the base they are less ``base_motion``; else they are in each sample's own frame.
         """
-        return _spread(self.kinematics, self.x, self.covariance, samples, in_base, self.base_motion)
+        motion = self.base_motion
+        return _pose_std(self.kinematics, self.x, self.covariance, samples, in_base, motion)
 
     def tips(self, samples: Samples) -> Array:
         """T_base_tip by the parameters, the joints' own errors included, shape (N, 4, 4), [m]."""
@@ -121,17 +109,11 @@ class Solved:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Larger(Solved):
-    """A model with errors of the joints' state, which no URDF can hold.
+    """A model with errors of the joints' state, which no URDF can hold."""
 
-    Attributes:
-        residual: shape (N, D), measured minus predicted, all rows [m], [rad].
-        payload: What the tip carried; None where nothing was said.
-        gravity: shape (3,), in the URDF's root frame [m/s^2].
-    """
-
-    residual: Array
-    payload: Payload | None
-    gravity: Array
+    residual: Array  #: shape (N, D), measured minus predicted, all rows [m], [rad]
+    payload: Payload | None  #: What the tip carried; None where nothing was said
+    gravity: Array  #: shape (3,), in the URDF's root frame [m/s^2]
 
     @property
     def name(self) -> str:
@@ -188,9 +170,8 @@ def parameter_estimates(
 
 
 def _pushes(fitted: Fitted) -> Array:
-    """How hard the data push each parameter against its prior, shape (p,); see `ParameterEstimate`."""
-    estimate = fitted.estimate
-    problem, x = estimate.problem, estimate.x
+    """The data's gradient of each parameter against its prior, shape (p,); see `ParameterEstimate`."""
+    x, problem = fitted.estimate.x, fitted.estimate.problem
     if fitted.task.solver == "paper":  # not at the least of squares, and without priors
         return np.asarray(problem.precision * (x - problem.centre))
     between, slope = problem.constraints(x)
@@ -201,10 +182,9 @@ def _pushes(fitted: Fitted) -> Array:
 
 
 def correlations(c: Solved, above: float) -> list[tuple[str, str, float]]:
-    """Pairs of the geometry's parameters that hang together, |C_ij| / sqrt(C_ii C_jj) > above, the closest first.
+    """Pairs of the geometry's parameters with |C_ij| / sqrt(C_ii C_jj) > above, the strongest first.
 
-    Parameters that the measurements know in combinations only are left aside: the prior shares those out, and
-    `Calibration.observability` names the combinations.
+    Parameters that the measurements know in combinations only are left aside: the prior shares those out.
     """
     chosen = [k for k, p in enumerate(c.parameters) if p.identifiable and not p.at_bound]
     C = c.covariance[np.ix_(chosen, chosen)]
@@ -233,11 +213,11 @@ def expected_error(
     With the covariance (p, p) of the parameters (p,); in the base, less a motion of it (6, p), where there is one.
     """
     chosen = samples.select(slice(0, _MOST_EXPECTED))
-    std = _spread(kinematics, x, covariance, chosen, motion is not None, motion)
+    std = _pose_std(kinematics, x, covariance, chosen, motion is not None, motion)
     return float(np.sqrt(np.mean(std[:, 0] ** 2)))
 
 
-def _spread(
+def _pose_std(
     kinematics: Kinematics,
     x: Array,
     covariance: Array,
@@ -245,7 +225,7 @@ def _spread(
     in_base: bool,
     motion: Array | None,
 ) -> Array:
-    """What `Solved.pose_std` says."""
+    """See `Solved.pose_std`."""
     if in_base:
         poses, twists = _in_base(kinematics, x, samples)
         if motion is not None:
@@ -275,13 +255,7 @@ def tells_place(kinds: Iterable[str]) -> bool:
 def without_rigid_motion(
     points: Array, moves: Array, seen: tuple[Array, Array] | None = None
 ) -> Array:
-    """Moves of points (N, 3), less the rigid motion that best makes up for them, shape (N, 3, k).
-
-    Args:
-        points: shape (N, 3), [m].
-        moves: shape (N, 3, k), k moves of them, [m] or [m per unit].
-        seen: Points and their k moves that the motion makes up for; None for the same.
-    """
+    """Moves (N, 3, k) of points (N, 3), less the rigid motion that best explains them, or the same of ``seen`` ones."""
     motion = best_motion(*((points, moves) if seen is None else seen))
     return np.asarray(moves - moved_by(motion, points))
 
