@@ -227,7 +227,7 @@ ELSEWHERE = {
 HERE = ("quick-start.md", "acceptance.md", "convert.md", "workspace.md")
 
 #: What they show takes long and is run by other tests, in smaller ways: here their calls are held to what is called.
-CALLED = ("fleet.md", "report.md")
+CALLED = ("fleet.md", "report.md", "result-json.md")
 
 
 def python(page: str) -> str:

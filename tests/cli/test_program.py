@@ -13,10 +13,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import typer
 
 import calib
-from calib.cli.program import app
 from calib.data.measurements import Measurements
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import Robot
@@ -154,19 +152,6 @@ def test_the_printed_text_is_plain_and_fits_100_columns(examples):
         assert all(line.isprintable() for line in done.lines), call
         assert all(line == line.rstrip() for line in done.lines), call
         assert max(map(len, done.lines), default=0) <= 100, call
-
-
-def test_the_document_has_every_option_and_no_other():
-    text = DOC.read_text(encoding="utf-8")
-    command = typer.main.get_command(app)
-    options = {"--help", "--version"}
-    for verb in command.commands.values():  # type: ignore[attr-defined]
-        for parameter in verb.params:
-            if parameter.param_type_name == "option":
-                long = [name for name in parameter.opts if name.startswith("--")]
-                # A switch that is on by default is documented by what turns it off.
-                options.update(parameter.secondary_opts or long)
-    assert set(re.findall(r"`[^`\n]*?(--[a-z-]+)", text)) == options
 
 
 @pytest.mark.slow
