@@ -1,8 +1,7 @@
 """Everything that calib refuses, said so that the reader can mend it.
 
-Every error that calib raises on purpose is a `CalibError`. Its text is one sentence or a few: what was
-given and where, what is allowed, what to do. The command line prints that text alone; a program catches
-the class.
+Every error that calib raises on purpose is a `CalibError`, whose text says what was given and where, what is allowed,
+and what to do. The command line prints that text alone; a program catches the class.
 """
 
 from __future__ import annotations
@@ -23,19 +22,14 @@ _LONGEST, _HEAD, _TAIL = 3000, 1500, 1000
 class CalibError(Exception):
     """Something given to calib cannot be used; the text says what, where and how to mend it.
 
-    What a file says is quoted in it: it is made printable, and is never longer than a person would read.
+    What it quotes of a file is made printable, and the middle of a very long text is left out.
     """
 
     def __init__(self, message: str = "") -> None:
-        super().__init__(_readable(message))
-
-
-def _readable(text: str) -> str:
-    """The text with unprintable characters by their numbers, and without the middle if it is very long."""
-    text = _UNPRINTABLE.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
-    if len(text) > _LONGEST:
-        text = f"{text[:_HEAD]} [{len(text) - _HEAD - _TAIL:,} characters left out] {text[-_TAIL:]}"
-    return text
+        text = _UNPRINTABLE.sub(lambda found: f"\\u{ord(found[0]):04x}", message)
+        if len(text) > _LONGEST:
+            text = f"{text[:_HEAD]} [...] {text[-_TAIL:]}"
+        super().__init__(text)
 
 
 class UrdfError(CalibError):

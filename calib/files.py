@@ -59,14 +59,6 @@ def write_atomically(path: str | os.PathLike[str], data: bytes, *, overwrite: bo
     The bytes go into a file beside it, which then takes its name. A symbolic link is followed and stays one. A file
     that is overwritten keeps its permissions.
 
-    Args:
-        path: File to write.
-        data: Its whole content.
-        overwrite: Whether a file that exists already may be replaced.
-
-    Returns:
-        ``path`` as a `Path`.
-
     Raises:
         FileError: The file exists and ``overwrite`` is False, it is a folder or a device, or the
             folder is missing or not writable. Nothing is left behind.
@@ -90,54 +82,38 @@ def write_atomically(path: str | os.PathLike[str], data: bytes, *, overwrite: bo
 
 
 def check_writable(path: str | os.PathLike[str], *, overwrite: bool = True) -> None:
-    """Refuse, before the work is done, a place where `write_atomically` cannot write.
-
-    Raises:
-        FileError: As for `write_atomically`.
-    """
+    """Refuse, before the work is done, a place where `write_atomically` cannot write; raises as that does."""
     try:
         target = Path(path).resolve()
         is_there, is_file = target.exists(), target.is_file()
     except (OSError, ValueError, RuntimeError) as error:  # too long, no name, links in a circle
-        raise FileError(
-            f"'{path}' cannot be written: {_reason(error)}; choose another name"
-        ) from error
+        message = f"'{path}' cannot be written: {_reason(error)}; choose another name"
+        raise FileError(message) from error
+    folder = target.parent
     if is_there and not is_file:
-        kind = "folder; name a file inside it" if target.is_dir() else "device; choose another name"
-        message = f"'{path}' is a {kind}"
+        fault = "is a folder or a device; name a file"
     elif is_there and not overwrite:
-        message = f"'{path}' exists already; add --force (overwrite=True) or choose another name"
-    elif not target.parent.is_dir():
-        message = (
-            f"'{path}' cannot be written: the folder '{target.parent}' does not exist; create it"
-        )
-    elif not os.access(target.parent, os.W_OK):
-        message = f"'{path}' cannot be written: the folder takes no files; choose another folder"
+        fault = "exists already; add --force (overwrite=True) or choose another name"
+    elif not folder.is_dir():
+        fault = f"cannot be written: the folder '{folder}' does not exist; create it"
+    elif not os.access(folder, os.W_OK):
+        fault = "cannot be written: the folder takes no files; choose another folder"
     else:
         return
-    raise FileError(message)
+    raise FileError(f"'{path}' {fault}")
 
 
 def check_no_xacro(path: str | os.PathLike[str]) -> None:
-    """Refuse the name of a xacro for what is written.
-
-    Raises:
-        FileError: The name ends in ``.xacro``.
-    """
+    """Refuse the name of a xacro for what is written: it is a URDF, with macros and arguments expanded."""
     if Path(path).name.lower().endswith(".xacro"):
         raise FileError(
-            f"'{path}' is the name of a xacro, and what is written is a URDF, with macros and arguments expanded; name "
-            "it .urdf. A xacro stays one if it takes the origins of its joints from a file: see calib convert --to "
-            "origins."
+            f"'{path}' is the name of a xacro, and what is written is a URDF; name it .urdf. A xacro stays one if it "
+            "takes the origins of its joints from a file: see calib convert --to origins."
         )
 
 
 def make_folder(path: str | os.PathLike[str]) -> Path:
-    """Make a folder and those above it; one that exists is left as it is.
-
-    Raises:
-        FileError: A file has that name, or the folder cannot be made.
-    """
+    """Make a folder and those above it, if it does not exist; FileError if it cannot be made."""
     try:
         Path(path).mkdir(parents=True, exist_ok=True)
     except (OSError, ValueError) as error:
@@ -164,7 +140,7 @@ def read_json(
     Args:
         path: The file.
         what: What the file should be, for the message: ``"region"``.
-        schema: What stands under ``schema``.
+        schema: The value under ``schema``.
         expected: What has which schema, and which file to give: the end of the message about another schema.
 
     Raises:
@@ -188,14 +164,7 @@ def _refused(name: str) -> float:
 
 
 def damage(error: Exception) -> str:
-    """What reading a file's nested tables stumbled over, in words.
-
-    Example:
-        >>> damage(KeyError("robot"))
-        "'robot' is missing"
-        >>> damage(TypeError("'float' object is not iterable"))
-        "a value is of another kind: 'float' object is not iterable"
-    """
+    """What reading a file's nested tables stumbled over, in words."""
     if isinstance(error, KeyError):
         return f"'{error.args[0]}' is missing"
     if isinstance(error, (ValueError, CalibError)):
@@ -204,12 +173,17 @@ def damage(error: Exception) -> str:
 
 
 def json_bytes(table: Mapping[str, Any]) -> bytes:
-    """A table as JSON, UTF-8, one value a line; of a long list one entry a line.
-
-    Arrays stand as lists, numbers that do not exist as null. What UTF-8 lacks, such as a byte of a file's name that is
-    no letter, stands as JSON's own escape.
-    """
-    lines = [f" {json.dumps(key)}: {_indented(plain(value))}" for key, value in table.items()]
+    """A table as JSON, UTF-8, one value a line, of a long list one entry a line; see `plain`."""
+    lines = []
+    for key, value in table.items():
+        entry = plain(value)
+        if isinstance(entry, list) and len(entry) > _LONG:
+            rows = ",\n  ".join(json.dumps(row, ensure_ascii=False) for row in entry)
+            text = f"[\n  {rows}\n ]"
+        else:
+            text = json.dumps(entry, indent=1, ensure_ascii=False).replace("\n", "\n ")
+        lines.append(f" {json.dumps(key)}: {text}")
+    # What UTF-8 lacks, such as a byte of a file's name that is no letter, stands as JSON's own escape.
     return ("{\n" + ",\n".join(lines) + "\n}\n").encode("utf-8", "backslashreplace")
 
 
@@ -222,11 +196,3 @@ def plain(value: Any) -> Any:  # noqa: ANN401
     if isinstance(value, (list, tuple)):
         return [plain(entry) for entry in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _indented(value: Any) -> str:  # noqa: ANN401
-    """An entry of a table, its lines one step in."""
-    if isinstance(value, list) and len(value) > _LONG:
-        entries = (json.dumps(entry, ensure_ascii=False) for entry in value)
-        return "[\n  " + ",\n  ".join(entries) + "\n ]"
-    return json.dumps(value, indent=1, ensure_ascii=False).replace("\n", "\n ")

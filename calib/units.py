@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Literal, TypeGuard
+from typing import Literal, TypeGuard, get_args
 
 import numpy as np
 
@@ -18,36 +18,26 @@ Quantity = Literal["length", "angle", "torque", "force"]
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """A unit of one quantity: ``value_si = value * to_si``.
+    """A unit of one quantity: ``value_si = value * to_si``."""
 
-    Attributes:
-        symbol: as written in a header, ``"mm"``.
-        quantity: ``"length"`` (SI unit m), ``"angle"`` (rad), ``"torque"`` (Nm) or ``"force"`` (N).
-        to_si: what one of this unit is, in the SI unit.
-    """
-
-    symbol: str
-    quantity: Quantity
-    to_si: float
+    symbol: str  #: as written in a header, ``"mm"``.
+    quantity: Quantity  #: ``"length"`` (SI unit m), ``"angle"`` (rad), ``"torque"`` (Nm) or ``"force"`` (N).
+    to_si: float  #: what one of this unit is, in the SI unit.
 
 
-UNITS: Mapping[str, Unit] = MappingProxyType(
-    {
-        unit.symbol: unit
-        for unit in (
-            Unit("m", "length", 1.0),
-            Unit("mm", "length", 1e-3),
-            Unit("um", "length", 1e-6),
-            Unit("cm", "length", 1e-2),
-            Unit("in", "length", 0.0254),
-            Unit("rad", "angle", 1.0),
-            Unit("deg", "angle", math.pi / 180.0),
-            Unit("mrad", "angle", 1e-3),
-            Unit("Nm", "torque", 1.0),
-            Unit("N", "force", 1.0),
-        )
-    }
+_ROWS: tuple[tuple[str, Quantity, float], ...] = (
+    ("m", "length", 1.0),
+    ("mm", "length", 1e-3),
+    ("um", "length", 1e-6),
+    ("cm", "length", 1e-2),
+    ("in", "length", 0.0254),
+    ("rad", "angle", 1.0),
+    ("deg", "angle", math.pi / 180.0),
+    ("mrad", "angle", 1e-3),
+    ("Nm", "torque", 1.0),
+    ("N", "force", 1.0),
 )
+UNITS: Mapping[str, Unit] = MappingProxyType({row[0]: Unit(*row) for row in _ROWS})
 
 # Unicode has two signs for micro, the micro sign and the Greek letter; a product has many.
 _SPELLINGS = {
@@ -75,12 +65,7 @@ class Length(float):
 
 
 def unit_fault(value: float, *, slides: bool) -> str | None:
-    """What is wrong with the unit that a joint's value was given in; None if nothing is, or nothing is known of it.
-
-    Example:
-        >>> unit_fault(Length(0.01), slides=False)
-        'is a length, and the joint turns; give an angle, such as "30 deg"'
-    """
+    """What is wrong with the unit that a joint's value was given in; None if nothing is, or nothing is known of it."""
     if slides and isinstance(value, Angle):
         return 'is an angle, and the joint slides; give a length, such as "0.3 m"'
     if not slides and isinstance(value, Length):
@@ -89,39 +74,25 @@ def unit_fault(value: float, *, slides: bool) -> str | None:
 
 
 def symbols(quantity: Quantity) -> tuple[str, ...]:
-    """The symbols of the units of one quantity.
-
-    Example:
-        >>> symbols("angle")
-        ('rad', 'deg', 'mrad')
-    """
+    """The symbols of the units of one quantity."""
     return tuple(unit.symbol for unit in UNITS.values() if unit.quantity == quantity)
 
 
 def find_unit(symbol: str) -> Unit:
-    """The unit with this symbol.
-
-    Raises:
-        CalibError: there is no such unit; the text names those there are.
-    """
+    """The unit with this symbol; CalibError if there is none."""
     text = symbol.strip()
     unit = UNITS.get(_SPELLINGS.get(text, text))
     if unit is None:
-        raise CalibError(
-            f"'{text}' is not a unit that calib knows: a length is in "
-            f"{choices(symbols('length'))}, an angle in {choices(symbols('angle'))}, a torque in "
-            f"{choices(symbols('torque'))}, a force in {choices(symbols('force'))}"
+        known = ", ".join(
+            f"a{'n' * (one == 'angle')} {one} is in {choices(symbols(one))}"
+            for one in get_args(Quantity)
         )
+        raise CalibError(f"'{text}' is not a unit that calib knows: {known}")
     return unit
 
 
 def split_header(text: str) -> tuple[str, str | None]:
-    """Split a column header into its name and the text in its last square brackets, if any.
-
-    Example:
-        >>> split_header("load [kg]")
-        ('load', 'kg')
-    """
+    """Split a column header into its name and the text in its last square brackets, if any."""
     match = _HEADER.fullmatch(text.strip())
     if match is None:
         return text.strip(), None
@@ -131,14 +102,9 @@ def split_header(text: str) -> tuple[str, str | None]:
 def parse_header(text: str) -> tuple[str, Unit | None]:
     """Split a column header into its name and its unit, None when there are no brackets.
 
-    Raises:
-        CalibError: what stands in the brackets is not a unit.
-
     Example:
         >>> parse_header("x [mm]")
         ('x', Unit(symbol='mm', quantity='length', to_si=0.001))
-        >>> parse_header("set")
-        ('set', None)
     """
     name, symbol = split_header(text)
     return name, None if symbol is None else find_unit(symbol)
@@ -161,11 +127,7 @@ def is_number(value: object) -> TypeGuard[float]:
 
 
 def parse_quantity(text: object) -> tuple[float, str]:
-    """A number and its unit, in SI units, and what quantity it is: ``"0.5 mm"``, ``"1e-5 rad/Nm"``.
-
-    Returns:
-        The value [m], [rad], [rad/Nm] or [m/N], or a plain number; and ``"a length"``, ``"an angle"``,
-        ``"a compliance"`` or ``"a number"``.
+    """A number in SI units and its quantity, such as `ANGLE` or `COMPLIANCE`: ``"0.5 mm"``, ``"1e-5 rad/Nm"``.
 
     Raises:
         CalibError: No number, or an unknown unit.
@@ -184,23 +146,17 @@ def parse_quantity(text: object) -> tuple[float, str]:
         return number, PLAIN
     top, slash, bottom = (part.strip() for part in match[2].partition("/"))
     if slash:
-        if (bottom, UNITS[top].quantity if top in UNITS else "") in (
-            ("Nm", "angle"),
-            ("N", "length"),
-        ):
-            return number * UNITS[top].to_si, COMPLIANCE
-        raise CalibError(
-            f"'{match[2]}' is no unit of compliance; a joint's is in 'rad/Nm', or 'm/N' where it slides"
-        )
+        if bottom not in ("Nm", "N") or top not in symbols("angle" if bottom == "Nm" else "length"):
+            raise CalibError(
+                f"'{match[2]}' is no unit of compliance; a joint's is in 'rad/Nm', or 'm/N' where it slides"
+            )
+        return number * UNITS[top].to_si, COMPLIANCE
     unit = find_unit(match[2])
     return number * unit.to_si, ANGLE if unit.quantity == "angle" else f"a {unit.quantity}"
 
 
 def parse_joint_value(value: object, where: str) -> float:
-    """The value of a joint with its unit, such as ``"30 deg"`` or ``"0.3 m"``, in rad or m.
-
-    Returns:
-        An `Angle` or a `Length`: it is known later whether the joint turns or slides.
+    """The value of a joint with its unit, such as ``"30 deg"`` or ``"0.3 m"``, as an `Angle` or a `Length`.
 
     Raises:
         CalibError: No number with a unit of length or angle; the text says ``where`` it was given.
@@ -222,14 +178,12 @@ def parse_joint_range(value: object, where: str) -> tuple[float, float]:
     Raises:
         CalibError: Not two values of a joint, or an angle and a length; the text says ``where`` they were given.
     """
-    if not isinstance(value, (list, tuple)) or len(value) != 2:
+    ends = value if isinstance(value, (list, tuple)) else ()
+    if len(ends) != 2:
         raise CalibError(
-            f'{where} is {value!r}; it must be the least and the largest value, such as ["-90 deg", "90 deg"] or '
-            '["0 mm", "300 mm"].'
+            f'{where} is {value!r}; it must be the least and the largest value, such as ["-90 deg", "90 deg"].'
         )
-    low, high = (parse_joint_value(one, where) for one in value)
+    low, high = (parse_joint_value(one, where) for one in ends)
     if type(low) is not type(high):
-        raise CalibError(
-            f"{where} is from {value[0]!r} to {value[1]!r}; one is an angle and one a length."
-        )
+        raise CalibError(f"{where} is {value!r}; one is an angle and one a length.")
     return low, high

@@ -43,6 +43,7 @@ from calib.estimate.rows import Rows
 from calib.estimate.setup import rows_of
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
+from calib.robot.chain import pinocchio_chain
 from calib.robot.robot import Robot
 from calib.simulation.scenario import Scenario
 from calib.simulation.study import Trials, study
@@ -177,7 +178,7 @@ def one_plain(count: int) -> dict[str, float]:
     def each(x: Array, *, columns: bool) -> tuple[Array, Array]:
         D, S = model.displacements(x)  # of the frame, the joints, the tip and the target
         T = [pin.SE3(one) for one in (robot.placements @ D[1 : n + 2])]
-        chain = robot.chain_model(np.array([one.homogeneous for one in T]))
+        chain = pinocchio_chain(robot.joints, np.array([one.homogeneous for one in T]))
         data, T_last_target = chain.createData(), T[-1] * T_tip_target * pin.SE3(D[-1])
         of_target = pin.SE3(T_tip_target.homogeneous @ D[-1]).toActionMatrixInverse() @ S[-12:-6]
         of_target += S[-6:]

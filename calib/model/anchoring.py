@@ -38,16 +38,7 @@ def anchored_placements(
     nominal: Array,
     joints: Sequence[UrdfJoint],
 ) -> Array:
-    """Other placements of the same chain, near the nominal ones; see the module's text.
-
-    Args:
-        placements: shape (n + 1, 4, 4), [m].
-        nominal: shape (n + 1, 4, 4), [m].
-        joints: The n joints, with axis and type.
-
-    Returns:
-        shape (n + 1, 4, 4), [m].
-    """
+    """Other placements of the same chain, near the nominal ones, all (n + 1, 4, 4), [m]; see the module's text."""
     result = np.array(placements, dtype=np.float64)
     axes = [np.asarray(joint.axis) for joint in joints]
     slides = [joint.type == "prismatic" for joint in joints]
@@ -66,23 +57,19 @@ def anchored_placements(
 
 
 def check_same_joints(robot: Robot, nominal: Robot) -> None:
-    """Refuse two robots whose joints differ in name, type or axis, or in the columns that move them.
+    """Refuse two robots whose joints differ in name, type or axis.
 
     Raises:
         ModelError: They do.
     """
-    for one, other in zip(robot.joints, nominal.joints, strict=False):
-        if one.name != other.name or one.type != other.type or (one.axis != other.axis).any():
-            raise ModelError(
-                f"The joint '{one.name}' ({one.type}, axis {_numbers(one.axis)}) of the robot '{robot.name}' is not "
-                f"the '{other.name}' ({other.type}, axis {_numbers(other.axis)}) of its nominal robot "
-                f"'{nominal.name}'. Give the nominal URDF that the robot was corrected from."
-            )
-    if len(robot.joints) != len(nominal.joints):
+    ours, theirs = (
+        [f"{joint.name} ({joint.type}, axis {joint.axis + 0.0})" for joint in one.joints]
+        for one in (robot, nominal)
+    )
+    if ours != theirs:
         raise ModelError(
-            f"The robot '{robot.name}' has the joints {choices(joint.name for joint in robot.joints)}, its nominal "
-            f"robot '{nominal.name}' {choices(joint.name for joint in nominal.joints)}. Give the nominal URDF that "
-            "the robot was corrected from, with the same base and tip."
+            f"The robot '{robot.name}' has the joints {choices(ours)}, its nominal robot '{nominal.name}' "
+            f"{choices(theirs)}. Give the nominal URDF that the robot was corrected from, with the same base and tip."
         )
 
 
@@ -106,13 +93,9 @@ def _to_tip(T: Array, nominal: Array, axis: Array, *, sliding: bool) -> Array:
 def _to_next_axis(
     T: Array, nominal: Array, own: tuple[Array, bool], following: tuple[Array, bool]
 ) -> Array:
-    """The motion of a frame that brings the next joint's axis nearest to where the nominal link has it.
+    """The motion of a frame that brings the next joint's axis, now at T, nearest to where the nominal link has it.
 
-    Args:
-        T: Pose of the next joint in the frame.
-        nominal: The same of the nominal robot.
-        own: The joint's axis, and whether it slides.
-        following: The same of the next joint.
+    ``own`` and ``following`` are the joint's and the next one's axis, and whether it slides.
     """
     axis, sliding = own
     direction, point = T[:3, :3] @ following[0], T[:3, 3]
@@ -175,8 +158,3 @@ def _turn(axis: Array, angle: float) -> Array:
     # Of a small angle 1 - cos loses every digit.
     T[:3, :3] += np.sin(angle) * cross + 2.0 * np.sin(angle / 2.0) ** 2 * (cross @ cross)
     return T
-
-
-def _numbers(values: Array) -> str:
-    """An axis for a message."""
-    return " ".join(f"{value:g}" for value in values)

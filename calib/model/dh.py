@@ -1,15 +1,13 @@
 """The DH rows of any chain in any of the conventions of `calib.model.dh_table`.
 
 Standard and modified rows are the same product of the same common normals, bracketed otherwise, and they are pure: the
-common normal of nearly parallel axes may lie kilometres away, and is given there. Axes that are parallel but for
-rounding are taken as parallel, with d_i = 0. Hayati's rows, which the error model stands on, have no far normals: a
-nearly parallel row has ``d_i = 0``, the last one apart, whose d reaches to the tip, and beta_i tilts the axis
+common normal of nearly parallel axes may lie kilometres away, and is given there. Hayati's rows, which the error model
+stands on, have no far normals: a nearly parallel row has ``d_i = 0``, the last one apart, and beta_i tilts the axis
 (S. Hayati, 1983).
 
-The choices that the convention leaves open are made so that the rows look as a data sheet prints them: frame 0 is the
-base frame where it can be, x_i points as near as possible to x_(i-1) at q = 0, frame n is the tip where it can be. Rows
-of two robots compare if these choices agree: `dh_table` makes them as those of the robot that it is held against, and
-leaves what lies behind the last axis, where the tip turns about it, to T_n_tip alone.
+Choices that the convention leaves open are made as a data sheet does: frame 0 is the base frame where it can be, x_i
+points as near as possible to x_(i-1) at q = 0, frame n is the tip where it can be. To compare two robots, `dh_table`
+makes them as those of the other robot, and leaves what lies behind the last axis to T_n_tip alone.
 """
 
 from __future__ import annotations
@@ -68,15 +66,13 @@ _POSES, _SEED = 8, 20170401
 def dh_table(robot: Robot, convention: str = HAYATI, like: Robot | None = None) -> DHTable:
     """The DH rows of a robot's chain; `DHTable.poses` then equals ``robot.poses`` up to rounding.
 
-    Axes within 5e-7 rad of parallel are taken as parallel by the pure conventions, standard and modified: the poses
-    are then off by that angle times the arm's reach. Beside axes that are nearly, but not so nearly, parallel, where
-    they would be off by more, only axes within 1e-8, 1e-10 or 1e-12 rad are.
+    Axes within 5e-7 rad of parallel are taken as parallel by the pure conventions; beside axes that are nearly, but not
+    so nearly, parallel, where the poses would be off by more, only axes within 1e-8, 1e-10 or 1e-12 rad are.
 
     Args:
         robot: The robot.
         convention: One of `CONVENTIONS`.
-        like: A robot of the same chain, such as the nominal one: choices that the convention leaves open are made as
-            in ``dh_table(like, convention)``, so that the columns compare.
+        like: A robot of the same chain, such as the nominal one, whose open choices are kept so that columns compare.
 
     Raises:
         ModelError: No such convention, or ``like`` has other joints.
@@ -92,7 +88,16 @@ def dh_table(robot: Robot, convention: str = HAYATI, like: Robot | None = None) 
         )
     wanted = None
     if like is not None:
-        _check_same_chain(robot, like)
+        ours, theirs = (
+            [(joint.name, joint.type == "prismatic") for joint in one.joints]
+            for one in (robot, like)
+        )
+        if ours != theirs:
+            names = [choices(name for name, _ in one) for one in (ours, theirs)]
+            raise ModelError(
+                f"DH rows compare if both are the same chain; the robots have other joints: {names[0]} and {names[1]}. "
+                "Give two states of one robot, with the same base and tip."
+            )
         wanted = _product(like, convention)
     found = _product(robot, convention, wanted)
     return _rebracketed(found) if convention == MODIFIED else found
@@ -121,11 +126,9 @@ def rows_between(
 
     Args:
         lines: A point (3,) [m] and the unit direction (3,) of each axis, in base at q = 0.
-        like: Hayati's rows of the nominal robot: choices that the convention leaves open are made as there.
+        like: Hayati's rows of the nominal robot, whose open choices are kept.
     """
-    wanted: list[_Wanted | None] = [None] * len(lines)
-    if like is not None:
-        wanted = [_Wanted(row, F[:3, 0]) for row, F in zip(like.rows, dh_frames(like), strict=True)]
+    wanted = _wanted(like, len(lines))
     point, axis = lines[0]
     T, rows = _first_frame(axis, point, np.eye(4) if like is None else like.T_base_0), []
     for i, (point, axis) in enumerate(lines[1:]):
@@ -179,19 +182,6 @@ def _sines(robot: Robot) -> list[float]:
     return [float(np.linalg.norm(_cross(*pair))) for pair in pairwise(axes)]
 
 
-def _check_same_chain(robot: Robot, like: Robot) -> None:
-    """Refuse robots whose rows cannot stand beside each other."""
-    ours, theirs = (
-        [(joint.name, joint.type == "prismatic") for joint in one.joints] for one in (robot, like)
-    )
-    if ours != theirs:
-        raise ModelError(
-            f"The robots have other joints: {choices(name for name, _ in ours)} between '{robot.base}' and "
-            f"'{robot.tip}', and {choices(name for name, _ in theirs)} between '{like.base}' and '{like.tip}'. DH rows "
-            "compare if both are the same chain: give two states of one robot, with the same base and tip."
-        )
-
-
 # Row by row
 
 
@@ -203,6 +193,13 @@ class _Wanted:
     x: Array
 
 
+def _wanted(like: DHTable | None, count: int) -> list[_Wanted] | list[None]:
+    """What each row is to be like."""
+    if like is None:
+        return [None] * count
+    return [_Wanted(row, F[:3, 0]) for row, F in zip(like.rows, dh_frames(like), strict=True)]
+
+
 #: theta, d, a, alpha, beta.
 _Numbers = tuple[float, float, float, float, float]
 
@@ -212,22 +209,15 @@ def _product(
 ) -> DHTable:
     """The rows in the standard bracketing, each relative to the frame that the rows before it give.
 
-    So what one row cannot hold, as the last digits of a d of kilometres, the next makes good.
-
-    Args:
-        robot: The robot.
-        convention: One of `CONVENTIONS`.
-        like: Rows whose choices are kept.
-        limit: The angle [rad] below which the pure conventions take axes as parallel; None: what holds the robot.
+    So what one row cannot hold, as the last digits of a d of kilometres, the next makes good. ``limit`` is the angle
+    [rad] below which the pure conventions take axes as parallel; None: what holds the robot.
     """
     if limit is None:
         # Of Hayati's rows, no angle below that of nearly parallel axes is a limit.
         limit = 0.0 if convention == HAYATI else _limit(robot)
     frames, T_base_tip = zero_poses(robot)
     axes = [T[:3, :3] @ joint.axis for T, joint in zip(frames, robot.joints, strict=True)]
-    wanted: list[_Wanted | None] = [None] * len(axes)
-    if like is not None:
-        wanted = [_Wanted(row, F[:3, 0]) for row, F in zip(like.rows, dh_frames(like), strict=True)]
+    wanted = _wanted(like, len(axes))
     T_base_0 = _first_frame(axes[0], frames[0][:3, 3], np.eye(4) if like is None else like.T_base_0)
     T, rows = T_base_0, []
     for i, joint in enumerate(robot.joints):
@@ -286,14 +276,9 @@ def _row(
 
 
 def _parallel_row(T: Array, axis: Array, offset: Array, near: Array, *, tilted: bool) -> _Numbers:
-    """The row to a (nearly) parallel axis: a along x in the plane across z, then alpha and, Hayati's, beta tilt z.
+    """The row to a (nearly) parallel axis: a along x in the plane across z, then alpha and, if tilted, beta tilt z.
 
-    Args:
-        T: The frame that the row begins at.
-        axis: The next axis.
-        offset: From the frame's origin to it [m].
-        near: Where x is to point.
-        tilted: Whether there is a beta.
+    ``offset`` leads from T's origin to the next axis [m], x is to point ``near``.
     """
     z, x = T[:3, 2], T[:3, 0]
     offset = offset - z * (z @ offset)
@@ -345,24 +330,17 @@ def _last_row(
 
 
 def _tidy(row: DHRow, wanted: _Wanted | None) -> DHRow:
-    """Without signs of zero, and angles in the turn of those that they are held against."""
-    theta, alpha = row.theta, row.alpha
-    if wanted is None:
-        theta, alpha = _half_turn(theta), _half_turn(alpha)
-    else:
-        theta, alpha = _nearest(theta, wanted.row.theta), _nearest(alpha, wanted.row.alpha)
-    numbers = (value + 0.0 for value in (theta, row.d, row.a, alpha, row.beta))
+    """Without signs of zero; angles in the turn of the wanted row's, half a turn as pi, not -pi."""
+    angles = []
+    for name in ("theta", "alpha"):
+        angle = getattr(row, name)
+        if wanted is not None:
+            angle += 2 * np.pi * round((getattr(wanted.row, name) - angle) / (2 * np.pi))
+        elif angle < -np.pi + _TOLERANCE:
+            angle += 2 * np.pi
+        angles.append(angle)
+    numbers = (value + 0.0 for value in (angles[0], row.d, row.a, angles[1], row.beta))
     return DHRow(row.joint, row.prismatic, *numbers)
-
-
-def _half_turn(angle: float) -> float:
-    """Half a turn is said as pi, not as -pi, of which rounding makes one or the other."""
-    return angle + 2 * np.pi if angle < -np.pi + _TOLERANCE else angle
-
-
-def _nearest(angle: float, to: float) -> float:
-    """The angle a whole number of turns on that is nearest to another."""
-    return angle + 2 * np.pi * round((to - angle) / (2 * np.pi))
 
 
 # Frames

@@ -14,8 +14,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib.errors import ModelError, choices
-
 Array = NDArray[np.float64]
 
 STANDARD, MODIFIED, HAYATI = CONVENTIONS = ("standard", "modified", "hayati")
@@ -34,25 +32,15 @@ NEARLY_PARALLEL_RAD = np.radians(3.0)
 
 @dataclass(frozen=True, slots=True)
 class DHRow:
-    """One row; lengths [m], angles [rad].
+    """One row; lengths [m], angles [rad]."""
 
-    Attributes:
-        joint: The joint whose value is added.
-        prismatic: Whether it is added to d instead of theta.
-        theta: About z.
-        d: Along z.
-        a: Along x: a_i, or a_(i-1) in the modified convention.
-        alpha: About x, likewise.
-        beta: About y, Hayati's; 0 in the others.
-    """
-
-    joint: str
-    prismatic: bool
-    theta: float
-    d: float
-    a: float
-    alpha: float
-    beta: float = 0.0
+    joint: str  #: The joint whose value is added.
+    prismatic: bool  #: Whether it is added to d instead of theta.
+    theta: float  #: About z.
+    d: float  #: Along z.
+    a: float  #: Along x: a_i, or a_(i-1) in the modified convention.
+    alpha: float  #: About x, likewise.
+    beta: float = 0.0  #: About y, Hayati's; 0 in the others.
 
     @property
     def near_parallel(self) -> bool:
@@ -61,62 +49,31 @@ class DHRow:
         return bool(sine < np.sin(NEARLY_PARALLEL_RAD))
 
     def matrix(self, q: ArrayLike = 0.0, *, modified: bool = False) -> Array:
-        """A_i or M_i at values of the row's joint.
-
-        Args:
-            q: One value, or N of them, [rad] or [m].
-            modified: Whether the row is one of the modified convention.
-
-        Returns:
-            shape (4, 4) or (N, 4, 4), [m].
-        """
+        """A_i, or M_i if ``modified``, at one value of the row's joint or N of them; shape (4, 4) or (N, 4, 4), [m]."""
         values = np.asarray(q, dtype=np.float64)
-        along_x = screw(0, self.alpha, self.a)
-        theta, d = (
-            (self.theta, self.d + values) if self.prismatic else (self.theta + values, self.d)
-        )
-        along_z = screw(2, theta, d)
-        result: Array = (
-            along_x @ along_z if modified else along_z @ along_x @ screw(1, self.beta, 0.0)
-        )
-        return result
+        turn, slide = (0.0, values) if self.prismatic else (values, 0.0)
+        along_x, along_z = screw(0, self.alpha, self.a), screw(2, self.theta + turn, self.d + slide)
+        if modified:
+            return np.asarray(along_x @ along_z)
+        return np.asarray(along_z @ along_x @ screw(1, self.beta, 0.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DHTable:
-    """The rows of a chain, with the constant poses before the first and behind the last.
+    """The rows of a chain, with the constant poses before the first and behind the last."""
 
-    Attributes:
-        rows: One for each moving joint, base to tip.
-        T_base_0: shape (4, 4), [m], pose of frame 0 in the base.
-        T_n_tip: shape (4, 4), [m], pose of the tip in frame n.
-        convention: One of `CONVENTIONS`.
-    """
-
-    rows: tuple[DHRow, ...]
-    T_base_0: Array
-    T_n_tip: Array
-    convention: str = HAYATI
+    rows: tuple[DHRow, ...]  #: One for each moving joint, base to tip.
+    T_base_0: Array  #: shape (4, 4), [m], pose of frame 0 in the base.
+    T_n_tip: Array  #: shape (4, 4), [m], pose of the tip in frame n.
+    convention: str = HAYATI  #: One of `CONVENTIONS`.
 
     def __repr__(self) -> str:
         """In one line, such as ``DHTable('standard', 6 rows)``."""
         return f"DHTable('{self.convention}', {len(self.rows)} rows)"
 
     def poses(self, values: ArrayLike) -> Array:
-        """T_base_tip from the rows alone, shape (N, 4, 4), [m].
-
-        Args:
-            values: shape (N, n) or (n,), [rad] or [m], one for each row, see `Robot.chain_values`.
-
-        Raises:
-            ModelError: There is not one value for each row.
-        """
+        """T_base_tip from the rows alone at values (N, n) or (n,), see `Robot.chain_values`; shape (N, 4, 4), [m]."""
         q = np.atleast_2d(np.asarray(values, dtype=np.float64))
-        if q.ndim != 2 or q.shape[1] != len(self.rows):
-            raise ModelError(
-                f"Joint values of shape {q.shape} were given; there are {len(self.rows)} DH rows, of "
-                f"{choices(row.joint for row in self.rows)}: one value for each is wanted."
-            )
         T = np.tile(self.T_base_0, (len(q), 1, 1))
         for row, column in zip(self.rows, q.T, strict=True):
             T = T @ row.matrix(column, modified=self.convention == MODIFIED)
@@ -137,16 +94,7 @@ def dh_frames(table: DHTable) -> list[Array]:
 
 
 def screw(axis: int, angle: ArrayLike, length: ArrayLike) -> Array:
-    """Rotation about and translation along one coordinate axis.
-
-    Args:
-        axis: 0, 1 or 2.
-        angle: One angle [rad], or N of them.
-        length: One length [m], or N of them.
-
-    Returns:
-        shape (4, 4) or (N, 4, 4), [m].
-    """
+    """Rotation by angle(s) [rad] about, and translation by length(s) [m] along axis 0, 1 or 2; (4, 4) or (N, 4, 4)."""
     angle, length = np.broadcast_arrays(np.asarray(angle, float), np.asarray(length, float))
     i, j = (axis + 1) % 3, (axis + 2) % 3
     T = np.zeros((*angle.shape, 4, 4))

@@ -18,7 +18,7 @@ number of that state: the same columns of the regressor, times that number.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 import pinocchio as pin
@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from calib.errors import ModelError, choices
 from calib.model.dh import dh_frames, dh_table, zero_poses
+from calib.model.dh_table import screw
 from calib.model.families import ANGLE, LENGTH, ZERO, family_of, joint_families
 from calib.model.parameters import (
     FRAME,
@@ -37,13 +38,18 @@ from calib.model.parameters import (
     target_place,
 )
 from calib.robot.robot import Robot, read_only, rigid_inverse
+from calib.robot.urdf import UrdfJoint
 
 Array = NDArray[np.float64]
 
 #: The six directions of a frame or a placement.
 DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
 
-#: The set-up that a table without groups has, and its frame's unknowns.
+#: The unit of a parameter along or about each, and its twist.
+_UNITS = {one: "m" if k < 3 else "rad" for k, one in enumerate(DIRECTIONS)}
+_TWISTS = {one: read_only(row) for one, row in zip(DIRECTIONS, np.eye(6), strict=True)}
+
+#: The station that a table without groups has, and its frame's unknowns.
 _ONE_FRAME: Mapping[str, tuple[str, ...]] = {"": DIRECTIONS}
 
 #: The name of a set of parameters that was given, not named.
@@ -68,11 +74,10 @@ def error_model(
         robot: The nominal robot.
         name: ``paper`` or ``dh`` (a, alpha, d, theta of each DH row), ``hayati`` (beta in place of d where axes are
             nearly parallel), ``placement`` (all six of each joint), ``zeros`` (the joint zeros only) or ``frames``
-            (no error of the robot at all); behind it, each with a "+", any of the families of the
-            joints' state (`families`): ``"dh+compliance"``. Or the robot's own parameters themselves, each a
-            twist at a placement: a set called `OWN`.
+            (no error of the robot at all); behind it, each with a "+", any of the families of the joints' state:
+            ``"dh+compliance"``. Or the robot's own parameters themselves: a set called `OWN`.
         frame: Whether the measurement frame is estimated too: True for all six parameters of the one frame, or for
-            each set-up which of `DIRECTIONS` are (none for a frame that is known).
+            each station which of `DIRECTIONS` are (none for a frame that is known).
         target: Whether the targets are, or the names of those that are.
         targets: The names of all targets; "" for the only one.
         rotation: Whether the targets are frames, of which six parameters are estimated, or points.
@@ -113,7 +118,7 @@ def _assembled(
     own: tuple[Parameter, ...] | None,
 ) -> ErrorModel:
     """`error_model` of arguments that can be remembered: folds, candidates and trials ask for the same ones."""
-    parameters = [*(_own_parameters(robot, base) if own is None else own)]
+    parameters = [*(MODELS[base](robot) if own is None else own)]
     for family in families:
         parameters += joint_parameters(robot, family)
     placed = frame_and_target_model(
@@ -137,7 +142,7 @@ def frame_and_target_model(
     """The parameters of frames and targets alone, for a tip whose poses are given.
 
     Args:
-        frames: For each set-up which of `DIRECTIONS` are estimated.
+        frames: For each station which of `DIRECTIONS` are estimated.
         targets: Names of the targets that are estimated.
         known_targets: Names of all targets, in the order of their places.
         rotation: Whether targets are frames or points.
@@ -179,15 +184,13 @@ def split_name(name: str) -> tuple[str, tuple[str, ...]]:
         ModelError: No such set or family, or one twice.
     """
     base, *families = (part.strip() for part in name.split("+"))
-    if base not in MODELS:
-        raise ModelError(
-            f"There is no parameter set '{base}'. Choose one of {choices(MODELS)}, and behind it, each with a '+', "
-            f"any of {choices(joint_families())}."
-        )
     wrong = [f for f in families if f not in joint_families() or families.count(f) > 1]
-    if wrong:
+    if base not in MODELS or wrong:
+        what = f"'{name}' adds {choices(dict.fromkeys(wrong))} to the set '{base}'"
+        if base not in MODELS:
+            what = f"There is no parameter set '{base}'"
         raise ModelError(
-            f"'{name}' adds {choices(dict.fromkeys(wrong))} to the set '{base}'; what can be added, each once, is "
+            f"{what}. Choose one of {choices(MODELS)}, and behind it, each once and with a '+', any of "
             f"{choices(joint_families())}."
         )
     return base, tuple(families)
@@ -203,52 +206,46 @@ def _placed(
 ) -> list[Parameter]:
     """Some of the six parameters of a frame or target."""
     return [
-        Parameter(
-            placed_name(what, direction, name),
-            "m" if k < 3 else "rad",
-            place,
-            _unit_twist(k),
-            family,
-        )
-        for k, direction in enumerate(DIRECTIONS)
-        if direction in directions
+        Parameter(placed_name(what, one, name), _UNITS[one], place, _TWISTS[one], family)
+        for one in DIRECTIONS
+        if one in directions
     ]
 
 
 def _dh_parameters(robot: Robot, *, hayati: bool = False) -> list[Parameter]:
-    """a_i, alpha_i (beta_i), d_i, theta_i of each row, row by row.
+    """a_i, alpha_i (beta_i in place of d_i between nearly parallel axes), d_i, theta_i of each row, row by row.
 
     a_i and alpha_i act on the placement after joint i, d_i and theta_i on that of joint i or, at a base that moves
     without an <origin>, behind it too. Where the tip's placement is not carried by the URDF the last row's a and
     alpha are left out: the target takes their place.
     """
     table = dh_table(robot)
-    joints = [joint.name for joint in robot.joints]
-    places = [*joints[1:], TIP]
+    places = [*(joint.name for joint in robot.joints[1:]), TIP]
     T_base_joint, T_base_tip = zero_poses(robot)
     parameters = []
     for i, (row, frame) in enumerate(zip(table.rows, dh_frames(table), strict=True)):
-        number, axis = i + 1, np.asarray(robot.joints[i].axis)
-        parallel = hayati and row.near_parallel and i + 1 < len(table.rows)
+        number, axis, zeros = i + 1, np.asarray(robot.joints[i].axis), np.zeros(3)
+        parallel = hayati and row.near_parallel and number < len(table.rows)
         behind, own = [], []
-        if robot.carriers[i + 1] is not None:
-            T_local_frame = rigid_inverse([*T_base_joint, T_base_tip][i + 1]) @ frame
-            along, about = _screw_twists(T_local_frame, 0)
+        if robot.carriers[number] is not None:
+            T = rigid_inverse([*T_base_joint, T_base_tip][number]) @ frame
+            x, origin = T[:3, 0], T[:3, 3]
+            about = _twist(np.cross(origin, x), x)
             behind += [
-                Parameter(f"a{number}", "m", places[i], along, LENGTH, row.a),
+                Parameter(f"a{number}", "m", places[i], _twist(x, zeros), LENGTH, row.a),
                 Parameter(f"alpha{number}", "rad", places[i], about, ANGLE, row.alpha),
             ]
             if parallel:
-                _, about_y = _screw_twists(T_local_frame @ _rotation_y(row.beta), 1)
-                behind.append(
-                    Parameter(f"beta{number}", "rad", places[i], about_y, ANGLE, row.beta)
-                )
+                y = (T @ screw(1, row.beta, 0.0))[:3, 1]
+                about = _twist(np.cross(origin, y), y)
+                behind.append(Parameter(f"beta{number}", "rad", places[i], about, ANGLE, row.beta))
         if not parallel:
-            along = read_only(np.concatenate([axis, np.zeros(3)]))
-            own.append(_before_joint(robot, i, f"d{number}", "m", along, LENGTH, row.d))
-        about = read_only(np.concatenate([np.zeros(3), axis]))
+            own.append(
+                _before_joint(robot, i, f"d{number}", "m", _twist(axis, zeros), LENGTH, row.d)
+            )
         family = ANGLE if row.prismatic else ZERO
-        own.append(_before_joint(robot, i, f"theta{number}", "rad", about, family, row.theta))
+        turn = _twist(zeros, axis)
+        own.append(_before_joint(robot, i, f"theta{number}", "rad", turn, family, row.theta))
         # Where d and theta act at the same place as a and alpha, they come first, as in the row's product.
         parameters += behind + own if robot.carriers[i] is not None else own + behind
     return parameters
@@ -265,19 +262,14 @@ def _before_joint(
 ) -> Parameter:
     """A displacement along or about a joint's own axis, at its placement.
 
-    Where no <origin> carries that placement (a base that its joint moves directly), at the next one: such a
-    displacement passes through the joint's motion unchanged.
+    Where no <origin> carries that (a base that its joint moves directly), at the next one: such a displacement passes
+    through the joint's motion unchanged.
     """
     if robot.carriers[i] is not None:
         return Parameter(name, unit, robot.joints[i].name, direction, family, nominal)
     following = robot.joints[i + 1].name if i + 1 < len(robot.joints) else TIP
     behind = pin.SE3(robot.placements[i + 1]).toActionMatrixInverse() @ direction
     return Parameter(name, unit, following, read_only(behind), family, nominal)
-
-
-def _hayati_parameters(robot: Robot) -> list[Parameter]:
-    """The DH parameters with beta in place of d where axes are nearly parallel."""
-    return _dh_parameters(robot, hayati=True)
 
 
 def _placement_parameters(robot: Robot) -> list[Parameter]:
@@ -293,12 +285,11 @@ def _placement_parameters(robot: Robot) -> list[Parameter]:
         turns = joint.type != "prismatic"
         own = int(np.argmax(np.abs(joint.axis)))
         aligned = abs(abs(joint.axis[own]) - 1.0) < 0.5 * _ALIGNED**2
-        for k, direction in enumerate(DIRECTIONS):
-            family = LENGTH if k < 3 else ZERO if turns and aligned and k == 3 + own else ANGLE
-            unit = "m" if k < 3 else "rad"
-            parameters.append(
-                Parameter(f"{joint.name}.{direction}", unit, joint.name, _unit_twist(k), family)
-            )
+        zero = DIRECTIONS[3 + own] if turns and aligned else None
+        for one in DIRECTIONS:
+            family = LENGTH if one in DIRECTIONS[:3] else ZERO if one == zero else ANGLE
+            name = f"{joint.name}.{one}"
+            parameters.append(Parameter(name, _UNITS[one], joint.name, _TWISTS[one], family))
         if turns and not aligned:
             twist = axis_twists(robot)[i]
             parameters.append(Parameter(f"{joint.name}.zero", "rad", joint.name, twist, ZERO))
@@ -306,101 +297,51 @@ def _placement_parameters(robot: Robot) -> list[Parameter]:
 
 
 def _zero_parameters(robot: Robot) -> list[Parameter]:
-    """The zero of each joint, named ``<joint>.zero``: about its axis, or along it for a prismatic one.
-
-    Joints that follow another one have none of their own: their driver's moves them too.
-    """
+    """The zero of each joint, named ``<joint>.zero``: about its axis, or along it for a prismatic one."""
     parameters = []
-    twists = axis_twists(robot)
-    for i, joint in enumerate(robot.joints):
+    for i, (joint, twist) in enumerate(zip(robot.joints, axis_twists(robot), strict=True)):
         unit, family = ("m", LENGTH) if joint.type == "prismatic" else ("rad", ZERO)
-        name = f"{joint.name}.zero"
-        parameters.append(_before_joint(robot, i, name, unit, read_only(twists[i]), family))
+        parameters.append(_before_joint(robot, i, f"{joint.name}.zero", unit, twist, family))
     return parameters
-
-
-def _no_parameters(robot: Robot) -> list[Parameter]:  # noqa: ARG001
-    """No error of the robot: frame and target alone."""
-    return []
 
 
 #: The named sets of a robot's own parameters.
 MODELS: dict[str, Callable[[Robot], list[Parameter]]] = {
     "paper": _dh_parameters,
     "dh": _dh_parameters,
-    "hayati": _hayati_parameters,
+    "hayati": partial(_dh_parameters, hayati=True),
     "placement": _placement_parameters,
     "zeros": _zero_parameters,
-    "frames": _no_parameters,
+    "frames": lambda _robot: [],  # no error of the robot: frame and target alone
 }
 
 
-@lru_cache(maxsize=16)
-def _own_parameters(robot: Robot, base: str) -> tuple[Parameter, ...]:
-    """A robot's own parameters; a calibration asks for the same ones for each model and each fold."""
-    return tuple(MODELS[base](robot))
-
-
-def _unit_twist(k: int) -> Array:
-    """The k-th unit twist, linear first."""
-    return read_only(np.eye(6)[k])
-
-
-def _screw_twists(T: Array, axis: int) -> tuple[Array, Array]:
-    """The twists along and about one axis of frame T, in the frame that T is given in."""
-    direction, origin = T[:3, axis], T[:3, 3]
-    along = np.concatenate([direction, np.zeros(3)])
-    about = np.concatenate([np.cross(origin, direction), direction])
-    return read_only(along), read_only(about)
-
-
-def _rotation_y(angle: float) -> Array:
-    """The rotation about y as a pose, shape (4, 4)."""
-    T = np.eye(4)
-    T[:3, :3] = pin.rpy.rpyToMatrix(0.0, angle, 0.0)
-    return T
-
-
 def joint_parameters(robot: Robot, family: str) -> list[Parameter]:
-    """The parameters of one family of the joints' state, named ``<joint>.gain`` and so on.
-
-    Raises:
-        ModelError: No such family, or one of the geometry.
-    """
+    """The parameters of one family of the joints' state, named ``<joint>.gain`` and so on; ModelError without such."""
     row = family_of(family)
-    if row.geometric:
-        raise ModelError(
-            f"'{family}' is a family of the geometry: it belongs to a parameter set, and cannot be added to one."
-        )
     parameters = []
     for joint in robot.joints if row.every_joint else robot.inputs:
-        slides = joint.type == "prismatic"
-        unit = row.sliding if slides else row.unit
-        if unit is None:
-            continue
-        twist = _axis_twist(joint.axis, slides=slides)
-        parameters += [
-            Parameter(
-                f"{joint.name}.{factor.name}",
-                unit.symbol,
-                joint.name,
-                twist,
-                family,
-                factor=factor,
-            )
-            for factor in row.factors
-        ]
+        unit = row.sliding if joint.type == "prismatic" else row.unit
+        if unit is not None:
+            for factor in row.factors:
+                name, twist = f"{joint.name}.{factor.name}", _joint_twist(joint)
+                parameters.append(
+                    Parameter(name, unit.symbol, joint.name, twist, family, factor=factor)
+                )
     return parameters
 
 
 def axis_twists(robot: Robot) -> Array:
     """The twist of a unit of each joint of the chain, in its own frame, shape (n, 6)."""
-    return read_only(
-        [_axis_twist(joint.axis, slides=joint.type == "prismatic") for joint in robot.joints]
-    )
+    return read_only([_joint_twist(joint) for joint in robot.joints])
 
 
-def _axis_twist(axis: Array, *, slides: bool) -> Array:
+def _joint_twist(joint: UrdfJoint) -> Array:
     """The twist of a unit of a joint."""
-    nothing = np.zeros(3)
-    return read_only(np.concatenate([axis, nothing] if slides else [nothing, axis]))
+    zeros = np.zeros(3)
+    return _twist(joint.axis, zeros) if joint.type == "prismatic" else _twist(zeros, joint.axis)
+
+
+def _twist(linear: Array, angular: Array) -> Array:
+    """A twist, linear part first, read-only."""
+    return read_only(np.concatenate([linear, angular]))

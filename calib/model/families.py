@@ -8,10 +8,8 @@ times a known number of that state, its factor:
     eccentricity  dq = s sin q + c cos q       the encoder's once-per-turn error
     compliance    dq = c tau                   tau: the load on the joint, by gravity and payload, or measured
 
-No URDF can hold those. Sources: J. Hollerbach, W. Khalil, M. Gautier, Handbook of Robotics, ch. 6 (gain, compliance);
-the once-per-turn error is what an encoder disc that is off its axis shows.
-
-`register` adds a family from outside: rows are added, never changed, and each process registers its own first.
+No URDF can hold those. Source: J. Hollerbach, W. Khalil, M. Gautier, Handbook of Robotics, ch. 6. `register` adds a
+family from outside; each process registers its own first.
 """
 
 from __future__ import annotations
@@ -30,27 +28,20 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """A unit of parameters.
+    """A unit of parameters."""
 
-    Attributes:
-        symbol: In SI units: ``"m"``, ``"rad/Nm"``.
-        key: The suffix of keys in result files: ``"rad_Nm"``.
-        quantity: What it measures, as messages say it: ``"a length"``.
-        step: What arms are typically wrong by: parameters of different units are compared in such steps.
-        shown: The factor to the unit that a person reads, and that unit: ``(1e3, "mm")``.
-        cell: The suffix of keys in cell files and what one of that unit is in SI: ``("_mm", 1e-3)``.
-        example: A value that could be typed: ``"0.5 mm"``.
-        largest: A value beyond this is no error but another robot.
-    """
-
-    symbol: str
-    key: str
-    quantity: str
-    step: float
-    shown: tuple[float, str]
-    cell: tuple[str, float]
-    example: str
-    largest: float = 1.0
+    symbol: str  #: In SI units: ``"m"``, ``"rad/Nm"``.
+    key: str  #: The suffix of keys in result files: ``"rad_Nm"``.
+    quantity: str  #: What it measures, as messages say it: ``"a length"``.
+    step: float  #: What arms are typically wrong by: parameters of different units are compared in such steps.
+    shown: tuple[
+        float, str
+    ]  #: The factor to the unit that a person reads, and that unit: ``(1e3, "mm")``.
+    cell: tuple[
+        str, float
+    ]  #: The suffix of keys in cell files and what one of that unit is in SI: ``("_mm", 1e-3)``.
+    example: str  #: A value that could be typed: ``"0.5 mm"``.
+    largest: float = 1.0  #: A value beyond this is no error but another robot.
 
 
 M = Unit("m", "m", "a length", 1e-3, (1e3, "mm"), ("_mm", 1e-3), "0.5 mm")
@@ -67,20 +58,13 @@ M_PER_N = Unit("m/N", "m_N", "a compliance", 1e-6, (1e6, "um/N"), ("_m_per_N", 1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointState:
-    """The state of the joints in N samples, as the factor of one joint's error sees it.
+    """The state of the joints in N samples, as the factor of one joint's error sees it."""
 
-    Attributes:
-        joint: Name of the joint that errs.
-        joint_names: The m measured joints.
-        values: shape (N, m), of all measured joints, [rad] or [m].
-        chain: Names of the n joints of the chain.
-        loads: shape (N, n), torque or force on each joint of the chain [Nm, N]; None where it is not known.
-    """
-
-    joint: str
-    joint_names: tuple[str, ...]
-    values: Array
-    chain: tuple[str, ...] = ()
+    joint: str  #: Name of the joint that errs.
+    joint_names: tuple[str, ...]  #: The m measured joints.
+    values: Array  #: shape (N, m), of all measured joints, [rad] or [m].
+    chain: tuple[str, ...] = ()  #: Names of the n joints of the chain.
+    #: shape (N, n), torque or force on each joint of the chain [Nm, N]; None where it is not known.
     loads: Array | None = None
 
     @property
@@ -90,11 +74,7 @@ class JointState:
 
     @property
     def load(self) -> Array:
-        """The load on the joint, shape (N,), [Nm] or [N].
-
-        Raises:
-            ModelError: It is not known.
-        """
+        """The load on the joint, shape (N,), [Nm] or [N]; ModelError where it is not known."""
         if self.loads is None:
             raise ModelError(
                 f"The compliance of '{self.joint}' needs the load on the joints. Give it with the joint values."
@@ -104,50 +84,38 @@ class JointState:
 
 @dataclass(frozen=True, slots=True)
 class Factor:
-    """The known number of the joints' state that multiplies one parameter of a joint.
+    """The known number of the joints' state that multiplies one parameter of a joint."""
 
-    Attributes:
-        name: Names the parameter, ``<joint>.<name>``.
-        value: The number, of shape (N,), from a `JointState`.
-        slope: Its derivative by the joint's own value, shape (N,); None: it is next to 0 and taken as
-            that, which costs an inverse solution an iteration, no accuracy.
-        loaded: Whether it needs the load on the joints.
-    """
-
-    name: str
-    value: Callable[[JointState], Array]
+    name: str  #: Names the parameter, ``<joint>.<name>``.
+    value: Callable[[JointState], Array]  #: The number, of shape (N,), from a `JointState`.
+    #: Its derivative by the joint's own value, shape (N,); None: it is next to 0 and taken as that, which costs an
+    #: inverse solution an iteration, no accuracy.
     slope: Callable[[JointState], Array] | None
-    loaded: bool = False
+    loaded: bool = False  #: Whether it needs the load on the joints.
 
 
 @dataclass(frozen=True, slots=True)
 class Family:
-    """A family of errors, whose parameters share the size of a prior.
+    """A family of errors, whose parameters share the standard deviation of a prior."""
 
-    Attributes:
-        name: As a model names it behind a "+": ``"gain"``.
-        unit: Of a parameter, at a joint that turns.
-        prior: Standard deviation that is assumed, or where the search for it begins, in that unit.
-        typical: Standard deviation of a virtual robot's, in that unit.
-        factors: Of the parameters that each joint has; empty for the geometry.
-        sliding: The unit at a joint that slides; None: such a joint has none of the family.
-        every_joint: Whether each joint of the chain errs by itself; else each measured joint, and with it all joints
-            that follow it.
-        bounds: Smallest and largest size that is believed, in ``unit``.
-        positive: Whether its parameters are none but positive, as a compliance is.
-        lever: A sliding joint's typical error over that of a turning one.
-    """
-
-    name: str
-    unit: Unit
-    prior: float
-    typical: float
-    factors: tuple[Factor, ...] = ()
-    sliding: Unit | None = None
+    name: str  #: As a model names it behind a "+": ``"gain"``.
+    unit: Unit  #: Of a parameter, at a joint that turns.
+    prior: float  #: Standard deviation that is assumed, or where the search for it begins, in that unit.
+    typical: float  #: Standard deviation of a virtual robot's, in that unit.
+    factors: tuple[
+        Factor, ...
+    ] = ()  #: Of the parameters that each joint has; empty for the geometry.
+    sliding: Unit | None = (
+        None  #: The unit at a joint that slides; None: such a joint has none of the family.
+    )
+    #: Whether each joint of the chain errs by itself; else each measured joint, with its followers.
     every_joint: bool = False
-    bounds: tuple[float, float] = (1e-7, 0.1)
-    positive: bool = False
-    lever: float = 1.0
+    bounds: tuple[float, float] = (
+        1e-7,
+        0.1,
+    )  #: Smallest and largest standard deviation that is believed, in ``unit``.
+    positive: bool = False  #: Whether its parameters are none but positive, as a compliance is.
+    lever: float = 1.0  #: A sliding joint's typical error over that of a turning one.
 
     @property
     def geometric(self) -> bool:
@@ -168,28 +136,26 @@ _SIN = Factor("sin", lambda state: np.sin(state.q), lambda state: np.cos(state.q
 _COS = Factor("cos", lambda state: np.cos(state.q), lambda state: -np.sin(state.q))
 _COMPLIANCE = Factor("compliance", lambda state: state.load, slope=None, loaded=True)
 
-_REGISTRY: dict[str, Family] = {
-    row.name: row
-    for row in (
-        Family(LENGTH, M, prior=3e-3, typical=0.3e-3),
-        Family(ANGLE, RAD, prior=15e-3, typical=3e-3),
-        Family(ZERO, RAD, prior=15e-3, typical=5e-3),
-        Family("gain", ONE, 1e-3, 0.5e-3, (_GAIN,), sliding=M_PER_M),
-        Family("eccentricity", RAD, 1e-3, 0.5e-3, (_SIN, _COS)),
-        Family(
-            "compliance",
-            RAD_PER_NM,
-            1e-5,
-            1e-5,
-            (_COMPLIANCE,),
-            sliding=M_PER_N,
-            every_joint=True,
-            bounds=(1e-11, 1e-2),
-            positive=True,
-            lever=0.1,
-        ),
-    )
-}
+_ROWS = (
+    Family(LENGTH, M, prior=3e-3, typical=0.3e-3),
+    Family(ANGLE, RAD, prior=15e-3, typical=3e-3),
+    Family(ZERO, RAD, prior=15e-3, typical=5e-3),
+    Family("gain", ONE, 1e-3, 0.5e-3, (_GAIN,), sliding=M_PER_M),
+    Family("eccentricity", RAD, 1e-3, 0.5e-3, (_SIN, _COS)),
+    Family(
+        "compliance",
+        RAD_PER_NM,
+        1e-5,
+        1e-5,
+        (_COMPLIANCE,),
+        sliding=M_PER_N,
+        every_joint=True,
+        bounds=(1e-11, 1e-2),
+        positive=True,
+        lever=0.1,
+    ),
+)
+_REGISTRY: dict[str, Family] = {row.name: row for row in _ROWS}
 
 #: All families by name, in the order in which they are shown.
 FAMILIES: Mapping[str, Family] = MappingProxyType(_REGISTRY)
@@ -202,28 +168,17 @@ def register(family: Family) -> None:
         ModelError: Its name is taken, a parameter's name is, or it has no factors.
     """
     taken = [factor.name for row in FAMILIES.values() for factor in row.factors]
-    if family.name in FAMILIES:
-        raise ModelError(
-            f"There is a family '{family.name}' already; they are {choices(FAMILIES)}. Choose another name."
-        )
-    if not family.factors:
-        raise ModelError(
-            f"The family '{family.name}' has no factors; one of the joints' state has at least one."
-        )
     doubled = [factor.name for factor in family.factors if factor.name in taken]
-    if doubled:
+    if family.name in FAMILIES or doubled or not family.factors:
         raise ModelError(
-            f"Parameters called {choices(doubled)} belong to another family; those taken are {choices(taken)}."
+            f"The family '{family.name}' with the factors {choices(f.name for f in family.factors)} cannot be added: "
+            f"it needs at least one factor, and new names; taken are {choices([*FAMILIES, *taken], 60)}."
         )
     _REGISTRY[family.name] = family
 
 
 def family_of(name: str) -> Family:
-    """A family by its name.
-
-    Raises:
-        ModelError: It is not registered.
-    """
+    """A family by its name; ModelError if it is not registered."""
     if name not in FAMILIES:
         raise ModelError(
             f"There is no family of errors '{name}'; there are {choices(FAMILIES)}. One of your own is added by "
@@ -238,14 +193,10 @@ def joint_families() -> tuple[str, ...]:
 
 
 def unit_of(symbol: str) -> Unit:
-    """A unit of parameters by its symbol: one of calib's own, or of a registered family.
-
-    Raises:
-        ModelError: No family has it.
-    """
-    units = {unit.symbol: unit for unit in (M, RAD, ONE, M_PER_M, RAD_PER_NM, M_PER_N)}
-    for row in FAMILIES.values():
-        units |= {unit.symbol: unit for unit in (row.unit, row.sliding) if unit is not None}
+    """A unit of parameters by its symbol, calib's own or a registered family's; ModelError if there is none."""
+    own = (M, RAD, ONE, M_PER_M, RAD_PER_NM, M_PER_N)
+    rows = (unit for row in FAMILIES.values() for unit in (row.unit, row.sliding) if unit)
+    units = {unit.symbol: unit for unit in (*own, *rows)}
     if symbol not in units:
         raise ModelError(f"No parameter has the unit '{symbol}'; the units are {choices(units)}.")
     return units[symbol]

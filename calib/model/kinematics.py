@@ -27,19 +27,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples:
-    """Where the robot stood, and which frame saw which target.
+    """Where the robot stood, and which frame saw which target."""
 
-    Attributes:
-        q: shape (N, m), values of the measured joints, [rad] or [m].
-        frame: shape (N,), which of the measurement frames; all zero where there is one.
-        target: shape (N,), which of the targets.
-        load: shape (N, n), load on each joint of the chain [Nm, N]; None where it is not known.
-    """
-
-    q: Array
-    frame: NDArray[np.int_]
-    target: NDArray[np.int_]
-    load: Array | None = None
+    q: Array  #: shape (N, m), values of the measured joints, [rad] or [m].
+    frame: NDArray[
+        np.int_
+    ]  #: shape (N,), which of the measurement frames; all zero where there is one.
+    target: NDArray[np.int_]  #: shape (N,), which of the targets.
+    load: Array | None = (
+        None  #: shape (N, n), load on each joint of the chain [Nm, N]; None where it is not known.
+    )
 
     @classmethod
     def at(cls, q: ArrayLike, load: Array | None = None) -> Samples:
@@ -66,20 +63,14 @@ Where: TypeAlias = Samples | NDArray[np.float64]
 class Kinematics:
     """A robot under an error model, seen at targets from measurement frames.
 
-    Attributes:
-        robot: The nominal robot.
-        model: Its parameters.
-        T_frame_base: shape (F, 4, 4) or (4, 4), [m], pose of the base in each measurement frame at x = 0.
-        T_tip_target: shape (T, 4, 4) or (4, 4), [m], pose of each target in the tip at x = 0.
-
     Raises:
         ModelError: There are more or fewer frames or targets than the model has places for.
     """
 
-    robot: Robot
-    model: ErrorModel
-    T_frame_base: Array
-    T_tip_target: Array
+    robot: Robot  #: The nominal robot.
+    model: ErrorModel  #: Its parameters.
+    T_frame_base: Array  #: shape (F, 4, 4) or (4, 4), [m], pose of the base in each measurement frame at x = 0.
+    T_tip_target: Array  #: shape (T, 4, 4) or (4, 4), [m], pose of each target in the tip at x = 0.
 
     def __post_init__(self) -> None:
         """One frame and one target become stacks of one; refuse another number of them than the model has."""
@@ -94,36 +85,18 @@ class Kinematics:
                 )
 
     def poses(self, x: Array, where: Where) -> Array:
-        """T_frame_target.
-
-        Args:
-            x: shape (p,), [m] and [rad].
-            where: N samples, or joint values of shape (N, m), [rad] or [m].
-
-        Returns:
-            shape (N, 4, 4), [m].
-        """
-        geometry, _ = self._displaced(x)
-        return kernel.poses(geometry, self._stood(x, where))
+        """T_frame_target at parameters x, shape (p,), and N samples or joint values (N, m); shape (N, 4, 4), [m]."""
+        return kernel.poses(self._displaced(x)[0], self._stood(x, where))
 
     def points(self, x: Array, where: Where) -> Array:
         """The target's position in the measurement frame, shape (N, 3), [m]."""
         return self.poses(x, where)[:, :3, 3]
 
     def twists(self, x: Array, where: Where, *, rotation: bool = True) -> tuple[Array, Array]:
-        """T_frame_target, and the velocity of the target in a unit of each parameter.
+        """T_frame_target, (N, 4, 4), [m], and the velocity of the target in a unit of each parameter.
 
-        The twist k of row i has the target's linear velocity first, then the angular one, both along the axes of
-        the measurement frame.
-
-        Args:
-            x: shape (p,), [m] and [rad].
-            where: N samples, or joint values of shape (N, m), [rad] or [m].
-            rotation: Whether the angular velocities are asked for.
-
-        Returns:
-            shape (N, 4, 4), [m], and shape (N, 6, p), or (N, 3, p) without angular ones, [m or rad per unit of the
-            parameter].
+        The velocity, linear then angular along the axes of the measurement frame, has shape (N, 6, p), or (N, 3, p)
+        without ``rotation``, [m or rad per unit of the parameter].
         """
         geometry, directions = self._displaced(x)
         return kernel.twists(geometry, directions, self._stood(x, where), rotation=rotation)
@@ -165,22 +138,15 @@ class Kinematics:
 def joint_displacements(
     robot: Robot, terms: Sequence[Parameter], q: Array, load: Array | None
 ) -> Array:
-    """How far a unit of each term moves each joint of the chain, shape (N, n, len(terms)).
-
-    Args:
-        robot: The robot, n joints in its chain.
-        terms: With a ``factor``.
-        q: shape (N, m), values of the measured joints, [rad] or [m].
-        load: shape (N, n), torque or force on each joint [Nm, N]; None if no term needs it.
+    """How far a unit of each term, with a ``factor``, moves each joint of the chain, shape (N, n, len(terms)).
 
     Raises:
-        ModelError: A term needs the load, and there is none; or has no factor.
+        ModelError: A term needs the load, (N, n) [Nm, N], and there is none.
     """
     joints = tuple(joint.name for joint in robot.joints)
     moved = np.zeros((len(q), len(joints), len(terms)))
     for k, term in enumerate(terms):
-        if term.factor is None:
-            raise ModelError(f"'{term.name}' is an error of the geometry; it moves no joint.")
+        assert term.factor is not None
         if family_of(term.family).every_joint:
             driven: Array = np.eye(len(joints))[joints.index(term.place)]
         else:

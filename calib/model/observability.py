@@ -1,8 +1,7 @@
 """What the measured poses can tell apart: rank, named combinations, condition, observability indices.
 
-Everything here takes a Jacobian and gives values; it depends on no random draw. The columns are first
-scaled by declared steps (by default 1 mm and 1 mrad), so that metres and radians can be compared, and so
-that the result does not change with the units.
+The columns of a Jacobian are first scaled by declared steps (by default 1 mm and 1 mrad), so that metres and radians
+can be compared, and the result does not change with the units.
 """
 
 from __future__ import annotations
@@ -13,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import ModelError
 from calib.model.families import unit_of
 from calib.robot.robot import read_only
 
@@ -41,18 +39,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Combination:
-    """Parameters that can change together without changing what was measured.
+    """Parameters that can change together without changing what was measured."""
 
-    Attributes:
-        names: The parameters, in the model's order.
-        steps: How much each changes, in its own unit, scaled so that the leading one, as a rule the first, changes
-            by its declared step.
-        units: Of each, see `calib.model.families.unit_of`.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  #: The parameters, in the model's order.
+    #: How much each changes, in its own unit, scaled so that the leading one, as a rule the first, changes by its
+    #: declared step.
     steps: tuple[float, ...]
-    units: tuple[str, ...]
+    units: tuple[str, ...]  #: Of each, see `calib.model.families.unit_of`.
 
     def __str__(self) -> str:
         """In words, such as ``d2 and d4 together (+1 mm, -1 mm)``."""
@@ -69,25 +62,19 @@ class Combination:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observability:
-    """The result of `analyse`.
+    """The result of `analyse`."""
 
-    Attributes:
-        columns: Number of parameters.
-        rank: Number of combinations that the measurements determine.
-        condition: Largest over smallest singular value of the determined part.
-        singular_values: shape (columns,), of the scaled Jacobian, descending, [m per declared step].
-        indices: O1 to O5 of the determined part.
-        unidentifiable: One combination for each missing rank.
-        identifiable: shape (columns,), whether a parameter takes part in none of them.
-    """
-
-    columns: int
-    rank: int
-    condition: float
-    singular_values: Array
-    indices: dict[str, float]
-    unidentifiable: tuple[Combination, ...]
-    identifiable: NDArray[np.bool_]
+    columns: int  #: Number of parameters.
+    rank: int  #: Number of combinations that the measurements determine.
+    condition: float  #: Largest over smallest singular value of the determined part.
+    singular_values: (
+        Array  #: shape (columns,), of the scaled Jacobian, descending, [m per declared step].
+    )
+    indices: dict[str, float]  #: O1 to O5 of the determined part.
+    unidentifiable: tuple[Combination, ...]  #: One combination for each missing rank.
+    identifiable: NDArray[
+        np.bool_
+    ]  #: shape (columns,), whether a parameter takes part in none of them.
 
 
 def steps(units: Sequence[str]) -> Array:
@@ -98,25 +85,12 @@ def steps(units: Sequence[str]) -> Array:
 def analyse(
     jacobian: Array, names: Sequence[str], units: Sequence[str], rows: int | None = None
 ) -> Observability:
-    """Rank, combinations and indices of a Jacobian.
+    """Rank, combinations and indices of a Jacobian of shape (rows, p), [m per unit of the parameter].
 
     With singular values s_1 >= ... >= s_r of the scaled Jacobian of N rows (J. Hollerbach, A. Nahvi, 1996;
     Y. Sun, J. Hollerbach, 2008): O1 = (s_1 ... s_r)^(1/r) / sqrt(N), O2 = s_r / s_1, O3 = s_r, O4 = s_r^2 / s_1,
-    O5 = 1 / (1/s_1 + ... + 1/s_r).
-
-    Args:
-        jacobian: shape (rows, p), [m per unit of the parameter].
-        names: p names.
-        units: p units.
-        rows: How many rows there are; None for those of the Jacobian, which may also be the triangle of many.
-
-    Raises:
-        ModelError: The numbers of columns, names and units differ.
+    O5 = 1 / (1/s_1 + ... + 1/s_r). ``rows`` is N where the Jacobian is only the triangle of more rows.
     """
-    if jacobian.ndim != 2 or not jacobian.shape[1] == len(names) == len(units):
-        raise ModelError(
-            f"A Jacobian of shape {jacobian.shape} does not go with {len(names)} names and {len(units)} units."
-        )
     step = steps(units)
     p = len(names)
     if p == 0:
@@ -144,13 +118,10 @@ def analyse(
 
 
 def rank_by_gap(values: Array) -> int:
-    """The number of singular values before the first wide gap that ends below what is negligible.
+    """The number of singular values, descending, before the first wide gap that ends below what is negligible.
 
-    A gap is the ratio of a value to the one after it. The first, not the widest one counts: axes that are parallel
-    but for a few mrad leave values far below the noise and yet far above rounding, and they are as good as zero.
-
-    Args:
-        values: shape (p,), descending.
+    The first, not the widest gap counts: axes that are parallel but for a few mrad leave values far below the noise and
+    yet far above rounding, and they are as good as zero.
     """
     if len(values) == 0 or values[0] == 0.0:
         return 0
@@ -176,11 +147,7 @@ def _indices(values: Array, rows: int) -> dict[str, float]:
 
 
 def _echelon(null: Array) -> Array:
-    """A sparse basis of the null space: its reduced row echelon form, each row led by a 1.
-
-    The earliest parameters lead, so that a combination of a robot's parameter with the target is named after the
-    robot's.
-    """
+    """The reduced row echelon form of the null space: sparse, each row led by a 1, the earliest parameters first."""
     rows: Array = null.copy()
     r, p = rows.shape
     done = 0
@@ -203,12 +170,7 @@ def _echelon(null: Array) -> Array:
 def _combination(
     row: Array, effect: Array, names: Sequence[str], units: Sequence[str], step: Array
 ) -> Combination:
-    """One row of the echelon form in words.
-
-    What is left out must not matter, so a parameter's share is that of what it does to the measurements, not of
-    its step. The leading parameter is named even if it does nothing at all; then what the others do beside it is
-    rounding, not part of a combination.
-    """
+    """One row of the echelon form: the parameters whose effect on the measurements, not whose step, matters."""
     size = np.abs(row)
     share = size * effect
     least = max(_NAMED_EFFECT * share.max(), _NEGLIGIBLE * size.max() * effect.max())

@@ -38,45 +38,33 @@ def target_place(name: str) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Parameter:
-    """One error: a direction at a place.
+    """One error: a direction at a place."""
 
-    Attributes:
-        name: Unique, such as ``"d1"``, ``"elbow_joint.rx"`` or ``"target_x"``.
-        unit: The symbol of a `calib.model.families.Unit`: "m", "rad", "rad/Nm", ...
-        place: A joint's name, `TIP`, or that of a frame or a target.
-        direction: shape (6,), twist in the place's local frame, linear then angular, of a unit of the parameter. For
-            errors that change with the joints' state: of a unit of the joint's displacement.
-        family: One of `calib.model.families.FAMILIES`, `FRAME` or `TARGET`.
-        nominal: The value that the parameter adds to, in its unit: the DH table's, or 0. A target's is where
-            the cell says it is.
-        factor: The known number of the joint's state that multiplies it; None for 1.
-    """
-
-    name: str
-    unit: str
-    place: str
+    name: str  #: Unique, such as ``"d1"``, ``"elbow_joint.rx"`` or ``"target_x"``.
+    unit: str  #: The symbol of a `calib.model.families.Unit`: "m", "rad", "rad/Nm", ...
+    place: str  #: A joint's name, `TIP`, or that of a frame or a target.
+    #: shape (6,), twist in the place's local frame, linear then angular, of a unit of the parameter. For errors that
+    #: change with the joints' state: of a unit of the joint's displacement.
     direction: Array
-    family: str
+    family: str  #: One of `calib.model.families.FAMILIES`, `FRAME` or `TARGET`.
+    #: The value that the parameter adds to, in its unit: the DH table's, or 0. A target's is where the cell says it
+    #: is.
     nominal: float = 0.0
-    factor: Factor | None = None
+    factor: Factor | None = (
+        None  #: The known number of the joint's state that multiplies it; None for 1.
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ErrorModel:
-    """A named list of parameters for one chain.
+    """A named list of parameters for one chain."""
 
-    Attributes:
-        name: The set's name, such as ``"dh"``.
-        places: All places in order: the frames, the joints, the tip, the targets.
-        parameters: The unknowns, in the order of the parameter vector x.
-        terms: The parameters and those tied to them, in the order in which they act; the parameters where none is.
-        mixing: shape (terms, p): the value of each term is mixing @ x; the identity where none is tied.
-    """
-
-    name: str
-    places: tuple[str, ...]
-    parameters: tuple[Parameter, ...]
+    name: str  #: The set's name, such as ``"dh"``.
+    places: tuple[str, ...]  #: All places in order: the frames, the joints, the tip, the targets.
+    parameters: tuple[Parameter, ...]  #: The unknowns, in the order of the parameter vector x.
+    #: The parameters and those tied to them, in the order in which they act; the parameters where none is.
     terms: tuple[Parameter, ...] = ()
+    #: shape (terms, p): the value of each term is mixing @ x; the identity where none is tied.
     mixing: Array = field(default_factory=lambda: np.zeros((0, 0)))
     _backwards: tuple[tuple[int, int, pin.Motion], ...] = field(init=False, repr=False)
     _undisplaced: Array = field(init=False, repr=False)
@@ -87,30 +75,27 @@ class ErrorModel:
             object.__setattr__(self, "terms", self.parameters)
             object.__setattr__(self, "mixing", read_only(np.eye(len(self.parameters))))
         names = [term.name for term in self.terms]
-        doubled = sorted({name for name in names if names.count(name) > 1})
-        if doubled:
-            raise ModelError(
-                f"Parameters {choices(doubled)} appear twice in the model '{self.name}'; names must differ."
-            )
-        unknown = sorted({t.place for t in self.terms if t.factor is None} - set(self.places))
-        if unknown:
-            raise ModelError(
-                f"The chain has no places {choices(unknown)}; it has {choices(self.places)}."
-            )
         number = {place: k for k, place in enumerate(self.places)}
-        acting = [
-            (t, number[term.place]) for t, term in enumerate(self.terms) if term.factor is None
-        ]
+        fixed = [(t, term) for t, term in enumerate(self.terms) if term.factor is None]
+        doubled = sorted({name for name in names if names.count(name) > 1})
+        unknown = sorted({term.place for _, term in fixed} - set(number))
+        if doubled or unknown:
+            raise ModelError(
+                f"The model '{self.name}' has parameters {choices(doubled)} twice, or at places {choices(unknown)} "
+                f"that the chain has not; it has {choices(self.places)}."
+            )
         undisplaced = np.zeros((6 * len(self.places), len(self.terms)))
-        for t, k in acting:
-            undisplaced[6 * k : 6 * k + 6, t] = self.terms[t].direction
-        backwards = tuple((t, k, pin.Motion(self.terms[t].direction)) for t, k in acting[::-1])
-        object.__setattr__(self, "_backwards", backwards)
+        backwards = []
+        for t, term in reversed(fixed):
+            k = number[term.place]
+            undisplaced[6 * k : 6 * k + 6, t] = term.direction
+            backwards.append((t, k, pin.Motion(term.direction)))
+        object.__setattr__(self, "_backwards", tuple(backwards))
         object.__setattr__(self, "_undisplaced", read_only(undisplaced))
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The parameters' names in order."""
+        """The parameters' names."""
         return tuple(p.name for p in self.parameters)
 
     @property
@@ -132,11 +117,7 @@ class ErrorModel:
         return np.array([p.family in names for p in self.parameters], dtype=bool)
 
     def index(self, name: str) -> int:
-        """The position of a parameter in x.
-
-        Raises:
-            ModelError: No such parameter.
-        """
+        """The position of a parameter in x; ModelError if there is none."""
         if name not in self.names:
             raise ModelError(
                 f"The model '{self.name}' has no parameter '{name}'; it has {choices(self.names, limit=60)}."
@@ -150,17 +131,8 @@ class ErrorModel:
             ModelError: No such parameter.
         """
         gone = {self.index(name) for name in names}
-        if not gone:
-            return self
         kept = [k for k in range(len(self)) if k not in gone]
-        mixing = self.mixing[:, kept]
-        used = [t for t in range(len(self.terms)) if np.any(mixing[t])]
-        return replace(
-            self,
-            parameters=tuple(self.parameters[k] for k in kept),
-            terms=tuple(self.terms[t] for t in used),
-            mixing=read_only(mixing[used]),
-        )
+        return self._mixed(kept, self.mixing[:, kept]) if gone else self
 
     def tied(self, ties: Mapping[str, tuple[str, float]]) -> ErrorModel:
         """The model with parameters that follow others: x_name = factor x_other.
@@ -170,25 +142,27 @@ class ErrorModel:
         """
         if not ties:
             return self
-        mixing, model = self.mixing.copy(), self
+        mixing = self.mixing.copy()
         for name, (other, factor) in ties.items():
             k, leader = self.index(name), self.index(other)
-            if other in ties or k == leader:
+            units = self.units[k], self.units[leader]
+            if other in ties or k == leader or units[0] != units[1]:
                 raise ModelError(
-                    f"'{name}' is tied to '{other}', which is tied itself. Tie both to one parameter that is "
-                    "free."
-                )
-            if self.parameters[k].unit != self.parameters[leader].unit:
-                raise ModelError(
-                    f"'{name}' [{self.parameters[k].unit}] cannot follow '{other}' "
-                    f"[{self.parameters[leader].unit}]: their units differ."
+                    f"'{name}' [{units[0]}] cannot follow '{other}' [{units[1]}]: parameters are tied to one that is "
+                    "free and of the same unit."
                 )
             mixing[:, leader] += factor * mixing[:, k]
         free = [k for k, name in enumerate(self.names) if name not in ties]
+        return self._mixed(free, mixing[:, free])
+
+    def _mixed(self, kept: list[int], mixing: Array) -> ErrorModel:
+        """The model with some of its parameters, and the terms that they move."""
+        used = np.flatnonzero(mixing.any(axis=1))
         return replace(
-            model,
-            parameters=tuple(self.parameters[k] for k in free),
-            mixing=read_only(mixing[:, free]),
+            self,
+            parameters=tuple(self.parameters[k] for k in kept),
+            terms=tuple(self.terms[t] for t in used),
+            mixing=read_only(mixing[used]),
         )
 
     @property
@@ -197,11 +171,7 @@ class ErrorModel:
         return tuple(t for t, term in enumerate(self.terms) if term.factor is not None)
 
     def values(self, x: Array) -> Array:
-        """The value of every term, shape (terms,).
-
-        Raises:
-            ModelError: ``x`` has not one entry for each parameter.
-        """
+        """The value of every term, shape (terms,); ModelError if ``x`` has not one entry for each parameter."""
         if np.shape(x) != (len(self.parameters),):
             raise ModelError(
                 f"A parameter vector of shape {np.shape(x)} was given; the model '{self.name}' has "
@@ -210,18 +180,12 @@ class ErrorModel:
         return np.asarray(self.mixing @ x)
 
     def displacements(self, x: Array) -> tuple[Array, Array]:
-        """The displacement of every place, and each parameter's direction there.
-
-        Args:
-            x: shape (p,), [m] and [rad].
+        """The displacement of every place at x, and each parameter's direction there.
 
         Returns:
             D: shape (len(places), 4, 4); the displaced placement is P D.
             S: shape (6 len(places), p); rows 6 k to 6 k + 5 are the twists at place k, in the local frame of the
             displaced placement, of a unit of each parameter.
-
-        Raises:
-            ModelError: ``x`` has not one entry for each parameter.
         """
         y = self.values(x)
         directions = self._undisplaced.copy()
@@ -245,14 +209,9 @@ class ErrorModel:
         return displacements, directions
 
     def apply(self, robot: Robot, x: Array) -> Robot:
-        """The robot with its placements displaced; frame, target and errors of the joints' state are no part of it.
-
-        Args:
-            robot: The nominal robot.
-            x: shape (p,), [m] and [rad].
+        """The robot with its placements displaced by x, without frame, target and errors of the joints' state.
 
         Raises:
-            ModelError: ``x`` has not one entry for each parameter.
             UrdfError: No ``<origin>`` of the URDF can hold a displacement.
         """
         displacement, _ = self.displacements(x)

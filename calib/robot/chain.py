@@ -33,24 +33,19 @@ _LINK = "link:"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chain:
-    """The path between two links as a serial chain of n moving joints.
+    """The path between two links as a serial chain of n moving joints."""
 
-    Attributes:
-        joints: The moving joints, base to tip; those of the base's side with their axis turned round.
-        placements: shape (n + 1, 4, 4), [m]: of each joint in the one before it, of the tip in the last joint.
-        carriers: For each placement the URDF joint whose ``<origin>`` holds it, or None.
-        T_root_base: shape (4, 4), [m], pose of the base in the frame that the first placement is given in.
-        around: For each placement before, after and inverted: it is before @ origin @ after, or before @ origin^-1 @
-            after where the origin stands inverted in it; poses of shape (4, 4), [m].
-        base_moves: Whether joints lie on the base's side; the first placement is then given in the base.
-    """
-
+    #: The moving joints, base to tip; those of the base's side with their axis turned round.
     joints: tuple[UrdfJoint, ...]
-    placements: Array
-    carriers: tuple[str | None, ...]
-    T_root_base: Array
+    placements: Array  #: shape (n + 1, 4, 4), [m]: of each joint in the one before it, of the tip in the last joint.
+    carriers: tuple[
+        str | None, ...
+    ]  #: For each placement the URDF joint whose ``<origin>`` holds it, or None.
+    T_root_base: Array  #: shape (4, 4), [m], pose of the base in the frame that the first placement is given in.
+    #: For each placement before, after and inverted: it is before @ origin @ after, or before @ origin^-1 @ after
+    #: where the origin stands inverted in it; poses of shape (4, 4), [m].
     around: tuple[tuple[Array, Array, bool], ...]
-    base_moves: bool
+    base_moves: bool  #: Whether joints lie on the base's side; the first placement is then given in the base.
 
     @classmethod
     def of(cls, urdf: Urdf, base: str, tip: str) -> Chain:
@@ -60,31 +55,43 @@ class Chain:
             UrdfError: No such link, no moving joint between them, or one with more than one coordinate; or
                 Pinocchio cannot build a model of the URDF.
         """
-        path = _path(urdf, base, tip)
+        by_name = {joint.name: joint for joint in urdf.joints}
+        to_base, to_tip = urdf.chain(base, tip)
+        path = [_Step(by_name[name], up=True) for name in reversed(to_base)]
+        path += [_Step(by_name[name], up=False) for name in to_tip]
         moving = [i for i, step in enumerate(path) if step.joint.type != "fixed"]
         _check_moving(urdf, base, tip, [path[i].joint for i in moving])
-        joints = tuple(path[i].path_joint for i in moving)
         _built_model(urdf)  # which refuses what Pinocchio cannot read, or reads otherwise
-        T_root_base, placements = _placements(urdf, base, tip, path, moving)
-        carried = [_carrier(path, moving, k) for k in range(len(moving) + 1)]
+        T_root_base, steps, base_moves = np.eye(4), path, path[moving[0]].up
+        if (
+            not base_moves
+        ):  # then the chain starts in the URDF's root, joints above the base at zero
+            for name in urdf.chain(urdf.root, base)[1]:
+                T_root_base = T_root_base @ by_name[name].T_parent_joint
+            steps = [_Step(by_name[name], up=False) for name in urdf.chain(urdf.root, tip)[1]]
+        placements = _placements(steps, {path[i].joint.name for i in moving})
+        carriers: list[str | None] = []
         around = []
-        for placement, carrier in zip(placements, carried, strict=True):
-            factor = np.eye(4) if carrier is None else path[carrier.step].origin
-            last = carrier is None or carrier.last
+        for k, placement in enumerate(placements):
+            number, last = _carrier(path, moving, k)
+            step = None if number is None else path[number]
+            rest = rigid_inverse(np.eye(4) if step is None else step.origin)
             around.append(
                 (
-                    placement @ rigid_inverse(factor) if last else np.eye(4),
-                    np.eye(4) if last else rigid_inverse(factor) @ placement,
-                    carrier is not None and path[carrier.step].up,
+                    placement @ rest if last else np.eye(4),
+                    np.eye(4) if last else rest @ placement,
+                    step is not None and step.up,
                 )
             )
+            carriers.append(None if step is None else step.joint.name)
+        joints = tuple(path[i].path_joint for i in moving)
         return cls(
-            joints=joints,
-            placements=read_only(placements),
-            carriers=tuple(None if c is None else path[c.step].joint.name for c in carried),
-            T_root_base=read_only(T_root_base),
-            around=tuple(around),
-            base_moves=path[moving[0]].up,
+            joints,
+            read_only(placements),
+            tuple(carriers),
+            read_only(T_root_base),
+            tuple(around),
+            base_moves,
         )
 
 
@@ -152,7 +159,7 @@ def _check_same(urdf: Urdf, model: pin.Model) -> None:
 
 
 def full_configurations(model: pin.Model, values: Mapping[str, Array]) -> Array:
-    """Pinocchio's configurations of a whole URDF, other joints neutral, shape (N, nq).
+    """Pinocchio's configurations of a `full_model`, other joints neutral, shape (N, nq).
 
     Args:
         model: See `full_model`.
@@ -196,53 +203,25 @@ class _Step:
         return replace(self.joint, axis=read_only(-self.joint.axis + 0.0))
 
 
-@dataclass(frozen=True, slots=True)
-class _Carrier:
-    """Which step's origin holds a placement, and whether as its last factor or as its first."""
-
-    step: int
-    last: bool
-
-
-def _path(urdf: Urdf, base: str, tip: str) -> list[_Step]:
-    """All joints from base to tip: up to the link where the branches part, and down from there."""
-    by_name = {joint.name: joint for joint in urdf.joints}
-    to_base, to_tip = urdf.chain(base, tip)
-    up = [_Step(by_name[name], up=True) for name in reversed(to_base)]
-    return up + [_Step(by_name[name], up=False) for name in to_tip]
-
-
-def _carrier(path: list[_Step], moving: list[int], k: int) -> _Carrier | None:
-    """The origin that holds placement k, None where there is none.
+def _carrier(path: list[_Step], moving: list[int], k: int) -> tuple[int | None, bool]:
+    """The step whose origin holds placement k, None without; and whether as the placement's last factor.
 
     That of the moving joint on either side, if its origin lies there; at the ends of the chain else that of the
     fixed joint next to the moving one, so that all that is mounted behind it moves along.
     """
     n = len(moving)
     if k < n and not path[moving[k]].up:
-        return _Carrier(moving[k], last=True)
+        return moving[k], True
     if k > 0 and path[moving[k - 1]].up:
-        return _Carrier(moving[k - 1], last=False)
+        return moving[k - 1], False
     if k == 0:
-        return _Carrier(moving[0] - 1, last=True) if moving[0] > 0 else None
-    return _Carrier(moving[-1] + 1, last=False) if moving[-1] + 1 < len(path) else None
+        return moving[0] - 1 if moving[0] > 0 else None, True
+    behind = moving[-1] + 1
+    return (behind, False) if behind < len(path) else (None, True)
 
 
-def _placements(
-    urdf: Urdf, base: str, tip: str, path: list[_Step], moving: list[int]
-) -> tuple[Array, list[Array]]:
-    """T_root_base and the placements.
-
-    A chain whose base no joint of it moves starts in the URDF's root, joints above the base at zero; one with moving
-    joints on the base's side starts in the base.
-    """
-    moves = {path[i].joint.name for i in moving}
-    by_name = {joint.name: joint for joint in urdf.joints}
-    T_root_base, steps = np.eye(4), path
-    if not path[moving[0]].up:
-        for name in urdf.chain(urdf.root, base)[1]:
-            T_root_base = T_root_base @ by_name[name].T_parent_joint
-        steps = [_Step(by_name[name], up=False) for name in urdf.chain(urdf.root, tip)[1]]
+def _placements(steps: list[_Step], moves: Collection[str]) -> list[Array]:
+    """The placements between the joints that move, the tip's last."""
     placements, T = [], np.eye(4)
     for step in steps:
         if step.joint.name not in moves:
@@ -253,16 +232,11 @@ def _placements(
         else:
             placements.append(T @ step.origin)
             T = np.eye(4)
-    return T_root_base, [*placements, T]
+    return [*placements, T]
 
 
 def pinocchio_chain(joints: Sequence[UrdfJoint], placements: Array) -> pin.Model:
-    """A Pinocchio model of n joints in a row, whose configuration is their values.
-
-    Args:
-        joints: The joints, with axis and type.
-        placements: shape (n, 4, 4) or (n + 1, 4, 4), [m]; a tip's placement is not part of the model.
-    """
+    """A Pinocchio model of n joints in a row, whose configuration is their values; ``placements`` as in `Chain`."""
     model = pin.Model()
     for parent, (joint, placement) in enumerate(zip(joints, placements, strict=False)):
         slides = joint.type == "prismatic"
@@ -296,14 +270,9 @@ def farthest_link(
 ) -> str:
     """The link with the most moving joints between it and ``base``; a usual tip's name breaks ties.
 
-    Only links that measured joints alone lead to count, if there are any with a moving joint before them. Links
-    below the base come first; where nothing moves below it, as on a camera's link, all others are looked at.
-
-    Args:
-        urdf: The URDF.
-        base: Name of a link.
-        measured: Names of the joints whose values are known; all joints if None.
-        held: Names of joints that stay where they are; they lead on but do not count.
+    Only links that ``measured`` joints alone lead to count (all joints if None), if there are any with a moving joint
+    before them; ``held`` joints lead on but do not count. Links below the base come first; where nothing moves below
+    it, as on a camera's link, all others are looked at.
 
     Raises:
         UrdfError: The base is not a link.
@@ -328,18 +297,18 @@ def _counted(
     start = base
     while start in above and above[start].type == "fixed":
         start = above[start].parent
-    below: dict[str, list[tuple[UrdfJoint, str]]] = {}
+    beside: dict[str, list[tuple[str, bool]]] = {}
     for joint in urdf.joints:
+        counts = joint.type != "fixed" and joint.name not in held
         moves = joint.type in MOVING and joint.mimic is None and joint.name in known
-        if joint.type == "fixed" or joint.name in held or moves:
-            below.setdefault(joint.parent, []).append((joint, joint.child))
+        if moves or not counts:
+            beside.setdefault(joint.parent, []).append((joint.child, counts))
             if climb:
-                below.setdefault(joint.child, []).append((joint, joint.parent))
-    count = {start: 0}
-    waiting = [start]
+                beside.setdefault(joint.child, []).append((joint.parent, counts))
+    count, waiting = {start: 0}, [start]
     for link in waiting:
-        for joint, other in below.get(link, []):
+        for other, counts in beside.get(link, []):
             if other not in count:
-                count[other] = count[link] + (joint.type != "fixed" and joint.name not in held)
+                count[other] = count[link] + counts
                 waiting.append(other)
     return count

@@ -10,8 +10,7 @@ is to the derivative of the target's pose by a displacement of any placement, an
 what the tests compare with.
 
 Threads share out blocks, whose size and order do not depend on their number, and so neither does a result. Linear
-algebra on matrices of thirty columns has one thread: more gain nothing there, and on a busy machine their waiting for
-each other takes ten times as long as the work.
+algebra on such small matrices has one thread: more gain nothing there.
 """
 
 from __future__ import annotations
@@ -36,57 +35,36 @@ Numbers = NDArray[np.int_]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Geometry:
-    """A serial chain, seen at targets from measurement frames; every pose of shape (4, 4) [m].
+    """A serial chain, seen at targets from measurement frames; every pose of shape (4, 4) [m]."""
 
-    Attributes:
-        slides: shape (n,), which joints slide along their axis; the others turn about it.
-        turns: shape (n, 3, 3), a rotation that takes z to each joint's axis, see `turns_to`.
-        placements: shape (n + 1, 4, 4): of each joint in the one before it, of the tip in the last joint.
-        bases: shape (F, 4, 4), T_frame_base.
-        T_base_root: shape (4, 4), of the frame that the first placement is given in.
-        targets: shape (T, 4, 4), T_tip_target.
-    """
-
-    slides: NDArray[np.bool_]
-    turns: Array
-    placements: Array
-    bases: Array
-    T_base_root: Array
-    targets: Array
+    slides: NDArray[
+        np.bool_
+    ]  #: shape (n,), which joints slide along their axis; the others turn about it.
+    turns: Array  #: shape (n, 3, 3), a rotation that takes z to each joint's axis, see `turns_to`.
+    placements: Array  #: shape (n + 1, 4, 4): of each joint in the one before it, of the tip in the last joint.
+    bases: Array  #: shape (F, 4, 4), T_frame_base.
+    T_base_root: Array  #: shape (4, 4), of the frame that the first placement is given in.
+    targets: Array  #: shape (T, 4, 4), T_tip_target.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Directions:
-    """What a unit of each of p parameters does: twists, linear part first, in the local axes of the places.
+    """What a unit of each of p parameters does: twists, linear part first, in the local axes of the places."""
 
-    Attributes:
-        bases: shape (F, 6, p), of the base behind each frame.
-        placements: shape (n + 1, 6, p), of the joints and the tip.
-        targets: shape (T, 6, p).
-    """
-
-    bases: Array
-    placements: Array
-    targets: Array
+    bases: Array  #: shape (F, 6, p), of the base behind each frame.
+    placements: Array  #: shape (n + 1, 6, p), of the joints and the tip.
+    targets: Array  #: shape (T, 6, p).
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stood:
-    """Where the robot stood in N samples, and which frame saw which target.
+    """Where the robot stood in N samples, and which frame saw which target."""
 
-    Attributes:
-        values: shape (N, n), of the chain's joints [rad or m].
-        frame: shape (N,), number of the frame.
-        target: shape (N,), number of the target.
-        moved: shape (N, n, k), how far a unit of some parameters moves each joint besides; k = 0 for none.
-        columns: shape (k,), which parameters these are.
-    """
-
-    values: Array
-    frame: Numbers
-    target: Numbers
-    moved: Array
-    columns: Numbers
+    values: Array  #: shape (N, n), of the chain's joints [rad or m].
+    frame: Numbers  #: shape (N,), number of the frame.
+    target: Numbers  #: shape (N,), number of the target.
+    moved: Array  #: shape (N, n, k), how far a unit of some parameters moves each joint besides; k = 0 for none.
+    columns: Numbers  #: shape (k,), which parameters these are.
 
 
 def turns_to(axes: Array) -> Array:
@@ -118,16 +96,9 @@ def poses(geometry: Geometry, stood: Stood) -> Array:
 def twists(
     geometry: Geometry, directions: Directions, stood: Stood, *, rotation: bool = True
 ) -> tuple[Array, Array]:
-    """T_frame_target, and the target's velocity in a unit of each parameter, along the measurement frame's axes.
+    """T_frame_target, (N, 4, 4), [m], and the target's velocity in a unit of each parameter, in the frame's axes.
 
-    Args:
-        geometry: The chain.
-        directions: Of the parameters.
-        stood: Where the robot stood.
-        rotation: Whether the angular velocity is asked for.
-
-    Returns:
-        shape (N, 4, 4), [m], and (N, 6, p), or (N, 3, p) without the angular part; samples are last in memory.
+    The velocity has shape (N, 6, p), or (N, 3, p) without ``rotation``; samples are last in memory.
     """
     N, p = len(stood.values), directions.placements.shape[2]
     T_frame_target = np.empty((N, 4, 4))
@@ -169,12 +140,7 @@ def twists(
 
 
 def regressor(frames: Array, point: Array) -> Array:
-    """The velocity of a point that unit twists of bodies carry along, shape (P, 6, 3, B).
-
-    Args:
-        frames: shape (P, 4, 3, B), the bodies' axes and origins.
-        point: shape (3, B).
-    """
+    """The velocity of a point, (3, B), that unit twists of bodies, (P, 4, 3, B), carry along; shape (P, 6, 3, B)."""
     axes = frames[:, :3]
     d = (point - frames[:, 3])[:, None]
     moves = np.empty((len(frames), 6, *frames.shape[2:]))

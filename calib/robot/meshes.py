@@ -32,17 +32,11 @@ KINDS = (".stl", ".obj", ".dae", ".ply", ".off", ".glb")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinkShape:
-    """One ``<visual>`` or ``<collision>`` of one link, as the URDF states it.
+    """One ``<visual>`` or ``<collision>`` of one link, as the URDF states it."""
 
-    Attributes:
-        link: The link's name.
-        T_link_shape: shape (4, 4), [m], pose of the shape in the link.
-        geometry: The element inside ``<geometry>``.
-    """
-
-    link: str
-    T_link_shape: Array
-    geometry: Element
+    link: str  #: The link's name.
+    T_link_shape: Array  #: shape (4, 4), [m], pose of the shape in the link.
+    geometry: Element  #: The element inside ``<geometry>``.
 
     @property
     def mesh(self) -> tuple[str, tuple[float, float, float]] | None:
@@ -58,29 +52,32 @@ class LinkShape:
 
         None too where a size is missing or not positive.
         """
-        found: tuple[float, ...] = ()
-        if self.geometry.tag == "box":
-            found = numbers(self.geometry.get("size"), (0.0, 0.0, 0.0))
-        elif self.geometry.tag in ("cylinder", "capsule"):
-            found = (self._length("radius"), self._length("length"))
-        elif self.geometry.tag == "sphere":
-            found = (self._length("radius"),)
-        return found if found and all(0.0 < size < math.inf for size in found) else None
-
-    def _length(self, name: str) -> float:
-        """A number of the geometry, NaN where it is none."""
+        radius = ("radius", "length")
+        keys = {"box": ("size",), "cylinder": radius, "capsule": radius, "sphere": radius[:1]}
+        words = [self.geometry.get(key, "nan") for key in keys.get(self.geometry.tag, ())]
         try:
-            return float(self.geometry.get(name, ""))
+            found = tuple(float(word) for word in " ".join(words).split())
         except ValueError:
-            return math.nan
+            return None
+        wanted = 3 if self.geometry.tag == "box" else len(words)
+        return found if found and len(found) == wanted and _positive(found) else None
+
+
+def _positive(values: Iterable[float]) -> bool:
+    """Whether all are finite and above zero."""
+    return all(0.0 < value < math.inf for value in values)
 
 
 def link_shapes(urdf: Urdf, kind: Literal["visual", "collision"]) -> Iterator[LinkShape]:
-    """Every shape of that kind of every link, in the file's order."""
+    """Every shape of that kind of every link, in the file's order; an origin that is not three numbers is absent."""
     for link in urdf.elements().findall("link"):
         for element in link.findall(kind):
+            T, zeros = np.eye(4), (0.0, 0.0, 0.0)
+            for origin in element.findall("origin"):
+                T[:3, 3] = numbers(origin.get("xyz"), zeros)
+                T[:3, :3] = pin.rpy.rpyToMatrix(*numbers(origin.get("rpy"), zeros))
             for geometry in element.findall("geometry/*")[:1]:
-                yield LinkShape(link.get("name", ""), _origin(element), geometry)
+                yield LinkShape(link.get("name", ""), T, geometry)
 
 
 def mesh_folders(urdf: Urdf, package_dirs: Iterable[str | Path] = ()) -> tuple[Path, ...]:
@@ -99,12 +96,7 @@ def mesh_folders(urdf: Urdf, package_dirs: Iterable[str | Path] = ()) -> tuple[P
 
 
 def find_mesh(name: str, folders: Sequence[Path]) -> Path | None:
-    """The file that ``package://package/rest``, ``file:///path`` or a plain path means; None if there is none.
-
-    Args:
-        name: As the URDF has it.
-        folders: See `mesh_folders`.
-    """
+    """The file that ``package://package/rest``, ``file:///path`` or a plain path means in `mesh_folders`, or None."""
     # os.path: a name that the system cannot have is that of no file.
     return next((path for path in _candidates(name, folders) if os.path.isfile(path)), None)  # noqa: PTH113
 
@@ -124,17 +116,10 @@ def _candidates(name: str, folders: Sequence[Path]) -> Iterator[Path]:
 
 
 def read_mesh(path: Path, scale: Sequence[float]) -> tuple[tuple[Array, Faces] | None, str]:
-    """The triangles of a mesh file, and ``""``; or None and what is wrong with the file.
+    """Vertices, shape (V, 3), [m], and faces, shape (F, 3), of a mesh file, and ``""``; or None and what is wrong.
 
-    A COLLADA file is as large as its ``<unit>`` says and stands as it is written: ``<up_axis>`` is not heeded, as ROS
-    and its simulators do not.
-
-    Args:
-        path: The file; its ending says of which kind it is.
-        scale: Factors along x, y, z.
-
-    Returns:
-        Vertices, shape (V, 3), [m], and faces, shape (F, 3), indices of vertices.
+    The file's ending says of which kind it is; ``scale`` are factors along x, y, z. A COLLADA file is as large as its
+    ``<unit>`` says and stands as it is written: ``<up_axis>`` is not heeded, as ROS and its simulators do not.
     """
     kind = path.suffix.lower()
     if kind not in KINDS:
@@ -157,12 +142,7 @@ def read_mesh(path: Path, scale: Sequence[float]) -> tuple[tuple[Array, Faces] |
 
 
 def load_mesh(path: Path, scale: Sequence[float]) -> tuple[Any, str]:
-    """A mesh file as a bounding volume hierarchy of coal, and ``""``; or None and what is wrong with the file.
-
-    Args:
-        path: The file.
-        scale: Factors along x, y, z.
-    """
+    """A mesh file as a bounding volume hierarchy of coal, and ``""``; or None and what is wrong, see `read_mesh`."""
     found, problem = read_mesh(path, scale)
     if found is None:
         return None, problem
@@ -196,13 +176,3 @@ def _robot_data_shares() -> tuple[Path, ...]:
             if pair == ("share", "example-robot-data"):
                 return (Path(str(file.locate())).parents[len(file.parts) - i - 2],)
     return ()
-
-
-def _origin(element: Element) -> Array:
-    """The pose in ``<origin>``; what is not three numbers counts as absent."""
-    T = np.eye(4)
-    for origin in element.findall("origin"):
-        T[:3, 3] = numbers(origin.get("xyz"), (0.0, 0.0, 0.0))
-        rpy = numbers(origin.get("rpy"), (0.0, 0.0, 0.0))
-        T[:3, :3] = pin.rpy.rpyToMatrix(*rpy)
-    return T

@@ -19,12 +19,11 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from calib.errors import ModelError, UrdfError, choices
 from calib.robot import kernel
-from calib.robot.chain import Chain, farthest_link, pinocchio_chain, read_only, rigid_inverse
+from calib.robot.chain import Chain, farthest_link, read_only, rigid_inverse
 from calib.robot.coupling import all_values, checked_held, coupling
 from calib.robot.urdf import Urdf, UrdfJoint, read_urdf
 
@@ -39,21 +38,16 @@ class Robot:
     """A chain of a URDF, immutable: a changed robot is a new one. Lengths [m], angles [rad].
 
     Two are equal when URDF, base, tip and held joints are.
-
-    Attributes:
-        urdf: The URDF that describes this robot; always in step with ``placements``.
-        base: Link in whose frame poses are given.
-        tip: Link whose pose is given.
-        inputs: The joint of each column of q, m of them; a driver that lies outside the chain is among them.
-        coupling: A of q_chain = A q + b, shape (n, m): how the joints of the chain follow the columns of q.
     """
 
-    urdf: Urdf
-    base: str
-    tip: str
+    urdf: Urdf  #: The URDF that describes this robot; always in step with ``placements``.
+    base: str  #: Link in whose frame poses are given.
+    tip: str  #: Link whose pose is given.
     _held: tuple[tuple[str, float], ...] = field(repr=False)
     _chain: Chain = field(repr=False, compare=False)
+    #: The joint of each column of q, m of them; a driver that lies outside the chain is among them.
     inputs: tuple[UrdfJoint, ...] = field(repr=False, compare=False)
+    #: A of q_chain = A q + b, shape (n, m): how the joints of the chain follow the columns of q.
     coupling: NDArray[np.float64] = field(repr=False, compare=False)
     _offset: NDArray[np.float64] = field(repr=False, compare=False)
 
@@ -73,8 +67,7 @@ class Robot:
                 a name such as ``"ur3"`` or ``"panda"``.
             base: Link in whose frame the poses are given; default the URDF's root link.
             tip: Link that the chain ends at; default the link with the most moving joints before it.
-            measured: Names of the joints whose values are known; a tip that is not given is then chosen so that the
-                chain has only these, if there is such a link.
+            measured: Names of the joints whose values are known: the default tip is reached by these alone, if it can.
             held: Values [rad or m] of joints that stay where they are, so that no column of q is theirs. Joints
                 beside the chain may be among them; they matter for gravity only, and are at zero if not named.
 
@@ -107,11 +100,7 @@ class Robot:
     def rebuilt(
         self, urdf: Urdf | None = None, base: str | None = None, tip: str | None = None
     ) -> Robot:
-        """The robot read anew from another URDF or between other links, what is held and not named kept.
-
-        Raises:
-            UrdfError: As for `load`.
-        """
+        """The robot read anew from another URDF or between other links, what is held and not named kept."""
         return Robot.from_urdf(
             self.urdf if urdf is None else urdf,
             self.base if base is None else base,
@@ -130,33 +119,22 @@ class Robot:
 
     @property
     def joints(self) -> tuple[UrdfJoint, ...]:
-        """The chain's moving joints, base to tip, n of them; mimic and held joints are among them.
-
-        A joint on the base's side of a chain of two branches has its axis turned round, so that the chain is a serial
-        one from base to tip; its value is the URDF's.
-        """
+        """The n moving joints, base to tip, mimic and held ones too; those on the base's side with the axis turned."""
         return self._chain.joints
 
     @property
     def placements(self) -> NDArray[np.float64]:
-        """Array of shape (n + 1, 4, 4), [m], read-only; see the module's text. The last one is the tip's."""
+        """Shape (n + 1, 4, 4), [m]; see the module's text. The last one is the tip's."""
         return self._chain.placements
 
     @property
     def carriers(self) -> tuple[str | None, ...]:
-        """For each placement the URDF joint whose ``<origin>`` holds it.
-
-        None for the tip of a chain that ends with a moving joint, and for the base of one that starts with a joint
-        that moves the base itself.
-        """
+        """For each placement the URDF joint whose ``<origin>`` holds it; None where a moving joint carries the end."""
         return self._chain.carriers
 
     @property
     def T_root_base(self) -> NDArray[np.float64]:
-        """Pose of the base, shape (4, 4), [m], in the frame that the chain starts in.
-
-        That is the URDF's root, joints above the base at zero; or the base itself, where joints of the chain move it.
-        """
+        """Pose of the base, (4, 4), [m], where the chain starts: the URDF's root, or a base that its joints move."""
         return self._chain.T_root_base
 
     @property
@@ -180,13 +158,7 @@ class Robot:
         return dict(self._held)
 
     def poses(self, q: ArrayLike) -> NDArray[np.float64]:
-        """T_base_tip at joint values.
-
-        Args:
-            q: shape (N, m) or (m,), [rad] or [m], in the order of ``joint_names``.
-
-        Returns:
-            shape (N, 4, 4), [m].
+        """T_base_tip, shape (N, 4, 4), [m], at q, shape (N, m) or (m,), [rad] or [m].
 
         Raises:
             ModelError: ``q`` has not one column for each of ``joint_names``, or a value is not finite.
@@ -202,12 +174,10 @@ class Robot:
         T_frame_base: NDArray[np.float64] | None = None,
         T_tip_target: NDArray[np.float64] | None = None,
     ) -> kernel.Geometry:
-        """The chain with these placements as arrays, see `calib.robot.kernel`.
+        """The chain with these placements, (n + 1, 4, 4), as arrays, see `calib.robot.kernel`.
 
-        Args:
-            placements: shape (n + 1, 4, 4), [m].
-            T_frame_base: shape (F, 4, 4), [m], the measurement frames; None for one that is the base.
-            T_tip_target: shape (T, 4, 4), [m], the targets; None for one that is the tip.
+        T_frame_base, (F, 4, 4), are the measurement frames and T_tip_target, (T, 4, 4), the targets [m]; None for one
+        that is the base or the tip.
         """
         slides, turns, T_base_root = _axes_of(self)
         one = np.eye(4)[None]
@@ -221,26 +191,13 @@ class Robot:
         )
 
     def chain_values(self, q: ArrayLike) -> NDArray[np.float64]:
-        """The values of ``joints``, q_chain = A q + b, shape (N, n), [rad] or [m].
-
-        Args:
-            q: shape (N, m) or (m,), [rad] or [m], in the order of ``joint_names``.
-
-        Raises:
-            ModelError: ``q`` has not one column for each of ``joint_names``, or a value is not finite.
-        """
+        """The values of ``joints``, q_chain = A q + b, shape (N, n), [rad] or [m]; raises as `poses`."""
         values = np.atleast_2d(np.asarray(q, dtype=np.float64))
         names = self.joint_names
-        if values.ndim != 2 or values.shape[1] != len(names):
+        if values.ndim != 2 or values.shape[1] != len(names) or not np.isfinite(values).all():
             raise ModelError(
                 f"Joint values of shape {np.shape(q)} were given; the chain '{self.base}' to '{self.tip}' has "
-                f"{len(names)} joints: {choices(names)}."
-            )
-        if not np.all(np.isfinite(values)):
-            row, column = np.argwhere(~np.isfinite(values))[0]
-            raise ModelError(
-                f"Joint values must be finite numbers; that of '{names[column]}' in row {row + 1} is "
-                f"{values[row, column]}."
+                f"{len(names)} joints: {choices(names)}, and each value is a finite number."
             )
         if tuple(joint.name for joint in self.joints) == names:
             return values  # every joint is its own column
@@ -250,29 +207,15 @@ class Robot:
     def urdf_values(self, q: ArrayLike) -> dict[str, NDArray[np.float64]]:
         """The value of every joint of the URDF with one coordinate, by name, shape (N,), [rad] or [m].
 
-        Joints that are neither held nor follow a column are at zero.
-
-        Args:
-            q: shape (N, m) or (m,), [rad] or [m], in the order of ``joint_names``.
+        Joints that are neither held nor follow a column of q are at zero.
         """
         count = len(self.chain_values(q))  # checks shape and numbers
         columns = np.reshape(np.asarray(q, dtype=np.float64), (count, -1)).T
         named = dict(zip(self.joint_names, columns, strict=True))
         return all_values(self.urdf, named, self.held, count)
 
-    def chain_model(self, placements: NDArray[np.float64]) -> pin.Model:
-        """A Pinocchio model of the chain with other joint placements; its configurations are the chain's values.
-
-        Args:
-            placements: shape (n, 4, 4) or (n + 1, 4, 4), [m]; a tip's placement is not part of it.
-        """
-        return pinocchio_chain(self.joints, placements)
-
     def with_placements(self, placements: NDArray[np.float64]) -> Robot:
-        """A new robot with these placements, its URDF's ``<origin>`` elements changed to match.
-
-        Args:
-            placements: shape (n + 1, 4, 4), [m].
+        """A new robot with placements of shape (n + 1, 4, 4), [m], and the ``<origin>`` elements to match.
 
         Raises:
             UrdfError: A placement differs but no URDF joint can carry it: the tip's, or that of a moving base.
@@ -281,7 +224,12 @@ class Robot:
         for i, carrier in enumerate(self.carriers):
             if carrier is None:
                 if np.abs(placements[i] - self.placements[i]).max() > _ROUNDING:
-                    raise UrdfError(self._no_carrier(at_base=i == 0))
+                    end = f"base '{self.base}'" if i == 0 else f"tip '{self.tip}'"
+                    raise UrdfError(
+                        f"The {end} of '{self.name}' is moved by its joint directly: the URDF has no <origin> between "
+                        "them that could hold a correction. Choose a link that is fixed to it, or add a fixed joint "
+                        "and a link to the URDF."
+                    )
                 placements[i] = self.placements[i]
         moved = replace(self, _chain=replace(self._chain, placements=read_only(placements)))
         was = self.origins()
@@ -299,20 +247,6 @@ class Robot:
                 factor = rigid_inverse(before) @ P @ rigid_inverse(after)
                 origins[carrier] = rigid_inverse(factor) if inverted else factor
         return origins
-
-    def _no_carrier(self, *, at_base: bool) -> str:
-        """Why an end of the chain can hold no correction, and what to do."""
-        if at_base:
-            return (
-                f"The base '{self.base}' of '{self.name}' is moved by the chain's first joint directly: the URDF has "
-                "no <origin> between them that could hold a correction. Choose a base link that is fixed to it, or "
-                "add a fixed joint and a link to the URDF and name that link as --base."
-            )
-        return (
-            f"The tip '{self.tip}' of '{self.name}' is moved by its last joint directly: the URDF has no "
-            "<origin> behind that joint that could hold a correction. Add a fixed joint and a link to the "
-            "URDF and name that link as --tip."
-        )
 
 
 @lru_cache(maxsize=16)

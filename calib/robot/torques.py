@@ -27,16 +27,14 @@ GRAVITY = (0.0, 0.0, -9.81)
 class Payload:
     """A mass that the tip carries and that the URDF does not hold.
 
-    Attributes:
-        mass: [kg].
-        com: shape (3,), its centre of mass in the tip [m].
-
     Raises:
         ModelError: The mass is negative, or a number is not finite.
     """
 
-    mass: float
-    com: Array = field(default_factory=lambda: np.zeros(3))
+    mass: float  #: [kg].
+    com: Array = field(
+        default_factory=lambda: np.zeros(3)
+    )  #: shape (3,), its centre of mass in the tip [m].
 
     def __post_init__(self) -> None:
         """Copy the centre of mass and check the numbers."""
@@ -50,24 +48,16 @@ class Payload:
 def gravity_load(
     robot: Robot, q: ArrayLike, payload: Payload | None = None, gravity: ArrayLike = GRAVITY
 ) -> Array:
-    """The generalised force that gravity exerts on each joint of the chain.
+    """The generalised force that gravity exerts on each joint of the chain, shape (N, n), [Nm] or [N].
 
-    All links of the URDF count, those beside the chain too, with their joints where `Robot.urdf_values` says. The
-    URDF's root stands still, on whichever side of the chain it lies.
+    Positive where gravity drives the joint towards larger values. All links of the URDF count, those beside the chain
+    too, with their joints where `Robot.urdf_values` says; a link without a mass is massless.
 
     Args:
-        robot: The robot; its URDF states the links' masses (a link without counts as massless).
+        robot: The robot.
         q: shape (N, m) or (m,), [rad] or [m], in the order of ``robot.joint_names``.
         payload: What the tip carries besides.
-        gravity: shape (3,), acceleration in the URDF's root link [m/s^2].
-
-    Returns:
-        shape (N, n), [Nm] for a joint that turns and [N] for one that slides, in the order of ``robot.joints``;
-        positive where gravity drives the joint towards larger values.
-
-    Raises:
-        ModelError: ``q`` has another number of columns, or a number is not finite.
-        UrdfError: Pinocchio cannot build a model of the URDF.
+        gravity: shape (3,), acceleration in the URDF's root link [m/s^2], which stands still.
     """
     values = robot.urdf_values(q)
     model = full_model(robot.urdf)

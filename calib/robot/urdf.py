@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import importlib.metadata
-import itertools
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -17,8 +16,8 @@ from numpy.typing import NDArray
 
 from calib.errors import UrdfError, choices, did_you_mean
 from calib.files import check_no_xacro, read_bytes, write_atomically
-from calib.robot.urdf_joints import UrdfJoint, path_from_root, read_tree
-from calib.robot.urdf_xml import Document, Element, element_tree
+from calib.robot.urdf_joints import UrdfJoint, read_tree
+from calib.robot.urdf_xml import Document, Element
 from calib.robot.xacro_file import XacroCall, flattened, is_xacro
 
 __all__ = ["SAME", "Urdf", "UrdfJoint"]
@@ -33,23 +32,22 @@ _NOT_A_ROTATION = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Urdf:
-    """A URDF: its bytes and the kinematic tree they state. Two are equal when their bytes are.
+    """A URDF: its bytes and the kinematic tree they state. Two are equal when their bytes are."""
 
-    Attributes:
-        data: The file, byte for byte.
-        source: Name of the file, for messages; a xacro's with its arguments.
-        path: Where it, or the xacro that it was flattened from, was read; or None.
-        name: Name of the robot; empty if it has none.
-        joints: The joints in the file's order.
-        links: Names of the links in the file's order.
-    """
-
-    data: bytes = field(repr=False)
-    source: str = field(compare=False)
-    path: Path | None = field(compare=False)
-    name: str = field(compare=False)
-    joints: tuple[UrdfJoint, ...] = field(repr=False, compare=False)
-    links: tuple[str, ...] = field(repr=False, compare=False)
+    data: bytes = field(repr=False)  #: The file, byte for byte.
+    source: str = field(
+        compare=False
+    )  #: Name of the file, for messages; a xacro's with its arguments.
+    path: Path | None = field(
+        compare=False
+    )  #: Where it, or the xacro that it was flattened from, was read; or None.
+    name: str = field(compare=False)  #: Name of the robot; empty if it has none.
+    joints: tuple[UrdfJoint, ...] = field(
+        repr=False, compare=False
+    )  #: The joints in the file's order.
+    links: tuple[str, ...] = field(
+        repr=False, compare=False
+    )  #: Names of the links in the file's order.
     _document: Document = field(repr=False, compare=False)
 
     @classmethod
@@ -60,18 +58,11 @@ class Urdf:
             FileError: The file cannot be read.
             UrdfError: It is not a URDF that can be calibrated; the text says where and why.
         """
-        path = Path(path)
-        data = read_bytes(path, "URDF")
-        return cls._from_document(Document.from_bytes(data, path.name), path)
+        return cls.from_bytes(read_bytes(path, "URDF"), Path(path).name, Path(path))
 
     @classmethod
     def from_bytes(cls, data: bytes, source: str, path: Path | None = None) -> Urdf:
-        """Parse the bytes of a URDF.
-
-        Args:
-            data: The URDF.
-            source: What messages call it.
-            path: The file that it comes from, beside which its meshes lie; None if there is none.
+        """Parse the bytes of a URDF; ``path`` is the file that they come from, beside which its meshes lie.
 
         Raises:
             UrdfError: As for `read`.
@@ -102,52 +93,40 @@ class Urdf:
         return next(link for link in self.links if link not in children)
 
     def elements(self) -> AnyElement:
-        """The whole file as elements, a tree of its own at each call."""
-        return element_tree(self._document)
+        """The whole file as elements, a new tree at each call."""
+        return self._document.elements()
 
     def joint(self, name: str) -> UrdfJoint:
-        """The joint of that name.
-
-        Raises:
-            UrdfError: There is none.
-        """
+        """The joint of that name; UrdfError if there is none."""
         return self.joints[self._joint_index(name)]
 
     def chain(self, base: str, tip: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """The joints between two links.
-
-        Args:
-            base: Name of a link.
-            tip: Name of a link.
-
-        Returns:
-            Names of the joints from the links' nearest common ancestor down to ``base``, and from
-            there down to ``tip``, both in the order from root to leaf. Fixed joints are among them.
+        """The joints, fixed ones included, from two links' nearest common ancestor down to ``base`` and to ``tip``.
 
         Raises:
             UrdfError: A name is not that of a link.
         """
-        for name in (base, tip):
-            self._check_link(name)
-        up = {joint.child: joint for joint in self.joints}
-        to_base, to_tip = path_from_root(base, up), path_from_root(tip, up)
-        pairs = zip(to_base, to_tip, strict=False)
-        shared = len(list(itertools.takewhile(lambda pair: pair[0] == pair[1], pairs)))
-        return to_base[shared:], to_tip[shared:]
+        above = {joint.child: joint for joint in self.joints}
+        to_base: list[str] = []
+        to_tip: list[str] = []
+        for link, path in ((base, to_base), (tip, to_tip)):
+            self._check_link(link)
+            at = link
+            while at in above:
+                path.insert(0, above[at].name)
+                at = above[at].parent
+        while to_base and to_tip and to_base[0] == to_tip[0]:
+            del to_base[0], to_tip[0]
+        return tuple(to_base), tuple(to_tip)
 
     def with_origins(self, origins: Mapping[str, FloatArray]) -> Urdf:
         """The URDF with other joint origins; only the <origin> start tags of those joints change.
 
-        ``xyz`` is rewritten only if the translation changes, ``rpy`` only if the rotation does:
-        entries within `SAME` of `UrdfJoint.T_parent_joint` count as unchanged, so that a pose that
-        went through another library's rounding leaves the bytes alone. A missing <origin> is added.
+        ``xyz`` is rewritten only if the translation changes by more than `SAME`, ``rpy`` only if the rotation does.
+        Numbers read back exactly; rotations agree to rounding, pitch = +-pi/2 included. A missing <origin> is added.
 
         Args:
             origins: Pose of the joint's frame in its parent link, (4, 4) [m], by joint name.
-
-        Returns:
-            The new URDF. Numbers are written so that they read back exactly; rotations agree to
-            rounding, pitch = +-pi/2 included.
 
         Raises:
             UrdfError: A name is not that of a joint, or a matrix is not a pose.
@@ -164,15 +143,10 @@ class Urdf:
         return Urdf._from_document(self._document.patched(patches), self.path)
 
     def with_link(self, name: str, parent: str, T_parent_link: FloatArray) -> Urdf:
-        """The URDF with a massless link fixed to ``parent``, written just before ``</robot>``.
-
-        Args:
-            name: Name of the new link; its joint is called ``<name>_joint``.
-            parent: Name of the link that carries it.
-            T_parent_link: Pose of the new link in ``parent``, (4, 4) [m].
+        """The URDF with a massless link fixed to ``parent`` by ``<name>_joint``, written just before ``</robot>``.
 
         Raises:
-            UrdfError: ``parent`` is not a link, a name is taken or empty, or the matrix is no pose.
+            UrdfError: ``parent`` is not a link, a name is taken or empty, or T_parent_link, (4, 4) [m], is no pose.
         """
         self._check_link(parent)
         joint_name = f"{name}_joint"
@@ -217,25 +191,22 @@ class Urdf:
         names = [joint.name for joint in self.joints]
         if name in names:
             return names.index(name)
-        message = f"{self.source} has no joint '{name}'"
-        if name in self.links:
-            message += ": that is a link, the name of a joint is wanted"
-        message += f"{did_you_mean(name, names)}. Its joints: {choices(names)}"
-        raise UrdfError(message)
+        is_link = ": that is a link, the name of a joint is wanted" if name in self.links else ""
+        raise UrdfError(
+            f"{self.source} has no joint '{name}'{is_link}{did_you_mean(name, names)}. Its joints: {choices(names)}"
+        )
 
     def _check_link(self, name: str) -> None:
         """UrdfError unless there is a link of that name."""
         if name in self.links:
             return
-        message = f"{self.source} has no link '{name}'"
-        for joint in self.joints:
-            if joint.name == name:
-                message += f": that is a joint, a link is wanted; the joint moves '{joint.child}'"
-                break
-        else:
-            message += did_you_mean(name, self.links)
-        message += f". Its links: {choices(self.links)}"
-        raise UrdfError(message)
+        child = next((joint.child for joint in self.joints if joint.name == name), None)
+        hint = did_you_mean(name, self.links)
+        if child is not None:
+            hint = f": that is a joint, a link is wanted; the joint moves '{child}'"
+        raise UrdfError(
+            f"{self.source} has no link '{name}'{hint}. Its links: {choices(self.links)}"
+        )
 
 
 def _pose(matrix: FloatArray, what: str) -> FloatArray:
@@ -250,30 +221,23 @@ def _pose(matrix: FloatArray, what: str) -> FloatArray:
     )
 
 
-def _numbers(values: FloatArray) -> str:
-    """Numbers that read back exactly, without -0."""
-    return " ".join(repr(float(value) + 0.0) for value in values)
-
-
 def _xyz_rpy(T: FloatArray) -> dict[str, str]:
-    """The attributes of an <origin>; Pinocchio's rpy is accurate at pitch = +-pi/2, too."""
-    return {"xyz": _numbers(T[:3, 3]), "rpy": _numbers(pin.rpy.matrixToRpy(T[:3, :3]))}
+    """The attributes of an <origin>, read back exactly; Pinocchio's rpy is accurate at pitch = +-pi/2, too."""
+    values = {"xyz": T[:3, 3], "rpy": pin.rpy.matrixToRpy(T[:3, :3])}
+    return {key: " ".join(repr(float(v) + 0.0) for v in value) for key, value in values.items()}
 
 
 def _origin_tag(T: FloatArray) -> bytes:
     """A whole <origin/>."""
-    values = _xyz_rpy(T)
-    return f'<origin xyz="{values["xyz"]}" rpy="{values["rpy"]}"/>'.encode()
+    return '<origin xyz="{xyz}" rpy="{rpy}"/>'.format(**_xyz_rpy(T)).encode()
 
 
 def _patch(
     document: Document, joint: Element, T_now: FloatArray, T_new: FloatArray
 ) -> list[tuple[int, int, bytes]]:
     """What to write for a new origin, and over which bytes; empty if nothing changes."""
-    changed = {
-        "xyz": bool((np.abs(T_new[:3, 3] - T_now[:3, 3]) > SAME).any()),
-        "rpy": bool((np.abs(T_new[:3, :3] - T_now[:3, :3]) > SAME).any()),
-    }
+    differs = np.abs(T_new - T_now) > SAME
+    changed = {"xyz": differs[:3, 3].any(), "rpy": differs[:3, :3].any()}
     if not any(changed.values()):
         return []
     for origin in joint.all("origin"):
@@ -285,9 +249,6 @@ def _patch(
 
 def read_urdf(source: str | Path) -> Urdf:
     """The URDF of a file, of a xacro with the arguments behind it, or of a robot of example-robot-data.
-
-    The ``data`` of a xacro's URDF are the flattened text, its ``path`` is that of the file, and its ``source`` the
-    file's name with the arguments.
 
     Raises:
         FileError: The file cannot be read.

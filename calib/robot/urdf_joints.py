@@ -1,10 +1,8 @@
-"""What a URDF's elements mean: its joints, its links, and the tree that they form."""
+"""The joints and links of a URDF, and the tree that they form."""
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,40 +19,23 @@ JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "plan
 
 _ZERO_AXIS = 1e-9
 
-_SPACE = " \t\r\n"  # XML's white space; str.split() would take more
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UrdfJoint:
-    """A joint as the URDF states it.
+    """A joint as the URDF states it."""
 
-    Attributes:
-        name: Name of the joint.
-        type: One of `JOINT_TYPES`.
-        parent: Name of the parent link.
-        child: Name of the child link.
-        xyz: Translation of the origin in the parent link, (3,) [m].
-        rpy: Rotation of the origin about the fixed x, y, z axes, (3,) [rad].
-        axis: Unit vector in the joint's frame, (3,); (1, 0, 0) for fixed and floating joints.
-        mimic: Name of the joint that drives this one, as stated, or None.
-        lower: Lower limit [rad or m]; None where none is stated or the type has none.
-        upper: Upper limit [rad or m]; None where none is stated or the type has none.
-        mimic_multiplier: What the value of the joint ``mimic`` is multiplied by, 1 where none is stated.
-        mimic_offset: What is then added [rad or m], 0 where none is stated.
-    """
-
-    name: str
-    type: str
-    parent: str
-    child: str
-    xyz: FloatArray
-    rpy: FloatArray
-    axis: FloatArray
-    mimic: str | None
-    lower: float | None
-    upper: float | None
-    mimic_multiplier: float = 1.0
-    mimic_offset: float = 0.0
+    name: str  #: Name of the joint.
+    type: str  #: One of `JOINT_TYPES`.
+    parent: str  #: Name of the parent link.
+    child: str  #: Name of the child link.
+    xyz: FloatArray  #: Translation of the origin in the parent link, (3,) [m].
+    rpy: FloatArray  #: Rotation of the origin about the fixed x, y, z axes, (3,) [rad].
+    axis: FloatArray  #: Unit vector in the joint's frame, (3,); (1, 0, 0) for fixed and floating joints.
+    mimic: str | None  #: Name of the joint that drives this one, or None.
+    lower: float | None  #: Lower limit [rad or m]; None where none is stated or the type has none.
+    upper: float | None  #: Upper limit, likewise.
+    mimic_multiplier: float = 1.0  #: Factor of the driving joint's value.
+    mimic_offset: float = 0.0  #: Added to it [rad or m].
 
     @property
     def T_parent_joint(self) -> FloatArray:
@@ -70,42 +51,27 @@ def read_tree(document: Document) -> tuple[tuple[UrdfJoint, ...], tuple[str, ...
     """The joints and the names of the links, both in the file's order.
 
     Raises:
-        UrdfError: The document is not a URDF with joints, a value is missing or wrong, or joints
-            and links do not form one tree.
+        UrdfError: Not a URDF with joints, a value is missing or wrong, or joints and links do not form one tree.
     """
     root = document.root
+    elements = root.all("joint")
     if root.tag != "robot":
         known = {"sdf": "SDF (Gazebo)", "mujoco": "MJCF (MuJoCo)", "COLLADA": "a COLLADA mesh"}
         looks = f", it looks like {known[root.tag]}" if root.tag in known else ""
         text = f"the outermost element is <{root.tag}>{looks}; a URDF has <robot>"
         raise document.at(root, text)
-    elements = root.all("joint")
     if not elements:
         text = "<robot> has no <joint>; a URDF with the joints themselves is wanted"
         raise document.at(root, text)
     links = _unique_names(document, root.all("link"))
     _unique_names(document, elements)
     joints = tuple(_Reader(document, element).joint() for element in elements)
-    for joint, element in zip(joints, elements, strict=True):
-        for link in (joint.parent, joint.child):
-            if link not in links:
-                text = f"joint '{joint.name}' names the link '{link}', which does not exist"
-                raise document.at(element, text + did_you_mean(link, links))
     _check_tree(document, joints, links)
     return joints, links
 
 
-def path_from_root(link: str, up: Mapping[str, UrdfJoint]) -> tuple[str, ...]:
-    """Names of the joints from the root to ``link``; ``up`` gives the joint above each link."""
-    names: list[str] = []
-    while link in up:
-        names.append(up[link].name)
-        link = up[link].parent
-    return tuple(reversed(names))
-
-
-def _unique_names(document: Document, elements: tuple[Element, ...]) -> tuple[str, ...]:
-    """The names of links or joints; refused where one is missing or stands twice."""
+def _unique_names(document: Document, elements: list[Element]) -> tuple[str, ...]:
+    """The names of links or joints, which must be there once each."""
     lines: dict[str, int] = {}
     for element in elements:
         name = element.attributes.get("name", "")
@@ -113,9 +79,8 @@ def _unique_names(document: Document, elements: tuple[Element, ...]) -> tuple[st
             text = f'a <{element.tag}> has no name; give it name="..."'
             raise document.at(element, text)
         if name in lines:
-            text = (
-                f"a second {element.tag} '{name}', the first is in line {lines[name]}; rename one"
-            )
+            first = f"the first is in line {lines[name]}"
+            text = f"a second {element.tag} '{name}', {first}; rename one"
             raise document.at(element, text)
         lines[name] = element.line
     return tuple(lines)
@@ -123,7 +88,7 @@ def _unique_names(document: Document, elements: tuple[Element, ...]) -> tuple[st
 
 @dataclass(frozen=True, slots=True)
 class _Reader:
-    """A ``<joint>`` of the robot, whose faults are said with their place."""
+    """A ``<joint>`` of the robot, read with the place of what is wrong."""
 
     document: Document
     element: Element
@@ -135,6 +100,15 @@ class _Reader:
             text = f" has the type '{kind}'; the types are {choices(JOINT_TYPES)}"
             raise self._fault(text)
         limited = kind in ("revolute", "prismatic")
+        directed = kind not in ("fixed", "floating")
+        factor = self._number("mimic", "multiplier")
+        axis = self._vector("axis", "xyz", (1.0, 0.0, 0.0)) if directed else np.array([1.0, 0, 0])
+        length = float(np.linalg.norm(axis))
+        if length < _ZERO_AXIS:
+            text = ': the axis is zero; give its direction, xyz="0 0 1" for example'
+            raise self._fault(text)
+        axis = axis / length
+        axis.setflags(write=False)
         return UrdfJoint(
             name=self.element.attributes["name"],
             type=kind,
@@ -142,13 +116,11 @@ class _Reader:
             child=self._word("child", "link"),
             xyz=self._vector("origin", "xyz"),
             rpy=self._vector("origin", "rpy"),
-            axis=self._axis(kind),
+            axis=axis,
             mimic=self._word("mimic", "joint") if self._part("mimic") else None,
             lower=self._number("limit", "lower") if limited else None,
             upper=self._number("limit", "upper") if limited else None,
-            mimic_multiplier=1.0
-            if (factor := self._number("mimic", "multiplier")) is None
-            else factor,
+            mimic_multiplier=1.0 if factor is None else factor,
             mimic_offset=self._number("mimic", "offset") or 0.0,
         )
 
@@ -174,17 +146,16 @@ class _Reader:
             raise self._fault(text)
         return value
 
-    def _numbers(self, tag: str, key: str, count: int) -> FloatArray | None:
-        """The finite numbers of an attribute, read-only; None if it is absent."""
+    def _numbers(self, tag: str, key: str, count: int) -> list[float] | None:
+        """The finite numbers of an attribute; None if it is absent."""
         part = self._part(tag)
         if part is None or key not in part.attributes:
             return None
         text = part.attributes[key]
-        words = re.split(f"[{_SPACE}]+", text.strip(_SPACE))
+        words = re.split("[ \t\r\n]+", text.strip(" \t\r\n"))  # XML's white space only
         if len(words) == count and all(NUMBER.fullmatch(word) for word in words):
-            values = np.array([float(word) for word in words])
+            values = [float(word) for word in words]
             if np.isfinite(values).all():
-                values.setflags(write=False)
                 return values
         wanted = f"{count} finite numbers" if count > 1 else "a finite number"
         xacro = f"; this is xacro, {XACRO_FIX}" if "${" in text or "$(" in text else ""
@@ -194,34 +165,25 @@ class _Reader:
     def _number(self, tag: str, key: str) -> float | None:
         """The number of an attribute, None if it is absent."""
         found = self._numbers(tag, key, 1)
-        return None if found is None else float(found[0])
+        return None if found is None else found[0]
 
-    def _vector(self, tag: str, key: str) -> FloatArray:
-        """The three numbers of an attribute, zeros if it is absent."""
-        found = self._numbers(tag, key, 3)
-        if found is None:
-            found = np.zeros(3)
-            found.setflags(write=False)
+    def _vector(
+        self, tag: str, key: str, default: tuple[float, ...] = (0.0, 0.0, 0.0)
+    ) -> FloatArray:
+        """The three numbers of an attribute, read-only."""
+        found = np.array(self._numbers(tag, key, 3) or default)
+        found.setflags(write=False)
         return found
-
-    def _axis(self, kind: str) -> FloatArray:
-        """The axis as a unit vector; x where none is stated or the type has none."""
-        stated = None if kind in ("fixed", "floating") else self._numbers("axis", "xyz", 3)
-        axis = np.array([1.0, 0.0, 0.0]) if stated is None else stated
-        length = math.hypot(*axis)
-        if length < _ZERO_AXIS:
-            text = ': the axis is zero; give its direction, xyz="0 0 1" for example'
-            raise self._fault(text)
-        axis = axis / length
-        axis.setflags(write=False)
-        return axis
 
 
 def _check_tree(document: Document, joints: tuple[UrdfJoint, ...], links: tuple[str, ...]) -> None:
-    """Refuse a link with two parents, several roots, and loops."""
+    """Refuse links that do not exist or have two parents, several roots, and loops."""
     above: dict[str, UrdfJoint] = {}
-    below: dict[str, list[str]] = {}
     for joint, element in zip(joints, document.root.all("joint"), strict=True):
+        for link in (joint.parent, joint.child):
+            if link not in links:
+                text = f"joint '{joint.name}' names the link '{link}', which does not exist"
+                raise document.at(element, text + did_you_mean(link, links))
         if joint.child in above:
             text = (
                 f"link '{joint.child}' is the child of both '{above[joint.child].name}' and "
@@ -229,18 +191,17 @@ def _check_tree(document: Document, joints: tuple[UrdfJoint, ...], links: tuple[
             )
             raise document.at(element, text)
         above[joint.child] = joint
-        below.setdefault(joint.parent, []).append(joint.child)
     roots = [link for link in links if link not in above]
     if len(roots) > 1:
         raise UrdfError(
             f"{document.source} has {len(roots)} root links: {choices(roots)}; join them by fixed "
             "joints so that one is left"
         )
-    reached = list(roots)
-    for link in reached:
-        reached += below.get(link, [])
-    loop = [above[link].name for link in above.keys() - set(reached)]
+    reached = set(roots)
+    while new := {j.child for j in joints if j.parent in reached} - reached:
+        reached |= new
+    loop = sorted(joint.name for joint in joints if joint.child not in reached)
     if loop:
         raise UrdfError(
-            f"{document.source}: the joints {choices(sorted(loop))} form a loop; a URDF is a tree"
+            f"{document.source}: the joints {choices(loop)} form a loop; a URDF is a tree"
         )

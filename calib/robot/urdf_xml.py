@@ -1,7 +1,6 @@
-"""The XML under a URDF: its elements, and the bytes of the file where each of them stands.
+"""The XML under a URDF: its elements, and where each start tag lies in the file's own bytes.
 
-Only with the position of every start tag in the file's own bytes can one number be changed and all
-other bytes be kept: comments, order, quotes, line ends, encoding.
+With these positions one number can be changed while all other bytes (comments, quotes, line ends, encoding) are kept.
 """
 
 from __future__ import annotations
@@ -22,43 +21,26 @@ _START_TAG = re.compile(rb"""<([^\s/>"']+)[^<>"']*(?:(?:"[^"]*"|'[^']*')[^<>"']*
 _ATTRIBUTE = re.compile(rb"""(\s+)([^\s=<>"'/]+)\s*=\s*("[^"]*"|'[^']*')""")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Element:
-    """An element and where it stands.
+    """An element of the upper three levels."""
 
-    Attributes:
-        tag: Name of the element.
-        attributes: Attribute values as text, references expanded.
-        line: Line of the start tag, from 1.
-        start: First byte of the start tag.
-        end: Byte after the start tag.
-        close: First byte of the end tag; equals ``end`` for a self-closing element.
-        children: Child elements in the file's order; none are kept below the third level.
-    """
+    tag: str  #: Name of the element.
+    attributes: Mapping[str, str]  #: Attribute values as text, references expanded.
+    line: int  #: Line of the start tag, from 1.
+    start: int  #: First byte of the start tag.
+    end: int  #: Byte after the start tag.
+    close: int  #: First byte of the end tag; equals ``end`` for a self-closing element.
+    children: list[Element]  #: Child elements in the file's order.
 
-    tag: str
-    attributes: Mapping[str, str]
-    line: int
-    start: int
-    end: int
-    close: int
-    children: tuple[Element, ...]
-
-    def all(self, tag: str) -> tuple[Element, ...]:
+    def all(self, tag: str) -> list[Element]:
         """The children of that name."""
-        return tuple(child for child in self.children if child.tag == tag)
+        return [child for child in self.children if child.tag == tag]
 
 
 @dataclass(frozen=True, slots=True)
 class Document:
-    """The bytes of an XML file with its upper three levels of elements.
-
-    Attributes:
-        data: The file, byte for byte.
-        source: Name of the file, for messages.
-        encoding: Encoding of ``data``; always one whose first 128 characters are those of ASCII.
-        root: The outermost element.
-    """
+    """The bytes of an XML file with its upper levels of elements; ``source`` names it in messages."""
 
     data: bytes
     source: str
@@ -69,36 +51,42 @@ class Document:
     def from_bytes(cls, data: bytes, source: str) -> Document:
         """Parse an XML file.
 
-        Args:
-            data: The file.
-            source: Name of the file, for messages.
-
         Raises:
             UrdfError: Not XML, an encoding whose bytes are not those of ASCII, or a xacro file.
         """
         if data[:2] in (b"\xff\xfe", b"\xfe\xff") or b"\0" in data[:4]:
             raise UrdfError(f"{source} is in UTF-16 or UTF-32; save it as UTF-8")
-        scan = _Scan(data, source)
         try:
-            scan.parser.Parse(data, True)
+            return cls(data, source, *_scan(data, source))
         except expat.ExpatError as error:
-            raise UrdfError(_not_xml(data, source, error)) from error
+            text = data.removeprefix(b"\xef\xbb\xbf").lstrip()
+            if not text:
+                raise UrdfError(f"{source} is empty; a URDF is wanted") from error
+            place = f"line {error.lineno}, column {error.offset + 1}"
+            fix = "mend the file there, and save it as UTF-8"
+            if not text.startswith(b"<"):
+                fix = "it starts with no '<', a URDF is wanted"
+            what = expat.ErrorString(error.code)
+            raise UrdfError(f"{source} is not XML: {what}, {place}; {fix}") from error
         except (LookupError, ValueError) as error:
-            raise UrdfError(
-                f"{source}: its encoding cannot be used ({error}); save it as UTF-8"
-            ) from error
-        return cls(data, source, scan.encoding, scan.root[0])
+            message = f"{source}: its encoding cannot be used ({error}); save it as UTF-8"
+            raise UrdfError(message) from error
 
     def at(self, element: Element, text: str) -> UrdfError:
         """An error that says where: file, line, then ``text``."""
         return UrdfError(f"{self.source}, line {element.line}: {text}")
 
-    def line_head(self, position: int) -> bytes | None:
-        """What to write before a sibling of the tag at ``position`` to give it its own line.
+    def elements(self) -> ElementTree.Element:
+        """All elements, their names as written: a prefix need not be declared, as for other readers of URDF."""
+        builder = ElementTree.TreeBuilder()
+        parser = expat.ParserCreate()
+        parser.StartElementHandler = builder.start
+        parser.EndElementHandler = builder.end
+        parser.Parse(self.data, True)
+        return builder.close()
 
-        Returns:
-            The line end and the indentation before ``position``; None if anything else is there.
-        """
+    def line_head(self, position: int) -> bytes | None:
+        """The line end and indentation before the tag at ``position``; None if anything else is there."""
         newline = self.data.rfind(b"\n", 0, position)
         head = self.data[newline + 1 : position]
         if newline < 0 or head.strip(b" \t"):
@@ -111,28 +99,19 @@ class Document:
 
     def patched(self, patches: Iterable[tuple[int, int, bytes]]) -> Document:
         """The document with bytes ``start`` to ``end`` replaced, for every (start, end, new)."""
-        pieces: list[bytes] = []
-        position = 0
-        for start, end, new in sorted(patches):
-            pieces += [self.data[position:start], new]
-            position = end
-        pieces.append(self.data[position:])
-        return Document.from_bytes(b"".join(pieces), self.source)
+        data = self.data
+        for start, end, new in sorted(patches, reverse=True):
+            data = data[:start] + new + data[end:]
+        return Document.from_bytes(data, self.source)
 
     def start_tag_with(self, element: Element, values: Mapping[str, str]) -> bytes:
-        """The start tag with those attribute values; the tag's other bytes stay.
+        """The start tag with these attribute values (plain numbers); its other bytes stay.
 
-        An attribute that the tag has keeps its place and quotes; one that it lacks is added after
-        the last, spaced and quoted as that is.
-
-        Args:
-            element: Element of this document.
-            values: New values by attribute name; plain numbers, nothing that needs escaping.
+        An attribute keeps its place and quotes; a missing one is added after the last, spaced and quoted as that is.
         """
         tag = self.data[element.start : element.end]
         name = _START_TAG.match(tag)
-        position = 0
-        last = name.end(1) if name else 0
+        position, last = 0, name.end(1) if name else 0
         space, quote = b" ", b'"'
         pieces: list[bytes] = []
         missing = {key.encode(): value.encode() for key, value in values.items()}
@@ -144,84 +123,46 @@ class Document:
                 position = last
         pieces.append(tag[position:last])
         pieces += [space + key + b"=" + quote + new + quote for key, new in missing.items()]
-        pieces.append(tag[last:])
-        return b"".join(pieces)
+        return b"".join([*pieces, tag[last:]])
 
 
-def element_tree(document: Document) -> ElementTree.Element:
-    """All elements of a document, their names as written: a prefix need not be declared, as other readers of URDF."""
-    builder = ElementTree.TreeBuilder()
+def _scan(data: bytes, source: str) -> tuple[str, Element]:
+    """The encoding, and the outermost element with those below it."""
     parser = expat.ParserCreate()
-    parser.StartElementHandler = builder.start
-    parser.EndElementHandler = builder.end
-    parser.Parse(document.data, True)
-    return builder.close()
+    encodings, xacro = ["utf-8"], {"xacro"}
+    above: list[Element] = []  # the elements that are open
+    root: list[Element] = []
+    depth = 0
 
-
-class _Scan:
-    """Expat's handlers and what they gather; lives only while `Document.from_bytes` runs."""
-
-    def __init__(self, data: bytes, source: str) -> None:
-        self.data = data
-        self.source = source
-        self.encoding = "utf-8"
-        self.root: list[Element] = []
-        self._depth = 0
-        self._xacro = {"xacro"}
-        self._open: list[tuple[str, dict[str, str], int, int, int, list[Element]]] = []
-        self.parser = expat.ParserCreate()
-        self.parser.XmlDeclHandler = self._declaration
-        self.parser.StartElementHandler = self._start
-        self.parser.EndElementHandler = self._end
-
-    def _declaration(self, _version: str, encoding: str | None, _standalone: int) -> None:
-        """Note the encoding."""
-        self.encoding = encoding or "utf-8"
-
-    def _start(self, tag: str, attributes: dict[str, str]) -> None:
-        """Note where an element of the upper levels starts."""
-        self._refuse_xacro(tag, attributes)
-        self._depth += 1
-        if self._depth > _DEPTH:
-            return
-        start = self.parser.CurrentByteIndex
-        found = _START_TAG.match(self.data, start)
-        # The position is what everything rests on: never go on without it.
-        assert found is not None, f"<{tag}> does not stand where the parser says"
-        line = self.parser.CurrentLineNumber
-        self._open.append((tag, attributes, line, start, found.end(), []))
-
-    def _end(self, _tag: str) -> None:
-        """Close the element and hand it to its parent."""
-        self._depth -= 1
-        if self._depth >= _DEPTH:
-            return
-        tag, attributes, line, start, end, children = self._open.pop()
-        self_closing = self.data[end - 2 : end] == b"/>"
-        close = end if self_closing else self.parser.CurrentByteIndex
-        element = Element(tag, attributes, line, start, end, close, tuple(children))
-        (self._open[-1][5] if self._open else self.root).append(element)
-
-    def _refuse_xacro(self, tag: str, attributes: dict[str, str]) -> None:
-        """Refuse elements and attributes of xacro; its namespace alone may stay declared."""
-        for key, value in attributes.items():
-            if key.startswith("xmlns:") and "xacro" in value:
-                self._xacro.add(key.partition(":")[2])
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal depth
+        xacro.update(
+            k[6:] for k, v in attributes.items() if k.startswith("xmlns:") and "xacro" in v
+        )
+        line, first = parser.CurrentLineNumber, parser.CurrentByteIndex
         for name in (tag, *attributes):
-            if ":" in name and name.partition(":")[0] in self._xacro:
-                line = self.parser.CurrentLineNumber
-                raise UrdfError(
-                    f"{self.source}, line {line}: '{name}' belongs to xacro, not URDF; {XACRO_FIX}"
-                )
+            if ":" in name and name.partition(":")[0] in xacro:
+                message = f"'{name}' belongs to xacro, not URDF; {XACRO_FIX}"
+                raise UrdfError(f"{source}, line {line}: {message}")
+        depth += 1
+        if depth <= _DEPTH:
+            found = _START_TAG.match(data, first)
+            # The position is what everything rests on: never go on without it.
+            assert found is not None, f"<{tag}> does not stand where the parser says"
+            element = Element(tag, attributes, line, first, found.end(), found.end(), [])
+            (above[-1].children if above else root).append(element)
+            above.append(element)
 
+    def end(_tag: str) -> None:
+        nonlocal depth
+        depth -= 1
+        if depth < _DEPTH:
+            element = above.pop()
+            if data[element.end - 2 : element.end] != b"/>":
+                element.close = parser.CurrentByteIndex
 
-def _not_xml(data: bytes, source: str, error: expat.ExpatError) -> str:
-    """Say where the XML breaks, and what the file may be instead."""
-    text = data.removeprefix(b"\xef\xbb\xbf").lstrip()
-    if not text:
-        return f"{source} is empty; a URDF is wanted"
-    place = f"line {error.lineno}, column {error.offset + 1}"
-    what = f"{source} is not XML: {expat.ErrorString(error.code)}, {place}"
-    if not text.startswith(b"<"):
-        return f"{what}; it starts with no '<', a URDF is wanted"
-    return f"{what}; mend the file there, and save it as UTF-8"
+    parser.XmlDeclHandler = lambda _version, encoding, _alone: encodings.append(encoding or "utf-8")
+    parser.StartElementHandler = start
+    parser.EndElementHandler = end
+    parser.Parse(data, True)
+    return encodings[-1], root[0]

@@ -36,9 +36,7 @@ class XacroCall:
 
     @classmethod
     def parse(cls, source: str | os.PathLike[str]) -> XacroCall:
-        """The file and the arguments of a text such as ``"ur.urdf.xacro ur_type:=ur5e name:=ur"``.
-
-        A value may have spaces in it, and quotes around it; it may be empty.
+        """The file and the arguments of a text; a value may hold spaces, be quoted, and be empty.
 
         Raises:
             UrdfError: What is behind the file are no arguments, or one is given twice.
@@ -67,17 +65,12 @@ class XacroCall:
 
     @property
     def name(self) -> str:
-        """The file's name with the arguments, as one writes them on a line: what messages and results call it."""
+        """The file's name with the arguments: what messages and results call it."""
         return " ".join([self.path.name, *(f"{name}:={value}" for name, value in self.arguments)])
 
 
 def is_xacro(source: str | os.PathLike[str]) -> bool:
-    """Whether this names a xacro file, with or without arguments.
-
-    Example:
-        >>> is_xacro("ur.urdf.xacro ur_type:=ur5e"), is_xacro("ur5e.urdf")
-        (True, False)
-    """
+    """Whether this names a xacro file, with or without arguments."""
     text = os.fspath(source)
     if os.path.isfile(text):  # noqa: PTH113  of any length
         return text.lower().endswith(".xacro")
@@ -87,8 +80,6 @@ def is_xacro(source: str | os.PathLike[str]) -> bool:
 def flattened(call: XacroCall) -> bytes:
     """The text that ``xacro FILE ARGUMENTS`` prints, but for the folder in the remark at its head.
 
-    ``$(find package)`` is what `calib.robot.xacro_file.package_folder` finds.
-
     Raises:
         FileError: There is no such file.
         UrdfError: The xacro package is not installed, it finds a fault, or it takes longer than `TIME_LIMIT`.
@@ -97,22 +88,15 @@ def flattened(call: XacroCall) -> bytes:
     package = importlib.util.find_spec("xacro")
     if package is None or package.origin is None:  # None: a folder of that name
         raise UrdfError(
-            f"{call.name} is a xacro, and the xacro package that flattens it is not installed. In calib's folder: "
-            'pip install ".[xacro]"; or flatten it elsewhere: xacro FILE ARGUMENTS > robot.urdf'
+            f"{call.name} is a xacro, and the package that flattens it is not installed: pip install xacro"
         )
     words = [f"{name}:={value}" for name, value in call.arguments]
     program = [sys.executable, "-W", "ignore", "-m", __name__, str(call.path), *words]
-    found_as_here = {
-        "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
-        "PYTHONIOENCODING": "utf-8",
-    }
+    path = os.pathsep.join(filter(None, sys.path))
+    env = os.environ | {"PYTHONPATH": path, "PYTHONIOENCODING": "utf-8"}
     try:
         done = subprocess.run(
-            program,
-            capture_output=True,
-            timeout=TIME_LIMIT,
-            env=os.environ | found_as_here,
-            check=False,
+            program, capture_output=True, timeout=TIME_LIMIT, env=env, check=False
         )
     except subprocess.TimeoutExpired as error:
         raise UrdfError(
@@ -129,22 +113,18 @@ class _Arguments(dict[str, str]):
 
     def __init__(self, words: tuple[str, ...]) -> None:
         super().__init__(word.split(":=", 1) for word in words)
-        self.asked: dict[str, None] = {}
+        self.used: dict[str, None] = {}
 
     def __contains__(self, name: object) -> bool:
-        self.asked[str(name)] = None
+        self.used[str(name)] = None
         return super().__contains__(name)
-
-    def __getitem__(self, name: str) -> str:
-        self.asked[name] = None
-        return super().__getitem__(name)
 
     @property
     def misspelt(self) -> str:
         """What is wrong with an argument for which the xacro did not ask; empty without one."""
-        for name in self.keys() - self.asked.keys():
-            has = f"its arguments: {choices(self.asked)}" if self.asked else "it has none"
-            return f"it has no argument '{name}'{did_you_mean(name, self.asked)}; {has}"
+        for name in self.keys() - self.used.keys():
+            has = f"its arguments: {choices(self.used)}" if self.used else "it has none"
+            return f"it has no argument '{name}'{did_you_mean(name, self.used)}; {has}"
         return ""
 
 
@@ -152,9 +132,7 @@ def _main(path: str, *words: str) -> str | None:
     """Flatten a file to standard output; a line about the fault if there is one."""
     import xacro
 
-    index: Any = types.ModuleType(
-        "ament_index_python.packages"
-    )  # xacro asks ROS's index, and nothing else
+    index: Any = types.ModuleType("ament_index_python.packages")  # all that xacro asks of ROS
     index.get_package_share_directory = lambda name: str(package_folder(name, Path(path)))
     sys.modules[index.__name__] = index
     arguments = _Arguments(words)
@@ -164,10 +142,11 @@ def _main(path: str, *words: str) -> str | None:
     except Exception as error:  # noqa: BLE001  a xacro holds expressions of Python
         place = f"in {xacro.filestack[-1]}: " if xacro.filestack else ""
         return f"{place}{' '.join((str(error) or repr(error)).split())}. {arguments.misspelt}"
-    head = document.childNodes[
+    # The second line of xacro's remark names the file, with its folder: the same text wherever it lies.
+    name = re.sub("-+", "-", Path(path).name)
+    document.childNodes[
         1
-    ]  # the second line of xacro's remark names the file, with its folder
-    head.data = f" |    This document was autogenerated by xacro from {re.sub('-+', '-', Path(path).name):<30} | "
+    ].data = f" |    This document was autogenerated by xacro from {name:<30} | "
     output.write(document.toprettyxml(indent="  "))
     return arguments.misspelt or None
 
@@ -181,29 +160,19 @@ _DEEP, _WORKSPACE, _BESIDE = 5, 2, 1
 
 
 def package_folder(name: str, file: Path) -> Path:
-    """The folder of a ROS package.
+    """The folder of a ROS package, as a xacro ``file`` finds it.
 
-    Looked for in this order: the ament index (``AMENT_PREFIX_PATH``), as ROS 2 does; ``ROS_PACKAGE_PATH``, as ROS 1
-    does; the folders above ``file`` and those beside them, whose ``package.xml`` has the name, so that a description
-    that was only downloaded is found; last a folder of that name without a ``package.xml``.
-
-    Args:
-        name: Name of the package.
-        file: The file that names it.
+    In this order: the ament index (``AMENT_PREFIX_PATH``, ROS 2); ``ROS_PACKAGE_PATH`` (ROS 1); the folders above the
+    file and those beside them whose ``package.xml`` has the name; a folder of that name without a ``package.xml``.
 
     Raises:
         LookupError: It is not found.
     """
     found = next(_candidates(name, file.resolve()), None) if name.strip(".") else None
     if found is None:
-        paths = [
-            f"{key} ({os.environ.get(key) or 'not set'})"
-            for key in ("AMENT_PREFIX_PATH", "ROS_PACKAGE_PATH")
-        ]
         raise LookupError(
-            f"there is no ROS package '{name}' in {paths[0]}, {paths[1]}, or the folders above and beside '{file}'. "
-            "Source the ROS workspace that has it, or name the folder above its package.xml: export "
-            "ROS_PACKAGE_PATH=FOLDER"
+            f"there is no ROS package '{name}' in AMENT_PREFIX_PATH, ROS_PACKAGE_PATH, or the folders above and beside "
+            f"'{file}'. Source its ROS workspace, or export ROS_PACKAGE_PATH=FOLDER with the folder above it"
         )
     return found
 

@@ -12,6 +12,7 @@ from calib.model.error_model import DIRECTIONS, error_model
 from calib.model.families import LENGTH
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.parameters import FRAME, TARGET, TIP, ErrorModel, Parameter
+from calib.robot.chain import pinocchio_chain
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 
@@ -270,7 +271,7 @@ def test_errors_of_the_joints_state_move_the_joints(robots, which):
             column[:, c] += value[f"{joint.name}.sin"] * np.sin(q[:, c])
             column[:, c] += value[f"{joint.name}.cos"] * np.cos(q[:, c])
     given_way = load * [value[f"{joint.name}.compliance"] for joint in robot.joints]
-    chain = robot.chain_model(robot.placements)
+    chain = pinocchio_chain(robot.joints, robot.placements)
     configurations = robot.chain_values(q + column) + given_way
     data = chain.createData()
     poses = Kinematics(robot, model, np.eye(4), np.eye(4)).poses(x, Samples.at(q, load))
@@ -317,7 +318,7 @@ def test_placement_columns_are_pinocchio_s_frame_regressor(robots, which):
     T_tip_target, q = pose(2, 0.3), some_q(robot)
     # The base's own axes, so that the regressor's LOCAL_WORLD_ALIGNED twists need only be turned by the base.
     _, twists = Kinematics(robot, model, np.eye(4), T_tip_target).twists(np.zeros(len(model)), q)
-    chain = robot.chain_model(robot.placements)
+    chain = pinocchio_chain(robot.joints, robot.placements)
     last = chain.njoints - 1
     target = chain.addFrame(
         pin.Frame(

@@ -13,6 +13,7 @@ from calib.errors import ModelError
 from calib.model.error_model import axis_twists, error_model
 from calib.model.kinematics import Kinematics, Samples, joint_displacements
 from calib.robot import kernel
+from calib.robot.chain import pinocchio_chain
 from calib.robot.kernel import one_blas_thread, over_blocks
 from calib.robot.robot import Robot, rigid_inverse
 from tests.model.test_kinematics import CHAINS, pose, robots  # noqa: F401
@@ -52,7 +53,7 @@ def by_pinocchio(kinematics: Kinematics, x: Array, samples: Samples) -> tuple[Ar
     D, S = model.displacements(x)
     S = S.reshape(len(D), 6, -1)
     frames, n = len(kinematics.T_frame_base), len(robot.joints)
-    chain = robot.chain_model(robot.placements[:n] @ D[frames : frames + n])
+    chain = pinocchio_chain(robot.joints, robot.placements[:n] @ D[frames : frames + n])
     data = chain.createData()
     terms = [model.terms[t] for t in model.joint_terms]
     moved = joint_displacements(robot, terms, samples.q, samples.load)
