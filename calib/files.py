@@ -91,7 +91,7 @@ def check_writable(path: str | os.PathLike[str], *, overwrite: bool = True) -> N
         raise FileError(message) from error
     folder = target.parent
     if is_there and not is_file:
-        fault = "is a folder or a device; name a file"
+        fault = f"is a {'folder; name a file inside it' if target.is_dir() else 'device'}"
     elif is_there and not overwrite:
         fault = "exists already; add --force (overwrite=True) or choose another name"
     elif not folder.is_dir():

@@ -185,5 +185,6 @@ def parse_joint_range(value: object, where: str) -> tuple[float, float]:
         )
     low, high = (parse_joint_value(one, where) for one in ends)
     if type(low) is not type(high):
-        raise CalibError(f"{where} is {value!r}; one is an angle and one a length.")
+        message = f"{where} is from {ends[0]!r} to {ends[1]!r}; one is an angle and one a length."
+        raise CalibError(message)
     return low, high

@@ -3,9 +3,6 @@ from __future__ import annotations
 import os
 import resource
 import stat
-import subprocess
-import sys
-import tempfile
 import threading
 from pathlib import Path
 
@@ -13,10 +10,10 @@ import pytest
 
 from calib.errors import FileError
 from calib.files import (
-    check_no_xacro,
     check_writable,
-    make_folder,
+    json_bytes,
     read_bytes,
+    read_json,
     write_atomically,
 )
 
@@ -46,21 +43,6 @@ def test_a_pipe_can_be_asked_for_twice(tmp_path: Path):
     for _ in range(2):
         assert read_bytes(pipe, "table") == b"x" * 300_000
     writer.join()
-
-
-def test_standard_input_is_a_minus():
-    program = "from calib.files import read_bytes; print(read_bytes('-', 'table'))"
-    done = subprocess.run(
-        [sys.executable, "-c", program], input=b"1;2", capture_output=True, check=True
-    )
-    assert done.stdout.strip() == b"b'1;2'"
-
-
-@pytest.mark.parametrize("name", ["ur.urdf.xacro", "ur.xacro", "UR.XACRO"])
-def test_the_name_of_a_xacro_is_none_for_a_urdf(tmp_path: Path, name: str):
-    check_no_xacro(tmp_path / "ur.urdf")
-    with pytest.raises(FileError, match="is the name of a xacro"):
-        check_no_xacro(tmp_path / name)
 
 
 def test_writes_a_new_file_with_the_permissions_of_the_umask(tmp_path: Path):
@@ -119,22 +101,6 @@ def test_refuses_places_where_no_file_can_stand(tmp_path: Path, overwrite: bool)
     assert names(tmp_path) == ["kept"]
 
 
-def test_a_folder_without_permission():
-    root = os.geteuid() == 0
-    with tempfile.TemporaryDirectory() as folder:
-        Path(folder).chmod(0o555)
-        if root:  # root may write everywhere: become nobody for the attempt
-            os.seteuid(65534)
-        try:
-            with pytest.raises(FileError, match="cannot be written: "):
-                write_atomically(Path(folder) / "a.urdf", b"", overwrite=False)
-        finally:
-            if root:
-                os.seteuid(0)
-            Path(folder).chmod(0o700)
-        assert names(Path(folder)) == []
-
-
 @pytest.mark.parametrize("overwrite", [False, True])
 def test_nothing_is_left_when_the_disk_takes_only_a_part(tmp_path: Path, overwrite: bool):
     path = tmp_path / "a.urdf"
@@ -151,19 +117,42 @@ def test_nothing_is_left_when_the_disk_takes_only_a_part(tmp_path: Path, overwri
     assert not overwrite or path.read_bytes() == b"old"
 
 
-def test_makes_a_folder_and_those_above_it_and_leaves_one_that_is_there(tmp_path: Path):
-    folder = make_folder(tmp_path / "a" / "b")
-    (folder / "kept").write_bytes(b"1")
-    assert make_folder(folder) == folder
-    assert names(folder) == ["kept"]
-    with pytest.raises(FileError, match=r"kept: this folder cannot be made: .*Choose another name"):
-        make_folder(folder / "kept")
+# JSON files of calib's own
 
 
-@pytest.mark.parametrize("name", ["a b.csv", "\u00e4\u4e2d.csv", "\udcff.csv", "-x", "'\"\n"])
-def test_strange_names(tmp_path: Path, name: str):
-    path = write_atomically(tmp_path / name, b"2", overwrite=False)
-    assert read_bytes(path, "table") == b"2"
-    with pytest.raises(FileError, match="exists already") as caught:
-        write_atomically(path, b"3", overwrite=False)
-    str(caught.value).encode()
+def read(path, schema="thing 1"):
+    return read_json(path, "thing", schema, "a thing has 'thing 1'. Give a thing.")
+
+
+def test_a_table_of_the_schema(tmp_path):
+    path = tmp_path / "t.json"
+    path.write_text('{"schema": "thing 1", "value": 2}')
+    assert read(path) == {"schema": "thing 1", "value": 2}
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("{", "this is not a JSON file"),
+        ("[1]", "its 'schema' is None; a thing has 'thing 1'. Give a thing."),
+        ('{"schema": "thing 1", "a": [NaN]}', "it holds NaN; write the number, or null"),
+        ('{"schema": "thing 1", "a": -Infinity}', "it holds -Infinity; write the number"),
+    ],
+)
+def test_what_is_none_is_refused(tmp_path, text, said):
+    path = tmp_path / "t.json"
+    path.write_text(text, encoding="latin-1")
+    with pytest.raises(FileError, match=r"t\.json") as raised:
+        read(path)
+    assert said in str(raised.value)
+
+
+def test_names_that_utf_8_lacks_are_read_as_they_were(tmp_path):
+    table = {
+        "schema": "thing 1",
+        "name": "data\udcff é 関.csv",
+    }  # as Python reads the byte 0xff in a file name
+    path = tmp_path / "t.json"
+    path.write_bytes(json_bytes(table))
+    assert read(path) == table
+    assert "é 関" in path.read_text(encoding="utf-8")

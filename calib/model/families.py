@@ -34,12 +34,10 @@ class Unit:
     key: str  #: The suffix of keys in result files: ``"rad_Nm"``.
     quantity: str  #: What it measures, as messages say it: ``"a length"``.
     step: float  #: What arms are typically wrong by: parameters of different units are compared in such steps.
-    shown: tuple[
-        float, str
-    ]  #: The factor to the unit that a person reads, and that unit: ``(1e3, "mm")``.
-    cell: tuple[
-        str, float
-    ]  #: The suffix of keys in cell files and what one of that unit is in SI: ``("_mm", 1e-3)``.
+    #: The factor to the unit that a person reads, and that unit: ``(1e3, "mm")``.
+    shown: tuple[float, str]
+    #: The suffix of keys in cell files and what one of that unit is in SI: ``("_mm", 1e-3)``.
+    cell: tuple[str, float]
     example: str  #: A value that could be typed: ``"0.5 mm"``.
     largest: float = 1.0  #: A value beyond this is no error but another robot.
 
@@ -105,9 +103,8 @@ class Family:
     factors: tuple[
         Factor, ...
     ] = ()  #: Of the parameters that each joint has; empty for the geometry.
-    sliding: Unit | None = (
-        None  #: The unit at a joint that slides; None: such a joint has none of the family.
-    )
+    #: The unit at a joint that slides; None: such a joint has none of the family.
+    sliding: Unit | None = None
     #: Whether each joint of the chain errs by itself; else each measured joint, with its followers.
     every_joint: bool = False
     bounds: tuple[float, float] = (

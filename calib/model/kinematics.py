@@ -30,13 +30,11 @@ class Samples:
     """Where the robot stood, and which frame saw which target."""
 
     q: Array  #: shape (N, m), values of the measured joints, [rad] or [m].
-    frame: NDArray[
-        np.int_
-    ]  #: shape (N,), which of the measurement frames; all zero where there is one.
+    #: shape (N,), which of the measurement frames; all zero where there is one.
+    frame: NDArray[np.int_]
     target: NDArray[np.int_]  #: shape (N,), which of the targets.
-    load: Array | None = (
-        None  #: shape (N, n), load on each joint of the chain [Nm, N]; None where it is not known.
-    )
+    #: shape (N, n), load on each joint of the chain [Nm, N]; None where it is not known.
+    load: Array | None = None
 
     @classmethod
     def at(cls, q: ArrayLike, load: Array | None = None) -> Samples:

@@ -67,14 +67,12 @@ class Observability:
     columns: int  #: Number of parameters.
     rank: int  #: Number of combinations that the measurements determine.
     condition: float  #: Largest over smallest singular value of the determined part.
-    singular_values: (
-        Array  #: shape (columns,), of the scaled Jacobian, descending, [m per declared step].
-    )
+    #: shape (columns,), of the scaled Jacobian, descending, [m per declared step].
+    singular_values: Array
     indices: dict[str, float]  #: O1 to O5 of the determined part.
     unidentifiable: tuple[Combination, ...]  #: One combination for each missing rank.
-    identifiable: NDArray[
-        np.bool_
-    ]  #: shape (columns,), whether a parameter takes part in none of them.
+    #: shape (columns,), whether a parameter takes part in none of them.
+    identifiable: NDArray[np.bool_]
 
 
 def steps(units: Sequence[str]) -> Array:

@@ -50,9 +50,8 @@ class Parameter:
     #: The value that the parameter adds to, in its unit: the DH table's, or 0. A target's is where the cell says it
     #: is.
     nominal: float = 0.0
-    factor: Factor | None = (
-        None  #: The known number of the joint's state that multiplies it; None for 1.
-    )
+    #: The known number of the joint's state that multiplies it; None for 1.
+    factor: Factor | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

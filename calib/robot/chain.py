@@ -38,9 +38,8 @@ class Chain:
     #: The moving joints, base to tip; those of the base's side with their axis turned round.
     joints: tuple[UrdfJoint, ...]
     placements: Array  #: shape (n + 1, 4, 4), [m]: of each joint in the one before it, of the tip in the last joint.
-    carriers: tuple[
-        str | None, ...
-    ]  #: For each placement the URDF joint whose ``<origin>`` holds it, or None.
+    #: For each placement the URDF joint whose ``<origin>`` holds it, or None.
+    carriers: tuple[str | None, ...]
     T_root_base: Array  #: shape (4, 4), [m], pose of the base in the frame that the first placement is given in.
     #: For each placement before, after and inverted: it is before @ origin @ after, or before @ origin^-1 @ after
     #: where the origin stands inverted in it; poses of shape (4, 4), [m].

@@ -37,9 +37,8 @@ Numbers = NDArray[np.int_]
 class Geometry:
     """A serial chain, seen at targets from measurement frames; every pose of shape (4, 4) [m]."""
 
-    slides: NDArray[
-        np.bool_
-    ]  #: shape (n,), which joints slide along their axis; the others turn about it.
+    #: shape (n,), which joints slide along their axis; the others turn about it.
+    slides: NDArray[np.bool_]
     turns: Array  #: shape (n, 3, 3), a rotation that takes z to each joint's axis, see `turns_to`.
     placements: Array  #: shape (n + 1, 4, 4): of each joint in the one before it, of the tip in the last joint.
     bases: Array  #: shape (F, 4, 4), T_frame_base.

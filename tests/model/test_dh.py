@@ -4,12 +4,11 @@ import importlib.metadata
 from pathlib import Path
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.spatial.transform import Rotation
 
-from calib.errors import CalibError, ModelError
+from calib.errors import CalibError
 from calib.model.dh import (
     DHTable,
     dh_table,
@@ -18,7 +17,6 @@ from calib.model.dh import (
 )
 from calib.model.dh_table import CONVENTIONS
 from calib.robot.robot import Robot
-from calib.robot.urdf import Urdf
 
 FILES = sorted(
     Path(str(file.locate()))
@@ -125,55 +123,6 @@ def test_universal_robots(name):
         np.testing.assert_allclose(table[key], values, rtol=0, atol=1e-9, err_msg=key)
 
 
-def test_kinova():
-    # j2s6s200: 275.5 mm to the shoulder, 410 mm the upper arm, 9.8 mm the elbow's offset; d4 and d6 span two links.
-    table = columns(dh_table(Robot.load("kinova", tip="j2s6s200_end_effector")))
-    golden = {
-        "a": [0, 0.41, 0, 0, 0, 0],
-        "alpha": np.radians([90, 180, 90, 90, 90, 90]),
-        "d": [-0.2755, 0, -0.0098, -0.31105, 0, -0.26375],
-        "theta": np.radians([90, 90, 90, 0, 0, 90]),
-        "beta": [0] * 6,
-    }
-    for key, values in golden.items():
-        np.testing.assert_allclose(table[key], values, rtol=0, atol=1e-8, err_msg=key)
-
-
-@pytest.mark.parametrize(
-    ("twist_deg", "alpha_deg", "a"),
-    [(90, 90, 0.3), (-90, -90, 0.3), (30, 30, 0.3), (-30, -30, 0.3), (150, 150, 0.3)],
-)
-def test_the_sign_of_alpha(serial_urdf, twist_deg, alpha_deg, a):
-    # The second axis is the first one turned about +x by the twist, a along +x.
-    t = np.radians(twist_deg)
-    urdf = serial_urdf(
-        [
-            ("revolute", (0, 0, 0.2), (0, 0, 0), (0, 0, 1)),
-            ("revolute", (a, 0, 0), (t, 0, 0), (0, 0, 1)),
-        ]
-    )
-    row = dh_table(Robot.from_urdf(urdf)).rows[0]
-    np.testing.assert_allclose((row.a, row.alpha), (a, np.radians(alpha_deg)), atol=1e-12)
-    # The first frame stands in the base's origin, so that the height of the joint is its row's d.
-    np.testing.assert_allclose((row.d, row.theta), (0.2, 0), atol=1e-12)
-
-
-@pytest.mark.parametrize(("y", "x"), [(0.01, 0.0), (0.0, 0.02), (0.01, -0.02), (-0.02, 0.01)])
-def test_the_signs_of_hayati_s_alpha_and_beta(serial_urdf, x, y):
-    # A small rotation about x is alpha, one about y is beta: z2 = Rx(alpha) Ry(beta) z1.
-    R = pin.exp3(np.array([x, 0, 0])) @ pin.exp3(np.array([0, y, 0]))
-    urdf = serial_urdf(
-        [
-            ("revolute", (0, 0, 0), (0, 0, 0), (0, 0, 1)),
-            ("revolute", (0.3, 0, 0), (0, 0, 0), R[:, 2]),
-        ]
-    )
-    row = dh_table(Robot.from_urdf(urdf)).rows[0]
-    assert row.near_parallel
-    np.testing.assert_allclose((row.alpha, row.beta, row.a), (x, y, 0.3), atol=1e-12)
-    assert row.d == 0.0
-
-
 # Every chain
 
 
@@ -243,15 +192,6 @@ def test_rows_equal_forward_kinematics_of_any_chain(serial_urdf, joints, xyz, rp
     assert max(max(abs(row.a), abs(row.d)) for row in table.rows) <= bound
 
 
-@settings(max_examples=100, deadline=None, derandomize=True)
-@given(chains(most_tilt=1e-2), points)
-def test_nearly_parallel_axes_put_nothing_far_away(serial_urdf, joints, xyz):
-    robot = Robot.from_urdf(serial_urdf(joints, (xyz, (0, 0, 0))))
-    table = assert_rows_equal_kinematics(robot)
-    assert all(row.near_parallel and row.d == 0 for row in table.rows[:-1])
-    assert max(abs(row.a) for row in table.rows[:-1]) <= 1.1 * reach(robot)
-
-
 # Two branches, mimic joints
 
 
@@ -294,21 +234,6 @@ def test_the_paper_s_ur3_as_its_maker_prints_it(ur3):
     np.testing.assert_allclose(rows.T_n_tip, np.eye(4), atol=1e-9)
 
 
-def test_the_panda_as_its_maker_prints_it(panda):
-    # The maker has d7 = 0 and a flange 107 mm on: here that is the last row's own d, up to the tip.
-    rows = dh_table(panda, "modified")
-    golden = {
-        "a": [0, 0, 0, 0.0825, -0.0825, 0, 0.088],
-        "d": [0.333, 0, 0.316, 0, 0.384, 0, 0.107],
-        "alpha": np.radians([0, -90, 90, 90, -90, 90, 90]),
-        "theta": [0] * 7,
-    }
-    for key, values in golden.items():
-        np.testing.assert_allclose(column(rows, key), values, atol=1e-9, err_msg=key)
-    np.testing.assert_allclose(rows.T_base_0, np.eye(4), atol=1e-9)
-    np.testing.assert_allclose(rows.T_n_tip, np.eye(4), atol=1e-9)
-
-
 # Before and after
 
 
@@ -326,37 +251,6 @@ def test_the_columns_of_a_corrected_robot_compare(ur3, panda, convention):
                 assert np.abs(change).max() < 0.03, row.joint
         for name in ("T_base_0", "T_n_tip"):
             np.testing.assert_allclose(getattr(after, name), getattr(before, name), atol=0.03)
-
-
-@pytest.mark.parametrize("nominal_deg", [2.95, 3.05])
-def test_hayati_s_rows_stay_of_one_kind_at_the_limit(serial_urdf, nominal_deg):
-    # A d that is 0 on one side of three degrees would be metres on the other.
-    def arm(degrees: float) -> Robot:
-        tilt = np.radians(degrees)
-        first = ("revolute", (0, 0, 0.2), (0, 0, 0), (0, 0, 1))
-        second = ("revolute", (0.3, 0.2, 0.1), (tilt, 0, 0), (0, 0, 1))
-        return Robot.from_urdf(serial_urdf([first, second]))
-
-    nominal, corrected = arm(nominal_deg), arm(6.0 - nominal_deg)
-    before = dh_table(nominal, "hayati").rows[0]
-    after = dh_table(corrected, "hayati", like=nominal).rows[0]
-    assert (before.d == 0.0) == (after.d == 0.0) == (nominal_deg < 3.0)
-    assert abs(after.theta - before.theta) < 0.03
-    assert_same_poses(dh_table(corrected, "hayati", like=nominal), corrected)
-
-
-def test_what_lies_behind_the_last_axis_is_the_tip_s_matter(ur3):
-    # A tool flange that was moved by 0.1 mm would else turn theta_6 by up to half a turn.
-    placements = ur3.placements.copy()
-    placements[-1, :3, 3] += [1e-4, 2e-4, 3e-4]
-    corrected = ur3.with_placements(placements)
-    for convention in CONVENTIONS:
-        before, after = dh_table(ur3, convention), dh_table(corrected, convention, like=ur3)
-        assert abs(after.rows[-1].theta - before.rows[-1].theta) < 1e-12
-        # The frame that carries the tip on this robot is turned: which of the three is along the axis does not matter.
-        moved = np.append(after.T_n_tip[:3, 3], after.rows[-1].d - before.rows[-1].d)
-        assert np.linalg.norm(moved) == pytest.approx(np.linalg.norm([1e-4, 2e-4, 3e-4]), abs=1e-9)
-        assert_same_poses(after, corrected)
 
 
 def test_pure_rows_of_nearly_parallel_axes_lie_far_away_and_hold(ur3):
@@ -388,19 +282,6 @@ def test_axes_that_are_parallel_but_for_rounding_are_taken_as_parallel(ur3):
     assert_same_poses(dh_table(corrected, "hayati", like=ur3), corrected, 1e-12)
 
 
-@pytest.mark.parametrize("size", [1e-7, 1e-8, 1e-9])
-def test_parallel_but_for_rounding_behind_axes_that_are_nearly_so(serial_urdf, size):
-    # The common normal of the first two lies 300 km away: there 4e-7 rad are 0.1 m.
-    turn = ("revolute", (0.3, 0, 0), (0, 0, 0), (0, 0, 1))
-    tilts = [(0, 0, 0), (1e-6, 0, 0), (0, 4e-7, 0), (0, 6e-7, 0)]
-    robot = Robot.from_urdf(serial_urdf([(*turn[:2], rpy, turn[3]) for rpy in tilts]))
-    moved = displaced(robot, size=size / 1e-3)
-    for convention in ("standard", "modified"):
-        assert_same_poses(dh_table(moved, convention, like=robot), moved, 1e-9)
-    assert taken_as_parallel(moved) < 1e-9
-    assert len(near_parallel(moved)) == 3
-
-
 # Any chain
 
 
@@ -416,21 +297,4 @@ MIMIC = b"""<robot name="m"><link name="b"/><link name="l1"/><link name="l2"/><l
 </robot>"""
 
 
-@pytest.mark.parametrize("convention", CONVENTIONS)
-@pytest.mark.parametrize(("base", "tip"), [("b", "t"), ("l1", "t"), ("t", "b")])
-def test_sliding_and_mimicking_joints_and_chains_from_tip_to_base(convention, base, tip):
-    robot = Robot.from_urdf(Urdf.from_bytes(MIMIC, "m.urdf"), base, tip)
-    rows = dh_table(robot, convention)
-    assert [row.prismatic for row in rows.rows] == [j.type == "prismatic" for j in robot.joints]
-    assert_same_poses(rows, robot)
-    corrected = displaced(robot)
-    assert_same_poses(dh_table(corrected, convention, like=robot), corrected)
-
-
 # What is refused
-
-
-def test_other_joints_do_not_compare(ur3, panda):
-    wanted = "other joints: 'panda_joint1'.*'shoulder_pan_joint'.*same base and tip"
-    with pytest.raises(ModelError, match=wanted):
-        dh_table(panda, "standard", like=ur3)

@@ -1,12 +1,8 @@
 from __future__ import annotations
 
-import re
-
 import numpy as np
-import pytest
 
-from calib.errors import ModelError
-from calib.model.dh_table import CONVENTIONS, EQUATIONS, DHRow, DHTable
+from calib.model.dh_table import CONVENTIONS, DHRow, DHTable
 
 QUARTER = np.pi / 2
 
@@ -37,25 +33,3 @@ def test_the_joint_s_value_is_added_to_theta_or_to_d():
         np.testing.assert_allclose(table(convention, turning).poses([0.7]), turned, atol=1e-15)
         slid = table(convention, DHRow("j", True, 0.1, 0.3 + 0.7, 0.5, 0.2)).poses([0.0])
         np.testing.assert_allclose(table(convention, sliding).poses([0.7]), slid, atol=1e-15)
-
-
-def test_every_convention_has_its_equation():
-    assert set(EQUATIONS) == set(CONVENTIONS)
-    for convention, text in EQUATIONS.items():
-        factors = re.findall(r"([RT][xyz])\(", text)
-        assert factors[:4] == (
-            ["Rx", "Tx", "Rz", "Tz"] if convention == "modified" else ["Rz", "Tz", "Tx", "Rx"]
-        )
-        assert factors[4:] == (["Ry"] if convention == "hayati" else [])
-
-
-def test_each_row_needs_a_value():
-    row = DHRow("j", False, 0.1, 0.2, 0.3, 0.4)
-    rows = table("standard", row, row)
-    assert repr(rows) == "DHTable('standard', 2 rows)"
-    with pytest.raises(
-        ModelError, match=r"shape \(1, 3\) were given; there are 2 DH rows, of 'j', 'j'"
-    ):
-        rows.poses(np.zeros(3))
-    with pytest.raises(ModelError, match=r"shape \(2, 2, 2\) were given"):
-        rows.poses(np.zeros((2, 2, 2)))

@@ -6,12 +6,12 @@ import pytest
 
 from calib.errors import ModelError
 from calib.example import PAPER_TARGET
-from calib.model.dh import DHTable, dh_table, zero_poses
+from calib.model.dh import DHTable, dh_table
 from calib.model.error_model import (
     DIRECTIONS,
     error_model,
 )
-from calib.model.families import ANGLE, LENGTH, ZERO, joint_families
+from calib.model.families import ANGLE, LENGTH, ZERO
 from calib.model.kinematics import Kinematics
 from calib.model.parameters import FRAME, TARGET, TIP, ErrorModel
 from calib.robot.robot import Robot
@@ -89,14 +89,6 @@ def test_the_paper_s_27_parameters(ur3):
     np.testing.assert_allclose((nominal["a2"], nominal["d4"]), (-0.24365, 0.11235), atol=1e-9)
 
 
-def test_paper_and_dh_are_the_same_offsets(ur3):
-    paper, dh = (error_model(ur3, name) for name in ("paper", "dh"))
-    assert (paper.name, dh.name) == ("paper", "dh")
-    for one, other in zip(paper.parameters, dh.parameters, strict=True):
-        assert (one.name, one.place) == (other.name, other.place)
-        np.testing.assert_array_equal(one.direction, other.direction)
-
-
 @pytest.mark.parametrize(
     ("name", "count"),
     [("dh", 24), ("hayati", 24), ("placement", 36), ("zeros", 6), ("frames", 0)],
@@ -127,44 +119,7 @@ def test_hayati_has_beta_in_place_of_d_where_axes_are_parallel(ur3):
     assert hayati - dh == {"beta2", "beta3"}
 
 
-def test_zeros_turn_revolute_and_move_prismatic_joints():
-    robot = Robot.load("panda")
-    parameters = error_model(robot, "zeros", target=False).parameters
-    assert parameters[0].name == "panda_joint1.zero"
-    assert [p.unit for p in parameters] == ["rad"] * 7 + ["m"]
-    assert [p.family for p in parameters] == [ZERO] * 7 + [LENGTH]
-    q = np.random.default_rng(0).uniform(-1, 1, (3, 8))
-    x = np.array([0.1] * 7 + [0.01])
-    moved = error_model(robot, "zeros", target=False).apply(robot, x)
-    np.testing.assert_allclose(moved.poses(q), robot.poses(q + x), atol=1e-14)
-
-
 # Families behind the set
-
-
-@pytest.mark.parametrize("name", ["paper", "dh", "hayati", "placement", "zeros", "frames"])
-def test_every_set_takes_every_family(ur3, name):
-    whole = error_model(ur3, "+".join((name, *joint_families())), target=False)
-    alone = error_model(ur3, name, target=False)
-    assert whole.names[: len(alone)] == alone.names
-    assert {f: int(whole.family(f).sum()) for f in joint_families()} == {
-        GAIN: 6,
-        ECCENTRICITY: 12,
-        COMPLIANCE: 6,
-    }
-
-
-@pytest.mark.parametrize(
-    ("name", "wrong"),
-    [("dh+gains", "'gains'"), ("dh+gain+gain", "'gain'"), ("dh+", "''"), ("dh+dh", "'dh'")],
-)
-def test_a_family_that_does_not_exist_or_stands_twice_is_refused(ur3, name, wrong):
-    with pytest.raises(
-        ModelError,
-        match=rf"adds {wrong} to the set 'dh'; what can be added, each once, is "
-        "'gain', 'eccentricity', 'compliance'",
-    ):
-        error_model(ur3, name)
 
 
 def test_a_family_without_a_set_lists_the_sets(ur3):
@@ -197,27 +152,6 @@ def test_frames_and_targets_by_name(ur3):
     top = model.parameters[model.index("frame_rz[top]")]
     assert (top.place, top.unit, top.family) == ("(frame)top", "rad", FRAME)
     np.testing.assert_array_equal(top.direction, np.eye(6)[5])
-
-
-def test_targets_of_poses_have_six_parameters(ur3):
-    model = error_model(ur3, "frames", targets=("ball", "cone"), target=("cone",), rotation=True)
-    assert model.names == tuple(f"target_{d}[cone]" for d in DIRECTIONS)
-    stacked = np.array([p.direction for p in model.parameters])
-    np.testing.assert_array_equal(stacked, np.eye(6))
-    assert [p.unit for p in model.parameters] == ["m"] * 3 + ["rad"] * 3
-    only = error_model(ur3, "frames", rotation=True)
-    assert only.names == tuple(f"target_{d}" for d in DIRECTIONS)
-
-
-def test_a_partly_known_frame_moves_along_its_unknown_directions_only(ur3):
-    model = error_model(ur3, "frames", frame={"": ("x", "y", "rz")}, target=False)
-    assert model.names == ("frame_x", "frame_y", "frame_rz")
-    x = np.array([0.01, -0.02, 0.3])
-    D = model.displacements(x)[0][0]
-    np.testing.assert_allclose(D[2], [0, 0, 1, 0], atol=1e-16)
-    np.testing.assert_allclose(D[:, 2], [0, 0, 1, 0], atol=1e-16)
-    c, s = np.cos(0.3), np.sin(0.3)
-    np.testing.assert_allclose(D[:2], [[c, -s, 0, 0.01], [s, c, 0, -0.02]], atol=1e-16)
 
 
 def test_the_paper_knows_every_frame(ur3):
@@ -294,20 +228,6 @@ def test_zeros_of_any_chain_add_to_the_columns(chains, which):
     )
 
 
-@pytest.mark.parametrize("name", ["dh", "hayati", "placement", "zeros"])
-@pytest.mark.parametrize("which", CHAINS)
-def test_no_parameter_stands_where_the_urdf_holds_none(chains, which, name):
-    robot = chains[which]
-    held = {
-        place
-        for place, carrier in zip(
-            (*(joint.name for joint in robot.joints), TIP), robot.carriers, strict=True
-        )
-        if carrier is not None
-    }
-    assert {t.place for t in error_model(robot, name, target=False).terms} <= held
-
-
 def test_a_skew_axis_has_a_zero_of_its_own_among_the_placement_s(serial_urdf):
     robot = Robot.from_urdf(
         serial_urdf(
@@ -375,32 +295,6 @@ def test_zeros_of_followers_are_tied_to_their_driver_s():
 # Exactness: a DH offset is a displacement of a placement, and no approximation
 
 
-@pytest.mark.parametrize("name", ["dh", "hayati"])
-@pytest.mark.parametrize("which", ["ur3", "panda"])
-@pytest.mark.parametrize("tilt", [False, True])
-def test_offsets_equal_the_paper_s_matrices(request, which, name, tilt):
-    robot = request.getfixturevalue(which)
-    robot = tilted(robot) if tilt else robot
-    model, table = error_model(robot, name, target=False), dh_table(robot)
-    q = np.random.default_rng(2).uniform(-np.pi, np.pi, (5, len(robot.joints)))
-    for seed in range(5):
-        x = offsets_of(model, seed)
-        poses = model.apply(robot, x).poses(q)
-        for values, pose in zip(q, poses, strict=True):
-            expected = pose_of_rows(table, values, dict(zip(model.names, x, strict=True)))
-            np.testing.assert_allclose(pose, expected, rtol=0, atol=1e-13)
-
-
-@pytest.mark.parametrize("k", range(24))
-def test_each_offset_alone_equals_its_entry_in_the_matrices(ur3, k):
-    model, table = error_model(ur3, "dh", target=False), dh_table(ur3)
-    x = np.zeros(24)
-    x[k] = 0.01 if model.parameters[k].unit == "m" else 0.1
-    q = np.random.default_rng(k).uniform(-np.pi, np.pi, 6)
-    expected = pose_of_rows(table, q, {model.names[k]: x[k]})
-    np.testing.assert_allclose(model.apply(ur3, x).poses(q)[0], expected, rtol=0, atol=1e-13)
-
-
 def test_betas_turn_the_next_axis_as_hayati_s_ry(ur3):
     robot = tilted(ur3)
     model, table = error_model(robot, "hayati", target=False), dh_table(robot)
@@ -412,22 +306,6 @@ def test_betas_turn_the_next_axis_as_hayati_s_ry(ur3):
         x[model.index(name)] = 0.1
         expected = pose_of_rows(table, q, {name: 0.1})
         np.testing.assert_allclose(model.apply(robot, x).poses(q)[0], expected, atol=1e-13)
-
-
-def test_offsets_of_a_prismatic_chain(serial_urdf):
-    robot = Robot.from_urdf(
-        serial_urdf(
-            [
-                ("revolute", (0, 0, 0.3), (0.1, 0, 0), (0, 0, 1)),
-                ("prismatic", (0.2, 0, 0), (0, 1.2, 0), (0, 1, 1)),
-                ("continuous", (0, 0.1, 0.2), (1.0, 0, 0.3), (1, 0, 0)),
-            ]
-        )
-    )
-    model, table = error_model(robot, "dh", target=False), dh_table(robot)
-    x, q = offsets_of(model), np.array([0.3, -0.2, 2.0])
-    expected = pose_of_rows(table, q, dict(zip(model.names, x, strict=True)))
-    np.testing.assert_allclose(model.apply(robot, x).poses(q)[0], expected, rtol=0, atol=1e-13)
 
 
 # apply
@@ -445,36 +323,7 @@ def test_apply_and_kinematics_agree(ur3, name):
     np.testing.assert_allclose(poses, model.apply(ur3, x).poses(q) @ T_tip_target, atol=1e-14)
 
 
-def test_a_tip_that_carries_no_correction_drops_the_last_a_and_alpha():
-    robot = Robot.load("ur3", base="base", tip="wrist_3_link")
-    assert robot.carriers[-1] is None
-    names = error_model(robot, "dh", target=False).names
-    whole = error_model(Robot.load("ur3", base="base", tip="tool0"), "dh", target=False).names
-    assert set(whole) - set(names) == {"a6", "alpha6"}
-    model = error_model(robot, "dh", target=False)
-    x, q = offsets_of(model), np.random.default_rng(0).uniform(-3, 3, 6)
-    expected = pose_of_rows(dh_table(robot), q, dict(zip(model.names, x, strict=True)))
-    np.testing.assert_allclose(model.apply(robot, x).poses(q)[0], expected, rtol=0, atol=1e-13)
-
-
-# Freezing, and what is refused
-
-
-def test_an_unknown_set_lists_those_there_are(ur3):
-    with pytest.raises(
-        ModelError,
-        match=r"no parameter set 'dhh'\. Choose one of "
-        "'paper', 'dh', 'hayati', 'placement', 'zeros', 'frames', and behind it, each with a '\\+', any "
-        "of 'gain', 'eccentricity', 'compliance'",
-    ):
-        error_model(ur3, "dhh")
-
-
-def test_directions_of_d_and_theta_follow_the_joint_s_axis(panda):
-    # d moves along, theta turns about the axis in the base at q = 0
-    model, (poses, _) = error_model(panda, "dh", target=False), zero_poses(panda)
-    for i, (pose, joint) in enumerate(zip(poses, panda.joints, strict=True), start=1):
-        axis = pose[:3, :3] @ joint.axis
-        d, theta = (model.parameters[model.index(f"{k}{i}")] for k in ("d", "theta"))
-        np.testing.assert_allclose(pose[:3, :3] @ d.direction[:3], axis, atol=1e-15)
-        np.testing.assert_allclose(pose[:3, :3] @ theta.direction[3:], axis, atol=1e-15)
+@pytest.mark.parametrize("name", ["dhh", "dh+gains", "dh+gain+gain", "dh+", "dh+dh"])
+def test_a_set_or_family_that_does_not_exist_or_is_named_twice(ur3, name):
+    with pytest.raises(ModelError, match=r"Choose one of 'paper', 'dh', .* any of 'gain'"):
+        error_model(ur3, name)

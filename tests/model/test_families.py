@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -43,31 +41,12 @@ def test_slopes_are_the_derivatives_of_the_factors(ur3, name):
             np.testing.assert_allclose((high - low) / 2e-6, slope, atol=1e-8)
 
 
-def test_a_load_that_is_not_known_is_refused(ur3):
-    with pytest.raises(ModelError, match="shoulder_pan_joint"):
-        FAMILIES["compliance"].factors[0].value(
-            JointState("shoulder_pan_joint", ur3.joint_names, np.zeros((1, 6)))
-        )
-
-
 def test_a_family_from_outside(registry, ur3):
     own = Family("lost", families.RAD, 1e-3, 1e-3, (Factor("sign", lambda s: np.sign(s.q), None),))
     register(own)
     assert registry["lost"] is own
     names = [p.name for p in joint_parameters(ur3, "lost")]
     assert names == [f"{joint}.sign" for joint in ur3.joint_names]
-
-
-@pytest.mark.parametrize(
-    "change",
-    [{"name": "gain"}, {"factors": ()}, {"factors": FAMILIES["eccentricity"].factors}],
-    ids=["name taken", "no factor", "parameter taken"],
-)
-def test_what_cannot_be_registered(registry, change):
-    own = Family("lost", families.RAD, 1e-3, 1e-3, (Factor("sign", lambda s: np.sign(s.q), None),))
-    with pytest.raises(ModelError):
-        register(replace(own, **change))
-    assert "lost" not in registry
 
 
 def test_a_unit_that_no_family_has():

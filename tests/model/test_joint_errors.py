@@ -6,7 +6,6 @@ import pytest
 
 from calib.errors import ModelError
 from calib.model.error_model import error_model, joint_parameters
-from calib.model.families import joint_families
 from calib.model.kinematics import Kinematics, Samples, joint_displacements
 from calib.robot.robot import Robot
 from calib.robot.torques import Payload, gravity_load
@@ -72,50 +71,6 @@ def expected(**columns: np.ndarray) -> np.ndarray:
 # Parameters
 
 
-def test_gains_belong_to_the_measured_joints(mixed):
-    parameters = joint_parameters(mixed, GAIN)
-    assert [p.name for p in parameters] == [f"{name}.gain" for name in COLUMNS]
-    assert {(p.family, p.factor.name, p.nominal) for p in parameters} == {(GAIN, "gain", 0.0)}
-    assert [p.unit for p in parameters] == ["m/m" if n == "slide" else "1" for n in COLUMNS]
-    assert [p.place for p in parameters] == list(COLUMNS)
-
-
-def test_eccentricities_belong_to_the_measured_joints_that_turn(mixed):
-    parameters = joint_parameters(mixed, ECCENTRICITY)
-    assert [(p.name, p.factor.name) for p in parameters] == [
-        (f"{name}.{part}", part) for name in ("turn", "spin", "outside") for part in ("sin", "cos")
-    ]
-    assert {(p.unit, p.family) for p in parameters} == {("rad", ECCENTRICITY)}
-
-
-def test_compliances_belong_to_every_joint_of_the_chain(mixed):
-    parameters = joint_parameters(mixed, COMPLIANCE)
-    assert [p.name for p in parameters] == [f"{name}.compliance" for name in CHAIN]
-    assert [p.unit for p in parameters] == [
-        "m/N" if name.startswith("slide") else "rad/Nm" for name in CHAIN
-    ]
-    assert {(p.family, p.factor.name) for p in parameters} == {(COMPLIANCE, "compliance")}
-
-
-def test_an_unknown_family_lists_those_there_are(mixed):
-    with pytest.raises(
-        ModelError,
-        match="backlash",
-    ):
-        joint_parameters(mixed, "backlash")
-
-
-@pytest.mark.parametrize("family", joint_families())
-def test_directions_are_the_joints_own_axes(mixed, family):
-    for parameter in joint_parameters(mixed, family):
-        one = mixed.urdf.joint(parameter.place)
-        linear = parameter.direction[:3], parameter.direction[3:]
-        along, other = linear if one.type == "prismatic" else linear[::-1]
-        np.testing.assert_array_equal(along, one.axis)
-        np.testing.assert_array_equal(other, np.zeros(3))
-        assert not parameter.direction.flags.writeable
-
-
 # Displacements
 
 
@@ -132,13 +87,6 @@ def test_a_gain_moves_its_joint_by_its_value_and_followers_by_their_multiplier(m
     np.testing.assert_allclose(moved["outside.gain"], expected(driven=3 * outside), atol=1e-16)
 
 
-def test_a_gain_is_a_scale_of_the_column(mixed):
-    model = error_model(mixed, "frames+gain", target=False)
-    x = np.array([1e-3, -2e-3, 5e-4, 3e-3])
-    poses = Kinematics(mixed, model, np.eye(4), np.eye(4)).poses(x, Q)
-    np.testing.assert_allclose(poses, mixed.poses(Q * (1 + x)), rtol=0, atol=1e-15)
-
-
 def test_eccentricities_are_sine_and_cosine_of_the_column(mixed):
     moved = displacements(mixed, ECCENTRICITY)
     for part, function in (("sin", np.sin), ("cos", np.cos)):
@@ -152,13 +100,6 @@ def test_eccentricities_are_sine_and_cosine_of_the_column(mixed):
         np.testing.assert_allclose(
             moved[f"outside.{part}"], expected(driven=3 * outside), atol=1e-16
         )
-
-
-def test_a_compliance_moves_its_own_joint_by_the_load(mixed):
-    load = np.arange(14.0).reshape(2, 7) - 5
-    moved = displacements(mixed, COMPLIANCE, load)
-    for i, name in enumerate(CHAIN):
-        np.testing.assert_array_equal(moved[f"{name}.compliance"], expected(**{name: load[:, i]}))
 
 
 def test_a_compliance_without_the_load_is_refused(mixed):

@@ -1,16 +1,12 @@
 from __future__ import annotations
 
-import re
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from calib.errors import ModelError
 from calib.example import PAPER_TARGET
 from calib.model.error_model import error_model
-from calib.model.families import ANGLE, LENGTH, unit_of
+from calib.model.families import ANGLE, LENGTH
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability, analyse, rank_by_gap
 from calib.model.parameters import FRAME, TARGET, TIP, ErrorModel, Parameter
@@ -110,13 +106,6 @@ def test_the_ranks_of_the_sets(ur3, name, frame, columns, rank):
     assert (result.columns, result.rank) == (columns, rank)
 
 
-def test_the_panda_s_ranks(panda):
-    for name, columns, rank in (("dh", 31, 27), ("hayati", 31, 27), ("placement", 45, 31)):
-        model = error_model(panda, name)
-        result = analysed(jacobian_of(panda, model, random_q(7)), model)
-        assert (result.columns, result.rank) == (columns, rank)
-
-
 #: Chains by robot, base and tip, and what is held.
 CHAINS = {
     "arm": (("ur3", "base", "tool0"), {}),
@@ -186,17 +175,6 @@ def test_the_ranks_with_errors_of_the_joints_state(ur3, name, families, payload,
         assert analysed(loaded(ur3, model, random_q(), payload), model).rank == rank + more
 
 
-def test_joints_without_load_show_no_compliance(ur3):
-    model = error_model(ur3, "dh+compliance")
-    for payload, idle in (
-        (None, ("shoulder_pan", "wrist_2", "wrist_3")),
-        (TOOL, ("shoulder_pan",)),
-    ):
-        result = analysed(loaded(ur3, model, random_q(), payload), model)
-        texts = [str(c) for c in result.unidentifiable if "compliance" in str(c)]
-        assert texts == [f"{joint}_joint.compliance at all" for joint in idle]
-
-
 # The paper's table
 
 
@@ -243,30 +221,6 @@ def test_combinations_leave_the_points_where_they_are(ur3, name, target):
     assert np.linalg.matrix_rank(vectors / np.abs(vectors).max()) == len(vectors)
 
 
-def test_lengths_that_cancel_do_so_at_any_size(ur3, paper_table):
-    model = error_model(ur3, "paper")
-    q = paper_table.joints
-    kinematics = at_target(ur3, model)
-    result = analysed(jacobian_of(ur3, model, q), model)
-    straight = [c for c in result.unidentifiable if set(c.units) == {"m"}]
-    assert len(straight) == 4
-    for combination in straight:
-        x = 50 * vector(model, combination)
-        assert np.abs(x).max() == pytest.approx(0.05)
-        np.testing.assert_allclose(
-            kinematics.points(x, q), kinematics.points(0 * x, q), rtol=0, atol=1e-13
-        )
-
-
-def test_combinations_of_a_tilted_robot_hide_what_is_left_out(ur3):
-    robot = tilted(ur3, 3e-3)
-    model = error_model(robot, "paper")
-    jacobian = jacobian_of(robot, model, random_q())
-    for combination in analysed(jacobian, model).unidentifiable:
-        # a step of 1 mm or 1 mrad of the leading parameter moves no point by more than 2 % of 1 mm
-        assert np.abs(jacobian @ vector(model, combination)).max() < 2e-5
-
-
 def test_a_parameter_without_any_effect(ur3):
     model = error_model(ur3, "placement", target=False)
     result = analysed(jacobian_of(ur3, model, random_q(), ON_AXIS_6), model)
@@ -302,51 +256,6 @@ def test_the_five_indices():
     assert result.identifiable.all()
 
 
-# Few rows, none, wrong sizes
-
-
-@pytest.mark.parametrize(
-    ("jacobian", "names", "units"),
-    [
-        (np.zeros((6, 3)), "ab", ["m", "m"]),
-        (np.zeros((6, 2)), "ab", ["m"]),
-        (np.zeros((6, 2)), "abc", ["m", "m"]),
-        (np.zeros(2), "ab", ["m", "m"]),
-        (np.zeros((2, 3, 2)), "ab", ["m", "m"]),
-    ],
-)
-def test_wrong_sizes_are_refused(jacobian, names, units):
-    with pytest.raises(ModelError, match=r"A Jacobian of shape \(.*\) does not go with \d names"):
-        analyse(jacobian, names, units)
-
-
-def test_every_unit_of_a_model_has_a_step_and_is_shown():
-    robot = Robot.load("tiago", tip="arm_tool_link")  # its torso slides
-    model = error_model(robot, "dh+gain+eccentricity+compliance", frame=True, rotation=True)
-    assert set(model.units) == {"m", "rad", "1", "m/m", "rad/Nm", "m/N"}
-    assert all(unit_of(unit).step > 0.0 for unit in model.units)
-
-
-@pytest.mark.parametrize(
-    ("unit", "step", "text"),
-    [
-        ("m", 1e-3, "+1 mm"),
-        ("rad", 1e-3, "+1 mrad"),
-        ("1", 1e-3, "+1 mrad/rad"),
-        ("m/m", 1e-3, "+1 mm/m"),
-        ("rad/Nm", 1e-5, "+10 urad/Nm"),
-        ("m/N", 1e-6, "+1 um/N"),
-    ],
-)
-def test_the_units_of_combinations(unit, step, text):
-    # Two columns that undo each other, one of each unit and one of a length.
-    jacobian = np.outer(np.arange(1.0, 7.0), [1.0 / step, -1.0 / 1e-3])
-    (combination,) = analyse(jacobian, ["a", "b"], [unit, "m"]).unidentifiable
-    assert str(combination) == f"a and b together ({text}, +1 mm)"
-    assert combination.units == (unit, "m")
-    assert combination.steps == pytest.approx((step, 1e-3))
-
-
 # The rank of a spectrum
 
 
@@ -372,7 +281,7 @@ def test_rank_by_gap(values, rank):
     assert rank_by_gap(np.asarray(values, dtype=float)) == rank
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=25, deadline=None, derandomize=True)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 10), st.integers(1, 10))
 def test_combinations_span_what_any_jacobian_cannot_see(seed, p, rank):
     rng = np.random.default_rng(seed)
@@ -391,42 +300,3 @@ def test_combinations_span_what_any_jacobian_cannot_see(seed, p, rank):
         effects = np.linalg.norm(jacobian * v, axis=0)
         assert np.linalg.norm(jacobian @ v) <= 0.02 * p * effects.max() + 1e-12
         assert 1e-3 in np.abs(v)  # the leading one changes by its step
-
-
-# The documents
-
-
-def document() -> str:
-    path = Path(__file__).parents[2] / "docs" / "parameters.md"
-    return path.read_text(encoding="utf-8")
-
-
-def test_the_document_states_these_ranks_and_combinations(ur3):
-    rows = re.findall(
-        r"^\| `(\w+)` \| (known|estimated) \| (\d+) of (\d+) \| (\d+) of (\d+) \|$",
-        document(),
-        re.MULTILINE,
-    )
-    assert len(rows) == 9
-    for name, frame, *numbers in rows:
-        found = []
-        for pose in (False, True):
-            model = error_model(ur3, name, frame=frame == "estimated", rotation=pose)
-            result = analysed(jacobian_of(ur3, model, random_q(), pose=pose), model)
-            found += [result.rank, result.columns]
-        assert found == [int(n) for n in numbers], (name, frame)
-    for combination in PAPER_COMBINATIONS:
-        assert f"    {combination}\n" in document()
-
-
-def test_the_document_states_the_ranks_of_the_families(ur3):
-    rows = re.findall(r"^\| `(\w+)` \| (\d+) \| (\d+) \| (\d+) \|$", document(), re.MULTILINE)
-    assert [row[0] for row in rows] == ["gain", "eccentricity", "compliance"]
-    alone = error_model(ur3, "dh")
-    rank = analysed(jacobian_of(ur3, alone, random_q()), alone).rank
-    for family, columns, bare, with_tool in rows:
-        model = error_model(ur3, f"dh+{family}")
-        assert len(model) - len(alone) == int(columns)
-        for payload, more in ((None, bare), (TOOL, with_tool)):
-            found = analysed(loaded(ur3, model, random_q(), payload), model)
-            assert found.rank - rank == int(more)

@@ -5,10 +5,10 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from calib.errors import ModelError, UrdfError
+from calib.errors import ModelError
 from calib.example import paper_urdf
 from calib.model.error_model import error_model
-from calib.model.families import ANGLE, FAMILIES, LENGTH, ZERO, Factor
+from calib.model.families import ANGLE, LENGTH, Factor
 from calib.model.parameters import (
     FRAME,
     TARGET,
@@ -48,44 +48,6 @@ def test_an_unknown_parameter_lists_those_there_are(four):
         four.index("e")
 
 
-def test_families_stand_in_their_order_whatever_the_parameters_do(ur3):
-    model = error_model(ur3, "placement+compliance+gain", frame=True)
-    assert model.families == (LENGTH, ANGLE, ZERO, GAIN, COMPLIANCE)
-    assert model.without(n for n in model.names if n.endswith("gain")).families == (
-        *(LENGTH, ANGLE, ZERO, COMPLIANCE),
-    )
-    counts = {f: int(model.family(f).sum()) for f in (*FAMILIES, FRAME, TARGET)}
-    assert counts == {
-        LENGTH: 18,
-        ANGLE: 12,
-        ZERO: 6,
-        GAIN: 6,
-        ECCENTRICITY: 0,
-        COMPLIANCE: 6,
-        FRAME: 6,
-        TARGET: 3,
-    }
-    assert model.family(LENGTH, ZERO).sum() == 24
-    assert model.family().sum() == 0
-
-
-def test_a_name_twice_is_refused_whether_it_is_tied_or_not():
-    with pytest.raises(ModelError, match="'a' appear twice in the model 'mine'; names must differ"):
-        ErrorModel("mine", PLACES, (some("a"), some("a")))
-    with pytest.raises(ModelError, match="'a' appear twice in the model 'mine'"):
-        ErrorModel("mine", PLACES, (some("a"),), (some("a"), some("a", k=1)), np.ones((2, 1)))
-
-
-def test_a_place_that_the_chain_lacks_is_refused_but_for_drivers_outside():
-    with pytest.raises(ModelError, match=r"no places 'j3'; it has '\(frame\)', 'j1', 'j2'"):
-        ErrorModel("mine", PLACES, (some("a", place="j3"),))
-    # the gain of a joint that only drives others of the chain
-    assert (
-        len(ErrorModel("mine", PLACES, (some("a", "1", "j3", 5, FAMILIES["gain"].factors[0]),)))
-        == 1
-    )
-
-
 @pytest.mark.parametrize("shape", [(3,), (5,), (4, 1), ()])
 def test_a_vector_of_another_length_is_refused(four, shape):
     with pytest.raises(ModelError, match=r"of shape .*'four' has 4 parameters: 'a', 'b', 'c', 'd'"):
@@ -110,42 +72,6 @@ def test_several_may_follow_one_and_one_may_follow_later_ones(four):
     tied = four.tied({"a": ("c", 0.5), "d": ("b", 1.0)})
     assert tied.names == ("b", "c")
     np.testing.assert_array_equal(tied.mixing, [[0, 0.5], [1, 0], [0, 1], [1, 0]])
-
-
-def test_ties_one_after_the_other_add_up():
-    model = ErrorModel("more", PLACES, tuple(some(n, k=i) for i, n in enumerate("abc")))
-    both = model.tied({"c": ("b", 3.0)}).tied({"b": ("a", 2.0)})
-    assert both.names == ("a",)
-    np.testing.assert_array_equal(both.mixing, [[1], [2], [6]])
-
-
-@pytest.mark.parametrize(
-    ("ties", "name", "other"),
-    [
-        ({"a": ("a", 1.0)}, "a", "a"),
-        ({"a": ("c", 1.0), "c": ("a", 1.0)}, "a", "c"),
-        ({"b": ("d", 1.0), "a": ("c", 1.0), "c": ("a", 2.0)}, "a", "c"),
-    ],
-)
-def test_circles_are_refused(four, ties, name, other):
-    with pytest.raises(
-        ModelError,
-        match=rf"'{name}' is tied to '{other}', which is tied itself\. Tie both to one parameter",
-    ):
-        four.tied(ties)
-
-
-def test_a_leader_that_follows_another_is_refused():
-    model = ErrorModel("more", PLACES, tuple(some(n, k=i) for i, n in enumerate("abc")))
-    with pytest.raises(ModelError, match="'c' is tied to 'b', which is tied itself"):
-        model.tied({"c": ("b", 1.0), "b": ("a", 1.0)})
-
-
-def test_units_that_differ_are_refused(four):
-    with pytest.raises(
-        ModelError, match=r"'b' \[rad\] cannot follow 'a' \[m\]: their units differ\."
-    ):
-        four.tied({"b": ("a", 1.0)})
 
 
 @pytest.mark.parametrize("ties", [{"e": ("a", 1.0)}, {"a": ("e", 1.0)}])
@@ -195,13 +121,6 @@ def test_followers_act_where_they_stand(four):
     D, _ = tied.displacements(np.array([0.1, 0.2, 0.3]))
     expected, _ = four.displacements(np.array([0.1, 0.2, 0.3, 0.4]))
     np.testing.assert_array_equal(D, expected)
-
-
-def test_errors_of_the_joints_state_displace_no_placement():
-    model = ErrorModel("mine", PLACES, (some("g", "1", "j1", 5, "value"), some("a", k=0)))
-    D, S = model.displacements(np.array([0.5, 0.01]))
-    np.testing.assert_allclose(D[1], pin.exp6(np.eye(6)[0] * 0.01).homogeneous, atol=1e-17)
-    assert not np.any(S[:, 0])
 
 
 @pytest.fixture(scope="module")
@@ -270,12 +189,3 @@ def test_only_origins_that_are_displaced_change(ur3):
     x[:] = 0
     x[model.index("target_x")] = 0.01
     assert model.apply(ur3, x).urdf.data == ur3.urdf.data
-
-
-def test_a_displaced_base_without_an_origin_is_refused():
-    robot = Robot.load("ur3", base="wrist_3_link", tip="base")
-    own = Parameter("own", "m", robot.joints[0].name, np.eye(6)[0], LENGTH)
-    names = tuple(joint.name for joint in robot.joints)
-    model = ErrorModel("mine", (FRAME, *names, TIP, TARGET), (own,))
-    with pytest.raises(UrdfError, match="moved by the chain's first joint directly"):
-        model.apply(robot, np.array([0.001]))

@@ -1,44 +1,28 @@
 from __future__ import annotations
 
-import importlib.metadata
-import io
 import zlib
-from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
-import yourdfpy
 from hypothesis import event, given, settings, strategies as st
 
 from calib.errors import CalibError, UrdfError
 from calib.model.dh import dh_table
-from calib.robot.chain import farthest_link, full_configurations, full_model, link_frame
+from calib.robot.chain import full_model, link_frame
 from calib.robot.readback import check_written
 from calib.robot.robot import Robot
 from calib.robot.torques import Payload, gravity_load
 from calib.robot.urdf import Urdf, find_urdf
-
-LIMIT = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
-BAD = ("quadrotor_base.urdf", "ur3.urdf", "iris_simple.urdf")  # no joints, or none that moves
-FILES = [
-    path
-    for path in sorted(
-        Path(str(file.locate()))
-        for file in importlib.metadata.files("example-robot-data") or []
-        if file.suffix == ".urdf"
-    )
-    if path.name not in BAD
-]
-#: A few in each run, all of them in the slow one.
-SOME_AND_SLOWLY_ALL = [
-    pytest.param(
-        path,
-        marks=() if i % 12 == 0 else pytest.mark.slow,
-        id=f"{path.parents[1].name}/{path.name}",
-    )
-    for i, path in enumerate(FILES)
-]
+from tests.robot.shared import (
+    LIMIT,
+    SOME_AND_SLOWLY_ALL,
+    by_pinocchio,
+    displaced,
+    joint,
+    random_q,
+    urdf_of,
+)
 
 #: Two arms, arm and head, tip at the fork or above the base, and the columns that they have.
 TWO_BRANCHES = {
@@ -55,22 +39,10 @@ TWO_BRANCHES = {
 }
 
 
-def links_and_joints(links: str, *joints: str) -> Urdf:
-    text = "".join(f'<link name="{link}"/>' for link in links.split())
-    return Urdf.from_bytes(f'<robot name="r">{text}{"".join(joints)}</robot>'.encode(), "r.urdf")
-
-
-def joint(name: str, parent: str, child: str, kind: str = "revolute", axis: str = "0 0 1") -> str:
-    return (
-        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
-        f'<origin xyz="0.1 0.2 0.3" rpy="0.1 0.3 0.2"/><axis xyz="{axis}"/>{LIMIT}</joint>'
-    )
-
-
 @pytest.fixture(scope="module")
 def fork() -> Urdf:
     """A fork with an arm of three and a head of two joints, a fixed link at each end, one turning at every kind."""
-    return links_and_joints(
+    return urdf_of(
         "root fork a1 a2 a3 hand h1 h2 camera lens",
         joint("mast", "root", "fork"),
         joint("shoulder", "fork", "a1", axis="0 1 0.3"),
@@ -82,53 +54,6 @@ def fork() -> Urdf:
         joint("mount", "h2", "camera", "fixed"),
         joint("glass", "camera", "lens", "fixed"),
     )
-
-
-def random_q(robot: Robot, count: int = 4, seed: int = 3) -> np.ndarray:
-    return np.random.default_rng(seed).uniform(-1, 1, (count, len(robot.joint_names)))
-
-
-def by_pinocchio(robot: Robot, q: np.ndarray) -> np.ndarray:
-    """T_base_tip from the full model of the URDF, every joint of the path at its own value."""
-    model = pin.buildModelFromXML(robot.urdf.data.decode(robot.urdf.encoding))
-    data = model.createData()
-    ends = [model.getFrameId(link, pin.FrameType.BODY) for link in (robot.base, robot.tip)]
-    names = [joint.name for joint in robot.joints]
-    poses = []
-    for values in robot.chain_values(q):
-        v = np.zeros(model.nv)
-        for name, value in zip(names, values, strict=True):
-            v[model.idx_vs[model.getJointId(name)]] = value
-        pin.framesForwardKinematics(model, data, pin.integrate(model, pin.neutral(model), v))
-        poses.append((data.oMf[ends[0]].inverse() * data.oMf[ends[1]]).homogeneous)
-    return np.array(poses)
-
-
-def by_yourdfpy(robot: Robot, q: np.ndarray) -> np.ndarray:
-    model = yourdfpy.URDF.load(
-        io.BytesIO(robot.urdf.data), load_meshes=False, load_collision_meshes=False
-    )
-    names, poses = [joint.name for joint in robot.joints], []
-    scale = [
-        np.linalg.norm(model.joint_map[joint.name].axis) if joint.type == "prismatic" else 1.0
-        for joint in robot.joints
-    ]
-    for values in robot.chain_values(q) / scale:
-        model.update_cfg(dict(zip(names, values, strict=True)))
-        poses.append(
-            np.linalg.inv(model.get_transform(robot.base)) @ model.get_transform(robot.tip)
-        )
-    return np.array(poses)
-
-
-def displaced(robot: Robot, seed: int = 5, size: float = 5e-3) -> Robot:
-    """The robot with every placement that a URDF joint carries displaced."""
-    rng = np.random.default_rng(seed)
-    placements = robot.placements.copy()
-    for i, carrier in enumerate(robot.carriers):
-        if carrier is not None:
-            placements[i] = placements[i] @ pin.exp6(rng.normal(0, size, 6)).homogeneous
-    return robot.with_placements(placements)
 
 
 def assert_serial(robot: Robot, q: np.ndarray) -> None:
@@ -151,7 +76,7 @@ def assert_round_trip(robot: Robot, q: np.ndarray, *, yourdf: bool = False) -> N
     np.testing.assert_allclose(again.placements, new.placements, rtol=0, atol=1e-12)
     np.testing.assert_allclose(by_pinocchio(new, q), expected, rtol=0, atol=1e-12)
     if yourdf:
-        np.testing.assert_allclose(by_yourdfpy(new, q), expected, rtol=0, atol=1e-12)
+        check_written(new, expected, q)
     if any(robot.carriers):
         assert np.abs(expected - robot.poses(q)).max() > 1e-4
     changed = {
@@ -173,30 +98,9 @@ def test_chains_of_two_branches(case):
     assert robot.base_moves
     assert len(robot.joint_names) == columns
     np.testing.assert_allclose(robot.poses(q), by_pinocchio(robot, q), rtol=0, atol=1e-12)
-    np.testing.assert_allclose(robot.poses(q), by_yourdfpy(robot, q), rtol=0, atol=1e-12)
     np.testing.assert_array_equal(robot.T_root_base, np.eye(4))
     assert_serial(robot, q)
     assert_round_trip(robot, q, yourdf=True)
-
-
-def test_the_other_way_round_is_the_inverse():
-    there = Robot.load("tiago_no_hand", "xtion_rgb_optical_frame", "wrist_ft_tool_link")
-    back = Robot.load("tiago_no_hand", "wrist_ft_tool_link", "xtion_rgb_optical_frame")
-    assert back.joint_names == there.joint_names[::-1]
-    q = random_q(there)
-    np.testing.assert_allclose(
-        back.poses(q[:, ::-1]), np.linalg.inv(there.poses(q)), rtol=0, atol=1e-12
-    )
-
-
-def test_the_axes_of_the_base_s_side_are_turned_round(fork):
-    robot = Robot.from_urdf(fork, "lens", "hand")
-    assert robot.joint_names == ("tilt", "pan", "shoulder", "slide", "wrist")
-    for item in robot.joints:
-        sign = -1.0 if item.name in ("tilt", "pan") else 1.0
-        np.testing.assert_array_equal(item.axis, sign * fork.joint(item.name).axis + 0.0)
-        assert not item.axis.flags.writeable
-    assert robot.joint_types["tilt"] == "continuous"
 
 
 @pytest.mark.parametrize(
@@ -221,21 +125,8 @@ def test_every_kind_of_path(fork, base, tip, carriers, joints):
     assert robot.carriers == carriers
     q = random_q(robot)
     np.testing.assert_allclose(robot.poses(q), by_pinocchio(robot, q), rtol=0, atol=1e-13)
-    np.testing.assert_allclose(robot.poses(q), by_yourdfpy(robot, q), rtol=0, atol=1e-13)
     assert_serial(robot, q)
     assert_round_trip(robot, q, yourdf=True)
-
-
-def test_a_base_that_the_first_joint_moves_takes_no_correction(fork):
-    robot = Robot.from_urdf(fork, "h2", "hand")
-    moved = robot.placements.copy()
-    moved[0, 0, 3] += 1e-3
-    with pytest.raises(UrdfError, match=r"base 'h2' of 'r' .*Choose a base link that is fixed"):
-        robot.with_placements(moved)
-    # the fixed link on it does
-    moved = Robot.from_urdf(fork, "camera", "hand").placements.copy()
-    moved[0, 0, 3] += 1e-3
-    assert Robot.from_urdf(fork, "camera", "hand").with_placements(moved).carriers[0] == "mount"
 
 
 # Every robot
@@ -268,24 +159,11 @@ def test_any_two_links_of_every_robot(path):
 
 
 def test_the_full_model_tells_links_from_joints():
-    urdf = links_and_joints("a 1 2", joint("1", "a", "1"), joint("2", "1", "2"))
+    urdf = urdf_of("a 1 2", joint("1", "a", "1"), joint("2", "1", "2"))
     model = full_model(urdf)
     frames = [model.frames[link_frame(model, link)] for link in urdf.links]
     assert [frame.type for frame in frames] == [pin.FrameType.BODY] * 3
     assert [frame.parentJoint for frame in frames] == [0, 1, 2]
-
-
-def test_full_configurations_are_pinocchio_s():
-    model = full_model(Urdf.read(find_urdf("pr2")))
-    names = ["torso_lift_joint", "r_wrist_roll_joint", "r_shoulder_pan_joint"]
-    values = dict(zip(names, np.random.default_rng(0).uniform(-1, 1, (3, 4)), strict=True))
-    found = full_configurations(model, values)
-    for i, configuration in enumerate(found):
-        v = np.zeros(model.nv)
-        for name, column in values.items():
-            v[model.idx_vs[model.getJointId(name)]] = column[i]
-        expected = pin.integrate(model, pin.neutral(model), v)
-        np.testing.assert_allclose(configuration, expected, atol=1e-15)
 
 
 # Any tree
@@ -322,7 +200,7 @@ def trees(draw):
             f'<axis xyz="{_text(axis)}"/>{LIMIT}{mimic}</joint>'
         )
     base, tip = draw(st.permutations(links))[:2]
-    return links_and_joints(" ".join(links), *joints), base, tip
+    return urdf_of(" ".join(links), *joints), base, tip
 
 
 def _text(values) -> str:
@@ -367,12 +245,6 @@ def tiago() -> Urdf:
 ARM = [f"arm_{i}_joint" for i in range(1, 8)]
 
 
-def test_where_nothing_moves_below_the_base_the_way_leads_over_the_fork(tiago):
-    robot = Robot.from_urdf(tiago, "xtion_rgb_optical_frame")
-    names = ("head_2_joint", "head_1_joint", *ARM)
-    assert robot.joint_names[: len(names)] == names
-
-
 def test_measured_joints_lead_over_the_fork_too(tiago):
     head = ["head_1_joint", "head_2_joint"]
     robot = Robot.from_urdf(tiago, "xtion_rgb_optical_frame", measured=[*head, *ARM[:4]])
@@ -380,25 +252,3 @@ def test_measured_joints_lead_over_the_fork_too(tiago):
     # and without the head's no further than the arm's own mount, which does not move: all joints count then
     robot = Robot.from_urdf(tiago, "xtion_rgb_optical_frame", measured=ARM)
     assert set(ARM) < set(robot.joint_names)
-
-
-def test_a_tip_turned_round_has_the_base_at_its_end():
-    assert Robot.load("ur3", base="tool0").joint_names[-1] == "shoulder_pan_joint"
-
-
-def test_held_joints_lead_on_but_do_not_count(tiago):
-    measured = [*ARM, "head_1_joint"]
-    assert farthest_link(tiago, tiago.root, measured) in tiago.links
-    held = {"torso_lift_joint": 0.1}
-    tip = farthest_link(tiago, tiago.root, ARM[:1], held)
-    assert Robot.from_urdf(tiago, tip=tip, held=held).joint_names == ("arm_1_joint",)
-
-
-def test_a_robot_without_moving_joints_has_its_base_for_a_tip():
-    urdf = Urdf.read(find_urdf("iris_simple"))
-    assert farthest_link(urdf, urdf.root) in urdf.links
-
-
-def test_a_base_that_is_no_link(tiago):
-    with pytest.raises(UrdfError, match="no link 'xtion'"):
-        farthest_link(tiago, "xtion")

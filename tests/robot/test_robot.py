@@ -1,84 +1,26 @@
 from __future__ import annotations
 
-import importlib.metadata
-import io
-import pickle
-from pathlib import Path
-
 import numpy as np
 import pinocchio as pin
 import pytest
-import yourdfpy
 
-import calib.example
 from calib.errors import ModelError, UrdfError
+from calib.robot.readback import check_written
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from calib.units import Angle, Length
-
-LIMIT = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
-BAD = ("quadrotor_base.urdf", "ur3.urdf", "iris_simple.urdf")  # no joints, or none that moves
-FILES = [
-    path
-    for path in sorted(
-        Path(str(file.locate()))
-        for file in importlib.metadata.files("example-robot-data") or []
-        if file.suffix == ".urdf"
-    )
-    if path.name not in BAD
-]
-#: A few in each run, all of them in the slow one.
-SOME_AND_SLOWLY_ALL = [
-    pytest.param(
-        path,
-        marks=() if i % 12 == 0 else pytest.mark.slow,
-        id=f"{path.parents[1].name}/{path.name}",
-    )
-    for i, path in enumerate(FILES)
-]
+from tests.robot.shared import (
+    SOME_AND_SLOWLY_ALL,
+    by_pinocchio,
+    displaced,
+    joint,
+    random_q,
+    urdf_of,
+)
 
 
-def joint(name: str, parent: str, child: str, kind: str = "revolute", inside: str = "") -> str:
-    return (
-        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
-        f'<origin xyz="0.1 0.2 0.3" rpy="0.1 0 0.2"/><axis xyz="0 0 1"/>{LIMIT}{inside}</joint>'
-    )
-
-
-def load(links: str, *joints: str, base: str | None = None, tip: str | None = None) -> Robot:
-    text = "".join(f'<link name="{link}"/>' for link in links.split())
-    urdf = Urdf.from_bytes(f'<robot name="r">{text}{"".join(joints)}</robot>'.encode(), "r.urdf")
-    return Robot.from_urdf(urdf, base, tip)
-
-
-def random_q(robot: Robot, count: int = 5) -> np.ndarray:
-    return np.random.default_rng(3).uniform(-1, 1, (count, len(robot.joint_names)))
-
-
-def by_pinocchio(robot: Robot, q: np.ndarray) -> np.ndarray:
-    """T_base_tip from the full model of the URDF: nothing locked, nothing merged by calib."""
-    model = pin.buildModelFromXML(robot.urdf.data.decode(robot.urdf.encoding))
-    data = model.createData()
-    frames = [model.getFrameId(link, pin.FrameType.BODY) for link in (robot.base, robot.tip)]
-    poses = []
-    for values in q:
-        v = np.zeros(model.nv)
-        for name, value in zip(robot.joint_names, values, strict=True):
-            v[model.idx_vs[model.getJointId(name)]] = value
-        pin.framesForwardKinematics(model, data, pin.integrate(model, pin.neutral(model), v))
-        poses.append((data.oMf[frames[0]].inverse() * data.oMf[frames[1]]).homogeneous)
-    return np.array(poses)
-
-
-def by_yourdfpy(robot: Robot, q: np.ndarray) -> np.ndarray:
-    model = yourdfpy.URDF.load(
-        io.BytesIO(robot.urdf.data), load_meshes=False, load_collision_meshes=False
-    )
-    poses = []
-    for values in q:
-        model.update_cfg(dict(zip(robot.joint_names, values, strict=True)))
-        poses.append(model.get_transform(robot.tip, robot.base))
-    return np.array(poses)
+def load(links: str, *joints: str, tip: str | None = None, **options) -> Robot:
+    return Robot.from_urdf(urdf_of(links, *joints), tip=tip, **options)
 
 
 # Finding and loading
@@ -98,24 +40,12 @@ def test_an_unknown_name_lists_the_known():
         Robot.load("urr3")
 
 
-@pytest.mark.parametrize("end", ["base", "tip"])
-def test_an_unknown_link_lists_the_links(end):
-    with pytest.raises(UrdfError, match=r"no link 'tool00' \(did you mean 'tool0'"):
-        Robot.load("ur3", **{end: "tool00"})
-
-
 # Base and tip
 
 
 def test_the_default_tip_has_the_most_moving_joints():
     robot = load("a b c d", joint("1", "a", "b"), joint("2", "a", "c"), joint("3", "c", "d"))
     assert (robot.base, robot.tip, robot.joint_names) == ("a", "d", ("2", "3"))
-
-
-@pytest.mark.parametrize("usual", ["tool0", "tcp", "tool", "flange", "ee_link"])
-def test_a_usual_name_breaks_a_tie(usual):
-    ends = [joint(f"f{end}", "b", end, "fixed") for end in ("x", usual, "y")]
-    assert load(f"a b x {usual} y", joint("1", "a", "b"), *ends).tip == usual
 
 
 def test_measured_joints_restrict_the_default_tip():
@@ -125,27 +55,7 @@ def test_measured_joints_restrict_the_default_tip():
     assert Robot.load("panda", measured=arm[:3]).joint_names == tuple(arm[:3])
 
 
-def test_mimic_joints_are_never_in_a_default_chain():
-    mimic = joint("3", "c", "d", inside='<mimic joint="1"/>')
-    robot = load("a b c d", joint("1", "a", "b"), joint("2", "b", "c"), mimic)
-    assert (robot.tip, robot.joint_names) == ("c", ("1", "2"))
-
-
-@pytest.mark.parametrize("kind", ["floating", "planar"])
-def test_joints_of_more_coordinates_are_never_in_a_default_chain(kind):
-    free = joint("0", "w", "a", kind)
-    assert load("w a b c", free, joint("1", "w", "c"), joint("2", "a", "b")).joint_names == ("1",)
-    assert load("w a b c", free, joint("1", "w", "c"), joint("2", "a", "b"), base="a").tip == "b"
-
-
 # Refused chains
-
-
-def test_no_joint_between_is_refused_and_lists_the_links():
-    with pytest.raises(UrdfError, match=r"no joint moves between .*'ee_link'.*'tool0'.*'world'"):
-        Robot.load("ur3", base="ee_link", tip="tool0")
-    with pytest.raises(UrdfError, match="no joint moves"):
-        Robot.load("iris_simple")
 
 
 @pytest.mark.parametrize("kind", ["floating", "planar"])
@@ -162,28 +72,6 @@ def test_poses_agree_with_the_full_model(path):
     robot = Robot.load(path)
     q = random_q(robot)
     np.testing.assert_allclose(robot.poses(q), by_pinocchio(robot, q), rtol=0, atol=1e-12)
-
-
-@pytest.mark.parametrize("name", ["ur3", "panda", "kinova", "pr2", "baxter", "tiago_no_hand"])
-def test_poses_agree_with_yourdfpy(name):
-    robot = Robot.load(name)
-    q = random_q(robot)
-    np.testing.assert_allclose(robot.poses(q), by_yourdfpy(robot, q), rtol=0, atol=1e-12)
-
-
-@pytest.mark.parametrize("axis", [(0, 0, -1), (0, 3, 4), (0.1, -0.2, 0.05), (1, 0, 0)])
-@pytest.mark.parametrize("kind", ["revolute", "continuous", "prismatic"])
-def test_axes_in_any_direction_and_of_any_length(serial_urdf, kind, axis):
-    urdf = serial_urdf([(kind, (0.1, 0.2, 0.3), (0.3, 0.2, 0.1), axis)])
-    robot = Robot.from_urdf(urdf)
-    unit = np.array(axis) / np.linalg.norm(axis)
-    moved = np.eye(4)
-    if kind == "prismatic":
-        moved[:3, 3] = 0.7 * unit
-    else:
-        moved[:3, :3] = pin.exp3(0.7 * unit)
-    expected = robot.placements[0] @ moved @ robot.placements[1]
-    np.testing.assert_allclose(robot.poses([0.7])[0], expected, atol=1e-14)
 
 
 @pytest.mark.parametrize("shape", [(3, 5), (7,), (2, 2, 6), ()])
@@ -216,33 +104,9 @@ def test_a_held_joint_has_no_column(panda):
     full = np.insert(q, 3, -0.7, axis=1)
     np.testing.assert_allclose(held.chain_values(q), full, atol=1e-15)
     np.testing.assert_allclose(held.poses(q), panda.poses(full), atol=1e-15)
-    with pytest.raises(ModelError, match=r"shape \(5, 7\) were given; .* has 6 joints"):
+    with pytest.raises(ModelError, match=r"shape \(4, 7\) were given; .* has 6 joints"):
         held.poses(full)
     assert held.held == {"panda_joint4": -0.7}
-
-
-def test_held_joints_tell_robots_apart(panda):
-    ends = ("panda", "panda_link0", "panda_link8")
-    held = {"panda_joint1": 0.1, "panda_joint2": 0.2}
-    one, other = Robot.load(*ends, held=held), Robot.load(*ends, held=dict(reversed(held.items())))
-    assert one == other
-    assert hash(one) == hash(other)
-    assert one != panda
-    assert one != Robot.load(*ends, held=held | {"panda_joint2": 0.3})
-
-
-def test_a_joint_is_held_in_a_unit_of_its_own():
-    ends = ("tiago_no_hand", None, "arm_7_link")
-    with pytest.raises(
-        UrdfError, match="'torso_lift_joint' is held at is an angle, and the joint slides"
-    ):
-        Robot.load(*ends, held={"torso_lift_joint": Angle(0.3)})
-    with pytest.raises(
-        UrdfError, match="'arm_1_joint' is held at is a length, and the joint turns"
-    ):
-        Robot.load(*ends, held={"arm_1_joint": Length(0.3)})
-    held = Robot.load(*ends, held={"torso_lift_joint": Length(0.3)}).held
-    assert held == {"torso_lift_joint": 0.3}
 
 
 def test_rebuilt_keeps_what_is_not_named():
@@ -263,38 +127,110 @@ def test_urdf_values_are_of_every_joint():
     assert list(values) == moving
     for name, column in zip(robot.joint_names, q.T, strict=True):
         np.testing.assert_array_equal(values[name], column)
-    np.testing.assert_array_equal(values["head_pan"], np.full(5, 0.3))
-    np.testing.assert_array_equal(values["left_w2"], np.full(5, -0.1))
-    np.testing.assert_array_equal(values["right_s0"], np.zeros(5))
+    np.testing.assert_array_equal(values["head_pan"], np.full(4, 0.3))
+    np.testing.assert_array_equal(values["left_w2"], np.full(4, -0.1))
+    np.testing.assert_array_equal(values["right_s0"], np.zeros(4))
 
 
-# Immutability
+# Joints that mimic others, and held ones
 
 
-def test_a_robot_goes_to_another_process_and_stays_what_it_is():
-    robot = Robot.load("panda", "panda_rightfinger", "panda_link0", held={"panda_joint2": 0.3})
-    again = pickle.loads(pickle.dumps(robot))
-    assert again == robot
-    q = random_q(robot)
-    np.testing.assert_array_equal(again.poses(q), robot.poses(q))
+@pytest.mark.parametrize(
+    ("name", "base", "tip", "columns", "joints"),
+    [
+        ("panda", "panda_link0", "panda_rightfinger", 8, 8),
+        ("panda", "panda_leftfinger", "panda_rightfinger", 1, 2),
+        ("panda", "panda_rightfinger", "panda_link0", 8, 8),
+        ("pr2", "torso_lift_link", "l_gripper_r_finger_tip_link", 8, 9),
+        ("pr2", "l_gripper_l_finger_tip_link", "l_gripper_r_finger_tip_link", 1, 4),
+        ("pr2", "head_plate_frame", "r_gripper_l_finger_tip_link", 10, 11),
+        ("baxter", "base", "l_gripper_r_finger", 8, 8),
+        ("tiago_pro", "head_2_link", "gripper_right_fingertip_left_link", 10, 11),
+    ],
+)
+def test_mimic_joints_move_as_pinocchio_s_own(name, base, tip, columns, joints):
+    robot = Robot.load(name, base, tip)
+    assert (len(robot.joint_names), len(robot.joints)) == (columns, joints)
+    assert robot.coupling.shape == (joints, columns)
+    q = np.random.default_rng(1).uniform(-1, 1, (4, columns))
+    np.testing.assert_allclose(
+        robot.poses(q), by_pinocchio(robot, q, mimic=True), rtol=0, atol=1e-12
+    )
 
 
-def test_robots_are_equal_when_urdf_base_and_tip_are(ur3):
-    assert ur3 == Robot.load(calib.example.paper_urdf(), base="base", tip="tool0")
-    assert hash(ur3) == hash(Robot.load(calib.example.paper_urdf(), base="base", tip="tool0"))
-    assert ur3 != Robot.load(calib.example.paper_urdf(), base="base", tip="ee_link")
-    assert ur3 != displaced(ur3)
+def test_multiplier_and_offset():
+    robot = load(
+        "a b c",
+        joint("1", "a", "b"),
+        joint("2", "b", "c", "prismatic", mimic='joint="1" multiplier="-0.5" offset="0.25"'),
+        tip="c",
+    )
+    assert robot.joint_names == ("1",)
+    np.testing.assert_array_equal(robot.coupling, [[1.0], [-0.5]])
+    np.testing.assert_allclose(robot.chain_values([[0.0], [2.0]]), [[0, 0.25], [2, -0.75]])
+    np.testing.assert_allclose(robot.chain_values([2.0]), [[2, -0.75]])
+    values = robot.urdf_values([[0.0], [2.0]])
+    np.testing.assert_allclose(values["2"], [0.25, -0.75])
+
+
+def test_one_column_for_two_followers_in_the_order_of_first_use():
+    robot = load(
+        "r a b c d e",
+        joint("driver", "r", "e"),
+        joint("1", "r", "a", mimic='joint="driver" multiplier="2"'),
+        joint("free", "a", "b"),
+        joint("2", "b", "c", mimic='joint="driver"'),
+        joint("3", "c", "d", mimic='joint="free" offset="1"'),
+        tip="d",
+    )
+    assert robot.joint_names == ("driver", "free")
+    np.testing.assert_array_equal(robot.coupling, [[2, 0], [0, 1], [1, 0], [0, 1]])
+    np.testing.assert_allclose(robot.chain_values([0.1, 0.2]), [[0.2, 0.2, 0.1, 1.2]])
+
+
+def test_a_mimic_of_a_fixed_joint_or_by_zero_stands_still():
+    robot = load(
+        "a b c d e",
+        joint("1", "a", "b"),
+        joint("welded", "b", "c", kind="fixed"),
+        joint("2", "c", "d", mimic='joint="welded" offset="0.3"'),
+        joint("3", "d", "e", mimic='joint="1" multiplier="0" offset="0.4"'),
+        tip="e",
+    )
+    assert robot.joint_names == ("1",)
+    np.testing.assert_allclose(robot.chain_values([0.2]), [[0.2, 0.3, 0.4]])
+
+
+ARM = Robot.load("ur3").joint_names
+HELD = {
+    "a fixed joint": ({"world_joint": 0.1}, "is none that moves"),
+    "a misspelt name": ({"elbow": 0.1}, "did you mean 'elbow_joint'"),
+    "no number": ({"elbow_joint": np.nan}, "give a finite number"),
+    "a length": ({"elbow_joint": Length(0.3)}, "is a length, and the joint turns"),
+    "all of them": (dict.fromkeys(ARM, Angle(0.3)), "none of them is left to move"),
+}
+
+
+@pytest.mark.parametrize(("held", "message"), HELD.values(), ids=HELD)
+def test_what_cannot_be_held(held, message):
+    with pytest.raises(UrdfError, match=message):
+        Robot.load("ur3", held=held)
+
+
+@pytest.mark.parametrize("mimic", ["nothing", "b", "a"])
+def test_a_mimic_of_nothing_or_in_a_ring_is_refused_unless_held(mimic):
+    joints = (
+        joint("a", "x", "y", mimic=f'joint="{mimic}"'),
+        joint("b", "y", "z", mimic='joint="a"'),
+    )
+    with pytest.raises(UrdfError, match=r"joint '[ab]' mimics .* or hold '[ab]' at a value"):
+        load("x y z w", *joints, joint("c", "z", "w"), tip="w")
+    assert load("x y z w", *joints, joint("c", "z", "w"), tip="w", held={"a": 0.1}).joint_names == (
+        "c",
+    )
 
 
 # Corrections
-
-
-def displaced(robot: Robot, places: tuple[int, ...] = ()) -> Robot:
-    rng = np.random.default_rng(5)
-    placements = robot.placements.copy()
-    for i in places or range(len(placements)):
-        placements[i] = placements[i] @ pin.exp6(rng.normal(0, 5e-3, 6)).homogeneous
-    return robot.with_placements(placements)
 
 
 @pytest.mark.parametrize("name", ["ur3", "panda", "kinova", "pr2", "baxter", "tiago_no_hand"])
@@ -314,7 +250,7 @@ def test_the_corrected_urdf_says_what_the_new_robot_says(name):
     )
     np.testing.assert_allclose(again.poses(q), new.poses(q), rtol=0, atol=1e-12)
     np.testing.assert_allclose(again.placements, new.placements, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(by_yourdfpy(new, q), new.poses(q), rtol=0, atol=1e-12)
+    check_written(new, new.poses(q), q)
     assert np.abs(new.poses(q) - before).max() > 1e-3
     np.testing.assert_array_equal(robot.poses(q), before)
     assert robot.urdf.data == bytes_before
@@ -348,11 +284,3 @@ def test_the_tip_s_correction_goes_to_the_first_fixed_joint_behind_the_last_movi
     # the camera on the same flange moves with it
     camera = [Robot.from_urdf(urdf, tip="camera").poses(q) for urdf in (was, now)]
     assert np.abs(camera[1] - camera[0]).max() > 1e-3
-
-
-def test_a_tip_without_a_fixed_joint_behind_it_takes_no_correction():
-    robot = load("a b c", joint("1", "a", "b"), joint("2", "b", "c"))
-    assert robot.carriers == ("1", "2", None)
-    assert len(displaced(robot, (0, 1)).joints) == 2
-    with pytest.raises(UrdfError, match=r"tip 'c' of 'r' is moved by its last joint.*Add a fixed"):
-        displaced(robot, (2,))

@@ -4,7 +4,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib.errors import ModelError
 from calib.robot.robot import Robot
 from calib.robot.torques import GRAVITY, Payload, gravity_load
 from calib.robot.urdf import Urdf
@@ -127,31 +126,4 @@ def test_the_load_does_not_ask_from_which_side_the_chain_is_seen():
     )
 
 
-def test_a_robot_without_masses_carries_its_payload_alone(serial_urdf):
-    joints = [("revolute", (0, 0, 0.1), (0, 0, 0), (0, 1, 0))]
-    robot = Robot.from_urdf(serial_urdf(joints, ((1.0, 0, 0), (0, 0, 0))))
-    assert gravity_load(robot, [0.0])[0, 0] == 0.0
-    np.testing.assert_allclose(gravity_load(robot, [0.0], Payload(2.0)), [[2 * 9.81]])
-
-
 # What is refused
-
-
-@pytest.mark.parametrize("mass", [-1.0, np.nan, np.inf])
-def test_a_mass_that_is_none(mass):
-    with pytest.raises(ModelError, match=r"mass of a payload is .* kg; give a number of kg, 0 or"):
-        Payload(mass)
-
-
-@pytest.mark.parametrize("com", [(0, 0), (0, 0, np.nan), [[0, 0, 0]]])
-def test_a_centre_of_mass_that_is_none(com):
-    with pytest.raises(ModelError, match=r"centre of mass of a payload is .*three finite numbers"):
-        Payload(1.0, com)
-
-
-@pytest.mark.parametrize("gravity", [9.81, (0, 0, np.inf)])
-def test_an_acceleration_that_is_none(ur3, gravity):
-    with pytest.raises(
-        ModelError, match=r"acceleration of gravity is .*three finite numbers \[m/s"
-    ):
-        gravity_load(ur3, np.zeros(6), gravity=gravity)
