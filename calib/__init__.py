@@ -34,9 +34,10 @@ if TYPE_CHECKING:
         TrackerNoise as TrackerNoise,
     )
     from calib.design.forecast import forecast as forecast
+    from calib.design.optimal import PlanRequest as PlanRequest
     from calib.design.plan import Plan as Plan, plan as plan
     from calib.design.region import Region as Region
-    from calib.design.workspace import Density as Density, sample_workspace as sample_workspace
+    from calib.design.workspace import Density as Density, workspace as workspace
     from calib.errors import CalibError as CalibError
     from calib.fleets.fleet import (
         Fleet as Fleet,
@@ -66,9 +67,10 @@ _NAMES = {
     "calib.compensation.commands": "Commands compensate",
     "calib.compensation.program": "Program",
     "calib.design.forecast": "forecast",
+    "calib.design.optimal": "PlanRequest",
     "calib.design.plan": "Plan plan",
     "calib.design.region": "Region",
-    "calib.design.workspace": "Density sample_workspace",
+    "calib.design.workspace": "Density workspace",
     "calib.errors": "CalibError",
     "calib.fleets.fleet": "Fleet FleetOptions FleetRobot fleet",
     "calib.result.acceptance": "Acceptance acceptance",

@@ -78,7 +78,7 @@ def api_workspace() -> dict[str, Any]:
     import calib
 
     robot = calib.Robot.load("robot.urdf", base="base", tip="tool0")
-    points = calib.sample_workspace(robot, [-0.07, 0.07, 0.022], count=2**13)
+    points = calib.workspace(robot, [-0.07, 0.07, 0.022], count=2**13)
     return {
         "volume": calib.Density.of(points).region(0.9).volume,
         "points": tidy(np.asarray(points).tolist()),

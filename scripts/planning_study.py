@@ -28,6 +28,7 @@ from calib.data.measurements import Measurements
 from calib.data.surroundings import Box, Reflector, Tracker
 from calib.design.candidates import draw, planning_ranges
 from calib.design.forecast import Forecast, Sensitivity, Workspace
+from calib.design.optimal import PlanRequest
 from calib.design.plan import plan
 from calib.robot.robot import Robot
 from calib.simulation.scenario import Scenario
@@ -71,12 +72,8 @@ def free(count: int, candidates: int, criterion: str) -> tuple[Forecast, float]:
     made = plan(
         ur3(),
         cell_of(),
-        count=count,
-        validation=0,
-        criterion=criterion,
-        candidates=candidates,
-        collisions=False,
-        ladder=(),
+        PlanRequest(count, 0, criterion, candidates, ladder=()),
+        collisions=None,
     )
     return made.forecast, time.perf_counter() - began
 
@@ -122,13 +119,12 @@ def obstacles(candidates: int) -> list[str]:
     """A plan among limits, collisions and sight against the free one, both over the free workspace."""
     robot = ur3()
     began = time.perf_counter()
-    made = plan(robot, surroundings(), count=30, validation=0, candidates=candidates, ladder=())
+    request = PlanRequest(30, 0, candidates=candidates, ladder=())
+    made = plan(robot, surroundings(), request)
     seconds = time.perf_counter() - began
     # Over the same workspace and with the same noise, so that the poses alone differ.
     cell = replace(cell_of(), tracker=surroundings().tracker)
-    without = plan(
-        robot, cell, count=30, validation=0, candidates=candidates, ladder=(), collisions=False
-    )
+    without = plan(robot, cell, request, collisions=None)
     refused = ", ".join(f"{n} {reason}" for reason, n in made.refused.items())
     return [
         f"- of {made.drawn} candidates {made.candidates} could be measured ({refused}), {seconds:.1f} s;",
@@ -162,11 +158,8 @@ def comparison(count: int, candidates: int) -> list[str]:
             made = plan(
                 ur3(),
                 cell_of(model),
-                count=number,
-                validation=0,
-                candidates=candidates,
-                collisions=False,
-                ladder=(),
+                PlanRequest(number, 0, candidates=candidates, ladder=()),
+                collisions=None,
             )
             found = trials(count, model, made.estimation, number)
             foreseen = found.forecast

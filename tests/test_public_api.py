@@ -33,6 +33,7 @@ NAMES = [
     "Measurements",
     "Payload",
     "Plan",
+    "PlanRequest",
     "Priors",
     "Program",
     "Reflector",
@@ -54,10 +55,10 @@ NAMES = [
     "plan",
     "profile_interval",
     "read_sweeps",
-    "sample_workspace",
     "simulate",
     "survey",
     "view",
+    "workspace",
     "workspace_uncertainty",
 ]
 

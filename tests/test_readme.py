@@ -144,10 +144,8 @@ def test_what_five_more_poses_are_worth_is_so():
     planned = calib.plan(
         robot,
         calib.Cell(target=[-0.06997, 0.07020, 0.02252], sigma=1e-4),
-        count=5,
-        validation=0,
+        calib.PlanRequest(5, 0, ladder=()),
         taken=table.joints_for(robot.joint_names)[table.estimation],
-        ladder=(),
     )
     found = (planned.before, planned.forecast, planned.at_random)
     assert said

@@ -197,6 +197,7 @@ TargetLink = Annotated[
 ]
 Robust = Annotated[bool, typer.Option(help="Give outliers no weight.")]
 Validate = Annotated[bool, typer.Option(help="Cross-validate; without it there is no verdict.")]
+Seed = Annotated[int, typer.Option(min=0, metavar="S", help="The same seed gives the same result.")]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite files that exist.")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")]
 Debug = Annotated[bool, typer.Option("--debug", help="Show the trace of an error.")]

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from calib.data.cell import Cell
     from calib.data.measurements import Measurements
+    from calib.data.surroundings import Tracker
     from calib.result.calibration import Calibration
     from calib.robot.robot import Robot
     from calib.robot.torques import Payload
@@ -59,6 +60,16 @@ def parse_point(text: str, option: str, quantity: Quantity = "length") -> NDArra
             f"{choices(symbols(quantity))}."
         )
     return read_only([UNITS[words[3]].to_si * number for number in numbers])
+
+
+def parse_tracker(text: str | None, given: Tracker | None) -> Tracker | None:
+    """``--tracker``: a position in the robot's base, such as ``2500 0 500 mm``; the rest is the given one's."""
+    from calib.data.surroundings import Tracker
+
+    if text is None:
+        return given
+    position = parse_point(text, "--tracker")
+    return Tracker(position) if given is None else replace(given, position=position)
 
 
 def parse_frame(text: str) -> tuple[bool, tuple[str, ...]]:

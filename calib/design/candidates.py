@@ -6,29 +6,27 @@ in the measurement region, whatever else is wrong with them, are kept too: they 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.data.ranges import column_limits, joint_ranges, range_text
+from calib.data.ranges import column_limits, joint_ranges
 from calib.errors import ModelError
 from calib.robot.robot import Robot, read_only
 from calib.units import UNITS
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
+Reason = Literal["region", "tracker_range", "reflector_cone", "beam", "collision"]
 
 #: Poses of one batch; a power of two keeps the sequence even.
 _BATCH = 4096
 
-#: Candidates are drawn until so many times the number wanted have been tried.
-_MOST = 40
-
-#: After so many without one that can be measured it is given up.
-_NONE_YET = 10 * _BATCH
+#: So many times the number wanted are drawn at most, and so many at most until the first that can be measured.
+_MOST, _NONE_YET = 40, 10 * _BATCH
 
 #: Joint values have so many steps to a degree or millimetre, so that robot, table and plan say the same.
 _STEPS = 1000
@@ -39,14 +37,13 @@ _SLIDING_MARGIN = 5e-3
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """What a pose must pass, q of shape (n, m) to shape (n,), and in a few words why a pose is refused that does not.
+    """What a pose must pass, q of shape (n, m) to shape (n,), and what it is refused for otherwise.
 
-    One of ``where`` says where accuracy is wanted, not only what can be measured.
+    That of the region says where accuracy is wanted, the others what can be measured.
     """
 
-    reason: str
+    reason: Reason
     passes: Callable[[Array], NDArray[np.bool_]]
-    where: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,7 +52,7 @@ class Pool:
 
     Attributes:
         q: shape (n, m), the poses that passed all tests, all different, [rad] or [m].
-        workspace: shape (k, m), those that passed the tests of where, among the first drawn.
+        workspace: shape (k, m), those in the region, among the first drawn.
         drawn: How many were drawn.
         refused: How many each test refused, of those that had passed the tests before it.
     """
@@ -79,7 +76,7 @@ def draw(
     Args:
         robot: The robot.
         ranges: shape (m, 2), see `planning_ranges`.
-        tests: In order, but those of ``where`` first.
+        tests: In order, that of the region first.
         count: Candidates wanted.
         seed: The same seed draws the same poses.
         progress: Called with what was kept and what is wanted.
@@ -94,14 +91,14 @@ def draw(
     low, high = ranges.T
     kept: list[Array] = []
     workspace: list[Array] = []
-    refused = {test.reason: 0 for test in tests}
+    refused: dict[str, int] = {test.reason: 0 for test in tests}
     drawn = total = 0
     while total < count and drawn < (_MOST * max(count, _BATCH) if total else _NONE_YET):
         q = rounded(robot, low + engine.random(_BATCH) * (high - low), ranges)[: _MOST * count]
         drawn += len(q)
         for sifted, where in ((workspace, True), (kept, False)):
             for test in tests:
-                if test.where == where and len(q):
+                if (test.reason == "region") == where and len(q):
                     passed = test.passes(q)
                     refused[test.reason] += int(np.sum(~passed))
                     q = q[passed]
@@ -110,53 +107,51 @@ def draw(
         if progress is not None:
             progress(min(total, count), count)
     if total == 0:
-        parts = [f"{count} {reason}" for reason, count in refused.items() if count]
+        parts = [f"{number} by {reason}" for reason, number in refused.items() if number]
         raise ModelError(
-            f"None of {drawn} poses drawn can be measured: {', '.join(parts)}. Widen the region or the joint ranges, "
-            "move the tracker, or drop a condition."
+            f"None of {drawn} poses drawn can be measured; refused: {', '.join(parts)}. Widen the region or the joint "
+            "ranges, move the tracker, or drop a condition."
         )
-    q = np.concatenate(kept)
     # Each once, in the order drawn: narrow ranges have few values of whole steps.
+    q = np.concatenate(kept)
     q = q[np.sort(np.unique(q, axis=0, return_index=True)[1])]
     return Pool(read_only(q[:count]), read_only(np.concatenate(workspace)[:count]), drawn, refused)
 
 
+def by_joint(robot: Robot, margin: float) -> Array:
+    """A margin of the robot's columns, shape (m,): an angle [rad], and 5 mm for sliding joints unless it is 0."""
+    slides = [joint.type == "prismatic" for joint in robot.inputs]
+    return np.where(slides, _SLIDING_MARGIN * bool(margin), margin)
+
+
 def planning_ranges(
-    robot: Robot, narrowed: Mapping[str, tuple[float, float]], margin: float
+    robot: Robot,
+    narrowed: Mapping[str, tuple[float, float]],
+    margin: float,
+    *,
+    turns: bool = False,
 ) -> Array:
     """Lowest and highest joint values to plan with, shape (m, 2), [rad] or [m].
 
-    Those of `calib.data.ranges.joint_ranges`, less a margin to the URDF's limits [rad]; of sliding joints 5 mm, if
-    the margin is not 0.
+    Those of `joint_ranges`, less a margin to the URDF's limits as in `by_joint`; with ``turns``, joints that turn
+    and are not narrowed go to their limits, more than a turn where these allow it.
 
     Raises:
         CalibError: An unknown joint, a range that leaves the limits, or one of which the margin leaves nothing.
     """
-    asked = joint_ranges(robot, narrowed)
-    result, limits = np.array(asked), column_limits(robot)
-    for k, name in enumerate(robot.joint_names):
-        slides = robot.joint_types[name] == "prismatic"
-        gap = _SLIDING_MARGIN * bool(margin) if slides else margin
-        result[k] = max(asked[k, 0], limits[k, 0] + gap), min(asked[k, 1], limits[k, 1] - gap)
-        if not result[k, 0] < result[k, 1]:
-            gap_text = f"{1e3 * gap:g} mm" if slides else f"{math.degrees(gap):g} deg"
-            raise ModelError(
-                f"The margin of {gap_text} to the URDF's limits leaves nothing of the range of '{name}', "
-                f"{range_text(robot, name, asked[k])}. Widen the range, lessen the margin, or hold the joint (--hold)."
-            )
-    return read_only(result)
-
-
-def turn_limits(robot: Robot, narrowed: Mapping[str, tuple[float, float]], margin: float) -> Array:
-    """Between which values joints may stand when they are driven, shape (m, 2), [rad] or [m].
-
-    Those of the URDF less a margin, wider than a turn where they are; where ranges are given, as `planning_ranges`.
-    """
-    result = np.array(planning_ranges(robot, narrowed, margin))
-    limits = column_limits(robot)
-    for k, name in enumerate(robot.joint_names):
-        if name not in narrowed and robot.joint_types[name] != "prismatic":
-            result[k] = limits[k] + np.array([margin, -margin])
+    limits, gap = column_limits(robot), by_joint(robot, margin)
+    result = np.array(joint_ranges(robot, narrowed))
+    for k, joint in enumerate(robot.inputs):
+        if turns and joint.type != "prismatic" and joint.name not in narrowed:
+            result[k] = limits[k]
+    result[:, 0] = np.maximum(result[:, 0], limits[:, 0] + gap)
+    result[:, 1] = np.minimum(result[:, 1], limits[:, 1] - gap)
+    empty = [name for name, (a, b) in zip(robot.joint_names, result, strict=True) if not a < b]
+    if empty:
+        raise ModelError(
+            f"The margin to the URDF's limits leaves nothing of the range of '{empty[0]}'. Widen the range, lessen the "
+            "margin, or hold the joint (--hold)."
+        )
     return read_only(result)
 
 

@@ -10,7 +10,7 @@ wholly inside another mesh is not found.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -21,8 +21,9 @@ from numpy.typing import ArrayLike, NDArray
 from pinocchio import hppfcl
 
 from calib.data.surroundings import Box, Reflector, Tracker, checked_boxes
+from calib.design.notes import Code, Note
 from calib.design.solids import (
-    JOINED,
+    ALWAYS_TOUCHING,
     SAMPLES,
     Kind,
     Scene,
@@ -44,11 +45,26 @@ Mask = NDArray[np.bool_]
 #: Largest step of a joint along a path, of one that turns [rad] and one that slides [m].
 TURN_STEP, SLIDE_STEP = math.radians(2.0), 5e-3
 
-#: Radius of a target and of what holds it, if nothing is said: a 1.5 inch reflector has 19 mm [m].
-HOLDER_RADIUS = 0.020
-
 #: Thickness of a tracker's beam, and how far in front of the target it ends: the reflector's nest does not count [m].
 BEAM, NEST = 0.010, 0.030
+
+
+@dataclass(frozen=True, slots=True)
+class CollisionCheck:
+    """What is checked for collisions, and how.
+
+    Attributes:
+        clearance: Least distance of all that is checked [m].
+        floor: Whether nothing may come below the mounting plane: z = 0 of the base, or the lowest link that stands with
+            the base where that is lower.
+        holder_radius: A target and what holds it are a rod of this radius from the tip to the target [m].
+        package_dirs: Folders in which ``package://`` meshes are looked for before all others.
+    """
+
+    clearance: float = 0.0
+    floor: bool = True
+    holder_radius: float = 0.020  # a 1.5 inch reflector has 19 mm
+    package_dirs: tuple[str | Path, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -58,16 +74,16 @@ class CollisionModel:
     Attributes:
         robot: The robot.
         pairs: The names of what is checked (links, targets, boxes, the plane), those that touch most often first.
-        ignored: The names of those that are not, and why.
+        ignored: The names of those that are not, and why: `solids.JOINED` or `solids.ALWAYS_TOUCHING`.
         close: Those that are always closer than the clearance; they are refused only where they touch.
-        notes: Sentences on what was checked, and what was not as a person might expect.
+        notes: What was checked, and what was not as a person might expect.
     """
 
     robot: Robot
     pairs: tuple[tuple[str, str], ...]
     ignored: Mapping[tuple[str, str], str]
     close: tuple[tuple[str, str], ...]
-    notes: tuple[str, ...]
+    notes: tuple[Note, ...]
     _scene: Scene
     _beam: hppfcl.Capsule
 
@@ -76,45 +92,32 @@ class CollisionModel:
         cls,
         robot: Robot,
         boxes: Iterable[Box] = (),
-        clearance: float = 0.0,
-        package_dirs: Iterable[str | Path] = (),
-        *,
         targets: Mapping[str, ArrayLike] | None = None,
-        holder_radius: float = HOLDER_RADIUS,
-        floor: bool = False,
+        check: CollisionCheck | None = None,
     ) -> CollisionModel:
         """Read the geometry of a robot and find out which pairs have to be checked.
 
         Args:
             robot: The robot; its URDF names the meshes.
             boxes: In the robot's base; they move with it where joints of the chain move the base.
-            clearance: Least distance between all that is checked [m].
-            package_dirs: Folders in which ``package://`` meshes are looked for before all others.
             targets: Places in the tip by name, shape (3,), [m]; each and what holds it joins the check.
-            holder_radius: Of the capsules from the tip to the targets [m].
-            floor: Whether nothing may come below the mounting plane: z = 0 of the base, or the lowest link that stands
-                with the base where that is lower.
+            check: How it is checked.
 
         Raises:
             UrdfError: A mesh cannot be found or read, or no link has geometry.
-            CalibError: A holder without a radius; a box with a link's name or that swallows the robot, or a plane that
-                its tip never leaves.
+            CalibError: A box with a link's name or that the robot always touches, or a plane that its tip never leaves.
         """
-        boxes, targets = checked_boxes(tuple(boxes)), targets or {}
-        if not holder_radius > 0.0:
-            raise CalibError(
-                f"The holder's radius is {holder_radius!r} m; it must be a number above 0."
-            )
+        boxes, check = checked_boxes(tuple(boxes)), check or CollisionCheck()
         same = [box.name for box in boxes if box.name in robot.urdf.links]
         if same:
             raise CalibError(
                 f"A box has the name of a link of the robot: {choices(same)}. Give it another one."
             )
-        links, from_visuals, unchecked = read_solids(robot.urdf, package_dirs)
+        links, from_visuals, unchecked = read_solids(robot.urdf, check.package_dirs)
         parts = list(links)
-        for name, place in targets.items():
+        for name, place in (targets or {}).items():
             T, half = rod(np.zeros(3), np.asarray(place, dtype=np.float64))
-            holder = hppfcl.Capsule(holder_radius, 2.0 * half)
+            holder = hppfcl.Capsule(check.holder_radius, 2.0 * half)
             owner = f"{name} and its holder"
             parts.append(Solid(owner, Kind.TARGET, robot.tip, T.homogeneous, holder))
         for box in boxes:
@@ -124,68 +127,35 @@ class CollisionModel:
         configurations = full_configurations(full_model(robot.urdf), values)
         moving = {name for name, value in values.items() if np.ptp(value) > 0.0}
         rigid = clusters(robot.urdf, (j for j in robot.urdf.joints if j.name not in moving))
-        if floor:
+        if check.floor:
             parts.append(mounting_plane(robot, links, rigid, configurations[0]))
-        around = [f"the box '{box.name}'" for box in boxes] + [
-            p.owner for p in parts if p.kind is Kind.PLANE
-        ]
+        around = [part.owner for part in parts if part.kind in (Kind.BOX, Kind.PLANE)]
         beam = hppfcl.Capsule(0.5 * BEAM, 1.0)
         parts.append(Solid("the beam", Kind.BOX, robot.base, np.eye(4), beam))
         scene, pairs, ignored, close = choose_pairs(
-            robot, Scene.of(robot.urdf, parts), rigid, configurations, float(clearance)
+            robot, Scene.of(robot.urdf, parts), rigid, configurations, float(check.clearance)
         )
-        many = "each target and its holder" if len(targets) > 1 else "the target and its holder"
-        notes = [
-            f"Checked for collisions: the robot's links and {many}, taken as a rod of {1e3 * holder_radius:g} mm "
-            "radius from the tip to the target (--holder), with each other"
-            + (f", and with {' and '.join(around)}." if around else "."),
-            "Not known, and not checked: what stands around and was not named (--box), "
-            + ("" if floor else "the floor, ")
-            + "cables and hoses, holders of another shape, the instrument and its stand, people. Drive the first round "
-            "slowly.",
-        ]
-        for said, names in (
-            (
-                "Not checked for collisions, for want of geometry in the URDF",
-                [f"'{link}'" for link in unchecked],
-            ),
-            (
-                "Links without collision geometry, whose visual stands for it",
-                [f"'{link}'" for link in from_visuals],
-            ),
-            (
-                f"Always closer than the clearance of {1e3 * clearance:g} mm, and refused only where they touch",
-                [f"'{a}' and '{b}'" for a, b in close],
-            ),
-            (
-                "Not checked against each other",
-                [f"'{a}' and '{b}': {why}" for (a, b), why in ignored.items() if why != JOINED],
-            ),
-        ):
-            notes += [f"{said}: {', '.join(names)}."] if names else []
+        always = [pair for pair, why in ignored.items() if why == ALWAYS_TOUCHING]
+        notes = [Note("collisions_checked", (check.holder_radius, *around))]
+        notes += [] if check.floor else [Note("floor_not_checked")]
+        listed: tuple[tuple[Code, Sequence[str]], ...] = (
+            ("no_geometry", unchecked),
+            ("visual_geometry", from_visuals),
+            ("always_close", [f"{a} and {b}" for a, b in close]),
+            ("always_touching", [f"{a} and {b}" for a, b in always]),
+        )
+        notes += [Note(code, tuple(names)) for code, names in listed if names]
         return cls(robot, pairs, ignored, close, tuple(notes), scene, beam)
 
     def free(self, q: ArrayLike) -> Mask:
-        """Where the robot touches neither itself nor a box, and keeps its clearance, shape (N,).
-
-        Args:
-            q: shape (N, m) or (m,), [rad] or [m], in the order of ``robot.joint_names``.
-
-        Raises:
-            ModelError: ``q`` has not one column for each joint, or a value is not finite.
-        """
+        """Where the robot keeps clear, shape (N,), of q of shape (N, m) or (m,), [rad] or [m]."""
         touches = self._scene.touches()
         return np.array([not touches(one) for one in self._configurations(q)], dtype=np.bool_)
 
     def path_free(self, q_from: ArrayLike, q_to: ArrayLike) -> bool:
-        """Whether the straight way in joint space from one pose to another is free, both ends among it.
+        """Whether the straight way in joint space between two poses of shape (m,) is free, both ends among it.
 
-        It is checked at equal steps in which no joint of the robot turns by more than `TURN_STEP` or slides by more
-        than `SLIDE_STEP`; the middle first, then the quarters, and so on.
-
-        Args:
-            q_from: shape (m,), [rad] or [m].
-            q_to: shape (m,).
+        It is checked at equal steps of at most `TURN_STEP` and `SLIDE_STEP`; the middle first, then the quarters.
         """
         ends = np.array([q_from, q_to], dtype=np.float64)
         sliding = {joint.name for joint in self.robot.urdf.joints if joint.type == "prismatic"}
@@ -204,13 +174,8 @@ class CollisionModel:
     def crossed(self, q: Array, start: Array, end: Array) -> Mask:
         """Whether a link or a box stands in the way of a beam with round ends, shape (N,).
 
-        Every link with geometry and every box counts, those that never move among them; targets and the mounting
-        plane, which are assumed and not known, do not.
-
-        Args:
-            q: shape (N, m), [rad] or [m].
-            start: shape (N, 3), centre of one end in the robot's base [m].
-            end: shape (N, 3), centre of the other [m].
+        Targets and the mounting plane, which are assumed and not known, do not count. ``q`` is of shape (N, m); the
+        beams' ends, of shape (N, 3), are in the robot's base [m].
         """
         *parts, _ = self._scene.parts
         solid = [k for k, part in enumerate(parts) if part.kind in (Kind.LINK, Kind.BOX)]
@@ -236,8 +201,8 @@ class Sight(NamedTuple):
     The beam is not looked at, and True, where range or cone refuse the pose.
     """
 
-    range: Mask
-    cone: Mask
+    tracker_range: Mask
+    reflector_cone: Mask
     beam: Mask
 
 
@@ -249,19 +214,11 @@ def in_sight(
     reflector: Reflector | None = None,
     collision: CollisionModel | None = None,
 ) -> Sight:
-    """At which poses a tracker sees the target on the tip.
+    """At which poses q, shape (N, m), a tracker sees the target at T_tip_target, shape (4, 4), on the tip.
 
     The cone: the angle between the reflector's normal and the direction from target to tracker is at most its
-    acceptance. The beam: a rod of thickness `BEAM` from the tracker to `NEST` in front of the target touches
-    no link and no box; the link that carries the target counts like the others.
-
-    Args:
-        robot: The robot.
-        q: shape (N, m), [rad] or [m], in the order of ``robot.joint_names``.
-        T_tip_target: shape (4, 4), pose of the target in the tip.
-        tracker: In the robot's base.
-        reflector: In the tip; None: it is turned by hand, and seen from everywhere.
-        collision: The same robot's geometry, and boxes; None: the beam is not looked at.
+    acceptance; without a reflector it is turned by hand. The beam: a rod of thickness `BEAM` from the tracker to `NEST`
+    in front of the target touches no link and no box; without ``collision`` it is not looked at.
     """
     T_base_tip = robot.poses(q)
     points = (T_base_tip @ T_tip_target)[:, :3, 3]

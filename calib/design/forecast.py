@@ -21,6 +21,7 @@ from calib.data.measurements import Measurements
 from calib.data.surroundings import Tracker
 from calib.data.table import DEFAULT_TARGET
 from calib.design.candidates import planning_ranges
+from calib.design.notes import Note
 from calib.errors import MeasurementError, ModelError, choices
 from calib.estimate.fitting import Task, model_of
 from calib.estimate.inspection import GENERIC_TARGET, any_measurement
@@ -68,7 +69,7 @@ class Sensitivity:
         setup: Frames and targets; a target that was not given stands at a general place.
         kinematics: Of the nominal robot, under the model that the fit will use.
         precision: shape (p,), 1 / tau^2 of each parameter's prior, its own or its family's; 0 where there is none.
-        notes: What was assumed, in sentences.
+        notes: What was assumed.
     """
 
     cell: Cell
@@ -76,7 +77,7 @@ class Sensitivity:
     setup: Setup
     kinematics: Kinematics
     precision: Array
-    notes: tuple[str, ...]
+    notes: tuple[Note, ...]
 
     @classmethod
     def of(cls, robot: Robot, cell: Cell) -> Sensitivity:
@@ -93,14 +94,9 @@ class Sensitivity:
             T_tip_target = setup.T_tip_target.copy()
             T_tip_target[~setup.target_given, :3, 3] = GENERIC_TARGET
             setup = setup.placed(setup.T_frame_base, T_tip_target)
-            notes.append(
-                "No target was given: planned for one that is 50, 70, 30 mm off the tip. --target says where yours is."
-            )
+            notes.append(Note("generic_target", tuple(GENERIC_TARGET)))
         if kind == "pose" and cell.sigma_angle is None:
-            notes.append(
-                f"The noise of an orientation was taken to be {1e3 * FIRST_SIGMA_ANGLE:g} mrad about each axis. "
-                "sigma_angle_deg in the cell says what yours is."
-            )
+            notes.append(Note("orientation_noise", (FIRST_SIGMA_ANGLE,)))
         model = model_of(Task(robot, cell, setup, planned_model(cell), lenient=cell.model == AUTO))
         model = setup.aligned(model)
         if cell.model != AUTO:
@@ -222,8 +218,8 @@ def _checked_kind(cell: Cell) -> str:
     if not kind.free:
         free = [one for one in registry.names() if registry.get(one).free]
         raise ModelError(
-            f"Poses cannot be planned for the kind '{name}': the target stays in its socket or plane, or two rows "
-            f"belong together. Choose one of {choices(free)}."
+            f"Poses cannot be planned for the kind '{name}', whose rows cannot be chosen freely. Choose one of "
+            f"{choices(free)}."
         )
     if len(cell.frames) > 1:
         raise ModelError(
@@ -231,10 +227,9 @@ def _checked_kind(cell: Cell) -> str:
             "one frame as frame_xyz_mm and frame_rpy_deg."
         )
     if kind.own_frame and cell.T_frame_base is None and not cell.frames:
-        place = kind.place.lower()
         raise ModelError(
-            f"To plan for rows of the kind '{name}', calib must know roughly where the {place} is: give the base in a "
-            f"frame at the {place}, frame_xyz_mm in the cell file."
+            f"To plan for rows of the kind '{name}', give the base in a frame at the {kind.place.lower()}, "
+            "frame_xyz_mm in the cell file."
         )
     return name
 

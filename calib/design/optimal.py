@@ -23,12 +23,13 @@ before (priors) lowers all three.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from calib.design.candidates import Pool
 from calib.design.forecast import Forecast, Sensitivity, Workspace, held, information
@@ -47,11 +48,9 @@ CRITERIA = {
     "V": "the mean variance of predicted positions",
 }
 
-#: A direction that moves what is measured by less than this share of the strongest one is none [-], squared.
-_UNSEEN = 1e-10
-
-#: A parameter that moves what is measured by less than this part of the strongest one does so by rounding.
-_ROUNDING = 1e-12
+#: A direction that moves what is measured by less than this share of the strongest one is none [-], squared; and a
+#: parameter that moves it by less than the second does so by rounding.
+_UNSEEN, _ROUNDING = 1e-10, 1e-12
 
 #: A gain below this, in log det M or relative to tr(W C), is rounding.
 _LEAST_GAIN = 1e-7
@@ -78,8 +77,68 @@ _SAME = 1e-3
 #: Poses of a plan at most: exchanging thousands takes hours, and nothing is gained that random ones do not have.
 MOST_POSES = 300
 
-#: Steps of the ladder that is made where none is asked for, in poses of the plan.
+#: Steps of the ladder by default, in poses of the plan.
 _RUNGS = (0.5, 0.67, 0.83, 1.0, 1.33, 1.67, 2.0, 3.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlanRequest:
+    """Which poses are wanted.
+
+    Attributes:
+        count: Poses to fit.
+        validation: Poses to validate with, drawn at random from the same candidates.
+        criterion: ``"V"``: least mean variance of predicted positions; ``"D"``: largest determinant of the information;
+            ``"A"``: least mean variance of the parameters.
+        candidates: Poses among which is chosen.
+        margin: Distance to the joint limits of the URDF [rad].
+        start: shape (m,), where the robot stands before it begins [rad] or [m]; None: it begins at any pose.
+        ladder: Numbers of poses to forecast too; None: some from half to three times ``count``; empty: none.
+        seed: The same seed makes the same plan.
+    """
+
+    count: int = 30
+    validation: int = 5
+    criterion: str = "V"
+    candidates: int = 20_000
+    margin: float = math.radians(5.0)
+    start: ArrayLike | None = None
+    ladder: Sequence[int] | None = None
+    seed: int = 0
+
+    def check(self, candidates: int) -> None:
+        """Refuse an unknown criterion, and numbers of poses that cannot be.
+
+        Raises:
+            ModelError: Below one pose, more than there are candidates, or very many.
+        """
+        if self.criterion not in CRITERIA:
+            raise ModelError(
+                f"There is no criterion '{self.criterion}'. Choose one of {choices(CRITERIA)}."
+            )
+        wanted, most = self.count + self.validation, min(candidates, MOST_POSES)
+        if self.count < 1 or self.validation < 0 or wanted > most:
+            raise ModelError(
+                f"{self.count} poses and {self.validation} validation poses were asked for, of {candidates} candidates "
+                f"that can be measured; it takes 1 pose or more and {most} or fewer in all. Draw more candidates, ask "
+                "for fewer poses, or drop a condition."
+            )
+
+    def rungs(self, candidates: int, fewest: int) -> list[int]:
+        """The numbers of poses to forecast, in rising order, ``count`` among them if there are any.
+
+        Raises:
+            ModelError: One of them is below the fewest that the model needs, or above the candidates.
+        """
+        if self.ladder is None:
+            wanted = {self.count, *(round(share * self.count) for share in _RUNGS)}
+            return sorted(n for n in wanted if fewest <= n <= min(candidates, MOST_POSES))
+        wrong = [n for n in self.ladder if not fewest <= n <= candidates]
+        if wrong:
+            raise ModelError(
+                f"A forecast for {wrong[0]} poses was asked for; it takes {fewest} to {candidates}."
+            )
+        return sorted({*self.ladder, self.count}) if self.ladder else []
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,13 +156,9 @@ class Choice:
 def choose_poses(
     sensitivity: Sensitivity,
     pool: Pool,
-    *,
-    count: int,
-    validation: int = 0,
-    criterion: str = "V",
+    request: PlanRequest,
     taken: Array | None = None,
-    ladder: Sequence[int] | None = None,
-    seed: int = 0,
+    *,
     restarts: int = RESTARTS,
     progress: Progress | None = None,
 ) -> Choice:
@@ -112,12 +167,8 @@ def choose_poses(
     Args:
         sensitivity: Of the model that the fit will use.
         pool: The candidates, and where accuracy is wanted.
-        count: Poses to fit.
-        validation: Poses to validate with, beside them, drawn at random.
-        criterion: ``"D"``, ``"A"`` or ``"V"``.
+        request: How many, and by which criterion.
         taken: shape (T, m), poses that were measured already; they count, and are not planned again.
-        ladder: Numbers of poses to forecast; None: some from half to three times ``count``; empty: none.
-        seed: The same seed makes the same choice.
         restarts: Random starts of the exchange; one is a few percent worse than several.
         progress: Called after each step.
 
@@ -130,18 +181,19 @@ def choose_poses(
         gap = np.remainder(pool.q - pose + np.pi, 2.0 * np.pi) - np.pi
         again |= np.all(np.abs(gap) < _SAME, axis=1)
     q = pool.q[~again]
-    check_asked(count, validation, criterion, len(q))
+    request.check(len(q))
+    count, seed = request.count, request.seed
     measured = sensitivity.measured(q)
     workspace = Workspace.of(sensitivity, pool.workspace)
     d = measured.shape[1]
     fewest = max(1, -(-workspace.rank // d) - len(taken))
-    rungs = _rungs(ladder, count, len(q), fewest)
+    rungs = request.rungs(len(q), fewest)
     if count < fewest:
         before = f" with the {len(taken)} measured already" if len(taken) else ""
         raise ModelError(
             f"{count} poses give {d * (count + len(taken))} numbers{before}, and the model "
-            f"'{sensitivity.kinematics.model.name}' has {workspace.rank} parameters that can be told apart: at least "
-            f"{fewest} poses are needed, and twice as many are wise. Ask for more poses, or choose a smaller --model."
+            f"'{sensitivity.kinematics.model.name}' has {workspace.rank} identifiable parameters: at least {fewest} "
+            "poses are needed, twice as many are better. Ask for more poses, or choose a smaller --model."
         )
 
     def done(step: int) -> None:
@@ -154,7 +206,9 @@ def choose_poses(
     # The mean over poses and targets of J^T J.
     B = information(workspace.located) / (workspace.located[:, :, 0].size // 3)
     known = information(sensitivity.measured(taken)) if len(taken) else 0.0 * B
-    weight = {"D": None, "A": np.diag(1.0 / steps(sensitivity.units) ** 2), "V": B}[criterion]
+    weight = {"D": None, "A": np.diag(1.0 / steps(sensitivity.units) ** 2), "V": B}[
+        request.criterion
+    ]
     mean = information(measured) / len(measured)
     basis = Basis.of(mean, held(sensitivity.precision), weight, known)
     blocks = measured @ basis.directions
@@ -175,54 +229,12 @@ def choose_poses(
     drawn = [foreseen(rng.choice(len(q), count, replace=False)) for _ in range(_RANDOM)]
     return Choice(
         planned=read_only(q[chosen]),
-        validation=read_only(q[others[:validation]]),
+        validation=read_only(q[others[: request.validation]]),
         forecast=plan,
         before=foreseen(chosen[:0]) if len(taken) else None,
         at_random=sorted(drawn, key=lambda one: one.rms)[_RANDOM // 2],
         ladder=tuple(found),
     )
-
-
-def check_asked(count: int, validation: int, criterion: str, candidates: int) -> None:
-    """Refuse an unknown criterion, and numbers of poses that cannot be.
-
-    Raises:
-        ModelError: Below one pose, below no validation poses, more than there are candidates, or very many.
-    """
-    if criterion not in CRITERIA:
-        raise ModelError(
-            f"There is no criterion '{criterion}'. Choose one of {choices(CRITERIA)}: "
-            + "; ".join(f"{name} makes {what} small" for name, what in CRITERIA.items())
-            + "."
-        )
-    asked = f"{count} poses and {validation} validation poses were asked for"
-    if count < 1 or validation < 0:
-        raise ModelError(f"{asked}; it takes 1 pose or more, and 0 or more to validate.")
-    if count + validation > candidates:
-        raise ModelError(
-            f"{asked}, but only {candidates} candidates can be measured. Draw more candidates, ask for fewer poses, or "
-            "drop a condition."
-        )
-    if count + validation > MOST_POSES:
-        raise ModelError(
-            f"{asked}; a plan has at most {MOST_POSES}. So many random ones do as well: calib simulate --count draws "
-            "them."
-        )
-
-
-def _rungs(ladder: Sequence[int] | None, count: int, candidates: int, fewest: int) -> list[int]:
-    """The numbers of poses to forecast, in rising order, ``count`` among them if there are any."""
-    if ladder is None:
-        most = min(candidates, MOST_POSES)
-        wanted = {count, *(round(share * count) for share in _RUNGS)}
-        return sorted(n for n in wanted if fewest <= n <= most)
-    wrong = [n for n in ladder if not fewest <= n <= candidates]
-    if wrong:
-        raise ModelError(
-            f"A forecast for {wrong[0]} poses was asked for; it takes at least {fewest}, so many does the model need, "
-            f"and at most {candidates}, the candidates that can be measured."
-        )
-    return sorted({*ladder, count}) if ladder else []
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -36,27 +36,18 @@ SCHEMA = "plan 1"
 #: Digits of degrees and millimetres: those that planned joint values have, and a tracker's last.
 _DIGITS = 3
 
-#: Joint values of more digits than this are written with all that they have [deg] or [mm].
-_EXACT = 1e-9
-
-#: The units that readings are written in, and how many of them are one in SI.
+#: The units that values are written in, and how many of them are one in SI.
 _WRITTEN = {"length": ("mm", 1e3), "angle": ("deg", 180.0 / math.pi)}
 
 
 def write_plan(
     plan: Plan, path: str | Path, *, overwrite: bool = False, first_row: int = 1
 ) -> Path:
-    """Write a plan as a CSV table, degrees and millimetres, in the order to drive.
+    """Write a plan as a CSV table, degrees and millimetres, in the order to drive; several targets have a row each.
 
-    Several targets have a row each at a pose. Each row has the name of a point, ``P1`` for row 1, by which a list of
-    points can be matched. The columns of what is measured are empty; ``expected`` columns say what the nominal robot
-    would give, to compare.
-
-    Args:
-        plan: The plan.
-        path: A CSV file.
-        overwrite: Whether a file that exists is replaced.
-        first_row: Number of the first row: where rows are to be added to a table, one more than its last.
+    Each row has the name of a point, ``P1`` for row 1, by which a list of points can be matched. The columns of what is
+    measured are empty; ``expected`` columns are what the nominal robot would give. ``first_row`` is the number of the
+    first row: where rows are to be added to a table, one more than its last.
 
     Raises:
         FileError: The file exists and ``overwrite`` is False, or it cannot be written.
@@ -72,25 +63,20 @@ def write_plan(
 def _rows(plan: Plan, number: int) -> Iterator[dict[str, str]]:
     """The cells of each target at each pose, by their columns."""
     types, kind = plan.robot.joint_types, registry.get(plan.kind)
-    joints = [
-        (f"{name} [mm]", 1e3) if types[name] == "prismatic" else (f"{name} [deg]", 180.0 / math.pi)
-        for name in plan.robot.joint_names
+    units = [
+        _WRITTEN["length" if types[n] == "prismatic" else "angle"] for n in plan.robot.joint_names
     ]
-    written = [_WRITTEN[one.quantity] for one in kind.readings]
     lengths = [f"{axis} [mm]" for axis in POINT] if kind.position else []
-    readings = [
-        f"{one.name} [{unit}]" for one, (unit, _) in zip(kind.readings, written, strict=True)
-    ]
+    written = [_WRITTEN[one.quantity] for one in kind.readings]
+    readings = [f"{r.name} [{unit}]" for r, (unit, _) in zip(kind.readings, written, strict=True)]
     empty = [*lengths, *(QUATERNION if kind.orientation else ()), *readings]
     for q, word, places in zip(plan.joints, plan.sets, plan.expected, strict=True):
         for target, place in zip(plan.targets, places, strict=True):
             row = {"row": str(number), "set": word, "point": f"P{number}"}
             if plan.targets != (DEFAULT_TARGET,):
                 row["target"] = target
-            for (column, scale), value in zip(joints, q.tolist(), strict=True):
-                short = round(scale * value, _DIGITS) + 0.0
-                exact = abs(scale * value - short) < _EXACT
-                row[column] = f"{short:.{_DIGITS}f}" if exact else repr(scale * value)
+            for name, (unit, scale), value in zip(plan.robot.joint_names, units, q, strict=True):
+                row[f"{name} [{unit}]"] = f"{scale * value + 0.0:.{_DIGITS}f}"
             row |= dict.fromkeys(empty, "")
             seen = (1e3 * np.asarray(place)).tolist() if kind.position else []
             if kind.readings and kind.measure is not None:
@@ -124,8 +110,8 @@ class Taken:
 def read_taken(path: str | Path, robot: Robot, columns: Mapping[str, str] | None = None) -> Taken:
     """The poses of a table that a fit would estimate from: those measured, of the set ``estimate``.
 
-    A table in which nothing is measured, such as a plan or a list of poses, counts whole: it is still to be driven.
-    Rows that measure several targets at one pose are one pose. ``columns`` is as in `Measurements.read`.
+    A table in which nothing is measured, such as a plan that is still to be driven, counts whole. Rows that measure
+    several targets at one pose are one pose. ``columns`` is as in `Measurements.read`.
 
     Raises:
         MeasurementError: The table cannot be read, or lacks a joint.
@@ -196,7 +182,9 @@ def _joint_values(table: Table, robot: Robot, columns: Mapping[str, str] | None)
 
 def plan_table(plan: Plan) -> dict[str, Any]:
     """A plan as nested tables in SI units, the unit in each key's suffix; docs/planning.md describes them."""
-    robot = plan.robot
+    robot, request = plan.robot, plan.request
+    units = ["m" if joint.type == "prismatic" else "rad" for joint in robot.inputs]
+    joints = zip(robot.joint_names, units, strict=True)
     return {
         "schema": SCHEMA,
         "calib": __version__,
@@ -206,17 +194,14 @@ def plan_table(plan: Plan) -> dict[str, Any]:
             "urdf_sha256": robot.urdf.sha256,
             "base": robot.base,
             "tip": robot.tip,
-            "joints": [
-                {"name": name, "unit": "m" if robot.joint_types[name] == "prismatic" else "rad"}
-                for name in robot.joint_names
-            ],
+            "joints": [{"name": name, "unit": unit} for name, unit in joints],
         },
         "asked": {
-            "criterion": plan.criterion,
+            "criterion": request.criterion,
             "model": plan.model,
             "kind": plan.kind,
             "targets": plan.targets,
-            "seed": plan.seed,
+            "seed": request.seed,
             "taken": len(plan.taken),
         },
         "poses": [
@@ -232,13 +217,12 @@ def plan_table(plan: Plan) -> dict[str, Any]:
             "largest_joint_moves": plan.travel,
             "blocked": [{"from": one.start, "to": one.end, "by": one.by} for one in plan.blocked],
         },
-        "notes": plan.notes,
+        "notes": [note._asdict() for note in plan.notes],
     }
 
 
-def forecast_table(forecast: Forecast) -> dict[str, Any]:
+def forecast_table(f: Forecast) -> dict[str, Any]:
     """A forecast as nested tables in SI units."""
-    f = forecast
     counted = ("poses", "rank", "workspace_rank", "columns", "efficiency")
     lengths = ("rms", "rms_low", "rms_high", "quantile_95", "max", "sigma")
     return {

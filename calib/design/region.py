@@ -1,20 +1,20 @@
 """Region: the part of space that a robot is measured in, as the voxels of a grid, and as a file.
 
-The file is JSON in SI units, the unit in each key's suffix, versioned by ``schema``; see docs/workspace.md. Beside the
-voxels it says which robot, base, tip and target it was made for: in another base frame the same numbers are another
-place.
+The file is JSON in SI units, see docs/workspace.md. It names robot, base, tip and target: in another base frame the
+same numbers are another place.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
+from scipy.spatial import KDTree
 
 from calib.errors import CalibError, FileError, choices
 from calib.files import damage, json_bytes, read_json, write_atomically
@@ -26,33 +26,10 @@ SCHEMA = "region 1"
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-#: Numbers that are held at once while distances to voxels are computed.
-_CHUNK = 2_000_000
-
-
-def no_box() -> Array:
-    """A box without an end, shape (2, 3), [m]."""
-    return read_only([[-np.inf] * 3, [np.inf] * 3])
-
-
-def checked_box(box: ArrayLike) -> Array:
-    """A box as its least and its greatest corner, shape (2, 3), [m], read-only.
-
-    Raises:
-        CalibError: Another shape, a NaN, or a corner that is not greater than the other along each axis.
-    """
-    corners = read_only(np.asarray(box, dtype=np.float64))
-    if corners.shape != (2, 3) or np.isnan(corners).any() or not np.all(corners[0] < corners[1]):
-        raise CalibError(
-            f"The box is {np.asarray(box).tolist()} m; it must be two corners of three numbers, the second greater "
-            "than the first along x, y and z."
-        )
-    return corners
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Region:
-    """Voxels of a grid in the base frame, cut off by a box.
+    """Voxels of a grid in the base frame.
 
     Attributes:
         origin: shape (3,), the grid's least corner [m].
@@ -60,7 +37,6 @@ class Region:
         cells: shape (nx, ny, nz), whether a voxel belongs to the region. Read-only.
         share: The share of the probability that was asked for.
         held: The share of the samples that the voxels hold: not less than ``share``.
-        box: shape (2, 3), least and greatest corner of a box that the region ends at [m]; infinite where there is none.
 
     Raises:
         CalibError: A shape or a number does not fit, or no voxel belongs to the region.
@@ -71,7 +47,6 @@ class Region:
     cells: Mask
     share: float
     held: float
-    box: Array = field(default_factory=no_box)
 
     def __post_init__(self) -> None:
         """Copy the arrays and check them."""
@@ -79,74 +54,58 @@ class Region:
         cells.setflags(write=False)
         object.__setattr__(self, "cells", cells)
         object.__setattr__(self, "origin", read_only(self.origin))
-        object.__setattr__(self, "box", checked_box(self.box))
         if self.origin.shape != (3,) or cells.ndim != 3 or not 0.0 < self.voxel < np.inf:
             raise CalibError(
                 f"A region's grid has an origin of shape {self.origin.shape}, voxels of {self.voxel} m and of shape "
                 f"{cells.shape}; it needs three numbers, an edge above 0 and three dimensions."
             )
-        if not self.volume > 0.0:
-            raise CalibError(
-                "The region is empty: no voxel of it lies inside of the box. Give a larger box."
-            )
+        if not cells.any():
+            raise CalibError("The region is empty: no voxel belongs to it.")
 
     @property
     def volume(self) -> float:
-        """Of all voxels, cut off by the box [m^3]."""
-        widths = []
-        for axis, count in enumerate(self.cells.shape):
-            edges = self.origin[axis] + self.voxel * np.arange(count + 1)
-            inside = np.clip(edges, self.box[0, axis], self.box[1, axis])
-            widths.append(np.diff(inside))
-        return float(np.einsum("ijk,i,j,k", self.cells.astype(np.float64), *widths))
+        """Of all voxels [m^3]."""
+        return float(np.count_nonzero(self.cells) * self.voxel**3)
 
     @property
     def bounds(self) -> Array:
         """Least and greatest corner of the box about the region, shape (2, 3), [m]."""
-        low, high = self._voxels(self.cells)
-        return read_only([low.min(axis=0), high.max(axis=0)])
+        index = np.argwhere(self.cells)
+        ends = np.array([index.min(axis=0), index.max(axis=0) + 1])
+        return read_only(self.origin + self.voxel * ends)
 
     def contains(self, points: ArrayLike) -> Mask:
         """Whether points of shape (N, 3), in the base frame [m], lie in the region, shape (N,)."""
         values = checked_points(points)
-        inside = np.all((values >= self.box[0]) & (values <= self.box[1]), axis=1)
         index, known = voxel_of(values, self.origin, self.voxel, self.cells.shape)
-        found: Mask = inside & known & self.cells[tuple(index.T)]
+        found: Mask = known & self.cells[tuple(index.T)]
         return found
 
     def depth(self, points: ArrayLike) -> Array:
-        """How deep points of shape (N, 3) lie inside of the region, shape (N,), [m]: negative outside.
+        """Distance of points of shape (N, 3) to the region's border, shape (N,), [m]: negative outside.
 
-        It is their distance to the border, which itself is known to about half a voxel.
+        The border itself is known to about half a voxel.
         """
         values = checked_points(points)
         inside = self.contains(values)
-        result = np.empty(len(values))
         padded = np.pad(self.cells, 1)
         around = ndimage.binary_dilation(padded) & ~padded
-        low, high = self._voxels(around, shift=-1, cut=False)
-        result[inside] = _distance(values[inside], low, high)
-        for corner in self.box:
-            result[inside] = np.minimum(result[inside], np.abs(values[inside] - corner).min(axis=1))
-        # A voxel is nearest only if it has a free side, or the box cuts it.
-        cut = np.isfinite(self.box).any()
-        border = self.cells if cut else self.cells & ~ndimage.binary_erosion(self.cells)
-        result[~inside] = -_distance(values[~inside], *self._voxels(border))
+        border = padded & ~ndimage.binary_erosion(padded)
+        result = np.empty(len(values))
+        result[inside] = self._distance(values[inside], np.argwhere(around) - 1)
+        result[~inside] = -self._distance(values[~inside], np.argwhere(border) - 1)
         return result
 
-    def _voxels(self, chosen: Mask, shift: int = 0, *, cut: bool = True) -> tuple[Array, Array]:
-        """Least and greatest corners of the chosen voxels, shape (K, 3) each, [m], cut off by the box.
-
-        ``shift`` is added to their indices; without ``cut`` the box does not count.
-        """
-        index = np.argwhere(chosen) + shift
-        low = self.origin + self.voxel * index
-        high = low + self.voxel
-        if not cut:
-            return low, high
-        low, high = np.maximum(low, self.box[0]), np.minimum(high, self.box[1])
-        left = np.all(low < high, axis=1)
-        return low[left], high[left]
+    def _distance(self, points: Array, voxels: NDArray[np.intp]) -> Array:
+        """From each point to the nearest of some voxels, shape (K, 3) of indices, shape (N,), [m]."""
+        centres, half = self.origin + self.voxel * (voxels + 0.5), 0.5 * self.voxel
+        tree, result = KDTree(centres), np.empty(len(points))
+        reach = tree.query(points)[0] + 2.0 * np.sqrt(3.0) * half
+        # A nearest voxel has its centre at most its diagonal farther than the nearest centre.
+        for i, near in enumerate(tree.query_ball_point(points, reach) if len(points) else ()):
+            gap = np.maximum(np.abs(centres[near] - points[i]) - half, 0.0)
+            result[i] = np.sqrt(np.min(np.sum(gap**2, axis=1)))
+        return result
 
 
 def checked_points(points: ArrayLike) -> Array:
@@ -174,17 +133,6 @@ def voxel_of(
     return index, known
 
 
-def _distance(points: Array, low: Array, high: Array) -> Array:
-    """From each point to the nearest of some boxes, shape (N,), [m]; 0 inside of one."""
-    step = max(1, _CHUNK // max(1, 3 * len(low)))
-    found: list[Any] = [np.zeros(0)]
-    for start in range(0, len(points), step):
-        near = points[start : start + step, None]
-        gap = np.maximum(np.maximum(low - near, near - high), 0.0)
-        found.append(np.sqrt(np.min(np.einsum("nki,nki->nk", gap, gap), axis=1)))
-    return np.concatenate(found)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class RegionFile:
     """A region and what it was made from.
@@ -194,8 +142,8 @@ class RegionFile:
         robot: The robot's name in the URDF.
         base: Base link.
         tip: Tip link.
-        joints: Of each joint its ``name``, and between which values it was moved, ``low_rad`` and ``high_rad``; of one
-            that slides ``low_m`` and ``high_m``.
+        joints: Of each joint its ``name`` and the ends of its range, ``low_rad`` and ``high_rad``, or ``low_m`` and
+            ``high_m``.
         target: shape (3,), the target in the tip [m].
         samples: How many samples the region was made from.
         seed: Their seed.
@@ -230,22 +178,17 @@ class RegionFile:
         region, flat = self.region, self.region.cells.ravel()
         ends = np.flatnonzero(np.diff(flat)) + 1
         runs = np.diff([0, *ends, flat.size]).tolist()
+        robot = {"name": self.robot, "base": self.base, "tip": self.tip, "joints": self.joints}
         table = {
             "schema": SCHEMA,
             "calib": __version__,
-            "robot": {
-                "name": self.robot,
-                "base": self.base,
-                "tip": self.tip,
-                "joints": self.joints,
-            },
+            "robot": robot,
             "target_xyz_m": self.target,
             "samples": self.samples,
             "seed": self.seed,
             "share": region.share,
             "held": region.held,
             "volume_m3": region.volume,
-            "box_m": region.box if np.isfinite(region.box).any() else None,
             "voxel_m": region.voxel,
             "origin_m": region.origin,
             "shape": region.cells.shape,
@@ -267,59 +210,43 @@ class RegionFile:
         )
         table = read_json(path, "region", SCHEMA, expected)
         try:
-            robot, runs = table["robot"], np.asarray(table["runs"], dtype=np.int64)
-            # null is a side without an end.
-            box = np.asarray(table["box_m"] or [[None] * 3] * 2, dtype=np.float64)
-            region = Region(
-                origin=table["origin_m"],
-                voxel=float(table["voxel_m"]),
-                cells=np.repeat(np.arange(len(runs)) % 2 == 1, runs).reshape(table["shape"]),
-                share=float(table["share"]),
-                held=float(table["held"]),
-                box=np.where(np.isnan(box), [[-np.inf], [np.inf]], box),
-            )
-            names = (robot["name"], robot["base"], robot["tip"], robot["joints"])
+            runs = np.asarray(table["runs"], dtype=np.int64)
+            cells = np.repeat(np.arange(len(runs)) % 2 == 1, runs).reshape(table["shape"])
+            numbers = (float(table[key]) for key in ("share", "held"))
+            name, base, tip, joints = (table["robot"][k] for k in ("name", "base", "tip", "joints"))
             return cls(
-                region, *names, read_only(table["target_xyz_m"]), table["samples"], table["seed"]
+                region=Region(table["origin_m"], float(table["voxel_m"]), cells, *numbers),
+                robot=name,
+                base=base,
+                tip=tip,
+                joints=joints,
+                target=read_only(table["target_xyz_m"]),
+                samples=table["samples"],
+                seed=table["seed"],
             )
         except (CalibError, KeyError, TypeError, ValueError, OverflowError) as error:
             raise FileError(
                 f"{path}: the region is damaged: {damage(error)}. Write it again with 'calib workspace -o'."
             ) from error
 
-    def check_fits(self, robot: Robot, target: Array | None = None) -> tuple[str, ...]:
-        """Whether the region is one of this robot: refuse another base, say what else differs.
-
-        Args:
-            robot: The robot that the region is wanted for.
-            target: shape (3,), its target in the tip [m]; None where it is not known.
-
-        Returns:
-            Sentences on what differs and may well be meant so: the robot's name, or the target by more than a voxel.
+    def check_fits(self, robot: Robot, target: Array | None = None) -> None:
+        """Refuse a region of another base, tip or joints, or of a target more than a voxel away in the tip.
 
         Raises:
-            CalibError: The region is in the frame of another base, or of another tip or other joints.
+            CalibError: It is one.
         """
-        for what, here, there in (("base", robot.base, self.base), ("tip", robot.tip, self.tip)):
+        apart = 0.0 if target is None else float(np.linalg.norm(target - self.target))
+        names = tuple(joint["name"] for joint in self.joints)
+        for what, here, there in (
+            ("the base", robot.base, self.base),
+            ("the tip", robot.tip, self.tip),
+            ("the joints", choices(robot.joint_names), choices(names)),
+            ("a target", f"{1e3 * apart:.0f} mm away", "where it was")
+            if apart > self.region.voxel
+            else ("", "", ""),
+        ):
             if here != there:
                 raise CalibError(
-                    f"The region was made for the {what} '{there}' of '{self.robot}', and the {what} is '{here}' now. "
-                    f"Give --{what} {there}, or make the region again with 'calib workspace'."
+                    f"The region was made for {what} {there}, and now it is {here}: give the same --base, --tip, "
+                    "--hold and --target, or make the region again with 'calib workspace'."
                 )
-        names = tuple(joint["name"] for joint in self.joints)
-        if robot.joint_names != names:
-            raise CalibError(
-                f"The region was made for the joints {choices(names)} of '{self.robot}'; the chain '{robot.base}' to "
-                f"'{robot.tip}' of '{robot.name}' has {choices(robot.joint_names)}. Give the same --hold, or make the "
-                "region again with 'calib workspace'."
-            )
-        notes = []
-        if robot.name != self.robot:
-            notes.append(f"The region was made for '{self.robot}', this robot is '{robot.name}'.")
-        apart = 0.0 if target is None else float(np.linalg.norm(target - self.target))
-        if apart > self.region.voxel:
-            notes.append(
-                f"The region was made for a target {1e3 * apart:.0f} mm away from this one in the tip; make it again "
-                "with 'calib workspace --target' if that matters."
-            )
-        return tuple(notes)

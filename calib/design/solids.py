@@ -11,14 +11,14 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 from pinocchio import hppfcl
 
-from calib.errors import CalibError, UrdfError
+from calib.errors import CalibError, UrdfError, choices
 from calib.robot.chain import full_model, link_frame
 from calib.robot.meshes import LinkShape, find_mesh, link_shapes, load_mesh, mesh_folders
 from calib.robot.robot import Robot
@@ -34,8 +34,8 @@ SAMPLES, ALWAYS = 256, 0.95
 #: What stands for all below the mounting plane is a box so thick and twice as wide [m].
 _GROUND = 20.0
 
-#: Why links that a joint joins are not compared.
-JOINED = "a joint joins them"
+#: Why links are not compared.
+JOINED, ALWAYS_TOUCHING = "joined", "touching"
 
 
 class Kind(Enum):
@@ -63,9 +63,7 @@ def read_solids(
 ) -> tuple[list[Solid], tuple[str, ...], tuple[str, ...]]:
     """The geometry of every link; each mesh file is read once.
 
-    Args:
-        urdf: The robot.
-        package_dirs: Folders in which ``package://`` meshes are looked for before all others.
+    ``package_dirs`` are the folders in which ``package://`` meshes are looked for before all others.
 
     Returns:
         The shapes; the links without collision geometry, whose visual geometry stands for it; and the links that carry
@@ -75,7 +73,7 @@ def read_solids(
         UrdfError: A mesh cannot be found or read, or no link has geometry.
     """
     folders = mesh_folders(urdf, package_dirs)
-    collision, visual = list(link_shapes(urdf, "collision")), list(link_shapes(urdf, "visual"))
+    shapes = {tag: list(link_shapes(urdf, tag)) for tag in ("collision", "visual")}
     # Pinocchio keeps the inertias of joints, not of links.
     bodies = {
         link.get("name", "")
@@ -85,13 +83,10 @@ def read_solids(
     meshes: dict[tuple[str, tuple[float, ...]], Any] = {}
     solids, from_visuals, unchecked = [], [], []
     for link in urdf.links:
-        proper = [shape for shape in collision if shape.link == link]
-        own = proper or [shape for shape in visual if shape.link == link]
-        found = [(shape, _geometry(urdf, shape, folders, meshes)) for shape in own]
+        proper, visual = ([one for one in shapes[tag] if one.link == link] for tag in shapes)
+        found = [(one, _geometry(urdf, one, folders, meshes)) for one in proper or visual]
         usable = [
-            Solid(link, Kind.LINK, link, shape.T_link_shape, geometry)
-            for shape, geometry in found
-            if geometry is not None
+            Solid(link, Kind.LINK, link, one.T_link_shape, g) for one, g in found if g is not None
         ]
         if usable and not proper:
             from_visuals.append(link)
@@ -100,8 +95,8 @@ def read_solids(
         solids += usable
     if not solids:
         raise UrdfError(
-            f"{urdf.source}: no link has a <collision> or <visual> with a geometry that can be used: collisions "
-            "cannot be checked. Take a URDF with geometry, or plan without collisions (--no-collisions)."
+            f"{urdf.source}: no link has a <collision> or <visual> with a geometry that can be used. Take a URDF with "
+            "geometry, or plan without collisions (--no-collisions)."
         )
     return solids, tuple(from_visuals), tuple(unchecked)
 
@@ -121,31 +116,24 @@ def _geometry(
 ) -> Any:  # noqa: ANN401  coal has no types
     """A shape as coal has it; None for a kind or a size that is none."""
     if shape.mesh is None:
-        kinds = {
-            "box": hppfcl.Box,
-            "cylinder": hppfcl.Cylinder,
-            "capsule": hppfcl.Capsule,
-            "sphere": hppfcl.Sphere,
-        }
-        return None if shape.sizes is None else kinds[shape.geometry.tag](*shape.sizes)
+        tag = shape.geometry.tag.capitalize()
+        known = shape.sizes is not None and tag in ("Box", "Cylinder", "Capsule", "Sphere")
+        return getattr(hppfcl, tag)(*(shape.sizes or ())) if known else None
     if shape.mesh not in meshes:
         name, scale = shape.mesh
         path = find_mesh(name, folders)
         if path is None:
-            listed = ", ".join(str(folder) for folder in folders[:4])
-            more = f" and {len(folders) - 4} more folders" if len(folders) > 4 else ""
             raise UrdfError(
-                f"{urdf.source}: link '{shape.link}': the mesh '{name}' was not found in {listed}{more}. Name the "
-                "folder that holds it, for package://NAME/... the one that NAME stands in, by --package-dir, or plan "
-                "without collisions (--no-collisions)."
+                f"{urdf.source}: link '{shape.link}': the mesh '{name}' was not found in "
+                f"{choices(map(str, folders))}. Name the folder that holds it by --package-dir (for package://NAME/... "
+                "the one that NAME is in), or plan without collisions (--no-collisions)."
             )
-        mesh, problem = load_mesh(path, scale)
-        if mesh is None:
+        meshes[shape.mesh], problem = load_mesh(path, scale)
+        if problem:
             raise UrdfError(
                 f"{urdf.source}: link '{shape.link}': the mesh file '{path}' {problem}. Replace it, or plan without "
                 "collisions (--no-collisions)."
             )
-        meshes[shape.mesh] = mesh
     return meshes[shape.mesh]
 
 
@@ -254,12 +242,19 @@ def mounting_plane(
     return Solid(name, Kind.PLANE, base, T_base_ground, shape)
 
 
+class Pairs(NamedTuple):
+    """The scene with the pairs that can tell poses apart, and the others, by the names of what they belong to."""
+
+    scene: Scene
+    checked: tuple[tuple[str, str], ...]
+    ignored: dict[tuple[str, str], str]
+    close: tuple[tuple[str, str], ...]
+
+
 def choose_pairs(
     robot: Robot, scene: Scene, rigid: Mapping[str, str], configurations: Array, clearance: float
-) -> tuple[
-    Scene, tuple[tuple[str, str], ...], dict[tuple[str, str], str], tuple[tuple[str, str], ...]
-]:
-    """The scene with the pairs that can tell poses apart, most touched first, and what `CollisionModel` has of them.
+) -> Pairs:
+    """Pairs of shapes to compare, those that touch most often first.
 
     Args:
         robot: The robot.
@@ -300,20 +295,19 @@ def choose_pairs(
     kept: list[tuple[int, Pair, float]] = []
     close = []
     for names, own in owned.items():
-        count = np.count_nonzero(touched[:, own].any(axis=1))
-        always = count >= ALWAYS * SAMPLES
-        if always and parts[flat[own[0]][1]].kind is not Kind.BOX:
-            ignored[names] = f"touching at {count} of {SAMPLES} poses over the joints' ranges"
+        share = touched[:, own].any(axis=1).mean()
+        if share >= ALWAYS and parts[flat[own[0]][1]].kind is not Kind.BOX:
+            ignored[names] = ALWAYS_TOUCHING
             continue
-        too_close = not always and near[:, own].any(axis=1).mean() >= ALWAYS
+        too_close = share < ALWAYS and near[:, own].any(axis=1).mean() >= ALWAYS
         if too_close:
             close.append(names)
         hits, margin = (touched, 0.0) if too_close else (near, clearance)
         kept += [(int(hits[:, k].sum()), flat[k], margin) for k in own]
     kept.sort(key=lambda one: -one[0])
-    pairs = tuple(dict.fromkeys(scene.names(pair) for _, pair, _ in kept))
+    checked = tuple(dict.fromkeys(scene.names(pair) for _, pair, _ in kept))
     scene = scene.comparing([pair for _, pair, _ in kept], [margin for *_, margin in kept])
-    return scene, pairs, ignored, tuple(close)
+    return Pairs(scene, checked, ignored, tuple(close))
 
 
 def _check_around(
@@ -325,20 +319,18 @@ def _check_around(
     near: Mask,
 ) -> None:
     """Refuse a box that the robot touches wherever it goes, and a plane that its tip never leaves."""
-    for j, part in enumerate(scene.parts):
+    parts = scene.parts
+    for j, part in enumerate(parts):
         own = [k for k, pair in enumerate(pairs) if pair[1] == j]
         if part.kind is Kind.BOX and own and near[:, own].any(axis=1).all():
-            most = max(own, key=lambda k: int(near[:, k].sum()))
-            size = " x ".join(f"{2e3 * v:g}" for v in part.geometry.halfSide)
-            x, y, z = (f"{1e3 * v:g}" for v in part.T_link_shape[:3, 3])
+            most = parts[pairs[max(own, key=lambda k: int(near[:, k].sum()))][0]].owner
             raise CalibError(
-                f"The box '{part.owner}' swallows the robot: it touches moving links at all of {SAMPLES} poses over "
-                f"the joints' ranges, '{scene.parts[pairs[most][0]].owner}' most often. It measures {size} mm about "
-                f"the point ({x}, {y}, {z}) mm of the base '{robot.base}'; move it, make it smaller, or leave it out."
+                f"The box '{part.owner}' touches the robot at all of {SAMPLES} poses over the joints' ranges, '{most}' "
+                "most often. Move it, make it smaller, or leave it out."
             )
-        held = [k for k in own if rigid[scene.parts[pairs[k][0]].link] == rigid[robot.tip]]
+        held = [k for k in own if rigid[parts[pairs[k][0]].link] == rigid[robot.tip]]
         if part.kind is Kind.PLANE and held and touched[:, held].any(axis=1).mean() >= ALWAYS:
             raise CalibError(
                 f"What the tip '{robot.tip}' carries is below {part.owner} wherever the robot goes: the robot is not "
-                "mounted there. Leave the plane out (--no-floor), and name what stands around as boxes."
+                "mounted there. Leave the plane out (--no-floor), and give what stands around as boxes."
             )

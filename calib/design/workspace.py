@@ -1,42 +1,35 @@
-"""Where a target comes to lie, how often, and the region that holds most of it (the paper, section 4.3).
+"""Where a target lies, how often, and the region that holds most of it (the paper, section 4.3).
 
-Joint values are drawn evenly between their ends, by a scrambled Sobol sequence, and the target's positions counted in
-the voxels of a grid. The count n of a voxel of edge h, among N samples, is the density
+Joint values are drawn evenly by a scrambled Sobol sequence, and the target's positions counted in the voxels of a grid.
+The count n of a voxel of edge h, among N samples, is the density f = n / (N h^3), smoothed over neighbours by
+(1, 2, 1) / 4 along each axis and among reached voxels alone, so that nothing leaks out of the workspace. The region of
+a share is made of the fewest voxels that hold it: those of the highest density first.
 
-    f = n / (N h^3)
-
-smoothed over the voxels next to it, by (1, 2, 1) / 4 along each axis and among reached voxels alone, so that nothing
-leaks out of the workspace and a flat one stays flat. The region of a share is made of the fewest voxels that hold it:
-those of the highest density first.
-
-Small voxels show more and hold fewer samples. Without being told otherwise, the voxel is the smallest round length for
-which a smoothed count rests on `SAMPLES_PER_VOXEL` samples in the mean, a statistical error of 6 % (10 % at the border
-of 95 %). With plain counts and half as large voxels, the region would hold a few per cent less of the next samples
-than of those that it was made from, and other samples would make another region.
+Unless it is given, the voxel is the smallest round length for which a smoothed count rests on `SAMPLES_PER_VOXEL`
+samples in the mean, a statistical error of 6 % (10 % at the border of 95 %).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
+from calib.data.measurements import Measurements
 from calib.data.ranges import joint_ranges
 from calib.data.surroundings import vector
-from calib.design.region import Region, checked_box, checked_points, no_box, voxel_of
+from calib.design.region import Region, checked_points, voxel_of
 from calib.errors import CalibError
 from calib.robot.robot import Robot, read_only
 
 Array = NDArray[np.float64]
 
-#: Samples that are drawn if nothing else is said.
-COUNT = 2**17
-
-#: How many samples the smoothed count of a voxel rests on in the mean, where the voxel's size is chosen here.
-SAMPLES_PER_VOXEL = 300.0
+#: Samples by default, and samples that the smoothed count of a voxel rests on in the mean where its size is chosen.
+COUNT, SAMPLES_PER_VOXEL = 2**17, 300.0
 
 #: The most voxels of a grid, and the most along an axis where the size is chosen here.
 MOST_VOXELS, _FINEST = 4_000_000, 128
@@ -44,17 +37,11 @@ MOST_VOXELS, _FINEST = 4_000_000, 128
 #: Samples that are computed at once.
 _CHUNK = 2**15
 
-#: Weights of a voxel and its two neighbours along an axis.
-_WEIGHTS = np.array([0.25, 0.5, 0.25])
-
-#: First figures of round lengths.
-_ROUND = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0)
-
-#: A workspace that is not longer than this is one point [m].
-_POINT = 1e-9
+#: Weights of a voxel and its two neighbours along an axis, and first figures of round lengths.
+_WEIGHTS, _ROUND = np.array([0.25, 0.5, 0.25]), (1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10)
 
 
-def sample_workspace(
+def workspace(
     robot: Robot,
     target: ArrayLike = (0.0, 0.0, 0.0),
     ranges: ArrayLike | None = None,
@@ -62,19 +49,18 @@ def sample_workspace(
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Array:
-    """Where a target comes to lie when the joints take all their values equally often.
+    """Where a target lies when the joints take all their values equally often.
 
     Args:
         robot: The robot.
         target: shape (3,), the target in the tip [m].
         ranges: shape (m, 2), lowest and highest value of each joint [rad] or [m]; None: those of `joint_ranges`.
         count: How many samples; a power of two is spread the most evenly.
-        seed: Of the scrambling: the same seed gives the same points.
+        seed: The same seed gives the same points.
         progress: Called with the samples done and all.
 
     Returns:
         shape (count, 3), in the base frame [m], read-only.
-
     """
     # Not above: SciPy's distributions take as long to import as the rest of calib.
     from scipy.stats import qmc
@@ -97,59 +83,35 @@ def sample_workspace(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Density:
-    """How often samples come to lie in each voxel of a grid in the base frame.
+    """How often samples lie in each voxel of a grid in the base frame.
 
     Attributes:
         origin: shape (3,), the grid's least corner [m].
         voxel: Edge of a voxel [m].
         counts: shape (nx, ny, nz), samples in each voxel. Read-only.
         smooth: shape (nx, ny, nz), the same smoothed over neighbours, 0 where there is no sample. Read-only.
-        box: shape (2, 3), the box that samples were taken from [m]; infinite where there is none.
-        drawn: Number of samples before those outside of the box were left out.
     """
 
     origin: Array
     voxel: float
     counts: NDArray[np.int64]
     smooth: Array
-    box: Array
-    drawn: int
 
     @classmethod
-    def of(
-        cls, points: ArrayLike, voxel: float | None = None, box: ArrayLike | None = None
-    ) -> Density:
-        """Count points in voxels.
-
-        Args:
-            points: shape (N, 3), in the base frame [m].
-            voxel: Edge of a voxel [m]; None: chosen, see the module's text.
-            box: shape (2, 3), least and greatest corner [m]: points outside are left out.
+    def of(cls, points: ArrayLike, voxel: float | None = None) -> Density:
+        """Count points of shape (N, 3), in the base frame [m]; None: a voxel of a size that suits them.
 
         Raises:
-            CalibError: No points, or none in the box; or a voxel that is not greater than zero or so small that
-                the grid would have more than `MOST_VOXELS`.
+            CalibError: No points, or a voxel that makes no grid, or one of more than `MOST_VOXELS`.
         """
-        every = checked_points(points)
-        corners = no_box() if box is None else checked_box(box)
-        inside = every[np.all((every >= corners[0]) & (every <= corners[1]), axis=1)]
-        if not len(every):
+        values = checked_points(points)
+        if not len(values):
             raise CalibError("No points were given to count; give one at least.")
-        if not len(inside):
-            low, high = np.min(every, axis=0), np.max(every, axis=0)
-            a, b, c, d = (
-                " ".join(f"{1e3 * v:.4g}" for v in corner) for corner in (*corners, low, high)
-            )
-            raise CalibError(
-                f"The region is empty: none of {len(every):,} samples lies in the box from {a} to {b} mm. They lie "
-                f"between {c} and {d} mm in the base frame; give a box there, or wider ranges of the joints."
-            )
-        low, high = inside.min(axis=0), inside.max(axis=0)
-        edge = _chosen_voxel(inside, low, high) if voxel is None else float(voxel)
-        origin, shape = _grid(low, high, edge)
-        counts = _counted(inside, origin, edge, shape)
+        low, high = values.min(axis=0), values.max(axis=0)
+        edge = _chosen_voxel(values, low, high) if voxel is None else float(voxel)
+        origin, counts = _counted(values, low, high, edge)
         counts.setflags(write=False)
-        return cls(origin, edge, counts, read_only(_smoothed(counts)[0]), corners, len(every))
+        return cls(origin, edge, counts, read_only(_smoothed(counts)[0]))
 
     @property
     def samples(self) -> int:
@@ -159,9 +121,7 @@ class Density:
     @property
     def extent(self) -> Array:
         """Least and greatest corner of the voxels that hold samples, shape (2, 3), [m]."""
-        index = np.argwhere(self.counts)
-        ends = np.array([index.min(axis=0), index.max(axis=0) + 1])
-        return read_only(self.origin + self.voxel * ends)
+        return Region(self.origin, self.voxel, self.counts > 0, 1.0, 1.0).bounds
 
     @property
     def error(self) -> float:
@@ -181,30 +141,21 @@ class Density:
         order, held = self._by_density()
         # Sums of counts are exact, so that 0.95 of 100 samples is 95 of them.
         last = int(np.searchsorted(held, share * (1.0 - 1e-12)))
-        cells = np.zeros(self.counts.size, dtype=np.bool_)
-        cells[order[: last + 1]] = True
-        return Region(
-            origin=self.origin,
-            voxel=self.voxel,
-            cells=cells.reshape(self.counts.shape),
-            share=float(share),
-            held=float(held[last]),
-            box=self.box,
-        )
+        cells = np.isin(np.arange(self.counts.size), order[: last + 1]).reshape(self.counts.shape)
+        return Region(self.origin, self.voxel, cells, float(share), float(held[last]))
 
     def share_of(self, points: ArrayLike) -> Array:
         """The smallest share whose region holds each of the points, shape (N, 3), in the base frame [m].
 
         shape (N,): near 0 where the target is most often, 1 at the rim of the workspace, infinite where no sample came.
         """
-        values = checked_points(points)
         order, held = self._by_density()
         needed = np.full(self.counts.size, np.inf)
         needed[order] = held
+        values = checked_points(points)
         index, known = voxel_of(values, self.origin, self.voxel, self.counts.shape)
-        inside = known & np.all((values >= self.box[0]) & (values <= self.box[1]), axis=1)
         found = needed.reshape(self.counts.shape)[tuple(index.T)]
-        return read_only(np.where(inside, found, np.inf))
+        return read_only(np.where(known, found, np.inf))
 
     def _by_density(self) -> tuple[NDArray[np.intp], Array]:
         """The voxels with samples, densest first, and the share that those up to each hold."""
@@ -213,68 +164,96 @@ class Density:
         return order, held
 
 
-def _grid(low: Array, high: Array, voxel: float) -> tuple[Array, tuple[int, ...]]:
-    """Least corner and shape of the grid of voxels that lies evenly about a box, [m]."""
+class Checked(NamedTuple):
+    """A table, its points in the base (N, 3), whether they were measured (N,), and where they are predicted."""
+
+    rows: Measurements
+    points: Array
+    measured: NDArray[np.bool_]
+    predicted: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RegionView:
+    """A region of a robot's workspace as it is printed and drawn.
+
+    Attributes:
+        robot: The nominal robot.
+        target: shape (3,), in the tip [m].
+        ranges: shape (m, 2), of the joints [rad] or [m].
+        density: The density.
+        region: A region of it.
+        checked: A table whose rows are compared with the region; None for none.
+    """
+
+    robot: Robot
+    target: Array
+    ranges: Array
+    density: Density
+    region: Region
+    checked: Checked | None = None
+
+    @property
+    def pose(self) -> Array:
+        """Joint values to draw the robot at, shape (m,): the first row's, or some where the target is often."""
+        if self.checked is not None and len(self.checked.rows):
+            return read_only(self.checked.rows.joints_for(self.robot.joint_names)[0])
+        low, high = self.ranges.T
+        q = low + np.random.default_rng(0).uniform(size=(200, len(low))) * (high - low)
+        poses = self.robot.poses(q)
+        needed = self.density.share_of(poses[:, :3, :3] @ self.target + poses[:, :3, 3])
+        return read_only(q[np.argmin(needed)])
+
+
+def _counted(
+    points: Array, low: Array, high: Array, voxel: float
+) -> tuple[Array, NDArray[np.int64]]:
+    """The least corner of a grid that lies evenly about the points [m], and how many lie in each of its voxels."""
     if not (np.isfinite(voxel) and voxel > 0.0):
         raise CalibError(f"The voxel is {1e3 * voxel:g} mm; it must be a length greater than 0.")
     # A length that is a multiple of the voxel's, but for rounding, gets no voxel more.
     sides = np.maximum(np.ceil((high - low) / voxel - 1e-6), 1.0)
     if np.prod(sides) > MOST_VOXELS:
-        many = float(np.prod(sides)) / MOST_VOXELS
-        least = voxel * many ** (1.0 / max(1, int(np.sum(sides > 1))))
-        size = " x ".join(f"{v:.4g}" for v in 1e3 * (high - low))
         raise CalibError(
-            f"Voxels of {1e3 * voxel:g} mm make a grid of {np.prod(sides):.3g} in a workspace of {size} mm; at most "
-            f"{MOST_VOXELS:,} are made. Give voxels of {1e3 * _round_up(least):g} mm or more."
+            f"Voxels of {1e3 * voxel:g} mm make a grid of {np.prod(sides):.3g}; at most {MOST_VOXELS:,} are made. "
+            "Give larger ones."
         )
+    origin = read_only(0.5 * (low + high) - 0.5 * voxel * sides)
     shape = tuple(int(n) for n in sides)
-    return read_only(0.5 * (low + high) - 0.5 * voxel * sides), shape
-
-
-def _counted(
-    points: Array, origin: Array, voxel: float, shape: tuple[int, ...]
-) -> NDArray[np.int64]:
-    """How many points lie in each voxel; all of them lie in the grid."""
     index, _ = voxel_of(points, origin, voxel, shape)
     flat = np.ravel_multi_index(tuple(index.T), shape)
-    return np.bincount(flat, minlength=int(np.prod(shape))).reshape(shape)
+    return origin, np.bincount(flat, minlength=int(np.prod(shape))).reshape(shape)
 
 
 def _smoothed(counts: NDArray[np.int64]) -> tuple[Array, Array]:
     """Counts averaged over the voxels next to them that hold any, and how many voxels each average stands for."""
+
+    def spread(values: Array, weights: Array) -> Array:
+        for axis in range(3):
+            values = ndimage.convolve1d(values, weights, axis=axis, mode="constant")
+        return values
+
     reached = (counts > 0).astype(np.float64)
-    weight = _spread(reached, _WEIGHTS)
+    weight = spread(reached, _WEIGHTS)
     safe = np.maximum(weight, np.finfo(float).tiny)
-    mean = reached * _spread(counts.astype(np.float64), _WEIGHTS) / safe
+    mean = reached * spread(counts.astype(np.float64), _WEIGHTS) / safe
     # The variance of a weighted mean is that of a plain one of (sum w)^2 / sum w^2 values.
-    stands_for = reached * weight**2 / np.maximum(_spread(reached, _WEIGHTS**2), 1e-300)
-    return mean, stands_for
-
-
-def _spread(values: Array, weights: Array) -> Array:
-    """Weighted sums of each voxel and its neighbours, shape (nx, ny, nz)."""
-    for axis in range(3):
-        values = ndimage.convolve1d(values, weights, axis=axis, mode="constant")
-    return values
+    return mean, reached * weight**2 / np.maximum(spread(reached, _WEIGHTS**2), 1e-300)
 
 
 def _rests_on(counts: NDArray[np.int64]) -> float:
     """How many samples the smoothed count of a voxel rests on, in the mean over the voxels with samples."""
     reached = np.count_nonzero(counts)
-    stands_for = float(_smoothed(counts)[1].sum()) / reached
-    return stands_for * float(counts.sum()) / reached
+    return float(_smoothed(counts)[1].sum()) / reached * float(counts.sum()) / reached
 
 
 def _chosen_voxel(points: Array, low: Array, high: Array) -> float:
     """The smallest round length for which a smoothed count rests on enough samples, see the module's text [m]."""
     longest = float(np.max(high - low))
-    if longest < _POINT:
+    if longest < 1e-9:
         return 1e-3
     voxel = _round_up(longest / _FINEST)
-    while voxel < longest:
-        origin, shape = _grid(low, high, voxel)
-        if _rests_on(_counted(points, origin, voxel, shape)) >= SAMPLES_PER_VOXEL:
-            return voxel
+    while voxel < longest and _rests_on(_counted(points, low, high, voxel)[1]) < SAMPLES_PER_VOXEL:
         voxel = _round_up(1.01 * voxel)
     return voxel
 
@@ -282,6 +261,6 @@ def _chosen_voxel(points: Array, low: Array, high: Array) -> float:
 def _round_up(length: float) -> float:
     """The least round length that is not below another [m]."""
     power = 10.0 ** np.floor(np.log10(length))
-    figures = [step for step in (*_ROUND, 10.0) if step * power >= length * (1.0 - 1e-9)]
+    figure = next(step for step in _ROUND if step * power >= length * (1.0 - 1e-9))
     # Written out in decimals, 0.02 is nearer to 20 mm than 2 * 0.01.
-    return float(f"{figures[0] * power:.3g}")
+    return float(f"{figure * power:.3g}")

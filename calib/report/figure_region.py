@@ -6,21 +6,18 @@ shows density and region in a plane. PNG, SVG or PDF, by the ending of the file'
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.design.region import Region
-from calib.design.workspace import Density
+from calib.design.workspace import Checked, Density, RegionView
 from calib.errors import FileError, choices
 from calib.files import write_atomically
 from calib.report.figure_base import KINDS, line, number_points, saved, styled, write_beside
 from calib.report.figure_space import VIEWS
 from calib.report.label_rows import ESTIMATION, INK, LITTLE_TO_MUCH, VALIDATION
-from calib.robot.robot import Robot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,15 +28,6 @@ Mask = NDArray[np.bool_]
 
 #: Lines and labels beside the pictures.
 _PALE, _GREY = "#9aa7b4", "#4a5866"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Marked:
-    """Points of a table, shape (N, 3), in the base [m], their row numbers, and which are to validate with."""
-
-    points: Array
-    rows: tuple[int, ...]
-    validation: Mask
 
 
 def check_ending(path: str | Path) -> str:
@@ -57,29 +45,14 @@ def check_ending(path: str | Path) -> str:
     return kind
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RegionView:
-    """What a picture or a page of a region shows.
-
-    Attributes:
-        robot: The nominal robot.
-        q: shape (m,), [rad] or [m], how it stands.
-        target: shape (3,), in the tip [m].
-        density: The density.
-        region: A region of it.
-        title: The heading, plain text.
-        text: A line below it, plain text.
-        marked: Points of a table; None for none.
-    """
-
-    robot: Robot
-    q: Array
-    target: Array
-    density: Density
-    region: Region
-    title: str
-    text: str = ""
-    marked: Marked | None = None
+def headings(view: RegionView) -> tuple[str, str]:
+    """Title and line below it of pictures and pages of a region."""
+    region = view.region
+    return (
+        f"{view.robot.name}: positions of the target, {100 * region.share:.4g} %",
+        f"{view.robot.base} to {view.robot.tip}; region {1e3 * region.volume:,.4g} litres, voxels of "
+        f"{1e3 * region.voxel:g} mm, {view.density.samples:,} samples",
+    )
 
 
 def write_picture(view: RegionView, path: str | Path, *, overwrite: bool = False) -> Path:
@@ -90,7 +63,7 @@ def write_picture(view: RegionView, path: str | Path, *, overwrite: bool = False
     """
     kind = check_ending(path)
     with styled():
-        data = saved(draw_region(view), kind, view.title, view.text, dpi=150)
+        data = saved(draw_region(view), kind, *headings(view), dpi=150)
     return write_atomically(Path(path), data, overwrite=overwrite)
 
 
@@ -99,18 +72,19 @@ def draw_region(view: RegionView) -> Figure:
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-    density, region, marked = view.density, view.region, view.marked
+    density, region, checked = view.density, view.region, view.checked
+    title, text = headings(view)
     wide = np.ptp(density.extent, axis=0).max() > 10.0
     scale, unit = (1.0, "m") if wide else (1e3, "mm")
     layout = ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.08, rect=(0, 0.01, 1, 0.9))
     figure = Figure(figsize=(13.0, 9.2), layout=layout)
-    figure.text(0.02, 0.965, view.title, size=15, weight="bold", va="center")
-    figure.text(0.02, 0.932, view.text, size=10, color=_GREY, va="center")
+    figure.text(0.02, 0.965, title, size=15, weight="bold", va="center")
+    figure.text(0.02, 0.932, text, size=10, color=_GREY, va="center")
     axes = figure.subplots(2, 3)
     # The voxel at the mean of the samples.
     index = np.indices(density.counts.shape).reshape(3, -1)
     centre = np.round(index @ density.counts.ravel() / density.samples).astype(np.intp)
-    limits = _limits(density, marked)
+    limits = _limits(density, None if checked is None else checked.points)
     images = {}
     for column, (i, j, name) in enumerate(VIEWS):
         k = 3 - i - j
@@ -122,11 +96,11 @@ def draw_region(view: RegionView) -> Figure:
             (1, *cut, f"Cut at {'xyz'[k]} = {scale * at:.0f} {unit}"),
         ):
             ax = axes[row, column]
-            images[row] = _panel(ax, density, region, (i, j), values, inside)
+            images[row] = _panel(ax, density, (i, j), values, inside)
             ax.set_title(heading, size=11, weight="normal", loc="center")
             _dress(ax, limits[:, (i, j)], (i, j), scale, unit)
-    if marked is not None and len(marked.points):
-        _mark(axes[0], marked, region.contains(marked.points), figure)
+    if checked is not None and len(checked.points):
+        _mark(axes[0], checked, region.contains(checked.points), figure)
     for row, where in ((0, "along the line of sight"), (1, "in the cut")):
         bar = figure.colorbar(
             images[row], ax=list(axes[row]), shrink=0.85, pad=0.015, ticks=[0, 0.5, 1]
@@ -137,18 +111,10 @@ def draw_region(view: RegionView) -> Figure:
     return figure
 
 
-def _panel(
-    ax: Axes,
-    density: Density,
-    region: Region,
-    pair: tuple[int, int],
-    values: Array,
-    inside: Mask,
-) -> Any:  # noqa: ANN401  an image of matplotlib
+def _panel(ax: Axes, density: Density, pair: tuple[int, int], values: Array, inside: Mask) -> Any:  # noqa: ANN401
     """Density and outline in the plane of two axes."""
     from matplotlib.collections import LineCollection
     from matplotlib.colors import LinearSegmentedColormap
-    from matplotlib.patches import Rectangle
 
     low = density.origin[list(pair)]
     high = low + density.voxel * np.array(values.shape)
@@ -162,18 +128,9 @@ def _panel(
         interpolation="nearest",
         zorder=1,
     )
-    corners = region.box[:, list(pair)]
-    # Edges of voxels that the box cuts off lie on the box.
-    edges = list(np.clip(outline(inside, low, density.voxel), corners[0], corners[1]))
+    edges = list(outline(inside, low, density.voxel))
     lines = LineCollection(edges, colors=INK, linewidths=1.3, capstyle="projecting", zorder=3)
     ax.add_collection(lines)
-    if np.isfinite(corners).any():
-        # An open side of the box ends outside of the picture.
-        ends = np.clip(corners, low - 2 * (high - low), high + 2 * (high - low))
-        start, size = ends[0].tolist(), (ends[1] - ends[0]).tolist()
-        frame = Rectangle(start, *size, fill=False, ls="--", lw=1.0, ec=_GREY, zorder=2)
-        frame.set_in_layout(False)
-        ax.add_patch(frame)
     return image
 
 
@@ -210,26 +167,27 @@ def _dress(ax: Axes, limits: Array, pair: tuple[int, int], scale: float, unit: s
         write_beside(ax, "base", np.zeros(2))
 
 
-def _mark(axes: Any, marked: Marked, inside: Mask, figure: Figure) -> None:  # noqa: ANN401
+def _mark(axes: Any, checked: Checked, inside: Mask, figure: Figure) -> None:  # noqa: ANN401
     """The rows' points in each view, and what they mean."""
+    rows, points = checked.rows, checked.points
     handles = [line("outline of the region", color=INK, lw=1.5)]
-    for rows, colour, shape, size, word in (
-        (~marked.validation, ESTIMATION, "o", 4.5, "estimation"),
-        (marked.validation, VALIDATION, "D", 6.0, "validation"),
+    for chosen_set, colour, shape, size, word in (
+        (rows.estimation, ESTIMATION, "o", 4.5, "estimation"),
+        (rows.validation, VALIDATION, "D", 6.0, "validation"),
     ):
         for within, where in ((True, "inside"), (False, "outside")):
-            chosen = rows & (inside == within)
+            chosen = chosen_set & (inside == within)
             if not chosen.any():
                 continue
             look: dict[str, Any] = {"ls": "none", "marker": shape, "ms": size}
             look |= {"mfc": colour if within else "white", "mec": "white" if within else colour}
             look["mew"] = 0.7 if within else 1.4
             for ax, (i, j, _) in zip(axes, VIEWS, strict=True):
-                ax.plot(marked.points[chosen, i], marked.points[chosen, j], zorder=4, **look)
+                ax.plot(points[chosen, i], points[chosen, j], zorder=4, **look)
             handles.append(line(f"{np.count_nonzero(chosen)} {word} rows {where}", **look))
     for ax, (i, j, _) in zip(axes, VIEWS, strict=True):
-        places = marked.points[:, [i, j]]
-        number_points(ax, marked.rows, places, marked.validation | ~inside)
+        places = points[:, [i, j]]
+        number_points(ax, rows.rows, places, rows.validation | ~inside)
     figure.legend(
         handles=handles,
         loc="upper right",
@@ -241,14 +199,14 @@ def _mark(axes: Any, marked: Marked, inside: Mask, figure: Figure) -> None:  # n
     )
 
 
-def _limits(density: Density, marked: Marked | None) -> Array:
+def _limits(density: Density, points: Array | None) -> Array:
     """What the pictures show, shape (2, 3), [m]: the workspace and the points, with some room about them."""
     low, high = density.extent
-    if marked is not None and len(marked.points):
+    if points is not None:
         # A wild point must not make the workspace small.
         room = 0.5 * float(np.max(high - low))
-        near = np.all((marked.points > low - room) & (marked.points < high + room), axis=1)
-        shown = np.vstack([low, high, marked.points[near]])
+        near = np.all((points > low - room) & (points < high + room), axis=1)
+        shown = np.vstack([low, high, points[near]])
         low, high = shown.min(axis=0), shown.max(axis=0)
     half, middle = 0.5 * (high - low), 0.5 * (high + low)
     # A flat workspace gets some height, so that its picture is not a line.

@@ -22,7 +22,7 @@ from calib.data.cell import Cell
 from calib.data.surroundings import Tracker
 from calib.design.candidates import draw, planning_ranges
 from calib.design.forecast import Forecast, Sensitivity, Workspace
-from calib.design.optimal import choose_poses
+from calib.design.optimal import PlanRequest, choose_poses
 from calib.errors import CalibError, ModelError
 from calib.estimate.fitting import Fitted
 from calib.estimate.jobs import batch_size, run
@@ -103,10 +103,7 @@ class Trials:
             given = choose_poses(
                 sensitivity,
                 draw(robot, ranges, [], max(_CANDIDATES, self.count), seed),
-                count=self.count,
-                criterion=self.criterion,
-                ladder=(),
-                seed=seed,
+                PlanRequest(self.count, 0, self.criterion, ladder=(), seed=seed),
                 restarts=1,
             ).planned
         return self.scenario.poses(seed, self.count, self.validation, given, self.sets)

@@ -1,19 +1,21 @@
-"""What ``calib plan`` prints: candidates, forecast, how many poses pay, the way, in plain words."""
+"""What ``calib plan`` prints: candidates, forecast, how many poses pay, the way."""
 
 from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
+from calib.model.families import unit_of
 from calib.text.lines import fill, row_ranges
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from calib.design.forecast import Forecast
+    from calib.design.notes import Code, Note
     from calib.design.plan import Plan
     from calib.design.plan_file import Taken
 
@@ -30,21 +32,38 @@ _SPEED = math.radians(30.0)
 _NAMED = 10
 
 _CRITERIA = {
-    "V": "for the least mean error over the workspace (V-optimal)",
-    "D": "for the most information on the parameters (D-optimal)",
-    "A": "for the least mean variance of the parameters (A-optimal)",
+    "V": "least mean error over the workspace (V-optimal)",
+    "D": "most information on the parameters (D-optimal)",
+    "A": "least mean variance of the parameters (A-optimal)",
+}
+
+_REASONS = {
+    "region": "outside the region",
+    "tracker_range": "out of the tracker's range",
+    "reflector_cone": "with the reflector turned away",
+    "beam": "with something in the beam",
+    "collision": "in collision",
+}
+
+_NOTES: dict[Code, str] = {
+    "generic_target": "No target was given: planned for one at {0} m in the tip (--target).",
+    "orientation_noise": "Assumed noise of an orientation: {0} rad about each axis (sigma_angle_deg in the cell).",
+    "reflector_not_checked": "The reflector's direction was not checked: no position of the tracker (--tracker).",
+    "collisions_not_checked": "Collisions were not checked.",
+    "collisions_checked": "Checked for collisions: links, and each target with a rod of {0} as its holder, with each "
+    "other{1}. Not checked: obstacles that the cell file does not name, cables, hoses, other holders, the "
+    "instrument, people. Drive the first round slowly.",
+    "floor_not_checked": "The floor was not checked.",
+    "no_geometry": "Not checked for collisions, without geometry in the URDF: {0}.",
+    "visual_geometry": "Checked by their visual geometry, for want of another: {0}.",
+    "always_close": "Always closer than the clearance, refused only where they touch: {0}.",
+    "always_touching": "Not checked against each other, for they touch at (nearly) all poses: {0}.",
 }
 
 
 def plan_text(plan: Plan, asked_model: str, remarks: Iterable[str] = ()) -> str:
-    """The text of a plan.
-
-    Args:
-        plan: The plan.
-        asked_model: The model of the cell, which may be ``auto``.
-        remarks: Sentences on what the plan was made from.
-    """
-    notes = [f"Note: {note}" for note in (*remarks, *plan.notes, *_blocked(plan))]
+    """The text of a plan; ``asked_model`` is the cell's, which may be ``auto``, ``remarks`` are on its inputs."""
+    notes = [f"Note: {note}" for note in (*remarks, *map(note_text, plan.notes), *_blocked(plan))]
     paragraphs = (_head(plan, asked_model), _forecasts(plan), _ladder(plan), _travel(plan), notes)
     return "\n\n".join(
         "\n".join(line if line.startswith("  ") else fill(line) for line in lines)
@@ -53,82 +72,53 @@ def plan_text(plan: Plan, asked_model: str, remarks: Iterable[str] = ()) -> str:
     )
 
 
-def notes_of(plan: Plan, taken: Taken | None, path: Path | None) -> Iterator[str]:
-    """What of the table of poses taken does not count, and in which frame the expected values are."""
-    if taken is not None and path is not None and taken.unmeasured:
-        yield (
-            f"Of {path.name} these rows are not measured, and do not count as taken: {row_ranges(taken.unmeasured)}."
-        )
-    if taken is not None and path is not None and taken.validation:
-        yield (
-            f"Of {path.name} {taken.validation} validation rows do not count as taken: nothing is estimated from them."
-        )
-    cell = plan.cell
-    if cell.estimate_frame and cell.T_frame_base is None and not cell.frames:
-        yield (
-            f"The columns 'expected ...' are in the frame of '{plan.robot.base}', for where the instrument stands is "
-            "not known."
-        )
+def note_text(note: Note) -> str:
+    """A note as a sentence."""
+    if note.code == "collisions_checked":
+        radius, *around = note.values
+        others = f" and with {', '.join(map(str, around))}" if around else ""
+        return _NOTES[note.code].format(f"{1e3 * float(radius):g} mm radius", others)
+    return _NOTES[note.code].format(", ".join(map(str, note.values)))
 
 
-def next_text(
-    made: Plan, robot: str, output: Path | None, taken: Path | None, options: Mapping[str, object]
-) -> str:
-    """What a person does next.
+def taken_text(taken: Taken, path: Path) -> Iterator[str]:
+    """Which rows of the table of poses taken do not count."""
+    if taken.unmeasured:
+        yield f"{path.name}: rows {row_ranges(taken.unmeasured)} are not measured and do not count."
+    if taken.validation:
+        yield f"{path.name}: {taken.validation} validation rows do not count."
 
-    Args:
-        made: The plan.
-        robot: The robot as it was named.
-        output: The table of the plan.
-        taken: The table of poses taken.
-        options: Of the call, those that the fit needs too, by their names.
-    """
+
+def next_text(plan: Plan, robot: str, output: Path | None, taken: Path | None) -> str:
+    """What to do next with the robot as it was named, the table of the plan and that of the poses taken."""
     if output is None:
         return "No table was written; add -o plan.csv to write it."
-    said = [
-        shlex.join([f"--{name}", str(value)])
-        for name, given in options.items()
-        for value in (given if isinstance(given, list) else [given])
-        if value is not None
-    ]
-    fit = [shlex.join(["calib", "fit", robot, str(taken or output)]), *said, "-o corrected.urdf"]
-    empty = {"distance": "distance", "pose": "x, y, z, qx, qy, qz, qw"}.get(made.kind, "x, y, z")
+    measured = {"distance": "distance", "pose": "x, y, z, qx, qy, qz, qw"}.get(plan.kind, "x, y, z")
     steps = [
-        f"Drive the {len(made.joints)} poses of {output} from top to bottom, and measure at each.",
-        f"Write what was measured into the empty columns {empty}.",
-    ]
-    listed = made.kind == "point" and taken is None
-    if listed:
-        steps[1] = (
-            f"{steps[1][:-1]}, or keep the tracker's list, its points called as in the column 'point'."
+        f"Drive the {len(plan.joints)} poses of {output} from top to bottom, and measure at each.",
+        f"Write what was measured into the empty columns {measured}"
+        + (
+            ", or keep the tracker's list, its points named as in 'point'."
+            if taken is None
+            else "."
         )
-    if taken is not None:
-        steps.append(f"Add the rows to {taken}, column for column.")
+        + (f" Add the rows to {taken}." if taken is not None else ""),
+    ]
     lines = [fill(f"{k}. {step}", "  ", "   ") for k, step in enumerate(steps, 1)]
-    lines.append(f"  {len(lines) + 1}. {command_text(fit, 11)}")
-    if listed:
-        lines.append(f"     or {command_text([fit[0], '--points tracker.txt', *fit[1:]], 11)}")
-    return "\n".join(["Next:", *lines])
+    fit = ["calib", "fit", robot, str(taken or output), "--base", plan.robot.base]
+    fit += ["--tip", plan.robot.tip, "-o", "corrected.urdf"]
+    points = " (--points tracker.txt), with the plan's cell and options" if taken is None else ""
+    return "\n".join(["Next:", *lines, f"  3. {shlex.join(fit)}{points}"])
 
 
 def command_text(parts: Iterable[str], indent: int) -> str:
-    """A command in lines that a shell joins again.
-
-    Args:
-        parts: What is not to be broken.
-        indent: Of the lines after the first.
-    """
+    """A command, of parts that are not to be broken, in lines that a shell joins again."""
     lines = [""]
     for part in parts:
         if lines[-1] and len(lines[-1]) + len(part) > _COMMAND:
             lines.append("")
         lines[-1] += f" {part}" if lines[-1] else part
     return (" \\\n" + " " * indent).join(lines)
-
-
-def _poses(count: int) -> str:
-    """A number of poses in words."""
-    return f"{count} pose" if count == 1 else f"{count} poses"
 
 
 def _mm(value: float) -> str:
@@ -139,34 +129,30 @@ def _mm(value: float) -> str:
 
 def _head(plan: Plan, asked: str) -> Iterator[str]:
     """How many poses of which robot, out of which candidates, and what is to be estimated."""
-    robot, f, validation = plan.robot, plan.forecast, len(plan.validation)
-    taken = f", beside {_poses(len(plan.taken))} measured already" if len(plan.taken) else ""
-    more = f", and {validation} to validate with" if validation else ""
-    many = f" Each measures the targets {', '.join(plan.targets)}." if len(plan.targets) > 1 else ""
+    robot, f, count = plan.robot, plan.forecast, len(plan.estimation)
+    taken = f", beside {len(plan.taken)} measured already" if len(plan.taken) else ""
     yield (
-        f"Plan for '{robot.name}' ({robot.urdf.source}), chain {robot.base} to {robot.tip}: "
-        f"{_poses(len(plan.estimation))} to calibrate with{taken}{more}, chosen {_CRITERIA[plan.criterion]}.{many}"
+        f"Plan for '{robot.name}' ({robot.urdf.source}), chain {robot.base} to {robot.tip}: {count} poses to calibrate "
+        f"with{taken}, {len(plan.joints) - count} to validate with; targets at each: {', '.join(plan.targets)}."
     )
     auto = ", the largest that 'auto' may choose" if asked == "auto" and plan.model != asked else ""
-    whole = f" (the whole workspace: {f.workspace_rank})" if f.rank != f.workspace_rank else ""
     indices = ", ".join(f"{name} {value:.3g}" for name, value in f.indices.items())
-    yield (
-        f"Error model: '{plan.model}'{auto}: {f.columns} parameters, of which these poses tell {f.rank} apart{whole}."
-    )
-    yield f"Observability indices: {indices} (in steps of 1 mm, 1 mrad)."
-    said = ", ".join(f"{count} {reason}" for reason, count in plan.refused.items() if count)
-    yield (
-        f"Chosen from {plan.candidates} poses. Of {plan.drawn} drawn for them over the joint ranges were refused: "
-        f"{said}."
-        if said
-        else f"Chosen from {plan.candidates} poses drawn over the joint ranges; none was refused."
-    )
+    refused = ", ".join(f"{n} {_REASONS[why]}" for why, n in plan.refused.items() if n)
+    for label, value in (
+        ("criterion", _CRITERIA[plan.request.criterion]),
+        (
+            "error model",
+            f"{plan.model}{auto}: {f.columns} parameters, rank {f.rank} (whole workspace {f.workspace_rank})",
+        ),
+        ("observability", f"{indices} (in steps of 1 mm, 1 mrad)"),
+        ("candidates", f"{plan.candidates} of {plan.drawn} drawn"),
+        ("refused", refused or "none"),
+    ):
+        yield f"  {label:<15}{value}"
 
 
 def _forecasts(plan: Plan) -> Iterator[str]:
     """What the plan will reach, and what random poses and those taken alone would; how well parameters are known."""
-    from calib.model.families import unit_of
-
     f, count, taken = plan.forecast, len(plan.estimation), len(plan.taken)
     yield "Expected error of a predicted position after the calibration, over the workspace:"
     yield f"  {'':<32}{'rms':>11}{'of 90 % of calibrations':>28}{'worst place':>14}"
@@ -178,9 +164,8 @@ def _forecasts(plan: Plan) -> Iterator[str]:
         if one is not None:
             yield f"  {label:<32}{_mm(one.rms):>11}{_span(one)}"
     yield (
-        f"One measured coordinate has a noise of {_mm(f.sigma)}: the calibrated robot predicts a position with "
-        f"{f.rms / f.sigma:.2f} times that, after random poses {plan.at_random.rms / f.sigma:.2f} times. Errors that "
-        "the model lacks come on top."
+        f"Noise of one measured coordinate: {_mm(f.sigma)}; expected rms error in units of it: {f.rms / f.sigma:.2f}, "
+        f"with random poses {plan.at_random.rms / f.sigma:.2f}. Errors that the model lacks come on top."
     )
     known: dict[str, list[str]] = {}
     for name, unit, std, alone in zip(
@@ -189,12 +174,10 @@ def _forecasts(plan: Plan) -> Iterator[str]:
         if alone:
             scale, shown = unit_of(unit).shown
             known.setdefault(shown, []).append(f"{name} {scale * std:.2g}")
-    rest = f.columns - sum(map(bool, f.identifiable))
-    lists = "; ".join(f"in {unit}: {', '.join(values)}" for unit, values in known.items())
-    parts = [f"Expected standard deviation of the parameters {lists}."] if lists else []
-    if rest:
-        parts.append(f"{rest} parameters are known in combinations only.")
-    yield " ".join(parts)
+    for unit, values in known.items():
+        yield f"Expected standard deviation [{unit}]: {', '.join(values)}."
+    if rest := f.columns - sum(map(bool, f.identifiable)):
+        yield f"{rest} parameters are known in combinations only."
 
 
 def _span(f: Forecast) -> str:
@@ -217,41 +200,34 @@ def _ladder(plan: Plan) -> Iterator[str]:
     ]
     # From the first step on behind which no step gains more.
     little = next((k for k in range(len(gains)) if max(gains[k:]) < _PAYS), None)
-    if gains:
-        yield (
-            f"Up to {_poses(plan.ladder[-1][0])}, {_FIVE} more lower the error by more than {100 * _PAYS:.0f} %."
-            if little is None
-            else f"Beyond {_poses(plan.ladder[little][0])}, {_FIVE} more lower the error by less than "
-            f"{100 * _PAYS:.0f} %."
-        )
+    if little is not None:
+        yield f"Beyond {plan.ladder[little][0]} poses, {_FIVE} more lower the error by less than {100 * _PAYS:.0f} %."
 
 
 def _travel(plan: Plan) -> Iterator[str]:
     """How long the way is."""
-    long = ""
     if "prismatic" not in plan.robot.joint_types.values():
-        seconds = plan.travel / _SPEED
-        time = f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.1f} min"
-        long = (
-            f" The joint that turns farthest in each move turns {math.degrees(plan.travel):.0f} deg in all, {time} at "
-            f"{math.degrees(_SPEED):.0f} deg/s without stops."
+        yield (
+            f"Order to drive: {math.degrees(plan.travel):.0f} deg of joint travel in all, "
+            f"{plan.travel / _SPEED / 60.0:.1f} min at {math.degrees(_SPEED):.0f} deg/s without stops."
         )
-    yield f"Order: the poses stand in a short order to drive.{long}"
 
 
 def _blocked(plan: Plan) -> Iterator[str]:
     """Moves whose straight way collides, each with a pose to drive by, if one was found."""
-    names, k = plan.robot.joint_names, len(plan.targets)
-    slides = [plan.robot.joint_types[name] == "prismatic" for name in names]
+    k = len(plan.targets)
+    units = [
+        (1e3, "mm") if j.type == "prismatic" else (180 / math.pi, "deg") for j in plan.robot.inputs
+    ]
     named = []
     for one in plan.blocked[:_NAMED]:
-        values = [] if one.by is None else zip(one.by, slides, strict=True)
-        by = [f"{1e3 * v:.1f} mm" if s else f"{math.degrees(v):.1f} deg" for v, s in values]
+        by = [] if one.by is None else zip(one.by, units, strict=True)
+        drive = ", ".join(f"{scale * v:.1f} {unit}" for v, (scale, unit) in by)
         start = f"row {k * (one.start - 1) + 1}" if one.start else "the start"
-        drive = f" (drive by {', '.join(by)})" if by else ""
-        named.append(f"{start} to row {k * (one.end - 1) + 1}{drive}")
-    rest = f" and {len(plan.blocked) - _NAMED} more" if len(plan.blocked) > _NAMED else ""
-    if named:
-        yield (
-            f"The straight way in joint space collides from {', '.join(named)}{rest}; drive there by a pose in between."
+        named.append(
+            f"{start} to row {k * (one.end - 1) + 1}" + f" (drive by {drive})" * bool(drive)
         )
+    if named:
+        rest = len(plan.blocked) - len(named)
+        more = f" and {rest} more" if rest else ""
+        yield f"The straight way in joint space collides from {', '.join(named)}{more}."

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from calib.data.surroundings import Box
 from calib.design.plan import Plan
-from calib.design.workspace import Density
-from calib.report.figure_region import RegionView
+from calib.design.workspace import RegionView
+from calib.report.figure_region import headings
 from calib.report.label_rows import BEAM, ESTIMATION, LITTLE_TO_MUCH, NOMINAL, VALIDATION
 from calib.viewer.page import Key, single_page
 from calib.viewer.scene import (
@@ -126,81 +126,66 @@ _TARGET_BALL, _ROW_BALL = 0.011, 0.007
 
 def region_page(view: RegionView) -> Page:
     """A region about the nominal robot, in bands by how often the target is there."""
-    T_tip = view.robot.poses(view.q)[0]
+    q = view.pose
+    T_tip = view.robot.poses(q)[0]
     target = T_tip[:3, :3] @ view.target + T_tip[:3, 3]
-    centres = _centres(view.density, view.region.cells)
+    centres = view.region.origin + view.region.voxel * (np.argwhere(view.region.cells) + 0.5)
+    title, text = headings(view)
 
     def draw(scene: meshcat.Visualizer, size: float) -> list[Key]:
         if np.any(view.target):
             node = scene["nominal"]["target"]
             node.set_object(mc.Sphere(_TARGET_BALL * size), solid(NOMINAL))
             node.set_transform(translation(target))
-        return [*_draw_voxels(scene, view), *_draw_rows(scene, view, size)]
+        return [*_draw_voxels(scene, view, centres), *_draw_rows(scene, view, size)]
 
     return single_page(
         view.robot,
-        view.q,
+        q,
         np.concatenate([target[None], centres[:: 1 + len(centres) // 5000]]),
         draw,
-        title=view.title,
-        text=view.text,
+        title=title,
+        text=text,
         legend=f"{view.robot.name}, nominal",
     )
 
 
-def _draw_voxels(scene: meshcat.Visualizer, view: RegionView) -> list[Key]:
-    """The region's voxels in bands, and their lines of the legend."""
-    centres = _centres(view.density, view.region.cells)
-    # The centre of a voxel may lie beyond the box that cuts it.
-    needed = view.density.share_of(np.clip(centres, *view.region.box))
-    inside = np.ones(len(centres), dtype=np.bool_)
+def _draw_voxels(scene: meshcat.Visualizer, view: RegionView, centres: Array) -> list[Key]:
+    """The region's voxels, shape (K, 3) of centres, in bands, and their lines of the legend."""
+    needed = view.density.share_of(centres)
     rng = np.random.default_rng(0)
-    if len(centres) > _MOST_POINTS:
-        chosen = rng.permutation(len(centres))[:_MOST_POINTS]
-        inside &= np.isin(np.arange(len(centres)), chosen)
+    chosen = np.sort(rng.permutation(len(centres))[:_MOST_POINTS])
     copies = max(1, _WANTED_POINTS // len(centres))
-    centres, needed = np.repeat(centres, copies, axis=0), np.repeat(needed, copies)
-    inside = np.repeat(inside, copies)
-    edge = _POINT * view.density.voxel / np.cbrt(copies)
+    centres, needed = (np.repeat(one[chosen], copies, axis=0) for one in (centres, needed))
+    edge = _POINT * view.region.voxel / np.cbrt(copies)
     # Anywhere in its voxel: points in rows would make patterns of their own.
-    centres = centres + view.density.voxel * rng.uniform(-0.5, 0.5, centres.shape)
-    inside &= np.all((centres >= view.region.box[0]) & (centres <= view.region.box[1]), axis=1)
+    centres = centres + view.region.voxel * rng.uniform(-0.5, 0.5, centres.shape)
     share = view.region.share
     ends = [0.0, *[end for end in _BANDS if end < share - 0.02], share]
     keys = []
     for i, (start, end) in enumerate(itertools.pairwise(ends)):
         colour = LITTLE_TO_MUCH[len(LITTLE_TO_MUCH) - 1 - i]
-        last = end == share
-        band = inside & (needed > start) & ((needed <= end) | last)
-        points = centres[band]
-        if not len(points):
-            continue
-        draw_cloud(scene[f"band{i}"], points, colour, edge)
-        words = f"the densest {100 * end:.3g} %" if i == 0 else f"up to {100 * end:.3g} %"
-        keys.append(Key(words, colour, f"band{i}"))
+        band = (needed > start) & ((needed <= end) | (end == share))
+        if band.any():
+            draw_cloud(scene[f"band{i}"], centres[band], colour, edge)
+            words = f"the densest {100 * end:.3g} %" if i == 0 else f"up to {100 * end:.3g} %"
+            keys.append(Key(words, colour, f"band{i}"))
     return keys
 
 
 def _draw_rows(scene: meshcat.Visualizer, view: RegionView, size: float) -> list[Key]:
     """The points of a table, and their lines of the legend."""
-    if view.marked is None:
-        return []
-    keys = []
+    keys: list[Key] = []
+    if view.checked is None:
+        return keys
+    rows, every, *_ = view.checked
     for chosen, colour, word in (
-        (~view.marked.validation, ESTIMATION, "estimation"),
-        (view.marked.validation, VALIDATION, "validation"),
+        (rows.estimation, ESTIMATION, "estimation"),
+        (rows.validation, VALIDATION, "validation"),
     ):
-        points = view.marked.points[chosen]
         # A wild point is not looked for at the end of the world.
-        points = points[np.linalg.norm(points, axis=1) < 5.0 * size]
-        if not len(points):
-            continue
-        draw_points(scene[word], points, colour, _ROW_BALL * size)
-        keys.append(Key(f"{word} rows", colour, word, "dot"))
+        points = every[chosen & (np.linalg.norm(every, axis=1) < 5.0 * size)]
+        if len(points):
+            draw_points(scene[word], points, colour, _ROW_BALL * size)
+            keys.append(Key(f"{word} rows", colour, word, "dot"))
     return keys
-
-
-def _centres(density: Density, cells: NDArray[np.bool_]) -> Array:
-    """Centres of voxels, shape (K, 3), [m]."""
-    result: Array = density.origin + density.voxel * (np.argwhere(cells) + 0.5)
-    return result

@@ -209,7 +209,7 @@ def test_poses_are_inspected_and_planned_for_a_kind_from_outside(ur3, tmp_path):
     cell = calib.Cell(target=[0.05, 0.05, 0.05], kind="line", T_frame_base=line, model="zeros")
     observability = inspect(ur3, cell).observability
     assert 0 < observability.rank < observability.columns
-    found = calib.plan(ur3, cell, count=12, candidates=200, validation=0)
+    found = calib.plan(ur3, cell, calib.PlanRequest(12, 0, candidates=200))
     written = write_plan(found, tmp_path / "plan.csv").read_text().splitlines()
     assert "line_distance [mm],expected line_distance [mm]" in written[0]
     T = np.tile(np.eye(4), (12, 1, 1))

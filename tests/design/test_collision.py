@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from calib import example
 from calib.data.surroundings import Box
-from calib.design.collision import CollisionModel
+from calib.design.collision import CollisionCheck, CollisionModel
 from calib.errors import CalibError, UrdfError
 from calib.robot.readback import spread_poses
 from calib.robot.robot import Robot
@@ -41,6 +41,11 @@ def robot_of(text: str, base: str = "base", tip: str = "hand") -> Robot:
     return Robot.from_urdf(Urdf.from_bytes(text.encode(), "balls.urdf"), base, tip)
 
 
+def model_of(robot: Robot, boxes=(), targets=None, **check) -> CollisionModel:
+    """Without the mounting plane unless it is asked for."""
+    return CollisionModel.of(robot, boxes, targets, CollisionCheck(**{"floor": False} | check))
+
+
 def centres(q) -> np.ndarray:
     """Of the four balls, in the plane."""
     points, place, angle = [(0.0, 0.0)], np.zeros(2), 0.0
@@ -62,7 +67,7 @@ def gaps(q) -> dict[tuple[str, str], float]:
 
 @cache
 def ball_model(clearance: float = 0.0) -> CollisionModel:
-    return CollisionModel.of(robot_of(balls()), clearance=clearance)
+    return model_of(robot_of(balls()), clearance=clearance)
 
 
 ANGLES = st.tuples(*[st.floats(-3.1, 3.1)] * 3)
@@ -81,31 +86,30 @@ def test_balls_touch_where_their_distance_says_so(q, clearance):
 def test_what_is_left_out_and_why():
     model = ball_model()
     assert set(model.ignored) == {("base", "upper"), ("upper", "fore"), ("fore", "hand")}
-    assert set(model.ignored.values()) == {"a joint joins them"}
+    assert set(model.ignored.values()) == {"joined"}
     assert model.close == ()
-    assert len(model.notes) == 2
+    assert [note.code for note in model.notes] == ["collisions_checked", "floor_not_checked"]
 
 
 def test_links_that_always_touch_are_left_out_and_named():
     shell = LINK.format(name="shell", x=0.3, kind="collision").replace("0.05", "0.08")
     joint = JOINT.format(name="s", parent="fore", child="shell", x=0.0)
-    model = CollisionModel.of(robot_of(balls(more=shell + joint)))
-    reason = "touching at 256 of 256 poses over the joints' ranges"
+    model = model_of(robot_of(balls(more=shell + joint)))
     # 'shell' stays where it is on 'fore', 0.2 m from the ball of 'hand' wherever that turns.
     assert ("hand", "shell") not in model.ignored
     big = shell.replace("0.08", "0.3")
-    model = CollisionModel.of(robot_of(balls(more=big + joint)))
-    assert model.ignored["hand", "shell"] == reason
-    assert model.notes[-1].startswith("Not checked against each other: ")
+    model = model_of(robot_of(balls(more=big + joint)))
+    assert model.ignored["hand", "shell"] == "touching"
+    assert model.notes[-1].code == "always_touching"
 
 
 def test_links_always_within_the_clearance_are_refused_where_they_touch():
-    model = CollisionModel.of(robot_of(balls()), clearance=0.7)
+    model = model_of(robot_of(balls()), clearance=0.7)
     assert set(model.close) <= {("base", "fore"), ("base", "hand"), ("upper", "hand")}
     assert ("upper", "hand") in model.close
-    assert any("Always closer than the clearance of 700 mm" in note for note in model.notes)
+    assert "always_close" in [note.code for note in model.notes]
     # The balls of upper and hand are 0.4 m apart at most: only where they touch does that pair refuse.
-    loose = CollisionModel.of(robot_of(balls()), clearance=0.42)
+    loose = model_of(robot_of(balls()), clearance=0.42)
     assert loose.close == (("upper", "hand"),)
     q = spread_poses(loose.robot, 200)
     limits = {("base", "fore"): 0.42, ("base", "hand"): 0.42, ("upper", "hand"): 0.0}
@@ -120,10 +124,10 @@ def test_visual_geometry_stands_in_and_bodies_without_any_are_named():
       <joint name="g" type="fixed"><parent link="hand"/><child link="ghost"/></joint>
       <joint name="h" type="fixed"><parent link="hand"/><child link="frame"/></joint>
       <joint name="i" type="fixed"><parent link="hand"/><child link="odd"/></joint>"""
-    model = CollisionModel.of(robot_of(balls("visual", more)))
+    model = model_of(robot_of(balls("visual", more)))
     assert model.notes[2:] == (
-        "Not checked for collisions, for want of geometry in the URDF: 'ghost', 'odd'.",
-        "Links without collision geometry, whose visual stands for it: 'base', 'upper', 'fore', 'hand'.",
+        ("no_geometry", ("ghost", "odd")),
+        ("visual_geometry", ("base", "upper", "fore", "hand")),
     )
     q = spread_poses(model.robot, 200)
     np.testing.assert_array_equal(model.free(q), ball_model().free(q))
@@ -136,7 +140,7 @@ def test_joints_beside_the_chain_stand_where_they_are_held():
     text = balls(more=side)
     for angle in (0.0, 1.5):
         urdf = Urdf.from_bytes(text.encode(), "balls.urdf")
-        model = CollisionModel.of(Robot.from_urdf(urdf, "base", "hand", held={"s": angle}))
+        model = model_of(Robot.from_urdf(urdf, "base", "hand", held={"s": angle}))
         for turn in (angle, angle + 0.5):
             assert model.free([turn, 0.0, 0.0]).tolist() == [turn != angle]
 
@@ -159,14 +163,14 @@ def test_a_box_is_touched_where_its_distance_says_so(q):
 
 @cache
 def box_model() -> CollisionModel:
-    return CollisionModel.of(robot_of(balls()), [Box("post", (0.1, 0.2, 1.0), at(0.5, 0.2, 0.0))])
+    return model_of(robot_of(balls()), [Box("post", (0.1, 0.2, 1.0), at(0.5, 0.2, 0.0))])
 
 
 def test_a_box_stands_in_the_base_even_where_joints_move_the_base():
     # From the hand to the base: the chain's joints move the base 'hand' in the URDF's root.
     forward, backward = robot_of(balls()), robot_of(balls(), "hand", "base")
     assert backward.base_moves
-    model = CollisionModel.of(backward, [Box("plate", (0.1, 0.1, 0.1), at(-0.4, 0.3, 0.0))])
+    model = model_of(backward, [Box("plate", (0.1, 0.1, 0.1), at(-0.4, 0.3, 0.0))])
     order = [forward.joint_names.index(name) for name in backward.joint_names]
     for q in spread_poses(forward, 200):
         T_hand_base = np.linalg.inv(forward.poses(q)[0])
@@ -191,39 +195,21 @@ def test_a_rod_through_the_middle_of_a_box(shape, size):
     for x in (1.5, 2.0, 2.25):
         for angle in np.linspace(-3.0, 3.0, 13):
             place = at(x * math.cos(angle), x * math.sin(angle), 0.0)
-            model = CollisionModel.of(robot, [Box("post", (size, size, size), place)])
+            model = model_of(robot, [Box("post", (size, size, size), place)])
             assert model.free([[angle], [angle + 1.0]]).tolist() == [False, True]
-
-
-def test_a_table_under_the_base_is_no_collision():
-    table = Box("table", (2.0, 2.0, 0.1), at(0.0, 0.0, -0.095))
-    lifted = balls().replace(
-        'child link="upper"/><origin xyz="0.0 0 0"', 'child link="upper"/><origin xyz="0 0 0.1"'
-    )
-    assert lifted != balls()
-    model = CollisionModel.of(robot_of(lifted), [table])
-    assert model.free([0.0, 0.0, 0.0]).tolist() == [True]
 
 
 @pytest.mark.parametrize(
     ("box", "said"),
     [
-        (
-            Box("hall", (5.0, 5.0, 5.0), np.eye(4)),
-            "The box 'hall' swallows the robot: it touches moving links at all of 256 poses over the joints' ranges, ",
-        ),
-        (
-            Box("slab", (3.0, 3.0, 0.09), at(0.0, 0.0, 0.03)),
-            "The box 'slab' swallows the robot: it touches moving links at all of 256 poses over the joints' ranges, "
-            "'upper' most often. It measures 3000 x 3000 x 90 mm about the point (0, 0, 30) mm of the base 'base'",
-        ),
-        (Box("hand", (1, 1, 1), np.eye(4)), "A box has the name of a link of the robot: 'hand'. Give it another one."),
+        (Box("hall", (5.0, 5.0, 5.0), np.eye(4)), "The box 'hall' touches the robot at all of 256"),
+        (Box("slab", (3.0, 3.0, 0.09), at(0.0, 0.0, 0.03)), "'slab' .* 'upper' most often"),
+        (Box("hand", (1, 1, 1), np.eye(4)), "has the name of a link of the robot: 'hand'"),
     ],
-)  # fmt: skip
+)
 def test_boxes_that_cannot_be_meant(box, said):
-    other = Box("far", (1, 1, 1), at(5, 5, 5))
-    with pytest.raises(CalibError, match=f"^{re.escape(said)}"):
-        CollisionModel.of(robot_of(balls()), [other, box])
+    with pytest.raises(CalibError, match=said):
+        model_of(robot_of(balls()), [box])
 
 
 def test_a_path_is_checked_between_its_ends():
@@ -240,27 +226,6 @@ def test_a_path_is_checked_between_its_ends():
     assert model.free(blocked).tolist() == [False]
     assert model.path_free(blocked, blocked) is False
     assert model.path_free([0.0, 0.0, 0.0], blocked) is False
-
-
-@given(start=ANGLES, end=ANGLES)
-@settings(deadline=None, max_examples=50)
-def test_a_path_equals_its_poses_one_by_one(start, end):
-    model, step = ball_model(), math.radians(2.0)
-    count = max(2, 1 + math.ceil(max(abs(a - b) for a, b in zip(start, end, strict=True)) / step))
-    poses = np.linspace(start, end, count)
-    least = np.array([min(gaps(q).values()) for q in poses])
-    assume(np.abs(least).min() > 1e-9)
-    assert model.path_free(start, end) == bool((least > 0.0).all())
-    assert model.path_free(start, end) == model.path_free(end, start)
-
-
-def test_a_thin_post_is_not_stepped_over_by_a_sliding_joint():
-    text = balls().replace('name="j1" type="revolute"', 'name="j1" type="prismatic"')
-    text = text.replace('<axis xyz="0 0 1"/>', '<axis xyz="0 1 0"/>', 1)
-    post = Box("post", (0.001, 0.001, 1.0), at(0.3, 0.0, 0.0))
-    model = CollisionModel.of(robot_of(text), [post])
-    assert model.free([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]).all()
-    assert not model.path_free([-1.0, 0.0, 0.0], [1.0, 0.0, 0.0])
 
 
 # --- Targets and what holds them, and the mounting plane ------------------------------------------------------------
@@ -298,7 +263,7 @@ def test_a_target_and_its_holder_touch_where_their_distance_says_so(q):
 
 @cache
 def held_model() -> CollisionModel:
-    return CollisionModel.of(
+    return model_of(
         robot_of(balls()),
         [Box("post", (0.2, 0.2, 1.0), at(0.9, 0.2, 0.0))],
         targets={"probe": (0.6, 0.0, 0.0)},
@@ -306,20 +271,11 @@ def held_model() -> CollisionModel:
     )
 
 
-@pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (0.0, 0.0, 0.3)])
-def test_a_target_at_the_tip_is_a_ball_and_each_has_its_own(place):
-    targets = {"a": place, "b": (0.3, 0.0, 0.0)}
-    model = CollisionModel.of(robot_of(balls()), targets=targets, holder_radius=0.05)
-    owners = {name for pair in model.pairs for name in pair}
-    assert {"a and its holder", "b and its holder"} <= owners
-    assert not [pair for pair in model.pairs if all("holder" in name for name in pair)]
-
-
 def test_the_ur10_s_target_stays_above_a_table():
     robot, place = Robot.load("ur10"), np.array([0.0, 0.05, 0.2])
     table = Box("table", (3.0, 3.0, 0.05), at(0.0, 0.0, -0.025))
-    bare = CollisionModel.of(robot, [table])
-    held = CollisionModel.of(robot, [table], targets={"target": place})
+    bare = model_of(robot, [table])
+    held = model_of(robot, [table], targets={"target": place})
     q = spread_poses(robot, 600)
     height = (robot.poses(q) @ [*place, 1.0])[:, 2]
     assert np.any(bare.free(q) & (height < 0.0))
@@ -329,7 +285,7 @@ def test_the_ur10_s_target_stays_above_a_table():
 
 def test_nothing_comes_below_the_mounting_plane():
     robot = Robot.load("ur10")
-    plane = CollisionModel.of(robot, floor=True, targets={"target": (0.0, 0.05, 0.2)})
+    plane = model_of(robot, floor=True, targets={"target": (0.0, 0.05, 0.2)})
     assert any("the mounting plane (z = 0 mm of 'world')" in second for _, second in plane.pairs)
     q = spread_poses(robot, 600)
     free = plane.free(q)
@@ -342,7 +298,7 @@ def test_nothing_comes_below_the_mounting_plane():
         height = (robot_to.poses(q[:, : len(robot_to.joint_names)]) @ T)[:, 2, 3]
         assert np.all(height[free] > 0.0)
     # And no pose is refused for it that keeps above: links of 0.1 m and more around the joints.
-    without = CollisionModel.of(robot, targets={"target": (0.0, 0.05, 0.2)}).free(q)
+    without = model_of(robot, targets={"target": (0.0, 0.05, 0.2)}).free(q)
     assert np.all(without[free])
     assert 0.2 < np.mean(free[without]) < 0.8
 
@@ -352,7 +308,7 @@ def test_the_plane_lies_below_what_stands_with_the_base():
         'xyz="0.0 0 0"', 'xyz="0 0 -0.7" rpy="0.3 0 0"'
     )
     fixed = '<joint name="f" type="fixed"><parent link="base"/><child link="foot"/></joint>'
-    model = CollisionModel.of(robot_of(balls(more=post + fixed)), floor=True)
+    model = model_of(robot_of(balls(more=post + fixed)), floor=True)
     assert ("hand", "the mounting plane (z = -750 mm of 'base')") in model.pairs
     # Joints that turn about z move nothing towards it: it changes nothing.
     q = spread_poses(model.robot, 100)
@@ -362,7 +318,7 @@ def test_the_plane_lies_below_what_stands_with_the_base():
 def test_the_plane_of_a_base_that_joints_move_is_that_of_the_root():
     tilted = balls().replace('<axis xyz="0 0 1"/>', '<axis xyz="0 1 0"/>', 1)
     forward, backward = robot_of(tilted), robot_of(tilted, "hand", "base")
-    models = [CollisionModel.of(robot, floor=True) for robot in (forward, backward)]
+    models = [model_of(robot, floor=True) for robot in (forward, backward)]
     for model in models:
         assert ("hand", "the mounting plane (z = -50 mm of 'base')") in model.pairs
     order = [forward.joint_names.index(name) for name in backward.joint_names]
@@ -375,7 +331,7 @@ def test_links_that_never_leave_the_plane_are_left_out_and_a_tip_that_never_does
         'child link="upper"/><origin xyz="0.0 0 0"', 'child link="upper"/><origin xyz="0 0 -1"'
     )
     with pytest.raises(CalibError, match=r"tip 'hand'.*--no-floor"):
-        CollisionModel.of(robot_of(low), floor=True)
+        model_of(robot_of(low), floor=True)
     # Balls that turn in the plane stand in it, and the hand above it does not.
     high = balls().replace(
         'child link="hand"/><origin xyz="0.3 0 0"', 'child link="hand"/><origin xyz="0.3 0 1"'
@@ -383,14 +339,8 @@ def test_links_that_never_leave_the_plane_are_left_out_and_a_tip_that_never_does
     sunk = high.replace(
         'child link="upper"/><origin xyz="0.0 0 0"', 'child link="upper"/><origin xyz="0 0 -0.5"'
     )
-    model = CollisionModel.of(robot_of(sunk), floor=True)
+    model = model_of(robot_of(sunk), floor=True)
     assert {a for a, b in model.ignored if "plane" in b} == {"upper", "fore"}
-
-
-@pytest.mark.parametrize("radius", [0.0, -1.0, math.nan])
-def test_a_radius_that_is_none(radius):
-    with pytest.raises(CalibError, match="holder's radius"):
-        CollisionModel.of(robot_of(balls()), holder_radius=radius)
 
 
 def test_a_robot_without_geometry():
@@ -398,7 +348,7 @@ def test_a_robot_without_geometry():
     with pytest.raises(
         UrdfError, match=r"^balls\.urdf: no link has a <collision> or <visual> with a"
     ):
-        CollisionModel.of(robot_of(text))
+        model_of(robot_of(text))
 
 
 # --- A real robot, against FCL and forward kinematics written anew -------------------------------------------------
@@ -445,7 +395,7 @@ def surroundings() -> list[Box]:
 @pytest.mark.parametrize("boxed", [False, True])
 def test_the_ur3_agrees_with_fcl(boxed):
     boxes = surroundings() if boxed else []
-    model = CollisionModel.of(ur3(), boxes)
+    model = model_of(ur3(), boxes)
     links = list(bodies(ur3()))
     # What is compared is said here anew: all but neighbours, the box of the flange fixed to wrist 3 among them.
     left_out = {*NEIGHBOURS, ("wrist_2_link", "ee_link"), ("wrist_3_link", "ee_link")}
@@ -463,21 +413,10 @@ def test_the_ur3_agrees_with_fcl(boxed):
 @pytest.mark.slow
 def test_the_ur3_s_clearance_agrees_with_fcl():
     boxes = surroundings()
-    near, touching = (CollisionModel.of(ur3(), boxes, c) for c in (0.01, 0.0))
+    near, touching = (model_of(ur3(), boxes, clearance=c) for c in (0.01, 0.0))
     assert near.close == ()
     q = np.random.default_rng(5).uniform(-np.pi, np.pi, (120, 6))
     q = q[touching.free(q)][:40]
     expected = np.array([fcl_distance(objects(ur3(), row, boxes), near.pairs) for row in q])
     assert 5 < np.count_nonzero(expected > 0.01) < 35
     np.testing.assert_array_equal(near.free(q), expected > 0.01)
-
-
-def test_a_robot_in_memory_and_a_corrected_one_find_their_meshes():
-    again = Robot.from_urdf(Urdf.from_bytes(ur3().urdf.data, "memory"), "base", "tool0")
-    assert again.urdf.path is None
-    moved = ur3().placements.copy()
-    moved[2, 0, 3] += 1e-3
-    q = spread_poses(ur3(), 100)
-    for robot in (again, ur3().with_placements(moved)):
-        agree = CollisionModel.of(robot).free(q) == CollisionModel.of(ur3()).free(q)
-        assert agree.mean() > 0.95

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.design.candidates import turn_limits
+from calib.design.candidates import planning_ranges
 from calib.design.route import detour, route, turning, with_whole_turns
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
@@ -52,7 +52,7 @@ def test_where_no_turn_leads_poses_stay(ranges, turns):
 
 def test_joints_of_more_than_a_turn():
     ur3 = Robot.load("urdf/ur3.urdf", base="base", tip="tool0")
-    limits = turn_limits(ur3, {"wrist_1_joint": (-1.0, 1.0)}, np.radians(5.0))
+    limits = planning_ranges(ur3, {"wrist_1_joint": (-1.0, 1.0)}, np.radians(5.0), turns=True)
     assert np.degrees(limits[0]) == pytest.approx([-355.0, 355.0])
     assert limits[3] == pytest.approx([-1.0, 1.0])
     # The elbow has one turn, and a joint with a range is kept in it.
@@ -114,7 +114,7 @@ def test_no_way_round_is_none():
 
 def test_a_route_turns_goes_round_or_says_what_is_blocked():
     ur3 = Robot.load("urdf/ur3.urdf", base="base", tip="tool0")
-    limits = turn_limits(ur3, {}, np.radians(5.0))
+    limits = planning_ranges(ur3, {}, np.radians(5.0), turns=True)
     q = np.zeros((5, 6))
     q[:, 1] = np.radians([-120.0, -80.0, -10.0, 150.0, 170.0])
 

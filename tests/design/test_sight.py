@@ -10,7 +10,7 @@ from hypothesis import assume, given, settings, strategies as st
 
 from calib import example
 from calib.data.surroundings import Box, Reflector, Tracker
-from calib.design.collision import BEAM, NEST, CollisionModel, in_sight
+from calib.design.collision import BEAM, NEST, CollisionCheck, CollisionModel, in_sight
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from tests.design.fcl_scene import objects, placed, touch
@@ -30,6 +30,10 @@ def turntable(y: float = 0.0) -> Robot:
     return Robot.from_urdf(urdf, "base", "tip")
 
 
+def model_of(robot: Robot, boxes=()) -> CollisionModel:
+    return CollisionModel.of(robot, boxes, check=CollisionCheck(floor=False))
+
+
 ORIGIN = np.eye(4)
 ZERO = np.zeros((1, 1))
 
@@ -40,7 +44,7 @@ ZERO = np.zeros((1, 1))
 )
 def test_the_range(nearest, farthest, seen):
     sight = in_sight(turntable(), ZERO, ORIGIN, Tracker((2.5, 0, 0), nearest, farthest))
-    assert (sight.range.tolist(), sight.cone.tolist(), sight.beam.tolist()) == (
+    assert (sight.tracker_range.tolist(), sight.reflector_cone.tolist(), sight.beam.tolist()) == (
         [seen],
         [True],
         [True],
@@ -55,7 +59,7 @@ def test_the_edge_of_the_cone(angle, seen):
     robot, half = turntable(), np.radians(30.0)
     towards = [np.cos(np.radians(angle)), 0.0, np.sin(np.radians(angle))]
     sight = in_sight(robot, ZERO, ORIGIN, Tracker((4.0, 0, 0)), Reflector(towards, half))
-    assert sight.cone.tolist() == [seen]
+    assert sight.reflector_cone.tolist() == [seen]
 
 
 @given(q=st.floats(-3.1, 3.1), half=st.floats(0.05, 3.1))
@@ -69,12 +73,12 @@ def test_the_cone_in_closed_form(q, half):
     sight = in_sight(
         turntable(), np.array([[q]]), ORIGIN, Tracker((3.0, 1.0, 0.0)), Reflector((1, 0, 0), half)
     )
-    assert sight.cone.tolist() == [angle <= half]
+    assert sight.reflector_cone.tolist() == [angle <= half]
 
 
 def beam(y: float, x: float = 0.0, tracker=(-2.0, 0.0, 0.0), boxes=()) -> bool:
     """Whether the beam is free, of a tracker that looks along x at the tip with the ball beside the line."""
-    collision, T = CollisionModel.of(turntable(y), boxes), np.eye(4)
+    collision, T = model_of(turntable(y), boxes), np.eye(4)
     T[0, 3] = x
     sight = in_sight(turntable(y), ZERO, T, Tracker(tracker), None, collision)
     return bool(sight.beam[0])
@@ -113,14 +117,14 @@ def test_a_wall_between_and_a_wall_behind():
 
 
 def test_the_beam_is_not_looked_at_where_range_or_cone_refuse():
-    collision = CollisionModel.of(turntable(0.2), [wall(2.0)])
+    collision = model_of(turntable(0.2), [wall(2.0)])
     q = np.array([[0.0], [3.0]])
     far = in_sight(turntable(0.2), q, ORIGIN, Tracker((4.0, 0, 0), 0.0, 1.0), None, collision)
     assert far.beam.tolist() == [True, True]
     cone = in_sight(
         turntable(0.2), q, ORIGIN, Tracker((4.0, 0, 0)), Reflector((1, 0, 0), 0.3), collision
     )
-    assert cone.cone.tolist() == [True, False]
+    assert cone.reflector_cone.tolist() == [True, False]
     assert cone.beam.tolist() == [False, True]
 
 
@@ -138,7 +142,7 @@ def ur3() -> Robot:
 @cache
 def ur3_sight() -> tuple[np.ndarray, np.ndarray]:
     q = np.random.default_rng(8).uniform(-np.pi, np.pi, (150, 6))
-    model = CollisionModel.of(ur3())
+    model = model_of(ur3())
     q = q[model.free(q)][:100]
     T = np.eye(4)
     T[:3, 3] = TARGET

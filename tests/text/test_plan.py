@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
 
 from calib.data.cell import Cell
+from calib.design.notes import Code, Note
+from calib.design.optimal import PlanRequest
 from calib.design.plan import Plan, plan
 from calib.design.route import Blocked
-from calib.text.plan import plan_text
+from calib.text.plan import note_text, plan_text
 
 
 @pytest.fixture(scope="module")
 def planned(ur3) -> Plan:
     cell = Cell(model="zeros", target=np.array([0.05, 0.07, 0.03]))
-    return plan(ur3, cell, count=8, validation=2, candidates=100, collisions=False)
+    return plan(ur3, cell, PlanRequest(8, 2, candidates=100), collisions=None)
 
 
 def said(one: Plan) -> str:
@@ -29,7 +32,7 @@ def test_moves_that_collide_are_named_with_poses_to_drive_by(planned: Plan):
     many = replace(planned, blocked=blocked)
     assert (
         "Note: The straight way in joint space collides from the start to row 1, row 1 to row 5 (drive by "
-        f"{degrees}), row 1 to row 2; drive there by a pose in between."
+        f"{degrees}), row 1 to row 2."
     ) in said(many)
     assert "collides" not in said(planned)
 
@@ -39,3 +42,10 @@ def test_parameters_of_which_none_is_known_by_itself(planned: Plan):
     count = len(unknown.names)
     text = said(replace(planned, forecast=unknown))
     assert (f"{count} parameters are known in combinations only.") in text
+
+
+def test_every_note_is_a_sentence():
+    for code in get_args(Code):
+        text = note_text(Note(code, (0.02, "a box")))
+        assert text.endswith((".", ")."))
+        assert "{" not in text

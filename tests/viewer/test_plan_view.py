@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +12,7 @@ import umsgpack
 from calib import example
 from calib.data.cell import Cell
 from calib.data.surroundings import Box, Tracker
+from calib.design.optimal import PlanRequest
 from calib.design.plan import plan
 from calib.report.label_rows import BEAM
 from calib.robot.readback import random_joint_values
@@ -32,12 +32,9 @@ def planned(ur3):
     return plan(
         ur3,
         cell,
-        count=6,
-        validation=2,
-        candidates=200,
+        PlanRequest(6, 2, candidates=200, ladder=()),
         taken=random_joint_values(ur3, 3),
-        collisions=False,
-        ladder=(),
+        collisions=None,
     )
 
 
@@ -112,26 +109,14 @@ def test_the_legend_hides_what_it_names(page):
     assert "Expected error of a predicted position after the calibration" in text
 
 
-def test_a_tracker_that_is_near_is_drawn_and_none_is_none(planned):
-    near = replace(planned, cell=replace(planned.cell, tracker=Tracker(np.array([0.5, 0.5, 0.5]))))
-    (at,) = moved(scene_of(plan_page(near)), r"tracker/\d+").values()
-    assert at[:3, 3] == pytest.approx([0.5, 0.5, 0.5])
-    alone = replace(planned, cell=Cell(), taken=planned.taken[:0])
-    shown = re.findall(r'data-show="([^"]*)"', plan_page(alone).html.decode())
-    assert shown == ["nominal", "estimate", "validate", "way"]
-
-
 @pytest.mark.parametrize("fixture", ["fingers", "head_and_arm"])
 def test_any_robot_is_drawn(request, fixture):
     robot = request.getfixturevalue(fixture)
     made = plan(
         robot,
         Cell(model="zeros"),
-        count=4,
-        validation=0,
-        candidates=100,
-        collisions=False,
-        ladder=(),
+        PlanRequest(4, 0, candidates=100, ladder=()),
+        collisions=None,
     )
     page = plan_page(made)
     assert len(moved(scene_of(page), r"estimate/\d+")) == 4
