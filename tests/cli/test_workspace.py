@@ -26,7 +26,9 @@ def test_the_paper_s_region(call, shop):
     assert max(map(len, done.lines)) <= 100
     assert "  elbow_joint                     -95.21 to 128.63 deg" in done.lines
     assert "  samples     131,072 (seed 3)" in done.lines
-    assert re.search(r"\n  volume +2[78]\d(\.\d)? litres, [\d,]+ of [\d,]+ reached voxels", done.out)
+    assert re.search(
+        r"\n  volume +2[78]\d(\.\d)? litres, [\d,]+ of [\d,]+ reached voxels", done.out
+    )
     assert re.search(r"\n +34  validate +389.7 +-44.2 +440.3   OUTSIDE +\d+ +", done.out)
     assert "  30 of 30 estimation rows lie in the region." in done.lines
     assert "  3 of 5 validation rows lie in the region; outside: 34, 35." in done.lines
