@@ -45,6 +45,7 @@ if TYPE_CHECKING:
         FleetRobot as FleetRobot,
         fleet as fleet,
     )
+    from calib.formats.convert import convert as convert
     from calib.result.acceptance import Acceptance as Acceptance, acceptance as acceptance
     from calib.result.evaluation import Evaluation as Evaluation, evaluate as evaluate
     from calib.result.uncertainty import (
@@ -73,6 +74,7 @@ _NAMES = {
     "calib.design.workspace": "Density workspace",
     "calib.errors": "CalibError",
     "calib.fleets.fleet": "Fleet FleetOptions FleetRobot fleet",
+    "calib.formats.convert": "convert",
     "calib.result.acceptance": "Acceptance acceptance",
     "calib.result.evaluation": "Evaluation evaluate",
     "calib.result.uncertainty": "bootstrap profile_interval workspace_uncertainty",

@@ -18,7 +18,7 @@ from calib.design.region import RegionFile
 from calib.design.solids import read_solids
 from calib.errors import CalibError
 from calib.example import paper_measurements, paper_urdf
-from calib.formats.sources import Asked, read_source
+from calib.formats.sources import Options, read_source
 
 ROOT = Path(__file__).parents[1]
 ARM, DATA = str(paper_urdf()), paper_measurements()
@@ -36,7 +36,7 @@ def read_robot(path: Path) -> None:
 
 
 def convert(path: Path) -> object:
-    return read_source(str(path), Asked(robot=ARM, base="base", tip="tool0"))
+    return read_source(str(path), Options(robot=ARM, base="base", tip="tool0"))
 
 
 def program(path: Path) -> object:

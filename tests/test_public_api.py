@@ -49,6 +49,7 @@ NAMES = [
     "calibrate",
     "compare",
     "compensate",
+    "convert",
     "evaluate",
     "fleet",
     "forecast",

@@ -1,7 +1,7 @@
-"""Writing a robot in the formats that controllers and ROS take; `calib.formats.sources` reads what comes in.
+"""Convert a robot into the formats that controllers and ROS take.
 
-A format is one row of `FORMATS`: its name, its files' endings, the function that writes it and the options that are for
-it alone.
+A format is one row of `FORMATS`: what it is, its files' endings and the function that writes it;
+`calib.formats.sources.KINDS` has what can be read.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ import numpy as np
 
 from calib.errors import CalibError, ModelError, choices
 from calib.formats.dh_files import ENDINGS, DHTables, write_dh
+from calib.formats.notes import Note
 from calib.formats.origins import write_origins
-from calib.formats.sources import ROBOT, UR_CONF, YAML, Source
+from calib.formats.sources import YAML, Options, Source, read_source, source_kind
 from calib.formats.universal_robots import read_ur, write_ur_conf, write_ur_yaml
 from calib.formats.ur_arms import UrModel
 from calib.formats.ur_files import Conf
@@ -25,57 +26,77 @@ from calib.model.dh_table import HAYATI, MODIFIED, STANDARD
 from calib.robot.readback import TOLERANCE, check_written, random_joint_values
 from calib.robot.robot import Robot
 
+Notes = tuple[Note, ...]
 
-@dataclass(frozen=True, slots=True)
-class Wanted:
-    """What is to be written, one of `FORMATS`, and where.
 
-    ``hash_from``: a file of the robot's own, whose hash a kinematics.yaml keeps; ``update``: a ``calibration.conf``
-    whose other lines are kept; ``urcontrol``: the robot's ``urcontrol.conf``.
-    """
+@dataclass(frozen=True, slots=True, eq=False)
+class Conversion:
+    """What was read, the format and the file that were written, and what the writer has to say."""
+
+    source: Source
+    format: str
+    path: Path
+    notes: Notes
+
+
+class Target(NamedTuple):
+    """The file to write, what goes with it, and whether one that exists is replaced."""
 
     path: Path
-    format: str
-    hash_from: Path | None = None
-    update: Path | None = None
-    urcontrol: Path | None = None
-    overwrite: bool = False
+    options: Options
+    overwrite: bool
 
 
 class Format(NamedTuple):
-    """A format that can be written: what it is, its files' endings, and what `write_target` calls.
-
-    ``option``: the field of `Wanted` that is for it alone; ``any_ending``: whether a file of an ending that belongs to
-    no format may be one too.
-    """
+    """A format that can be written; ``any_ending``: also into files whose ending belongs to no format."""
 
     what: str
     endings: tuple[str, ...]
-    write: Callable[[Source, Wanted], tuple[str, ...]]
-    option: str = ""
+    write: Callable[[Source, Target], Notes]
     any_ending: bool = True
 
 
-def chosen_format(path: Path, asked: str | None, source_kind: str | None = None) -> str:
-    """The format that a file is written in.
+def convert(
+    source: str, path: str | Path, options: Options | None = None, *, overwrite: bool = False
+) -> Conversion:
+    """Read a file or the name of a robot, and write it in the format that the file's ending or ``options.to`` says.
 
-    Args:
-        path: The file.
-        asked: What was asked for; None: what the file's ending says.
-        source_kind: What is converted: behind a ``calibration.conf`` a YAML file is a ``kinematics.yaml``.
+    What is written is read back and compared with the robot before it appears.
+
+    Raises:
+        FileError: A file cannot be read or written.
+        UrdfError: A URDF cannot be read, or, read back, is not the robot.
+        ModelError: The robot has no form in this format, or things do not fit each other.
+        CalibError: Something that the format needs was not given, or something given has no use.
+    """
+    options, path = options or Options(), Path(path)
+    kind = source_kind(source)
+    name = chosen_format(path, options.to, kind)
+    conf = options.hash_from is not None and options.hash_from.suffix.lower() == ".conf"
+    for option, used in (
+        ("hash_from", name == "ur-yaml"),
+        ("update", name == "ur-conf"),
+        ("urcontrol", kind == "ur-conf" or conf),
+    ):
+        if getattr(options, option) is not None and not used:
+            raise CalibError(
+                f"--{option.replace('_', '-')} has no use in this conversion. Leave it out."
+            )
+    found = read_source(source, options)
+    notes = FORMATS[name].write(found, Target(path, options, overwrite))
+    return Conversion(found, name, path, notes)
+
+
+def chosen_format(path: Path, asked: str | None, source_kind: str) -> str:
+    """The format that a file is written in: the one asked for, or what its ending says.
 
     Raises:
         CalibError: No such format, one that the ending does not go with, or an ending of several or of none.
     """
     ending = path.suffix.lower()
-    if ending == ".xacro":
-        raise CalibError(
-            f"{path}: a xacro is not written: its macros and arguments are not in the robot that was read. Write the "
-            "flattened robot (-o robot.urdf), or the origins that your xacro can load (--to origins -o origins.yaml)."
-        )
     fitting = [name for name, one in FORMATS.items() if ending in one.endings]
     if asked is None:
-        if source_kind == UR_CONF and ending in YAML:
+        if source_kind == "ur-conf" and ending in YAML:
             return "ur-yaml"
         if len(fitting) == 1:
             return fitting[0]
@@ -85,50 +106,19 @@ def chosen_format(path: Path, asked: str | None, source_kind: str | None = None)
         )
     if asked not in FORMATS:
         raise CalibError(f"There is no format '{asked}'; --to is one of {choices(FORMATS)}.")
-    wanted = FORMATS[asked]
-    if asked not in fitting and (fitting or not wanted.any_ending):
+    if asked not in fitting and (fitting or not FORMATS[asked].any_ending):
         raise CalibError(
-            f"{path}: '{asked}' ({wanted.what}) is written into files that end in {choices(wanted.endings)}, not in "
-            f"'{ending}'."
+            f"{path}: '{asked}' is written into files that end in {choices(FORMATS[asked].endings)}, not in '{ending}'."
         )
     return asked
 
 
-def check_options(wanted: Wanted, source_kind: str) -> None:
-    """Refuse options that would be passed over in silence.
-
-    Raises:
-        CalibError: One that this conversion has no use for.
-    """
-    unused = [one.option for name, one in FORMATS.items() if name != wanted.format and one.option]
-    conf = wanted.hash_from is not None and wanted.hash_from.suffix.lower() == ".conf"
-    if source_kind != UR_CONF and not conf:
-        unused.append("urcontrol")  # for the nominal rows of a calibration.conf
-    for option in unused:
-        if getattr(wanted, option) is not None:
-            raise CalibError(
-                f"--{option.replace('_', '-')} {getattr(wanted, option)} has no use in this conversion. Leave it out."
-            )
-
-
-def write_target(source: Source, wanted: Wanted) -> tuple[str, ...]:
-    """Write the robot that was read; what the format cannot hold, and what to mind, sentence by sentence.
-
-    Raises:
-        FileError: A file cannot be read or written.
-        ModelError: The robot has no form in this format.
-        UrdfError: The URDF, read back, is not the robot.
-        CalibError: Something that the format needs was not given.
-    """
-    return FORMATS[wanted.format].write(source, wanted)
-
-
-def _write_urdf(source: Source, wanted: Wanted) -> tuple[str, ...]:
+def _write_urdf(source: Source, target: Target) -> Notes:
     """The URDF, read back by Pinocchio and yourdfpy."""
     robot = source.robot
     q = random_joint_values(robot)
     poses = robot.poses(q)
-    if source.kind == ROBOT and source.nominal is not None:
+    if source.kind == "robot" and source.nominal is not None:
         robot = source.nominal.with_placements(robot.placements)
         if not np.abs(robot.poses(q) - poses).max() <= TOLERANCE:
             raise ModelError(
@@ -137,76 +127,68 @@ def _write_urdf(source: Source, wanted: Wanted) -> tuple[str, ...]:
                 "the other was made from."
             )
     check_written(robot, poses, q)
-    robot.urdf.write(wanted.path, overwrite=wanted.overwrite)
+    robot.urdf.write(target.path, overwrite=target.overwrite)
     return ()
 
 
-def _write_origins(source: Source, wanted: Wanted) -> tuple[str, ...]:
+def _write_origins(source: Source, target: Target) -> Notes:
     """The origins of the chain's joints."""
-    write_origins(source.robot, wanted.path, overwrite=wanted.overwrite)
+    write_origins(source.robot, target.path, overwrite=target.overwrite)
     return ()
 
 
-def _write_dh(convention: str, source: Source, wanted: Wanted) -> tuple[str, ...]:
+def _write_dh(convention: str, source: Source, target: Target) -> Notes:
     """DH rows, beside the nominal ones where these are another robot's."""
     nominal = None if source.nominal is source.robot else source.nominal
     tables = DHTables.of(source.robot, nominal, convention)
-    write_dh(tables, wanted.path, overwrite=wanted.overwrite)
-    return tables.remarks
+    write_dh(tables, target.path, overwrite=target.overwrite)
+    return tables.notes
 
 
-def _write_ur_yaml(source: Source, wanted: Wanted) -> tuple[str, ...]:
+def _write_ur_yaml(source: Source, target: Target) -> Notes:
     """A kinematics.yaml with the robot's own hash."""
-    nominal, arm = _arm(source, wanted)
-    hash = source.hash  # its reader has said what there is to say of it
-    remarks: tuple[str, ...] = ()
-    if wanted.hash_from is not None:
-        own = read_ur(wanted.hash_from, urcontrol=wanted.urcontrol, model=arm)
-        hash, remarks = own.hash, own.remarks
+    nominal, arm = _arm(source, target)
+    hash, own = source.hash, target.options.hash_from
+    notes: Notes = ()
+    if own is not None:
+        read = read_ur(own, urcontrol=target.options.urcontrol, model=arm)
+        hash, notes = read.hash, read.notes
     if hash is None:
         raise CalibError(
-            f"{wanted.path}: a kinematics.yaml has the hash of the robot's own calibration, which the ROS driver "
+            f"{target.path}: a kinematics.yaml has the hash of the robot's own calibration, which the ROS driver "
             "compares with what the controller reports. Give the robot's own kinematics.yaml (from ros2 launch "
             "ur_calibration calibration_correction.launch.py) or its calibration.conf as --hash-from."
         )
-    path, again = wanted.path, wanted.overwrite
+    path, again = target.path, target.overwrite
     written = write_ur_yaml(source.robot, nominal, path, hash=hash, model=arm, overwrite=again)
-    return remarks + written.remarks
+    return notes + written.notes
 
 
-def _write_ur_conf(source: Source, wanted: Wanted) -> tuple[str, ...]:
+def _write_ur_conf(source: Source, target: Target) -> Notes:
     """The deltas of a calibration.conf."""
-    nominal, arm = _arm(source, wanted)
-    own = None if source.conf is None else Conf.read(source.conf)
+    nominal, arm = _arm(source, target)
+    own, update = source.conf, target.options.update
     written = write_ur_conf(
         source.robot,
         nominal,
-        wanted.path,
-        update=wanted.update,
+        target.path,
+        update=None if update is None else Conf.read(update),
         like=None if own is None else own.deltas,
         model=arm,
-        overwrite=wanted.overwrite,
+        overwrite=target.overwrite,
     )
-    if own is None or wanted.update is not None or not own.others:
-        return written.remarks
-    return (
-        *written.remarks,
-        f"{wanted.path} has the deltas alone; left out of {source.conf}: {choices(own.others)}. --update {source.conf} "
-        "keeps its other lines.",
-    )
+    if own is None or update is not None or not own.others:
+        return written.notes
+    return (*written.notes, Note("other lines left out", (choices(own.others),)))
 
 
-def _arm(source: Source, wanted: Wanted) -> tuple[Robot, UrModel]:
+def _arm(source: Source, target: Target) -> tuple[Robot, UrModel]:
     """The nominal robot, which must be an arm of Universal Robots, and which arm it is."""
     if source.nominal is None or source.model is None:
-        known = (
-            "no nominal robot is known"
-            if source.nominal is None
-            else f"'{source.nominal.name}' has the nominal kinematics of none"
-        )
         raise ModelError(
-            f"{wanted.path}: '{wanted.format}' is for arms of Universal Robots, and {known}. Name the arm with "
-            "--ur-model, or give its nominal URDF as --robot; for other robots write 'urdf', 'origins' or DH rows."
+            f"{target.path}: this format is for arms of Universal Robots, and the nominal robot is none that is known. "
+            "Name the arm with --ur-model, or give its nominal URDF as --robot; for other robots write 'urdf', "
+            "'origins' or DH rows."
         )
     return source.nominal, source.model
 
@@ -218,12 +200,8 @@ def _dh(what: str, convention: str) -> Format:
 
 FORMATS: Mapping[str, Format] = {
     "urdf": Format("the URDF", (".urdf", ".xml"), _write_urdf),
-    "ur-yaml": Format(
-        "kinematics.yaml of Universal Robots' ROS driver", YAML, _write_ur_yaml, "hash_from"
-    ),
-    "ur-conf": Format(
-        "DH deltas of a Universal Robots controller", (".conf",), _write_ur_conf, "update"
-    ),
+    "ur-yaml": Format("kinematics.yaml of Universal Robots' ROS driver", YAML, _write_ur_yaml),
+    "ur-conf": Format("DH deltas of a Universal Robots controller", (".conf",), _write_ur_conf),
     "origins": Format("the joints' origins, for a xacro to load", YAML, _write_origins),
     "dh": _dh(", standard convention", STANDARD),
     "modified-dh": _dh(", modified (Craig's) convention", MODIFIED),

@@ -11,11 +11,10 @@ import csv
 import io
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from itertools import count
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -23,20 +22,14 @@ from numpy.typing import NDArray
 
 from calib.errors import FileError, ModelError, choices
 from calib.files import json_bytes, write_atomically
+from calib.formats.notes import Note
 from calib.formats.origins import one_line
 from calib.model.dh import dh_table, near_parallel, taken_as_parallel
 from calib.model.dh_table import EQUATIONS, HAYATI, MODIFIED, STANDARD, DHRow, DHTable
 from calib.robot.readback import TOLERANCE, column_ranges, spread_between
-from calib.robot.robot import Robot, read_only, rigid_inverse
+from calib.robot.robot import Robot, rigid_inverse
 
 Array = NDArray[np.float64]
-Record = dict[str, str]
-
-BEFORE, AFTER, CHANGE = "before", "after", "change"
-"""What the tables are called; a robot without a nominal one has a single one, ``"robot"``."""
-
-SCHEMA = "dh 1"
-"""What ``schema`` says in the JSON form."""
 
 ENDINGS = (".csv", ".json", ".md")
 """What the name of a DH table may end in."""
@@ -44,9 +37,11 @@ ENDINGS = (".csv", ".json", ".md")
 #: Decimals of mm that one begins with, and the most; an angle gets three more: degrees act on metres.
 _LEAST, _MOST, _MORE_FOR_DEG = 6, 14, 3
 
+_DEG, _MM = np.pi / 180.0, 1e-3
+
 _POSE = ("x [mm]", "y [mm]", "z [mm]", "roll [deg]", "pitch [deg]", "yaw [deg]")
 
-#: The field of a row that stands under each heading; the order is that of the factors.
+#: The field of a row under each heading; the order is that of the factors.
 _OWN = {"theta [deg]": "theta", "d [mm]": "d", "a [mm]": "a", "alpha [deg]": "alpha"}
 _HEADS: Mapping[str, Mapping[str, str]] = {
     STANDARD: _OWN,
@@ -64,30 +59,6 @@ _NUMBERS = {"theta": "rad", "d": "m", "a": "m", "alpha": "rad", "beta": "rad"}
 
 #: Joint values that poses are compared at.
 _POSES = 64
-
-#: A row's d longer than this beside nearly parallel axes is worth a remark [m].
-_FAR = 2.0
-
-
-class RowJoint(NamedTuple):
-    """What is added to a row: factor * value of the driver (the joint, or what it mimics; None: held) + offset."""
-
-    joint: str
-    prismatic: bool
-    driver: str | None
-    factor: float
-    offset: float
-
-    @property
-    def text(self) -> str:
-        """As a formula, such as ``"-2 * arm + 5 deg"``; of most joints the joint's own name."""
-        unit, size = ("mm", 1e3) if self.prismatic else ("deg", 180.0 / np.pi)
-        if self.driver is None:
-            return f"held at {size * self.offset:.12g} {unit}"
-        name = self.driver if self.factor == 1.0 else f"{self.factor:.12g} * {self.driver}"
-        if self.offset == 0.0:
-            return name
-        return f"{name} {'-' if self.offset < 0 else '+'} {size * abs(self.offset):.12g} {unit}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,8 +83,8 @@ class DHTables:
         after = dh_table(robot, convention, like=nominal)
         before = None if nominal is None else dh_table(nominal, convention)
         tables = cls(robot, nominal, after, before)
-        off = tables.deviation(before, after)
-        allowed = TOLERANCE + _by_parallels(robot, nominal, convention)
+        off = tables.deviation({"before": before, "after": after})
+        allowed = TOLERANCE + tables._cost_of_parallels()
         if not off <= allowed:
             raise ModelError(
                 f"{robot.urdf.source}: the rows in the convention '{convention}' put the tip up to {off:.1e} m or rad "
@@ -122,90 +93,77 @@ class DHTables:
             )
         return tables
 
-    @property
-    def joints(self) -> tuple[RowJoint, ...]:
-        """What is added to each row."""
+    def drivers(self) -> list[tuple[str | None, float, float]]:
+        """What is added to each row: the joint (None: held), times a factor, plus an offset [rad or m]."""
         robot = self.robot
         at_zero = robot.chain_values(np.zeros(len(robot.joint_names)))[0]
-        found = []
-        for joint, row, offset in zip(robot.joints, robot.coupling, at_zero, strict=True):
-            driven = np.flatnonzero(row)
-            driver = robot.joint_names[driven[0]] if len(driven) else None
-            factor = float(row[driven[0]]) if len(driven) else 0.0
-            slides = joint.type == "prismatic"
-            found.append(RowJoint(joint.name, slides, driver, factor, float(offset) + 0.0))
-        return tuple(found)
+        found: list[tuple[str | None, float, float]] = []
+        for row, offset in zip(robot.coupling, at_zero, strict=True):
+            k = int(np.argmax(row != 0.0)) if row.any() else None
+            name, factor = (None, 0.0) if k is None else (robot.joint_names[k], float(row[k]))
+            found.append((name, factor, float(offset) + 0.0))
+        return found
+
+    def added(self) -> list[str]:
+        """The same as formulas, such as ``"-2 * arm + 5 deg"``; of most joints the joint's own name."""
+        texts = []
+        for (driver, factor, offset), row in zip(self.drivers(), self.after.rows, strict=True):
+            shown = f"{offset / _MM:+.12g} mm" if row.prismatic else f"{offset / _DEG:+.12g} deg"
+            name = driver if factor == 1.0 else f"{factor:.12g} * {driver}"
+            constant = f" {shown[0]} {shown[1:]}" if offset else ""
+            texts.append(f"{name}{constant}" if driver else f"held at {shown.removeprefix('+')}")
+        return texts
 
     @property
-    def remarks(self) -> tuple[str, ...]:
-        """What whoever types the rows in should know, sentence by sentence."""
-        robot, nominal, after = self.robot, self.nominal, self.after
-        remarks = []
-        if after.convention != HAYATI:
-            pairs = near_parallel(robot)
-            longest = max(abs(row.d) for row in after.rows)
+    def notes(self) -> tuple[Note, ...]:
+        """What whoever types the rows in should know."""
+        notes = []
+        if self.after.convention != HAYATI:
+            pairs = near_parallel(self.robot)
             if pairs:
-                named = ", ".join(
-                    f"'{a}' and '{b}' ({np.degrees(angle):.2g} deg)"
-                    for (a, b), angle in pairs.items()
-                )
-                far = f", here up to {longest:,.3g} m, and" if longest > _FAR else " and"
-                remarks.append(
-                    f"Axes that are nearly parallel: {named}. The common normal of such axes lies anywhere: the d and "
-                    f"theta of their rows may be large{far} cancel over the rows. Enter every digit, and all rows "
-                    "together; the convention 'hayati' has no such rows."
-                )
-            angle = max(taken_as_parallel(one) for one in (robot, nominal) if one is not None)
-            if angle > TOLERANCE:
-                cost = 1e6 * _by_parallels(robot, nominal, after.convention)
-                remarks.append(
-                    f"Axes that the URDF's rounding leaves {angle:.1e} rad out of parallel are taken as parallel, so "
-                    f"that the rows differ from the URDF by less than {cost:.2g} micrometres."
-                )
-        others = [j for j in self.joints if j.text != j.joint]
+                named = ", ".join(f"'{a}' and '{b}'" for a, b in pairs)
+                longest = max(abs(row.d) for row in self.after.rows)
+                notes.append(Note("nearly parallel axes", (named, longest)))
+            cost = self._cost_of_parallels()
+            if cost > TOLERANCE:
+                notes.append(Note("taken as parallel", (cost,)))
+        pairs_of = zip(self.after.rows, self.added(), strict=True)
+        others = [f"'{row.joint}' ({text})" for row, text in pairs_of if text != row.joint]
         if others:
-            named = ", ".join(f"'{j.joint}' ({j.text})" for j in others)
-            remarks.append(f"Joints without a value of their own: {named}.")
-        return tuple(remarks)
+            notes.append(Note("joints without value", (", ".join(others),)))
+        return tuple(notes)
 
-    def states(self) -> list[tuple[str, DHTable]]:
-        """The tables that a file has, by what they are called: one, or before, after and change."""
+    def states(self) -> dict[str, DHTable]:
+        """The tables that a file has, by what they are called: ``robot``, or before, after and change."""
         if self.before is None:
-            return [("robot", self.after)]
+            return {"robot": self.after}
         before, after = self.before, self.after
         # After - before; of the constant poses before^-1 after.
         rows = tuple(
             replace(b, **{k: getattr(b, k) - getattr(a, k) for k in _NUMBERS})
             for a, b in zip(before.rows, after.rows, strict=True)
         )
-        base, tool = (
-            read_only(rigid_inverse(a) @ b)
-            for a, b in ((before.T_base_0, after.T_base_0), (before.T_n_tip, after.T_n_tip))
-        )
+        base = rigid_inverse(before.T_base_0) @ after.T_base_0
+        tool = rigid_inverse(before.T_n_tip) @ after.T_n_tip
         change = DHTable(rows, base, tool, after.convention)
-        return [(BEFORE, before), (AFTER, after), (CHANGE, change)]
+        return {"before": before, "after": after, "change": change}
 
-    def deviation(self, before: DHTable | None, after: DHTable) -> float:
+    def deviation(self, tables: Mapping[str, DHTable | None]) -> float:
         """The largest difference of position [m] or of an entry of the rotation between rows and robots."""
         q = spread_between(column_ranges(self.robot), _POSES)
-        values = self.robot.chain_values(q)
-        off = float(np.abs(after.poses(values) - self.robot.poses(q)).max())
-        if before is not None and self.nominal is not None:
-            off = max(off, float(np.abs(before.poses(values) - self.nominal.poses(q)).max()))
-        return off
+        robots = {"robot": self.robot, "after": self.robot, "before": self.nominal}
+        return max(
+            float(np.abs(table.poses(self.robot.chain_values(q)) - robot.poses(q)).max())
+            for name, robot in robots.items()
+            if robot is not None and (table := tables.get(name)) is not None
+        )
 
-
-def _by_parallels(robot: Robot, nominal: Robot | None, convention: str) -> float:
-    """What taking axes as parallel may cost [m]: the angle times the arm's length, there and back."""
-    if convention == HAYATI:
-        return 0.0
-    return max(
-        2.0
-        * taken_as_parallel(one)
-        * float(1.0 + np.linalg.norm(one.placements[:, :3, 3], axis=1).sum())
-        for one in (robot, nominal)
-        if one is not None
-    )
+    def _cost_of_parallels(self) -> float:
+        """What taking axes as parallel may cost [m]: the angle times the arm's length, there and back."""
+        robots = [one for one in (self.robot, self.nominal) if one is not None]
+        lengths = [1.0 + np.linalg.norm(r.placements[:, :3, 3], axis=1).sum() for r in robots]
+        costs = (2.0 * taken_as_parallel(r) * size for r, size in zip(robots, lengths, strict=True))
+        return 0.0 if self.after.convention == HAYATI else float(max(costs))
 
 
 def write_dh(tables: DHTables, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
@@ -214,174 +172,125 @@ def write_dh(tables: DHTables, path: str | os.PathLike[str], *, overwrite: bool 
     Raises:
         FileError: Another ending, the file exists, or it cannot be written.
     """
-    ending = Path(path).suffix.lower()
-    if ending not in ENDINGS:
+    form = _FORMS.get(Path(path).suffix.lower())
+    if form is None:
         raise FileError(
             f"{path}: a DH table is written as {choices(ENDINGS)}; end the name in one of these."
         )
-    if ending == ".json":
-        data = json_bytes(_json(tables))
-    else:
-        data = (_csv if ending == ".csv" else _markdown)(tables, _rounded(tables))
-    return write_atomically(path, data, overwrite=overwrite)
+    return write_atomically(path, form(tables), overwrite=overwrite)
 
 
-def _title(tables: DHTables) -> str:
-    """What it is, in one line."""
-    robot = tables.robot
+def _legend(tables: DHTables) -> list[str]:
+    """What it is and how the numbers are to be understood, line by line."""
+    robot, factor = tables.robot, EQUATIONS[tables.after.convention]
     name, base, tip = map(one_line, (robot.name, robot.base, robot.tip))
-    return (
-        f"DH rows of '{name}', '{base}' to '{tip}', in the convention '{tables.after.convention}'"
-    )
-
-
-def _legend(tables: DHTables) -> Iterator[str]:
-    """How the numbers are to be understood, line by line."""
-    factor = EQUATIONS[tables.after.convention]
-    letter = factor[0]
-    yield f"T_base_tip = base {letter}_1 ... {letter}_n tool, {factor}"
-    yield (
+    lines = [
+        f"DH rows of {name}, {base} to {tip}, {tables.after.convention} convention, by calib",
+        f"T_base_tip = base {factor[0]}_1 ... {factor[0]}_n tool, {factor}",
         "The joint's value is added to theta; that of a sliding joint to d. 'base' and 'tool' are constant poses, "
-        "R = Rz(yaw) Ry(pitch) Rx(roll)."
-    )
+        "R = Rz(yaw) Ry(pitch) Rx(roll).",
+    ]
     if tables.before is not None:
-        yield "change = after - before; of 'base' and 'tool' it is the pose before^-1 after."
-    yield from map(one_line, tables.remarks)
+        lines.append(
+            "change = after - before; of 'base' and 'tool' it is the pose before^-1 after."
+        )
+    return lines
 
 
-# CSV and Markdown, out of the same records
+# CSV and Markdown, out of the same records: what is under each heading
 
 
-def _rounded(tables: DHTables) -> list[Record]:
-    """Every row of every table with as few decimals as hold the poses."""
-    for decimals in count(_LEAST):
-        records = _records(tables, decimals)
-        off = tables.deviation(*_from_records(records, tables.after.convention))
-        if off <= TOLERANCE / 2 or decimals == _MOST:
+def _records(tables: DHTables) -> dict[str, list[dict[str, str]]]:
+    """Every row of every table, base, the rows, tool, with as few decimals as hold the poses."""
+    for decimals in range(_LEAST, _MOST + 1):
+        records = {
+            name: _printed(tables, table, decimals) for name, table in tables.states().items()
+        }
+        back = {name: _read(rows, tables.after) for name, rows in records.items()}
+        if tables.deviation(back) <= TOLERANCE / 2:
             break
     return records
 
 
-def _records(tables: DHTables, decimals: int) -> list[Record]:
-    """Every row of every table: base, the rows, tool."""
-    heads = _HEADS[tables.after.convention]
+def _printed(tables: DHTables, table: DHTable, decimals: int) -> list[dict[str, str]]:
+    """A table as text."""
 
-    def numbers(values: Mapping[str, float]) -> Record:
-        return {
-            head: _fixed(value, decimals + (_MORE_FOR_DEG if "[deg]" in head else 0))
-            for head, value in values.items()
+    def texts(numbers: Mapping[str, float]) -> dict[str, str]:
+        rounded = {
+            head: f"{value / _si(head):.{decimals + _MORE_FOR_DEG * ('[deg]' in head)}f}"
+            for head, value in numbers.items()
         }
+        return {h: t.lstrip("-") if float(t) == 0.0 else t for h, t in rounded.items()}
 
-    def pose(place: str, T: Array) -> Record:
-        values = (*(1e3 * T[:3, 3]), *np.degrees(pin.rpy.matrixToRpy(T[:3, :3])))
-        return {"table": name, "row": place, **numbers(dict(zip(_POSE, values, strict=True)))}
+    def pose(place: str, T: Array) -> dict[str, str]:
+        values = (*T[:3, 3], *pin.rpy.matrixToRpy(T[:3, :3]))
+        return {"row": place, **texts(dict(zip(_POSE, values, strict=True)))}
 
-    records = []
-    for name, table in tables.states():
-        records.append(pose("base", table.T_base_0))
-        for i, (row, joint) in enumerate(zip(table.rows, tables.joints, strict=True), start=1):
-            record = {
-                "table": name,
-                "row": str(i),
-                "joint": one_line(row.joint),
-                "added to": "d" if row.prismatic else "theta",
-                "value added": one_line(joint.text),
-            }
-            values = {head: getattr(row, field) / _si(head) for head, field in heads.items()}
-            records.append({**record, **numbers(values)})
-        records.append(pose("tool", table.T_n_tip))
-    return records
+    heads = _HEADS[table.convention]
+    rows = []
+    for i, (row, added) in enumerate(zip(table.rows, tables.added(), strict=True), start=1):
+        words = {"row": str(i), "joint": one_line(row.joint)}
+        words |= {"added to": "d" if row.prismatic else "theta", "value added": one_line(added)}
+        rows.append(words | texts({head: getattr(row, field) for head, field in heads.items()}))
+    return [pose("base", table.T_base_0), *rows, pose("tool", table.T_n_tip)]
 
 
-def _from_records(records: list[Record], convention: str) -> tuple[DHTable | None, DHTable]:
-    """The rows before, None where there are none, and after, out of the numbers as they are printed."""
-    heads = _HEADS[convention]
-    found: dict[str, list[Record]] = {}
-    for record in records:
-        found.setdefault(record["table"], []).append(record)
+def _read(records: list[dict[str, str]], like: DHTable) -> DHTable:
+    """The table out of the numbers as they are printed; its joints are those of another one."""
 
-    def pose(record: Record) -> Array:
+    def pose(record: Mapping[str, str]) -> Array:
         values = [float(record[head]) * _si(head) for head in _POSE]
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = pin.rpy.rpyToMatrix(*values[3:]), values[:3]
         return T
 
-    def table(name: str) -> DHTable:
-        base, *rows, tool = found[name]
-        return DHTable(
-            tuple(
-                DHRow(
-                    row["joint"],
-                    row["added to"] == "d",
-                    **{field: float(row[head]) * _si(head) for head, field in heads.items()},
-                )
-                for row in rows
-            ),
-            pose(base),
-            pose(tool),
-            convention,
-        )
-
-    if BEFORE in found:
-        return table(BEFORE), table(AFTER)
-    return None, table("robot")
+    base, *rows, tool = records
+    heads = _HEADS[like.convention]
+    found = tuple(
+        DHRow(row.joint, row.prismatic, **{f: float(one[h]) * _si(h) for h, f in heads.items()})
+        for one, row in zip(rows, like.rows, strict=True)
+    )
+    return DHTable(found, pose(base), pose(tool), like.convention)
 
 
 def _si(head: str) -> float:
     """One unit of a column in rad or m."""
-    return np.pi / 180.0 if "[deg]" in head else 1e-3
+    return _DEG if "[deg]" in head else _MM
 
 
-def _fixed(value: float, decimals: int) -> str:
-    """A number with that many decimals, and no sign before zero."""
-    text = f"{value:.{decimals}f}"
-    return text.lstrip("-") if float(text) == 0.0 else text
-
-
-def _csv(tables: DHTables, records: list[Record]) -> bytes:
+def _csv(tables: DHTables) -> bytes:
     """A CSV file: comments, then one line for each row of each table; no zeros at the ends of numbers."""
-    heads = ["table", "row", "joint", "added to", "value added"]
-    heads += [*_HEADS[tables.after.convention], *_POSE]
+    heads = ["table", "row", "joint", "added to", "value added", *_HEADS[tables.after.convention]]
     text = io.StringIO(newline="")
-    for line in (_title(tables), *_legend(tables)):
-        text.write(f"# {line}\n")
-    writer = csv.DictWriter(text, heads, restval="", lineterminator="\n")
+    text.writelines(f"# {line}\n" for line in _legend(tables))
+    writer = csv.DictWriter(text, [*heads, *_POSE], restval="", lineterminator="\n")
     writer.writeheader()
-    writer.writerows(
-        {key: value.rstrip("0").rstrip(".") if "[" in key else value for key, value in one.items()}
-        for one in records
-    )
+    for name, records in _records(tables).items():
+        for one in records:
+            plain = {k: v.rstrip("0").rstrip(".") if "[" in k else v for k, v in one.items()}
+            writer.writerow({"table": name, **plain})
     return text.getvalue().encode("utf-8", "backslashreplace")
 
 
-def _markdown(tables: DHTables, records: list[Record]) -> bytes:
+def _markdown(tables: DHTables) -> bytes:
     """A Markdown file: a heading for each table, with the rows and the two poses under it."""
-    rows_heads = ["row", "joint", "added to", *_HEADS[tables.after.convention]]
-    equation, *others = _legend(tables)
-    lines = [f"# {_escaped(_title(tables))}", "", f"`{equation}`"]
+    heads = ["row", "joint", "added to", *_HEADS[tables.after.convention]]
+    title, equation, *others = _legend(tables)
+    lines = [f"# {_escaped(title)}", "", f"`{equation}`"]
     for line in others:
         lines += ["", _escaped(line)]
-    for table in dict.fromkeys(record["table"] for record in records):
-        here = [record for record in records if record["table"] == table]
-        rows = [record for record in here if "joint" in record]
-        poses = [record for record in here if "joint" not in record]
-        lines += ["", f"## {table.capitalize()}", ""]
-        lines += [*_grid(rows_heads, rows, left=3), "", *_grid(["pose", *_POSE], poses, left=1)]
+    for name, (base, *rows, tool) in _records(tables).items():
+        lines += ["", f"## {name.capitalize()}", "", *_grid(heads, rows, left=3)]
+        lines += ["", *_grid(["row", *_POSE], [base, tool], left=1)]
     return ("\n".join(lines) + "\n").encode("utf-8", "backslashreplace")
 
 
-def _grid(heads: list[str], records: list[Record], left: int) -> Iterator[str]:
-    """A table of Markdown, its columns aligned in the text too."""
-    keys = ["row" if head == "pose" else head for head in heads]
-    cells = [heads, *([_escaped(record[key]) for key in keys] for record in records)]
-    widths = [max(len(row[k]) for row in cells) for k in range(len(heads))]
-    rule = ["-" * w if k < left else "-" * (w - 1) + ":" for k, w in enumerate(widths)]
-    for row in (cells[0], rule, *cells[1:]):
-        padded = [
-            cell.ljust(w) if k < left else cell.rjust(w)
-            for k, (cell, w) in enumerate(zip(row, widths, strict=True))
-        ]
-        yield f"| {' | '.join(padded)} |"
+def _grid(heads: list[str], records: list[dict[str, str]], left: int) -> Iterator[str]:
+    """A table of Markdown; all but the first columns are aligned to the right."""
+    yield f"| {' | '.join(heads)} |"
+    yield f"|{'---|' * left}{'---:|' * (len(heads) - left)}"
+    for record in records:
+        yield f"| {' | '.join(_escaped(record[head]) for head in heads)} |"
 
 
 def _escaped(text: str) -> str:
@@ -390,47 +299,48 @@ def _escaped(text: str) -> str:
     return re.sub(r"([\\|*`<\[\]#~&]|(?<![A-Za-z0-9])_|_(?![A-Za-z0-9]))", r"\\\1", text)
 
 
-# JSON
-
-
-def _json(tables: DHTables) -> dict[str, Any]:
+def _json(tables: DHTables) -> bytes:
     """The tables in m and rad, every digit."""
-    joints = [
-        {
-            "joint": j.joint,
-            "type": "prismatic" if j.prismatic else "revolute",
-            "driver": j.driver,
-            "factor": j.factor,
-            "offset_m" if j.prismatic else "offset_rad": j.offset,
-        }
-        for j in tables.joints
-    ]
-    by_name = {name: _json_table(table) for name, table in tables.states()}
-    robot = tables.robot
-    return {
-        "schema": SCHEMA,
-        "convention": tables.after.convention,
-        "equation": next(_legend(tables)),
-        "robot": {"name": robot.name, "base": robot.base, "tip": robot.tip},
-        "joints": joints,
-        BEFORE: by_name.get(BEFORE),
-        AFTER: _json_table(tables.after),
-        CHANGE: by_name.get(CHANGE),
-        "remarks": list(tables.remarks),
-    }
 
-
-def _json_table(table: DHTable) -> dict[str, Any]:
-    """One table."""
-    return {
-        "T_base_0": table.T_base_0.tolist(),
-        "rows": [
+    def of(table: DHTable | None) -> dict[str, Any] | None:
+        if table is None:
+            return None
+        rows = [
             {
                 "joint": row.joint,
                 "added_to": "d" if row.prismatic else "theta",
                 **{f"{name}_{unit}": getattr(row, name) for name, unit in _NUMBERS.items()},
             }
             for row in table.rows
-        ],
-        "T_n_tip": table.T_n_tip.tolist(),
+        ]
+        return {
+            "T_base_0": table.T_base_0.tolist(),
+            "rows": rows,
+            "T_n_tip": table.T_n_tip.tolist(),
+        }
+
+    joints = [
+        {
+            "joint": row.joint,
+            "type": "prismatic" if row.prismatic else "revolute",
+            "driver": driver,
+            "factor": factor,
+            "offset_m" if row.prismatic else "offset_rad": offset,
+        }
+        for row, (driver, factor, offset) in zip(tables.after.rows, tables.drivers(), strict=True)
+    ]
+    robot, states = tables.robot, tables.states()
+    content = {
+        "schema": "dh 1",
+        "convention": tables.after.convention,
+        "equation": _legend(tables)[1],
+        "robot": {"name": robot.name, "base": robot.base, "tip": robot.tip},
+        "joints": joints,
+        **{name: of(states.get(name)) for name in ("before", "after", "change")},
     }
+    return json_bytes({**content, "after": of(tables.after)})
+
+
+_FORMS: Mapping[str, Callable[[DHTables], bytes]] = dict(
+    zip(ENDINGS, (_csv, _json, _markdown), strict=True)
+)

@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 from calib.compensation.nominal_actual import is_corrected
 from calib.errors import CalibError, FileError, ModelError, choices
 from calib.files import read_bytes
-from calib.formats.origins import origins_of, parse_yaml, read_origins
+from calib.formats.notes import Note
+from calib.formats.origins import origins_of, parse_yaml, read_origins, with_origins
 from calib.formats.universal_robots import read_ur
 from calib.formats.ur_arms import UrModel, ur_model, ur_robot
-from calib.formats.ur_mount import recognised, the_mount
+from calib.formats.ur_files import Conf
+from calib.formats.ur_mount import Mount, the_mount
 from calib.result.calibration_file import read_result
 from calib.robot.readback import spread_poses
 from calib.robot.robot import Robot
@@ -24,20 +26,30 @@ from calib.robot.xacro_file import is_xacro
 
 Array = NDArray[np.float64]
 
-UR_CONF, UR_YAML, RESULT, ORIGINS, ROBOT = "ur-conf", "ur-yaml", "result", "origins", "robot"
-"""What a source may be."""
+YAML = (".yaml", ".yml")
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
-    """What goes with a source: the nominal robot (URDF, xacro or name), or the name of an arm of Universal Robots.
+class Options:
+    """What goes with a conversion; all may be left out.
 
-    Base and tip are those of the source where they are not named; ``held`` are joints that stay [rad or m].
+    Attributes:
+        to: The format, one of `calib.formats.convert.FORMATS`; None: what the file's ending says.
+        robot: The nominal robot: URDF, xacro or name.
+        ur_model: The name of an arm of Universal Robots.
+        urcontrol: Its ``urcontrol.conf``, with the nominal rows of a ``calibration.conf``.
+        hash_from: A file of the robot's own, whose hash a new ``kinematics.yaml`` keeps.
+        update: A ``calibration.conf`` whose other lines a new one keeps.
+        base, tip: Links of the chain; None: those of the source.
+        held: Joints that stay [rad or m].
     """
 
+    to: str | None = None
     robot: str | None = None
     ur_model: str | None = None
     urcontrol: Path | None = None
+    hash_from: Path | None = None
+    update: Path | None = None
     base: str | None = None
     tip: str | None = None
     held: Mapping[str, float] | None = None
@@ -53,149 +65,127 @@ class Source:
 
     Attributes:
         kind: One of `KINDS`.
-        text: What was read, in a few words: ``"calibration of a UR5e, calib_12345"``.
         robot: The robot.
         nominal: The same chain with nominal kinematics; None where nothing is known of it.
         hash, model, conf: The ROS driver's name for the calibration, which arm of Universal Robots it is, and the
             ``calibration.conf`` that was read; None of other sources.
-        remarks: What its reader should know, sentence by sentence.
+        notes: What its reader should know.
     """
 
     kind: str
-    text: str
     robot: Robot
     nominal: Robot | None
     hash: str | None = None
     model: UrModel | None = None
-    conf: Path | None = None
-    remarks: tuple[str, ...] = ()
+    conf: Conf | None = None
+    notes: tuple[Note, ...] = ()
 
     def distances(self) -> tuple[Array, Array] | None:
         """How far the tip lies from the nominal robot's, over the joint limits: shape (N,), [m], and (N,), [rad]."""
         if self.nominal is None:
             return None
         q = spread_poses(self.nominal)
-        T, S = self.robot.poses(q), self.nominal.poses(q)
-        apart = np.linalg.norm(T[:, :3, 3] - S[:, :3, 3], axis=1)
-        chord = np.linalg.norm(T[:, :3, :3] - S[:, :3, :3], axis=(1, 2)) / np.sqrt(8.0)
-        return apart, 2.0 * np.arcsin(np.clip(chord, 0.0, 1.0))
+        apart = self.robot.poses(q)[:, :3] - self.nominal.poses(q)[:, :3]
+        chord = np.linalg.norm(apart[:, :, :3], axis=(1, 2)) / np.sqrt(8.0)
+        turned = 2.0 * np.arcsin(np.clip(chord, 0.0, 1.0))
+        return np.linalg.norm(apart[:, :, 3], axis=1), turned
 
 
-def _universal_robots(source: str, kind: str, asked: Asked) -> Source:
+def _universal_robots(source: str, options: Options) -> Source:
     """A calibration.conf or a kinematics.yaml, on the robot asked for or on a bare one."""
-    given = None if asked.robot is None else asked.load(asked.robot)
-    found = read_ur(source, urcontrol=asked.urcontrol, model=asked.ur_model, robot=given)
-    if given is None and (asked.base or asked.tip or asked.held):
+    given = None if options.robot is None else options.load(options.robot)
+    arm = options.ur_model
+    found = read_ur(source, urcontrol=options.urcontrol, model=arm, robot=given)
+    if given is None and (options.base or options.tip or options.held):
         bare = found.nominal
-        links = asked.base or bare.base, asked.tip or bare.tip
-        given = Robot.from_urdf(bare.urdf, *links, held=asked.held)
-        found = read_ur(source, urcontrol=asked.urcontrol, model=asked.ur_model, robot=given)
-    name = "" if found.hash is None else f", {found.hash}"
-    return Source(
-        kind,
-        f"calibration of {found.model.said}{name}",
-        found.robot,
-        found.nominal,
-        found.hash,
-        found.model,
-        Path(source) if kind == UR_CONF else None,
-        found.remarks,
-    )
+        links = options.base or bare.base, options.tip or bare.tip
+        given = Robot.from_urdf(bare.urdf, *links, held=options.held)
+        found = read_ur(source, urcontrol=options.urcontrol, model=arm, robot=given)
+    kind = source_kind(source)
+    conf = Conf.read(source) if kind == "ur-conf" else None
+    return Source(kind, found.robot, found.nominal, found.hash, found.model, conf, found.notes)
 
 
-def _result(source: str, kind: str, asked: Asked) -> Source:
-    """A result of ``calib fit``, on the robot asked for, nominal or corrected, or on the URDF that it holds."""
+def _result(source: str, options: Options) -> Source:
+    """A result, on the robot asked for, nominal or corrected, or on the URDF that it holds."""
     result = read_result(source)
     nominal, robot = result.nominal, result.robot
-    for option, given, own in (("base", asked.base, nominal.base), ("tip", asked.tip, nominal.tip)):
-        if given is not None and given != own:
-            raise CalibError(
-                f"{source} is the result for --{option} {own}, and '{given}' was given; leave out --{option}."
-            )
-    if asked.held and dict(asked.held) != nominal.held:
-        raise CalibError(f"{source} says itself which joints are held; leave out --hold.")
-    if asked.robot is not None:
-        arm = Robot.load(asked.robot, nominal.base, nominal.tip, held=nominal.held)
+    links = (options.base or nominal.base, options.tip or nominal.tip)
+    if links != (nominal.base, nominal.tip) or (options.held and options.held != nominal.held):
+        raise CalibError(
+            f"{source} holds base, tip and held joints; leave out --base, --tip and --hold."
+        )
+    if options.robot is not None:
+        arm = Robot.load(options.robot, nominal.base, nominal.tip, held=nominal.held)
         if arm.origins().keys() != robot.origins().keys():
             raise ModelError(
-                f"{source} has origins of the joints {choices(robot.origins())}; the chain of the robot given, "
-                f"'{arm.base}' to '{arm.tip}' of {arm.urdf.source}, has {choices(arm.origins())}. Give the URDF that "
-                "the result was made with as --robot."
+                f"{source} has origins of the joints {choices(robot.origins())}; {arm.urdf.source} has "
+                f"{choices(arm.origins())}. Give the URDF that the result was made with as --robot."
             )
         if is_corrected(result, arm):
             nominal, robot = result.uncorrected(arm), arm
         else:
             nominal, robot = arm, result.corrected(arm)
-    remarks: tuple[str, ...] = ()
-    if result.larger is not None:
-        remarks = (
-            f"The result has a larger model, '{result.larger.name}', whose joints err with their state: no format "
-            "written here can hold that. What is converted is its geometry alone; 'calib compensate' uses all of it.",
-        )
-    text = f"result of 'calib fit' for '{robot.name}', '{robot.base}' to '{robot.tip}'"
-    return Source(kind, text, robot, nominal, model=_arm(nominal, asked), remarks=remarks)
+    notes = () if result.larger is None else (Note("geometry alone", (result.larger.name,)),)
+    return Source("result", robot, nominal, model=_arm(nominal, options), notes=notes)
 
 
-def _origins(source: str, kind: str, asked: Asked) -> Source:
+def _origins(source: str, options: Options) -> Source:
     """An origins file, on the robot asked for."""
     found = read_origins(source)
-    if asked.robot is None:
+    if options.robot is None:
         raise CalibError(
             f"{source} has the origins of joints alone; give the URDF that they belong to as --robot."
         )
-    nominal = asked.load(asked.robot)
-    robot = found.applied_to(nominal)
-    names = {name for name, _ in found.joints}
-    missing = [name for name, _ in origins_of(robot).joints if name not in names]
-    remark = (
-        f"The file has no origin of {choices(missing)}, which the chain '{robot.base}' to '{robot.tip}' has: they stay "
-        "as they are in the URDF."
-    )
-    text = (
-        f"origins of {len(found.joints)} joints, '{robot.base}' to '{robot.tip}' of '{robot.name}'"
-    )
-    remarks = (remark,) * bool(missing)
-    return Source(kind, text, robot, nominal, model=_arm(nominal, asked), remarks=remarks)
+    nominal = options.load(options.robot)
+    robot = with_origins(nominal, found)
+    missing = [name for name in origins_of(robot) if name not in found]
+    notes = (Note("joints without origin", (choices(missing),)),) if missing else ()
+    return Source("origins", robot, nominal, model=_arm(nominal, options), notes=notes)
 
 
-def _robot(source: str, kind: str, asked: Asked) -> Source:
-    """A URDF, a xacro or the name of a robot, held against the nominal one asked for."""
-    robot = asked.load(source)
+def _robot(source: str, options: Options) -> Source:
+    """A URDF, a xacro or the name of a robot, beside the nominal one asked for."""
+    robot = options.load(source)
     own = [joint.name for joint in robot.joints]
     nominal = None
-    if asked.robot is not None:
-        nominal = replace(asked, base=robot.base, tip=robot.tip).load(asked.robot)
+    if options.robot is not None:
+        nominal = replace(options, base=robot.base, tip=robot.tip).load(options.robot)
         others = [joint.name for joint in nominal.joints]
         if others != own:
             raise ModelError(
                 f"{source} has the joints {choices(own)} between '{robot.base}' and '{robot.tip}', and "
                 f"{nominal.urdf.source} has {choices(others)}. --robot is the same robot with its nominal kinematics."
             )
-    elif recognised(robot):  # an arm with the kinematics of the data sheet is its own nominal robot
-        nominal = robot
-    elif asked.ur_model is not None:
-        bare = ur_robot(asked.ur_model)
+    elif (mounted := _mount(robot)) is not None and mounted.nominal:
+        nominal = robot  # an arm with the kinematics of the data sheet is its own nominal robot
+    elif options.ur_model is not None:
+        bare = ur_robot(options.ur_model)
         links, joints = bare.urdf.links, [joint.name for joint in bare.joints]
         if robot.base not in links or robot.tip not in links or own != joints:
             raise ModelError(
                 f"{source}: links and joints from '{robot.base}' to '{robot.tip}' are not named as in Universal "
-                f"Robots' description ({choices(links)}; {choices(joints)}). Give the nominal URDF as --robot instead "
-                "of --ur-model, or name the links with --base and --tip."
+                f"Robots' description ({choices(links)}; {choices(joints)}). Give the nominal URDF as --robot."
             )
         nominal = bare.rebuilt(base=robot.base, tip=robot.tip)
-    text = f"'{robot.name}', '{robot.base}' to '{robot.tip}', {len(own)} joints"
-    model = None if nominal is None else _arm(nominal, asked)
-    return Source(kind, text, robot, nominal, model=model)
+    model = None if nominal is None else _arm(nominal, options)
+    return Source("robot", robot, nominal, model=model)
 
 
-def _arm(nominal: Robot, asked: Asked) -> UrModel | None:
-    """The arm of Universal Robots that a nominal robot is, if it is one; it must be the one asked for."""
-    if asked.ur_model is not None:
-        return the_mount(nominal, ur_model(asked.ur_model))[0]
+def _mount(robot: Robot, model: UrModel | None = None) -> Mount | None:
+    """How a robot is mounted as an arm of Universal Robots, if it is one."""
     try:
-        return the_mount(nominal)[0]
+        return the_mount(robot, model)
     except ModelError:  # of another maker
         return None
+
+
+def _arm(nominal: Robot, options: Options) -> UrModel | None:
+    """The arm of Universal Robots that a nominal robot is, if it is one; it must be the one asked for."""
+    if options.ur_model is not None:
+        return the_mount(nominal, ur_model(options.ur_model)).model
+    mounted = _mount(nominal)
+    return None if mounted is None else mounted.model
 
 
 class Kind(NamedTuple):
@@ -203,17 +193,15 @@ class Kind(NamedTuple):
 
     endings: tuple[str, ...]
     key: str
-    read: Callable[[str, str, Asked], Source]
+    read: Callable[[str, Options], Source]
 
-
-YAML = (".yaml", ".yml")
 
 KINDS = {
-    UR_CONF: Kind((".conf",), "", _universal_robots),
-    UR_YAML: Kind(YAML, "kinematics", _universal_robots),
-    RESULT: Kind((".json",), "", _result),
-    ORIGINS: Kind(YAML, "origins", _origins),
-    ROBOT: Kind(("", ".urdf", ".xml"), "", _robot),
+    "ur-conf": Kind((".conf",), "", _universal_robots),
+    "ur-yaml": Kind(YAML, "kinematics", _universal_robots),
+    "result": Kind((".json",), "", _result),
+    "origins": Kind(YAML, "origins", _origins),
+    "robot": Kind(("", ".urdf", ".xml"), "", _robot),
 }
 """What can be read, by name; `calib.formats.convert.FORMATS` is what can be written."""
 
@@ -231,17 +219,15 @@ def source_kind(source: str) -> str:
     for name, kind in KINDS.items():
         if ending in kind.endings and (not kind.key or kind.key in keys):
             return name
-    found = f"its ending is '{ending}'"
-    if ending in YAML:
-        found = f"it has neither 'kinematics' nor 'origins', but {choices(keys) or 'no keys'}"
+    found = f"neither 'kinematics' nor 'origins' is in it, but {choices(keys) or 'no keys'}"
     raise FileError(
-        f"{source}: this is none of what 'calib convert' reads; {found}. Give a calibration.conf or a kinematics.yaml "
-        "of Universal Robots, a result (.json) of 'calib fit', an origins file (.yaml), a URDF, a xacro, or the name "
+        f"{source}: {found if ending in YAML else f'its ending is {ending!r}'}. Give a calibration.conf or a "
+        "kinematics.yaml of Universal Robots, a result (.json), an origins file (.yaml), a URDF, a xacro, or the name "
         "of a robot such as 'ur3'."
     )
 
 
-def read_source(source: str, asked: Asked) -> Source:
+def read_source(source: str, options: Options) -> Source:
     """Read what is to be converted: a file, or the name of a robot.
 
     Raises:
@@ -250,7 +236,4 @@ def read_source(source: str, asked: Asked) -> Source:
         ModelError: Things that do not fit each other.
         CalibError: Something was given that the source has no use for.
     """
-    kind = source_kind(source)
-    if asked.ur_model is not None:
-        ur_model(asked.ur_model)  # a name that there is not is said first
-    return KINDS[kind].read(source, kind, asked)
+    return KINDS[source_kind(source)].read(source, options)

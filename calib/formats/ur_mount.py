@@ -1,8 +1,7 @@
 """How a robot is an arm of Universal Robots: which one, and where its base and its flange are.
 
-A nominal arm is recognised by its axes to a micrometre. Those of a calibrated one do not say where its base and its
-flange are, and no axes show an error of the first joint's zero and height or of the last one's: the names of the links
-in Universal Robots' descriptions do.
+The names of the links in Universal Robots' descriptions say where the controller's base and flange are: no axes show an
+error of the first joint's zero and height or of the last one's. The arm is the one with the nearest nominal kinematics.
 """
 
 from __future__ import annotations
@@ -15,22 +14,14 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib.errors import ModelError, UrdfError, choices
-from calib.formats.ur_arms import (
-    JOINTS,
-    MODELS,
-    NAMES,
-    TOLERANCE,
-    UrModel,
-    chain_poses,
-    frames_at_zero,
-)
+from calib.formats.ur_arms import JOINTS, MODELS, TOLERANCE, UrModel, chain_of_rows, chain_poses
 from calib.model.dh import zero_poses
 from calib.robot.robot import Robot, read_only, rigid_inverse
 
 Array = NDArray[np.float64]
 
 #: One that is calibrated already may lie this far from it [m; rotation matrices: 1].
-CALIBRATED = 0.05
+_CALIBRATED = 0.05
 
 #: Links that are the controller's base, and whether they are turned by half a turn about z against it.
 _BASES = (("base_link_inertia", False), ("base", False), ("base_link", True))
@@ -39,9 +30,6 @@ _BASES = (("base_link_inertia", False), ("base", False), ("base_link", True))
 _FLANGES = ("tool0", "wrist_3_link")
 
 _HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
-
-#: No calibration moves a flange further [m].
-FARTHEST = 0.2
 
 #: Joint values within one turn at which arms are compared, shape (200, 6), [rad], the same every time.
 SPREAD = read_only(np.random.default_rng(20170401).uniform(-np.pi, np.pi, (200, 6)))
@@ -52,18 +40,24 @@ class Mount:
     """How a URDF's frames are fixed to those of an arm: T_base_tip = T_base_arm chain(q) T_flange_tip.
 
     Attributes:
+        model: Which arm it is.
         T_base_arm, T_flange_tip: shape (4, 4), [m]: the controller's base in the robot's, the tip in its flange.
-        T_arm_joint: shape (6, 4, 4), [m]: each joint's frame in the arm's frame of that joint, see `FullDH.chain`; a
-            motion along and about the axis.
-        off, turned: How far the flange lies from the nominal arm's, at most [m], [rad], where the robot is not nominal,
-            and base and flange are where the links' names say; else 0.
+        T_arm_joint: shape (6, 4, 4), [m]: each joint's frame in the arm's frame of that joint, a motion along and about
+            the axis.
+        off, turned: How far the flange lies from the nominal arm's, at most [m], [rad]; 0 if the robot is nominal.
     """
 
+    model: UrModel
     T_base_arm: Array
     T_flange_tip: Array
     T_arm_joint: Array
-    off: float = 0.0
-    turned: float = 0.0
+    off: float
+    turned: float
+
+    @property
+    def nominal(self) -> bool:
+        """Whether the robot has the arm's nominal kinematics."""
+        return self.off == self.turned == 0.0
 
     def chain_of(self, robot: Robot) -> Array:
         """The placements of a robot mounted so as those of the arm, shape (7, 4, 4), [m]."""
@@ -81,125 +75,46 @@ class Mount:
         return read_only([first, *between, back[5] @ chain[6] @ self.T_flange_tip])
 
 
-def recognised(robot: Robot) -> tuple[UrModel, ...]:
-    """The arms whose nominal kinematics a robot has, wherever its base and its tip are fixed to them.
-
-    Arms sold under two names are both in it. An arm whose base or flange is a little beside where its links' names have
-    it is calibrated, and not nominal.
-    """
-    return tuple(model for model in MODELS if mount(robot, model) is not None)
-
-
-def mount(robot: Robot, model: UrModel) -> Mount | None:
-    """How a robot's frames are fixed to those of an arm; None where it has not the arm's nominal kinematics."""
-    joints = robot.joints
-    if tuple(joint.name for joint in joints) != robot.joint_names or len(joints) != 6:
-        return None
-    if any(joint.type == "prismatic" for joint in joints):
-        return None
-    T_base_joint, _ = zero_poses(robot)
-    axes = [T[:3, :3] @ joint.axis for T, joint in zip(T_base_joint, joints, strict=True)]
-    chain = model.nominal.chain()
-    frames = frames_at_zero(chain)
-    if np.linalg.norm(np.cross(axes[0], axes[1])) < TOLERANCE:
-        return None
-    # The first two axes and the common normal between them fix the base.
-    found = _first_axes(T_base_joint[0][:3, 3], axes[0], T_base_joint[1][:3, 3], axes[1])
-    wanted = _first_axes(frames[0][:3, 3], frames[0][:3, 2], frames[1][:3, 3], frames[1][:3, 2])
-    T_base_arm = found @ rigid_inverse(wanted)
-    on_axes = []
-    for T, axis, frame, joint in zip(T_base_joint, axes, frames, joints, strict=False):
-        local = rigid_inverse(T_base_arm @ frame)
-        z, point = local[:3, :3] @ axis, (local @ T)[:3, 3]
-        if max(np.abs(z - [0.0, 0.0, 1.0]).max(), np.abs(point[:2]).max()) > TOLERANCE:
-            return None
-        on_axes.append(_on_axis(local @ T, joint.axis))
-    # Behind the last joint, not at the end of the whole chain, so that a tip without an <origin> keeps its place.
-    T_flange_tip = rigid_inverse(chain[6]) @ on_axes[5] @ robot.placements[6]
-    if _beside_names(robot, T_base_arm, T_flange_tip):
-        return None
-    return Mount(read_only(T_base_arm), read_only(T_flange_tip), read_only(on_axes))
-
-
-def the_mount(robot: Robot, model: UrModel | None = None) -> tuple[UrModel, Mount]:
-    """The arm that a robot is (that it must be, if one is given), and how its frames are fixed to the arm's.
-
-    A robot that is calibrated already, such as the URDF that the ROS driver makes, is taken for the arm that it is
-    nearest to if its links have the names of Universal Robots' descriptions.
+def the_mount(robot: Robot, model: UrModel | None = None) -> Mount:
+    """How a robot's frames are fixed to those of the arm that it is, or that it must be.
 
     Raises:
         ModelError: It is not that arm, or none.
     """
     wanted = MODELS if model is None else (model,)
-    for candidate in wanted:
-        mounted = mount(robot, candidate)
-        if mounted is not None:
-            return candidate, mounted
-    names = [other.name for other in recognised(robot)]
-    for T_base_arm, T_flange_tip in () if names else _named_frames(robot):
+    for T_base_arm, T_flange_tip in _named_frames(robot):
         arm = rigid_inverse(T_base_arm) @ robot.poses(SPREAD) @ rigid_inverse(T_flange_tip)
-        off = [float(np.abs(arm - one.nominal.poses(SPREAD)).max()) for one in wanted]
-        if min(off) < CALIBRATED:
-            nearest = wanted[int(np.argmin(off))]
-            return nearest, _named_mount(robot, nearest, T_base_arm, T_flange_tip, arm)
-    chain = f"The robot '{robot.name}' from '{robot.base}' to '{robot.tip}'"
-    if model is not None:
-        others = f"the {' and the '.join(names)}" if names else "no Universal Robots arm"
-        raise ModelError(
-            f"{chain} has not the nominal kinematics of the {model.name}: it has those of {others}. Name the arm that "
-            f"the URDF describes, or give the URDF of the {model.name}."
-        )
+        apart = [(arm - chain_poses(chain_of_rows(one.rows), SPREAD))[:, :3] for one in wanted]
+        nearest = min(range(len(wanted)), key=lambda i: float(np.abs(apart[i]).max()))
+        most = float(np.abs(apart[nearest]).max())
+        if most < _CALIBRATED:
+            off = turned = near = 0.0
+            if most > TOLERANCE:
+                off = float(np.linalg.norm(apart[nearest][:, :, 3], axis=1).max())
+                chord = np.linalg.norm(apart[nearest][:, :, :3], axis=(1, 2)).max() / np.sqrt(8.0)
+                turned, near = 2.0 * float(np.arcsin(min(chord, 1.0))), _CALIBRATED
+            frame, on_axes = T_base_arm, []
+            chain = chain_of_rows(wanted[nearest].rows)
+            for T, P, joint in zip(zero_poses(robot)[0], chain, robot.joints, strict=False):
+                frame = frame @ P
+                on_axes.append(_on_axis(rigid_inverse(frame) @ T, joint.axis, near))
+            base, tip, joints = map(read_only, (T_base_arm, T_flange_tip, np.array(on_axes)))
+            return Mount(wanted[nearest], base, tip, joints, off, turned)
     raise ModelError(
-        f"{chain} has the nominal kinematics of no Universal Robots arm that calib knows ({choices(NAMES, limit=40)}), "
-        "nor their links' names. Give the arm's nominal URDF, and a base and a tip with all six joints between them."
+        f"The robot '{robot.name}' from '{robot.base}' to '{robot.tip}' is no "
+        f"{model.name if model else 'arm of Universal Robots that calib knows'}: that has the joints {choices(JOINTS)} "
+        "between base and tip, the link names of Universal Robots' description, and kinematics near the nominal ones."
     )
 
 
 def distance_from(chain: Array, arm: UrModel) -> float:
     """How far the flange of a chain, shape (7, 4, 4), lies from that of the nominal arm, at most [m]."""
-    moved = chain_poses(chain, SPREAD)[:, :3, 3] - arm.nominal.poses(SPREAD)[:, :3, 3]
+    nominal = chain_poses(chain_of_rows(arm.rows), SPREAD)
+    moved = chain_poses(chain, SPREAD)[:, :3, 3] - nominal[:, :3, 3]
     return float(np.linalg.norm(moved, axis=1).max())
 
 
-def _beside_names(robot: Robot, T_base_arm: Array, T_flange_tip: Array) -> bool:
-    """Whether base or flange lie a little beside where the links' names have them, which no axis shows."""
-    for named_base, named_flange in _named_frames(robot):
-        for T, named in ((T_base_arm, named_base), (T_flange_tip, named_flange)):
-            off = np.abs(rigid_inverse(named) @ T - np.eye(4))
-            # Further off it is another frame of that name, such as the old description's wrist_3_link.
-            if off.max() > TOLERANCE and off[:3, 3].max() < CALIBRATED and off[:3, :3].max() < 0.5:
-                return True
-    return False
-
-
-def _named_mount(
-    robot: Robot, model: UrModel, T_base_arm: Array, T_flange_tip: Array, arm: Array
-) -> Mount:
-    """The mount of a robot that is not nominal; its frames are the arm's where they stand as the new description's."""
-    on_axes = []
-    frames = T_base_arm @ frames_at_zero(model.nominal.chain())
-    for T, frame, joint in zip(zero_poses(robot)[0], frames, robot.joints, strict=False):
-        on_axes.append(_on_axis(rigid_inverse(frame) @ T, joint.axis, near=CALIBRATED))
-    apart = arm[:, :3] - model.nominal.poses(SPREAD)[:, :3]
-    off = float(np.linalg.norm(apart[:, :, 3], axis=1).max())
-    chord = float(np.linalg.norm(apart[:, :, :3], axis=(1, 2)).max()) / np.sqrt(8.0)
-    turned = 2.0 * float(np.arcsin(min(chord, 1.0)))
-    return Mount(read_only(T_base_arm), read_only(T_flange_tip), read_only(on_axes), off, turned)
-
-
-def _first_axes(point: Array, axis: Array, other_point: Array, other: Array) -> Array:
-    """A frame with z along an axis, x across it towards another, on their common normal, shape (4, 4)."""
-    x = other - axis * (axis @ other)
-    x = x / np.linalg.norm(x)
-    T = np.eye(4)
-    T[:3, :3] = np.stack([x, np.cross(axis, x), axis], axis=1)
-    offset, cosine = other_point - point, axis @ other
-    along = (axis @ offset - cosine * (other @ offset)) / (1.0 - cosine**2)
-    T[:3, 3] = point + axis * along
-    return T
-
-
-def _on_axis(T: Array, axis: Array, near: float = 0.0) -> Array:
+def _on_axis(T: Array, axis: Array, near: float) -> Array:
     """The pose Tz(s) Rz(phi) R nearest to T, where R turns the axis into z; no s below ``near``, phi a right angle."""
     seed = np.eye(3)[int(np.argmin(np.abs(axis)))]
     x = seed - axis * (axis @ seed)

@@ -10,23 +10,13 @@ import calib.example
 from calib.calibration import calibrate
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.formats.convert import Wanted, write_target
-from calib.formats.sources import Asked, read_source
+from calib.formats.convert import convert
+from calib.formats.sources import Options
 from calib.result.calibration_file import write_result
 from calib.robot.robot import Robot
-from tests.formats.ur_cases import CALIBRATIONS
+from tests.formats.ur_cases import CALIBRATIONS, rows, write_deltas
 
 UR3 = next(case for case in CALIBRATIONS if case["robot"] == "UR3")
-
-
-def write_conf(case: dict, path: Path) -> Path:
-    """The deltas of a case as a calibration.conf."""
-    lines = [
-        f"delta_{key} = [{', '.join(repr(float(value)) for value in case['delta'][key])}]"
-        for key in ("theta", "a", "d", "alpha")
-    ]
-    path.write_text("\n".join(["[mounting]", *lines, ""]))
-    return path
 
 
 def write_forms(folder: Path) -> Path:
@@ -38,9 +28,8 @@ def write_forms(folder: Path) -> Path:
     found = calibrate(arm, table, cell=cell, validate=False)
     write_result(found, folder / "result.json")
     found.robot.urdf.write(folder / "corrected.urdf")
-    write_conf(UR3, folder / "calibration.conf")
-    source = read_source(str(folder / "result.json"), Asked())
-    write_target(source, Wanted(folder / "origins.yaml", "origins"))
-    conf = read_source(str(folder / "calibration.conf"), Asked(ur_model="UR3"))
-    write_target(conf, Wanted(folder / "kinematics.yaml", "ur-yaml"))
+    write_deltas(folder / "calibration.conf", rows(UR3["delta"]))
+    convert(str(folder / "result.json"), folder / "origins.yaml", Options(to="origins"))
+    ur3 = Options(ur_model="UR3")
+    convert(str(folder / "calibration.conf"), folder / "kinematics.yaml", ur3)
     return folder

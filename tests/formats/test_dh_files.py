@@ -74,7 +74,7 @@ def by_markdown(path: Path) -> list[dict[str, str]]:
         elif before.type == "thead_open":
             heads = []
         elif before.type == "th_open":
-            heads.append("row" if text == "pose" else text)
+            heads.append(text)
         elif before.type == "td_open":
             cells.append(text)
         elif before.type == "tr_close" and cells:
@@ -158,49 +158,6 @@ def test_the_change_is_after_minus_before(ur3, tmp_path):
     assert max(abs(float(by["change", i]["theta [deg]"])) for i in "123456") < 1.0
 
 
-def test_how_a_csv_begins(ur3, tmp_path):
-    text = write_dh(DHTables.of(ur3), tmp_path / "dh.csv").read_text().splitlines()
-    assert text[0] == "# DH rows of 'ur3', 'base' to 'tool0', in the convention 'standard'"
-    assert text[1] == (
-        "# T_base_tip = base A_1 ... A_n tool, A_i = Rz(theta_i) Tz(d_i) Tx(a_i) Rx(alpha_i)"
-    )
-    assert "The joint's value is added to theta" in text[2]
-    assert text[5].startswith("robot,1,shoulder_pan_joint,theta,shoulder_pan_joint,0,151.9,0,90,")
-    assert {line.split(",")[0] for line in text[4:]} == {"robot"}
-
-
-def test_far_common_normals_are_named_and_hold(ur3, tmp_path):
-    tables = DHTables.of(moved(ur3, 2e-5), ur3, "standard")
-    (remark,) = tables.remarks
-    assert "'shoulder_lift_joint' and 'elbow_joint' (0.00" in remark
-    assert "large, here up to" in remark
-    assert "Enter every digit" in remark
-    assert f"# {remark}\n" in write_dh(tables, tmp_path / "dh.csv").read_text()
-    assert DHTables.of(moved(ur3, 2e-5), ur3, "hayati").remarks == ()
-
-
-def test_axes_taken_as_parallel_are_said_and_allowed(ur3):
-    placements = ur3.placements.copy()
-    tilt = Rotation.from_rotvec([3e-8, 0, 0]).as_matrix()
-    placements[2, :3, :3] = placements[2, :3, :3] @ tilt
-    tables = DHTables.of(ur3.with_placements(placements), ur3)
-    assert "3.0e-08 rad out of parallel are taken as parallel" in tables.remarks[0]
-    assert 1e-9 < tables.deviation(tables.before, tables.after) < 3e-7
-    assert DHTables.of(ur3).remarks == ()
-
-
-def test_joints_that_follow_others_and_held_ones(crooked):
-    tables = DHTables.of(crooked)
-    assert [joint.text for joint in tables.joints] == [
-        "lift, up",
-        "_arm|*a*_",
-        "-2 * _arm|*a*_ + 5.72957795131 deg",
-    ]
-    assert tables.remarks[-1].startswith("Joints without a value of their own: 'wrist' (-2 * _")
-    held = Robot.from_urdf(crooked.urdf, tip="t", held={"lift, up": 0.25})
-    assert DHTables.of(held).joints[0].text == "held at 250 mm"
-
-
 def test_json_has_every_digit(crooked, tmp_path):
     tables = DHTables.of(moved(crooked), crooked, "modified")
     table = json.loads(write_dh(tables, tmp_path / "dh.json").read_text())
@@ -213,19 +170,33 @@ def test_json_has_every_digit(crooked, tmp_path):
     assert alone["change"] is None
 
 
-# What is refused
+def test_notes(ur3):
+    (note,) = DHTables.of(moved(ur3, 2e-5), ur3, "standard").notes
+    assert note.code == "nearly parallel axes"
+    assert note.values[1] > 2.0
+    assert DHTables.of(moved(ur3, 2e-5), ur3, "hayati").notes == DHTables.of(ur3).notes == ()
+    placements = ur3.placements.copy()
+    tilt = Rotation.from_rotvec([3e-8, 0, 0]).as_matrix()
+    placements[2, :3, :3] = placements[2, :3, :3] @ tilt
+    tables = DHTables.of(ur3.with_placements(placements), ur3)
+    assert [note.code for note in tables.notes] == ["taken as parallel"]
+    assert 1e-9 < tables.deviation({"after": tables.after}) < tables.notes[0].values[0] < 3e-7
 
 
-def test_other_endings(ur3, tmp_path):
+def test_joints_that_follow_others_and_held_ones(crooked):
+    tables = DHTables.of(crooked)
+    added = ["lift, up", "_arm|*a*_", "-2 * _arm|*a*_ + 5.72957795131 deg"]
+    assert tables.added() == added
+    assert tables.notes[-1].code == "joints without value"
+    held = Robot.from_urdf(crooked.urdf, tip="t", held={"lift, up": 0.25})
+    assert DHTables.of(held).added()[0] == "held at 250 mm"
+
+
+def test_what_is_refused(ur3, tmp_path, monkeypatch):
+    """What the rows are compared with is the robot's own poses."""
     with pytest.raises(FileError, match=r"dh\.xlsx: a DH table is written as"):
         write_dh(DHTables.of(ur3), tmp_path / "dh.xlsx")
-
-
-def test_rows_that_do_not_hold_the_robot(ur3, monkeypatch):
-    """What the rows are compared with is the robot's own poses."""
-    tables = DHTables.of(ur3)
     other = dh_table(moved(ur3), "standard")
-    assert tables.deviation(None, tables.after) < 1e-12 < 1e-4 < tables.deviation(None, other)
     monkeypatch.setattr("calib.formats.dh_files.dh_table", lambda *_, **__: other)
     with pytest.raises(ModelError, match=r"standard.*nothing is written"):
         DHTables.of(ur3)

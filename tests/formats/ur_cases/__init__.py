@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from calib.formats.ur_arms import COLUMNS, FullDH
+import numpy as np
+
+from calib.formats.ur_arms import COLUMNS
 from calib.formats.ur_files import conf_bytes
 
 CASES = json.loads(Path(__file__).with_name("cases.json").read_text(encoding="utf-8"))
@@ -13,12 +15,12 @@ CALIBRATIONS = CASES["calibrations"]
 WITH_DELTAS = [case for case in CALIBRATIONS if case["delta"] is not None]
 
 
-def rows(table) -> FullDH:
-    """Rows out of a case's table."""
-    return FullDH(*(table[name] for name in COLUMNS))
+def rows(table) -> np.ndarray:
+    """Rows out of a case's table, shape (6, 4)."""
+    return np.transpose([table[name] for name in COLUMNS]).astype(float)
 
 
-def write_deltas(path: Path, deltas: FullDH) -> Path:
+def write_deltas(path: Path, deltas: np.ndarray) -> Path:
     """A calibration.conf of these deltas."""
     path.write_bytes(conf_bytes(deltas))
     return path
