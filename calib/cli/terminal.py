@@ -73,6 +73,30 @@ def styled(text: str) -> Iterator[tuple[str, str]]:
             yield line, "dim" if _RULE.match(line) else ""
 
 
+def say_table(title: str, heads: list[str], rows: list[list[str]]) -> None:
+    """Print a table: on a terminal long names are folded and verdicts coloured; elsewhere it is plain text."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    if not rows:
+        return
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for k, head in enumerate(heads):
+        table.add_column(head, justify="left" if k < 3 else "right", overflow="fold")
+    for row in rows:
+        table.add_row(*(Text(cell, VERDICTS.get(cell, "")) for cell in row))
+    typer.echo(title)
+    # A file is as wide as its longest name.
+    width = None if sys.stdout.isatty() else 10_000
+    console = Console(width=width, highlight=False, markup=False, emoji=False)
+    with console.capture() as printed:
+        console.print(table)
+    for line in printed.get().splitlines():
+        typer.echo(line.rstrip())
+    typer.echo("")
+
+
 def command_line() -> str:
     """The command that runs, as it can be typed again."""
     return shlex.join(["calib", *sys.argv[1:]])

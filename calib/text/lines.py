@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
 from collections.abc import Iterable
-
-import numpy as np
 
 WIDTH = 100
 
@@ -47,7 +46,7 @@ def row_ranges(rows: Iterable[int], limit: int = 12) -> str:
 
 def number(value: float, digits: int = 3, sign: str = "-") -> str:
     """A number with digits after the point; a dash where there is none, and no minus before a zero."""
-    return f"{round(value, digits) + 0.0:{sign}.{digits}f}" if np.isfinite(value) else "-"
+    return f"{round(value, digits) + 0.0:{sign}.{digits}f}" if math.isfinite(value) else "-"
 
 
 def mm(value: float, digits: int = 3) -> str:
@@ -57,4 +56,4 @@ def mm(value: float, digits: int = 3) -> str:
 
 def deg(value: float, digits: int = 3) -> str:
     """An angle [rad] in degrees, without its unit."""
-    return number(float(np.degrees(value)), digits)
+    return number(float(math.degrees(value)), digits)

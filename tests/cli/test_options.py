@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import errno
-
 import pytest
 import typer
 from typer.testing import CliRunner
@@ -37,36 +35,6 @@ def test_what_a_user_can_mend_is_one_line_with_a_trace_before_it_if_asked(capsys
     assert ended.value.exit_code == 1
     assert said.endswith("calib: a.csv is not there.\n")
     assert ("Traceback" in said) == debug
-
-
-@pytest.mark.parametrize(
-    ("error", "said"),
-    [
-        (
-            OSError(errno.ENOSPC, "No space left on device"),
-            "the printed text cannot be read or written: No space left",
-        ),
-        (
-            OSError(errno.EACCES, "Permission denied", "/a/b"),
-            "'/a/b' cannot be read or written: Permission denied.",
-        ),
-        (OSError(), "the printed text cannot be read or written: OSError."),
-    ],
-)
-@pytest.mark.parametrize("debug", [False, True])
-def test_what_the_system_refuses(capsys, error, said, debug):
-    with pytest.raises(typer.Exit) as ended, reporting(debug=debug):
-        raise error
-    text = capsys.readouterr().err
-    assert ended.value.exit_code == 1
-    assert f"calib: {said}" in text
-    assert ("Traceback" in text) == debug
-
-
-def test_an_ending_passes_through():
-    with pytest.raises(typer.Exit) as ended, reporting(debug=False):
-        raise typer.Exit(3)
-    assert ended.value.exit_code == 3
 
 
 @verb("What it does.")

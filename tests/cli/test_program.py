@@ -53,42 +53,6 @@ def test_inspect_loads_no_viewer(shop: Path):
     assert not {"meshcat", "yourdfpy"} & set(found)
 
 
-@pytest.mark.slow
-def test_a_window_system_that_matplotlib_lacks_does_not_matter(tmp_path: Path):
-    code = (
-        "import sys; sys.argv = ['calib', '--version']; from calib.cli import main\n"
-        "try: main()\nexcept SystemExit: pass\n"
-        "import matplotlib; print(matplotlib.get_backend())"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, encoding="utf-8",
-        env={**os.environ, "MPLBACKEND": "nonsense"}, check=True,
-    )  # fmt: skip
-    assert done.stdout.split()[-1].lower() == "agg"
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("given", "used"), [(None, "1"), ("3", "3")])
-def test_one_thread_for_small_matrices_unless_asked_otherwise(
-    tmp_path: Path, given: str | None, used: str
-):
-    script = (
-        "import atexit, os, sys\n"
-        "atexit.register(lambda: print(os.environ['OPENBLAS_NUM_THREADS']))\n"
-        "from calib.cli import main\n"
-        "assert 'numpy' not in sys.modules\n"
-        "main()"
-    )
-    name = "OPENBLAS_NUM_THREADS"
-    surroundings = {key: value for key, value in os.environ.items() if key != name}
-    surroundings |= {} if given is None else {name: given}
-    done = subprocess.run(
-        [sys.executable, "-c", script, "--version"],
-        cwd=tmp_path, env=surroundings, capture_output=True, encoding="utf-8", check=True,
-    )  # fmt: skip
-    assert done.stdout.splitlines()[-1] == used
-
-
 def test_a_wrong_call_of_the_program_itself(run, tmp_path: Path):
     done = run(tmp_path, "fat")
     assert (done.code, done.out) == (2, "")
@@ -152,13 +116,6 @@ def test_the_printed_text_is_plain_and_fits_100_columns(examples):
         assert all(line.isprintable() for line in done.lines), call
         assert all(line == line.rstrip() for line in done.lines), call
         assert max(map(len, done.lines), default=0) <= 100, call
-
-
-@pytest.mark.slow
-def test_a_reader_that_goes_away(program, shop: Path):
-    assert closed_pipe(program, shop, "inspect", "robot.urdf") == (0, "")
-    _, said = closed_pipe(program, shop, "fit", "--help")
-    assert said == ""
 
 
 @pytest.mark.slow

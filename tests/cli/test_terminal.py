@@ -10,7 +10,7 @@ import sys
 
 import pytest
 
-from calib.cli.terminal import command_line, progress_bar, say, stages_bar, styled
+from calib.cli.terminal import say, styled
 from calib.text.lines import fill
 
 TEXT = """Verdict: use with care
@@ -87,19 +87,6 @@ def test_verdict_and_headings_stand_out():
     assert "\n".join(line for line, _ in styled(TEXT)) == TEXT
 
 
-@pytest.mark.parametrize(
-    ("use", "style"),
-    [
-        ("use", "bold green"),
-        ("use with care", "bold yellow"),
-        ("do not use", "bold red"),
-        ("none, because nothing was cross-validated.", "bold"),
-    ],
-)
-def test_the_colour_of_a_verdict(use, style):
-    assert list(styled(f"Verdict: {use}")) == [(f"Verdict: {use}", style)]
-
-
 def test_a_terminal_gets_colours_and_the_same_text():
     seen = on_a_terminal(SAY, TEXT, COLUMNS="30")  # narrower than the text: nothing is broken
     assert "\x1b[1;33mVerdict: use with care\x1b[0m" in seen
@@ -119,13 +106,6 @@ def test_elsewhere_the_text_is_printed_as_it_is(capsys):
     assert capsys.readouterr().out == TEXT + "\n"
 
 
-def test_the_command_can_be_typed_again(monkeypatch):
-    monkeypatch.setattr(
-        sys, "argv", ["/usr/bin/calib", "fit", "my robot.urdf", "--target", "1 2 3 mm"]
-    )
-    assert command_line() == "calib fit 'my robot.urdf' --target '1 2 3 mm'"
-
-
 @pytest.mark.slow
 def test_a_bar_for_each_stage():
     seen = on_a_terminal(PROGRESS.replace("QUIET", "False"))
@@ -133,15 +113,6 @@ def test_a_bar_for_each_stage():
         assert what in seen
     assert "100%" in seen
     assert on_a_terminal(PROGRESS.replace("QUIET", "True")) == ""
-
-
-@pytest.mark.parametrize("quiet", [False, True])
-def test_nothing_is_drawn_where_there_is_no_terminal(capsys, quiet):
-    with progress_bar("Fitting", quiet=quiet) as advance:
-        assert advance is None
-    with stages_bar(quiet=quiet) as advance:
-        assert advance is None
-    assert capsys.readouterr().err == ""
 
 
 def test_lines_break_at_100_columns_and_not_within_names():
