@@ -131,16 +131,6 @@ for (const name of ["arrows", "robots"]) {
   });
 }
 
-// The scale of the clouds' colours stands there while a cloud does.
-const clouds = [...document.querySelectorAll('[data-show^="calibrated/cloud"]')];
-function showScale() {
-  const scale = document.querySelector(".scale");
-  // Its place is kept: the text about it does not move.
-  if (scale) scale.style.visibility = clouds.some((box) => box.checked) ? "visible" : "hidden";
-}
-for (const box of clouds) box.addEventListener("change", showScale);
-showScale();
-
 // A page on paper shows a copy of the scene: what WebGL drew is gone by then.
 const paper = document.createElement("canvas");
 paper.id = "paper";

@@ -1,7 +1,7 @@
 """The picture of one or two robots in a browser, moved by this program; meshcat draws more on it.
 
-It is served by meshcat's own server, in a thread of this process: at 127.0.0.1 only, on one port, for meshcat itself
-listens on all addresses (https://github.com/meshcat-dev/meshcat-python/issues/14).
+A thread of this process serves it, at 127.0.0.1 only; meshcat's own server listens on all addresses
+(https://github.com/meshcat-dev/meshcat-python/issues/14).
 """
 
 from __future__ import annotations
@@ -23,11 +23,10 @@ from typing import Any, Literal, overload
 import meshcat
 import numpy as np
 import umsgpack
-import zmq
-from meshcat.servers.zmqserver import WebSocketHandler, ZMQWebSocketBridge
 from numpy.typing import ArrayLike
 from tornado.httpserver import HTTPServer
 from tornado.web import Application, RequestHandler
+from tornado.websocket import WebSocketHandler
 
 from calib.errors import CalibError, ModelError, choices
 from calib.result.calibration import Calibration
@@ -65,21 +64,21 @@ class Viewer:
     """
 
     def __init__(self, view: View, *, port: int = 0) -> None:
-        self._one = view.select([view.start])
+        k, places = view.start, ("nominal_target", "calibrated_target", "T_base_nominal")
+        at: dict[str, Any] = {name: getattr(view, name)[k] for name in places}
+        self._one = View(view.nominal, view.calibrated, view.q[k : k + 1], **at)
         self._visuals = {who: read_visuals(one.urdf)[0] for who, one in view.robots.items()}
         page = view_page(view, live=True)
         self.warnings: tuple[str, ...] = page.warnings
         listener = _listening(port)
         self.port: int = listener.getsockname()[1]
         self.url = f"http://{HOST}:{self.port}/"
-        self._lock, ready = threading.Lock(), threading.Event()
-        self._thread = threading.Thread(
-            target=lambda: asyncio.run(self._serve(page.html, listener, ready)), daemon=True
-        )
-        self._thread.start()
-        ready.wait()
-        self._socket = ZMQWebSocketBridge.context.socket(zmq.REQ)
-        self._socket.connect(f"inproc://{self.url}")
+        self._sent: dict[tuple[str, ...], bytes] = {}
+        self._windows: set[WebSocketHandler] = set()
+        self._loop, self._stop = asyncio.new_event_loop(), asyncio.Event()
+        # Not the thread's join: one that Ctrl-C interrupts takes the thread for ended.
+        self._ended = threading.Event()
+        threading.Thread(target=self._run, args=[page.html, listener], daemon=True).start()
         root = meshcat.Visualizer.view_into(self, meshcat.path.Path())
         self.visualizer: meshcat.Visualizer = root[SCENE][tuple(view.robots)[-1]]["own"]
         # Otherwise the interpreter would take the thread away from under its sockets.
@@ -109,22 +108,29 @@ class Viewer:
             )
         shown = puppets(replace(self._one, q=values[None]), self._visuals)
         robots = {who: floats(packed(puppet.poses)) for who, puppet in shown.items()}
-        # meshcat's server keeps it for later windows as it keeps a transform.
+        # Windows that open later are told of it as they are of a transform.
         pose = {"label": label, "robots": robots}
         told = {"type": "set_transform", "path": "/pose", "pose": pose}
         self.send(SimpleNamespace(lower=lambda: told))
 
     def send(self, command: Any) -> None:  # noqa: ANN401  a command of meshcat
         """Draw, move or remove, in all windows, also in those that open later; `CalibError` once it is closed."""
-        message = command.lower()
-        parts = (message["type"].encode(), message["path"].encode(), umsgpack.packb(message))
-        with self._lock:
-            if self._socket.closed:
-                raise CalibError(
-                    f"{self.url} was closed, and shows nothing any more; open a new one."
-                )
-            self._socket.send_multipart(parts)
-            self._socket.recv()
+        if self._ended.is_set():
+            raise CalibError(f"{self.url} was closed, and shows nothing any more; open a new one.")
+        self._loop.call_soon_threadsafe(self._take, command.lower())
+
+    def _take(self, message: dict[str, Any]) -> None:
+        """Keep the last message of each kind about each node, and tell the windows."""
+        path, data = message["path"], umsgpack.packb(message)
+        if message["type"] == "delete":
+            inside = f"{path}/"
+            self._sent = {k: v for k, v in self._sent.items() if not f"{k[0]}/".startswith(inside)}
+        else:
+            key = (path, message["type"], message.get("property", ""))
+            self._sent.pop(key, None)
+            self._sent[key] = data
+        for window in self._windows:
+            window.write_message(data, binary=True)
 
     def open(self) -> bool:
         """Open the page in the browser; False if none was found, or one that would take over the terminal."""
@@ -136,9 +142,10 @@ class Viewer:
     def wait(self) -> None:
         """Wait for Ctrl-C; the viewer is closed afterwards."""
         try:
-            while self._thread.is_alive():
-                # A join without end cannot be interrupted on every system.
-                self._thread.join(0.5)
+            while not self._ended.wait(
+                0.5
+            ):  # one without end cannot be interrupted on every system
+                pass
         except KeyboardInterrupt:
             pass
         finally:
@@ -146,11 +153,9 @@ class Viewer:
 
     def close(self) -> None:
         """Free the port; the windows keep their picture. Once closed, it does nothing."""
-        with self._lock:
-            self._socket.close(0)
-            with suppress(RuntimeError):
-                self._loop.call_soon_threadsafe(self._stop.set)
-            self._thread.join()
+        with suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(self._stop.set)
+        self._ended.wait()
         atexit.unregister(self.close)
 
     def __enter__(self) -> Viewer:
@@ -163,69 +168,59 @@ class Viewer:
 
     def __repr__(self) -> str:
         """Where the page is."""
-        return f"<Viewer {self.url if self._thread.is_alive() else 'closed'}>"
+        return f"<Viewer {'closed' if self._ended.is_set() else self.url}>"
 
-    async def _serve(self, page: bytes, listener: socket.socket, ready: threading.Event) -> None:
+    def _run(self, page: bytes, listener: socket.socket) -> None:
+        """The thread."""
+        self._loop.run_until_complete(self._serve(page, listener))
+        self._loop.close()
+        self._ended.set()
+
+    async def _serve(self, page: bytes, listener: socket.socket) -> None:
         """Answer until asked to stop, then leave nothing open."""
-        self._loop, self._stop = asyncio.get_running_loop(), asyncio.Event()
-        bridge = _Server(page, listener, f"inproc://{self.url}")
-        ready.set()
-        await self._stop.wait()
-        bridge.http.stop()
-        for window in tuple(bridge.websocket_pool):
-            window.close(1001, "closed")
-        await asyncio.sleep(0.05)  # for their farewell
-        await bridge.http.close_all_connections()
-        bridge.zmq_stream.close(0)
-
-
-class _Server(ZMQWebSocketBridge):  # type: ignore[misc]
-    """meshcat's server with a page of ours, at a socket that listens already."""
-
-    def __init__(self, page: bytes, listener: socket.socket, zmq_url: str) -> None:
-        self._page, self._listener = page, listener
-        super().__init__(zmq_url=zmq_url, port=listener.getsockname()[1])
-
-    def make_app(self) -> Application:
-        """The page and the socket of its windows, for those that ask for this computer by name."""
-        server = self
-
-        class Listening(Application):
-            """An application that listens at the socket given, instead of at all addresses."""
-
-            def listen(self, *_: Any, **__: Any) -> HTTPServer:  # noqa: ANN401
-                """See the class."""
-                http = HTTPServer(self)
-                http.add_socket(server._listener)
-                server.http = http
-                return http
-
-        class Page(RequestHandler):
-            """The page."""
-
-            def get(self) -> None:
-                """Send it."""
-                self.set_header("Cache-Control", "no-store")
-                self.write(server._page)
-
-        app = Listening(log_function=lambda _: None)
-        handlers = [("/", Page), ("/live", _Live, {"bridge": self})]
+        app = Application(log_function=lambda _: None)
+        handlers = [("/", _Page, {"page": page}), ("/live", _Window, {"viewer": self})]
         # A web site may let its own name point to 127.0.0.1: who asks for another host finds nothing.
         app.add_handlers(r"127\.0\.0\.1|localhost", handlers)  # type: ignore[arg-type]
-        return app
+        http = HTTPServer(app)
+        http.add_socket(listener)
+        await self._stop.wait()
+        http.stop()
+        for window in tuple(self._windows):
+            window.close(1001, "closed")
+        await asyncio.sleep(0.05)  # for their farewell
+        await http.close_all_connections()
 
 
-class _Live(WebSocketHandler):  # type: ignore[misc]
-    """A window; meshcat's own prints when it opens and closes."""
+class _Page(RequestHandler):
+    """The page."""
+
+    def initialize(self, page: bytes) -> None:
+        """Keep it; called by tornado."""
+        self._page = page
+
+    def get(self) -> None:
+        """Send it."""
+        self.set_header("Cache-Control", "no-store")
+        self.write(self._page)
+
+
+class _Window(WebSocketHandler):
+    """The connection of a page that is open."""
+
+    def initialize(self, viewer: Viewer) -> None:
+        """Keep it; called by tornado."""
+        self._viewer = viewer
 
     def open(self) -> None:
         """Tell it what was drawn."""
-        self.bridge.websocket_pool.add(self)
-        self.bridge.send_scene(self)
+        self._viewer._windows.add(self)
+        for data in self._viewer._sent.values():
+            self.write_message(data, binary=True)
 
     def on_close(self) -> None:
         """Forget it."""
-        self.bridge.websocket_pool.discard(self)
+        self._viewer._windows.discard(self)
 
     def on_message(self, message: object) -> None:
         """Windows have nothing to tell."""

@@ -1,4 +1,4 @@
-// What stands about the robots: measured and predicted targets, arrows, frames, instruments, the cloud.
+// What stands about the robots: measured and predicted targets, arrows, frames, instruments.
 function many(geometry, colour, number, parent) {
   const material = new THREE.MeshPhongMaterial({ color: colour, shininess: 20 });
   const mesh = new THREE.InstancedMesh(geometry, material, Math.max(number, 1));
@@ -41,43 +41,16 @@ for (const who of names) {
   const predicted = many(ball, table.colours[who], hasMeasured ? count : 0, group(who, "predicted"));
   marks[who] = { kinds, frames, predicted, shafts: many(shaft, colour, count, arrows), heads: many(head, colour, count, arrows) };
 }
-// Beside one robot only: the beams to the other would cross it.
 addInstruments(names[names.length - 1]);
-addCloud();
 
 function addInstruments(who) {
-  if (!table.instruments.length) return;
-  const parent = group(who, "instrument");
-  const ends = [];
-  table.instruments.forEach((pose, k) => {
+  for (const pose of table.instruments) {
     const body = new THREE.Mesh(ball, new THREE.MeshPhongMaterial({ color: table.colours.beam }));
     body.scale.setScalar(2.2 * table.ball);
     const frame = triad(0.2 * table.size);
     for (const object of [body, frame]) object.position.fromArray(pose);
     frame.quaternion.fromArray(pose, 3);
-    parent.add(body, frame);
-    table.seenFrom.forEach((which, row) => {
-      if (which !== k || !Number.isFinite(measured[3 * row])) return;
-      ends.push(...pose.slice(0, 3), ...measured.subarray(3 * row, 3 * row + 3));
-    });
-  });
-  const lines = new THREE.BufferGeometry();
-  lines.setAttribute("position", new THREE.BufferAttribute(new Float32Array(ends), 3));
-  const material = new THREE.LineBasicMaterial({ color: table.colours.beam, transparent: true, opacity: 0.4 });
-  parent.add(new THREE.LineSegments(lines, material));
-}
-
-function addCloud() {
-  if (!table.cloud || !both) return;
-  const points = floats(table.cloud.points), colours = floats(table.cloud.colours), inside = floats(table.cloud.measured);
-  for (const [name, wanted] of [["cloud", (k) => inside[k] > 0], ["cloud-everywhere", () => true]]) {
-    const chosen = [...inside.keys()].filter(wanted);
-    const pick = (values) => new Float32Array(chosen.flatMap((k) => [...values.subarray(3 * k, 3 * k + 3)]));
-    const geometry = new THREE.BufferGeometry();
-    geometry.setAttribute("position", new THREE.BufferAttribute(pick(points), 3));
-    geometry.setAttribute("color", new THREE.BufferAttribute(pick(colours), 3));
-    const size = 0.011 * table.size;
-    group("calibrated", name).add(new THREE.Points(geometry, new THREE.PointsMaterial({ size, vertexColors: true })));
+    group(who, "instrument").add(body, frame);
   }
 }
 

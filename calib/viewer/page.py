@@ -19,43 +19,24 @@ import meshcat
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib.report.label_rows import (
-    BEAM,
-    CALIBRATED,
-    ESTIMATION,
-    LITTLE_TO_MUCH,
-    MEASURED,
-    NOMINAL,
-    OUTLIER,
-    VALIDATION,
-)
+import calib.report.label_rows as look
+import calib.viewer.scene as stage
 from calib.result.calibration import Calibration
 from calib.robot.robot import Robot
-from calib.viewer.scene import (
-    SCENE,
-    Camera,
-    Page,
-    draw_puppet,
-    draw_stage,
-    look_at,
-    new_scene,
-    round_length,
-    row_direction,
-    translation,
-)
-from calib.viewer.shapes import Puppet, Visual, packed, read_visuals, span, stage_poses
-from calib.viewer.view import Cloud, View, thinned, view_of
+from calib.viewer.scene import Page
+from calib.viewer.shapes import Puppet, Visual, packed, read_visuals, stage_poses
+from calib.viewer.view import View, view_of
 
 Array = NDArray[np.float64]
 
 #: The colours of robots and of what was measured.
-COLOURS = {"nominal": NOMINAL, "calibrated": CALIBRATED, "measured": MEASURED}
+COLOURS = {"nominal": look.NOMINAL, "calibrated": look.CALIBRATED, "measured": look.MEASURED}
 
 #: What the rows of each kind are called, in colours of their own.
 _ROWS = {
-    "estimation": (ESTIMATION, "measured, fitted"),
-    "validation": (VALIDATION, "measured, held back"),
-    "flagged": (OUTLIER, "measured, flagged"),
+    "estimation": (look.ESTIMATION, "measured, fitted"),
+    "validation": (look.VALIDATION, "measured, held back"),
+    "flagged": (look.OUTLIER, "measured, flagged"),
 }
 
 #: What a page may talk to that came from a server on this computer.
@@ -70,11 +51,8 @@ _TEXT = (-0.54, 0.67)
 #: Radius of the target's ball and length of the nominal robot's typical arrow, as parts of the scene's size.
 _BALL, _ARROW = 0.009, 0.12
 
-#: Factors that arrows can be magnified by, and the largest for the robots: beyond it links fly apart.
-FACTORS, _MOST_FOR_ROBOTS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000), 100
-
-#: Between which quantiles of the standard deviation the cloud's colours change.
-_ENDS = (0.02, 0.98)
+#: Factors that arrows and the robots' difference can be magnified by.
+FACTORS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,13 +149,15 @@ def single_page(
     upright[:3, :3] = stage_poses(robot, q[None])[0, :3, :3]
     drawn = puppet.outline() @ upright[:3, :3].T
     everything = np.concatenate([drawn, points @ upright[:3, :3].T])
-    size, grid = span(everything), round_length(span(everything) / 7.0)
-    camera = look_at(everything, row_direction(puppet.origins[0] @ upright[:3, :3].T))
-    window, root = new_scene()
-    draw_stage(root, camera, size=size, floor=float(drawn[:, 2].min()), grid=grid)
-    root[SCENE].set_transform(translation(-camera.centre) @ upright)
-    draw_puppet(root[SCENE]["nominal"], puppet, 0, NOMINAL, 0.0, front=False)
-    keys = [Key(legend, NOMINAL, "nominal"), *draw(root[SCENE], size)]
+    size = stage.span(everything)
+    back = stage.row_direction(puppet.origins[0] @ upright[:3, :3].T)
+    camera, grid = stage.look_at(everything, back), stage.round_length(size / 7.0)
+    window, root = stage.new_scene()
+    stage.draw_stage(root, camera, size=size, floor=float(drawn[:, 2].min()), grid=grid)
+    scene = root[stage.SCENE]
+    scene.set_transform(stage.translation(-camera.centre) @ upright)
+    stage.draw_puppet(scene["nominal"], puppet, 0, look.NOMINAL, 0.0, front=False)
+    keys = [Key(legend, look.NOMINAL, "nominal"), *draw(scene, size)]
     words: dict[str, Any] = {"title": title, "text": text, "warnings": warnings}
     return Page(filled_page("page.html", window.scene(), keys=keys, grid=grid, **words), warnings)
 
@@ -188,39 +168,64 @@ def write_page(calibration: Calibration, path: str | Path, *, overwrite: bool = 
 
 
 def view_page(view: View, *, live: bool = False) -> Page:
-    """Draw a view; a ``live`` page listens to the server that it came from. Many poses are thinned out."""
-    view = thinned(view)
+    """Draw a view; a ``live`` page listens to the server that it came from."""
     visuals = {who: read_visuals(robot.urdf) for who, robot in view.robots.items()}
     warnings = tuple(dict.fromkeys(text for _, texts in visuals.values() for text in texts))
     shown = puppets(view, {who: found for who, (found, _) in visuals.items()})
-    layout = layout_of(view, shown)
-    window, root = new_scene()
-    draw_stage(root, layout.side, size=layout.size, floor=layout.foot[2], grid=layout.grid)
+    first = slice(view.start, view.start + 1)
+    start = np.concatenate([puppet.outline(first) for puppet in shown.values()])
+    outline = np.concatenate([start, *(puppet.outline() for puppet in shown.values())])
+    size = stage.span(outline)
+    back = stage.row_direction(shown["nominal"].origins[view.start])
+    right = np.array([-back[1], back[0], 0.0])
+    # Side by side nothing of one robot reaches into the other.
+    step = 0.5 * max(np.ptp(outline @ right) + 0.06 * size, 0.4 * size) * right
+    offsets = dict(zip(shown, (-step, step) if len(shown) > 1 else (0 * step,), strict=True))
+    # Labels stand at the foot, below the middle of a robot.
+    across = start @ right
+    foot = 0.5 * (across.min() + across.max()) * right
+    foot[2] = start[:, 2].min()
+    foot += (start[start[:, 2] < foot[2] + 0.2 * size] @ back).max() * back
+    # A wild measurement must not make the robots small: what was measured far away is not looked at.
+    one = np.vstack([outline, foot])
+    side = stage.look_at(np.concatenate([one + at for at in offsets.values()]), back, _TEXT)
+    over = stage.look_at(one, back, _TEXT)
+    window, root, grid = *stage.new_scene(), stage.round_length(size / 7.0)
+    stage.draw_stage(root, side, size=size, floor=foot[2], grid=grid)
     for who, puppet in shown.items():
-        group, ball = root[SCENE][who], _BALL * layout.size
-        group.set_transform(translation(layout.offsets[who] - layout.side.centre))
-        draw_puppet(group, puppet, view.start, COLOURS[who], ball, front=who == "calibrated")
-    cloud = None if view.nominal.base_moves or view.cloud is None else _cloud(view.cloud)
-    factor = magnification(view, layout.size)
-    both = " and ".join(name for name, _ in view.names[: len(shown)]).lower()
+        group = root[stage.SCENE][who]
+        group.set_transform(stage.translation(offsets[who] - side.centre))
+        front = who == "calibrated"
+        stage.draw_puppet(group, puppet, view.start, COLOURS[who], _BALL * size, front=front)
+    names = [name.lower() for name, _ in view.names[: len(shown)]]
+    labels = [
+        (at + foot - side.centre, "side", *view.names[k]) for k, at in enumerate(offsets.values())
+    ]
+    over_text = f"{names[0]} solid, {names[-1]} translucent"
+    labels.append((foot - over.centre, "over", "Overlaid", over_text))
+    factor = magnification(view, size)
+    table = script_table(view, shown) | {
+        "places": {who: (offset - side.centre).tolist() for who, offset in offsets.items()},
+        "over": (-over.centre).tolist(),
+        "floor": (side.centre - over.centre).tolist(),
+        "cameras": {"side": side.position, "over": over.position},
+        "size": size,
+        "ball": _BALL * size,
+        "arrows": factor,
+    }
     html = filled_page(
         "robots.html",
         window.scene(),
-        title=view.title or f"{view.nominal.name or 'Robot'}: {both}",
+        title=view.title or f"{view.nominal.name or 'Robot'}: {' and '.join(names)}",
         warnings=warnings,
-        grid=layout.grid,
-        keys=_keys(view, cloud=cloud is not None),
+        grid=grid,
+        keys=_keys(view),
         view=view,
         two=len(shown) > 1,
-        measures=view.measures,
-        count=len(view.q),
         arrows=factor,
         factors=FACTORS,
-        robot_factors=[one for one in FACTORS if one <= _MOST_FOR_ROBOTS],
-        labels=_labels(view, layout),
-        scale=cloud["scale"] if cloud else [],
-        little_to_much=LITTLE_TO_MUCH,
-        table={**script_table(view, shown, layout), "arrows": factor, "cloud": cloud},
+        labels=labels if len(shown) > 1 else [],  # of one robot the heading says what it is
+        table=table,
         live=live,
     )
     return Page(html, warnings)
@@ -239,48 +244,6 @@ def puppets(view: View, visuals: Mapping[str, Sequence[Visual]]) -> dict[str, Pu
     }
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Layout:
-    """Where everything goes on the stage [m].
-
-    Attributes:
-        offsets: Where each robot stands when they stand side by side.
-        foot: The place of a label, below the middle of a robot.
-        size: The diagonal of one robot and the points that it reaches.
-        grid: Edge of a square of the floor.
-        side: The camera of the robots side by side; its centre is the scene's origin.
-        over: The camera when one is laid over the other.
-    """
-
-    offsets: Mapping[str, Array]
-    foot: Array
-    size: float
-    grid: float
-    side: Camera
-    over: Camera
-
-
-def layout_of(view: View, shown: Mapping[str, Puppet]) -> Layout:
-    """Place the robots side by side so that nothing of one reaches into the other."""
-    first = slice(view.start, view.start + 1)
-    start = np.concatenate([puppet.outline(first) for puppet in shown.values()])
-    outline = np.concatenate([start, *(puppet.outline() for puppet in shown.values())])
-    size = span(outline)
-    back = row_direction(shown["nominal"].origins[view.start])
-    right = np.array([-back[1], back[0], 0.0])
-    step = 0.5 * max(np.ptp(outline @ right) + 0.06 * size, 0.4 * size) * right
-    offsets = dict(zip(shown, (-step, step) if len(shown) > 1 else (0 * step,), strict=True))
-    across = start @ right
-    foot = 0.5 * (across.min() + across.max()) * right
-    foot[2] = start[:, 2].min()
-    foot += (start[start[:, 2] < foot[2] + 0.2 * size] @ back).max() * back
-    # A wild measurement must not make the robots small: what was measured far away is not looked at.
-    one = np.vstack([outline, foot])
-    both = np.concatenate([one + at for at in offsets.values()])
-    cameras = look_at(both, back, _TEXT), look_at(one, back, _TEXT)
-    return Layout(offsets, foot, size, round_length(size / 7.0), *cameras)
-
-
 def magnification(view: View, size: float) -> int:
     """The factor of `FACTORS` that makes the typical arrow of the nominal robot well visible, of rows not flagged."""
     nominal, calibrated = view.predicted
@@ -291,22 +254,7 @@ def magnification(view: View, size: float) -> int:
     return max((factor for factor in FACTORS if factor <= wanted), default=1)
 
 
-def _labels(view: View, layout: Layout) -> list[tuple[Array, str, str, str]]:
-    """The labels below the robots: where, in which mode, the name and what it means; none for one robot."""
-    if view.calibrated is None:  # the heading says what it is
-        return []
-    first, second = (name.lower() for name, _ in view.names)
-    beside, over = layout.foot - layout.side.centre, layout.foot - layout.over.centre
-    return [
-        *(
-            (offset + beside, "side", *names)
-            for offset, names in zip(layout.offsets.values(), view.names, strict=True)
-        ),
-        (over, "over", "Overlaid", f"{first} solid, {second} translucent"),
-    ]
-
-
-def _keys(view: View, *, cloud: bool) -> list[Key]:
+def _keys(view: View) -> list[Key]:
     """What is drawn in which colour; each can be hidden."""
     groups = tuple(view.robots)
     names = [name.lower() for name, _ in view.names[: len(groups)]]
@@ -315,33 +263,23 @@ def _keys(view: View, *, cloud: bool) -> list[Key]:
     def nodes(name: str) -> str:
         return " ".join(f"{group}/{name}" for group in groups)
 
-    robots = [Key(n, f"var(--{w})", f"{w}/robot") for w, n in zip(groups, names, strict=True)]
-    rows = [
+    keys = [Key(n, f"var(--{w})", f"{w}/robot") for w, n in zip(groups, names, strict=True)]
+    keys += [
         Key(f"{text} ({kinds.count(kind)})", colour, nodes(kind), "dot")
         for kind, (colour, text) in _ROWS.items()
         if kind in kinds
     ]
-    arrows = [
-        Key("error arrows, predicted to measured", "", nodes("arrows"), "arrow"),
-        Key("predicted, in the robot's colour", "", nodes("predicted"), "ring"),
-    ]
-    if not view.measures:
-        text = f"from {names[0]} to {names[-1]}"
-        arrows = [Key(text, "", "nominal/arrows", "arrow")] * (len(groups) > 1)
-    frames = Key("frames of base, tip, target", "", nodes("frames"), "frame", on=False)
-    beams = Key("measurement frame and beams", BEAM, f"{groups[-1]}/instrument", on=False)
-    region, everywhere = (
-        Key(text, colour, f"calibrated/{node}", on=False)
-        for text, colour, node in (
-            ("region measured, by uncertainty", LITTLE_TO_MUCH[1], "cloud"),
-            ("whole workspace", LITTLE_TO_MUCH[2], "cloud-everywhere"),
-        )
-    )
-    seen = bool(np.any(np.isfinite(view.instruments)))
-    return [*robots, *rows, *arrows, frames, *[beams] * seen, *[region, everywhere] * cloud]
+    if view.measures:
+        keys.append(Key("error arrows, predicted to measured", "", nodes("arrows"), "arrow"))
+        keys.append(Key("predicted, in the robot's colour", "", nodes("predicted"), "ring"))
+    elif len(groups) > 1:
+        keys.append(Key(f"from {names[0]} to {names[1]}", "", "nominal/arrows", "arrow"))
+    keys.append(Key("frames of base, tip, target", "", nodes("frames"), "frame", on=False))
+    instrument = Key("measurement frame", look.BEAM, f"{groups[-1]}/instrument", on=False)
+    return keys + [instrument] * bool(len(view.instruments))
 
 
-def script_table(view: View, shown: Mapping[str, Puppet], layout: Layout) -> dict[str, Any]:
+def script_table(view: View, shown: Mapping[str, Puppet]) -> dict[str, Any]:
     """What the script needs of the poses, as values that JSON can hold; arrays as `floats`."""
 
     def numbers(rows: Array) -> list[list[float | None]]:
@@ -349,31 +287,17 @@ def script_table(view: View, shown: Mapping[str, Puppet], layout: Layout) -> dic
 
     on_stage = stage_poses(view.nominal, view.q)
     measured = np.einsum("nij,nj->ni", on_stage[:, :3, :3], view.measured) + on_stage[:, :3, 3]
-    # The different instruments, and which of them saw each row; -1 where that is unknown.
-    known = np.all(np.isfinite(view.instruments), axis=(1, 2))
-    poses = packed(on_stage[known] @ view.instruments[known])
-    different, which = np.unique(poses.round(5), axis=0, return_inverse=True)
-    seen_from = np.full(len(known), -1)
-    seen_from[known] = np.ravel(which)
-    side = layout.side.centre
     return {
         "start": view.start,
         "labels": list(view.labels),
         "kinds": list(view.kinds),
         "names": [name for name, _ in view.names],
-        "colours": {**COLOURS, **{kind: c for kind, (c, _) in _ROWS.items()}, "beam": BEAM},
+        "colours": {**COLOURS, **{kind: c for kind, (c, _) in _ROWS.items()}, "beam": look.BEAM},
         "robots": {who: _robot(puppet, shown["nominal"]) for who, puppet in shown.items()},
         "measured": floats(measured),
         "errors": numbers(view.errors),
         "angles": numbers(view.angles),
-        "instruments": different.astype(float).tolist(),
-        "seenFrom": seen_from.tolist(),
-        "places": {who: (offset - side).tolist() for who, offset in layout.offsets.items()},
-        "over": (-layout.over.centre).tolist(),
-        "floor": (side - layout.over.centre).tolist(),
-        "cameras": {"side": layout.side.position, "over": layout.over.position},
-        "size": layout.size,
-        "ball": _BALL * layout.size,
+        "instruments": packed(on_stage[view.start] @ view.instruments).tolist(),
     }
 
 
@@ -384,16 +308,3 @@ def _robot(puppet: Puppet, nominal: Puppet) -> dict[str, Any]:
     same += range(others, others + count - len(puppet.links))
     rods = [*map(list, puppet.rods), [count - 2, count - 1]]
     return {"movers": count, "poses": floats(packed(puppet.poses)), "rods": rods, "same": same}
-
-
-def _cloud(cloud: Cloud) -> dict[str, Any]:
-    """The cloud's points with their colours, by the logarithm of the standard deviation; both ends of it [mm]."""
-    std = np.maximum(cloud.std, 1e-12)
-    low, high = (float(value) for value in np.quantile(std, _ENDS))
-    share = np.log(std / low) / max(np.log(high / low), 1e-9)
-    stops = np.array([[int(c[i : i + 2], 16) for i in (1, 3, 5)] for c in LITTLE_TO_MUCH]) / 255.0
-    along = np.linspace(0.0, 1.0, len(stops))
-    rgb = np.stack([np.interp(share, along, stops[:, k]) for k in range(3)], axis=1)
-    values = {"points": cloud.points, "colours": rgb, "measured": cloud.measured}
-    ends = [f"{float(f'{1e3 * v:.2g}'):g}" for v in (low, high)]
-    return {name: floats(value) for name, value in values.items()} | {"scale": ends}

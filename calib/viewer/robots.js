@@ -1,4 +1,4 @@
-// Where the robots are: the table that the page brings, the row shown, and what is magnified; see motion.py.
+// Where the robots are: the table that the page brings, the row shown, and what is magnified.
 const THREE = MeshCat.THREE;
 const table = JSON.parse(document.getElementById("table").textContent);
 const element = (name) => document.getElementById(name);

@@ -335,3 +335,8 @@ def round_length(longest: float) -> float:
     """The largest 1, 2 or 5 times a power of ten that is not above a length."""
     power = 10.0 ** np.floor(np.log10(longest))
     return float(power * max(step for step in (1, 2, 5) if step * power <= longest * 1.000001))
+
+
+def span(points: Array) -> float:
+    """The diagonal of the points' bounding box; 1 mm at least [m]."""
+    return max(float(np.linalg.norm(np.ptp(points, axis=0))), 1e-3)

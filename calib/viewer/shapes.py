@@ -176,13 +176,10 @@ class Puppet:
         moved = [T_stage_root @ in_root[link] for link in links]
         poses = np.stack([*moved, T_stage_base, T_tip, T_tip @ T_tip_target], axis=1)
         origins = np.stack([(T_stage_root @ T)[:, :3, 3] for T in in_root.values()], axis=1)
-        radius = STICK * span(origins[0])
-        ball = trimesh.creation.icosphere(3, 1.6 * radius)
-        balls = [
-            Visual(link, np.eye(4), creased(ball.vertices, ball.faces))
-            for link in links
-            if link in sticks
-        ]
+        radius = STICK * float(np.linalg.norm(np.ptp(origins[0], axis=0)))
+        sphere = trimesh.creation.icosphere(3, 1.6 * radius)
+        ball = np.asarray(sphere.vertices, dtype=np.float32), sphere.faces
+        balls = [Visual(link, np.eye(4), ball) for link in links if link in sticks]
         parts = tuple(
             (links.index(v.link), v.mesh, v.T_link_shape)
             for v in (*visuals, *balls)
@@ -245,8 +242,3 @@ def rod_between(start: Array, end: Array) -> tuple[Array, float]:
         turn, _ = Rotation.align_vectors([(end - start) / length], [[0.0, 0.0, 1.0]])
         T[:3, :3] = turn.as_matrix()
     return T, length
-
-
-def span(points: Array) -> float:
-    """The diagonal of the points' bounding box; 1 mm at least [m]."""
-    return max(float(np.linalg.norm(np.ptp(points, axis=0))), 1e-3)

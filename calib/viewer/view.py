@@ -9,17 +9,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.errors import ModelError, choices
-from calib.estimate.setup import Setup
 from calib.report.label_rows import angles_of, flagged_rows, lengths_of, measured_in_base, placed
 from calib.result.calibration import Calibration
 from calib.result.comparison import Comparison
-from calib.result.evaluation import PLACES, evaluate
-from calib.robot.readback import column_ranges, spread_between, spread_poses
+from calib.result.evaluation import PLACES, Evaluation, evaluate
+from calib.robot.readback import column_ranges, spread_poses
 from calib.robot.robot import Robot, rigid_inverse
 from calib.text.comparison import sentence
 from calib.text.verdict import reason_text
@@ -35,32 +34,11 @@ NAMES: Names = (("Nominal", "the URDF as given"), ("Calibrated", "the corrected 
 #: Poses of two robots of which nothing was measured.
 _POSES = 24
 
-#: At most this many poses are shown, and fewer where robots have many links: so many numbers of movers in all.
-MOST_POSES, _MOST_MOVERS = 400, 16_000
-
-#: Points of the cloud over the joint limits, and within the measured joint values.
-EVERYWHERE, MEASURED = 4000, 2000
+#: At most this many rows are shown.
+MOST_ROWS = 400
 
 #: Frames nearer to the base's than this are the base's own: there is no instrument to show [m, and 1].
 _THE_BASE = 1e-9
-
-#: A robot, where its frames and targets are, measured minus predicted of each row, and which of that was measured.
-_Half = tuple[Robot, Setup, Array, Mask]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Cloud:
-    """Points of the workspace and how well the calibrated robot knows them.
-
-    Attributes:
-        points: shape (K, 3), in the base [m].
-        std: shape (K,), standard deviation of the predicted position there [m].
-        measured: shape (K,), whether all joint values lie within the range of the rows that were fitted.
-    """
-
-    points: Array
-    std: Array
-    measured: Mask
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,12 +53,11 @@ class View:
         kinds: ``"estimation"``, ``"validation"``, ``"flagged"`` or, where nothing was measured, ``"pose"``.
         nominal_target: shape (N, 4, 4) or (4, 4), T_tip_target of the nominal robot [m].
         calibrated_target: Likewise of the calibrated one.
+        T_base_nominal: shape (N, 4, 4) or (4, 4), base of the nominal robot in the calibrated one's [m].
         measured: shape (N, 3), the measured targets in the base [m]; NaN where nothing was measured.
         errors: shape (2, N), norm of each robot's residual of lengths [m]; NaN where none was measured.
         angles: shape (2, N), likewise of orientations [rad].
-        T_base_nominal: shape (N, 4, 4) or (4, 4), base of the nominal robot in the calibrated one's [m].
-        instruments: shape (N, 4, 4), pose in the base of what each row was seen with [m]; NaN where unknown.
-        cloud: How well positions are known over the workspace; None for none.
+        instruments: shape (K, 4, 4), poses in the base of what the targets were seen with [m].
         start: Which pose is shown first.
         rows: How many rows there are, where those shown are a choice; 0 where all are shown.
         title: The page's heading.
@@ -99,12 +76,11 @@ class View:
     kinds: tuple[str, ...] = ()
     nominal_target: Array = field(default_factory=lambda: np.eye(4))
     calibrated_target: Array = field(default_factory=lambda: np.eye(4))
-    measured: Array = field(default_factory=lambda: np.full(3, np.nan))
-    errors: Array = field(default_factory=lambda: np.full((2, 1), np.nan))
-    angles: Array = field(default_factory=lambda: np.full((2, 1), np.nan))
     T_base_nominal: Array = field(default_factory=lambda: np.eye(4))
-    instruments: Array = field(default_factory=lambda: np.full((4, 4), np.nan))
-    cloud: Cloud | None = None
+    measured: Array = field(default_factory=lambda: np.array(np.nan))
+    errors: Array = field(default_factory=lambda: np.array(np.nan))
+    angles: Array = field(default_factory=lambda: np.array(np.nan))
+    instruments: Array = field(default_factory=lambda: np.zeros((0, 4, 4)))
     start: int = 0
     rows: int = 0
     title: str = ""
@@ -121,7 +97,7 @@ class View:
                 f"{choices(other.joint_names)}. Show two robots with the same chain."
             )
         shapes = {"measured": (count, 3), "errors": (2, count), "angles": (2, count)}
-        poses = ("nominal_target", "calibrated_target", "T_base_nominal", "instruments")
+        poses = ("nominal_target", "calibrated_target", "T_base_nominal")
         for name, shape in (shapes | dict.fromkeys(poses, (count, 4, 4))).items():
             object.__setattr__(self, name, np.broadcast_to(getattr(self, name), shape))
         labels = self.labels or tuple(f"pose {k + 1}" for k in range(count))
@@ -146,45 +122,16 @@ class View:
         other = (self.calibrated or self.nominal).poses(self.q) @ self.calibrated_target
         return np.array([nominal[:, :3, 3], other[:, :3, 3]])
 
-    def select(self, chosen: ArrayLike, start: int = 0) -> View:
-        """Some of the poses by their numbers, and which of those chosen is shown first."""
-        at = np.asarray(chosen, dtype=int)
-        arrays = ("q", "nominal_target", "calibrated_target", "measured", "T_base_nominal")
-        new = {name: getattr(self, name)[at] for name in (*arrays, "instruments")}
-        new |= {name: getattr(self, name)[:, at] for name in ("errors", "angles")}
-        new |= {name: tuple(getattr(self, name)[i] for i in at) for name in ("labels", "kinds")}
-        return replace(self, start=start, rows=self.rows or len(self.q), **new)
 
-
-def thinned(view: View) -> View:
-    """The view, or a choice of its poses where they are many: the first one shown, flagged ones, others evenly."""
-    count = len(view.q)
-    most = max(1, min(MOST_POSES, _MOST_MOVERS // (len(view.nominal.urdf.links) + 3)))
-    if count <= most:
-        return view
-    flagged = np.flatnonzero(np.array(view.kinds) == "flagged")
-    kept = np.union1d(flagged[:: -(-len(flagged) // max(most // 4, 1)) or 1], [view.start])
-    rest = np.setdiff1d(np.arange(count), np.union1d(kept, flagged))
-    evenly = np.linspace(0, len(rest) - 1, max(min(most - len(kept), len(rest)), 0)).round()
-    chosen = np.union1d(kept, rest[evenly.astype(int)])
-    return view.select(chosen, int(np.searchsorted(chosen, view.start)))
-
-
-def view_of(calibration: Calibration, *, cloud: bool = True) -> View:
-    """The view of a calibration: every row a pose, with the ``cloud`` of how well positions are known if asked for."""
-    c, m = calibration, calibration.measurements
-    shown = _at_rows(
-        m,
-        (c.nominal, c.nominal_setup, c.residual_nominal, c.used),
-        (c.robot, c.setup, c.residual_calibrated, c.used),
-        flagged_rows(c),
-    )
-    if c.cell.tracker is not None:  # the instrument of points that were measured in the base itself
-        seen = (m.positions & np.isnan(shown.instruments[:, 0, 0]))[:, None, None]
-        where = np.where(seen, translation(c.cell.tracker.position), shown.instruments)
-        shown = replace(shown, instruments=where)
-    title = f"{c.nominal.name or 'Robot'}: nominal and calibrated"
-    return _judged(replace(shown, cloud=cloud_of(c) if cloud else None, title=title), c)
+def view_of(calibration: Calibration) -> View:
+    """The view of a calibration: every row a pose."""
+    c, m, tracker = calibration, calibration.measurements, calibration.cell.tracker
+    before = Evaluation(c.nominal, m, c.nominal_setup, (), c.residual_nominal, c.used)
+    after = Evaluation(c.robot, m, c.setup, (), c.residual_calibrated, c.used)
+    shown = _at_rows(before, after, flagged_rows(c))
+    if tracker is not None and not len(shown.instruments):  # points measured in the base itself
+        shown = replace(shown, instruments=translation(tracker.position)[None])
+    return _judged(replace(shown, title=f"{c.nominal.name or 'Robot'}: nominal and calibrated"), c)
 
 
 def view_of_result(
@@ -215,16 +162,16 @@ def view_of_result(
     if table is None:
         shown = view_of_robots(*both, cells=(cell, cell))
         if "target" in known:
-            targets = [setup.T_tip_target[0] for setup in setups]
-            shown = replace(shown, nominal_target=targets[0], calibrated_target=targets[1])
+            first, second = (setup.T_tip_target[0] for setup in setups)
+            shown = replace(shown, nominal_target=first, calibrated_target=second)
     else:
-        first, second = (
-            _half(one, table, cell, setup, tuple(known))
+        before, after = (
+            evaluate(one, table, cell, known=setup, which=tuple(known))
             for one, setup in zip(both, setups, strict=True)
         )
         rows = [one.row for one in (*result.outliers, *result.suspects)]
         same = result.source.sha256 == table.sha256
-        shown = _at_rows(table, first, second, np.isin(table.rows, rows) & same)
+        shown = _at_rows(before, after, np.isin(table.rows, rows) & same)
     origins = ("Nominal", "before the calibration"), ("Calibrated", f"joint origins of {source}")
     return _judged(replace(shown, names=origins), result)
 
@@ -236,7 +183,6 @@ def view_of_robots(
     *,
     cells: Sequence[Cell] | None = None,
     names: Names = NAMES,
-    title: str = "",
 ) -> View:
     """One or two robots at the rows of a table, with the errors that `calib.evaluate` finds.
 
@@ -248,14 +194,14 @@ def view_of_robots(
         table: The measurements; None for none.
         cells: Target and frame of each robot, where they are known.
         names: What the robots are called, and what that means.
-        title: The page's heading.
     """
     cells = cells or [Cell()] * 2
-    title = title or (nominal.name if calibrated is None else "")
+    robots = [nominal] if calibrated is None else [nominal, calibrated]
+    title = nominal.name if calibrated is None else ""
     if table is not None:
-        second = None if calibrated is None else _half(calibrated, table, cells[-1])
+        found = [evaluate(one, table, cell) for one, cell in zip(robots, cells, strict=False)]
         none = np.zeros(len(table), dtype=np.bool_)
-        shown = _at_rows(table, _half(nominal, table, cells[0]), second, none)
+        shown = _at_rows(found[0], found[1] if len(found) > 1 else None, none)
         return replace(shown, names=names, title=title)
     if calibrated is None:
         q, labels = _one_joint_after_the_other(nominal)
@@ -277,26 +223,10 @@ def view_of_comparison(comparison: Comparison) -> View:
     view = view_of_robots(
         *c.robots,
         names=((f"a: {c.names[0]}", "the first result"), (f"b: {c.names[1]}", "the second result")),
-        title=f"{c.a.nominal.name or 'Robot'}: two calibrations",
     )
-    target = translation(c.a.target)
-    return replace(view, nominal_target=target, calibrated_target=target, note=sentence(c))
-
-
-def cloud_of(calibration: Calibration) -> Cloud:
-    """Predicted positions and their standard deviation, sqrt(trace(J C J^T)), over the workspace.
-
-    Half as many points again lie within the range of the joint values that were fitted as over the joint limits. The
-    standard deviations are those of `calib.workspace_uncertainty`: they know nothing of errors that the model lacks.
-    """
-    robot = calibration.robot
-    limits = column_ranges(robot)
-    inner = np.where(np.isfinite(calibration.ranges), calibration.ranges, limits)
-    q = np.concatenate([spread_between(limits, EVERYWHERE), spread_between(inner, MEASURED)])
-    T = robot.poses(q)
-    points = T[:, :3, :3] @ calibration.target + T[:, :3, 3]
-    inside = np.all((q >= inner[:, 0]) & (q <= inner[:, 1]), axis=1)
-    return Cloud(points, calibration.position_std(q, larger=False), inside)
+    title, target = f"{c.a.nominal.name or 'Robot'}: two calibrations", translation(c.a.target)
+    view = replace(view, nominal_target=target, calibrated_target=target)
+    return replace(view, title=title, note=sentence(c))
 
 
 def _judged(view: View, c: Calibration) -> View:
@@ -308,51 +238,45 @@ def _judged(view: View, c: Calibration) -> View:
     )
 
 
-def _half(
-    robot: Robot,
-    table: Measurements,
-    cell: Cell,
-    known: Setup | None = None,
-    which: tuple[str, ...] = PLACES,
-) -> _Half:
-    """A robot with what `calib.evaluate` says of it."""
-    found = evaluate(robot, table, cell, known=known, which=which)
-    return robot, found.setup, found.residual, found.used
-
-
-def _at_rows(m: Measurements, first: _Half, second: _Half | None, flagged: Mask) -> View:
-    """One or two robots at the rows of a table.
+def _at_rows(first: Evaluation, second: Evaluation | None, flagged: Mask) -> View:
+    """One or two robots at the rows of a table; of many rows at an even choice, with flagged ones.
 
     Shown first is the row where the nominal robot is furthest off, of the validation rows if there are any, flagged
     ones aside.
     """
-    T_frame_nominal, nominal_target = placed(first[1], m)
-    T_frame_base, calibrated_target = placed((second or first)[1], m)
+    m, last, count = first.measurements, second or first, len(flagged)
+    errors = np.array([lengths_of(one.residual, one.used) for one in (first, last)])
+    angles = np.array([angles_of(one.residual, one.used) for one in (first, last)])
+    rank = np.where(flagged, 0.0, np.where(m.validation, 2e6, 1e6))
+    start = int(np.argmax(np.where(np.isfinite(errors[0]), rank + errors[0], -1.0)))
+    at = np.arange(count)
+    if count > MOST_ROWS:
+        evenly = np.linspace(0, count - 1, MOST_ROWS - 50).round().astype(int)
+        at = np.unique([start, *np.flatnonzero(flagged)[:49], *evenly])
+    T_frame_nominal, nominal_target = placed(first.setup, m)
+    T_frame_base, calibrated_target = placed(last.setup, m)
     T_base_frame = rigid_inverse(T_frame_base)
     # The error in the picture is then that of the tables, not where each of the two finds the tracker. Where nothing
     # tells a place, neither finds where it stands: the two share their base.
     places = np.any(m.where(lambda kind: kind.coordinates))
+    T_base_nominal = T_base_frame @ T_frame_nominal if places else np.eye(4)
     elsewhere = np.max(np.abs(T_base_frame - np.eye(4)), axis=(1, 2)) > _THE_BASE
-    halves = [(residual, used) for _, _, residual, used in (first, second or first)]
-    errors = np.array([lengths_of(*half) for half in halves])
-    rank = np.where(flagged, 0.0, np.where(m.validation, 2.0, 1.0)) * 1e6
+    kinds = np.where(flagged, "flagged", np.where(m.validation, "validation", "estimation"))
     return View(
-        nominal=first[0],
-        calibrated=None if second is None else second[0],
-        q=m.joints_for(first[0].joint_names),
-        labels=tuple(f"row {row}" for row in m.rows),
-        kinds=tuple(
-            "flagged" if odd else "validation" if held else "estimation"
-            for odd, held in zip(flagged, m.validation, strict=True)
-        ),
-        nominal_target=nominal_target,
-        calibrated_target=calibrated_target,
-        measured=measured_in_base(m, T_frame_base),
-        errors=errors,
-        angles=np.array([angles_of(*half) for half in halves]),
-        T_base_nominal=T_base_frame @ T_frame_nominal if places else np.eye(4),
-        instruments=np.where((m.positions & elsewhere)[:, None, None], T_base_frame, np.nan),
-        start=int(np.argmax(np.where(np.isfinite(errors[0]), rank + errors[0], -1.0))),
+        nominal=first.robot,
+        calibrated=None if second is None else second.robot,
+        q=m.joints_for(first.robot.joint_names)[at],
+        labels=tuple(f"row {m.rows[k]}" for k in at),
+        kinds=tuple(kinds[at].tolist()),
+        nominal_target=nominal_target[at],
+        calibrated_target=calibrated_target[at],
+        T_base_nominal=np.broadcast_to(T_base_nominal, (count, 4, 4))[at],
+        measured=measured_in_base(m, T_frame_base)[at],
+        errors=errors[:, at],
+        angles=angles[:, at],
+        instruments=np.unique(T_base_frame[m.positions & elsewhere], axis=0),
+        start=int(np.searchsorted(at, start)),
+        rows=count if count > MOST_ROWS else 0,
     )
 
 

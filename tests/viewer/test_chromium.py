@@ -148,7 +148,7 @@ def test_chromium_lays_one_robot_over_the_other_and_magnifies_the_difference(bro
 @pytest.mark.slow
 def test_the_slider_takes_both_robots_through_the_measured_poses(browser, demo_page):
     """The tips and targets in the browser are where the robots' own forward kinematics put them, at every factor."""
-    view = view_of(made("paper"), cloud=False)
+    view = view_of(made("paper"))
     with browser.open(demo_page.as_uri(), size=(640, 360)) as tab:
         movers = tab.evaluate(
             "JSON.parse(document.getElementById('table').textContent).robots.nominal.movers"
@@ -224,19 +224,4 @@ def test_the_address_says_what_is_shown_at_first(browser, demo_page):
         said = tab.evaluate("document.querySelector('header').innerText")
         assert "row 12, fitted." in said
         assert "measured, × 5. Differences from nominal drawn × 20." in said
-        assert tab.complaints == []
-
-
-@pytest.mark.slow
-def test_the_cloud_is_shown_on_request(browser, tmp_path):
-    view = view_of(made("two_joints"))
-    page = view_page(view).write(tmp_path / "view.html")
-    with browser.open(page.as_uri(), size=(640, 360)) as tab:
-        before = tab.screenshot()
-        tab.evaluate(
-            "document.querySelector('[data-show=\"calibrated/cloud-everywhere\"]').click()"
-        )
-        left, right = parts(np.any(tab.screenshot() != before, axis=-1).astype(float))
-        assert right.mean() > 0.01
-        assert left.mean() < right.mean() / 5
         assert tab.complaints == []
