@@ -42,7 +42,7 @@ CSV, JSON = "fleet.csv", "fleet.json"
 MADE, SCHEMA = "made.json", "fleet robot 2"
 
 #: Counted up when the files of a robot change.
-_LAYOUT = 3
+_LAYOUT = 4
 
 #: A robot's name is that of its folder, on any system.
 _NAME = re.compile(r"[^\W_](?:[\w .+-]{0,98}[\w+-])?")

@@ -249,7 +249,7 @@ def _assembled(m: Measurements, fits: Fits) -> Calibration:
     types = [joint.type for joint in robot.inputs]
     solved, observability = _solved(fitted)
     expected = partial(expected_error, fitted.kinematics, estimated.x, estimated.covariance)
-    no_poses, no_rows = np.zeros(0, dtype=int), read_only(np.zeros((0, 0)))
+    no_poses, no_rows = np.zeros(0, dtype=int), read_only(np.zeros(0))
     lowered = np.any(estimated.outliers) and task.solver != "paper"
     return Calibration(
         **solved,
