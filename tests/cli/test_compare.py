@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 
 import pytest
@@ -35,17 +34,6 @@ def test_another_robot_is_called_a_drift(call, folder: Path):
     assert call(folder, "compare", "result.json", "first.json", "--quiet").out == ""
 
 
-def test_results_need_no_other_file(call, folder: Path, tmp_path: Path):
-    names = ["first.json", "later.json"]
-    for name in names:
-        shutil.copy(folder / name, tmp_path)
-    beside = call(tmp_path, "compare", *(folder / name for name in names))
-    assert call(tmp_path, "compare", *names).out == beside.out
-    given = call(tmp_path, "compare", *names, "--robot", folder / "corrected.urdf")
-    assert given.out == beside.out
-    assert "mm rms" in given.out
-
-
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -75,12 +63,3 @@ def test_a_page_of_both(call, folder: Path, tmp_path: Path):
     assert "a: first.json" in page
     assert "No drift that these data could show." in page
     assert '"pose 1 of 24 over the joint limits"' in page
-
-
-def test_an_output_is_overwritten_when_asked(call, folder: Path, tmp_path: Path):
-    out = tmp_path / "c.json"
-    out.write_text("{}", encoding="utf-8")
-    words = ("compare", "first.json", "later.json", "--json", out)
-    assert call(folder, *words).code == 1
-    assert call(folder, *words, "--force").code == 0
-    assert '"comparison 3"' in out.read_text(encoding="utf-8")

@@ -48,19 +48,6 @@ def test_the_link_carries_the_target(examples):
     assert done.lines[0].endswith("mm in tool0, as the URDF's link 'calib_target' has it.")
 
 
-def test_a_target_as_given_and_registered(call, examples, folder: Path):
-    given = examples.starting("calib evaluate robot.urdf data.csv --base base --target")
-    assert given.lines[0] == "Target at (-70.000, 70.000, 22.500) mm in tool0, as given."
-    words = ("evaluate", "robot.urdf", "data.csv", "--base", "base")
-    found, both = call(folder, *words), call(folder, *words, "--frame", "estimate")
-    assert found.lines[0].endswith("mm in tool0, registered to the rows.")
-    assert both.lines[1] == "Measurement frame: registered to the rows."
-    for done in (given, found, both):
-        assert (done.code, done.err) == (0, "")
-        rows = [line.split()[0] for line in done.lines if " rows " in line]
-        assert rows == ["Position", "estimation", "validation", "all"]
-
-
 def test_a_wrong_base_is_named_and_another_than_the_results_refused(call, folder: Path):
     done = call(folder, "evaluate", "robot.urdf", "data.csv")
     assert (done.code, "frame of 'base': try --base base." in " ".join(done.out.split())) == (
@@ -72,19 +59,6 @@ def test_a_wrong_base_is_named_and_another_than_the_results_refused(call, folder
         assert (done.code, done.out) == (1, "")
         assert done.err.startswith(f"calib: result.json is the result for --{option} ")
         assert f"'{link}' was given; leave out --{option}, or --calibration.\n" in done.err
-
-
-def test_the_nominal_robot_stands_beside_the_corrected_urdf(call, folder: Path, tmp_path: Path):
-    """The one that the result began with, with the target that its own errors were computed with."""
-    fitted = load(folder / "result.json")["errors"]
-    for name in ("corrected.urdf", "robot.urdf"):
-        words = ("--json", tmp_path / "e.json", "--force")
-        done = call(folder, "evaluate", name, "data.csv", *RESULT, *words)
-        assert "the nominal robot of result.json:" in done.lines
-        same_errors(load(tmp_path / "e.json")["errors"]["nominal"], fitted["nominal"])
-    # Without a tolerance and without repeats nothing else is said.
-    assert "ISO 9283" not in done.out
-    assert "Verdict" not in done.out
 
 
 def test_a_tolerance_that_is_kept(examples):
@@ -166,17 +140,6 @@ def test_rows_that_were_fitted_are_known_in_any_file(
     assert call(folder, *words, "--frame", "estimate").code == code
 
 
-def test_repeats_have_their_accuracy_without_a_tolerance_too(call, shop: Path):
-    header, *rows = (shop / "data.csv").read_text(encoding="utf-8").splitlines()
-    again = [",".join([str(k), *row.split(",")[1:]]) for k, row in enumerate(rows[:10] * 3, 1)]
-    (shop / "again.csv").write_text("\n".join([header, *again]), encoding="utf-8")
-    done = call(shop, "evaluate", "robot.urdf", "again.csv", "--base", "base")
-    assert (done.code, done.err) == (0, "")
-    assert done.lines[-1].split()[:4] == ["URDF", "as", "it", "is"]
-    assert done.lines[-1].split()[4] == "10"
-    assert done.lines[-1].split()[-3:-1] == ["0.000", "0.000"]
-
-
 def test_a_tracker_that_moved_is_named(call, folder: Path, tmp_path: Path):
     header, *rows = table_of(folder / "data.csv")
     x = header.index("x [mm]")
@@ -237,30 +200,6 @@ def test_commands_are_not_taken_for_measurements(call, folder: Path, tmp_path: P
     measured = sent + 0.1 * np.random.default_rng(1).normal(size=sent.shape)
     for count in (8, 1):
         assert evaluated(measured[:count]).err == ""
-
-
-def test_a_larger_model_is_judged_where_it_is_asked_for(call, shop: Path):
-    """Gear gains, which no URDF can hold: the joint origins alone fail where the larger model passes."""
-    whole = ("--base", "base", "--tip", "tool0", "--quiet")
-    gains = ("--model", "dh+gain", "--sizes", "length 0.2 mm, angle 2 mrad, gain 2e-3")
-    simulated = ("--count", "30", "--validation", "12", "--noise", "0.02 mm", "-o", "sim.csv")
-    assert call(shop, "simulate", "robot.urdf", *simulated, *gains, *whole).code == 0
-    fit = ("fit", "robot.urdf", "sim.csv", "--model", "dh+gain", "--no-validate", *whole)
-    assert call(shop, *fit, "--json", "r.json").code == 0
-    words = (
-        "evaluate",
-        "robot.urdf",
-        "sim.csv",
-        "--calibration",
-        "r.json",
-        "--tolerance",
-        "0.3 mm",
-    )
-    done = call(shop, *words, "--judge", "larger")
-    assert (done.code, done.err) == (0, "")
-    table = [line.split()[:2] for line in done.lines if line.startswith("  ") and "  12 " in line]
-    assert ["larger", "model"] in table
-    assert call(shop, *words).code == 3
 
 
 def test_a_urdf_that_is_neither_has_a_row_of_its_own(call, folder: Path, tmp_path: Path):

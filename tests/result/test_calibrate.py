@@ -11,19 +11,17 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.calibration import calibrate
-from calib.data.cell import Cell, Priors
+from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.errors import MeasurementError, ModelError, UrdfError
+from calib.errors import ModelError, UrdfError
 from calib.estimate.statistics import Errors
 from calib.example import PAPER_TARGET_AS_PRINTED
-from calib.model.error_model import error_model
 from calib.model.kinematics import Samples
 from calib.result.calibration_file import read_result
 from calib.result.evaluation import evaluate
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import Robot, rigid_inverse
 from calib.robot.torques import gravity_load
-from calib.robot.urdf import Urdf
 
 # The paper's Table 3: nominal positions of rows 31 to 35 before calibration [mm].
 TABLE_3 = np.array(
@@ -77,24 +75,6 @@ def test_default_on_validation_rows(default_result):
     assert mean == pytest.approx(0.234, abs=1e-3)
 
 
-def test_default_leave_one_out_without_row_11(default_result, table):
-    residual = default_result.cross_validation.residual
-    numbers = np.array(table.rows)[table.estimation]
-    errors = Errors.of(residual[numbers != 11])
-    assert default_result.cross_validation.method == "leave-one-out"
-    assert 1e3 * errors.rms <= 0.27
-    assert 1e3 * errors.rms == pytest.approx(0.2375, abs=2e-3)
-
-
-def test_row_11_is_an_outlier_and_no_validation_row_is(default_result):
-    rows = {o.row: o for o in default_result.outliers}
-    assert 11 in rows
-    assert set(rows) <= {11, 14}
-    assert rows[11].residual == pytest.approx(1.98e-3, abs=0.02e-3)
-    assert rows[11].score > 10
-    assert default_result.suspects == ()
-
-
 def test_rank_and_the_named_combinations(default_result):
     o = default_result.observability
     assert (o.rank, o.columns) == (21, 27)
@@ -121,17 +101,6 @@ def test_scipy_solves_the_same_problem(ur3, table, paper_cell, default_result):
     result = calibrate(ur3, table, cell=paper_cell, solver="scipy", validate=False)
     np.testing.assert_allclose(result.x, default_result.x, atol=1e-7)
     np.testing.assert_allclose(result.covariance, default_result.covariance, atol=1e-10)
-
-
-def test_the_verdict_is_to_use_it(default_result):
-    assert default_result.verdict.use == "use"
-
-
-def test_with_an_unknown_frame_the_validation_rows_are_still_met(ur3, table):
-    result = calibrate(ur3, table, cell=Cell(estimate_frame=True), validate=False)
-    # Rows 34 and 35 lie outside of the joint values that were fitted.
-    found = 1e3 * result.errors["calibrated"]["validation"].rms
-    assert found == pytest.approx(0.303, abs=1e-3)
 
 
 def seen_from_elsewhere(
@@ -167,30 +136,6 @@ def test_where_an_unknown_frame_stands_does_not_change_the_fit(ur3, table, model
             (result.T_frame_base, T @ printed.T_frame_base),
         ):
             np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
-
-
-def test_predict_is_what_the_residuals_are_made_of(default_result, table):
-    predicted = default_result.predict(table.joints_for(default_result.robot.joint_names))
-    np.testing.assert_allclose(
-        table.points - predicted, default_result.residual_calibrated, atol=1e-12
-    )
-
-
-def test_evaluate_on_the_written_urdf_agrees_with_fit(default_result, table, tmp_path):
-    path = default_result.write_urdf(tmp_path / "corrected.urdf")
-    robot = Robot.load(path, base="base", tip="tool0")
-    result = evaluate(robot, table, Cell(target=default_result.target, estimate_target=False))
-    np.testing.assert_allclose(result.residual, default_result.residual_calibrated, atol=1e-9)
-    assert result.registered == ()
-
-
-def test_evaluate_registers_what_is_not_given(ur3, table, default_result):
-    result = evaluate(ur3, table)
-    assert result.registered == ("target",)
-    assert np.linalg.norm(result.target - default_result.target) < 5e-3
-    framed = evaluate(ur3, table, Cell(estimate_frame=True))
-    assert framed.registered == ("target", "frame")
-    assert framed.errors["estimation"].rms < result.errors["estimation"].rms
 
 
 def test_the_urdf_changes_in_origins_of_the_chain_only(default_result, ur3, tmp_path):
@@ -229,37 +174,11 @@ def test_every_set_writes_a_urdf_that_reads_back(ur3, table, model, tmp_path):
     )
 
 
-def test_frames_alone_leave_the_robot_as_it_is(ur3, table, tmp_path):
-    result = calibrate(ur3, table, model="frames", validate=False)
-    assert result.robot.urdf.data == ur3.urdf.data
-    assert result.write_urdf(tmp_path / "same.urdf").read_bytes() == ur3.urdf.data
-
-
-def test_frozen_parameters_stay(ur3, table, paper_cell):
-    result = calibrate(ur3, table, cell=replace(paper_cell, frozen=("d2", "a6")), validate=False)
-    assert len(result.parameters) == 25
-    with pytest.raises(ModelError, match="no parameter 'd2'"):
-        result.parameter("d2")
-
-
-def test_a_known_target_stays(ur3, table):
-    given = np.array([-0.07, 0.07, 0.021])
-    result = calibrate(ur3, table, cell=Cell(target=given, estimate_target=False), validate=False)
-    np.testing.assert_array_equal(result.target, given)
-    assert len(result.parameters) == 24
-
-
 def test_progress_is_told_after_each_fit(ur3, table, paper_cell):
     few = table.select(np.arange(35) < 12)
     seen = []
     calibrate(ur3, few, cell=paper_cell, progress=lambda done, total: seen.append((done, total)))
     assert seen == [(i + 1, 12) for i in range(12)]
-
-
-def test_few_rows_are_to_be_used_with_care(ur3, table, paper_cell):
-    result = calibrate(ur3, table.select(np.arange(35) < 12), cell=paper_cell)
-    assert result.verdict.use != "use"
-    assert any(reason.code == "few_numbers" for reason in result.verdict.reasons)
 
 
 def test_data_that_do_not_fit_are_not_to_be_used(ur3, table):
@@ -309,126 +228,6 @@ def test_what_cannot_be_done_is_refused(ur3, table, options, error, text):
         calibrate(ur3, table, **options)
 
 
-def test_rows_of_one_pose_need_a_model_by_name(ur3, table):
-    """auto leaves rows out to choose; what it says to do instead can be done."""
-    one = table.select(np.arange(35) < 1)
-    said = r"1 row of one pose .* name a model and do without \(--model zeros --no-validate\): auto"
-    with pytest.raises(MeasurementError, match=said):
-        calibrate(ur3, one, validate=False)
-    assert calibrate(ur3, one, model="zeros", validate=False).errors["nominal"]["estimation"].n == 1
-
-
-def test_fewer_numbers_than_parameters_need_priors(ur3, table):
-    few = table.select(np.arange(35) < 8)
-    with pytest.raises(
-        MeasurementError, match="8 rows give 24 numbers for 27 parameters, and priors are off"
-    ):
-        calibrate(ur3, few, cell=Cell(priors=Priors("off"), model="dh"))
-
-
-def test_measurements_from_memory_do(ur3, table):
-    data = Measurements(joint_names=ur3.joint_names, joints=table.joints, points=table.points)
-    result = calibrate(ur3, data, validate=False)
-    assert result.errors["calibrated"]["estimation"].n == 35
-    assert result.verdict is None
-
-
-def test_a_gross_row_does_not_spoil_the_nominal_robots_errors(ur3, table):
-    points = table.points.copy()
-    points[3] += [5.0, 0.0, 0.0]
-    wild = replace(table, points=points)
-    for cell in (Cell(model="zeros"), Cell(model="zeros", estimate_frame=True)):
-        clean = calibrate(ur3, table, cell=cell, validate=False).errors["nominal"]["validation"]
-        spoilt = calibrate(ur3, wild, cell=cell, validate=False).errors["nominal"]["validation"]
-        assert spoilt.rms == pytest.approx(clean.rms, abs=0.2e-3)
-        assert evaluate(ur3, wild, cell).errors["validation"].rms == pytest.approx(spoilt.rms)
-
-
-def test_without_priors_nothing_runs_away_but_what_ran_is_said(ur3, table):
-    result = calibrate(ur3, table, cell=Cell(priors=Priors("off")))
-    assert np.abs(result.x).max() < 1.0
-    assert result.verdict.use == "use with care"
-    assert result.verdict.reasons[0].code == "parameter_far"
-    held = result.parameter("d3")
-    assert held.high - held.low > 0.5  # it says that it does not know
-
-
-def test_a_coordinate_of_the_target_cannot_be_frozen(ur3, table):
-    with pytest.raises(ModelError, match=r"'target_x' cannot be frozen one by one.*--fix-target"):
-        calibrate(ur3, table, cell=Cell(frozen=("target_x",)))
-
-
-@pytest.mark.parametrize("model", ["auto", "placement"])
-def test_joints_named_like_coordinates_of_target_and_frame_can_be_frozen_and_tied(
-    ur3, table, model
-):
-    """Parameters are told apart by their family: 'target_arm.x' is the robot's."""
-    data = ur3.urdf.data.replace(b'"elbow_joint"', b'"target_arm"')
-    urdf = Urdf.from_bytes(data.replace(b'"wrist_1_joint"', b'"frame_1"'), "named.urdf")
-    robot = Robot.from_urdf(urdf, base="base", tip="tool0")
-    named = replace(table, joint_names=robot.joint_names)
-    cell = Cell(model=model, frozen=("target_arm.x",), ties={"frame_1.y": ("target_arm.y", -1.0)})
-    result = calibrate(robot, named, cell=cell, validate=False)
-    # As in the same robot with the names that its joints had.
-    usual = Cell(
-        model=model, frozen=("elbow_joint.x",), ties={"wrist_1_joint.y": ("elbow_joint.y", -1.0)}
-    )
-    expected = calibrate(ur3, table, cell=usual, validate=False)
-    np.testing.assert_array_equal(result.x, expected.x)
-    with pytest.raises(ModelError, match=r"no parameter 'target_arm\.x'"):
-        result.parameter("target_arm.x")
-
-
-@pytest.mark.slow
-def test_suspects_are_judged_by_their_own_number(virtual):
-    """30 rows to fit and 400 clean ones to validate: a false suspect in few tables."""
-    rng = np.random.default_rng(21)
-    with_suspects = 0
-    for _ in range(15):
-        x = virtual.offsets(rng, 2e-4, 3e-3)
-        rows = virtual.rows(rng, x, 430, 1e-4)
-        sets = ("estimate",) * 30 + ("validate",) * 400
-        names = virtual.kinematics.robot.joint_names
-        data = Measurements(joint_names=names, joints=rows.joints, points=rows.measured, sets=sets)
-        result = calibrate(virtual.kinematics.robot, data, validate=False)
-        with_suspects += bool(result.suspects)
-    assert with_suspects <= 2
-
-
-@pytest.mark.slow
-def test_the_model_that_lacks_something_is_said(virtual):
-    """Axes 2, 3 and 4 tilted towards each other and joint 1 tilted in its base: dh with a known frame lacks both."""
-    robot = virtual.kinematics.robot
-    truth = error_model(robot, "placement", target=False)
-    rng = np.random.default_rng(22)
-    x = rng.normal(size=len(truth)) * np.where(
-        [p.unit == "m" for p in truth.parameters], 3e-4, 3e-3
-    )
-    q = random_joint_values(robot, 60, 5)
-    poses = truth.apply(robot, x).poses(q)
-    points = poses[:, :3, :3] @ np.array([0.05, 0.04, 0.06]) + poses[:, :3, 3]
-    points += 5e-5 * rng.normal(size=points.shape)
-    data = Measurements(joint_names=robot.joint_names, joints=q, points=points)
-    small, full = calibrate(robot, data, model="dh"), calibrate(robot, data)
-    assert (full.model.name, full.larger) == ("placement", None)
-    assert small.verdict.use == "use with care"
-    assert any(reason.code == "model_lacks" for reason in small.verdict.reasons)
-    assert full.verdict.use == "use"
-    assert full.sigma == pytest.approx(5e-5, rel=0.2)
-
-
-def test_repeats_of_a_few_poses_are_not_taken_for_evidence(virtual):
-    """Six poses, five times each, by the model that fits them all: nothing is known elsewhere, and that is said."""
-    rng = np.random.default_rng(23)
-    robot = virtual.kinematics.robot
-    x = virtual.offsets(rng, 5e-4, 4e-3)
-    q = np.repeat(random_joint_values(robot, 6, 3), 5, axis=0)
-    points = virtual.kinematics.points(x, q) + 5e-5 * rng.normal(size=(30, 3))
-    result = calibrate(robot, Measurements(joint_names=robot.joint_names, joints=q, points=points))
-    assert result.cross_validation.method == "leave-one-pose-out"
-    assert result.verdict.use != "use"
-
-
 def test_a_robot_that_is_right_already_is_to_be_kept(ur3, virtual):
     rng = np.random.default_rng(24)
     rows = virtual.rows(rng, np.zeros(27), 40, 1e-4)
@@ -455,39 +254,6 @@ def test_expected_errors_are_those_of_the_covariance(virtual):
     assert np.sqrt(np.mean(ratios)) == pytest.approx(1.0, abs=0.15)
 
 
-def test_the_papers_solver_says_how_sure_it_is(virtual, paper_cell):
-    """Monte Carlo: the intervals of identifiable parameters of the fourth-power estimator."""
-    rng = np.random.default_rng(26)
-    robot, inside = virtual.kinematics.robot, []
-    names = ("d2", "d3", "d4", "a6", "alpha6", "d6", "theta6", "target_x", "target_y", "target_z")
-    chosen = [k for k, name in enumerate(virtual.kinematics.model.names) if name not in names]
-    for _ in range(25):
-        x = virtual.offsets(rng, 2e-4, 3e-3)
-        rows = virtual.rows(rng, x, 60, 1e-4)
-        data = Measurements(joint_names=robot.joint_names, joints=rows.joints, points=rows.measured)
-        result = calibrate(robot, data, cell=paper_cell, solver="paper", validate=False)
-        nominal = np.array([p.nominal for p in result.parameters])
-        low, high = (
-            np.array([getattr(p, end) for p in result.parameters]) for end in ("low", "high")
-        )
-        true = nominal + x
-        inside.append(((low < true) & (true < high))[chosen])
-    assert 0.88 < np.mean(inside) < 0.98
-
-
-@pytest.mark.parametrize(
-    ("arguments", "text"),
-    [
-        (("robot.urdf", None), "takes a Robot; 'robot.urdf' was given"),
-        ((None, "data.csv"), "takes a Measurements"),
-    ],
-)
-def test_things_of_another_kind_are_refused(ur3, table, arguments, text):
-    robot, data = arguments
-    with pytest.raises(ModelError, match=text):
-        calibrate(ur3 if robot is None else robot, table if data is None else data)
-
-
 def test_a_target_link_of_an_earlier_calibration_is_moved(table, default_result, tmp_path):
     first = default_result.write_urdf(tmp_path / "first.urdf", target_link=True)
     again = calibrate(Robot.load(first, base="base", tip="tool0"), table, validate=False)
@@ -496,23 +262,6 @@ def test_a_target_link_of_an_earlier_calibration_is_moved(table, default_result,
     with_link = Robot.load(second, base="base", tip="calib_target")
     np.testing.assert_allclose(with_link.poses(q)[:, :3, 3], again.predict(q), atol=1e-9)
     assert second.read_text().count('"calib_target"') == 2  # the link, and the joint's child
-
-
-def test_a_target_link_elsewhere_is_not_touched(ur3, table, tmp_path):
-    urdf = ur3.urdf.with_link("calib_target", "wrist_1_link", np.eye(4))
-    robot = Robot.from_urdf(urdf, "base", "tool0")
-    result = calibrate(robot, table, validate=False)
-    with pytest.raises(
-        UrdfError, match=r"has a link 'calib_target' already.*hangs on 'wrist_1_link'"
-    ):
-        result.write_urdf(tmp_path / "corrected.urdf", target_link=True)
-
-
-def test_changes_of_nothing_leave_the_origin_alone(virtual):
-    """A joint that is right already keeps its <origin> to the letter where the data say so exactly."""
-    robot = virtual.kinematics.robot
-    result = calibrate(robot, _points_of(virtual, np.zeros(27)), model="frames", validate=False)
-    assert result.robot.urdf.data == robot.urdf.data
 
 
 def _points_of(virtual, x) -> Measurements:
@@ -604,24 +353,6 @@ def test_every_kind_is_cross_validated_and_judged(case):
             assert after.rms_angle < 0.2 * before.rms_angle
 
 
-def test_every_kind_is_written_and_read_back(case, tmp_path):
-    _, c = case
-    path = c.write_urdf(tmp_path / "corrected.urdf")
-    again = Robot.load(path, base="base", tip="tool0", held=c.nominal.held)
-    q = random_joint_values(again, 50, 4)
-    np.testing.assert_allclose(again.poses(q), c.fitted.tip_poses(Samples.at(q)), rtol=0, atol=1e-9)
-    assert again.urdf.data != c.nominal.urdf.data
-    assert again.urdf.data == c.robot.urdf.data
-
-
-def test_every_kind_has_a_summary_without_holes(case):
-    _, c = case
-    text = c.summary()
-    assert "nan" not in text
-    assert "inf " not in text
-    assert max(map(len, text.splitlines())) <= 100
-
-
 def test_parameters_by_exact_name_hold_under_auto(make_scene, tmp_path):
     """Frozen, bounded, tied and with a prior of its own; names of larger models too."""
     scene = make_scene(73, frames=[np.eye(4)], length=3e-4, angle=3e-3, noise=2e-5)
@@ -656,30 +387,6 @@ def test_parameters_by_exact_name_hold_under_auto(make_scene, tmp_path):
     assert terms["a3"] == pytest.approx(0.5 * terms["a2"], rel=1e-12)
     assert "a4" not in terms
     assert held.parameter("a2").std < free.parameter("a2").std
-
-
-def test_a_bounded_gain_is_told_to_be_at_its_bound(make_scene):
-    scene = make_scene(74, frames=[np.eye(4)], model="dh+gain", noise=2e-5)
-    names, x = scene.kinematics.model.names, scene.x.copy()
-    x[names.index("elbow_joint.gain")] = 1e-3
-    scene = replace(scene, x=x)
-    cell = Cell(model="dh+gain", bounds={"elbow_joint.gain": (-1e-4, 1e-4)})
-    result = calibrate(scene.robot, scene.points(70), cell=cell, validate=False)
-    text = result.summary()
-    assert re.search(r"^  elbow_joint\.gain +0\.100 \(at bound\) mrad/rad$", text, re.MULTILINE)
-    assert re.search(r"^  wrist_1_joint\.gain .* ± 0\.\d+ mrad/rad$", text, re.MULTILINE)
-
-
-def test_the_gain_of_a_joint_that_slides_is_told_in_millimetres_a_metre(make_scene):
-    robot = Robot.load("tiago", tip="arm_tool_link")
-    scene = make_scene(75, frames=[np.eye(4)], robot=robot, model="dh+gain", noise=2e-5)
-    cell = Cell(model="dh+gain")
-    result = calibrate(robot, scene.points(90), cell=cell, validate=False)
-    text = result.summary()
-    assert re.search(r"^  torso_lift_joint\.gain .* mm/m$", text, re.MULTILINE)
-    assert re.search(r"^  arm_1_joint\.gain .* mrad/rad$", text, re.MULTILINE)
-    units = {p.name: p.unit for p in result.larger.parameters}
-    assert (units["torso_lift_joint.gain"], units["arm_1_joint.gain"]) == ("m/m", "1")
 
 
 def test_families_that_are_named_make_the_larger_model(calibrated):

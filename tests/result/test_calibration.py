@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.calibration import calibrate
 from calib.errors import ModelError
 from calib.model.kinematics import Samples
 from calib.robot.readback import random_joint_values
@@ -28,20 +27,6 @@ def test_predictions_are_what_residuals_are_made_of(case):
             larger = c.predict(q, **where)[0]
             np.testing.assert_allclose(m.points[i] - larger, c.larger.residual[i, :3], atol=1e-12)
             assert np.linalg.norm(larger - geometry) > 1e-6
-
-
-def test_poses_hold_the_positions_and_are_rotations(case):
-    _, c = case
-    q = random_joint_values(c.nominal, 5, 1)
-    for group in c.setup.groups:
-        for target in c.setup.targets:
-            T = c.predict_poses(q, target=target, group=group)
-            np.testing.assert_array_equal(T[:, :3, 3], c.predict(q, target=target, group=group))
-            np.testing.assert_allclose(
-                T[:, :3, :3] @ T[:, :3, :3].transpose(0, 2, 1),
-                np.tile(np.eye(3), (5, 1, 1)),
-                atol=1e-12,
-            )
 
 
 def test_set_ups_see_the_same_robot(calibrated):
@@ -66,13 +51,6 @@ def test_without_an_instrument_s_frame_predictions_are_in_the_base(calibrated):
     )
     nominal = (scene.robot.poses(q) @ scene.kinematics.T_tip_target[0])[:, :3, 3]
     assert np.abs(in_base - nominal).max() < 0.02
-
-
-def test_one_configuration_is_a_row(calibrated):
-    _, c = calibrated("points")
-    q = random_joint_values(c.nominal, 1, 2)
-    np.testing.assert_array_equal(c.predict(q[0]), c.predict(q))
-    assert c.position_std(q[0]).shape == (1,)
 
 
 def test_positions_are_as_sure_as_their_errors_are_small(calibrated):
@@ -100,12 +78,6 @@ def test_in_a_socket_s_frame_positions_are_as_sure_as_predictions_differ(calibra
     np.testing.assert_allclose(c.position_std(q, group=group), expected, rtol=1e-3)
 
 
-def test_the_larger_model_is_surer_where_it_is_the_true_one(calibrated):
-    _, c = calibrated("gain")
-    q = random_joint_values(c.nominal, 50, 3)
-    assert np.all(c.position_std(q) < c.position_std(q, larger=False))
-
-
 def test_names_that_are_not_there_are_refused(calibrated):
     _, c = calibrated("targets")
     q = np.zeros(6)
@@ -115,12 +87,6 @@ def test_names_that_are_not_there_are_refused(calibrated):
         c.position_std(q, group="monday")
     with pytest.raises(ModelError, match="no parameter 'a9'"):
         c.parameter("a9")
-
-
-def test_a_parameter_of_the_larger_model_is_found_too(calibrated):
-    _, c = calibrated("gain")
-    assert c.parameter("elbow_joint.gain").unit == "1"
-    assert c.parameter("a2") is c.parameters[c.model.index("a2")]
 
 
 def test_joint_values_outside_of_the_measured_are_told(calibrated):
@@ -145,12 +111,3 @@ def test_a_target_link_is_for_one_target(calibrated, tmp_path):
     q = random_joint_values(turned.nominal, 5, 2)
     into_base = np.linalg.inv(turned.T_frame_base)
     np.testing.assert_allclose(robot.poses(q), into_base @ turned.predict_poses(q), atol=1e-9)
-
-
-def test_in_one_line(calibrated):
-    scene, c = calibrated("points")
-    assert repr(c) == f"Calibration({scene.robot!r}, 76 rows, use)"
-    bare = calibrate(scene.robot, c.measurements, model="zeros", validate=False)
-    assert repr(bare).endswith("76 rows, no verdict)")
-    assert "larger" not in c.errors
-    assert c.errors["nominal"]["validation"].n == 12

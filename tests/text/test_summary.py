@@ -18,7 +18,6 @@ from calib.text.summary import (
     error_title,
     frame_sentences,
     measured_lengths,
-    shown_parameters,
     target_sentences,
 )
 
@@ -154,13 +153,6 @@ def test_long_names_stay_within_100_columns(table: Measurements, model: str):
     if model == "placement":
         at = text.splitlines().index(f"{long}2.rx")
         assert len(numbers_of("x" + text.splitlines()[at + 1], "x")) == 4
-
-
-def test_frames_and_orientations_of_targets_are_no_listed_parameters(calibrated):
-    _, c = calibrated("poses")
-    names = [p.name for p in shown_parameters(c)]
-    assert "target_x" in names
-    assert not [name for name in names if name.startswith(("frame_", "target_r"))]
 
 
 @pytest.mark.parametrize(
