@@ -29,7 +29,7 @@ VERDICTS = {
 #: Lines that are the head of a table or name one.
 _HEAD = re.compile(
     r"((Position|Length|Position or length|Orientation) error "
-    r"|(Pose|Length) accuracy[, ]|Orientation, |Validation rows  |Models tried  |Parameter  |Non-geometric model '"
+    r"|(Pose|Length) accuracy[, ]|Orientation, |Models tried  |Parameter  |Non-geometric model '"
     r"|Table \d+: )"
 )
 

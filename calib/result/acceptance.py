@@ -27,7 +27,7 @@ from calib.estimate.statistics import interval_factor
 from calib.result.accuracy import Accuracy, PoseAccuracy, accuracy, fitted_rows
 from calib.result.calibration import Calibration
 from calib.result.evaluation import Evaluation, Moved, evaluate, evaluate_larger, hint, moved
-from calib.result.support import OutsideRow, outside
+from calib.result.support import OutsideRow
 from calib.result.verdict import Reason
 from calib.robot.robot import Robot
 from calib.units import split_header
@@ -267,41 +267,24 @@ def assess(
         all(abs(T - origins["urdf"][joint]).max() < _SAME for joint, T in origins[who].items())
         for who in ("nominal", "calibration")
     )
-    beyond: tuple[tuple[OutsideRow, ...], tuple[int, ...]] = ((), ())
+    beyond: tuple[OutsideRow, ...] = ()
+    rows = tuple(row for pose in figures[judged].poses for row in pose.rows[:1])
     if c is not None and judged in ("calibration", "larger"):
-        beyond = _outside(c, found[judged], figures[judged])
+        own_rows = np.isin(table.rows, rows)
+        beyond = c.outside_of_measured(table.joints_for(c.nominal.joint_names)[own_rows])
+        rows = tuple(np.array(table.rows)[own_rows].tolist())
     return Assessment(
         found=found,
         figures=figures,
         judged=judged,
         accepted=acceptance(found[judged], **limits, seen=seen) if limits else None,
         own=own,
-        outside=beyond,
+        outside=(beyond, rows),
         moved=moved(found["calibration"].robot, table, cell, c.setup)
         if c is not None and set(which) == {"frame", "target"}
         else None,
         hint=hint(found["urdf"], cell) if c is None else None,
     )
-
-
-def _outside(
-    c: Calibration, evaluation: Evaluation, judged: Accuracy
-) -> tuple[tuple[OutsideRow, ...], tuple[int, ...]]:
-    """The judged rows with joint values that the fit did not see."""
-    robot, m = evaluation.robot, evaluation.measurements
-    ranges = dict(zip(c.nominal.joint_names, c.ranges, strict=True))
-    # A joint that turns without end has no range to be outside of.
-    known = [
-        k
-        for k, joint in enumerate(robot.inputs)
-        if joint.type != "continuous" and np.isfinite(ranges.get(joint.name, np.nan)).all()
-    ]
-    names = [robot.joint_names[k] for k in known]
-    ends = np.array([ranges[name] for name in names]).reshape(-1, 2).T
-    chosen = np.isin(m.rows, [row for pose in judged.poses for row in pose.rows[:1]])
-    q = m.joints_for(robot.joint_names)[chosen][:, known]
-    found = outside(ends, q, names, [robot.inputs[k].type for k in known])
-    return found, tuple(np.array(m.rows)[chosen].tolist())
 
 
 def _check_measured(nominal: Robot, m: Measurements) -> None:

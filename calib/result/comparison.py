@@ -111,7 +111,12 @@ def compare(
         "b" if isinstance(b, Calibration) else Path(b).name,
     )
     _check_same_chain(first, second, names)
-    shown, both = _shown(first.nominal, robot), (first, second)
+    both, own = (first, second), first.nominal
+    shown = own
+    if isinstance(robot, Robot):
+        shown = robot.rebuilt(base=own.base, tip=own.tip)
+    elif robot is not None:
+        shown = Robot.load(robot, own.base, own.tip, held=own.held)
     origins = first.nominal.origins(), second.nominal.origins()
     same = all(np.abs(T - origins[1][name]).max() < _SAME for name, T in origins[0].items())
     found = drift_between(
@@ -171,23 +176,6 @@ def _check_same_chain(a: Calibration, b: Calibration, names: tuple[str, str]) ->
                 f"{names[0]} and {names[1]} are not of one chain. {what}: {first or 'none'} in {names[0]}, "
                 f"{second or 'none'} in {names[1]}. Fit both with the same --base, --tip and --hold."
             )
-
-
-def _shown(own: Robot, given: Robot | str | Path | None) -> Robot:
-    """The robot to show, the results' own or one that was given; another one is refused."""
-    if given is None:
-        return own
-    robot = (
-        given.rebuilt(base=own.base, tip=own.tip)
-        if isinstance(given, Robot)
-        else Robot.load(given, own.base, own.tip, held=own.held)
-    )
-    if robot.joint_names != own.joint_names or set(robot.origins()) != set(own.origins()):
-        raise ModelError(
-            f"The robot given has the joints {choices(robot.joint_names)} between '{own.base}' and '{own.tip}'; "
-            f"the results are of {choices(own.joint_names)}. Give the URDF that they were made with."
-        )
-    return robot
 
 
 def _covered(a: Array, b: Array) -> Array:

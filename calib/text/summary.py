@@ -55,7 +55,6 @@ _LEFT_OUT = {
 #: A row of the error table: label, n, max, mean, rms, span x, span y, span z.
 _COLUMNS, _ANGLE_COLUMNS = "{:<33}{:>5}" + " {:>9}" * 6, "{:<33}{:>5}" + " {:>9}" * 3
 ANGLE_HEAD = _ANGLE_COLUMNS.format("Orientation error [deg]", "rows", "max", "mean", "rms")
-_ROW_COLUMNS = "{:<18}" + " {:>8}" * 4 + "   " + " {:>8}" * 4
 
 
 def summary(c: Calibration) -> str:
@@ -82,7 +81,6 @@ def summary(c: Calibration) -> str:
         ),
         "\n".join(verdict),
         _errors(c),
-        _validation_rows(c),
         _flagged(c),
         "\n".join(map(wrap, target_sentences(c))),
         "\n".join(map(wrap, frame_sentences(c))),
@@ -332,35 +330,20 @@ def _errors(c: Calibration) -> str:
     return "\n".join([*lines, *filter(None, [left_out_text(c)])])
 
 
-def _validation_rows(c: Calibration) -> str:
-    """Errors of single validation rows by axis, before and after, as in the paper's Table 4; only if they are few."""
-    m = c.rows
-    chosen = np.flatnonzero(m.validation & np.all(c.used[:, :3], axis=1) & (c.used.shape[1] >= 3))
-    if not 0 < len(chosen) <= _MOST_ROWS:
-        return ""
-    head = ("before dx", "dy", "dz", "norm", "after dx", "dy", "dz", "norm")
-    lines = [_ROW_COLUMNS.format("Validation rows", *head)]
-    for i in chosen:
-        both = c.residual_nominal[i, :3], c.residual_calibrated[i, :3]
-        values = [mm(v) for one in both for v in (*one, np.linalg.norm(one))]
-        lines.append(_ROW_COLUMNS.format(f"  row {m.numbers[i]} [mm]", *values))
-    return "\n".join(lines)
-
-
 def _flagged(c: Calibration) -> str:
-    """The rows that do not belong to the others."""
-    lines = ["Outliers: none."]
-    if c.outliers:
+    """The rows that do not belong to the others, the first dozen of each set."""
+    if not c.outliers:
+        lines = ["Outliers: none."]
+    else:
         lines = [wrap(f"Outliers ({weights_text(c)}): {_outliers(c.outliers)}")]
-        if c.robustness is not None:
-            lines.append(wrap(robustness_text(c.robustness), "  "))
+        lines += [wrap(robustness_text(c.robustness), "  ")] if c.robustness is not None else []
     if c.suspects:
         lines.append(wrap(f"Outliers among the validation rows: {_outliers(c.suspects)}"))
     return "\n".join(lines)
 
 
 def _outliers(every: Sequence[Outlier]) -> str:
-    """Rows with residual and score; the first dozen."""
+    """Rows with residual and score."""
     shown = [
         f"row {o.row} ({mm(o.residual, 2)} mm, {o.score:.1f} sigma)" for o in every[:_MOST_ROWS]
     ]
