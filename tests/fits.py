@@ -128,11 +128,8 @@ class Scene:
         """T_base_tip of the true robot."""
         samples = self.samples(len(q), q=q)
         into_base = np.linalg.inv(self.kinematics.T_frame_base[0])
-        return (
-            into_base
-            @ self.kinematics.poses(self.x, samples)
-            @ np.linalg.inv(self.kinematics.T_tip_target[0])
-        )
+        T = self.kinematics.poses(self.x, samples)
+        return into_base @ T @ np.linalg.inv(self.kinematics.T_tip_target[0])
 
     def points(self, count: int, frame: int = 0, target: int = 0) -> Measurements:
         samples = self.samples(count, frame, target)
@@ -219,14 +216,8 @@ def joined(*tables: Measurements) -> Measurements:
     optional = {}
     for name, shape in (("rotations", (3, 3)), ("distances", ())):
         if any(getattr(t, name) is not None for t in tables):
-            optional[name] = np.concatenate(
-                [
-                    np.full((len(t), *shape), np.nan)
-                    if getattr(t, name) is None
-                    else getattr(t, name)
-                    for t in tables
-                ]
-            )
+            parts = [(np.full((len(t), *shape), np.nan), getattr(t, name)) for t in tables]
+            optional[name] = np.concatenate([one if v is None else v for one, v in parts])
     words = {
         name: sum((getattr(t, name) for t in tables), ())
         for name in ("kinds", "groups", "targets", "pairs")
@@ -325,100 +316,72 @@ def every_sixth_validates(m: Measurements) -> Measurements:
     return replace(m, sets=tuple("validate" if k % 6 == 5 else "estimate" for k in number))
 
 
-def _points(make):
-    scene = make(31, frames=[np.eye(4)])
-    return scene, scene.points(76), Cell()
-
-
-def _poses(make):
-    scene = make(32, frames=[TRACKERS[0]], noise_angle=1e-4)
-    return scene, scene.poses(76), Cell(estimate_frame=True)
-
-
-def _targets(make):
-    scene = make(33, frames=[np.eye(4)], targets=TARGETS)
-    return scene, joined(scene.points(40), scene.points(40, target=1)), Cell()
-
-
-def _turned_targets(make):
-    scene = make(34, frames=[np.eye(4)], targets=TARGETS, noise_angle=1e-4)
-    return scene, joined(scene.poses(38), scene.poses(38, target=1)), Cell()
-
-
-def _set_ups(make):
-    scene = make(35, frames=TRACKERS)
-    return scene, joined(*(scene.points(30, f) for f in range(3))), Cell(estimate_frame=True)
-
-
-def _known_set_ups(make):
-    scene = make(36, frames=TRACKERS[:2])
-    frames = {str(f): TRACKERS[f] for f in range(2)}
-    return scene, joined(*(scene.points(40, f) for f in range(2))), Cell(frames=frames)
-
-
-def _distances(make):
-    scene = make(37, frames=SOCKETS)
-    return scene, joined(*(scene.distances(48, f) for f in range(3))), Cell()
-
-
-def _pairs(make):
-    scene = make(38, frames=[np.eye(4)])
-    return scene, scene.pairs(76), Cell()
-
-
-def _sockets(make):
-    scene = make(39, frames=SOCKETS)
-    return scene, joined(*(scene.fixed(24, f) for f in range(3))), Cell(distances=gaps(SOCKETS))
-
-
-def _planes(make):
-    scene = make(40, frames=PLANES)
-    return scene, joined(*(scene.plane(40, f) for f in range(3))), Cell()
-
-
 def _mixed(make):
     scene = make(41, frames=[TRACKERS[0], SOCKETS[1], PLANES[2], SOCKETS[0]], noise_angle=1e-4)
     tables = [scene.poses(15), scene.points(15), scene.fixed(12, 1), scene.plane(18, 2)]
     return scene, joined(*tables, scene.distances(18, 3), scene.pairs(6)), Cell(estimate_frame=True)
 
 
-def _gain(make):
-    scene = make(42, frames=[TRACKERS[0]], model="dh+gain", other={"gain": 1e-3})
-    return scene, scene.points(76), Cell(estimate_frame=True)
-
-
 def _compliance(make):
-    payload = Payload(5.0, np.array([0.0, 0.02, 0.1]))
-    gravity = np.array([0.0, 1.0, -9.75])
-    scene = make(
-        43, frames=[np.eye(4)], targets=TARGETS, model="dh+compliance",
-        other={"compliance": 3e-5}, payload=payload, gravity=gravity,
-    )  # fmt: skip
+    payload, gravity = Payload(5.0, np.array([0.0, 0.02, 0.1])), np.array([0.0, 1.0, -9.75])
+    bent = {"model": "dh+compliance", "other": {"compliance": 3e-5}}
+    scene = make(43, frames=BASE, targets=TARGETS, payload=payload, gravity=gravity, **bent)
     cell = Cell(payload=payload, gravity=gravity, model="dh+compliance")
-    return scene, joined(scene.points(40), scene.points(40, target=1)), cell
+    return scene, two_targets(scene.points), cell
 
 
 def _held(make):
     held = {"wrist_2_joint": 0.8}
     robot = Robot.load(paper_urdf(), base="base", tip="tool0", held=held)
-    scene = make(44, frames=[np.eye(4)], robot=robot, model="dh+gain", other={"gain": 1e-3})
+    scene = make(44, frames=BASE, robot=robot, model="dh+gain", other={"gain": 1e-3})
     return scene, scene.points(76), Cell(held=held, model="zeros+gain")
 
 
+def two_targets(kind, count=40) -> Measurements:
+    return joined(kind(count), kind(count, target=1))
+
+
+def in_each(kind, count, frames=3) -> Measurements:
+    return joined(*(kind(count, f) for f in range(frames)))
+
+
+BASE, FREE = [np.eye(4)], Cell(estimate_frame=True)
+GIVEN = Cell(frames={str(f): TRACKERS[f] for f in range(2)})
+
 #: A scene, its table and its cell for every kind of measurement, several targets and set-ups, and larger models.
 CASES = {
-    "points": _points,
-    "poses": _poses,
-    "targets": _targets,
-    "turned targets": _turned_targets,
-    "set-ups": _set_ups,
-    "known set-ups": _known_set_ups,
-    "distances": _distances,
-    "pairs": _pairs,
-    "sockets": _sockets,
-    "planes": _planes,
+    "points": lambda make: (s := make(31, frames=BASE), s.points(76), Cell()),
+    "poses": lambda make: (s := make(32, frames=TRACKERS[:1], noise_angle=1e-4), s.poses(76), FREE),
+    "targets": lambda make: (
+        s := make(33, frames=BASE, targets=TARGETS),
+        two_targets(s.points),
+        Cell(),
+    ),
+    "turned targets": lambda make: (
+        s := make(34, frames=BASE, targets=TARGETS, noise_angle=1e-4),
+        two_targets(s.poses, 38),
+        Cell(),
+    ),
+    "set-ups": lambda make: (s := make(35, frames=TRACKERS), in_each(s.points, 30), FREE),
+    "known set-ups": lambda make: (
+        s := make(36, frames=TRACKERS[:2]),
+        in_each(s.points, 40, 2),
+        GIVEN,
+    ),
+    "distances": lambda make: (s := make(37, frames=SOCKETS), in_each(s.distances, 48), Cell()),
+    "pairs": lambda make: (s := make(38, frames=BASE), s.pairs(76), Cell()),
+    "sockets": lambda make: (
+        s := make(39, frames=SOCKETS),
+        in_each(s.fixed, 24),
+        Cell(distances=gaps(SOCKETS)),
+    ),
+    "planes": lambda make: (s := make(40, frames=PLANES), in_each(s.plane, 40), Cell()),
     "mixed": _mixed,
-    "gain": _gain,
+    "gain": lambda make: (
+        s := make(42, frames=TRACKERS[:1], model="dh+gain", other={"gain": 1e-3}),
+        s.points(76),
+        FREE,
+    ),
     "compliance": _compliance,
     "held": _held,
 }

@@ -22,23 +22,17 @@ from calib.robot.robot import read_only
 
 Array = NDArray[np.float64]
 
-#: The robot may differ from the linearised one by this share of the noise, rms.
-_LINEAR = 1e-3
+#: A fold is fitted from the beginning where the robot differs from the linearised one by this share of the noise, rms,
+#: and where a set-up has fewer scalars: its frame may be anywhere.
+_LINEAR, _FEWEST_SCALARS = 1e-3, 18.0
 
-#: Scalars of a set-up below which a fold is fitted from the beginning: its frame may be anywhere.
-_FEWEST_SCALARS = 18.0
+#: Of so many rows so small a share can be left out without finding weights, noise and sizes anew; and rows of all folds
+#: that are fitted at a time.
+_MANY, _SMALL_SHARE, _AT_A_TIME = 1500, 0.15, 4096
 
-#: Of so many rows so small a share can be left out without finding weights, noise and sizes anew.
-_MANY, _SMALL_SHARE = 1500, 0.15
-
-#: Rows of all folds that are fitted at a time.
-_AT_A_TIME = 4096
-
-#: Up to this number of poses each is left out in turn; above it, a tenth of them at a time.
-_LEAVE_ONE_OUT, _FOLDS = 60, 10
-
-#: From this number of set-ups on, whole ones are left out.
-_FEWEST_SETUPS = 3
+#: Up to this number of poses each is left out in turn, above it a tenth of them at a time; from this number of set-ups
+#: on, whole ones are.
+_LEAVE_ONE_OUT, _FOLDS, _FEWEST_SETUPS = 60, 10, 3
 
 #: Called with the number of fits done and of fits in all.
 Progress = Callable[[int, int], None]
@@ -70,11 +64,7 @@ class Folds:
     def of_task(cls, task: Task, rows: Rows) -> Folds:
         """Set-ups from three on, else poses with their repeats and pairs.
 
-        A set-up stays whole with the others where it alone says what they cannot: orientations, or where the base
-        stands.
-
-        Raises:
-            MeasurementError: Too few rows to leave any out.
+        A set-up stays with the others where it alone says what they cannot: orientations, or where the base stands.
         """
         setups = joined_setups(rows, task.distances)
         # Each target whose orientation was measured must be so in two set-ups: one alone cannot be predicted.
@@ -117,10 +107,7 @@ def cross_validation(
     """Cross-validation of the calibrated robot, fitted anew without each fold.
 
     A fold is fitted on the problem linearised at the fit to all rows, where that is the robot; with the paper's solver,
-    at bounds and with few rows it is fitted from the beginning.
-
-    Raises:
-        MeasurementError: Too few rows to leave any out.
+    at bounds and with few rows it is fitted from the beginning. `MeasurementError` where rows are too few.
     """
     task, rows = fitted.task, fitted.estimate.problem.rows
     folds = Folds.of_task(task, rows)

@@ -44,14 +44,12 @@ _ROUGH, _FINE = 0.1, 1e-9
 #: A stage's solution within this is looked for by the linearised problem first, in steps of 1 mm and 1 mrad.
 _CLOSE = 5.0
 
-#: A change below this is none: weak priors leave traces of that size on what takes part with the target [m, rad].
-_NOTHING = 1e-8
+#: A change below this is none: weak priors leave traces of that size on what takes part with the target [m, rad]. A
+#: parameter at its bound is let go where that lowers the squares by more than this.
+_NOTHING, _TELLING = 1e-8, 1e-6
 
 #: Covariance of the minimum of summed fourth powers over that of summed squares, for normal noise in 3-D.
 _FOURTH_POWERS = 1.4
-
-#: A parameter at its bound is let go where that lowers the squares by more than this.
-_TELLING = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
-from itertools import islice
+from concurrent.futures import BrokenExecutor, Executor, as_completed
 from typing import TypeVar
 
 from calib.errors import CalibError
@@ -12,9 +11,6 @@ from calib.errors import CalibError
 C = TypeVar("C")
 I = TypeVar("I")  # noqa: E741  an item
 R = TypeVar("R")
-
-#: Calls that wait in an executor at a time: while some run the next are on their way, and not all of them in memory.
-_AHEAD = 32
 
 
 def run(
@@ -25,14 +21,10 @@ def run(
     *,
     batch: int = 1,
 ) -> Iterator[tuple[int, R]]:
-    """``function(shared, item)`` of every item, in any order.
+    """``function(shared, item)`` of every item with the item's number, in any order.
 
-    The function is a module's; what it is given and gives back can be pickled. ``shared`` is sent with every batch,
-    ``items`` are taken as they are needed; without an executor they are done here, one after the other. ``batch`` items
-    are sent together: many for jobs that take less time than they take to send.
-
-    Yields:
-        The item's number, counted from 0, and its result.
+    The function is a module's; what it is given and gives back can be pickled. ``batch`` items are sent together, with
+    ``shared``: many for jobs that take less time than they take to send. Without an executor they are done here.
 
     Raises:
         CalibError: A worker was killed, or ran out of memory.
@@ -41,17 +33,12 @@ def run(
         for number, item in enumerate(items):
             yield number, function(shared, item)
         return
-    numbered = enumerate(items)
-    pending: dict[Future[list[R]], list[int]] = {}
+    every = list(enumerate(items))
+    parts = [every[k : k + batch] for k in range(0, len(every), batch)]
+    pending = [executor.submit(_call, function, shared, part) for part in parts]
     try:
-        while part := list(islice(numbered, batch)):
-            numbers = [number for number, _ in part]
-            future = executor.submit(_call, function, shared, [item for _, item in part])
-            pending[future] = numbers
-            if len(pending) >= _AHEAD:
-                yield from _finished(pending)
-        while pending:
-            yield from _finished(pending)
+        for future in as_completed(pending):
+            yield from future.result()
     except BrokenExecutor as error:
         raise CalibError(
             f"A worker process has ended before its job: it was killed, or ran out of memory ({error}). Try fewer "
@@ -67,13 +54,8 @@ def batch_size(count: int, largest: int = 50) -> int:
     return max(1, min(largest, count // 24))
 
 
-def _call(function: Callable[[C, I], R], shared: C, items: list[I]) -> list[R]:
+def _call(
+    function: Callable[[C, I], R], shared: C, part: list[tuple[int, I]]
+) -> list[tuple[int, R]]:
     """One batch, in a worker."""
-    return [function(shared, item) for item in items]
-
-
-def _finished(pending: dict[Future[list[R]], list[int]]) -> Iterator[tuple[int, R]]:
-    """Wait for the next calls that end, and take their results out of those that are pending."""
-    done, _ = wait(pending, return_when=FIRST_COMPLETED)
-    for future in done:
-        yield from zip(pending.pop(future), future.result(), strict=True)
+    return [(number, function(shared, item)) for number, item in part]

@@ -30,11 +30,9 @@ from calib.robot.kernel import over_blocks
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-#: How far the logarithm of a size may fall and rise in one step: where nothing supports a size it falls to its bound.
-_STEP_DOWN, _STEP_UP = 3.0, 1.0
-
-#: Normal equations that are kept.
-_KEPT = 3
+#: How far the logarithm of a size may fall and rise in one step: where nothing supports a size it falls to its bound;
+#: and normal equations that are kept.
+_STEP_DOWN, _STEP_UP, _KEPT = 3.0, 1.0, 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)

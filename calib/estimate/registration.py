@@ -28,14 +28,9 @@ from calib.robot.robot import Robot
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-#: Distances from the tip at which a target is looked for when nothing is known of it [m].
-_REACHES = (0.15, 0.7)
-
-#: So many starts are refined, those that fit best with the frames that suit them.
-_REFINED = 5
-
-#: Rows of each view of a target used to find a start; more do not make it better.
-_ROWS, _FEWEST_ROWS = 200, 20
+#: Distances from the tip at which a target is looked for when nothing is known of it [m]; so many starts, those that
+#: fit best, are refined, with so many rows of each view of a target.
+_REACHES, _REFINED, _ROWS, _FEWEST_ROWS = (0.15, 0.7), 5, 200, 20
 
 #: Directions of a frame that is wholly unknown, and the points that show all of them.
 _ALL, _FEWEST_POINTS = 6, 3
@@ -48,12 +43,9 @@ ENOUGH = 20_000
 
 
 def register(robot: Robot, setup: Setup, rows: Rows, *, tolerance: float = 1e-12) -> Setup:
-    """The set-up with targets and frames where the nominal robot puts them best.
+    """The set-up with targets and frames where the nominal robot puts them best; `MeasurementError` with too few rows.
 
     What is not to be estimated stays as given, and so does what no row sees.
-
-    Raises:
-        MeasurementError: Too few rows to find what is asked for.
     """
     if not setup.count:
         return setup
@@ -104,9 +96,6 @@ def nominal_setup(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
 
     Rows that lie far from the others take no part: one gross row would move target and frame, and with them the errors
     of the nominal robot on every other row.
-
-    Raises:
-        MeasurementError: Too few rows to find what was not given.
     """
     setup = setup.as_known(setup.frame_given, setup.target_given)
     if not setup.count:

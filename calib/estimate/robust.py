@@ -25,11 +25,9 @@ Mask = NDArray[np.bool_]
 #: A good row keeps its full weight with this probability; and that with which any row of a clean table is flagged.
 _FULL, _FALSE_ALARM = 0.99, 0.01
 
-#: A row that leaves less than this of a direction to the others carries it nearly alone.
-_CARRIED = 1e-4
-
-#: The scalars of a point, for which scores are told.
-_POINT = 3
+#: A row that leaves less than this of a direction to the others carries it nearly alone; and the scalars of a point,
+#: for which scores are told.
+_CARRIED, _POINT = 1e-4, 3
 
 
 @dataclass(frozen=True, slots=True)

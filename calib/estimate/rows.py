@@ -17,11 +17,9 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int_]
 Mask = NDArray[np.bool_]
 
-#: The number in place of a kind's of rows that say nothing themselves: the second ones of pairs.
-NONE = -1
-
-#: A residual has its lengths in the columns from 0 on, and its angles from this one.
-LENGTHS = 3
+#: The number in place of a kind's of rows that say nothing themselves: the second ones of pairs; and the column from
+#: which on a residual has its angles, behind its lengths.
+NONE, LENGTHS = -1, 3
 
 #: Rows whose joint values differ by less than this are repeats of a pose [rad or m].
 _SAME_POSE = 1e-3

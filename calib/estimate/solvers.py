@@ -2,7 +2,7 @@
 
 Three of them: the paper's Levenberg-Marquardt as its section 3.3 states it; the default, Levenberg-Marquardt
 with Marquardt's scaling and a damped step solved by QR; and SciPy's ``least_squares``. Each minimises
-E(x) = 1/2 r(x)^T r(x) and keeps a history of its iterations.
+E(x) = 1/2 r(x)^T r(x), keeps a history of its iterations, and raises `SolverError` where the start is not finite.
 """
 
 from __future__ import annotations
@@ -69,46 +69,41 @@ def levenberg_marquardt(
     The step minimises |r + J dx|^2 + mu |D dx|^2; D are the largest column norms seen (J. Moré, 1978), mu follows the
     gain ratio (H. B. Nielsen, 1999). It stops where a step promises to lower E by less than the share ``tolerance``, or
     is shorter than ``step_tolerance`` in units of ``step_size``, shape (p,).
-
-    Raises:
-        SolverError: The residual at the start is not finite.
     """
     x = np.array(x0, dtype=np.float64)
     r, J = _checked_start(system, x)
     cost, evaluations = 0.5 * float(r @ r), 1
-    scale = _column_norms(J)
-    R, rhs = _triangle(J, r)
+    scale, (R, rhs) = _column_norms(J), _triangle(J, r)
     mu, raise_by = 1e-8, 2.0
     history: list[Iteration] = []
-    while len(history) < iterations:
+    status, message = "converged", "The steps no longer change the cost or the parameters."
+    while True:
         # A square of R's size carries all that J and r say, so that each mu costs p^3 and not m p^2.
         dx = _damped_step(R, rhs, np.sqrt(mu) * scale)
         predicted = 0.5 * (float(rhs @ rhs) - float(np.sum((rhs - R @ dx) ** 2)))
         length = float(np.linalg.norm(dx / step_size))
         if predicted <= tolerance * cost or length <= step_tolerance:
-            message = "The steps no longer change the cost or the parameters."
-            return Solution(x, cost, "converged", message, evaluations, tuple(history))
-        trial = x + dx
-        r_trial, J_trial = system(trial)
+            break
+        r_trial, J_trial = system(x + dx)
         evaluations += 1
         cost_trial = 0.5 * float(r_trial @ r_trial)
         gain = (cost - cost_trial) / predicted if np.isfinite(cost_trial) else -np.inf
         history.append(Iteration(cost, mu, gain, length, gain > 0))
         if gain > 0:
-            x, r, J, cost = trial, r_trial, J_trial, cost_trial
-            scale = np.maximum(scale, _column_norms(J))
-            R, rhs = _triangle(J, r)
+            x, cost = x + dx, cost_trial
+            scale = np.maximum(scale, _column_norms(J_trial))
+            R, rhs = _triangle(J_trial, r_trial)
             mu *= max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3) if gain < 0.9 else 0.1
             mu, raise_by = max(mu, 1e-15), 2.0
         else:
             mu, raise_by = mu * raise_by, raise_by * 2.0
             if mu > 1e12:
                 message = "No step, however short, lowers the cost any further."
-                return Solution(x, cost, "converged", message, evaluations, tuple(history))
-    message = (
-        f"The limit of {iterations} iterations was reached before the steps became negligible."
-    )
-    return Solution(x, cost, "stopped", message, evaluations, tuple(history))
+                break
+        if len(history) == iterations:
+            status, message = "stopped", _LIMIT.format(iterations)
+            break
+    return Solution(x, cost, status, message, evaluations, tuple(history))
 
 
 def paper_levenberg_marquardt(
@@ -128,17 +123,13 @@ def paper_levenberg_marquardt(
     Read in two places so that it works: step 6 goes to the end when the test holds (the branches are printed the other
     way round), and a step with gain <= 0 is not taken. The system is e(X), shape (m,), and de/dX, shape (m, p), at the
     *absolute* parameters X in mm and rad; x0 is the nominal X.
-
-    Raises:
-        SolverError: The error at the start is not finite.
     """
     x = np.array(x0, dtype=np.float64)
     e, J = _checked_start(system, x)
     cost, evaluations = 0.5 * float(e @ e), 1
     history: list[Iteration] = []
     while len(history) < iterations:
-        R, rhs = _triangle(J, e)
-        dx = _damped_step(R, rhs, np.full(len(x), np.sqrt(mu)))
+        dx = _damped_step(*_triangle(J, e), np.full(len(x), np.sqrt(mu)))
         length = float(np.linalg.norm(dx))
         e_trial, J_trial = system(x + dx)
         evaluations += 1
@@ -150,10 +141,8 @@ def paper_levenberg_marquardt(
         history.append(Iteration(cost, mu, gain, length, gain > 0))
         if gain > 0:
             x, e, J, cost = x + dx, e_trial, J_trial, cost_trial
-            mu /= nu
-        else:
-            mu *= nu
-    message = f"The limit of {iterations} iterations was reached before the steps became short."
+        mu = mu / nu if gain > 0 else mu * nu
+    message = _LIMIT.format(iterations)
     return Solution(x, cost, "stopped", message, evaluations, tuple(history))
 
 
@@ -163,13 +152,12 @@ def scipy_least_squares(
     step_size: Array,
     step_tolerance: float = 1e-9,  # noqa: ARG001  it goes to the end each time
 ) -> Solution:
-    """SciPy's ``least_squares`` (trust-region reflective); raises `SolverError` as `levenberg_marquardt` does."""
+    """SciPy's ``least_squares`` (trust-region reflective, exact SVD steps)."""
     from scipy.optimize import least_squares
 
     r, _ = _checked_start(system, x0)
-    best = 0.5 * float(r @ r)
+    best, at = 0.5 * float(r @ r), np.array(x0, dtype=np.float64)
     history: list[Iteration] = []
-    at = np.array(x0, dtype=np.float64)
 
     def residual(x: Array) -> Array:
         """The residual, with an entry in the history for each x that is new."""
@@ -191,6 +179,8 @@ def scipy_least_squares(
     cost, evaluations = float(result.cost), int(result.nfev)
     return Solution(result.x, cost, status, result.message, evaluations, tuple(history))
 
+
+_LIMIT = "The limit of {} iterations was reached before the steps became negligible."
 
 #: Called with a system, a start, a step of each parameter that matters, and the share of these that a last step may be.
 Solver = Callable[[System, Array, Array, float], Solution]
@@ -219,25 +209,19 @@ def _column_norms(J: Array) -> Array:
 def _triangle(J: Array, r: Array) -> tuple[Array, Array]:
     """R, (p, p), and rhs, (p,), of the triangle of [J, -r]: |J dx + r|^2 = |R dx - rhs|^2 + constant."""
     p = J.shape[1]
-    both = np.empty((len(r), p + 1), order="F")  # as LAPACK wants it
-    both[:, :p], both[:, p] = J, -r
+    both = np.zeros(
+        (max(len(r), p), p + 1), order="F"
+    )  # as LAPACK wants it; rows of zeros change nothing
+    both[: len(r), :p], both[: len(r), p] = J, -r
     R = triangle(both)
-    if len(R) < p:
-        R = np.vstack([R, np.zeros((p - len(R), p + 1))])
     return R[:p, :p], R[:p, p]
 
 
 def triangle(A: Array) -> Array:
     """The triangle R of A = Q R, of as many rows as A has rows or columns; A is overwritten if laid out by columns."""
-    return np.triu(_packed(A))
-
-
-def _packed(A: Array) -> Array:
-    """R of A = Q R, with Q's reflections below it."""
     if not A.size:  # LAPACK refuses it
         return np.zeros((min(A.shape), A.shape[1]))
-    packed, _, _, _ = dgeqrf(A, overwrite_a=1)
-    return np.asarray(packed[: min(A.shape)])
+    return np.triu(dgeqrf(A, overwrite_a=1)[0][: min(A.shape)])
 
 
 def _damped_step(R: Array, rhs: Array, damping: Array) -> Array:
@@ -246,8 +230,8 @@ def _damped_step(R: Array, rhs: Array, damping: Array) -> Array:
     stacked = np.zeros((2 * p, p + 1), order="F")
     stacked[:p, :p], stacked[:p, p] = R, rhs
     stacked[p + np.arange(p), np.arange(p)] = damping
-    triangle = _packed(stacked)  # what lies below the diagonal is not read
-    dx, info = dtrtrs(triangle[:p, :p], triangle[:p, p])
+    found = triangle(stacked)
+    dx, info = dtrtrs(found[:p, :p], found[:p, p])
     if info != 0:
         raise SolverError(
             "The damped step has no unique solution: a parameter has no effect, and the damping is zero. Start with a "

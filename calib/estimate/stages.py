@@ -32,24 +32,15 @@ Integers = NDArray[np.int_]
 #: The noise may be ten times larger or smaller than the one given or assumed, a standard deviation of its logarithm.
 _NOISE_SPREAD = float(np.log(10.0))
 
-#: With fewer degrees of freedom no row can be told from the others, and all keep their weight.
-FEWEST_FREEDOM = 6.0
+#: With fewer degrees of freedom all rows keep their weight, and the scatter of repeats is not believed.
+FEWEST_FREEDOM, _TELLING_REPEATS = 6.0, 6.0
 
 #: The weak prior of what no measurement determines, where priors are off, and of target and frame about where
-#: registration put them: far wider than an arm's errors [m and rad].
-_WEAK = 1.0
+#: registration put them [m and rad]; and how tightly a parameter is held at its bound, in its unit.
+_WEAK, _FIXED = 1.0, 1e-10
 
-#: How tightly a parameter is held at its bound, in its unit.
-_FIXED = 1e-10
-
-#: Weights that change by less have settled, and noise and sizes that change by less of themselves.
-_SETTLED, _SETTLED_SIZES = 0.02, 0.01
-
-#: Repeats must leave this many degrees of freedom before their scatter is believed.
-_TELLING_REPEATS = 6.0
-
-#: Limit of the rounds in which weights, and then sizes, settle.
-_ROUNDS = 12
+#: Weights that change by less have settled, and noise and sizes that change by less of themselves; limit of the rounds.
+_SETTLED, _SETTLED_SIZES, _ROUNDS = 0.02, 0.01, 12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,11 +65,7 @@ class PriorTerms:
         """The cell's priors and bounds, from a registered start.
 
         A change counts from the nominal value. That of a target or a frame is where the cell says it is, which is not
-        where registration puts it and where the estimation starts.
-
-        Raises:
-            ModelError: A bound or a prior for a parameter that the model lacks, or for that of a target or frame that
-                was not said to be anywhere.
+        where registration puts it; `ModelError` for a bound or prior on one that was not said to be anywhere.
         """
         priors, single = cell.priors, cell.parameter_priors
         asked = [k for k in {**cell.bounds, **single} if k in model.names or not lenient]

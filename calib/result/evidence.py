@@ -35,26 +35,16 @@ _STILL_RAD, _STILL_M = 0.35, 0.05
 #: paper's 0.43, a 20 cm cube of a UR3's workspace 0.28.
 _CORNER = 1.0 / 3.0
 
-#: A share of validation rows up to which those that do not fit are set aside as accidents.
-_FEW_SUSPECTS = 0.15
+#: A share of validation rows up to which those that do not fit are set aside as accidents; flagged rows of a set-up, in
+#: number and as a share, that show that the set-up and not the rows are off.
+_FEW_SUSPECTS, _SOME_FLAGGED, _SHARE_FLAGGED = 0.15, 4, 0.25
 
-#: A model that leaves this share of the noise explains what the other one lacks.
-_FAR_LESS = 0.6
+#: The model lacks something where a larger one leaves this share of the noise, or repeats scatter by this share of it.
+_FAR_LESS, _SCATTER_SHARE = 0.6, 0.5
 
-#: Noise below this is rounding, in which any test finds patterns [m, rad].
-_ROUNDING_NOISE = 1e-6
-
-#: Flagged rows of a set-up, in number and as a share, that show that the set-up and not the rows are off.
-_SOME_FLAGGED, _SHARE_FLAGGED = 4, 0.25
-
-#: Repeats that scatter by less than this share of what the model leaves over show that the model lacks something.
-_SCATTER_SHARE = 0.5
-
-#: A direction that moves the scalars by this many standard deviations, all together, was fitted.
-_FITTED = 1.0
-
-#: Degrees of freedom below which neither scatter nor patterns are told.
-_TELLING = 10.0
+#: Noise below this is rounding, in which any test finds patterns [m, rad]; a direction that moves the scalars by so
+#: many standard deviations was fitted; with fewer degrees of freedom neither scatter nor patterns are told.
+_ROUNDING_NOISE, _FITTED, _TELLING = 1e-6, 1.0, 10.0
 
 
 def evidence_of(result: Calibration, rows: Rows, hint: Reason | None) -> Evidence:

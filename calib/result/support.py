@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.data.cell import Cell
-from calib.errors import MeasurementError, ModelError
+from calib.errors import MeasurementError
 from calib.estimate.crossvalidation import linear_cross_validation
-from calib.estimate.fitting import PAPER, Fitted, fit
+from calib.estimate.fitting import Fitted, fit
 from calib.estimate.registration import register
 from calib.estimate.rows import Rows
 from calib.estimate.setup import Setup
@@ -31,11 +31,8 @@ from calib.robot.robot import Robot, read_only
 
 Array = NDArray[np.float64]
 
-#: A joint value is outside when it is further from the measured range than this share of the range.
-_MARGIN = 0.05
-
-#: Differences of joint values below this are none [rad or m].
-_STILL = 1e-3
+#: A joint value is outside when it is further from the measured range than this share of it; less is none [rad or m].
+_MARGIN, _STILL = 0.05, 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,15 +142,7 @@ class Robustness:
 
 
 def compare(fitted: Fitted) -> Robustness:
-    """Fit once more with robust weights where there were none, or without where there were, and compare.
-
-    Raises:
-        ModelError: The paper's solver made the fit, which has no weights.
-    """
-    if fitted.task.solver == PAPER:
-        raise ModelError(
-            "The solver 'paper' has no weights to compare with and without. Choose --solver lm."
-        )
+    """Fit once more with robust weights where there were none, or without where there were, and compare."""
     estimate, rows = fitted.estimate, fitted.estimate.problem.rows
     other = fit(replace(fitted.task, robust=not fitted.task.robust), rows, started=fitted.setup)
     samples = rows.samples
@@ -182,20 +171,13 @@ def compare(fitted: Fitted) -> Robustness:
     )
 
 
-#: Nominal errors below this need no other explanation than an uncalibrated arm [m].
-PLAUSIBLE = 0.02
+#: Nominal errors below this need no other explanation than an uncalibrated arm [m]; another set-up must lower the error
+#: to this share, and to this [m], to be named.
+PLAUSIBLE, _FAR_BETTER, _EXPLAINED = 0.02, 0.2, 0.05
 
-#: Another set-up must lower the nominal robot's error to this share, and to this error [m], to be named.
-_FAR_BETTER, _EXPLAINED = 0.2, 0.05
-
-#: Joints up to which every combination of turned signs is tried.
-_MOST_SIGNS = 7
-
-#: Rows that are looked at; more would not tell more.
-_ROWS = 60
-
-#: A step that lowers the sum of squares by less than this share is the last one: five digits are enough to compare.
-_TOLERANCE = 1e-6
+#: Joints up to which every combination of turned signs is tried, rows that are looked at, and the tolerance of a
+#: registration: five digits are enough to compare.
+_MOST_SIGNS, _ROWS, _TOLERANCE = 7, 60, 1e-6
 
 #: Factors between units that are taken for each other, and the zeros that conventions differ by [deg].
 _LENGTHS = {

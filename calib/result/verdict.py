@@ -16,29 +16,17 @@ Mask = NDArray[np.bool_]
 
 USE, CARE, NO = "use", "use with care", "do not use"
 
-#: Scalar measurements for each parameter that is estimated, below which a fit leans on its priors.
-_FEW = 2.0
+#: Scalar measurements for each parameter below which a fit leans on its priors; a share of flagged rows above which
+#: they are no accident; validation rows so many times as far off as left-out rows were not measured like them.
+_FEW, _MANY_OUTLIERS, _ANOTHER_MEASUREMENT = 2.0, 0.15, 10.0
 
-#: A share of flagged rows above this is no accident.
-_MANY_OUTLIERS = 0.15
+#: Errors and noise beyond these are no uncalibrated arm's and no instrument's: the set-up is wrong [m], [rad]; and a
+#: change of a parameter beyond the third is no error of an arm [m or rad].
+_ABSURD, _ABSURD_ANGLE, _TOO_FAR = 0.02, 0.17, 0.1
 
-#: Validation rows this many times as far off as left-out rows were not measured like them.
-_ANOTHER_MEASUREMENT = 10.0
-
-#: Errors and noise beyond these are no uncalibrated arm's and no instrument's: the set-up is wrong [m], [rad].
-_ABSURD, _ABSURD_ANGLE = 0.02, 0.17
-
-#: A nominal error below this many standard deviations, rms over all scalars, is that of a robot that is right.
-_AT_THE_NOISE = 1.45
-
-#: A change of a parameter beyond this is no error of an arm [m or rad].
-_TOO_FAR = 0.1
-
-#: Relative differences below this are rounding of the solver.
-_ROUNDING = 1e-6
-
-#: A mean gain of fewer standard errors than this may be chance.
-_CHANCE = 2.0
+#: A nominal error below this many standard deviations, rms over all scalars, is that of a robot that is right; a gain
+#: of fewer standard errors may be chance; relative differences below the third are rounding.
+_AT_THE_NOISE, _CHANCE, _ROUNDING = 1.45, 2.0, 1e-6
 
 
 class Why(Enum):
@@ -156,7 +144,7 @@ def verdict(e: Evidence) -> Verdict:
     gain, size, flagged, rows = e.gain(), _size(e), int(np.sum(e.outliers)), len(e.outliers)
     few, chance = size["numbers"] < _FEW * e.parameters, 0.0 < gain < _CHANCE
     nominal, fresh, aside = e.validation
-    of_fresh: dict[str, Any] = {"rows": fresh.n, "before": nominal, "after": fresh}
+    of_fresh: dict[str, Any] = {"rows": fresh.n, "aside": aside, "before": nominal, "after": fresh}
     falls = fresh.rms < (1.0 - _ROUNDING) * nominal.rms
     good = ~e.outliers
     count = max(int(np.sum(e.used[good])), 1)
@@ -192,9 +180,10 @@ def verdict(e: Evidence) -> Verdict:
             ),
         ),
     ]
+    gained = {"method": e.calibrated.method, "outliers": flagged, "before": before, "after": after}
     gains = _those(
-        (gain > 0.0, Reason.of(Why.GAIN, **both, outliers=flagged)),
-        (bool(fresh.n) and falls, Reason.of(Why.VALIDATION_GAIN, **of_fresh, aside=aside)),
+        (gain > 0.0, Reason.of(Why.GAIN, **gained)),
+        (bool(fresh.n) and falls, Reason.of(Why.VALIDATION_GAIN, **of_fresh)),
     )
     use = NO if against else CARE if careful else USE
     return Verdict(use, (*against, *careful, *gains, *e.notes))

@@ -36,23 +36,3 @@ def test_without_a_table_and_by_name(examples):
     assert done.lines[0] == "Robot 'ur3' (ur3_robot.urdf), chain base to tool0:"
     assert "Identifiable from 200 poses spread over the joint limits, target 50, 70, 30" in done.out
     assert "Parameters of the model 'hayati' (" in done.out
-
-
-def test_a_base_that_moves(call, shop):
-    done = call(shop, "inspect", "robot.urdf", "--base", "tool0", "--tip", "base")
-    assert (done.code, done.err) == (0, "")
-    joints = [line.split()[0] for line in done.lines[2:8]]
-    assert (joints[0], joints[-1]) == ("wrist_3_joint", "shoulder_pan_joint")
-    assert "Joints move the base 'tool0' itself; they are passed from the base" in done.out
-
-
-def test_a_joint_that_follows_another(call, shop):
-    text = (shop / "robot.urdf").read_text(encoding="utf-8")
-    start = text.index("</joint>", text.index('name="wrist_3_joint"'))
-    mimic = '<mimic joint="wrist_2_joint" multiplier="-2" offset="0.1"/>'
-    (shop / "mimic.urdf").write_text(text[:start] + mimic + text[start:], encoding="utf-8")
-    done = call(shop, "inspect", "mimic.urdf", "data.csv", "--base", "base", "--tip", "tool0")
-    assert (done.code, done.err) == (0, "")
-    # Its column is not needed, and nothing is wrong with the chain.
-    assert done.lines[0] == "Columns not used: 'wrist_3_joint [deg]'."
-    assert "\n  'wrist_3_joint' follows 'wrist_2_joint', times -2, plus 5.72958 deg.\n" in done.out

@@ -11,7 +11,6 @@ import pytest
 
 from calib.data.cell import Cell, GroupDistance
 from calib.data.measurements import Measurements
-from calib.errors import MeasurementError
 from calib.estimate import crossvalidation
 from calib.estimate.crossvalidation import (
     Folds,
@@ -43,17 +42,6 @@ def test_every_row_is_left_out_once(case):
     task, rows = of_case(case)
     found = Folds.of_task(task, rows)
     np.testing.assert_array_equal(np.sum(found.masks, axis=0), np.ones(len(rows)))
-
-
-def test_both_rows_of_a_pair_are_left_out_together(calibrated):
-    task, rows = of_case(calibrated("pairs"))
-    found = Folds.of_task(task, rows)
-    for mask in found.masks:
-        inside = np.flatnonzero(mask & (rows.partner >= 0))
-        assert np.all(mask[rows.partner[inside]])
-    few = rows.select(np.arange(len(rows)) < 40)
-    assert Folds.of_task(task, few).method == "leave-one-out"
-    assert [int(m.sum()) for m in Folds.of_task(task, few).masks] == [2] * 20
 
 
 def test_set_ups_are_left_out_whole_from_three_on(calibrated):
@@ -89,15 +77,6 @@ def test_a_set_up_that_alone_measures_orientations_is_not_left_out_whole(calibra
     assert len(set(rows.samples.frame[rows.kinds == POSE])) == 1
     assert Folds.of_task(task, rows).method == "10-fold"
     assert case[1].cross_validation.errors.rms_angle < 1e-3
-
-
-def test_one_pose_cannot_be_cross_validated(make_scene):
-    scene = make_scene(84, frames=[np.eye(4)])
-    m = scene.points(1)
-    one = Measurements(m.joint_names, np.tile(m.joints, (3, 1)), np.tile(m.points, (3, 1)))
-    task, rows = task_of(scene, one, Cell())
-    with pytest.raises(MeasurementError, match=r"3 rows of one pose cannot be.*--no-validate"):
-        Folds.of_task(task, rows)
 
 
 def test_the_linear_one_agrees_with_the_refitted_one(case):
@@ -216,19 +195,6 @@ def test_folds_are_fitted_from_the_beginning_where_the_linearised_problem_does_n
     fitted = fit(Task(scene.robot, cell, setup, "dh", solver=solver), every)
     linear, refitted = both(fitted)
     np.testing.assert_array_equal(linear.residual, refitted.residual)
-
-
-def test_a_left_out_row_does_not_move_its_own_prediction(make_scene):
-    """The fit to all rows gives no more than the place where the problem is linearised."""
-    scene = make_scene(94, frames=[np.eye(4)], length=3e-4, angle=3e-3, noise=2e-5)
-    table = scene.points(30)
-    moved = table.points.copy()
-    moved[7] += [3e-3, 4e-3, 0.0]
-    before, after = (
-        cross_validation(f, f.estimate.outliers).residual
-        for f in (fitted_to(scene, one, Cell()) for one in (table, replace(table, points=moved)))
-    )
-    np.testing.assert_allclose(after[7] - before[7], [3e-3, 4e-3, 0.0], atol=1e-7)
 
 
 def test_set_ups_that_were_not_seen_are_registered_to_their_good_rows(make_scene, join):

@@ -12,7 +12,7 @@ from calib.data.cell import Cell, Priors
 from calib.data.measurements import Measurements
 from calib.estimate.fitting import Fitted, Task, fit
 from calib.estimate.rows import Rows
-from calib.estimate.setup import known_distances, rows_of
+from calib.estimate.setup import rows_of
 
 OFF = Priors(sizes="off")
 
@@ -27,12 +27,6 @@ def fitted(virtual, cell: Cell, rows: Rows, **options) -> Fitted:
 
 def with_points(rows: Rows, points, sigma=None) -> Rows:
     return replace(rows, measured=points, sigma=rows.sigma if sigma is None else sigma)
-
-
-def fitted_table(scene, table, cell: Cell, model="dh", **options) -> tuple[Fitted, Rows]:
-    rows, setup = rows_of(scene.robot, table, cell)
-    task = Task(scene.robot, cell, setup, model, known_distances(cell, setup), **options)
-    return fit(task, rows), rows
 
 
 def error_at(virtual, result: Fitted, x, q):
@@ -144,29 +138,6 @@ def test_a_fifth_of_gross_rows_is_flagged_and_does_no_harm(virtual, paper_cell, 
 
 
 @pytest.mark.slow
-def test_clean_tables_are_not_flagged(virtual, paper_cell):
-    rng = np.random.default_rng(13)
-    flagged = 0
-    for _ in range(60):
-        x = virtual.offsets(rng, 2e-4, 3e-3)
-        flagged += int(
-            fitted(virtual, paper_cell, virtual.rows(rng, x, 30, 1e-4)).estimate.outliers.any()
-        )
-    assert flagged <= 4  # one table in a hundred is expected
-
-
-def test_without_robust_weights_rows_are_named_but_keep_their_weight(virtual, paper_cell):
-    rng = np.random.default_rng(14)
-    x = virtual.offsets(rng, 1e-3, 5e-3)
-    data = virtual.rows(rng, x, 60, 1e-4)
-    points = data.measured.copy()
-    points[5] += 0.01
-    result = fitted(virtual, paper_cell, with_points(data, points), robust=False)
-    assert np.all(result.estimate.problem.weights == 1.0)
-    assert result.estimate.outliers[5]
-
-
-@pytest.mark.slow
 def test_sizes_of_errors_and_noise_are_found(virtual, paper_cell):
     rng = np.random.default_rng(15)
     found = []
@@ -177,16 +148,6 @@ def test_sizes_of_errors_and_noise_are_found(virtual, paper_cell):
     np.testing.assert_allclose(
         np.sqrt(np.mean(np.square(found), axis=0)), [4e-4, 2e-3, 2e-3, 5e-5], rtol=0.1
     )
-
-
-def test_given_sizes_stay(virtual, paper_cell):
-    rng = np.random.default_rng(16)
-    data = virtual.rows(rng, virtual.offsets(rng, 1e-3, 5e-3), 30, 1e-4)
-    given = Priors(sizes="given", length=2e-3, angle=8e-3, zero=9e-3)
-    e = fitted(virtual, replace(paper_cell, priors=given), data).estimate
-    assert e.sizes == {"length": 2e-3, "angle": 8e-3, "zero": 9e-3}
-    off = fitted(virtual, replace(paper_cell, priors=OFF), data).estimate
-    assert off.sizes == {}
 
 
 @pytest.mark.parametrize("model", ["dh", "hayati", "placement"])
@@ -204,12 +165,11 @@ def test_with_an_unknown_frame_too(virtual, model):
     assert rms(result.kinematics.points(result.estimate.x, q) - truth) < 5e-5
 
 
-@pytest.mark.parametrize("solver", ["lm", "scipy"])
-@pytest.mark.parametrize("noise", [0.0, 1e-7])
+@pytest.mark.parametrize(("solver", "noise"), [("lm", 0.0), ("scipy", 1e-7)])
 def test_noise_below_any_instruments_does_not_take_every_row_for_an_outlier(
     virtual, paper_cell, solver, noise
 ):
-    for seed in range(2):
+    for seed in range(1):
         rng = np.random.default_rng(seed)
         x = virtual.offsets(rng, 1e-3, 5e-3)
         data = virtual.rows(rng, x, 15, noise)

@@ -72,7 +72,7 @@ KINDS = {
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", range(1))
 def test_without_noise_unseen_poses_are_exact(make_scene, join, kind, seed):
     tables, placed = KINDS[kind]
     scene = make_scene(seed, frames=3, targets=3)
@@ -106,29 +106,6 @@ def test_sockets_have_no_scale_until_a_distance_is_known(make_scene, join, seed)
     assert np.abs(errors(scene, with_bar, placed=False)).max() < 1e-8
 
 
-@pytest.mark.parametrize("kind", ["points", "poses"])
-def test_a_wall_is_as_good_as_a_floor(make_scene, join, kind):
-    """A dial gauge on a plane whose normal is an axis of the base, with noise: intervals hold, nothing runs away."""
-    for axis, turn in (("x", [0, -1, 0]), ("y", [1, 0, 0])):
-        T = np.eye(4)
-        n = {"x": [1.0, 0, 0], "y": [0, 1.0, 0]}[axis]
-        K = 0.5 * np.pi * np.array(turn, dtype=float)
-        T[:3, :3] = Rotation.from_rotvec(K).as_matrix()
-        T[2, 3] = -0.25
-        np.testing.assert_allclose(T[:3, :3] @ n, [0, 0, 1], atol=1e-12)
-        scene = make_scene(6, frames=[np.eye(4), T], noise=5e-5)
-        table = join(getattr(scene, kind)(30, 0), scene.plane(30, 1))
-        found, _ = fitted(scene, table, Cell())
-        e = found.estimate
-        model = found.kinematics.model
-        spread = np.sqrt(np.diag(e.covariance))[
-            [model.index(f"frame_{d}[1]") for d in ("z", "rx", "ry")]
-        ]
-        assert np.all(spread < 2e-3)
-        placed = found.placed().T_frame_base[1]
-        np.testing.assert_allclose(placed[2, :3], n, atol=2e-3)
-
-
 @pytest.mark.slow
 def test_the_noise_of_every_instrument_is_found(make_scene, join):
     found = []
@@ -141,49 +118,6 @@ def test_the_noise_of_every_instrument_is_found(make_scene, join):
     lengths, distances, angles = np.sqrt(np.mean(np.square(found), axis=0))
     assert (lengths * 1e-4, distances * 1e-4) == pytest.approx((5e-5, 5e-5), rel=0.1)
     assert angles * 1e-3 == pytest.approx(4e-4, rel=0.1)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["pose", "pair"])
-def test_clean_tables_of_other_kinds_are_not_flagged(make_scene, kind):
-    flagged = 0
-    for seed in range(40):
-        scene = make_scene(seed, noise=1e-4, noise_angle=5e-4, length=4e-4, angle=2e-3)
-        table = scene.poses(20) if kind == "pose" else scene.pairs(60)
-        one, _ = fitted(scene, table, Cell(estimate_frame=True))
-        flagged += int(one.estimate.outliers.any())
-    assert flagged <= 3
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("kind", "count"), [("point", 20), ("pose", 20), ("distance", 100), ("pair", 100)]
-)
-def test_a_fifth_of_gross_rows_of_any_kind_is_flagged_and_does_no_harm(make_scene, kind, count):
-    for seed in range(8):
-        scene = make_scene(seed, noise=1e-4, noise_angle=5e-4)
-        table = getattr(scene, f"{kind}s")(count)
-        task, rows = task_of(scene, table, Cell(estimate_frame=True))
-        rng = np.random.default_rng(seed)
-        told = np.flatnonzero(np.any(rows.used, axis=1))
-        gross = np.isin(np.arange(len(rows)), rng.choice(told, len(told) // 5, replace=False))
-        thrown = rng.normal(size=(len(rows), 3))
-        thrown /= np.linalg.norm(thrown, axis=1, keepdims=True)
-        size = rng.uniform(5e-3, 50e-3, len(rows)) * gross
-        measured = rows.measured.copy()
-        if kind in ("point", "pose"):
-            measured[:, :3] += size[:, None] * thrown
-        else:
-            measured[:, 0] += size * np.sign(thrown[:, 0])
-        spoilt = replace(rows, measured=measured)
-        kept = ~gross
-        kept[rows.partner[gross & (rows.partner >= 0)]] = False
-        harmed, clean = fit(task, spoilt), fit(task, rows.select(kept))
-        assert np.all(harmed.estimate.outliers[gross])
-        assert harmed.estimate.outliers[~gross].sum() <= 1
-        placed = kind in ("point", "pose")
-        a, b = (np.sqrt(np.mean(errors(scene, f, placed=placed) ** 2)) for f in (harmed, clean))
-        assert a < 1.2 * b
 
 
 @pytest.mark.slow
@@ -254,19 +188,6 @@ def test_bounds_hold_and_let_go_of_what_they_no_longer_hold(make_scene):
     assert stopped > 20
 
 
-def test_ties_are_followed_and_frozen_parameters_stay(make_scene):
-    scene = make_scene(1, frames=[np.eye(4)], noise=1e-5)
-    cell = Cell(ties={"a3": ("a2", -2.0)}, frozen=("d1",))
-    found, _ = fitted(scene, scene.points(40), cell)
-    model = found.kinematics.model
-    assert not {"a3", "d1"} & set(model.names)
-    names = [term.name for term in model.terms]
-    values = dict(zip(names, model.values(found.estimate.x), strict=True))
-    assert values["a3"] == pytest.approx(-2.0 * values["a2"])
-    assert values["a2"] != 0.0
-    assert "d1" not in names
-
-
 @pytest.mark.parametrize(
     ("cell", "error", "message"),
     [
@@ -282,14 +203,6 @@ def test_what_cannot_be_estimated_is_refused(make_scene, cell, error, message):
     scene = make_scene(3, frames=[np.eye(4)])
     with pytest.raises(error, match=message):
         fitted(scene, scene.points(5), cell)
-
-
-def test_an_unknown_solver_and_one_that_takes_points_only(make_scene):
-    scene = make_scene(4, frames=[np.eye(4)])
-    with pytest.raises(ModelError, match="There is no solver 'newton'"):
-        fitted(scene, scene.points(20), Cell(), solver="newton")
-    with pytest.raises(ModelError, match="takes positions of one target"):
-        fitted(scene, scene.distances(60), FREE, solver="paper")
 
 
 def test_unseen_rows_are_judged_by_the_noise_of_their_own_kind(make_scene, join):

@@ -196,31 +196,6 @@ def test_a_family_that_is_not_there_shrinks_to_nothing():
     assert np.max(shares) < 0.01
 
 
-def test_bounds_of_sizes_hold():
-    rng = np.random.default_rng(9)
-    A, y = data_of(rng, 40, 0.02, (0.05, 0.05))
-    bounds = ((1e-7, 0.003), (0.2, 0.3))
-    noise, sizes = reml(linearised(A, y), (0.1,), smallest=0.5, bounds=bounds)
-    assert noise[0] == pytest.approx([0.5])
-    assert sizes[0, 0] <= 0.003 * (1 + 1e-12)
-    assert sizes[0, 1] >= 0.2 * (1 - 1e-12)
-
-
-@pytest.mark.parametrize("centre", [0.0, 0.3])
-def test_priors_of_given_size_and_mean_are_taken_into_account(centre):
-    """Against the same priors written as further rows of weight 1 and noise 1."""
-    rng = np.random.default_rng(11)
-    A, y = data_of(rng, 12, 0.05, (0.05, 0.02))
-    held, means = np.zeros(P), np.zeros(P)
-    held[[0, 13]], means[[0, 13]] = 400.0, centre
-    data = linearised(A, y)
-    mean, covariance = (f[0] for f in data.posterior(np.array([[0.05]]), Priors(held, means)))
-    flat = np.vstack([A.reshape(-1, P) / 0.05, 20.0 * np.eye(P)[[0, 13]]])
-    target = np.concatenate([y.ravel() / 0.05, [20.0 * centre] * 2])
-    np.testing.assert_allclose(mean, np.linalg.lstsq(flat, target)[0], rtol=1e-8)
-    np.testing.assert_allclose(covariance, np.linalg.inv(flat.T @ flat), rtol=1e-7, atol=1e-14)
-
-
 def test_posterior_is_the_ridge_solution_and_survives_a_singular_matrix():
     rng = np.random.default_rng(10)
     A, y = data_of(rng, 20, 0.1, (0.05, 0.05))
@@ -239,17 +214,3 @@ def test_posterior_is_the_ridge_solution_and_survives_a_singular_matrix():
     assert np.all(np.isfinite(mean))
     np.testing.assert_allclose(mean[0], mean[1])
     assert np.all(np.isfinite(covariance))
-
-
-def test_a_row_of_weight_zero_counts_for_nothing():
-    rng = np.random.default_rng(11)
-    A, y = data_of(rng, 20, 0.1, (0.05, 0.05))
-    weights = np.ones(20)
-    weights[3] = 0.0
-    y[3] = 1e6
-    left = np.arange(20) != 3
-    mine, other = linearised(A, y, 2, weights), linearised(A[left], y[left], 2)
-    np.testing.assert_allclose(mine.H, other.H)
-    np.testing.assert_allclose(mine.g, other.g)
-    np.testing.assert_array_equal(mine.count, [[38, 19]])
-    np.testing.assert_array_equal(other.count, [[38, 19]])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -14,7 +12,6 @@ from calib.estimate.rows import NONE, Rows
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
 from calib.result.calibrate import calibrate
-from calib.result.evidence import thin
 from calib.robot import kernel
 
 #: Numbers of kinds in the registry.
@@ -127,28 +124,3 @@ def test_the_linearised_problem_in_parts(ur3, kind, monkeypatch):
     np.testing.assert_allclose(again.H, data.H, rtol=1e-9, atol=1e-9 * np.abs(data.H).max())
     np.testing.assert_allclose(again.count, data.count)
     np.testing.assert_allclose(parts.scores(both, covariance, weights, noise), scores, rtol=1e-6)
-
-
-def test_a_thin_fit_is_the_fit_on_some_of_its_rows(ur3, table):
-    fitted = calibrate(ur3, table, model="zeros", validate=False).fitted
-    few = thin(fitted, 600)
-    rows = few.estimate.problem.rows
-    assert 500 <= len(rows) <= 700
-    np.testing.assert_array_equal(few.estimate.x, fitted.estimate.x)
-    own = np.isin(fitted.estimate.problem.rows.samples.q[:, 0], rows.samples.q[:, 0])
-    own &= np.isin(fitted.estimate.problem.rows.measured[:, 0], rows.measured[:, 0])
-    np.testing.assert_array_equal(fitted.estimate.scores[own], few.estimate.scores)
-    np.testing.assert_array_equal(fitted.estimate.problem.scales[own], few.estimate.problem.scales)
-    assert thin(fitted) is fitted
-
-
-def test_thin_rows_have_every_kind_and_no_cycle(ur3):
-    _, rows = rows_of_kinds(ur3, KINDS["point"], count=4000)
-    kinds = rows.kinds.copy()
-    kinds[1234] = PLANE
-    some = np.flatnonzero(replace(rows, kinds=kinds).evenly(400))
-    assert 1234 in some
-    for cycle in (2, 3, 10):
-        shares = np.bincount(some % cycle) / len(some)
-        assert np.all(np.abs(shares * cycle - 1.0) < 0.5)
-    np.testing.assert_array_equal(rows.evenly(400), rows.evenly(400))

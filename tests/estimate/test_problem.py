@@ -75,20 +75,6 @@ def test_jacobian_of_the_papers_error_against_differences(virtual):
     np.testing.assert_allclose(e, np.sum(residual_mm**2, axis=1))
 
 
-def test_the_remembered_prediction_is_that_of_the_x_asked_for(virtual):
-    rng = np.random.default_rng(5)
-    problem, x = problem_of(virtual, rng, np.zeros(27))
-    first = problem.system(x)[0]
-    moved = problem.system(x + 1e-3)[0]
-    assert not np.allclose(first, moved)
-    np.testing.assert_array_equal(problem.system(x)[0], first)
-    # The caller may go on to change its own x.
-    y = x.copy()
-    problem.system(y)
-    y += 1e-3
-    np.testing.assert_array_equal(problem.system(y)[0], moved)
-
-
 def scene_problem(scene, table, distances=()):
     """Robot, every frame and every target unknown."""
     cell = Cell(estimate_frame=True)

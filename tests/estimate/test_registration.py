@@ -10,20 +10,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.data.cell import Cell
-from calib.data.kinds import get
 from calib.errors import MeasurementError
 from calib.estimate.registration import (
-    _frames_around,
-    _linear_start,
-    _pose_start,
-    _some,
     _system,
     register,
 )
 from calib.estimate.setup import rows_of
 from calib.model.error_model import frame_and_target_model
 from calib.model.parameters import frame_place
-from calib.robot.robot import Robot
 
 FREE = Cell(estimate_frame=True)
 PLANAR = Cell(estimate_frame=True, frame_directions=("x", "y", "rz"))
@@ -173,45 +167,6 @@ def test_the_right_robot_is_registered_exactly(make_scene, join, case):
         assert off(scene, found)[0] < 1e-7
 
 
-@pytest.mark.parametrize(("name", "tip"), [("panda", "panda_link8"), ("kinova", None)])
-def test_other_arms_too(make_scene, name, tip):
-    scene = make_scene(3, robot=Robot.load(name, tip=tip), model="placement", length=1e-3)
-    found, rows, _ = registered(scene, scene.points(25), FREE)
-    assert rms(scene, found, rows) < LEFT
-    assert off(scene, found)[0] < 0.05
-
-
-@pytest.mark.parametrize("case", ["points", "three targets"])
-def test_a_guess_that_is_wrong_does_no_harm(make_scene, join, case):
-    options, _, tables = POINTS_AND_POSES[case]
-    for seed in range(2):
-        scene = make_scene(seed, **options)
-        cell = Cell(estimate_frame=True, target=np.array([0.3, -0.3, 0.3]))
-        found, *_ = registered(scene, join(*tables(scene)), cell)
-        assert off(scene, found)[0] < 0.06
-
-
-def test_a_target_that_is_seen_in_every_second_row_of_a_long_table_is_found(make_scene, join):
-    """Rows for a start are taken from each view of a target, not at equal steps through the table."""
-    scene = make_scene(6, targets=2)
-    a, b = scene.points(300, 0, 0), scene.points(300, 0, 1)
-    both = join(a, b)
-    order = np.arange(600).reshape(2, 300).T.ravel()
-    table = type(both)(
-        both.joint_names,
-        both.joints[order],
-        both.points[order],
-        groups=("0",) * 600,
-        targets=tuple(both.targets[k] for k in order),
-    )
-    rows, _ = rows_of(scene.robot, table, FREE)
-    chosen = rows.select(_some(rows))
-    assert len(chosen) <= 200
-    assert np.bincount(chosen.samples.target).tolist() == [100, 100]
-    found, *_ = registered(scene, table, FREE)
-    assert off(scene, found)[0] < 0.05
-
-
 @pytest.mark.parametrize(
     ("cell", "count", "message"),
     [
@@ -227,24 +182,6 @@ def test_too_few_rows_are_refused_with_the_numbers(make_scene, cell, count, mess
     scene = make_scene(9)
     with pytest.raises(MeasurementError, match=message):
         registered(scene, scene.points(count), cell)
-
-
-@pytest.mark.parametrize(
-    ("poor", "message"),
-    [
-        (
-            lambda s: s.points(2, 1),
-            "set-up '1' has 2 rows with 6 numbers; its frame has 6 unknowns. Measure 3 poses",
-        ),
-        (lambda s: s.points(1, 1), "set-up '1' has 1 row with 3 numbers; its frame has 6"),
-        (lambda s: s.distances(2, 1), "set-up '1' has 2 rows with 2 numbers; its frame has 3"),
-        (lambda s: s.plane(2, 1), "set-up '1' has 2 rows with 2 numbers; its frame has 3"),
-    ],
-)
-def test_a_set_up_with_too_few_rows_is_named(make_scene, join, poor, message):
-    scene = within_reach(make_scene, 10, 2)
-    with pytest.raises(MeasurementError, match=message):
-        registered(scene, join(scene.points(20, 0), poor(scene)), FREE)
 
 
 def test_the_derivative_in_every_frame_and_target_against_differences(make_scene, join):
@@ -269,81 +206,3 @@ def test_the_derivative_in_every_frame_and_target_against_differences(make_scene
 
         numeric = (8 * (at(x + e) - at(x - e)) - (at(x + 2 * e) - at(x - 2 * e))) / 12e-3
         np.testing.assert_allclose(J[:, k] / scale, numeric, atol=1e-7)
-
-
-def right(make_scene, seed, **options):
-    """A scene whose robot is the nominal one."""
-    return make_scene(seed, length=0.0, angle=0.0, **options)
-
-
-def started(scene, table, cell, start):
-    rows, setup = rows_of(scene.robot, table, cell)
-    found = start(setup, scene.robot.poses(rows.joints), rows)
-    return rows, setup, found
-
-
-def worst(scene, rows, found):
-    return np.abs(
-        rows.residual(found.seen(scene.robot.poses(rows.joints), rows.samples))[rows.used]
-    ).max()
-
-
-def test_targets_and_translations_by_one_least_squares(make_scene, join):
-    turned = np.eye(4)
-    turned[:3, :3] = Rotation.from_rotvec([0.3, -0.4, 2.0]).as_matrix()
-    moved = turned.copy()
-    moved[:3, 3] = [3.0, -2.0, 1.0]
-    scene = right(make_scene, 0, frames=[np.eye(4), moved], targets=2)
-    table = join(scene.points(4, 0, 0), scene.points(3, 1, 1), scene.points(2, 1, 0))
-    cell = Cell(
-        estimate_frame=True,
-        frame_directions=("x", "y", "z"),
-        frames={"0": np.eye(4), "1": turned},
-    )
-    rows, _setup, found = started(scene, table, cell, _linear_start)
-    assert worst(scene, rows, found) < 1e-12
-    np.testing.assert_allclose(found.T_frame_base[1], moved, atol=1e-12)
-    np.testing.assert_allclose(
-        found.T_tip_target[:, :3, 3], scene.kinematics.T_tip_target[:, :3, 3]
-    )
-
-
-def test_the_anchor_is_where_the_distances_meet():
-    rng = np.random.default_rng(5)
-    points, anchor = rng.uniform(-0.5, 0.5, (8, 3)), np.array([3.0, -2.0, 1.0])
-    far = np.linalg.norm(points - anchor, axis=1, keepdims=True)
-    found = get("distance").locate(points, far, np.eye(4))
-    np.testing.assert_allclose(-found[:3, 3], anchor, atol=1e-10)
-
-
-@pytest.mark.parametrize("normal", [(0, 0, 1), (0, 0, -1), (1, 0, 0), (0, -1, 0), (0.5, -0.6, 0.2)])
-def test_the_plane_frame_lies_in_the_plane_and_turns_as_little_as_it_can(normal):
-    rng = np.random.default_rng(6)
-    n = np.array(normal) / np.linalg.norm(normal)
-    along = np.linalg.svd(n[None])[2][1:]
-    points = rng.normal(size=(9, 2)) @ along + 0.7 * n
-    T = get("plane").locate(points, np.zeros((9, 0)), np.eye(4))
-    np.testing.assert_allclose((points @ T[:3, :3].T + T[:3, 3])[:, 2], 0.0, atol=1e-12)
-    np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-12)
-    assert np.linalg.det(T[:3, :3]) == pytest.approx(1.0)
-    turned = Rotation.from_matrix(T[:3, :3]).magnitude()
-    # Of its two sides the one that the largest component points to.
-    n *= np.sign(n[np.argmax(np.abs(n))])
-    assert turned == pytest.approx(np.arccos(n[2]), abs=1e-7)
-
-
-def test_frames_around_known_targets(make_scene, join):
-    scene = right(make_scene, 7, frames=4, reach=0.15)
-    table = join(scene.points(4, 0), scene.distances(6, 1), scene.fixed(3, 2), scene.plane(6, 3))
-    rows, setup = rows_of(scene.robot, table, Cell(estimate_frame=True))
-    T = scene.robot.poses(rows.joints)
-    placed = setup.placed(setup.T_frame_base, scene.kinematics.T_tip_target)
-    assert worst(scene, rows, _frames_around(placed, T, rows)) < 1e-9
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_poses_tell_both_rotations_and_all_places(make_scene, join, seed):
-    scene = right(make_scene, seed, frames=2, targets=2)
-    table = join(scene.poses(4, 0, 0), scene.poses(4, 1, 1), scene.poses(2, 1, 0))
-    rows, _setup, found = started(scene, table, Cell(estimate_frame=True), _pose_start)
-    assert worst(scene, rows, found) < 1e-9

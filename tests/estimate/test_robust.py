@@ -65,20 +65,6 @@ def test_rows_of_any_number_of_scalars_are_told_as_points(d, n):
         assert np.mean(flat**2 < chi2.ppf(probability, 3)) == pytest.approx(probability, abs=0.015)
 
 
-def test_scores_of_several_kinds_beside_each_other():
-    """Unused columns are zero; a row without any has the score 0."""
-    rng = np.random.default_rng(4)
-    used = np.array(
-        [[1, 1, 1, 1, 1, 1], [1, 1, 1, 0, 0, 0], [1, 0, 0, 0, 0, 0], [0] * 6], dtype=bool
-    )
-    residual = 2.0 * rng.normal(size=(4, 6)) * used
-    found = scores(residual, np.zeros((4, 6, 2)), np.eye(2), np.ones(4), used)
-    squares = np.sum(residual**2, axis=1)
-    for row, d in enumerate((6, 3, 1)):
-        assert chi2.sf(found[row] ** 2, 3) == pytest.approx(chi2.sf(squares[row], d))
-    assert found[3] == 0.0
-
-
 @pytest.mark.parametrize("d", [1, 6])
 def test_scores_keep_their_order_where_the_tail_cannot_be_computed(d):
     norms = np.geomspace(0.3, 1e6, 400)

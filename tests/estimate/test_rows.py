@@ -41,34 +41,7 @@ def _measured(rng, kinds):
     return np.where(np.arange(12) < sizes[:, None], measured, 0.0)
 
 
-def some_poses(rng, n):
-    T = np.tile(np.eye(4), (n, 1, 1))
-    T[:, :3, :3] = Rotation.random(n, random_state=int(rng.integers(2**31))).as_matrix()
-    T[:, :3, 3] = rng.uniform(-1, 1, (n, 3))
-    return T
-
-
 ALL = [POINT, POSE, DISTANCE, PAIR, FIXED, PLANE, NONE]
-
-
-def test_residuals_by_hand():
-    rng = np.random.default_rng(0)
-    rows = some_rows(rng, ALL, [-1, -1, -1, 6, -1, -1, -1])
-    T = some_poses(rng, 7)
-    p, r = T[:, :3, 3], rows.residual(T)
-    assert r.shape == (7, 6)
-    np.testing.assert_allclose(r[0], [*(rows.measured[0, :3] - p[0]), 0, 0, 0])
-    np.testing.assert_allclose(r[1, :3], rows.measured[1, :3] - p[1])
-    # The rotation that carries what was predicted to what was measured, along the frame's axes.
-    carried = Rotation.from_rotvec(r[1, 3:]).as_matrix() @ T[1, :3, :3]
-    np.testing.assert_allclose(carried, rows.measured[1, 3:].reshape(3, 3), atol=1e-12)
-    np.testing.assert_allclose(r[2], [rows.measured[2, 0] - np.linalg.norm(p[2]), 0, 0, 0, 0, 0])
-    between = np.linalg.norm(p[3] - p[6])
-    np.testing.assert_allclose(r[3], [rows.measured[3, 0] - between, 0, 0, 0, 0, 0])
-    np.testing.assert_allclose(r[5], [-p[5, 2], 0, 0, 0, 0, 0])
-    np.testing.assert_array_equal(r[6], 0.0)
-    fixed = some_rows(rng, [FIXED])
-    np.testing.assert_allclose(fixed.residual(T[:1]), -p[:1])
 
 
 def _fields(rows):
@@ -109,18 +82,6 @@ def test_each_kind_has_an_instrument_and_orientations_have_their_own():
     # What is left out does not keep its number.
     index = rows.select(np.array([True, False, True, False, False])).instruments
     np.testing.assert_array_equal(index, [[0], [-1]])
-
-
-def test_both_rows_of_a_pair_find_each_other_among_some_of_the_rows():
-    rng = np.random.default_rng(4)
-    rows = some_rows(rng, [PAIR, POINT, PAIR, NONE, NONE], [4, -1, 3, -1, -1])
-    T = some_poses(rng, 5)
-    mask = np.array([True, False, False, False, True])
-    few = rows.select(mask)
-    np.testing.assert_array_equal(few.partner, [1, -1])
-    assert few.residual(T[mask])[0, 0] == rows.residual(T)[0, 0]
-    alone = rows.select(np.array([True, True, True, False, False]))
-    np.testing.assert_array_equal(alone.partner, [-1, -1, -1])
 
 
 MAKERS = {

@@ -10,13 +10,11 @@ import numpy as np
 import pytest
 
 from calib.data.cell import Cell, Priors
-from calib.data.measurements import Measurements
 from calib.errors import ModelError
 from calib.estimate.fitting import Task
 from calib.estimate.selection import LADDER, Selection, select
 from calib.estimate.setup import rows_of
 from calib.result.calibrate import _validated, calibrate
-from calib.robot.readback import random_joint_values
 
 
 def scene_of(make_scene: Callable[..., Any], seed: int, model: str, **given: Any) -> Any:
@@ -82,13 +80,6 @@ def test_a_larger_geometry_that_bending_hid_is_found_with_it(make_scene):
     assert errors[found.larger] < 0.2 * errors[f"{found.geometry}+compliance"]
 
 
-def test_without_load_there_is_no_compliance_to_find(make_scene):
-    scene = scene_of(make_scene, 113, "dh")
-    weightless = chosen(scene, cell=Cell(gravity=np.zeros(3)))
-    assert not any("compliance" in c.name for c in weightless.candidates)
-    assert any("compliance" in c.name for c in chosen(scene).candidates)
-
-
 def test_without_priors_left_out_rows_decide_among_what_rows_are_enough_for(make_scene):
     scene = scene_of(make_scene, 3, "dh")
     cell = Cell(priors=Priors("off"))
@@ -129,18 +120,3 @@ def test_a_larger_model_that_predicts_worse_when_refitted_is_dropped(calibrated)
     assert named.larger is not None
     one, other = named.larger.cross_validation, named.cross_validation
     assert one.errors_without_outliers.rms > other.errors_without_outliers.rms
-
-
-@pytest.mark.parametrize("sigma", [None, 1e-5, 1e-3])
-def test_repeats_count_the_same_in_every_candidate_whatever_sigma_is_given(make_scene, sigma):
-    """What a small model lacks is shared by repeats: with weights of its own it would answer for fewer numbers."""
-    scene = scene_of(make_scene, 117, "dh", noise=3e-4)
-    q = np.repeat(random_joint_values(scene.robot, 30, 5), 5, axis=0)
-    seen = scene.kinematics.points(scene.x, scene.samples(len(q), q=q))
-    table = Measurements(
-        scene.robot.joint_names, q, seen + scene.noise * scene.rng.normal(size=seen.shape)
-    )
-    cell = Cell(sigma=sigma)
-    rows, setup = rows_of(scene.robot, table, cell)
-    found = select(Task(scene.robot, cell, setup, "auto"), rows)
-    assert found.geometry == "dh"

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.data.cell import Cell, GroupDistance
 from calib.data.measurements import Measurements
-from calib.errors import MeasurementError, ModelError
+from calib.errors import ModelError
 from calib.estimate.rows import NONE
 from calib.estimate.setup import (
     FIRST_SIGMA,
@@ -42,19 +42,6 @@ def scene(make_scene):
 def as_kind(table, kind, **columns):
     """The same rows as another kind: where they lie does not matter here."""
     return replace(table, kinds=(kind,) * len(table), **columns)
-
-
-def test_measurements_in_the_base_leave_the_target_alone_unknown(scene):
-    setup = setup_of(scene.points(5), Cell())
-    assert setup.unknown == ((),)
-    assert setup.frame_unknowns == {"": ()}
-    assert setup.target_names == setup.unknown_targets == ("",)
-    assert setup.estimate_target
-    assert setup.count == 3
-    assert setup.frame_given.tolist() == [True]
-    assert setup.target_given.tolist() == [False]
-    assert setup_of(scene.points(5), Cell(estimate_frame=True)).count == 9
-    assert setup_of(scene.poses(5), Cell(estimate_frame=True)).count == 12
 
 
 @pytest.mark.parametrize(
@@ -93,27 +80,6 @@ def test_each_group_has_the_unknowns_of_its_kinds(scene, join):
         "2": ("x", "y", "z"),
     }
     assert setup.count == 3 + 2 + 3 + 3
-
-
-def test_what_is_given_by_name_wins(scene, join):
-    table = join(scene.points(3, 0, 0), scene.points(3, 1, 1))
-    T, other = np.eye(4), np.eye(4)
-    T[0, 3], other[1, 3] = 1.0, 2.0
-    cell = Cell(T_frame_base=T, frames={"1": other}, target=np.ones(3), targets={"t0": np.zeros(3)})
-    setup = setup_of(table, cell)
-    np.testing.assert_array_equal(setup.T_frame_base, [T, other])
-    np.testing.assert_array_equal(setup.T_tip_target[:, :3, 3], [np.zeros(3), np.ones(3)])
-    assert setup.target_given.all()
-    assert setup.target_names == setup.unknown_targets == ("t0", "t1")
-
-
-def test_known_frames_and_targets_lose_their_unknowns(scene, join):
-    table = join(scene.points(3, 0, 0), scene.points(3, 1, 1))
-    setup = setup_of(table, Cell(estimate_frame=True))
-    known = setup.as_known(np.array([True, False]), np.array([False, True]))
-    assert known.unknown == ((), ALL)
-    assert known.unknown_targets == ("t0",)
-    assert known.count == 9
 
 
 @pytest.mark.parametrize(
@@ -211,34 +177,6 @@ def test_the_first_row_of_a_pair_carries_the_distance(seen, ur3):
     np.testing.assert_array_equal(rows.measured[:3, 0], table.distances[[0, 2, 4]])
     # Both rows of a pair are left out together.
     np.testing.assert_array_equal(rows.blocks, [0, 1, 2, 2, 0, 1])
-
-
-def test_a_pair_that_lost_its_other_row_is_named(seen, ur3):
-    table = seen.pairs(2).select(np.array([True, True, False, True]))
-    with pytest.raises(MeasurementError, match="row 4: the pair '00p1' has one row only"):
-        rows_of(ur3, table, Cell())
-
-
-def test_repeats_share_pose_frame_target_and_kind(seen, join, ur3):
-    once = seen.points(2)
-    q = np.repeat(once.joints, 2, axis=0) + 1e-5
-
-    def at(table, joints):
-        return replace(table, joints=joints[: len(table)])
-
-    table = join(
-        once,
-        at(seen.points(2), q[::2]),  # repeats of both
-        at(seen.points(2, 1), q[::2]),  # another frame
-        at(seen.points(2, 0, 1), q[::2]),  # another target
-        at(seen.distances(2), q[::2]),  # another instrument
-    )
-    rows, _ = rows_of(ur3, table, Cell())
-    assert rows.poses[0] == rows.poses[2]
-    assert rows.poses[1] == rows.poses[3]
-    assert len(set(rows.poses.tolist())) == 8
-    # However it was measured, a pose is left out as a whole.
-    np.testing.assert_array_equal(rows.blocks, np.tile([0, 1], 5))
 
 
 def test_noise_is_the_rows_the_cells_or_a_first_guess(seen, ur3):

@@ -122,19 +122,3 @@ def test_repeats_count_for_what_they_do_not_share(virtual, mode, shared, own, rh
         np.testing.assert_array_equal(stage.share, stage.share[0, 0])
         shares.append(stage.share[0, 0])
     assert np.mean(shares) == pytest.approx(1.0 / (1.0 + 3.0 * rho), abs=0.06)
-
-
-def test_first_weights_name_gross_rows_and_the_median_finds_the_noise(virtual):
-    rng = np.random.default_rng(4)
-    rows = virtual.rows(rng, np.zeros(27), 60, 2e-4)
-    points = rows.measured.copy()
-    points[:6] += 0.02
-    problem = Problem.first(virtual.kinematics, replace(rows, measured=points))
-    stage = Stage.first(
-        prior_terms(virtual, virtual.kinematics.model), np.ones((1, len(rows)), dtype=bool), 1
-    )
-    for _ in range(4):
-        stage = stage.by_median(problem.linear(np.zeros(27)))
-    assert np.all(stage.weights[0, :6] < 0.02)
-    assert np.median(stage.weights[0, 6:]) > 0.7
-    assert stage.noise[0, 0] == pytest.approx(2.0, rel=0.3)

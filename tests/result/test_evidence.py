@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.result.calibrate import Calibration, calibrate
 from calib.result.evidence import (
     disagreeing_setups,
     validation_errors,
 )
-from calib.result.verdict import Reason, Why
+from calib.result.verdict import Why
 from calib.robot.readback import random_joint_values
 
 ALL = np.ones((10, 3), dtype=bool)
@@ -38,12 +37,6 @@ def test_many_rows_that_do_not_fit_are_no_accidents():
     residual = np.full((10, 3), 1e-3)
     before, _, aside = validation_errors(validation, np.arange(10) >= 7, residual, residual, ALL)
     assert (before.n, aside) == (6, 0)
-
-
-def test_a_single_validation_row_is_never_set_aside():
-    validation = np.arange(3) == 2
-    residual = np.full((3, 3), 1e-3)
-    assert validation_errors(validation, validation, residual, residual, ALL[:3])[2] == 0
 
 
 def table_of(scene: Any, q: np.ndarray, rng: np.random.Generator, bias: Any = 0.0) -> Measurements:
@@ -111,29 +104,6 @@ def test_a_set_up_that_the_others_do_not_predict(calibrated):
     assert len(disagreeing_setups(good.fitted)) == 0
 
 
-def test_a_set_up_that_the_others_do_not_predict_though_its_poses_are_repeated(make_scene, join):
-    """What is off there is shared by the repeats of a pose: they count for little, and so must the noise."""
-
-    def found(moved: float) -> tuple[Reason, ...]:
-        scene = make_scene(3, frames=3, length=3e-4, angle=3e-3, noise=2e-5)
-        tables = []
-        for f in range(3):
-            q = np.repeat(random_joint_values(scene.robot, 12, 10 + f), 6, axis=0)
-            x = scene.x.copy()
-            x[scene.kinematics.model.index("theta3")] += moved if f == 2 else 0.0
-            samples = scene.samples(len(q), f, q=q)
-            points = scene.kinematics.points(x, samples)
-            noise = scene.noise * scene.rng.normal(size=points.shape)
-            groups = (str(f),) * len(q)
-            tables.append(Measurements(scene.robot.joint_names, q, points + noise, groups=groups))
-        cell = Cell(estimate_frame=True, model="dh")
-        result = calibrate(scene.robot, join(*tables), cell=cell, validate=False)
-        return disagreeing_setups(result.fitted)
-
-    assert found(0.0) == ()
-    assert "2" in [reason.values["setup"] for reason in found(4e-4)]
-
-
 def test_a_set_up_whose_rows_are_flagged(calibrated):
     """A joint slipped further: the robust fit takes that set-up's rows for outliers, and the set-up is named."""
     scene, good = calibrated("set-ups")
@@ -168,15 +138,6 @@ def test_validation_rows_outside_of_the_measured_range(make_scene):
     told = reasons(result)[Why.OUTSIDE]
     assert (told["rows"], told["row"], told["joint"]) == (1, 76, "wrist_1_joint")
     assert told["by_rad"] == pytest.approx(1.0, abs=0.05)
-
-
-def test_repeats_that_scatter_less_than_what_is_left(make_scene):
-    scene = arm(make_scene, 66)
-    q = np.repeat(random_joint_values(scene.robot, 40, 6), 2, axis=0)
-    result = calibrate(scene.robot, table_of(scene, q, np.random.default_rng(6)), model="zeros")
-    assert reasons(result)[Why.REPEATS_AGREE]["within_m"] == pytest.approx(3e-5, abs=4e-6)
-    enough = calibrate(scene.robot, table_of(scene, q, np.random.default_rng(6)), model="dh")
-    assert Why.REPEATS_AGREE not in reasons(enough)
 
 
 def test_a_model_that_lacks_what_placements_have(make_scene):

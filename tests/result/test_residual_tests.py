@@ -13,7 +13,6 @@ from calib.result.residual_tests import (
     Explained,
     Stack,
     drift,
-    even_factors,
     f_test,
     joint_patterns,
     norms_of,
@@ -63,16 +62,6 @@ def test_probabilities_are_uniform_under_noise():
         A, Z = deficient(rng, 45, 20, 26), rng.normal(size=(45, 6))
         p.append(explained(A, ridge_residual(A, rng.normal(size=45)), Z).p)
     assert stats.kstest(p, "uniform").pvalue > 0.01
-
-
-def test_components_are_brought_to_one_size():
-    rng = np.random.default_rng(8)
-    A, component = rng.normal(size=(1500, 20)), np.tile(np.arange(3), 500)
-    sizes = np.array([1.0, 3.0, 0.2])
-    y = sizes[component] * rng.normal(size=1500)
-    factors = even_factors(A, ridge_residual(A, y), component)
-    by_component = np.array([factors[component == c][0] for c in range(3)])
-    np.testing.assert_allclose(by_component * sizes, (by_component * sizes).mean(), rtol=0.1)
 
 
 class Table:
@@ -227,22 +216,6 @@ def test_alike_set_ups_raise_no_alarms_and_the_one_that_differs_is_named_first()
         (number, ratio), *_ = judged(rng, changed=1.0)[0]
         assert number == 2
         assert ratio > 1.5
-
-
-@pytest.mark.parametrize(
-    ("squares", "freedoms", "noises", "noise_freedoms", "found"),
-    [
-        # Certain but small differences do not matter,
-        ([1e5, 1.4**2 * 1e5, 1.6**2 * 1e5], [1e5] * 3, [1.0] * 3, [1e5] * 3, [2]),
-        # large but uncertain ones are chance,
-        ([20.0, 4.0], [4.0, 4.0], [1.0, 1.0], [3.0, 3.0], []),
-        # and what cannot be tested is not.
-        ([1e9, 1e9, 900.0], [0.0, 10.0, 10.0], [1.0, 0.0, 1.0], [50.0] * 3, [2]),
-    ],
-)
-def test_which_set_ups_are_named(squares, freedoms, noises, noise_freedoms, found):
-    told = unpredicted(*map(np.array, (squares, freedoms, noises, noise_freedoms)))
-    assert [number for number, _ in told] == found
 
 
 def test_the_square_is_that_of_the_whole_covariance():

@@ -106,44 +106,6 @@ def test_each_doubt_is_said_first(change, use, why):
     assert Why.GAIN in codes(result) or use == "do not use"
 
 
-def test_outliers_do_not_decide():
-    worse = np.array(GOOD.calibrated.residual)
-    worse[:2] += 1.0
-    after = replace(GOOD.calibrated, residual=worse)
-    assert verdict(replace(GOOD, calibrated=after)).use == "use"
-
-
-def test_without_validation_rows_nothing_is_said_of_them():
-    result = verdict(replace(GOOD, validation=(errors(1.0, 0), errors(1.0, 0), 0)))
-    assert (result.use, codes(result)) == ("use", [Why.GAIN])
-
-
-def test_repeats_are_no_evidence_of_their_own():
-    """Ten repeats of three poses: a gain on one of them, as large as it is, says little."""
-    poses = np.repeat(np.arange(3), 10)
-    before, after = np.full((30, 3), 1e-3), np.full((30, 3), 1e-3)
-    before[:10] *= 3.0
-
-    def of(residual: np.ndarray, poses: np.ndarray) -> CrossValidation:
-        errors = Errors.of(residual)
-        return CrossValidation("leave-one-pose-out", 3, poses, residual, errors, errors)
-
-    few = replace(GOOD, outliers=np.zeros(30, dtype=bool), parameters=3)
-    rows = np.arange(30)
-    taken_singly = replace(few, nominal=of(before, rows), calibrated=of(after, rows))
-    together = replace(few, nominal=of(before, poses), calibrated=of(after, poses), repeats=poses)
-    assert verdict(taken_singly).use == "use"
-    assert verdict(together).use == "use with care"
-
-
-def test_a_model_that_explains_nothing_does_not_make_the_robot_right():
-    same = validated(2.5e-3)
-    noise = np.full((ROWS, 3), 1.5e-3)
-    change = {"nominal": same, "calibrated": same, "noise": 1.5e-3, "scales": noise}
-    assert codes(verdict(replace(GOOD, **change)))[0] == Why.NOTHING_TO_GAIN
-    assert codes(verdict(replace(GOOD, **change, doubts=(LACKS,))))[0] == Why.NO_BETTER
-
-
 def test_orientations_that_no_instrument_measures_are_a_wrong_set_up():
     """Inverse orientations leave the positions as good as ever."""
     turned = np.hstack([GOOD.calibrated.residual, np.full((ROWS, 3), 1.0)])
