@@ -68,10 +68,12 @@ ORIENTATIONS = ("rotation-vector", "quaternion", "rpy")
 #: The units of a table: symbol, how many are one in SI units, decimals. Angles are exact to 1e-11 rad, lengths to
 #: 1e-9 m, on any arm far below what a controller resolves.
 _Unit = tuple[str, float, int]
-_DEG: _Unit = ("deg", math.degrees(1.0), 9)
-_RAD: _Unit = ("rad", 1.0, 12)
-_MM: _Unit = ("mm", 1e3, 6)
-_PLAIN: _Unit = ("", 1.0, 12)
+_DEG, _RAD, _MM, _PLAIN = (
+    ("deg", math.degrees(1.0), 9),
+    ("rad", 1.0, 12),
+    ("mm", 1e3, 6),
+    ("", 1.0, 12),
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -289,12 +291,7 @@ def write_commands(
     First the columns of the program that went along, then joint values and poses to send, then by how much they were
     changed, then ``ok`` or the codes of warnings or of the reason why a row has no command and its cells are empty.
 
-    Args:
-        commands: The commands.
-        path: A CSV file.
-        send: One of `SEND`: joint values, poses for a controller with the nominal model, or both.
-        orientation: One of `ORIENTATIONS`, of the poses; a rotation vector is in rad.
-        overwrite: Whether a file that exists is replaced.
+    ``send`` is one of `SEND`, ``orientation`` one of `ORIENTATIONS`; a rotation vector is in rad.
 
     Raises:
         ModelError: No such way to send, or no such form of an orientation.

@@ -53,10 +53,6 @@ _FIRST_DAMPING, _LARGEST_DAMPING = 1e-3, 1e3
 #: A joint this near to its limit is at it; and joint values may pass their limits by so much [rad or m].
 _AT_LIMIT, _ROUNDING = 1e-12, 1e-9
 
-#: So many joints at their limits are told apart, all sets of them tried; and what an error [m^2] weighs against a
-#: distance from the start [rad^2 or m^2] where these are compared.
-_TRIED, _ERROR_WEIGHT = 4, 1e6
-
 #: Singular values below this, relative to the largest, are zero.
 _RANK = 1e-9
 
@@ -215,29 +211,14 @@ class _Search:
         return np.asarray(dq * first[:, None]), first < 1.0
 
     def _held_direction(self, rows: Indices, at_low: Mask, at_high: Mask) -> Array:
-        """The steps of rows of which a free step would push joints through their limits.
-
-        Of the sets of joints to hold with which none is pushed through, the one whose step does most for the error, and
-        of these the one nearest to the start.
-        """
-        at_limit = at_low | at_high
-        best, lowest = np.zeros(at_limit.shape), np.full(len(rows), np.inf)
-        # The order of the joints at their limits, in each row: which bit of a set stands for each.
-        number = np.where(at_limit, at_limit.cumsum(axis=1) - 1, -1)
-        count = min(int(at_limit.sum(axis=1).max()), _TRIED)
-        jacobian = self.matching.jacobian(self.twists[rows])
-        for chosen in range(1, 2**count):
-            bits = (chosen >> np.maximum(number, 0)) & 1 == 1
-            held = at_limit & (bits | (number >= _TRIED))  # those beyond the ones tried are held
+        """The steps of rows of which a free step would push joints through limits: these are held."""
+        held = np.zeros(at_low.shape, dtype=bool)
+        while True:
             dq = self._direction(rows, held)
-            missing = self.error[rows] - np.einsum("nij,nj->ni", jacobian, dq)
-            away = self.q[rows] + dq - self.start[rows]
-            cost = _ERROR_WEIGHT * np.einsum("ni,ni->n", missing, missing)
-            cost += np.einsum("ni,ni->n", away, away)
-            cost[_pushed(dq, at_low, at_high).any(axis=1)] = np.inf
-            better = cost < lowest
-            best[better], lowest[better] = dq[better], cost[better]
-        return best
+            pushed = _pushed(dq, at_low, at_high)
+            if not pushed.any():
+                return dq
+            held |= pushed
 
     def _direction(self, rows: Indices, held: Mask) -> Array:
         """The damped step of each row, and the pull of a redundant arm to where it started; some joints held."""

@@ -42,15 +42,10 @@ _NO_CALIBRATION, _POSES = 0.1, 64
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Arm:
-    """A robot whose errors are known, with a tool; made by `of` or `of_larger`.
+    """A robot whose errors are known, with a tool at T_tip_tool (4, 4) [m]; made by `of` or `of_larger`.
 
-    Attributes:
-        robot: The robot, with the errors of its geometry.
-        T_tip_tool: shape (4, 4), pose of the tool in the tip [m].
-        kinematics: Of the robot with its joints' own errors, and a parameter more for each measured joint.
-        x: The errors' values, and 0 for the joints.
-        load: The load on each joint of the chain at joint values, shapes (N, m) to (N, n), [Nm, N]; None where no
-            error needs it.
+    ``kinematics`` has a parameter more for each measured joint, 0 in ``x``; ``load`` gives the load on each joint at
+    joint values, (N, m) to (N, n), [Nm, N], where an error needs it.
     """
 
     robot: Robot
@@ -193,7 +188,6 @@ def pair_of(
 
     Raises:
         ModelError: No nominal robot, one that is not the calibration's, or a tool or frame that there is not.
-        UrdfError: The robot lacks joints of the result.
     """
     if isinstance(calibration, Robot):
         if nominal is None or any(isinstance(one, (str, Payload)) for one in (tool, frame, larger)):

@@ -152,12 +152,7 @@ def read_program(
 ) -> Program:
     """Read a table of joint values, of poses, or of both; see docs/compensation.md.
 
-    Args:
-        path: CSV with the unit of each number in the header.
-        robot: The robot whose joints the columns are of.
-        columns: Names of the table to names of calib, see `Measurements.read`.
-        match: As of `Program`, like ``start``.
-        start: Where the first row starts.
+    ``columns`` maps names of the table to names of calib; ``match`` and ``start`` are those of `Program`.
 
     Raises:
         MeasurementError: The table cannot be read; the text names file, row and column.
@@ -167,10 +162,9 @@ def read_program(
     rows = list(table.rows())
     names = robot.joint_names
     named, _ = name_columns(table, names, columns or {})
-    if {CORRECTION + name for name in ("position", "angle", *names)} & set(named):
+    if any(name.startswith(CORRECTION) for name in named):
         raise MeasurementError(
-            f"{table.source}: these are commands that calib compensate wrote: they are corrected already. Give the "
-            "program that they were made from."
+            f"{table.source}: these are commands of calib compensate, corrected already. Give the program itself."
         )
     filled = {i for row in rows for i, cell in enumerate(row.cells) if cell}
 
@@ -192,8 +186,7 @@ def read_program(
     if not (joints or points):
         raise MeasurementError(
             f"{table.source}: there are no joint values and no positions, or all their cells are empty. "
-            f"{list_columns(table)} A program has a column for each joint, such as '{names[0]} [deg]', or 'x [mm]', "
-            "'y [mm]', 'z [mm]' and an orientation; another name is mapped by --columns."
+            f"{list_columns(table)} A program has '{names[0]} [deg]' and so on, or 'x [mm]', 'y [mm]', 'z [mm]'."
         )
     if len(forms) > 1:
         raise MeasurementError(

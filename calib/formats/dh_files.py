@@ -1,8 +1,6 @@
 """The DH rows of a robot before and after its calibration as files: CSV and Markdown in mm and deg, JSON in m and rad.
 
-The rows are compared with the robots' poses. CSV and Markdown have as many decimals as the poses need to hold 1e-9 m
-and rad; the numbers as they are printed are put back into rows and compared too, before the file appears. See
-docs/convert.md.
+The rows are compared with the robots' poses; docs/convert.md describes the files.
 """
 
 from __future__ import annotations
@@ -25,7 +23,7 @@ from calib.files import json_bytes, write_atomically
 from calib.formats.notes import Note
 from calib.formats.origins import one_line
 from calib.model.dh import dh_table, near_parallel, taken_as_parallel
-from calib.model.dh_table import EQUATIONS, HAYATI, MODIFIED, STANDARD, DHRow, DHTable
+from calib.model.dh_table import EQUATIONS, HAYATI, MODIFIED, STANDARD, DHTable
 from calib.robot.readback import TOLERANCE, column_ranges, spread_between
 from calib.robot.robot import Robot, rigid_inverse
 
@@ -34,8 +32,8 @@ Array = NDArray[np.float64]
 ENDINGS = (".csv", ".json", ".md")
 """What the name of a DH table may end in."""
 
-#: Decimals of mm that one begins with, and the most; an angle gets three more: degrees act on metres.
-_LEAST, _MOST, _MORE_FOR_DEG = 6, 14, 3
+#: Decimals of mm and deg: they hold poses to 1e-9 m and rad also where d is kilometres.
+_DECIMALS = {"[mm]": 9, "[deg]": 14}
 
 _DEG, _MM = np.pi / 180.0, 1e-3
 
@@ -83,7 +81,7 @@ class DHTables:
         after = dh_table(robot, convention, like=nominal)
         before = None if nominal is None else dh_table(nominal, convention)
         tables = cls(robot, nominal, after, before)
-        off = tables.deviation({"before": before, "after": after})
+        off = tables.deviation()
         allowed = TOLERANCE + tables._cost_of_parallels()
         if not off <= allowed:
             raise ModelError(
@@ -148,15 +146,14 @@ class DHTables:
         change = DHTable(rows, base, tool, after.convention)
         return {"before": before, "after": after, "change": change}
 
-    def deviation(self, tables: Mapping[str, DHTable | None]) -> float:
+    def deviation(self) -> float:
         """The largest difference of position [m] or of an entry of the rotation between rows and robots."""
         q = spread_between(column_ranges(self.robot), _POSES)
-        robots = {"robot": self.robot, "after": self.robot, "before": self.nominal}
-        return max(
-            float(np.abs(table.poses(self.robot.chain_values(q)) - robot.poses(q)).max())
-            for name, robot in robots.items()
-            if robot is not None and (table := tables.get(name)) is not None
-        )
+        values = self.robot.chain_values(q)
+        off = np.abs(self.after.poses(values) - self.robot.poses(q)).max()
+        if self.before is not None and self.nominal is not None:
+            off = max(off, np.abs(self.before.poses(values) - self.nominal.poses(q)).max())
+        return float(off)
 
     def _cost_of_parallels(self) -> float:
         """What taking axes as parallel may cost [m]: the angle times the arm's length, there and back."""
@@ -201,74 +198,45 @@ def _legend(tables: DHTables) -> list[str]:
 
 
 def _records(tables: DHTables) -> dict[str, list[dict[str, str]]]:
-    """Every row of every table, base, the rows, tool, with as few decimals as hold the poses."""
-    for decimals in range(_LEAST, _MOST + 1):
-        records = {
-            name: _printed(tables, table, decimals) for name, table in tables.states().items()
-        }
-        back = {name: _read(rows, tables.after) for name, rows in records.items()}
-        if tables.deviation(back) <= TOLERANCE / 2:
-            break
-    return records
-
-
-def _printed(tables: DHTables, table: DHTable, decimals: int) -> list[dict[str, str]]:
-    """A table as text."""
-
-    def texts(numbers: Mapping[str, float]) -> dict[str, str]:
-        rounded = {
-            head: f"{value / _si(head):.{decimals + _MORE_FOR_DEG * ('[deg]' in head)}f}"
-            for head, value in numbers.items()
-        }
-        return {h: t.lstrip("-") if float(t) == 0.0 else t for h, t in rounded.items()}
+    """Every row of every table, base, the rows, tool, as text."""
+    heads, added = _HEADS[tables.after.convention], tables.added()
 
     def pose(place: str, T: Array) -> dict[str, str]:
         values = (*T[:3, 3], *pin.rpy.matrixToRpy(T[:3, :3]))
-        return {"row": place, **texts(dict(zip(_POSE, values, strict=True)))}
+        return {"row": place, **dict(zip(_POSE, map(_number, values, _POSE), strict=True))}
 
-    heads = _HEADS[table.convention]
-    rows = []
-    for i, (row, added) in enumerate(zip(table.rows, tables.added(), strict=True), start=1):
-        words = {"row": str(i), "joint": one_line(row.joint)}
-        words |= {"added to": "d" if row.prismatic else "theta", "value added": one_line(added)}
-        rows.append(words | texts({head: getattr(row, field) for head, field in heads.items()}))
-    return [pose("base", table.T_base_0), *rows, pose("tool", table.T_n_tip)]
-
-
-def _read(records: list[dict[str, str]], like: DHTable) -> DHTable:
-    """The table out of the numbers as they are printed; its joints are those of another one."""
-
-    def pose(record: Mapping[str, str]) -> Array:
-        values = [float(record[head]) * _si(head) for head in _POSE]
-        T = np.eye(4)
-        T[:3, :3], T[:3, 3] = pin.rpy.rpyToMatrix(*values[3:]), values[:3]
-        return T
-
-    base, *rows, tool = records
-    heads = _HEADS[like.convention]
-    found = tuple(
-        DHRow(row.joint, row.prismatic, **{f: float(one[h]) * _si(h) for h, f in heads.items()})
-        for one, row in zip(rows, like.rows, strict=True)
-    )
-    return DHTable(found, pose(base), pose(tool), like.convention)
+    found = {}
+    for name, table in tables.states().items():
+        rows = [
+            {
+                "row": str(i + 1),
+                "joint": one_line(row.joint),
+                "added to": "d" if row.prismatic else "theta",
+                "value added": one_line(added[i]),
+                **{head: _number(getattr(row, field), head) for head, field in heads.items()},
+            }
+            for i, row in enumerate(table.rows)
+        ]
+        found[name] = [pose("base", table.T_base_0), *rows, pose("tool", table.T_n_tip)]
+    return found
 
 
-def _si(head: str) -> float:
-    """One unit of a column in rad or m."""
-    return _DEG if "[deg]" in head else _MM
+def _number(value: float, head: str) -> str:
+    """A number in the unit of its heading, without zeros at its end and without a sign before zero."""
+    unit = head.split()[-1]
+    scaled = value / (_DEG if unit == "[deg]" else _MM)
+    return f"{round(scaled, _DECIMALS[unit]) + 0.0:.{_DECIMALS[unit]}f}".rstrip("0").rstrip(".")
 
 
 def _csv(tables: DHTables) -> bytes:
-    """A CSV file: comments, then one line for each row of each table; no zeros at the ends of numbers."""
+    """A CSV file: comments, then one line for each row of each table."""
     heads = ["table", "row", "joint", "added to", "value added", *_HEADS[tables.after.convention]]
     text = io.StringIO(newline="")
     text.writelines(f"# {line}\n" for line in _legend(tables))
     writer = csv.DictWriter(text, [*heads, *_POSE], restval="", lineterminator="\n")
     writer.writeheader()
     for name, records in _records(tables).items():
-        for one in records:
-            plain = {k: v.rstrip("0").rstrip(".") if "[" in k else v for k, v in one.items()}
-            writer.writerow({"table": name, **plain})
+        writer.writerows({"table": name, **one} for one in records)
     return text.getvalue().encode("utf-8", "backslashreplace")
 
 

@@ -154,28 +154,13 @@ def one_line(text: str) -> str:
 # YAML
 
 
-class _StrictLoader(yaml.SafeLoader):
-    """PyYAML's safe loader without keys that are there twice, with the tags of ROS for angles."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        """A mapping; a key that is there twice is refused."""
-        keys = [self.construct_object(key, deep=True) for key, _ in node.value]
-        for i, key in enumerate(keys):
-            if key in keys[:i]:
-                raise yaml.MarkedYAMLError(
-                    problem=f"'{key}' is there twice; delete one of them",
-                    problem_mark=node.value[i][0].start_mark,
-                )
-        return super().construct_mapping(node, deep)
+class _Loader(yaml.SafeLoader):
+    """PyYAML's safe loader with the tags of ROS for angles."""
 
 
-def _angle(unit: float) -> Any:  # noqa: ANN401  PyYAML's constructor
-    """What reads a number behind a tag."""
-    return lambda loader, node: unit * float(loader.construct_scalar(node))
-
-
-_StrictLoader.add_constructor("!degrees", _angle(math.radians(1.0)))
-_StrictLoader.add_constructor("!radians", _angle(1.0))
+for _tag, _unit in (("!degrees", math.radians(1.0)), ("!radians", 1.0)):
+    _read: Any = lambda loader, node, unit=_unit: unit * float(loader.construct_scalar(node))  # noqa: E731
+    _Loader.add_constructor(_tag, _read)
 
 
 def parse_yaml(data: bytes, source: str, what: str) -> dict[Any, Any]:
@@ -184,10 +169,10 @@ def parse_yaml(data: bytes, source: str, what: str) -> dict[Any, Any]:
     ``source`` is the file's name and ``what`` what it should be, for messages.
 
     Raises:
-        FileError: It is no YAML, a key is there twice, or it has a tag that is not known.
+        FileError: It is no YAML, or it has a tag that is not known.
     """
     try:
-        table = _StrictLoader(data).get_single_data()
+        table = _Loader(data).get_single_data()
     except (yaml.YAMLError, ValueError, RecursionError, ArithmeticError) as error:
         mark = getattr(error, "problem_mark", None)
         place = "" if mark is None else f", line {mark.line + 1}, column {mark.column + 1}"

@@ -61,16 +61,7 @@ class Options:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Source:
-    """A robot, and what it was before its calibration.
-
-    Attributes:
-        kind: One of `KINDS`.
-        robot: The robot.
-        nominal: The same chain with nominal kinematics; None where nothing is known of it.
-        hash, model, conf: The ROS driver's name for the calibration, which arm of Universal Robots it is, and the
-            ``calibration.conf`` that was read; None of other sources.
-        notes: What its reader should know.
-    """
+    """A robot of one of `KINDS`, and the same chain with nominal kinematics, if known."""
 
     kind: str
     robot: Robot
@@ -231,9 +222,6 @@ def read_source(source: str, options: Options) -> Source:
     """Read what is to be converted: a file, or the name of a robot.
 
     Raises:
-        FileError: A file cannot be read, or is none of those that are known.
-        UrdfError: A URDF cannot be read or lacks a link or joint.
-        ModelError: Things that do not fit each other.
-        CalibError: Something was given that the source has no use for.
+        CalibError: A file cannot be read, or things do not fit each other.
     """
     return KINDS[source_kind(source)].read(source, options)

@@ -64,14 +64,7 @@ _SUSPECT, _FARTHEST = 0.01, 0.2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UrSource:
-    """What a file of Universal Robots says about an arm.
-
-    Attributes:
-        nominal, robot: The robot given, or a bare arm, ``base`` to ``tool0``; and the same chain, calibrated.
-        hash: The ROS driver's name for the calibration, ``"calib_..."``; None where the yaml has none.
-        model: Which arm it is.
-        notes: What the reader of the file should know; most often none.
-    """
+    """What a file says: a nominal arm, given or bare, and the same calibrated; the driver's ``"calib_..."``; notes."""
 
     nominal: Robot
     robot: Robot
@@ -82,14 +75,9 @@ class UrSource:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UrWritten:
-    """What was written, and what the file cannot hold.
+    """What was written, and displacements of base and flange (4, 4) [m] that the file cannot hold.
 
     With the file's own kinematics K(q) from the controller's base to its flange, the arm is T_base K(q) T_tool.
-
-    Attributes:
-        path: The file.
-        T_base, T_tool: shape (4, 4), [m]: displacements of the base and of the flange that the file cannot hold.
-        notes: What to tell the user about these and about the file; none if it holds all.
     """
 
     path: Path
@@ -107,12 +95,8 @@ def read_ur(
 ) -> UrSource:
     """The arm that a ``calibration.conf`` or a ``kinematics.yaml`` of the ROS driver describes.
 
-    Args:
-        path: The file; one that ends in ``.conf`` needs one of the other three.
-        urcontrol: A ``urcontrol.conf`` with the nominal rows in ``[DH]``; default: those of the model.
-        model: The arm, or its name, such as ``"UR5e"``; default: what urcontrol or the robot is recognised as, or else
-            the arm that a yaml's kinematics are nearest to.
-        robot: The nominal robot whose URDF is corrected; default: a bare one, see `ur_robot`.
+    A ``.conf`` needs one of: ``urcontrol``, a file with the nominal rows; ``model``, such as ``"UR5e"``; ``robot``, the
+    nominal robot whose URDF is corrected, by default a bare one. A yaml is of the arm that it is nearest to.
 
     Raises:
         FileError: A file cannot be read, or its numbers are not those of a calibration of this arm.
@@ -167,17 +151,11 @@ def write_ur_yaml(
 ) -> UrWritten:
     """Write a robot as the ``kinematics.yaml`` that the ROS driver and Universal Robots' description take.
 
-    Args:
-        robot: The calibrated robot.
-        nominal: The robot that it was corrected from: the arm's nominal one, or one that was calibrated before.
-        path: File to write; it is read back and compared with the robot before it appears.
-        hash: The robot's own, that of its own file: the driver compares it with what the controller reports.
-        model: The arm, or its name; default: what the nominal robot is recognised as.
-        overwrite: Whether a file that exists may be replaced.
+    ``nominal`` is what the robot was corrected from; ``hash`` is that of the robot's own file; ``model`` is the arm,
+    default what the nominal robot is recognised as. The file is read back and compared before it appears.
 
     Raises:
-        ModelError: The nominal robot is not a Universal Robots arm, or the robot is no correction of it, or the file
-            does not read back.
+        ModelError: No Universal Robots arm, no correction of it, or a file that does not read back.
         FileError: The file cannot be written, or the hash is none.
     """
     mounted, chain = _chain_of(robot, nominal, model)
@@ -205,19 +183,8 @@ def write_ur_conf(
 ) -> UrWritten:
     """Write a robot as the DH deltas of a ``calibration.conf``.
 
-    Args:
-        robot: The calibrated robot.
-        nominal: The robot that it was corrected from: as of `write_ur_yaml`.
-        path: File to write; it is read back and compared with the robot before it appears.
-        update: A ``calibration.conf`` of this arm whose other lines are kept; default: the deltas alone.
-        like: Deltas (6, 4) whose signs and whole turns are kept, so that what did not change is the same number;
-            default: those of ``update``, or else none.
-        model: The arm, or its name, as of `write_ur_yaml`.
-        overwrite: Whether a file that exists may be replaced.
-
-    Raises:
-        ModelError: As of `write_ur_yaml`.
-        FileError: A file cannot be read or written.
+    As `write_ur_yaml`; ``update`` is a file of this arm whose other lines are kept, ``like`` are deltas (6, 4) whose
+    signs and whole turns are kept, so that what did not change is the same number; default: those of ``update``.
     """
     mounted, chain = _chain_of(robot, nominal, model)
     arm = mounted.model

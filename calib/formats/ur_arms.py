@@ -29,14 +29,8 @@ Array = NDArray[np.float64]
 COLUMNS = ("theta", "a", "d", "alpha")
 """The columns of the rows."""
 
-JOINTS = (
-    "shoulder_pan_joint",
-    "shoulder_lift_joint",
-    "elbow_joint",
-    "wrist_1_joint",
-    "wrist_2_joint",
-    "wrist_3_joint",
-)
+_NAMES = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+JOINTS = tuple(f"{name}_joint" for name in _NAMES)
 """The joints of Universal Robots' descriptions; a prefix may stand before them."""
 
 LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
@@ -216,6 +210,23 @@ def _plain(name: str) -> str:
 
 def _urdf_text(model: UrModel) -> str:
     """The bare URDF; where nothing turns, an <origin> of the nominal rows says so exactly."""
+    half, pi = np.pi / 2.0, np.pi
+    links = ["base_link_inertia", *(f"{link}_link" for link in LINKS)]
+    joints = [
+        ("base_link-base_link_inertia", "base_link", links[0], (0.0, 0.0, 0.0), (0.0, 0.0, pi)),
+        ("base_link-base_fixed_joint", "base_link", "base", (0.0, 0.0, 0.0), (0.0, 0.0, pi)),
+    ]
+    chain = chain_of_rows(model.rows)
+    for joint, parent, child, T in zip(JOINTS, links, links[1:], chain, strict=False):
+        joints.append(
+            (joint, parent, child, tuple(T[:3, 3]), tuple(pin.rpy.matrixToRpy(T[:3, :3])))
+        )
+    for joint, parent, child, turn in (
+        ("wrist_3_link-ft_frame", links[-1], "ft_frame", (pi, 0.0, 0.0)),
+        ("wrist_3-flange", links[-1], "flange", (0.0, -half, -half)),
+        ("flange-tool0", "flange", "tool0", (half, 0.0, half)),
+    ):
+        joints.append((joint, parent, child, (0.0, 0.0, 0.0), turn))
     lines = [
         '<?xml version="1.0" encoding="utf-8"?>',
         f"<!-- Kinematics of a Universal Robots {model.name}, without bodies, by calib: efforts and speeds are only",
@@ -223,39 +234,20 @@ def _urdf_text(model: UrModel) -> str:
         f'<robot name="{_plain(model.name)}">',
         '  <link name="base_link"/>',
     ]
-    half, fixed = np.pi / 2.0, '<origin xyz="0.0 0.0 0.0" rpy="{}"/>'
-    turned = fixed.format(f"0.0 0.0 {np.pi}")
-    joints = [
-        ("base_link-base_link_inertia", "base_link", "base_link_inertia", turned),
-        ("base_link-base_fixed_joint", "base_link", "base", turned),
-    ]
-    parent = "base_link_inertia"
-    for link, joint, T in zip(LINKS, JOINTS, chain_of_rows(model.rows), strict=False):
-        xyz, rpy = (
-            " ".join(repr(float(value) + 0.0) for value in values)
-            for values in (T[:3, 3], pin.rpy.matrixToRpy(T[:3, :3]))
-        )
-        joints.append((joint, parent, f"{link}_link", f'<origin xyz="{xyz}" rpy="{rpy}"/>'))
-        parent = f"{link}_link"
-    joints += [
-        ("wrist_3_link-ft_frame", parent, "ft_frame", fixed.format(f"{np.pi} 0.0 0.0")),
-        ("wrist_3-flange", parent, "flange", fixed.format(f"0.0 {-half} {-half}")),
-        ("flange-tool0", "flange", "tool0", fixed.format(f"{half} 0.0 {half}")),
-    ]
-    for joint, parent, child, origin in joints:
-        turns = joint in JOINTS
+    for joint, parent, child, *origin in joints:
+        xyz, rpy = (" ".join(repr(float(value) + 0.0) for value in one) for one in origin)
         lines += [
             f'  <link name="{child}"/>',
-            f'  <joint name="{joint}" type="{"revolute" if turns else "fixed"}">',
-            f"    {origin}",
+            f'  <joint name="{joint}" type="{"revolute" if joint in JOINTS else "fixed"}">',
+            f'    <origin xyz="{xyz}" rpy="{rpy}"/>',
             f'    <parent link="{parent}"/>',
             f'    <child link="{child}"/>',
         ]
-        if turns:
-            bound = np.pi if joint == "elbow_joint" else 2.0 * np.pi
+        if joint in JOINTS:
+            bound = pi if joint == "elbow_joint" else 2.0 * pi
             lines += [
                 '    <axis xyz="0 0 1"/>',
-                f'    <limit lower="{-bound}" upper="{bound}" effort="1000" velocity="{np.pi}"/>',
+                f'    <limit lower="{-bound}" upper="{bound}" effort="1000" velocity="{pi}"/>',
             ]
         lines.append("  </joint>")
     return "\n".join([*lines, "</robot>", ""])

@@ -1,9 +1,8 @@
 """The files of Universal Robots: a controller's ``calibration.conf`` and ``urcontrol.conf``, and ``kinematics.yaml``.
 
-``calibration.conf`` has the deltas of an arm, ``urcontrol.conf`` its nominal rows. Both are lists of
-``key = [six numbers]`` in sections, ``[mounting]`` and ``[DH]``, lengths in metres and angles in radians. A section may
-come again further down, ``#`` and ``;`` begin a comment. Everything else in them is kept as it is, byte for byte, which
-no reader of INI files does.
+``calibration.conf`` has the deltas of an arm, ``urcontrol.conf`` its nominal rows: lists ``key = [six numbers]`` in
+sections, ``[mounting]`` and ``[DH]``, lengths in metres and angles in radians; ``#`` and ``;`` begin a comment.
+Everything else in them is kept as it is, byte for byte, which no reader of INI files does.
 
 ``kinematics.yaml`` has the six placements that the description for ROS takes, and the calibration's hash:
 
@@ -46,27 +45,13 @@ _LARGEST_DELTA = dict(zip(_DELTAS, (8.0 * np.pi, 10.0, 1e9, 0.5), strict=True))
 _LARGEST_NOMINAL = dict(zip(COLUMNS, (2.0 * np.pi, 10.0, 10.0, 2.0 * np.pi), strict=True))
 _LARGEST_POSE = dict.fromkeys("xyz", 10.0) | dict.fromkeys(("roll", "pitch", "yaw"), 4.0 * np.pi)
 
-#: A section, or a key with its value: a list, which may go on over lines, or the rest of its line. The first line may
-#: begin with the byte order mark that some editors put there, a character for each byte.
-_PART = re.compile(
-    r"^(?:\xef\xbb\xbf)?[ \t]*(?:\[(?P<section>[^\]=,\r\n]+)\]"
-    r"|(?P<key>\w+)[ \t]*=[ \t]*(?P<value>\[(?:[^\]\[=#;]|[#;][^\n]*)*\]|[^#;\r\n]*))",
-    re.MULTILINE,
-)
+#: The head of a section; a key whose value is a list of numbers, which may go on over lines; and any key.
+_SECTION = re.compile(r"^[ \t]*\[[ \t]*(\w+)[ \t]*\]", re.MULTILINE)
+_LIST = r"^([ \t]*{}[ \t]*=[ \t]*)(\[[^\]]*\])"
+_KEY = re.compile(r"^[ \t]*(\w+)[ \t]*=[ \t]*([^#;\r\n]*)", re.MULTILINE)
 
 #: What a hash is made of. A space or a line break in it would be another YAML.
 _HASH = re.compile(r"[\w.+-]+")
-
-
-class _Entry(NamedTuple):
-    """One ``key = value``: its section, its line from 1, and where the value is in the text."""
-
-    section: str
-    key: str
-    value: str
-    line: int
-    start: int
-    end: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,25 +79,19 @@ class Conf:
                 radians.
         """
         text = (read_bytes(path, "calibration.conf") if data is None else data).decode("latin-1")
-        own = [entry for entry in _entries(text) if entry.section == "mounting"]
-        status = [entry.value for entry in own if entry.key == "calibration_status"]
-        return cls(
-            _columns(path, text, "mounting", _LARGEST_DELTA),
-            tuple(dict.fromkeys(entry.key for entry in own if entry.key not in _DELTAS)),
-            status[-1][:40] if status and status[-1] != "2" else "",
-            text,
-        )
+        deltas = _columns(path, text, "mounting", _LARGEST_DELTA)
+        keys = dict(_KEY.findall(_section(text, "mounting")))
+        status = keys.get("calibration_status", "2").strip()
+        others = tuple(key for key in keys if key not in _DELTAS)
+        return cls(deltas, others, "" if status == "2" else status[:40], text)
 
     def with_deltas(self, deltas: Array) -> bytes:
         """The file with other deltas, every other byte as it was."""
         text = self.text
-        # Every place where a key is, from the last on, so that the places before it stay where they are.
-        for entry in reversed(_entries(text)):
-            if entry.section == "mounting" and entry.key in _DELTAS:
-                column = _DELTAS.index(entry.key)
-                values = deltas[:, column]
-                if (self.deltas[:, column] != values).any():  # else it stays, digit for digit
-                    text = text[: entry.start] + _list(values) + text[entry.end :]
+        for key, old, new in zip(_DELTAS, self.deltas.T, deltas.T, strict=True):
+            if (old != new).any():  # else it stays, digit for digit
+                pattern = re.compile(_LIST.format(key), re.MULTILINE)
+                text = pattern.sub(lambda found, new=new: found[1] + _list(new), text)  # type: ignore[misc]
         return text.encode("latin-1")
 
 
@@ -132,45 +111,28 @@ def read_nominal(path: PathLike) -> Array:
     return _columns(path, text, "DH", _LARGEST_NOMINAL, optional="theta")
 
 
-def _entries(text: str) -> list[_Entry]:
-    """Every ``key = value`` in the text's order; a list may go on over the lines that follow."""
-    entries: list[_Entry] = []
-    section = ""
-    for part in _PART.finditer(text):
-        if part["section"] is not None:
-            section = part["section"].strip()
-            continue
-        value = re.sub(r"[#;][^\n]*", "", part["value"]).strip()
-        line = text.count("\n", 0, part.start("key")) + 1
-        end = part.start("value") + len(part["value"].rstrip())
-        entries.append(_Entry(section, part["key"], value, line, part.start("value"), end))
-    return entries
+def _section(text: str, name: str) -> str:
+    """What is in the sections of a name, which may come again further down."""
+    _, *parts = _SECTION.split(text)
+    return "".join(one for own, one in zip(parts[::2], parts[1::2], strict=True) if own == name)
 
 
 def _columns(
     path: PathLike, text: str, section: str, largest: Mapping[str, float], optional: str = ""
 ) -> Array:
     """The six numbers of each of some keys in a section, shape (6, 4)."""
-    found: dict[str, _Entry] = {}
-    for entry in _entries(text):
-        if entry.section == section:
-            before = found.setdefault(entry.key, entry)
-            if entry.key in largest and before.value.split() != entry.value.split():
-                raise FileError(
-                    f"{path}: {entry.key} is in [{section}] with two values, in line {before.line} and in line "
-                    f"{entry.line}; keep the one that is right."
-                )
-    _check_keys(path, f"[{section}]", found, [key for key in largest if key != optional])
+    own = _section(text, section)
+    keys = dict.fromkeys(key for key, _ in _KEY.findall(own))
+    _check_keys(path, f"[{section}]", keys, [key for key in largest if key != optional])
     columns = []
     for key, most in largest.items():
-        if key not in found:
-            columns.append([0.0] * 6)
-            continue
-        words = found[key].value.strip("[]").split(",")
-        where = f"{path}, line {found[key].line}: {key}"
-        if not found[key].value.startswith("[") or len(words) != 6:
-            raise FileError(f"{where} is no list of six numbers in brackets, one for each joint.")
-        columns.append([_number(where, word.strip(), most) for word in words])
+        found = re.findall(_LIST.format(key), own, re.MULTILINE)
+        words = re.sub(r"[#;].*", "", found[-1][1]).strip("[]").split(",") if found else []
+        if key == optional and key not in keys:
+            words = ["0"] * 6
+        if len(words) != 6:
+            raise FileError(f"{path}: {key} is no list of six numbers in brackets, one a joint.")
+        columns.append([_number(f"{path}: {key}", word.strip(), most) for word in words])
     return read_only(np.transpose(columns))
 
 
@@ -215,7 +177,7 @@ def read_kinematics(path: PathLike, data: bytes | None = None) -> UrYaml:
     """What a ``kinematics.yaml`` says, or will say that is to be written.
 
     Raises:
-        FileError: It cannot be read, lacks a link or a number, has a key twice, or numbers that are no metres and
+        FileError: It cannot be read, lacks a link or a number, or has numbers that are no metres and
             radians.
     """
     what = "kinematics.yaml"

@@ -6,6 +6,7 @@ error of the first joint's zero and height or of the last one's. The arm is the 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -140,22 +141,14 @@ def _named_frames(robot: Robot) -> Iterator[tuple[Array, Array]]:
     here = robot.poses(zero)[0]
     flanges = sorted(_FLANGES, key=lambda link: prefix + link != robot.tip)
     bases = sorted(_BASES, key=lambda base: prefix + base[0] != robot.base)
-    for flange in flanges:
-        at_flange = _between(robot, robot.base, prefix + flange)
-        for base, turned in bases:
-            at_base = _between(robot, prefix + base, robot.tip)
-            if at_flange is None or at_base is None:
-                continue
-            T_base_link = here @ rigid_inverse(at_base.poses(zero)[0])
-            T_flange_tip = rigid_inverse(at_flange.poses(zero)[0]) @ here
+    for flange, (base, turned) in itertools.product(flanges, bases):
+        try:
+            at_flange = robot.rebuilt(tip=prefix + flange)
+            arm = at_flange.rebuilt(base=prefix + base)
+        except UrdfError:  # no such link, or no joint between them
+            continue
+        if [joint.name for joint in arm.joints] == names and not arm.base_moves:
+            T_base_flange = at_flange.poses(zero)[0]
+            T_base_link = T_base_flange @ rigid_inverse(arm.poses(zero)[0])
+            T_flange_tip = rigid_inverse(T_base_flange) @ here
             yield T_base_link @ _HALF_TURN if turned else T_base_link, T_flange_tip
-
-
-def _between(robot: Robot, base: str, tip: str) -> Robot | None:
-    """The robot between two links, None unless there are both with the same joints between them."""
-    try:
-        other = robot.rebuilt(base=base, tip=tip)
-    except UrdfError:  # no such link, or no joint between them
-        return None
-    same = [joint.name for joint in other.joints] == [joint.name for joint in robot.joints]
-    return other if same and not other.base_moves else None

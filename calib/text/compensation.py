@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.robot.robot import rigid_inverse
-from calib.text.lines import fill, row_ranges
+from calib.text.lines import fill
 from calib.text.verdict import reason_text
 
 if TYPE_CHECKING:
@@ -27,8 +27,8 @@ MM, DEG = 1e3, float(np.degrees(1.0))
 #: What a controller misses by above this, sent as a pose and not as joint values, is worth a line [m], [rad].
 _WORTH = 1e-7
 
-#: Columns and rows that are named at most, and rows with a reason each.
-_COLUMNS, _NAMED, _REASONS = 12, 8, 50
+#: Columns that are named at most, and rows with a reason each.
+_COLUMNS, _REASONS = 12, 50
 
 #: Joint values of a program further from its poses than this ask for a second look [m]: no calibration moves a tool so.
 _ELSEWHERE = 0.02
@@ -81,10 +81,9 @@ def text(found: Commands, name: str, written: Path | None) -> str:
 
 def no_commands(found: Commands) -> str:
     """The message that names each row without a command and why it has none."""
-    rows, count = _reasons(found), int((~found.reached).sum())
-    if count > _REASONS:
-        labels = np.array(found.program.labels)[~found.reached].tolist()
-        rows = [*rows[:_REASONS], f"  and rows {_listed(labels[_REASONS:], count)}"]
+    rows = _reasons(found)
+    count = len(rows)
+    rows[_REASONS:] = [f"  and {count - _REASONS} more"] if count > _REASONS else []
     advice = _elsewhere(found) or (
         "Check --tool, --poses-in and the units; --accept takes rows of which little is left, --match position those "
         "whose orientation may be free."
@@ -302,15 +301,6 @@ def _warnings(found: Commands) -> str:
     lines = [f"{_have(found, sum(map(bool, found.warnings)))} a warning:"]
     for rows in kinds.values():
         first, *others = rows
-        more = f"; and {len(others)} more: {_listed(others, _NAMED)}" if others else ""
+        more = f"; and {len(others)} more" if others else ""
         lines.append(fill(f"{first}: {rows[first]}{more}", "  ", "  "))
     return "\n".join(lines)
-
-
-def _listed(labels: Sequence[str], most: int) -> str:
-    """Some rows by their names, at most so many of them or runs of them, and how many more."""
-    names = [label.removeprefix("row ") for label in labels]
-    if all(name.isdecimal() for name in names):
-        return row_ranges(map(int, names), most)
-    more = len(names) - most
-    return ", ".join(names[:most]) + (f" and {more} more" if more > 0 else "")

@@ -185,7 +185,7 @@ def test_names_that_do_not_agree(conf_of, tmp_path, ur3, panda):
         with pytest.raises(ModelError, match=said):
             read_ur(conf, **words)
     path = tmp_path / "out"
-    with pytest.raises(ModelError, match="is not the 'shoulder_pan_joint'"):
+    with pytest.raises(ModelError, match="The robot 'panda' has the joints"):
         write_ur_yaml(panda, ur3, path, hash=HASH)
     with pytest.raises(ModelError, match="it is no correction of it"):
         write_ur_conf(ur_robot("UR5"), ur_robot("UR3"), path)
