@@ -9,7 +9,6 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -39,8 +38,8 @@ from calib.result.evidence import evidence_of
 from calib.result.prediction import (
     Larger,
     Outlier,
+    Solved,
     base_motion,
-    expected_error,
     parameter_estimates,
     tells_place,
 )
@@ -248,7 +247,7 @@ def _assembled(m: Measurements, fits: Fits) -> Calibration:
     ranges = inside.min(axis=0, initial=np.inf), inside.max(axis=0, initial=-np.inf)
     types = [joint.type for joint in robot.inputs]
     solved, observability = _solved(fitted)
-    expected = partial(expected_error, fitted.kinematics, estimated.x, estimated.covariance)
+    expected = Solved(**solved).expected_error
     no_poses, no_rows = np.zeros(0, dtype=int), read_only(np.zeros(0))
     lowered = np.any(estimated.outliers) and task.solver != "paper"
     return Calibration(
@@ -280,8 +279,8 @@ def _assembled(m: Measurements, fits: Fits) -> Calibration:
         robustness=compare(fitted) if lowered else None,
         repeats=_repeats(fitted),
         outside=outside(joints[mask], joints[~mask], robot.joint_names, types),
-        expected_measured=expected(problem.rows.samples, solved["base_motion"]),
-        expected_everywhere=expected(Samples.at(spread_poses(robot)), solved["base_motion"]),
+        expected_measured=expected(problem.rows.samples),
+        expected_everywhere=expected(Samples.at(spread_poses(robot))),
         nominal_cross_validation=None,
         observability=observability,
         # With their errors, but without those of each row.

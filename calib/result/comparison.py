@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.errors import ModelError, choices
+from calib.errors import ModelError
 from calib.result.calibration import Calibration
 from calib.result.calibration_file import read_result
 from calib.result.drift import Displacement, DriftTest, drift_between, own_names
@@ -102,7 +102,7 @@ def compare(
 
     Raises:
         FileError: A file cannot be read or is no result.
-        ModelError: The results are of different chains, or the robot is another one.
+        ModelError: The results are of different chains.
         UrdfError: The URDF cannot be read, or lacks a joint.
     """
     first, second = (one if isinstance(one, Calibration) else read_result(one) for one in (a, b))
@@ -110,7 +110,15 @@ def compare(
         "a" if isinstance(a, Calibration) else Path(a).name,
         "b" if isinstance(b, Calibration) else Path(b).name,
     )
-    _check_same_chain(first, second, names)
+    chains = [
+        (r.base, r.tip, r.joint_names, set(r.origins()), dict(r.held))
+        for r in (first.nominal, second.nominal)
+    ]
+    if chains[0] != chains[1]:
+        raise ModelError(
+            f"{names[0]} and {names[1]} are not of one chain: {first.nominal!r}, {second.nominal!r}. Calibrate "
+            "both with the same --base, --tip and --hold."
+        )
     both, own = (first, second), first.nominal
     shown = own
     if isinstance(robot, Robot):
@@ -159,23 +167,6 @@ def compare(
         same_start=same,
         robot=shown,
     )
-
-
-def _check_same_chain(a: Calibration, b: Calibration, names: tuple[str, str]) -> None:
-    """Refuse results of chains that differ in base, tip, joints, held values or the joints with placements."""
-    r, s = a.nominal, b.nominal
-    for what, first, second in (
-        ("Base", r.base, s.base),
-        ("Tip", r.tip, s.tip),
-        ("Joints", choices(r.joint_names), choices(s.joint_names)),
-        ("Joints with placements", choices(r.origins()), choices(s.origins())),
-        ("Held joints", *(", ".join(f"{n} {v:g}" for n, v in one.held.items()) for one in (r, s))),
-    ):
-        if first != second:
-            raise ModelError(
-                f"{names[0]} and {names[1]} are not of one chain. {what}: {first or 'none'} in {names[0]}, "
-                f"{second or 'none'} in {names[1]}. Fit both with the same --base, --tip and --hold."
-            )
 
 
 def _covered(a: Array, b: Array) -> Array:

@@ -1,13 +1,9 @@
 """Whether two estimates of one robot differ by more than their noise, and how far its target lies elsewhere.
 
-**The difference** of two results' predictions of one target in the base, with the target t of the first result, is
-
-    delta(q) = T_b(q) t - T_a(q) t  =  J_b x_b - J_a x_a  to first order.
-
-Where a fit found the base's place from its own data, a motion of the whole robot cannot be told from a tracker that
-stands elsewhere; where it found the target, a shift that is constant in the tip cannot be told from a target mounted
-anew. The part of delta that such motions G explain best, by least squares over the joint values that both data cover,
-is taken off, there and everywhere. Measured orientations count as what they do at the end of a lever of 100 mm.
+The difference of two results' predictions of one target in the base is delta(q) = J_b x_b - J_a x_a to first order.
+Where a fit found the base's place or the target from its own data, the motion of them that explains delta best, by
+least squares over the joint values that both data cover, is taken off, there and everywhere. Measured orientations
+count as what they do at the end of a lever of 100 mm.
 
 **The test.** Two fits of one robot may be pulled differently by their priors, so both are brought to common priors
 first. A result is x with the covariance C = (H + P)^-1, where H is the information of the data and P the priors'

@@ -97,8 +97,22 @@ class Solved:
 
         In the base they are less ``base_motion``; else they are in each sample's own frame.
         """
-        motion = self.base_motion
-        return _pose_std(self.kinematics, self.x, self.covariance, samples, in_base, motion)
+        if in_base:
+            poses, twists = _in_base(self.kinematics, self.x, samples)
+            if self.base_motion is not None:
+                twists[:, :3] -= moved_by(self.base_motion, poses[:, :3, 3])
+                twists[:, 3:] -= self.base_motion[3:]
+        else:
+            twists = self.kinematics.twists(self.x, samples)[1]
+        wide = (twists.reshape(-1, len(self.x)) @ self.covariance).reshape(twists.shape)
+        variance = np.sum(wide * twists, axis=2).reshape(-1, 2, 3).sum(axis=2)
+        return read_only(np.sqrt(np.maximum(variance, 0.0)))
+
+    def expected_error(self, samples: Samples) -> float:
+        """Standard deviation of the predicted position over some samples, rms [m]; in the base as `pose_std`."""
+        some = samples.select(slice(0, _MOST_EXPECTED))
+        std = self.pose_std(some, in_base=self.base_motion is not None)
+        return float(np.sqrt(np.mean(std[:, 0] ** 2)))
 
     def tips(self, samples: Samples) -> Array:
         """T_base_tip by the parameters, the joints' own errors included, shape (N, 4, 4), [m]."""
@@ -203,39 +217,6 @@ def base_motion(kinematics: Kinematics, x: Array, samples: Samples) -> Array:
     some = samples.select(np.linspace(0, len(samples) - 1, min(len(samples), _ENOUGH)).astype(int))
     poses, twists = _in_base(kinematics, x, some)
     return read_only(best_motion(poses[:, :3, 3], twists[:, :3]))
-
-
-def expected_error(
-    kinematics: Kinematics, x: Array, covariance: Array, samples: Samples, motion: Array | None
-) -> float:
-    """Standard deviation of the predicted position over some samples, rms [m].
-
-    With the covariance (p, p) of the parameters (p,); in the base, less a motion of it (6, p), where there is one.
-    """
-    chosen = samples.select(slice(0, _MOST_EXPECTED))
-    std = _pose_std(kinematics, x, covariance, chosen, motion is not None, motion)
-    return float(np.sqrt(np.mean(std[:, 0] ** 2)))
-
-
-def _pose_std(
-    kinematics: Kinematics,
-    x: Array,
-    covariance: Array,
-    samples: Samples,
-    in_base: bool,
-    motion: Array | None,
-) -> Array:
-    """See `Solved.pose_std`."""
-    if in_base:
-        poses, twists = _in_base(kinematics, x, samples)
-        if motion is not None:
-            twists[:, :3] -= moved_by(motion, poses[:, :3, 3])
-            twists[:, 3:] -= motion[3:]
-    else:
-        twists = kinematics.twists(x, samples)[1]
-    wide = (twists.reshape(-1, len(covariance)) @ covariance).reshape(twists.shape)
-    variance = np.sum(wide * twists, axis=2).reshape(-1, 2, 3).sum(axis=2)
-    return read_only(np.sqrt(np.maximum(variance, 0.0)))
 
 
 def _in_base(kinematics: Kinematics, x: Array, samples: Samples) -> tuple[Array, Array]:

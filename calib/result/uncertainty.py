@@ -1,17 +1,9 @@
-"""Uncertainty on demand: bootstrap, profiles, the workspace.
-
-The covariance that comes with every calibration, C = (A^T W A + P)^-1, is that of the linearised problem with normal
-noise. What is here assumes less, at the price of many fits; noise, prior std and robust weights stay.
+"""Uncertainty on demand, at the price of many fits; noise, prior std and robust weights stay as they were found.
 
 **Bootstrap.** Whole poses, with their repeats, are drawn with replacement within each set-up: B. Efron, R. J.
 Tibshirani, An Introduction to the Bootstrap, 1993, sections 9.5 and 13.3. Each sample draws the priors' means too
-(J. M. Bardsley and others, SIAM Journal on Scientific Computing 36, 2014; E. Pompe, arXiv:2103.14445, 2021), and known
-distances between set-ups. For a linear problem with derivative A, weights W and priors P the samples' covariance is
-
-    C (sum_i A_i^T W_i r_i r_i^T W_i A_i + P) C
-
-which is C where the residuals r are noise as large as was found. With few rows for a parameter it is too wide
-(N. El Karoui, E. Purdom, JMLR 19, 2018).
+(J. M. Bardsley and others, SIAM Journal on Scientific Computing 36, 2014), and known distances between set-ups. With
+few rows for a parameter it is too wide (N. El Karoui, E. Purdom, JMLR 19, 2018).
 
 **Profile.** The interval of one parameter where the cost, minimised over all others, has risen by no more than the
 quantile of F(1, dof): D. M. Bates, D. G. Watts, Nonlinear Regression Analysis, 1988, section 6.1.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from dataclasses import asdict
 from typing import Any
 
@@ -20,8 +21,8 @@ from calib.version import __version__
 #: The layout of `comparison_table`; a word, so that it is not taken for a result.
 COMPARISON_SCHEMA = "comparison 3"
 
-#: A parameter with a longer name gets a line for its name alone; more places than this are not listed.
-_LONGEST_NAME, _MOST_PLACES = 28, 6
+#: More frames or targets than this are not listed.
+_MOST_PLACES = 6
 
 #: Beyond this many standard deviations the number says nothing more.
 _HIGHEST = 37.0
@@ -176,19 +177,14 @@ def _parameters(c: Comparison) -> str:
     """The robot's parameters of both; * where one of them is known in combinations only."""
     if not c.parameters:
         return ""
-    width = min(max(len(p.name) for p in c.parameters), _LONGEST_NAME) + 2
-    lines = [f"{'Parameter':<{width}}{'a':>11}{'b':>11}{'b - a':>10}{'std':>9}{'sigma':>8}"]
+    lines = [f"{'Parameter':<30}{'a':>11}{'b':>11}{'b - a':>10}{'std':>9}{'sigma':>8}"]
     for p in c.parameters:
         scale, unit = (1e3, "mm") if p.unit == "m" else (float(np.degrees(1.0)), "deg")
-        name = p.name
-        if len(name) > _LONGEST_NAME:
-            lines.append(wrap(name))
-            name = ""
-        lines.append(
-            f"{name:<{width}}{number(scale * p.a, 4):>11}{number(scale * p.b, 4):>11}"
-            f"{number(scale * p.difference, 4, '+'):>10}{number(scale * p.std, 4):>9}"
-            f"{number(p.sigmas, 1, '+'):>8} {unit}{'' if p.alone else ' *'}"
-        )
+        a, b, std = (number(scale * v, 4) for v in (p.a, p.b, p.std))
+        difference, sigmas = number(scale * p.difference, 4, "+"), number(p.sigmas, 1, "+")
+        name = textwrap.shorten(p.name, 29, placeholder="...")
+        cells = f"{name:<30}{a:>11}{b:>11}{difference:>10}{std:>9}{sigmas:>8}"
+        lines.append(f"{cells} {unit}{'' if p.alone else ' *'}")
     if not all(p.alone for p in c.parameters):
         lines.append("* known in combination with others only; its own value means little")
     return "\n".join([*lines, "std: of the difference, sqrt(C_a + C_b)."])
@@ -211,17 +207,6 @@ def _places(c: Comparison) -> str:
             )
         if len(places) > _MOST_PLACES:
             lines.append(f"... and {len(places) - _MOST_PLACES} more of these")
-    lost = [
-        f"{what} {choices(names)} of {of}"
-        for _, of, one in _both(c)
-        for what, own, shared in (
-            ("set-ups", one.setup.groups, c.frames),
-            ("targets", one.setup.targets, c.targets),
-        )
-        if len(own) > 1 and (names := [name for name in own if name not in shared])
-    ]
-    if lost:
-        lines.append(wrap(f"Present in only one result: {'; '.join(lost)}."))
     return "\n".join(lines)
 
 
