@@ -54,39 +54,45 @@ class Chain:
             UrdfError: No such link, no moving joint between them, or one with more than one coordinate; or
                 Pinocchio cannot build a model of the URDF.
         """
-        by_name = {joint.name: joint for joint in urdf.joints}
-        to_base, to_tip = urdf.chain(base, tip)
-        path = [_Step(by_name[name], up=True) for name in reversed(to_base)]
-        path += [_Step(by_name[name], up=False) for name in to_tip]
-        moving = [i for i, step in enumerate(path) if step.joint.type != "fixed"]
-        _check_moving(urdf, base, tip, [path[i].joint for i in moving])
+        path = _path(urdf, base, tip)
+        moving = [step for step in path if step.joint.type != "fixed"]
+        wrong = [step.joint for step in moving if step.joint.type not in MOVING]
+        if not moving or wrong:
+            fault = "no joint moves"
+            if wrong:
+                fault = f"joint '{wrong[0].name}' of type '{wrong[0].type}' is not one of {choices(MOVING)}"
+            raise UrdfError(
+                f"{urdf.source}: {fault} between the base '{base}' and the tip '{tip}'. Name two links with the arm "
+                f"between them by --base and --tip; the links are {choices(urdf.links)}."
+            )
         _built_model(urdf)  # which refuses what Pinocchio cannot read, or reads otherwise
-        T_root_base, steps, base_moves = np.eye(4), path, path[moving[0]].up
+        T_root_base, base_moves = np.eye(4), moving[0].up
         if (
             not base_moves
         ):  # then the chain starts in the URDF's root, joints above the base at zero
-            for name in urdf.chain(urdf.root, base)[1]:
-                T_root_base = T_root_base @ by_name[name].T_parent_joint
-            steps = [_Step(by_name[name], up=False) for name in urdf.chain(urdf.root, tip)[1]]
-        placements = _placements(steps, {path[i].joint.name for i in moving})
+            T_root_base = _product(_path(urdf, urdf.root, base))
+            path = _path(urdf, urdf.root, tip)
+        names = {step.joint.name for step in moving}
+        groups: list[list[_Step]] = [[]]  # the origins that each placement is the product of
+        for step in path:
+            if step.joint.name in names and step.up:  # it moves first, its origin comes behind it
+                groups.append([])
+            groups[-1].append(step)
+            if step.joint.name in names and not step.up:
+                groups.append([])
         carriers: list[str | None] = []
         around = []
-        for k, placement in enumerate(placements):
-            number, last = _carrier(path, moving, k)
-            step = None if number is None else path[number]
-            rest = rigid_inverse(np.eye(4) if step is None else step.origin)
-            around.append(
-                (
-                    placement @ rest if last else np.eye(4),
-                    np.eye(4) if last else rest @ placement,
-                    step is not None and step.up,
-                )
-            )
-            carriers.append(None if step is None else step.joint.name)
-        joints = tuple(path[i].path_joint for i in moving)
+        for k, group in enumerate(groups):
+            # A moving joint's own origin, at the chain's ends else that of the fixed joint next to the moving one, so
+            # that all that is mounted behind it moves along.
+            last = k == 0 or (k < len(moving) and not moving[k].up)
+            carrier = group[-1 if last else 0] if group else None
+            before, after = (group[:-1], []) if last else ([], group[1:])
+            around.append((_product(before), _product(after), carrier is not None and carrier.up))
+            carriers.append(None if carrier is None else carrier.joint.name)
         return cls(
-            joints,
-            read_only(placements),
+            tuple(step.path_joint for step in moving),
+            read_only([_product(group) for group in groups]),
             tuple(carriers),
             read_only(T_root_base),
             tuple(around),
@@ -95,7 +101,7 @@ class Chain:
 
 
 def read_only(values: ArrayLike | Sequence[Array]) -> Array:
-    """A copy of the values as a float64 array of the same shape that cannot be written to."""
+    """A copy of the values as a float64 array that cannot be written to."""
     array = np.array(values, dtype=np.float64)
     array.setflags(write=False)
     return array
@@ -112,11 +118,7 @@ def rigid_inverse(T: Array) -> Array:
 
 
 def full_model(urdf: Urdf) -> pin.Model:
-    """The Pinocchio model of all of a URDF, mimic joints free; links are found by `link_frame`.
-
-    Raises:
-        UrdfError: Pinocchio cannot build it.
-    """
+    """The Pinocchio model of all of a URDF, mimic joints free; links are found by `link_frame`."""
     return _built_model(urdf).copy()
 
 
@@ -158,12 +160,7 @@ def _check_same(urdf: Urdf, model: pin.Model) -> None:
 
 
 def full_configurations(model: pin.Model, values: Mapping[str, Array]) -> Array:
-    """Pinocchio's configurations of a `full_model`, other joints neutral, shape (N, nq).
-
-    Args:
-        model: See `full_model`.
-        values: Of joints with one coordinate, by name, shape (N,) each, see `Robot.urdf_values`.
-    """
+    """Pinocchio's configurations of a `full_model`, shape (N, nq), from `Robot.urdf_values`; other joints neutral."""
     count = max((len(value) for value in values.values()), default=0)
     result = np.tile(pin.neutral(model), (count, 1))
     for name, value in values.items():
@@ -202,36 +199,20 @@ class _Step:
         return replace(self.joint, axis=read_only(-self.joint.axis + 0.0))
 
 
-def _carrier(path: list[_Step], moving: list[int], k: int) -> tuple[int | None, bool]:
-    """The step whose origin holds placement k, None without; and whether as the placement's last factor.
-
-    That of the moving joint on either side, if its origin lies there; at the ends of the chain else that of the
-    fixed joint next to the moving one, so that all that is mounted behind it moves along.
-    """
-    n = len(moving)
-    if k < n and not path[moving[k]].up:
-        return moving[k], True
-    if k > 0 and path[moving[k - 1]].up:
-        return moving[k - 1], False
-    if k == 0:
-        return moving[0] - 1 if moving[0] > 0 else None, True
-    behind = moving[-1] + 1
-    return (behind, False) if behind < len(path) else (None, True)
+def _path(urdf: Urdf, base: str, tip: str) -> list[_Step]:
+    """All joints from base to tip: up to the link where the branches part, and down from there."""
+    by_name = {joint.name: joint for joint in urdf.joints}
+    to_base, to_tip = urdf.chain(base, tip)
+    up = [_Step(by_name[name], up=True) for name in reversed(to_base)]
+    return up + [_Step(by_name[name], up=False) for name in to_tip]
 
 
-def _placements(steps: list[_Step], moves: Collection[str]) -> list[Array]:
-    """The placements between the joints that move, the tip's last."""
-    placements, T = [], np.eye(4)
+def _product(steps: Sequence[_Step]) -> Array:
+    """The product of the steps' origins, (4, 4)."""
+    T = np.eye(4)
     for step in steps:
-        if step.joint.name not in moves:
-            T = T @ step.origin
-        elif step.up:  # it moves first, its origin comes behind it
-            placements.append(T)
-            T = step.origin
-        else:
-            placements.append(T @ step.origin)
-            T = np.eye(4)
-    return [*placements, T]
+        T = T @ step.origin
+    return T
 
 
 def pinocchio_chain(joints: Sequence[UrdfJoint], placements: Array) -> pin.Model:
@@ -243,21 +224,6 @@ def pinocchio_chain(joints: Sequence[UrdfJoint], placements: Array) -> pin.Model
         T = pin.SE3(placement[:3, :3], placement[:3, 3])
         model.addJoint(parent, kind(np.array(joint.axis)), T, joint.name)
     return model
-
-
-def _check_moving(urdf: Urdf, base: str, tip: str, joints: Sequence[UrdfJoint]) -> None:
-    """Refuse a chain without joints, and joints with more than one coordinate."""
-    if not joints:
-        raise UrdfError(
-            f"{urdf.source}: no joint moves between the base '{base}' and the tip '{tip}'. Name two links with "
-            f"the arm between them by --base and --tip; the links are {choices(urdf.links)}."
-        )
-    for joint in joints:
-        if joint.type not in MOVING:
-            raise UrdfError(
-                f"{urdf.source}: joint '{joint.name}' between '{base}' and '{tip}' is of type '{joint.type}'; a "
-                f"chain may hold {choices(MOVING)} and 'fixed' joints. Choose --base and --tip on one side of it."
-            )
 
 
 #: Names of a tip, in the order of preference, where several links lie equally far out.

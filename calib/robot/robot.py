@@ -233,9 +233,7 @@ class Robot:
                 placements[i] = self.placements[i]
         moved = replace(self, _chain=replace(self._chain, placements=read_only(placements)))
         was = self.origins()
-        origins = {
-            name: T for name, T in moved.origins().items() if not np.array_equal(T, was[name])
-        }
+        origins = {name: T for name, T in moved.origins().items() if (was[name] != T).any()}
         return replace(moved, urdf=self.urdf.with_origins(origins))
 
     def origins(self) -> dict[str, NDArray[np.float64]]:

@@ -88,7 +88,7 @@ def test_a_result_holds_the_robot_that_its_xacro_became(call, folder: Path):
         ),
         (
             ["fit", NOMINAL, "data.csv", "-o", "corrected.urdf.xacro"],
-            "'corrected.urdf.xacro' is the name of a xacro, and what is written is a URDF, with",
+            "'corrected.urdf.xacro' is the name of a xacro",
         ),
         (
             ["simulate", NOMINAL, "-o", "sim.xacro", "--base", "base", "--tip", "tool0"],
