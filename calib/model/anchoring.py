@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib.errors import ModelError, choices
@@ -40,17 +41,14 @@ def anchored_placements(
 ) -> Array:
     """Other placements of the same chain, near the nominal ones, all (n + 1, 4, 4), [m]; see the module's text."""
     result = np.array(placements, dtype=np.float64)
-    axes = [np.asarray(joint.axis) for joint in joints]
-    slides = [joint.type == "prismatic" for joint in joints]
-    for i, axis in enumerate(axes):
-        last = i + 1 == len(axes)
-        G = _nearest_own(result[i], nominal[i], axis, sliding=slides[i])
+    axes = [(np.asarray(joint.axis), joint.type == "prismatic") for joint in joints]
+    for i, (axis, sliding) in enumerate(axes):
+        G = _nearest_own(result[i], nominal[i], axis, sliding=sliding)
         behind = rigid_inverse(G) @ result[i + 1]
-        if last:
-            G = G @ _to_tip(behind, nominal[i + 1], axis, sliding=slides[i])
+        if i + 1 == len(axes):
+            G = G @ _to_tip(behind, nominal[i + 1], axis, sliding=sliding)
         else:
-            own, following = (axis, slides[i]), (axes[i + 1], slides[i + 1])
-            G = G @ _to_next_axis(behind, nominal[i + 1], own, following)
+            G = G @ _to_next_axis(behind, nominal[i + 1], axes[i], axes[i + 1])
         result[i] = result[i] @ G
         result[i + 1] = rigid_inverse(G) @ result[i + 1]
     return read_only(result)
@@ -152,9 +150,4 @@ def _foot(axis: Array, point: Array, direction: Array) -> float:
 
 def _turn(axis: Array, angle: float) -> Array:
     """A rotation about an axis, shape (4, 4)."""
-    x, y, z = axis
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    T = np.eye(4)
-    # Of a small angle 1 - cos loses every digit.
-    T[:3, :3] += np.sin(angle) * cross + 2.0 * np.sin(angle / 2.0) ** 2 * (cross @ cross)
-    return T
+    return np.asarray(pin.SE3(pin.exp3(axis * angle), np.zeros(3)).homogeneous)

@@ -13,8 +13,9 @@ makes them as those of the other robot, and leaves what lies behind the last axi
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -129,14 +130,9 @@ def rows_between(
         like: Hayati's rows of the nominal robot, whose open choices are kept.
     """
     wanted = _wanted(like, len(lines))
-    point, axis = lines[0]
-    T, rows = _first_frame(axis, point, np.eye(4) if like is None else like.T_base_0), []
-    for i, (point, axis) in enumerate(lines[1:]):
-        name = "" if like is None else like.rows[i].joint
-        numbers = _row(T, point, axis, wanted[i], HAYATI, 0.0)
-        rows.append(_tidy(DHRow(name, False, *numbers), wanted[i]))
-        T = T @ rows[-1].matrix()
-    return tuple(rows)
+    T = _first_frame(*lines[0], np.eye(4) if like is None else like.T_base_0)
+    joints = [("" if w is None else w[0].joint, False) for w in wanted]
+    return tuple(_rows(T, lines, joints, wanted, HAYATI, 0.0)[0])
 
 
 def zero_poses(robot: Robot) -> tuple[list[Array], Array]:
@@ -185,23 +181,19 @@ def _sines(robot: Robot) -> list[float]:
 # Row by row
 
 
-@dataclass(frozen=True, slots=True)
-class _Wanted:
-    """What a row is to be like: another robot's row, and its x direction in base at q = 0."""
-
-    row: DHRow
-    x: Array
+#: What a row is to be like: another robot's row, and its x direction in base at q = 0.
+_Wanted: TypeAlias = tuple[DHRow, Array] | None
 
 
-def _wanted(like: DHTable | None, count: int) -> list[_Wanted] | list[None]:
+def _wanted(like: DHTable | None, count: int) -> list[_Wanted]:
     """What each row is to be like."""
     if like is None:
         return [None] * count
-    return [_Wanted(row, F[:3, 0]) for row, F in zip(like.rows, dh_frames(like), strict=True)]
+    return [(row, F[:3, 0]) for row, F in zip(like.rows, dh_frames(like), strict=True)]
 
 
 #: theta, d, a, alpha, beta.
-_Numbers = tuple[float, float, float, float, float]
+_Numbers: TypeAlias = tuple[float, float, float, float, float]
 
 
 def _product(
@@ -218,20 +210,33 @@ def _product(
     frames, T_base_tip = zero_poses(robot)
     axes = [T[:3, :3] @ joint.axis for T, joint in zip(frames, robot.joints, strict=True)]
     wanted = _wanted(like, len(axes))
-    T_base_0 = _first_frame(axes[0], frames[0][:3, 3], np.eye(4) if like is None else like.T_base_0)
-    T, rows = T_base_0, []
-    for i, joint in enumerate(robot.joints):
-        if i + 1 < len(axes):
-            numbers = _row(T, frames[i + 1][:3, 3], axes[i + 1], wanted[i], convention, limit)
-        else:
-            T_n_tip = None if like is None else like.T_n_tip
-            numbers = _last_row(T, T_base_tip, wanted[i], T_n_tip, convention, limit)
-        row = _tidy(DHRow(joint.name, joint.type == "prismatic", *numbers), wanted[i])
-        rows.append(row)
-        T = T @ row.matrix()
+    lines = [(T[:3, 3], axis) for T, axis in zip(frames, axes, strict=True)]
+    joints = [(joint.name, joint.type == "prismatic") for joint in robot.joints]
+    T_base_0 = _first_frame(*lines[0], np.eye(4) if like is None else like.T_base_0)
+    rows, T = _rows(T_base_0, lines, joints, wanted, convention, limit)
+    T_n_tip = None if like is None else like.T_n_tip
+    numbers = _last_row(T, T_base_tip, wanted[-1], T_n_tip, convention, limit)
+    rows.append(_tidy(DHRow(*joints[-1], *numbers), wanted[-1]))
+    T = T @ rows[-1].matrix()
     bracketed = HAYATI if convention == HAYATI else STANDARD
     T_n_tip = read_only(rigid_inverse(T) @ T_base_tip)
     return DHTable(tuple(rows), read_only(T_base_0), T_n_tip, bracketed)
+
+
+def _rows(
+    T: Array,
+    lines: Sequence[tuple[Array, Array]],
+    joints: Sequence[tuple[str, bool]],
+    wanted: Sequence[_Wanted],
+    convention: str,
+    limit: float,
+) -> tuple[list[DHRow], Array]:
+    """The rows of all joints, by name and whether they slide, but the last; and the frame that they lead to from T."""
+    rows = []
+    for joint, like, (point, axis) in zip(joints, wanted, lines[1:], strict=False):
+        rows.append(_tidy(DHRow(*joint, *_row(T, point, axis, like, convention, limit)), like))
+        T = T @ rows[-1].matrix()
+    return rows, T
 
 
 def _rebracketed(table: DHTable) -> DHTable:
@@ -246,7 +251,7 @@ def _rebracketed(table: DHTable) -> DHTable:
 
 
 def _row(
-    T: Array, point: Array, axis: Array, wanted: _Wanted | None, convention: str, limit: float
+    T: Array, point: Array, axis: Array, wanted: _Wanted, convention: str, limit: float
 ) -> _Numbers:
     """The row from a frame to the axis of the next joint, a line through a point."""
     z, x = T[:3, 2], T[:3, 0]
@@ -254,15 +259,15 @@ def _row(
     sine = float(np.linalg.norm(normal))
     between = point - T[:3, 3]
     # What is nearly parallel is so in both robots, although the one may lie on this side of the limit.
-    leaning = sine < np.sin(NEARLY_PARALLEL_RAD) if wanted is None else wanted.row.near_parallel
+    leaning = sine < np.sin(NEARLY_PARALLEL_RAD) if wanted is None else wanted[0].near_parallel
     if leaning if convention == HAYATI else sine < limit:
         # The next origin is where the next axis meets the plane through this one's origin: d = 0.
         offset = between - axis * (between @ z) / (axis @ z)
-        near = x if wanted is None else wanted.x
+        near = x if wanted is None else wanted[1]
         return _parallel_row(T, axis, offset, near, tilted=convention == HAYATI)
     normal /= sine
     if wanted is not None:
-        turned = normal @ wanted.x < 0
+        turned = normal @ wanted[1] < 0
     else:
         along = normal @ x
         turned = along < -_TOLERANCE or (along < _TOLERANCE and between @ normal < -_TOLERANCE)
@@ -299,7 +304,7 @@ def _parallel_row(T: Array, axis: Array, offset: Array, near: Array, *, tilted: 
 def _last_row(
     T: Array,
     T_base_tip: Array,
-    wanted: _Wanted | None,
+    wanted: _Wanted,
     T_n_tip: Array | None,
     convention: str,
     limit: float,
@@ -311,7 +316,7 @@ def _last_row(
         return _row(T, T_base_tip[:3, 3], axis, wanted, convention, limit)
     if wanted is not None and T_n_tip is not None:
         # How the tip lies behind the axis is no matter of the joint: T_n_tip says how it moved.
-        row = wanted.row
+        row = wanted[0]
         fixed = replace(row, theta=0.0, d=0.0).matrix()
         turn = rigid_inverse(T) @ T_base_tip @ rigid_inverse(fixed @ T_n_tip)
         theta = np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])
@@ -329,13 +334,13 @@ def _last_row(
     return theta, along, a, alpha, beta
 
 
-def _tidy(row: DHRow, wanted: _Wanted | None) -> DHRow:
+def _tidy(row: DHRow, wanted: _Wanted) -> DHRow:
     """Without signs of zero; angles in the turn of the wanted row's, half a turn as pi, not -pi."""
     angles = []
     for name in ("theta", "alpha"):
         angle = getattr(row, name)
         if wanted is not None:
-            angle += 2 * np.pi * round((getattr(wanted.row, name) - angle) / (2 * np.pi))
+            angle += 2 * np.pi * round((getattr(wanted[0], name) - angle) / (2 * np.pi))
         elif angle < -np.pi + _TOLERANCE:
             angle += 2 * np.pi
         angles.append(angle)
@@ -346,7 +351,7 @@ def _tidy(row: DHRow, wanted: _Wanted | None) -> DHRow:
 # Frames
 
 
-def _first_frame(axis: Array, point: Array, near: Array) -> Array:
+def _first_frame(point: Array, axis: Array, near: Array) -> Array:
     """Frame 0: z along the first axis, origin and x nearest to those of another frame."""
     T = np.eye(4)
     x = _across(axis, near[:3, 0])

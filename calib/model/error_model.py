@@ -49,9 +49,6 @@ DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
 _UNITS = {one: "m" if k < 3 else "rad" for k, one in enumerate(DIRECTIONS)}
 _TWISTS = {one: read_only(row) for one, row in zip(DIRECTIONS, np.eye(6), strict=True)}
 
-#: The station that a table without groups has, and its frame's unknowns.
-_ONE_FRAME: Mapping[str, tuple[str, ...]] = {"": DIRECTIONS}
-
 #: The name of a set of parameters that was given, not named.
 OWN = "own"
 
@@ -89,46 +86,45 @@ def error_model(
         >>> len(error_model(Robot.load("ur3", base="base", tip="tool0"), "paper"))
         27
     """
-    own = None if isinstance(name, str) else tuple(name)
-    name = name if isinstance(name, str) else OWN
-    base, families = (OWN, ()) if own is not None else split_name(name)
-    frames = (_ONE_FRAME if frame else {"": ()}) if isinstance(frame, bool) else frame
-    if base == "paper" and any(frames.values()):
-        raise ModelError(
-            "The parameter set 'paper' knows the measurement frame, as the paper does. To estimate the frame too, "
-            "choose --model dh."
-        )
-    estimated = (targets if target else ()) if isinstance(target, bool) else target
-    of_frames = tuple((group, tuple(directions)) for group, directions in frames.items())
+    frames = ({"": DIRECTIONS if frame else ()}) if isinstance(frame, bool) else frame
     return _assembled(
-        robot, name, base, families, of_frames, tuple(estimated), tuple(targets), rotation, own
+        robot,
+        name if isinstance(name, str) else tuple(name),
+        tuple((group, tuple(directions)) for group, directions in frames.items()),
+        tuple((targets if target else ()) if isinstance(target, bool) else target),
+        tuple(targets),
+        rotation,
     )
 
 
 @lru_cache(maxsize=64)
 def _assembled(
     robot: Robot,
-    name: str,
-    base: str,
-    families: tuple[str, ...],
+    name: str | tuple[Parameter, ...],
     frames: tuple[tuple[str, tuple[str, ...]], ...],
     estimated: tuple[str, ...],
     targets: tuple[str, ...],
     rotation: bool,
-    own: tuple[Parameter, ...] | None,
 ) -> ErrorModel:
     """`error_model` of arguments that can be remembered: folds, candidates and trials ask for the same ones."""
-    parameters = [*(MODELS[base](robot) if own is None else own)]
-    for family in families:
-        parameters += joint_parameters(robot, family)
     placed = frame_and_target_model(
         dict(frames), estimated, known_targets=targets, rotation=rotation
     )
     count = len(frames)
     joints = tuple(joint.name for joint in robot.joints)
     places = (*placed.places[:count], *joints, *placed.places[count:])
-    parameters += placed.parameters
-    model = ErrorModel(name, places, tuple(parameters))
+    if not isinstance(name, str):
+        return ErrorModel(OWN, places, (*name, *placed.parameters))
+    base, families = split_name(name)
+    if base == "paper" and any(directions for _, directions in frames):
+        raise ModelError(
+            "The parameter set 'paper' knows the measurement frame, as the paper does. To estimate the frame too, "
+            "choose --model dh."
+        )
+    parameters = MODELS[base](robot)
+    for family in families:
+        parameters += joint_parameters(robot, family)
+    model = ErrorModel(name, places, (*parameters, *placed.parameters))
     return model.tied(_followers(robot)) if base == "zeros" else model
 
 
@@ -139,14 +135,7 @@ def frame_and_target_model(
     known_targets: Sequence[str] = (),
     rotation: bool = False,
 ) -> ErrorModel:
-    """The parameters of frames and targets alone, for a tip whose poses are given.
-
-    Args:
-        frames: For each station which of `DIRECTIONS` are estimated.
-        targets: Names of the targets that are estimated.
-        known_targets: Names of all targets, in the order of their places.
-        rotation: Whether targets are frames or points.
-    """
+    """The parameters of frames and targets alone, for given poses of the tip; ``known_targets`` names all places."""
     parameters: list[Parameter] = []
     for group, directions in frames.items():
         parameters += _placed("frame", frame_place(group), group, directions, FRAME)
@@ -163,17 +152,16 @@ def _followers(robot: Robot) -> dict[str, tuple[str, float]]:
 
     Where the driver lies outside the chain, or slides while its follower turns, the first that follows leads.
     """
-    slides = [joint.type == "prismatic" for joint in robot.joints]
-    names = [joint.name for joint in robot.joints]
     ties = {}
     for column, driver in enumerate(robot.joint_names):
-        for kind in (False, True):
-            moved = [i for i in np.flatnonzero(robot.coupling[:, column]) if slides[i] == kind]
-            leader = next((i for i in moved if names[i] == driver), moved[0] if moved else -1)
-            for i in moved:
-                if i != leader:
-                    factor = robot.coupling[i, column] / robot.coupling[leader, column]
-                    ties[f"{names[i]}.zero"] = (f"{names[leader]}.zero", float(factor))
+        moved = [(j, f) for j, f in zip(robot.joints, robot.coupling[:, column], strict=True) if f]
+        for slides in (False, True):
+            alike = [(j.name, f) for j, f in moved if (j.type == "prismatic") == slides]
+            leaders = sorted(alike, key=lambda pair: pair[0] != driver)[:1]
+            for leader, by in leaders:
+                for name, factor in alike:
+                    if name != leader:
+                        ties[f"{name}.zero"] = (f"{leader}.zero", float(factor / by))
     return ties
 
 
@@ -240,36 +228,28 @@ def _dh_parameters(robot: Robot, *, hayati: bool = False) -> list[Parameter]:
                 about = _twist(np.cross(origin, y), y)
                 behind.append(Parameter(f"beta{number}", "rad", places[i], about, ANGLE, row.beta))
         if not parallel:
-            own.append(
-                _before_joint(robot, i, f"d{number}", "m", _twist(axis, zeros), LENGTH, row.d)
-            )
+            own.append(_before_joint(robot, i, f"d{number}", _twist(axis, zeros), LENGTH, row.d))
         family = ANGLE if row.prismatic else ZERO
         turn = _twist(zeros, axis)
-        own.append(_before_joint(robot, i, f"theta{number}", "rad", turn, family, row.theta))
+        own.append(_before_joint(robot, i, f"theta{number}", turn, family, row.theta))
         # Where d and theta act at the same place as a and alpha, they come first, as in the row's product.
         parameters += behind + own if robot.carriers[i] is not None else own + behind
     return parameters
 
 
 def _before_joint(
-    robot: Robot,
-    i: int,
-    name: str,
-    unit: str,
-    direction: Array,
-    family: str,
-    nominal: float = 0.0,
+    robot: Robot, i: int, name: str, twist: Array, family: str, nominal: float = 0.0
 ) -> Parameter:
     """A displacement along or about a joint's own axis, at its placement.
 
     Where no <origin> carries that (a base that its joint moves directly), at the next one: such a displacement passes
     through the joint's motion unchanged.
     """
-    if robot.carriers[i] is not None:
-        return Parameter(name, unit, robot.joints[i].name, direction, family, nominal)
-    following = robot.joints[i + 1].name if i + 1 < len(robot.joints) else TIP
-    behind = pin.SE3(robot.placements[i + 1]).toActionMatrixInverse() @ direction
-    return Parameter(name, unit, following, read_only(behind), family, nominal)
+    unit, place = "m" if twist[:3].any() else "rad", robot.joints[i].name
+    if robot.carriers[i] is None:
+        place = robot.joints[i + 1].name if i + 1 < len(robot.joints) else TIP
+        twist = read_only(pin.SE3(robot.placements[i + 1]).toActionMatrixInverse() @ twist)
+    return Parameter(name, unit, place, twist, family, nominal)
 
 
 def _placement_parameters(robot: Robot) -> list[Parameter]:
@@ -298,11 +278,10 @@ def _placement_parameters(robot: Robot) -> list[Parameter]:
 
 def _zero_parameters(robot: Robot) -> list[Parameter]:
     """The zero of each joint, named ``<joint>.zero``: about its axis, or along it for a prismatic one."""
-    parameters = []
-    for i, (joint, twist) in enumerate(zip(robot.joints, axis_twists(robot), strict=True)):
-        unit, family = ("m", LENGTH) if joint.type == "prismatic" else ("rad", ZERO)
-        parameters.append(_before_joint(robot, i, f"{joint.name}.zero", unit, twist, family))
-    return parameters
+    return [
+        _before_joint(robot, i, f"{joint.name}.zero", twist, LENGTH if twist[:3].any() else ZERO)
+        for i, (joint, twist) in enumerate(zip(robot.joints, axis_twists(robot), strict=True))
+    ]
 
 
 #: The named sets of a robot's own parameters.

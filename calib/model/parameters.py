@@ -99,7 +99,7 @@ class ErrorModel:
 
     @property
     def units(self) -> tuple[str, ...]:
-        """The parameters' units in order."""
+        """The parameters' units."""
         return tuple(p.unit for p in self.parameters)
 
     @property
@@ -188,24 +188,23 @@ class ErrorModel:
         """
         y = self.values(x)
         directions = self._undisplaced.copy()
-        displacements = np.zeros((len(self.places), 4, 4))
-        displacements[:, range(4), range(4)] = 1.0
+        displacements = np.tile(np.eye(4), (len(self.places), 1, 1))
         if y.any():
             products: dict[int, pin.SE3] = {}
-            exp, values = pin.exp6, y.tolist()
+            values = y.tolist()
             # Backwards, so that the product of the factors after each term is at hand.
             for t, k, twist in self._backwards:
-                later, factor = products.get(k), exp(twist * values[t])
-                if later is None:
-                    products[k] = factor
-                else:
+                later, factor = products.get(k), pin.exp6(twist * values[t])
+                if later is not None:
                     directions[6 * k : 6 * k + 6, t] = later.actInv(twist).vector
-                    products[k] = factor * later
+                    factor = factor * later
+                products[k] = factor
             for k, product in products.items():
                 displacements[k] = product.homogeneous
-        if self.terms is not self.parameters:
-            directions = directions @ self.mixing
-        return displacements, directions
+        return (
+            displacements,
+            directions if self.terms is self.parameters else directions @ self.mixing,
+        )
 
     def apply(self, robot: Robot, x: Array) -> Robot:
         """The robot with its placements displaced by x, without frame, target and errors of the joints' state.

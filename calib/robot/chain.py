@@ -14,6 +14,7 @@ import itertools
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import TypeAlias
 
 import numpy as np
 import pinocchio as pin
@@ -31,73 +32,66 @@ MOVING = ("revolute", "continuous", "prismatic")
 _LINK = "link:"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Chain:
-    """The path between two links as a serial chain of n moving joints."""
+#: Where an <origin> is in a placement: before, after, inverted; before @ origin (or its inverse) @ after.
+Around: TypeAlias = tuple[Array, Array, bool]
 
-    #: The moving joints, base to tip; those of the base's side with their axis turned round.
-    joints: tuple[UrdfJoint, ...]
-    placements: Array  #: shape (n + 1, 4, 4), [m]: of each joint in the one before it, of the tip in the last joint.
-    #: For each placement the URDF joint whose ``<origin>`` holds it, or None.
-    carriers: tuple[str | None, ...]
-    T_root_base: Array  #: shape (4, 4), [m], pose of the base in the frame that the first placement is given in.
-    #: For each placement before, after and inverted: it is before @ origin @ after, or before @ origin^-1 @ after
-    #: where the origin stands inverted in it; poses of shape (4, 4), [m].
-    around: tuple[tuple[Array, Array, bool], ...]
-    base_moves: bool  #: Whether joints lie on the base's side; the first placement is then given in the base.
+#: joints, placements, carriers, T_root_base, around, base_moves, see `calib.robot.robot.Robot`.
+Geometry: TypeAlias = tuple[
+    tuple[UrdfJoint, ...], Array, tuple[str | None, ...], Array, tuple[Around, ...], bool
+]
 
-    @classmethod
-    def of(cls, urdf: Urdf, base: str, tip: str) -> Chain:
-        """The chain between two links of a URDF.
 
-        Raises:
-            UrdfError: No such link, no moving joint between them, or one with more than one coordinate; or
-                Pinocchio cannot build a model of the URDF.
-        """
-        path = _path(urdf, base, tip)
-        moving = [step for step in path if step.joint.type != "fixed"]
-        wrong = [step.joint for step in moving if step.joint.type not in MOVING]
-        if not moving or wrong:
-            fault = "no joint moves"
-            if wrong:
-                fault = f"joint '{wrong[0].name}' of type '{wrong[0].type}' is not one of {choices(MOVING)}"
-            raise UrdfError(
-                f"{urdf.source}: {fault} between the base '{base}' and the tip '{tip}'. Name two links with the arm "
-                f"between them by --base and --tip; the links are {choices(urdf.links)}."
+def chain_between(urdf: Urdf, base: str, tip: str) -> Geometry:
+    """The path between two links as a serial chain of n moving joints.
+
+    Raises:
+        UrdfError: No such link, no moving joint between them, or one with more than one coordinate; or
+            Pinocchio cannot build a model of the URDF.
+    """
+    path = _path(urdf, base, tip)
+    moving = [step for step in path if step.joint.type != "fixed"]
+    wrong = [step.joint for step in moving if step.joint.type not in MOVING]
+    if not moving or wrong:
+        fault = "no joint moves"
+        if wrong:
+            fault = (
+                f"joint '{wrong[0].name}' of type '{wrong[0].type}' is not one of {choices(MOVING)}"
             )
-        _built_model(urdf)  # which refuses what Pinocchio cannot read, or reads otherwise
-        T_root_base, base_moves = np.eye(4), moving[0].up
-        if (
-            not base_moves
-        ):  # then the chain starts in the URDF's root, joints above the base at zero
-            T_root_base = _product(_path(urdf, urdf.root, base))
-            path = _path(urdf, urdf.root, tip)
-        names = {step.joint.name for step in moving}
-        groups: list[list[_Step]] = [[]]  # the origins that each placement is the product of
-        for step in path:
-            if step.joint.name in names and step.up:  # it moves first, its origin comes behind it
-                groups.append([])
-            groups[-1].append(step)
-            if step.joint.name in names and not step.up:
-                groups.append([])
-        carriers: list[str | None] = []
-        around = []
-        for k, group in enumerate(groups):
-            # A moving joint's own origin, at the chain's ends else that of the fixed joint next to the moving one, so
-            # that all that is mounted behind it moves along.
-            last = k == 0 or (k < len(moving) and not moving[k].up)
-            carrier = group[-1 if last else 0] if group else None
-            before, after = (group[:-1], []) if last else ([], group[1:])
-            around.append((_product(before), _product(after), carrier is not None and carrier.up))
-            carriers.append(None if carrier is None else carrier.joint.name)
-        return cls(
-            tuple(step.path_joint for step in moving),
-            read_only([_product(group) for group in groups]),
-            tuple(carriers),
-            read_only(T_root_base),
-            tuple(around),
-            base_moves,
+        raise UrdfError(
+            f"{urdf.source}: {fault} between the base '{base}' and the tip '{tip}'. Name two links with the arm "
+            f"between them by --base and --tip; the links are {choices(urdf.links)}."
         )
+    _built_model(urdf)  # which refuses what Pinocchio cannot read, or reads otherwise
+    T_root_base, base_moves = np.eye(4), moving[0].up
+    if not base_moves:  # then the chain starts in the URDF's root, joints above the base at zero
+        T_root_base = _product(_path(urdf, urdf.root, base))
+        path = _path(urdf, urdf.root, tip)
+    names = {step.joint.name for step in moving}
+    groups: list[list[_Step]] = [[]]  # the origins that each placement is the product of
+    for step in path:
+        if step.joint.name in names and step.up:  # it moves first, its origin comes behind it
+            groups.append([])
+        groups[-1].append(step)
+        if step.joint.name in names and not step.up:
+            groups.append([])
+    carriers: list[str | None] = []
+    around = []
+    for k, group in enumerate(groups):
+        # A moving joint's own origin, at the chain's ends else that of the fixed joint next to the moving one, so
+        # that all that is mounted behind it moves along.
+        last = k == 0 or (k < len(moving) and not moving[k].up)
+        carrier = group[-1 if last else 0] if group else None
+        before, after = (group[:-1], []) if last else ([], group[1:])
+        around.append((_product(before), _product(after), carrier is not None and carrier.up))
+        carriers.append(None if carrier is None else carrier.joint.name)
+    return (
+        tuple(step.path_joint for step in moving),
+        read_only([_product(group) for group in groups]),
+        tuple(carriers),
+        read_only(T_root_base),
+        tuple(around),
+        base_moves,
+    )
 
 
 def read_only(values: ArrayLike | Sequence[Array]) -> Array:

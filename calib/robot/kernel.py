@@ -241,27 +241,17 @@ def over_blocks(work: Callable[[slice], T], count: int) -> list[T]:
         if len(parts) < 2 or size == len(parts):
             return [work(part) for part in parts]
         shares = [parts[k : k + size] for k in range(0, len(parts), size)]
-        done = _pool().map(lambda share: [work(part) for part in share], shares)
-        return [one for share in done for one in share]
+        with ThreadPoolExecutor(len(shares), thread_name_prefix="calib-blocks") as pool:
+            done = pool.map(lambda share: [work(part) for part in share], shares)
+            return [one for share in done for one in share]
 
 
 @cache
 def _cores() -> int:
     """As many as this process may use, or as OMP_NUM_THREADS says."""
-    asked = os.environ.get("OMP_NUM_THREADS", "")
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return max(int(asked) if asked.isdecimal() else (cores or 1), 1)
-
-
-@cache
-def _pool() -> ThreadPoolExecutor:
-    """The threads that wait for work."""
-    return ThreadPoolExecutor(_cores(), thread_name_prefix="calib-blocks")
-
-
-if hasattr(os, "register_at_fork"):
-    # A forked process has none of its parent's threads.
-    os.register_at_fork(after_in_child=_pool.cache_clear)
+    wanted = os.environ.get("OMP_NUM_THREADS", "")
+    affinity = getattr(os, "sched_getaffinity", lambda _pid: range(os.cpu_count() or 1))
+    return max(int(wanted) if wanted.isdecimal() else len(affinity(0)), 1)
 
 
 @cache

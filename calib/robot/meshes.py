@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import math
 import os
 import sys
@@ -10,7 +9,6 @@ import urllib.parse
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 from xml.etree.ElementTree import Element
@@ -20,7 +18,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from pinocchio import hppfcl
 
-from calib.robot.urdf import Urdf
+from calib.robot.urdf import Urdf, robot_data_urdfs
 from calib.robot.xacro_file import listed_folders, packages_in
 
 Array = NDArray[np.float64]
@@ -60,12 +58,8 @@ class LinkShape:
         except ValueError:
             return None
         wanted = 3 if self.geometry.tag == "box" else len(words)
-        return found if found and len(found) == wanted and _positive(found) else None
-
-
-def _positive(values: Iterable[float]) -> bool:
-    """Whether all are finite and above zero."""
-    return all(0.0 < value < math.inf for value in values)
+        valid = len(found) == wanted and all(0.0 < size < math.inf for size in found)
+        return found if found and valid else None
 
 
 def link_shapes(urdf: Urdf, kind: Literal["visual", "collision"]) -> Iterator[LinkShape]:
@@ -91,7 +85,9 @@ def mesh_folders(urdf: Urdf, package_dirs: Iterable[str | Path] = ()) -> tuple[P
         folders += urdf.path.resolve().parents
     folders += listed_folders("ROS_PACKAGE_PATH")
     folders += [prefix / "share" for prefix in listed_folders("AMENT_PREFIX_PATH")]
-    folders += [*_robot_data_shares(), Path(sys.prefix) / "share"]
+    shares = (folder for path in robot_data_urdfs().values() for folder in path.parents)
+    folders += [folder for folder in shares if folder.name == "share"][:1]
+    folders.append(Path(sys.prefix) / "share")
     return tuple(dict.fromkeys(folders))
 
 
@@ -162,17 +158,3 @@ def numbers(text: str | None, default: tuple[float, float, float]) -> tuple[floa
     except ValueError:
         return default
     return (x, y, z) if all(map(math.isfinite, (x, y, z))) else default
-
-
-@lru_cache(maxsize=1)
-def _robot_data_shares() -> tuple[Path, ...]:
-    """The ``share`` folder of the installed example-robot-data, from its list of files, which is long; or none."""
-    try:
-        files = importlib.metadata.files("example-robot-data") or []
-    except importlib.metadata.PackageNotFoundError:
-        return ()
-    for file in files:
-        for i, pair in enumerate(zip(file.parts, file.parts[1:], strict=False)):
-            if pair == ("share", "example-robot-data"):
-                return (Path(str(file.locate())).parents[len(file.parts) - i - 2],)
-    return ()

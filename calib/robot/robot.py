@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from calib.errors import ModelError, UrdfError, choices
 from calib.robot import kernel
-from calib.robot.chain import Chain, farthest_link, read_only, rigid_inverse
+from calib.robot.chain import Around, chain_between, farthest_link, read_only, rigid_inverse
 from calib.robot.coupling import all_values, checked_held, coupling
 from calib.robot.urdf import Urdf, UrdfJoint, read_urdf
 
@@ -40,16 +40,25 @@ class Robot:
     Two are equal when URDF, base, tip and held joints are.
     """
 
+    #: The n moving joints, base to tip, mimic and held ones too; those on the base's side with the axis turned round.
+    joints: tuple[UrdfJoint, ...] = field(compare=False)
+    #: Shape (n + 1, 4, 4), [m]; see the module's text. The last one is the tip's.
+    placements: NDArray[np.float64] = field(compare=False)
+    #: For each placement the URDF joint whose ``<origin>`` holds it; None where a moving joint carries the end.
+    carriers: tuple[str | None, ...] = field(compare=False)
+    #: Pose of the base, (4, 4), [m], where the chain starts: the URDF's root, or a base that its joints move.
+    T_root_base: NDArray[np.float64] = field(compare=False)
+    _around: tuple[Around, ...] = field(compare=False)
+    base_moves: bool = field(compare=False)  #: Whether joints lie on the base's side.
     urdf: Urdf  #: The URDF that describes this robot; always in step with ``placements``.
     base: str  #: Link in whose frame poses are given.
     tip: str  #: Link whose pose is given.
-    _held: tuple[tuple[str, float], ...] = field(repr=False)
-    _chain: Chain = field(repr=False, compare=False)
+    _held: tuple[tuple[str, float], ...]
     #: The joint of each column of q, m of them; a driver that lies outside the chain is among them.
-    inputs: tuple[UrdfJoint, ...] = field(repr=False, compare=False)
+    inputs: tuple[UrdfJoint, ...] = field(compare=False)
     #: A of q_chain = A q + b, shape (n, m): how the joints of the chain follow the columns of q.
-    coupling: NDArray[np.float64] = field(repr=False, compare=False)
-    _offset: NDArray[np.float64] = field(repr=False, compare=False)
+    coupling: NDArray[np.float64] = field(compare=False)
+    _offset: NDArray[np.float64] = field(compare=False)
 
     @classmethod
     def load(
@@ -94,8 +103,8 @@ class Robot:
         kept = checked_held(urdf, held)
         base = urdf.root if base is None else base
         tip = farthest_link(urdf, base, measured, dict(kept)) if tip is None else tip
-        chain = Chain.of(urdf, base, tip)
-        return cls(urdf, base, tip, kept, chain, *coupling(urdf, chain.joints, dict(kept)))
+        chain = chain_between(urdf, base, tip)
+        return cls(*chain, urdf, base, tip, kept, *coupling(urdf, chain[0], dict(kept)))
 
     def rebuilt(
         self, urdf: Urdf | None = None, base: str | None = None, tip: str | None = None
@@ -116,31 +125,6 @@ class Robot:
     def name(self) -> str:
         """The robot's name in the URDF."""
         return self.urdf.name
-
-    @property
-    def joints(self) -> tuple[UrdfJoint, ...]:
-        """The n moving joints, base to tip, mimic and held ones too; those on the base's side with the axis turned."""
-        return self._chain.joints
-
-    @property
-    def placements(self) -> NDArray[np.float64]:
-        """Shape (n + 1, 4, 4), [m]; see the module's text. The last one is the tip's."""
-        return self._chain.placements
-
-    @property
-    def carriers(self) -> tuple[str | None, ...]:
-        """For each placement the URDF joint whose ``<origin>`` holds it; None where a moving joint carries the end."""
-        return self._chain.carriers
-
-    @property
-    def T_root_base(self) -> NDArray[np.float64]:
-        """Pose of the base, (4, 4), [m], where the chain starts: the URDF's root, or a base that its joints move."""
-        return self._chain.T_root_base
-
-    @property
-    def base_moves(self) -> bool:
-        """Whether joints of the chain lie on the base's side, so that they move the base in the URDF's root."""
-        return self._chain.base_moves
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -231,7 +215,7 @@ class Robot:
                         "and a link to the URDF."
                     )
                 placements[i] = self.placements[i]
-        moved = replace(self, _chain=replace(self._chain, placements=read_only(placements)))
+        moved = replace(self, placements=read_only(placements))
         was = self.origins()
         origins = {name: T for name, T in moved.origins().items() if (was[name] != T).any()}
         return replace(moved, urdf=self.urdf.with_origins(origins))
@@ -239,7 +223,7 @@ class Robot:
     def origins(self) -> dict[str, NDArray[np.float64]]:
         """The ``<origin>`` of each URDF joint that carries a placement, shape (4, 4), [m]."""
         origins = {}
-        for P, carrier, how in zip(self.placements, self.carriers, self._chain.around, strict=True):
+        for P, carrier, how in zip(self.placements, self.carriers, self._around, strict=True):
             before, after, inverted = how
             if carrier is not None:
                 factor = rigid_inverse(before) @ P @ rigid_inverse(after)

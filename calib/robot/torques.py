@@ -32,9 +32,8 @@ class Payload:
     """
 
     mass: float  #: [kg].
-    com: Array = field(
-        default_factory=lambda: np.zeros(3)
-    )  #: shape (3,), its centre of mass in the tip [m].
+    #: shape (3,), its centre of mass in the tip [m].
+    com: Array = field(default_factory=lambda: np.zeros(3))
 
     def __post_init__(self) -> None:
         """Copy the centre of mass and check the numbers."""

@@ -7,6 +7,7 @@ import importlib.metadata
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from xml.etree.ElementTree import Element as AnyElement
 
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from calib.errors import UrdfError, choices, did_you_mean
 from calib.files import check_no_xacro, read_bytes, write_atomically
 from calib.robot.urdf_joints import UrdfJoint, read_tree
-from calib.robot.urdf_xml import Document, Element
+from calib.robot.urdf_xml import Document
 from calib.robot.xacro_file import XacroCall, flattened, is_xacro
 
 __all__ = ["SAME", "Urdf", "UrdfJoint"]
@@ -26,8 +27,6 @@ FloatArray = NDArray[np.float64]
 
 SAME = 1e-14
 """Entries of two poses that differ by no more than this are the same [m; rotation matrices: 1]."""
-
-_NOT_A_ROTATION = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,24 +128,29 @@ class Urdf:
             origins: Pose of the joint's frame in its parent link, (4, 4) [m], by joint name.
 
         Raises:
-            UrdfError: A name is not that of a joint, or a matrix is not a pose.
+            UrdfError: A name is not that of a joint.
         """
         elements = self._document.root.all("joint")
         patches: list[tuple[int, int, bytes]] = []
-        for name, T_parent_joint in origins.items():
-            index = self._joint_index(name)
-            T_new = _pose(T_parent_joint, f"origin of joint '{name}'")
-            T_now = self.joints[index].T_parent_joint
-            patches += _patch(self._document, elements[index], T_now, T_new)
-        if not patches:
-            return self
-        return Urdf._from_document(self._document.patched(patches), self.path)
+        for name, T in origins.items():
+            joint = elements[self._joint_index(name)]
+            differs = np.abs(T - self.joint(name).T_parent_joint) > SAME
+            changed = {"xyz": differs[:3, 3].any(), "rpy": differs[:3, :3].any()}
+            values = {key: text for key, text in _xyz_rpy(T).items() if changed[key]}
+            origin = next(iter(joint.all("origin")), None)
+            if values and origin is not None:
+                new = self._document.start_tag_with(origin, values)
+                patches.append((origin.start, origin.end, new))
+            elif values:
+                margin = self._document.line_head(joint.children[0].start) or b""
+                patches.append((joint.end, joint.end, margin + _origin_tag(T)))
+        return Urdf._from_document(self._document.patched(patches), self.path) if patches else self
 
     def with_link(self, name: str, parent: str, T_parent_link: FloatArray) -> Urdf:
         """The URDF with a massless link fixed to ``parent`` by ``<name>_joint``, written just before ``</robot>``.
 
         Raises:
-            UrdfError: ``parent`` is not a link, a name is taken or empty, or T_parent_link, (4, 4) [m], is no pose.
+            UrdfError: ``parent`` is not a link, or a name is taken or empty.
         """
         self._check_link(parent)
         joint_name = f"{name}_joint"
@@ -155,7 +159,6 @@ class Urdf:
                 f"no link can be added to {self.source} as '{name}': that name is empty or taken, "
                 f"or the name of its joint, '{joint_name}', is; choose another or use with_origins"
             )
-        T = _pose(T_parent_link, f"pose of link '{name}'")
         document = self._document
         link, joint = document.quoted(name), document.quoted(joint_name)
         lines = (
@@ -163,7 +166,7 @@ class Urdf:
             (0, b"<joint name=" + joint + b' type="fixed">'),
             (1, b"<parent link=" + document.quoted(parent) + b"/>"),
             (1, b"<child link=" + link + b"/>"),
-            (1, _origin_tag(T)),
+            (1, _origin_tag(T_parent_link)),
             (0, b"</joint>"),
         )
         close = document.root.close
@@ -209,18 +212,6 @@ class Urdf:
         )
 
 
-def _pose(matrix: FloatArray, what: str) -> FloatArray:
-    """A (4, 4) pose out of what was given; UrdfError if it is none."""
-    T = np.asarray(matrix, dtype=np.float64)
-    if T.shape == (4, 4) and np.isfinite(T).all() and (T[3] == (0, 0, 0, 1)).all():
-        R = T[:3, :3]
-        if np.abs(R.T @ R - np.eye(3)).max() <= _NOT_A_ROTATION and np.linalg.det(R) > 0:
-            return T
-    raise UrdfError(
-        f"{what}: {T.tolist()} is no pose; a (4, 4) matrix of a rotation and a translation is wanted"
-    )
-
-
 def _xyz_rpy(T: FloatArray) -> dict[str, str]:
     """The attributes of an <origin>, read back exactly; Pinocchio's rpy is accurate at pitch = +-pi/2, too."""
     values = {"xyz": T[:3, 3], "rpy": pin.rpy.matrixToRpy(T[:3, :3])}
@@ -230,21 +221,6 @@ def _xyz_rpy(T: FloatArray) -> dict[str, str]:
 def _origin_tag(T: FloatArray) -> bytes:
     """A whole <origin/>."""
     return '<origin xyz="{xyz}" rpy="{rpy}"/>'.format(**_xyz_rpy(T)).encode()
-
-
-def _patch(
-    document: Document, joint: Element, T_now: FloatArray, T_new: FloatArray
-) -> list[tuple[int, int, bytes]]:
-    """What to write for a new origin, and over which bytes; empty if nothing changes."""
-    differs = np.abs(T_new - T_now) > SAME
-    changed = {"xyz": differs[:3, 3].any(), "rpy": differs[:3, :3].any()}
-    if not any(changed.values()):
-        return []
-    for origin in joint.all("origin"):
-        values = {key: text for key, text in _xyz_rpy(T_new).items() if changed[key]}
-        return [(origin.start, origin.end, document.start_tag_with(origin, values))]
-    margin = document.line_head(joint.children[0].start) or b""
-    return [(joint.end, joint.end, margin + _origin_tag(T_new))]
 
 
 def read_urdf(source: str | Path) -> Urdf:
@@ -266,23 +242,25 @@ def read_urdf(source: str | Path) -> Urdf:
         ) from error
 
 
-def find_urdf(source: str | Path) -> Path:
-    """The URDF file that a path or a robot's name means.
-
-    A name is looked for in the file list of the installed ``example-robot-data`` package, as
-    ``<name>_robot.urdf`` and then ``<name>.urdf``: that package's own loader returns a UR5 for ``"ur3"``.
-
-    Raises:
-        UrdfError: Neither a file nor a known robot.
-    """
-    path = Path(source)
-    if path.suffix or len(path.parts) != 1 or os.path.isfile(path):  # noqa: PTH113  of any length
-        return path
+@lru_cache(maxsize=1)
+def robot_data_urdfs() -> dict[str, Path]:
+    """The URDF files of the installed example-robot-data by name, from its list of files, which is long."""
     try:
         files = importlib.metadata.files("example-robot-data") or []
     except importlib.metadata.PackageNotFoundError:
         files = []
-    urdfs = {file.name: Path(str(file.locate())) for file in files if file.suffix == ".urdf"}
+    return {file.name: Path(str(file.locate())) for file in files if file.suffix == ".urdf"}
+
+
+def find_urdf(source: str | Path) -> Path:
+    """The URDF file that a path, or the name of a robot of example-robot-data, means; UrdfError without.
+
+    ``<name>_robot.urdf`` comes before ``<name>.urdf``: that package's own loader returns a UR5 for ``"ur3"``.
+    """
+    path = Path(source)
+    if path.suffix or len(path.parts) != 1 or os.path.isfile(path):  # noqa: PTH113  of any length
+        return path
+    urdfs = robot_data_urdfs()
     for name in (f"{source}_robot.urdf", f"{source}.urdf"):
         if name in urdfs:
             return urdfs[name]
