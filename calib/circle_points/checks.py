@@ -11,7 +11,8 @@ centre is not known exactly turns once per turn too: the centre's covariance is 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -198,9 +199,23 @@ def check_pairs(
 
 # Findings
 
+Code = Literal["gross", "correlated", "scatter", "gain", "eccentricity", "downwards", "below"]
 
-def side_findings(sweep: Sweep, plane: Plane, first: Circle, robot: Robot | None) -> Iterator[str]:
-    """A sentence, or a refusal, where axis 1 does not point from the plane towards its circle, as the URDF's does.
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What is not as it should be of a sweep: a code, where, how, and its numbers [mm, mrad]."""
+
+    code: Code
+    where: str
+    how: str = ""
+    values: dict[str, float] = field(default_factory=dict)
+
+
+def side_findings(
+    sweep: Sweep, plane: Plane, first: Circle, robot: Robot | None
+) -> Iterator[Finding]:
+    """A finding, or a refusal, where axis 1 does not point from the plane towards its circle, as the URDF's does.
 
     Raises:
         MeasurementError: With a robot and without joint values: then the order of the rows is the wrong way round.
@@ -212,78 +227,32 @@ def side_findings(sweep: Sweep, plane: Plane, first: Circle, robot: Robot | None
         height *= float(np.sign((T[:3, :3] @ np.asarray(robot.joints[0].axis))[2]))
     if height > 0.0:
         return
-    if robot is None:
-        yield (
-            f"{sweep.where}: z points from the circle towards the plane. If the robot stands on it and joint 1 turns "
-            "anticlockwise seen from above, the rows are in the order of decreasing joint angle."
-        )
-    elif sweep.joints is None:
+    if robot is not None and sweep.joints is None:
         raise MeasurementError(
             f"{sweep.where}: seen from the plane the joint turns the other way than in the URDF. {_ORDER}"
         )
-    else:
-        yield (
-            f"{sweep.where}: the circle lies below the plane z = 0 of the base. If the robot stands on that plane, the "
-            "joint's sign differs from the URDF's."
-        )
+    yield Finding("downwards" if robot is None else "below", sweep.where)
 
 
-def findings(
-    sweep: Sweep, figure: Plane, label: str, turned: Turning | None = None
-) -> Iterator[str]:
-    """Sentences on a sweep: gross rows, neighbours that err alike, a bent surface, noise, a joint's own errors."""
+def findings(sweep: Sweep, figure: Plane, turned: Turning | None = None) -> Iterator[Finding]:
+    """Gross rows, neighbours that err alike, noise beyond sigma, a joint's own errors."""
     used, scatter = figure.used, figure.scatter
     off = np.linalg.norm(figure.residuals, axis=1)
     for i in np.flatnonzero(figure.gross):
-        yield (
-            f"{sweep.source}, {sweep.counted} {sweep.rows[i]} (sweep '{sweep.name}') is {1e3 * off[i]:.3g} mm off and "
-            f"{'counts all the same' if used[i] else 'left out'}: measure it again."
-        )
-    for e, way in zip(figure.residuals[used].T, ("radially", "axially"), strict=False):
-        correlation = float(e[1:] @ e[:-1] / (e @ e)) if np.any(e) else 0.0
-        tail = ndtr(-correlation * np.sqrt(len(e)))
-        if isinstance(figure, Circle) and len(e) >= 10 and tail < 0.5 * LEVEL:
-            yield (
-                f"{sweep.where}: neighbouring points of '{label}' err alike {way} (correlation {correlation:.2f}): "
-                "that is no noise, so the stated uncertainty is too small. Look for a worn bearing, play, bending, "
-                "drift, or a target or tracker that moved."
-            )
-    bent, tail = (0.0, 1.0) if isinstance(figure, Circle) else _bent(sweep, figure)
-    if tail < LEVEL:
-        yield (
-            f"{sweep.where}: the surface is not flat but bent, by {1e3 * bent:.2g} mm over its points. Touch it where "
-            "the robot stands on it."
-        )
+        where = f"{sweep.source}, {sweep.counted} {sweep.rows[i]} (sweep '{sweep.name}')"
+        how = "used all the same" if used[i] else "left out"
+        yield Finding("gross", where, how, {"off_mm": 1e3 * float(off[i])})
+    if isinstance(figure, Circle) and used.sum() >= 10:
+        for e, way in zip(figure.residuals[used].T, ("radially", "axially"), strict=True):
+            correlation = float(e[1:] @ e[:-1] / (e @ e)) if np.any(e) else 0.0
+            if ndtr(-correlation * np.sqrt(len(e))) < 0.5 * LEVEL:
+                yield Finding("correlated", sweep.where, way, {"correlation": correlation})
     if scatter.contradicted and scatter.given is not None:
-        yield (
-            f"{sweep.where}: the points scatter by {1e3 * scatter.estimate:.3g} mm, sigma says "
-            f"{1e3 * scatter.given:.3g} mm. The uncertainty is that of the scatter."
-        )
+        values = {"scatter_mm": 1e3 * scatter.estimate, "sigma_mm": 1e3 * scatter.given}
+        yield Finding("scatter", sweep.where, values=values)
     if turned is not None and turned.gain_found:
-        yield (
-            f"'{label}' turns {1e3 * abs(turned.gain):.3f} mrad per rad {'further' if turned.gain > 0 else 'less'} "
-            f"than its values say (standard deviation {1e3 * turned.gain_std:.3f} mrad): a gear gain (--model dh+gain)."
-        )
+        values = {"gain": 1e3 * turned.gain, "std": 1e3 * turned.gain_std}
+        yield Finding("gain", sweep.where, values=values)
     if turned is not None and turned.eccentricity_found:
-        yield (
-            f"'{label}' is off by {1e3 * turned.eccentricity:.3f} mrad once per turn (standard deviation "
-            f"{1e3 * turned.eccentricity_std:.3f} mrad): an eccentric encoder (--model dh+eccentricity), or a target "
-            "that moved on its link in the middle of the sweep."
-        )
-
-
-def _bent(sweep: Sweep, plane: Plane) -> tuple[float, float]:
-    """By how much a quadratic surface through the points bends [m], and the tail of its F test."""
-    used = plane.used
-    x, y, z = ((sweep.points[used] - plane.point) @ plane.basis).T
-    root = np.ones(len(x)) if sweep.sigma is None else 1.0 / sweep.sigma[used]
-    square = np.column_stack([x * x, x * y, y * y])
-    flat = root[:, None] * np.column_stack([np.ones_like(x), x, y])
-    Q = np.linalg.qr(flat)[0]
-    left, bowl = (a - Q @ (Q.T @ a) for a in (root * z, root[:, None] * square))
-    b, _, rank, _ = np.linalg.lstsq(bowl, left, rcond=1e-8)
-    drop, freedom = float(left @ (bowl @ b)), len(x) - 6
-    if freedom < 3 or rank == 0 or drop <= 0.0:
-        return 0.0, 1.0
-    rest = max(float(left @ left) - drop, np.finfo(np.float64).eps * float(left @ left))
-    return float(np.ptp(square @ b)), float(fdtrc(rank, freedom, drop / rank / (rest / freedom)))
+        values = {"eccentricity": 1e3 * turned.eccentricity, "std": 1e3 * turned.eccentricity_std}
+        yield Finding("eccentricity", sweep.where, values=values)

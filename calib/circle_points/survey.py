@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.circle_points import checks
-from calib.circle_points.checks import Turning, positive, turning
+from calib.circle_points.checks import Finding, Turning, positive, turning
 from calib.circle_points.fits import Circle, Plane, fit_circle, fit_plane
 from calib.circle_points.frame import (
     NUMBERS,
@@ -90,7 +90,7 @@ class Survey:
         joints: The swept joints, in the order of the chain.
         rows: The DH rows of the joints that follow each other from the first one.
         at_zero: Whether these are at the joints' zero; else at the pose in which the sweeps were measured.
-        findings: Sentences on what is not as it should be.
+        findings: What is not as it should be.
     """
 
     frame: BaseFrame
@@ -99,7 +99,7 @@ class Survey:
     joints: tuple[JointAxis, ...]
     rows: tuple[AxisRow, ...]
     at_zero: bool
-    findings: tuple[str, ...]
+    findings: tuple[Finding, ...]
 
 
 def survey(
@@ -173,9 +173,9 @@ def survey(
         AxisRow(sweeps.label(i), row, std[i], None if nominal is None else nominal.rows[i])
         for i, row in enumerate(found)
     )
-    findings += checks.findings(touched, plane, touched.name)
+    findings += checks.findings(touched, plane)
     for axis in axes:
-        findings += checks.findings(axis.sweep, axis.circle, axis.name, axis.turning)
+        findings += checks.findings(axis.sweep, axis.circle, axis.turning)
     return Survey(frame, plane, touched, axes, rows, values is not None, tuple(findings))
 
 

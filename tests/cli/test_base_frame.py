@@ -54,7 +54,7 @@ def test_the_frame_is_printed_with_how_well_it_is_known(call, bench: Path):
         "Turned against its own values",
         "alpha 90.00",
         "(151.9000)",
-        "The residuals look like noise",
+        "the residuals look like noise",
     ):
         assert said in text
     assert max(map(len, done.lines)) <= 100
@@ -125,7 +125,7 @@ def test_findings_are_printed(call, bench: Path):
     assert "Findings: - bad.csv, row 30 (sweep 'shoulder_pan_joint') is " in text
     assert "left out: measure it again." in text
     kept = call(bench, "base-frame", "bad.csv", *ROBOT, "--no-robust")
-    assert "counts all the same" in " ".join(kept.out.split())
+    assert "used all the same" in " ".join(kept.out.split())
 
 
 def test_quiet_and_force(call, bench: Path):

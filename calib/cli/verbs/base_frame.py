@@ -61,7 +61,7 @@ def base_frame(
         str,
         typer.Option(
             metavar='"LENGTH"',
-            help="How far the plane's points stand off it, towards the robot: the ball's radius, \"19.05 mm\".",
+            help='Offset of the probe centre from the plane: the ball\'s radius, "19.05 mm".',
         ),
     ] = "0 mm",
     carry: Annotated[
@@ -85,19 +85,13 @@ def base_frame(
     ] = None,
     json: Annotated[Path | None, typer.Option("--json", help="Write all of it as JSON.")] = None,
     robust: Annotated[
-        bool, typer.Option("--robust/--no-robust", help="Leave gross rows out, and name them.")
+        bool, typer.Option("--robust/--no-robust", help="Reject and report outliers.")
     ] = True,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
     """See the text of `verb`."""
-    from calib.circle_points.files import (
-        carried,
-        carried_text,
-        cell_text,
-        survey_table,
-        survey_text,
-    )
+    from calib.circle_points.files import carried, cell_text, survey_table
     from calib.circle_points.survey import survey
     from calib.circle_points.sweeps import read_sweeps
     from calib.cli.setup import check_outputs, parse_amount, parse_columns, parse_sweeps
@@ -105,6 +99,7 @@ def base_frame(
     from calib.files import write_atomically
     from calib.result.calibration_file import write_table
     from calib.robot.robot import Robot
+    from calib.text.base_frame import carried_text, survey_text
 
     if (carry is None) != (output is None) or (carry_points is not None and carry is None):
         raise CalibError(
