@@ -21,68 +21,46 @@ if TYPE_CHECKING:
         calibrate as calibrate,
         compare as compare,
     )
-    from calib.circle_points.survey import Survey as Survey, survey as survey
-    from calib.circle_points.sweeps import Sweeps as Sweeps, read_sweeps as read_sweeps
+    from calib.circle_points.survey import base_frame as base_frame
     from calib.compensation.commands import Commands as Commands, compensate as compensate
     from calib.compensation.program import Program as Program
-    from calib.data.cell import Cell as Cell, GroupDistance as GroupDistance, Priors as Priors
+    from calib.data.cell import Cell as Cell
     from calib.data.measurements import Measurements as Measurements
-    from calib.data.surroundings import (
-        Box as Box,
-        Reflector as Reflector,
-        Tracker as Tracker,
-        TrackerNoise as TrackerNoise,
-    )
-    from calib.design.forecast import forecast as forecast
     from calib.design.optimal import PlanRequest as PlanRequest
     from calib.design.plan import Plan as Plan, plan as plan
     from calib.design.region import Region as Region
-    from calib.design.workspace import Density as Density, workspace as workspace
+    from calib.design.workspace import workspace as workspace
     from calib.errors import CalibError as CalibError
-    from calib.fleets.fleet import (
-        Fleet as Fleet,
-        FleetOptions as FleetOptions,
-        FleetRobot as FleetRobot,
-        fleet as fleet,
-    )
+    from calib.estimate.inspection import inspect as inspect
+    from calib.fleets.fleet import fleet as fleet
     from calib.formats.convert import convert as convert
-    from calib.result.acceptance import Acceptance as Acceptance, acceptance as acceptance
     from calib.result.evaluation import Evaluation as Evaluation, evaluate as evaluate
-    from calib.result.uncertainty import (
-        bootstrap as bootstrap,
-        profile_interval as profile_interval,
-        workspace_uncertainty as workspace_uncertainty,
-    )
+    from calib.result.uncertainty import bootstrap as bootstrap
     from calib.robot.robot import Robot as Robot
-    from calib.robot.torques import Payload as Payload
     from calib.simulation.scenario import Scenario as Scenario, simulate as simulate
     from calib.viewer.live import view as view
 
 from calib.version import __version__ as __version__
 
-#: Where each public name is defined.
+#: Where each public name is defined; the functions have the names of the command line's verbs.
 _NAMES = {
-    "calib.circle_points.survey": "Survey survey",
-    "calib.circle_points.sweeps": "Sweeps read_sweeps",
     "calib.calibration": "Calibration Comparison calibrate compare",
+    "calib.circle_points.survey": "base_frame",
     "calib.compensation.commands": "Commands compensate",
     "calib.compensation.program": "Program",
-    "calib.design.forecast": "forecast",
+    "calib.data.cell": "Cell",
+    "calib.data.measurements": "Measurements",
     "calib.design.optimal": "PlanRequest",
     "calib.design.plan": "Plan plan",
     "calib.design.region": "Region",
-    "calib.design.workspace": "Density workspace",
+    "calib.design.workspace": "workspace",
     "calib.errors": "CalibError",
-    "calib.fleets.fleet": "Fleet FleetOptions FleetRobot fleet",
+    "calib.estimate.inspection": "inspect",
+    "calib.fleets.fleet": "fleet",
     "calib.formats.convert": "convert",
-    "calib.result.acceptance": "Acceptance acceptance",
     "calib.result.evaluation": "Evaluation evaluate",
-    "calib.result.uncertainty": "bootstrap profile_interval workspace_uncertainty",
-    "calib.data.cell": "Cell GroupDistance Priors",
-    "calib.data.measurements": "Measurements",
-    "calib.data.surroundings": "Box Reflector Tracker TrackerNoise",
+    "calib.result.uncertainty": "bootstrap",
     "calib.robot.robot": "Robot",
-    "calib.robot.torques": "Payload",
     "calib.simulation.scenario": "Scenario simulate",
     "calib.viewer.live": "view",
 }

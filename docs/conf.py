@@ -92,17 +92,13 @@ _ATTRIBUTE = re.compile(r"(\.\. attribute:: \w+\n)\n((?:   .*\n|\n)*?)   :type: 
 
 #: Classes of calib that only its functions make.
 _GIVEN = {
-    "Acceptance",
     "Calibration",
     "Commands",
     "Comparison",
-    "Density",
     "Evaluation",
     "Plan",
 } | {
     "Robot",
-    "Study",
-    "Survey",
 }
 
 #: What other packages' names begin with. They are shown as text: their pages lie elsewhere.

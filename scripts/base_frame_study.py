@@ -27,8 +27,8 @@ from calib.calibration import calibrate
 from calib.circle_points.checks import positive
 from calib.circle_points.files import carried
 from calib.circle_points.fits import fit_circle, fit_plane
-from calib.circle_points.frame import BaseFrame, base_frame, nominal_axes, nominal_axes_frame
-from calib.circle_points.survey import survey
+from calib.circle_points.frame import BaseFrame, frame_of, nominal_axes, nominal_axes_frame
+from calib.circle_points.survey import base_frame
 from calib.circle_points.sweeps import Sweep
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
@@ -183,7 +183,7 @@ def frame_runs(case: Case, runs: int, seed: int) -> tuple[Array, NDArray[np.bool
         first, second = (
             positive(_moved(sweep, p), fit_circle(p, sigma)) for sweep, p, sigma in figures[1:]
         )
-        return base_frame(plane, first, second, T_base_axes=T_base_axes)
+        return frame_of(plane, first, second, T_base_axes=T_base_axes)
 
     none = [np.zeros(sweep.points.shape) for sweep in exact.sweeps]
     covariance = frame(none, given=True).covariance
@@ -242,7 +242,7 @@ def one_robot(seed: int) -> tuple[float, float, float]:
         return np.asarray(in_base @ T_TRACKER_BASE[:3, :3].T + T_TRACKER_BASE[:3, 3])
 
     sweeps = virtual_sweeps(true, T_TRACKER_BASE, SIGMA, arcs=np.radians([270.0, 180.0]), seed=seed)
-    frame = survey(sweeps, nominal).frame
+    frame = base_frame(sweeps, nominal).frame
     q = random_joint_values(nominal, 40, seed)
     data = Measurements(nominal.joint_names, q, seen(q) + SIGMA * rng.normal(size=(40, 3)))
     unseen = random_joint_values(nominal, 200, seed + 10_000)

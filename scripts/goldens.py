@@ -66,9 +66,10 @@ def api_calibrate() -> dict[str, Any]:
 def api_survey() -> dict[str, Any]:
     """A base frame from sweeps."""
     import calib
+    from calib.circle_points.sweeps import read_sweeps
 
-    survey = calib.survey(
-        calib.read_sweeps("sweeps.csv"), calib.Robot.load("robot.urdf", base="base", tip="tool0")
+    survey = calib.base_frame(
+        read_sweeps("sweeps.csv"), calib.Robot.load("robot.urdf", base="base", tip="tool0")
     )
     return {"frame": tidy(np.asarray(survey.frame.T_tracker_base).tolist())}
 
@@ -76,11 +77,12 @@ def api_survey() -> dict[str, Any]:
 def api_workspace() -> dict[str, Any]:
     """Samples of the workspace and their densest part."""
     import calib
+    from calib.design.workspace import Density
 
     robot = calib.Robot.load("robot.urdf", base="base", tip="tool0")
     points = calib.workspace(robot, [-0.07, 0.07, 0.022], count=2**13)
     return {
-        "volume": calib.Density.of(points).region(0.9).volume,
+        "volume": Density.of(points).region(0.9).volume,
         "points": tidy(np.asarray(points).tolist()),
     }
 

@@ -224,10 +224,10 @@ ELSEWHERE = {
 }
 
 #: Run here, in this order: what one makes, the next may use.
-HERE = ("quick-start.md", "acceptance.md", "convert.md", "workspace.md")
+HERE = ("quick-start.md", "result-json.md", "acceptance.md", "convert.md", "workspace.md")
 
 #: What they show takes long and is run by other tests, in smaller ways: here their calls are held to what is called.
-CALLED = ("fleet.md", "report.md", "result-json.md")
+CALLED = ("fleet.md", "report.md")
 
 
 def python(page: str) -> str:
@@ -256,8 +256,12 @@ def test_the_python_of_these_pages_runs(tmp_path, monkeypatch, capsys):
         monkeypatch, tmp_path, "workspace", "robot.urdf", "--samples", "65536", "-o", "region.json"
     )
     for page in HERE:
+        if "result" in names:
+            names["result"].write_json(
+                "result.json", overwrite=True
+            )  # as the page before leaves it
         exec(compile(python(page), page, "exec"), names)
-        assert capsys.readouterr().out or page == "convert.md"
+        assert capsys.readouterr().out or page in ("convert.md", "result-json.md")
         names.update(calibration=names["result"], q=np.zeros(6))
     made = {path.name for path in tmp_path.iterdir() if not path.is_symlink()}
     assert {"from_python.urdf", "rows.csv"} <= made
@@ -285,5 +289,5 @@ def test_every_claim_of_the_theory_has_its_source_and_every_source_its_claim():
     text, _, table = (DOCS / "theory.md").read_text(encoding="utf-8").partition("## Sources")
     sources = set(re.findall(r"^\| (\w+ [\d-]+) \|", table, re.MULTILINE))
     cited = re.findall(r"\[((?:\w+ [\d-]{4,}(?:, )?)+)\](?!\()", " ".join(text.split()))
-    assert len(sources) > 40
+    assert len(sources) > 30
     assert {one for group in cited for one in group.split(", ")} == sources

@@ -210,7 +210,7 @@ class BaseFrame:
         return xi * std
 
 
-def base_frame(
+def frame_of(
     plane: Plane,
     first: Circle,
     second: Circle,

@@ -26,7 +26,7 @@ from calib.circle_points.frame import (
     Line,
     axes_frame,
     axis_rows,
-    base_frame,
+    frame_of,
     mounting_plane,
     nominal_axes,
     nominal_axes_frame,
@@ -102,7 +102,7 @@ class Survey:
     findings: tuple[Finding, ...]
 
 
-def survey(
+def base_frame(
     sweeps: Sweeps, robot: Robot | None = None, *, plane_offset: float = 0.0, robust: bool = True
 ) -> Survey:
     """The base frame and all axes from sweeps.
@@ -135,7 +135,7 @@ def survey(
     T_base_axes = np.eye(4) if nominal is None else nominal_axes_frame(*nominal.lines[:2])
     with _at(f"{sweeps.source}, sweeps {choices(s.name for s in (touched, *swept[:2]))}"):
         mounting = mounting_plane(plane, circles[0], plane_offset)
-        frame = base_frame(
+        frame = frame_of(
             plane, *circles[:2], q1=q1, plane_offset=plane_offset, T_base_axes=T_base_axes
         )
 

@@ -233,7 +233,7 @@ def assess(
         c: The result.
         which: Which of its ``"frame"`` and ``"target"`` are used.
         judge: Which robot is judged; by default the corrected one.
-        limits: What `calib.acceptance` is given; without it nothing is judged.
+        limits: What `acceptance` is given; without it nothing is judged.
 
     Raises:
         CalibError: There is no such robot to be judged, or what `evaluate` and `acceptance` raise.

@@ -29,12 +29,12 @@ _FINDINGS = {
     "that of the scatter.",
     "gain": "{where}: the joint turns {gain:+.3f} mrad per rad otherwise than its values say (standard deviation "
     "{std:.3f}): a gear gain (--model dh+gain).",
-    "eccentricity": "{where}: the joint is off by {eccentricity:.3f} mrad once per turn (standard deviation {std:.3f}): "
+    "eccentricity": "{where}: off by {eccentricity:.3f} mrad once per turn (standard deviation {std:.3f}): "
     "an eccentric encoder (--model dh+eccentricity), or a target that moved in the middle of the sweep.",
     "downwards": "{where}: z points from the circle towards the plane. If the robot stands on it and joint 1 turns "
     "anticlockwise seen from above, the rows are in the order of decreasing joint angle.",
-    "below": "{where}: the circle lies below the plane z = 0 of the base. If the robot stands on that plane, the joint's "
-    "sign differs from the URDF's.",
+    "below": "{where}: the circle lies below the plane z = 0 of the base. If the robot stands on that plane, the "
+    "joint's sign differs from the URDF's.",
 }
 
 

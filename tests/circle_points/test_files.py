@@ -12,7 +12,7 @@ from calib.circle_points.files import (
     cell_text,
     survey_table,
 )
-from calib.circle_points.survey import Survey, survey
+from calib.circle_points.survey import Survey, base_frame
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.errors import MeasurementError
@@ -23,7 +23,7 @@ T_TRUE = pin.exp6(np.array([2.0, 1.0, -0.5, 0.3, -0.8, 1.2])).homogeneous
 
 @pytest.fixture(scope="module")
 def found(ur3) -> Survey:
-    return survey(virtual_sweeps(ur3, T_TRUE, 33e-6, arcs=np.radians([270.0, 180.0])), ur3)
+    return base_frame(virtual_sweeps(ur3, T_TRUE, 33e-6, arcs=np.radians([270.0, 180.0])), ur3)
 
 
 def poses(ur3, frame, count: int = 5) -> tuple[Measurements, np.ndarray]:

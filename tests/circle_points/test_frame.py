@@ -13,8 +13,8 @@ from calib.circle_points.frame import (
     Line,
     axes_frame,
     axis_rows,
-    base_frame,
     between,
+    frame_of,
     nominal_axes,
     nominal_axes_frame,
     turned_about_z,
@@ -76,25 +76,25 @@ def error(frame: BaseFrame, T: np.ndarray = T_TRUE) -> np.ndarray:
 
 
 def test_the_paper_s_frame():
-    assert np.abs(error(base_frame(*figures()))).max() < 1e-9
+    assert np.abs(error(frame_of(*figures()))).max() < 1e-9
 
 
 def test_the_plane_s_normal_may_point_anywhere():
     plane, one, two = figures()
-    assert np.abs(error(base_frame(opposite(plane), one, two))).max() < 1e-9
-    assert base_frame(opposite(plane), one, two).covariance == pytest.approx(
-        base_frame(plane, one, two).covariance, rel=1e-6
+    assert np.abs(error(frame_of(opposite(plane), one, two))).max() < 1e-9
+    assert frame_of(opposite(plane), one, two).covariance == pytest.approx(
+        frame_of(plane, one, two).covariance, rel=1e-6
     )
 
 
 def test_joint_1_elsewhere_turns_the_frame_back():
-    frame = base_frame(*figures(), q1=0.3)
+    frame = frame_of(*figures(), q1=0.3)
     assert np.abs(error(frame, T_TRUE @ turned_about_z(-0.3))).max() < 1e-9
 
 
 def test_a_ball_stands_off_the_plane_on_the_robot_s_side():
     for plane in (figures()[0], opposite(figures()[0])):
-        frame = base_frame(plane, *figures()[1:], plane_offset=0.02)
+        frame = frame_of(plane, *figures()[1:], plane_offset=0.02)
         assert error(frame) == pytest.approx([0, 0, 0.02, 0, 0, 0], abs=1e-9)
 
 
@@ -103,7 +103,7 @@ def test_a_robot_s_base_is_where_its_axes_say():
     first = Line(np.array([0.05, -0.02, 0.0]), np.array([0.0, 0.0, 1.0]))
     second = Line(np.array([0.0, 0.1, 0.15]), np.array([0.0, -1.0, 0.0]))
     T = nominal_axes_frame(first, second)
-    frame = base_frame(*figures(), T_base_axes=T)
+    frame = frame_of(*figures(), T_base_axes=T)
     assert np.abs(error(frame, T_TRUE @ rigid_inverse(T))).max() < 1e-9
     assert T[:3, 3] == pytest.approx([0.05, -0.02, 0.0])
     assert T[:3, 1] == pytest.approx([0, -1, 0])
@@ -112,10 +112,10 @@ def test_a_robot_s_base_is_where_its_axes_say():
 @pytest.mark.slow
 @pytest.mark.parametrize("arcs", [(270.0, 180.0), (60.0, 60.0)])
 def test_errors_are_those_of_the_covariance_and_within_the_cramer_rao_bound(arcs):
-    bound = base_frame(*figures(arcs, given=True)).covariance
+    bound = frame_of(*figures(arcs, given=True)).covariance
     rng = np.random.default_rng(1)
     runs = 400
-    frames = [base_frame(*figures(arcs, rng=rng)) for _ in range(runs)]
+    frames = [frame_of(*figures(arcs, rng=rng)) for _ in range(runs)]
     xi = np.array([error(frame) for frame in frames])
     L = np.linalg.inv(np.linalg.cholesky(bound))
     assert np.linalg.eigvalsh(L @ (xi.T @ xi / runs) @ L.T) == pytest.approx(np.ones(6), abs=0.35)
@@ -130,7 +130,7 @@ def test_errors_are_those_of_the_covariance_and_within_the_cramer_rao_bound(arcs
 
 
 def test_with_given_noise_the_region_is_that_of_chi_squared():
-    frame = base_frame(*figures(given=True))
+    frame = frame_of(*figures(given=True))
     assert frame.dof == np.inf
     assert frame.limit(0.9) == pytest.approx(chi2.ppf(0.9, 6))
 
@@ -140,7 +140,7 @@ def test_a_plane_of_four_points_widens_the_region_as_its_one_degree_of_freedom_d
     rng = np.random.default_rng(3)
     inside, within = [], []
     for _ in range(300):
-        frame = base_frame(*figures(rng=rng, touched=4))
+        frame = frame_of(*figures(rng=rng, touched=4))
         inside.append(frame.distance(T_TRUE) <= frame.limit())
         within.append(np.abs(error(frame)) <= frame.within())
     assert frame.dofs == (1.0, 74.0, 74.0)
@@ -167,7 +167,7 @@ def test_degrees_of_freedom():
 
 
 def test_points_are_carried_and_know_how_well():
-    frame = base_frame(*figures(rng=np.random.default_rng(2)))
+    frame = frame_of(*figures(rng=np.random.default_rng(2)))
     points = np.random.default_rng(3).normal(size=(5, 3))
     seen = points @ frame.T_tracker_base[:3, :3].T + frame.T_tracker_base[:3, 3]
     assert frame.carry(seen) == pytest.approx(points, abs=1e-12)
@@ -184,16 +184,16 @@ def test_what_makes_no_frame():
     with pytest.raises(
         CalibError, match=r"^axis 1 stands at 11.3 deg to the plane, it should stand"
     ):
-        base_frame(plane, two.turned(), one)
+        frame_of(plane, two.turned(), one)
     _, _, near = figures(second=(0.0, 0.05, 1.0))
     with pytest.raises(
         CalibError, match=r"^the axes of joints 1 and 2 are parallel within 2.86 deg"
     ):
-        base_frame(plane, one, near)
+        frame_of(plane, one, near)
     with pytest.raises(
         CalibError, match=r"^the circle of joint 1 lies 300 mm from the measured plane"
     ):
-        base_frame(plane, one, two, plane_offset=0.2)
+        frame_of(plane, one, two, plane_offset=0.2)
     up = Line(np.zeros(3), np.array([0.0, 0.0, 1.0]))
     with pytest.raises(
         CalibError, match=r"^In the URDF, with the plane z = 0 of the base, the axes of"

@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 
 from calib.circle_points.frame import nominal_axes
-from calib.circle_points.survey import survey
+from calib.circle_points.survey import base_frame
 from calib.circle_points.sweeps import Sweep, Sweeps
 from calib.errors import MeasurementError
 from calib.robot.robot import Robot, rigid_inverse
@@ -48,7 +48,7 @@ def error(T: np.ndarray, wanted: np.ndarray = T_TRUE) -> np.ndarray:
 def test_the_frame_is_the_urdf_s_base_wherever_the_joints_stand(base: str, home):
     robot = Robot.load("ur3", base=base, tip="tool0")
     sweeps = virtual_sweeps(robot, T_TRUE, 0.0, arcs=np.full(6, 2.0), home=home)
-    found = survey(sweeps, robot)
+    found = base_frame(sweeps, robot)
     assert np.abs(error(found.frame.T_tracker_base)).max() < 1e-8
     for row, nominal in zip(found.rows, nominal_axes(robot).rows, strict=False):
         assert row.values == pytest.approx(nominal, abs=1e-8)
@@ -59,20 +59,20 @@ def test_the_frame_is_the_urdf_s_base_wherever_the_joints_stand(base: str, home)
 
 def test_the_panda_has_an_upright_first_axis_too(panda):
     sweeps = virtual_sweeps(panda, T_TRUE, 0.0, arcs=np.full(7, 2.0), values=False)
-    assert np.abs(error(survey(sweeps, panda).frame.T_tracker_base)).max() < 1e-8
+    assert np.abs(error(base_frame(sweeps, panda).frame.T_tracker_base)).max() < 1e-8
 
 
 def test_without_a_robot_it_is_the_paper_s_frame(ur3, without):
     exact = virtual_sweeps(ur3, T_TRUE, 0.0, arcs=ARCS, values=False)
-    found = survey(exact).frame.T_tracker_base
+    found = base_frame(exact).frame.T_tracker_base
     # Axis 2 of a UR points along -y of its `base`.
     assert np.abs(error(found, T_TRUE @ np.diag([-1.0, -1.0, 1.0, 1.0]))).max() < 1e-8
-    assert survey(without).rows[0].nominal is None
-    assert not survey(without).at_zero
+    assert base_frame(without).rows[0].nominal is None
+    assert not base_frame(without).at_zero
 
 
 def test_axes_are_where_they_are_in_both_frames(ur3, with_values):
-    found = survey(with_values, ur3)
+    found = base_frame(with_values, ur3)
     for joint, line in zip(found.joints, nominal_axes(ur3).lines, strict=False):
         assert np.linalg.norm(joint.direction - line.direction) < 5e-4
         off = joint.point - line.point
@@ -87,7 +87,7 @@ def test_axes_are_where_they_are_in_both_frames(ur3, with_values):
 def test_standard_deviations_are_the_scatter_of_many_surveys(ur3):
     arcs = np.radians([270.0, 180.0, 180.0])
     runs = [
-        survey(virtual_sweeps(ur3, T_TRUE, SIGMA, arcs=arcs, home=HOME, seed=seed), ur3)
+        base_frame(virtual_sweeps(ur3, T_TRUE, SIGMA, arcs=arcs, home=HOME, seed=seed), ur3)
         for seed in range(120)
     ]
     stated = np.array([[row.std for row in run.rows] for run in runs]).mean(axis=0)
@@ -108,7 +108,7 @@ def test_true_offsets_are_found(ur3):
     placements = ur3.placements.copy()
     placements[2] = placements[2] @ pin.exp6(np.array([1e-3, 0, 2e-3, 0, 3e-3, 0])).homogeneous
     true = ur3.with_placements(placements)
-    found = survey(virtual_sweeps(true, T_TRUE, 1e-6, arcs=np.full(6, 3.0)), ur3)
+    found = base_frame(virtual_sweeps(true, T_TRUE, 1e-6, arcs=np.full(6, 3.0)), ur3)
     wanted = nominal_axes(true).rows
     for row, nominal in zip(found.rows, wanted, strict=False):
         assert row.values == pytest.approx(nominal, abs=1e-4)
@@ -117,14 +117,14 @@ def test_true_offsets_are_found(ur3):
 
 def test_a_joint_left_out_ends_the_rows_but_not_the_axes(ur3):
     sweeps = virtual_sweeps(ur3, T_TRUE, SIGMA, arcs=np.full(5, 2.0))
-    found = survey(only(sweeps, *(s for s in sweeps.sweeps if s.joint != 2)), ur3)
+    found = base_frame(only(sweeps, *(s for s in sweeps.sweeps if s.joint != 2)), ur3)
     assert [joint.joint + 1 for joint in found.joints] == [1, 2, 4, 5]
     assert [row.joint for row in found.rows] == ["shoulder_pan_joint"]
 
 
 def test_the_offset_lowers_the_origin(ur3, with_values):
-    frame = survey(with_values, ur3).frame.T_tracker_base
-    lowered = survey(with_values, ur3, plane_offset=0.01905).frame.T_tracker_base
+    frame = base_frame(with_values, ur3).frame.T_tracker_base
+    lowered = base_frame(with_values, ur3, plane_offset=0.01905).frame.T_tracker_base
     assert error(lowered, frame) == pytest.approx([0, 0, 0.01905, 0, 0, 0], abs=1e-4)
 
 
@@ -197,7 +197,7 @@ def first_twice(sweeps: Sweeps) -> Sweeps:
 )
 def test_what_is_refused_without_joint_values(ur3, without, change, said: str):
     with pytest.raises(MeasurementError, match=said):
-        survey(change(without), ur3)
+        base_frame(change(without), ur3)
 
 
 @pytest.mark.parametrize(
@@ -219,24 +219,24 @@ def test_what_is_refused_without_joint_values(ur3, without, change, said: str):
 )
 def test_what_is_refused_with_joint_values(ur3, with_values, change, said: str):
     with pytest.raises(MeasurementError, match=said):
-        survey(change(with_values), ur3)
+        base_frame(change(with_values), ur3)
 
 
 def test_another_robot(panda, without):
     with pytest.raises(
         MeasurementError, match=r"in the URDF of 'panda' from 'panda_link0' .* another one"
     ):
-        survey(without, panda)
+        base_frame(without, panda)
 
 
 def test_a_z_that_points_down_is_a_finding_where_no_robot_says_otherwise(without, with_values, ur3):
     down = other(without, 1, points=without.sweeps[1].points[::-1])
-    (said,) = survey(down).findings
+    (said,) = base_frame(down).findings
     assert said.code == "downwards"
     plane = with_values.sweeps[0]
     high = T_TRUE[:3, 2] * 0.5
     above = other(with_values, 0, points=plane.points + high)
-    (said,) = survey(above, ur3).findings
+    (said,) = base_frame(above, ur3).findings
     assert said.code == "below"
 
 
@@ -244,9 +244,9 @@ def test_gross_rows_count_only_if_asked(ur3, with_values):
     points = np.array(with_values.sweeps[1].points)
     points[7] += [1e-3, 5e-4, 0.0]
     gross = other(with_values, 1, points=points)
-    first = survey(gross, ur3).findings[0]
+    first = base_frame(gross, ur3).findings[0]
     assert (first.code, first.how) == ("gross", "left out")
     assert "row 28 (sweep 'shoulder_pan_joint')" in first.where
-    kept = survey(gross, ur3, robust=False)
+    kept = base_frame(gross, ur3, robust=False)
     assert any(one.how == "used all the same" for one in kept.findings)
-    assert kept.frame.std[0] > 2.0 * survey(gross, ur3).frame.std[0]
+    assert kept.frame.std[0] > 2.0 * base_frame(gross, ur3).frame.std[0]

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 import calib
 from calib.data import kinds
 from calib.data.kinds import Kind, Reading, get, names, register
+from calib.data.surroundings import TrackerNoise
 from calib.design.plan_file import write_plan
 from calib.errors import CalibError, MeasurementError
 from calib.estimate.inspection import inspect
@@ -165,7 +166,7 @@ def test_tables_of_kinds_from_outside(tmp_path):
 def test_a_kind_from_outside_is_simulated_fitted_and_cross_validated(ur3, count):
     line = np.array([[0, 1, 0, 0.2], [0, 0, 1, 0.6], [1, 0, 0, 0], [0, 0, 0, 1.0]])
     cell = calib.Cell(target=[0.05, 0.05, 0.05], kind="line", T_frame_base=line, model="zeros")
-    scenario = calib.Scenario(ur3, cell=cell, model="zeros", noise=calib.TrackerNoise(2e-5, 0, 0))
+    scenario = calib.Scenario(ur3, cell=cell, model="zeros", noise=TrackerNoise(2e-5, 0, 0))
     virtual = scenario.draw(seed=1)
     data = virtual.measure(scenario.random_poses(count, seed=1), seed=1).measurements
     result = calib.calibrate(ur3, data, cell=cell)

@@ -92,7 +92,7 @@ def base_frame(
 ) -> None:
     """See the text of `verb`."""
     from calib.circle_points.files import carried, cell_text, survey_table
-    from calib.circle_points.survey import survey
+    from calib.circle_points.survey import base_frame as found_frame
     from calib.circle_points.sweeps import read_sweeps
     from calib.cli.setup import check_outputs, parse_amount, parse_columns, parse_sweeps
     from calib.data.measurements import Measurements
@@ -117,7 +117,7 @@ def base_frame(
     called, renamed = parse_sweeps(sweep or []), parse_columns(columns or [])
     sweeps = read_sweeps(data, names, renamed, points, points_unit, called)
     offset = parse_amount(plane_offset, "--plane-offset", "a length", "19.05 mm", signed=True)
-    found = survey(sweeps, arm, plane_offset=offset, robust=robust)
+    found = found_frame(sweeps, arm, plane_offset=offset, robust=robust)
     lines, written = survey_text(found, sweeps.source, arm), []
     if carry is not None and output is not None:
         unit = points_unit if carry_points is not None else None
