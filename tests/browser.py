@@ -31,21 +31,12 @@ CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 NEEDED = "chromium is not installed: the page was not looked at"
 
 FLAGS = [
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--disable-dev-shm-usage",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--hide-scrollbars",
+    *("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--disable-dev-shm-usage"),
+    *("--no-first-run", "--disable-background-networking", "--disable-component-update"),
+    *("--disable-sync", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
+    *("--hide-scrollbars", "--remote-debugging-pipe"),
     # Chromium's own services are not called either.
     "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
-    "--remote-debugging-pipe",
 ]
 
 #: Puts the pipe's ends to where Chromium looks for them, then becomes Chromium.
@@ -59,82 +50,39 @@ class BrowserError(Exception):
     """The browser or a page's script failed, or what was waited for did not come."""
 
 
-@dataclass(frozen=True)
-class Line:
-    """A line of a page's console.
-
-    Attributes:
-        level: ``"error"``, ``"warning"``, ``"info"``, ...
-        text: What it says.
-        source: Who says it: ``"console-api"``, ``"exception"``, ``"security"``, ``"network"``, ...
-    """
-
-    level: str
-    text: str
-    source: str
-
-
 @dataclass
 class Tab:
-    """A window with one page.
-
-    Attributes:
-        console: Every line of the console, Chromium's remarks on its own drawing aside.
-        requests: Every address that the page asked for, itself, ``data:`` and ``ws:`` included.
-        refused: What the page's policy did not let through, or no host answered.
-    """
+    """A window with one page: the lines of its console, and every address that it asked for."""
 
     browser: Browser
     session: str
-    console: list[Line] = field(default_factory=list)
+    console: list[tuple[str, str]] = field(default_factory=list)
     requests: list[str] = field(default_factory=list)
-    refused: list[str] = field(default_factory=list)
-    _named: dict[str, str] = field(default_factory=dict)
-    _loaded: bool = False
+    loaded: bool = False
 
     @property
     def elsewhere(self) -> list[str]:
         """Every address asked for that is neither the page's own file or host, nor within the page."""
-        self.evaluate("0")  # what has come until now
         own = urlsplit(self.evaluate("location.href"))
         return [
             url
             for url in self.requests
             if (to := urlsplit(url)).scheme not in ("data", "blob")
-            and (to != own if own.scheme == "file" else to.netloc != own.netloc)
+            and (to.path != own.path if own.scheme == "file" else to.netloc != own.netloc)
         ]
 
     @property
-    def exceptions(self) -> list[str]:
-        """What scripts did not catch."""
-        return [line.text for line in self.console if line.source == "exception"]
-
-    @property
-    def complaints(self) -> list[Line]:
+    def complaints(self) -> list[tuple[str, str]]:
         """Errors and warnings."""
         self.evaluate("0")  # what has come until now
-        return [line for line in self.console if line.level in ("error", "warning")]
+        return [line for line in self.console if line[0] in ("error", "warning")]
 
-    def open(self, url: str, timeout: float = 60.0) -> None:
-        """Load another page."""
-        self._loaded = False
-        answer = self._call("Page.navigate", url=url)
-        if answer.get("errorText"):
-            message = f"{url}: {answer['errorText']}"
-            raise BrowserError(message)
-        self.browser.pump(lambda: self._loaded, timeout, f"{url} to load")
-
-    def evaluate(self, script: str, timeout: float = 60.0) -> Any:
+    def evaluate(self, script: str) -> Any:
         """The value of an expression; a promise is waited for."""
-        answer = self._call(
-            "Runtime.evaluate",
-            timeout,
-            expression=script,
-            awaitPromise=True,
-            returnByValue=True,
-        )
+        words = {"expression": script, "awaitPromise": True, "returnByValue": True}
+        answer = self._call("Runtime.evaluate", **words)
         if "exceptionDetails" in answer:
-            raise BrowserError(_exception_text(answer["exceptionDetails"]))
+            raise BrowserError(str(answer["exceptionDetails"]))
         return answer["result"].get("value")
 
     def wait_for(self, condition: str, timeout: float = 20.0) -> Any:
@@ -147,16 +95,12 @@ class Tab:
             time.sleep(0.02)
         return value
 
-    def settle(self, frames: int = 3) -> None:
-        """Wait until some frames were drawn."""
+    def screenshot(self) -> NDArray[np.uint8]:
+        """What the window shows after three frames, shape (height, width, 3)."""
         self.evaluate(
             "new Promise((done) => { const frame = (left) => left "
-            f"? requestAnimationFrame(() => frame(left - 1)) : done(); frame({frames}); }})"
+            "? requestAnimationFrame(() => frame(left - 1)) : done(); frame(3); })"
         )
-
-    def screenshot(self) -> NDArray[np.uint8]:
-        """What the window shows once it has settled, shape (height, width, 3)."""
-        self.settle()
         answer = self._call("Page.captureScreenshot", format="png")
         with Image.open(io.BytesIO(base64.b64decode(answer["data"]))) as image:
             return np.asarray(image.convert("RGB"))
@@ -175,13 +119,11 @@ class Tab:
         for kind in ("mousePressed", "mouseReleased") if click else ():
             self._call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
-    def key(self, name: str) -> None:
-        """Press a key that has no letter, such as ``"ArrowRight"``."""
-        code = {"ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40}.get(name, 0)
+    def key(self, name: str, code: int) -> None:
+        """Press a key that has no letter, such as ``"ArrowLeft"``, 37."""
+        words = {"key": name, "code": name, "windowsVirtualKeyCode": code}
         for kind in ("keyDown", "keyUp"):
-            self._call(
-                "Input.dispatchKeyEvent", type=kind, key=name, code=name, windowsVirtualKeyCode=code
-            )
+            self._call("Input.dispatchKeyEvent", type=kind, **words)
 
     def pdf(self) -> bytes:
         """The page as printed."""
@@ -191,31 +133,22 @@ class Tab:
     def hear(self, method: str, said: dict[str, Any]) -> None:
         """Take an event of this page."""
         if method == "Page.loadEventFired":
-            self._loaded = True
+            self.loaded = True
         elif method == "Runtime.consoleAPICalled":
             text = " ".join(str(a.get("value", a.get("description"))) for a in said["args"])
-            self.console.append(Line(said["type"], text, "console-api"))
+            self.console.append((said["type"], text))
         elif method == "Runtime.exceptionThrown":
-            self.console.append(
-                Line("error", _exception_text(said["exceptionDetails"]), "exception")
-            )
-        elif method == "Log.entryAdded":
-            entry = said["entry"]
-            # Chromium's own remark on reading the picture back is not the page's.
-            if "GL Driver Message" not in entry["text"]:
-                self.console.append(Line(entry["level"], entry["text"], entry["source"]))
+            self.console.append(("error", str(said["exceptionDetails"])))
+        elif method == "Log.entryAdded" and "GL Driver Message" not in said["entry"]["text"]:
+            self.console.append((said["entry"]["level"], said["entry"]["text"]))
         elif method == "Network.requestWillBeSent":
             self.requests.append(said["request"]["url"])
-            self._named[said["requestId"]] = said["request"]["url"]
         elif method == "Network.webSocketCreated":
             self.requests.append(said["url"])
-        elif method == "Network.loadingFailed":
-            why = said.get("blockedReason") or said["errorText"]
-            self.refused.append(f"{self._named.get(said['requestId'], '?')}: {why}")
 
-    def _call(self, method: str, timeout: float = 60.0, **params: Any) -> dict[str, Any]:
+    def _call(self, method: str, **params: Any) -> dict[str, Any]:
         """A command to this page."""
-        return self.browser.call(method, params, self.session, timeout)
+        return self.browser.call(method, params, self.session)
 
 
 class Browser:
@@ -232,55 +165,40 @@ class Browser:
         # Away from 3 and 4, which they become.
         ends = [fcntl.fcntl(end, fcntl.F_DUPFD_CLOEXEC, 16) for end in (theirs_in, theirs_out)]
         command = [sys.executable, "-ISc", _START, *map(str, ends), CHROMIUM, *FLAGS]
-        self._log = tempfile.TemporaryFile()  # noqa: SIM115
-        self.process = subprocess.Popen(
-            [*command, f"--user-data-dir={self._profile.name}", "about:blank"],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=self._log,
-            pass_fds=ends,
-        )
+        quiet = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
+        command += [f"--user-data-dir={self._profile.name}", "about:blank"]
+        self.process = subprocess.Popen(command, **quiet, pass_fds=ends)
         for end in (theirs_in, theirs_out, *ends):
             os.close(end)
-        self._rest = b""
-        self._last = 0
+        self._rest, self._last = b"", 0
         self._answers: dict[int, dict[str, Any]] = {}
         self._tabs: dict[str, Tab] = {}
 
     @contextmanager
-    def open(self, url: str = "about:blank", size: tuple[int, int] = (1280, 720)) -> Iterator[Tab]:
-        """A window of its own: no cookie and no store of another's."""
+    def open(self, url: str, size: tuple[int, int] = (1280, 720)) -> Iterator[Tab]:
+        """A window of its own with a page: no cookie and no store of another's."""
         context = self.call("Target.createBrowserContext")["browserContextId"]
         try:
-            target = self.call(
-                "Target.createTarget",
-                {
-                    "url": "about:blank",
-                    "browserContextId": context,
-                    "width": size[0],
-                    "height": size[1],
-                },
-            )["targetId"]
+            metrics = {"width": size[0], "height": size[1]}
+            blank = {"url": "about:blank", "browserContextId": context, **metrics}
+            target = self.call("Target.createTarget", blank)["targetId"]
             attached = self.call("Target.attachToTarget", {"targetId": target, "flatten": True})
-            session = attached["sessionId"]
-            tab = self._tabs[session] = Tab(self, session)
+            tab = self._tabs[attached["sessionId"]] = Tab(self, attached["sessionId"])
             for part in ("Page", "Runtime", "Log", "Network"):
-                self.call(f"{part}.enable", {}, session)
-            metrics = {"width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": False}
-            self.call("Emulation.setDeviceMetricsOverride", metrics, session)
-            if url != "about:blank":
-                tab.open(url)
+                tab._call(f"{part}.enable")
+            metrics |= {"deviceScaleFactor": 1, "mobile": False}
+            tab._call("Emulation.setDeviceMetricsOverride", **metrics)
+            answer = tab._call("Page.navigate", url=url)
+            if answer.get("errorText"):
+                raise BrowserError(f"{url}: {answer['errorText']}")
+            self._pump(lambda: tab.loaded, f"{url} to load")
             yield tab
         finally:
             with suppress(BrowserError, OSError):  # not in place of what went wrong before
                 self.call("Target.disposeBrowserContext", {"browserContextId": context})
 
     def call(
-        self,
-        method: str,
-        params: dict[str, Any] | None = None,
-        session: str | None = None,
-        timeout: float = 60.0,
+        self, method: str, params: dict[str, Any] | None = None, session: str | None = None
     ) -> dict[str, Any]:
         """The answer to a command of the DevTools protocol."""
         self._last += 1
@@ -291,27 +209,29 @@ class Browser:
         data = memoryview(json.dumps(message).encode() + b"\0")
         while data:
             data = data[os.write(self._out, data) :]
-        self.pump(lambda: number in self._answers, timeout, f"{method} to be answered")
+        self._pump(lambda: number in self._answers, f"{method} to be answered")
         answer = self._answers.pop(number)
         if "error" in answer:
-            text = f"{method}: {answer['error'].get('message')}"
-            raise BrowserError(text)
+            raise BrowserError(f"{method}: {answer['error'].get('message')}")
         result: dict[str, Any] = answer["result"]
         return result
 
-    def pump(self, done: Callable[[], bool], timeout: float, what: str) -> None:
+    def _pump(self, done: Callable[[], bool], what: str, timeout: float = 60.0) -> None:
         """Take what Chromium says until something is done."""
         end = time.monotonic() + timeout
         while not done():
             ready, _, _ = select.select([self._in], [], [], max(0.0, end - time.monotonic()))
             piece = os.read(self._in, 2**20) if ready else b""
             if not piece:
-                why = "Chromium ended" if ready else f"{timeout:g} s were not enough"
-                message = f"waiting for {what}: {why}.\n{self._said()}"
-                raise BrowserError(message)
+                raise BrowserError(
+                    f"waiting for {what}: Chromium ended, or {timeout:g} s were over"
+                )
             *whole, self._rest = (self._rest + piece).split(b"\0")
-            for text in whole:
-                self._take(json.loads(text))
+            for message in map(json.loads, whole):
+                if "id" in message:
+                    self._answers[message["id"]] = message
+                elif message.get("sessionId") in self._tabs:
+                    self._tabs[message["sessionId"]].hear(message["method"], message["params"])
 
     def close(self) -> None:
         """End Chromium and remove its folder."""
@@ -322,22 +242,4 @@ class Browser:
             self.process.kill()
             self.process.wait()
         os.close(self._in)
-        self._log.close()
         self._profile.cleanup()
-
-    def _take(self, message: dict[str, Any]) -> None:
-        """An answer, or an event."""
-        if "id" in message:
-            self._answers[message["id"]] = message
-        elif message.get("sessionId") in self._tabs:
-            self._tabs[message["sessionId"]].hear(message["method"], message["params"])
-
-    def _said(self) -> str:
-        """The end of what Chromium printed."""
-        self._log.seek(0)
-        return self._log.read()[-2000:].decode("utf-8", "replace")
-
-
-def _exception_text(details: dict[str, Any]) -> str:
-    """An exception of a script in words."""
-    return str(details.get("exception", {}).get("description") or details["text"])

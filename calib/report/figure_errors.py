@@ -18,8 +18,8 @@ from calib.result.calibration import Calibration
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-#: More rows than this get no markers, and more than that are summed up in so many bands.
-_MOST_MARKERS, MOST_LINES, _RUNS = 80, 1000, 50
+#: More rows than this get no markers, and more than that are pixels in SVG and PDF.
+_MOST_MARKERS, _MOST_LINES = 80, 1000
 
 #: More rows than this have no single dots beside their box.
 _MOST_DOTS = 120
@@ -129,7 +129,7 @@ def _by_row(c: Calibration, what: _What) -> Figure:
     kinds = [kind for kind in base.row_kinds(c) if np.any(np.isfinite(after[kind.mask]))]
     reach = float(np.nanmax(after[others], initial=1e-3))
     unseen = _left_out(c, c.cross_validation)
-    if len(rows) > MOST_LINES:
+    if len(rows) > _MOST_LINES:
         _curve(below, rows, np.where(others, after, np.nan), base.AFTER)
         kinds = [kind for kind in kinds if kind.word == "outlier"]
     elif unseen is not None:
@@ -273,35 +273,28 @@ def scaled_residuals(c: Calibration) -> Array:
 
 
 def _curve(ax: Axes, rows: NDArray[np.int_], values: Array, who: base.Who) -> None:
-    """A curve over rows; with markers where they are few, a band where they are many."""
+    """A curve over rows; with markers where they are few, as pixels where they are many."""
     # A line leads over rows that hold nothing, such as the second ones of pairs: gaps would leave nothing of it.
     rows, values = rows[np.isfinite(values)], values[np.isfinite(values)]
-    look: dict[str, Any] = {"color": who.colour, "ls": who.line, "zorder": 3}
-    if len(values) > MOST_LINES:
-        x = [float(np.mean(run)) for run in np.array_split(rows, _RUNS)]
-        runs = np.array_split(values, _RUNS)
-        low, middle, high = np.transpose([np.quantile(run, [0.05, 0.5, 0.95]) for run in runs])
-        ax.fill_between(x, low, high, color=who.colour, alpha=0.35, lw=0, zorder=2)
-        ax.plot(x, middle, lw=1.3, **look)
-        return
     few = len(values) <= _MOST_MARKERS
+    look: dict[str, Any] = {"color": who.colour, "ls": who.line if few else "-", "zorder": 3}
     look |= {"marker": who.marker if few else "", "ms": 4.2 if len(values) <= 40 else 3.0}
-    ax.plot(rows, values, lw=1.3 if few else 0.8, mec="white", mew=0.4, **look)
+    many = len(values) > _MOST_LINES
+    ax.plot(rows, values, lw=1.3 if few else 0.6, mec="white", mew=0.4, rasterized=many, **look)
 
 
 def _curve_handles(count: int) -> list[Any]:
     """The legend of before and after over so many rows."""
-    few, many = count <= _MOST_MARKERS, count > MOST_LINES
+    few = count <= _MOST_MARKERS
     look: dict[str, Any] = {"mec": "white", "mew": 0.4, "ms": 4.2}
-    handles: list[Any] = [
+    return [
         base.line(
-            f"{who.word}, median" if many else who.word,
-            **{"color": who.colour, "ls": who.line, "marker": who.marker if few else "", **look},
+            who.word,
+            **look | {"color": who.colour, "ls": who.line if few else "-"},
+            marker=who.marker if few else "",
         )
         for who in (base.BEFORE, base.AFTER)
     ]
-    words = f"5 to 95 % of {round(count / _RUNS):,} rows each"
-    return handles + [base.area(words, color=labels.SOFT, alpha=0.35, lw=0)] * many
 
 
 def _boxes(ax: Axes, values: Array, shift: float, who: base.Who) -> None:

@@ -9,11 +9,13 @@ from __future__ import annotations
 import asyncio
 import atexit
 import os
+import signal
 import socket
 import sys
 import tempfile
 import threading
 import webbrowser
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -236,6 +238,23 @@ def _listening(port: int) -> socket.socket:
         ) from error
     listener.setblocking(False)
     return listener
+
+
+def serve(view: View, *, port: int, browser: bool, say: Callable[[str], object]) -> None:
+    """Show a page until Ctrl-C, or until the process is asked to end; what is said goes to ``say``."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    with Viewer(view, port=port) as viewer, suppress(KeyboardInterrupt):
+        lines = [f"Not drawn as in the URDF: {text}" for text in viewer.warnings]
+        say(
+            "\n".join(
+                [*lines, f"The picture is at {viewer.url} on this computer. Ctrl-C stops it."]
+            )
+        )
+        if browser and not viewer.open():
+            at = viewer.port
+            say(f"No browser was found. From elsewhere: ssh -L {at}:127.0.0.1:{at} THIS_COMPUTER")
+        viewer.wait()
+    say("Stopped.")
 
 
 @overload

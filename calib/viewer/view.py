@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -182,7 +183,7 @@ def view_of_robots(
     table: Measurements | None = None,
     *,
     cells: Sequence[Cell] | None = None,
-    names: Names = NAMES,
+    names: Names | None = None,
 ) -> View:
     """One or two robots at the rows of a table, with the errors that `calib.evaluate` finds.
 
@@ -193,11 +194,13 @@ def view_of_robots(
         calibrated: The second; None for none.
         table: The measurements; None for none.
         cells: Target and frame of each robot, where they are known.
-        names: What the robots are called, and what that means.
+        names: What the robots are called, and what that means. Default: nominal and calibrated, and their files.
     """
     cells = cells or [Cell()] * 2
     robots = [nominal] if calibrated is None else [nominal, calibrated]
     title = nominal.name if calibrated is None else ""
+    words = (title or "Nominal", "Calibrated")
+    names = names or [(w, Path(r.urdf.source).name) for w, r in zip(words, robots, strict=False)]
     if table is not None:
         found = [evaluate(one, table, cell) for one, cell in zip(robots, cells, strict=False)]
         none = np.zeros(len(table), dtype=np.bool_)

@@ -8,14 +8,12 @@ import re
 import signal
 import socket
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from urllib.parse import urlsplit
 
-import numpy as np
 import pytest
 
 from tests.listening import listening
@@ -97,45 +95,6 @@ def test_a_port_in_use(program, call, small):
     assert done.err.startswith(f"calib: Port {port} of 127.0.0.1 cannot be used")
 
 
-@pytest.mark.slow
-def test_the_browser_is_opened_if_there_is_one(program, small):
-    opener = small / "browser.py"
-    opener.write_text("import sys; open('opened.txt', 'w').write(sys.argv[1])")
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
-    words = ("--port", str(port))
-    with running(program, small, *words, BROWSER=f"{sys.executable} {opener} %s") as (
-        process,
-        line,
-    ):
-        assert address(line)[1] == port
-        end = time.monotonic() + 10
-        while not (small / "opened.txt").exists() and time.monotonic() < end:
-            time.sleep(0.01)
-        process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=10)
-    assert (small / "opened.txt").read_text() == f"http://127.0.0.1:{port}/"
-    assert (process.returncode, out, err) == (0, "Stopped.\n", "")
-
-
-@pytest.mark.slow
-def test_the_browser_sees_the_served_page(program, browser, small):
-    with (
-        running(program, small, "--no-browser") as (process, line),
-        browser.open(address(line)[0], (640, 400)) as tab,
-    ):
-        assert tab.evaluate("document.querySelector('h1').textContent") == "small"
-        first = tab.screenshot()
-        tab.click("#forward")
-        assert np.any(tab.screenshot() != first)
-        assert tab.console == []
-        assert tab.elsewhere == []
-        process.send_signal(signal.SIGINT)
-        assert process.wait(10) == 0
-        tab.wait_for("document.body.textContent.includes('The server has stopped')")
-        assert tab.console == []
-
-
 def test_the_examples_write_pages(examples):
     one = examples.starting("calib view robot.urdf --base base -o")
     assert (one.code, one.out, one.err) == (0, "Written: robot.html\n", "")
@@ -150,7 +109,6 @@ def test_the_examples_write_pages(examples):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("--port", "1", "-o", "x.html"), "--port serves it"),
         (("other.urdf", "--calibration", "r.json"), "OTHER and --calibration"),
         (("--columns", "a=b"), "name the table with --data"),
         (("-o", "there.html"), "there.html exists already"),

@@ -105,20 +105,6 @@ def test_orientations_by_row_are_in_degrees(calibrations):
     assert np.nanmax(before) == pytest.approx(expected)
 
 
-def test_many_rows_are_bands(calibrations):
-    c = calibrations.many_rows(6000)
-    figure = by_row(c)
-    top, below = figure.axes
-    assert len(top.collections) == 2
-    assert all(len(line.get_ydata()) <= 120 for line in (*top.lines, *below.lines))
-    labels = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert "5 to 95 % of 120 rows each" in labels
-    band = top.collections[0].get_paths()[0].vertices
-    first = 1e3 * lengths_of(c.residual_nominal, c.used)[:120]
-    ends = band[np.isclose(band[:, 0], 60.5), 1]
-    np.testing.assert_allclose([ends.min(), ends.max()], np.quantile(first, [0.05, 0.95]))
-
-
 def test_boxes_are_of_the_rows(calibrations):
     c = calibrations.made("paper")
     figure = by_axis(c)

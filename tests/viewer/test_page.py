@@ -15,7 +15,6 @@ import umsgpack
 from markupsafe import escape
 
 from calib import example
-from calib.errors import FileError
 from calib.report.label_rows import CALIBRATED, NOMINAL
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
@@ -210,18 +209,6 @@ def test_one_robot_alone_has_no_second_one_and_nothing_to_compare(gantry):
     for word in ("data-mode", "Calibrated", "arrows", 'id="inset"'):
         assert word not in body
     assert 'id="row"' in body
-
-
-def test_an_existing_file_is_kept_unless_asked(view, tmp_path):
-    page, path = view_page(view), tmp_path / "view.html"
-    assert page.write(path) == path
-    assert path.read_bytes() == view_page(view).html == page.html
-    path.write_text("mine")
-    with pytest.raises(FileError, match="exists already"):
-        page.write(path)
-    assert path.read_text() == "mine"
-    page.write(path, overwrite=True)
-    assert path.read_bytes() == page.html
 
 
 def test_poses_points_and_numbers_are_those_of_the_view(view):

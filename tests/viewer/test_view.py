@@ -171,6 +171,7 @@ def test_robots_and_a_table_show_what_evaluate_says(result):
     )
     np.testing.assert_allclose(distances(both), both.errors, atol=1e-12)
     assert both.labels[both.start] == "row 35"
+    assert [name for name, _ in both.names] == ["Nominal", "Calibrated"]
 
 
 def test_a_stored_result_shows_the_errors_of_the_fit_from_either_robot(result, stored):
