@@ -152,8 +152,7 @@ def _left_over(
 def _on_the_linearised(fitted: Fitted, masks: tuple[Mask, ...], outliers: Mask) -> dict[int, Array]:
     """What is left over at the rows of folds, by their numbers, where the linearised problem gives the parameters.
 
-    Each fold goes through the same stages as a fit from the beginning: weights by medians, then noise and sizes by
-    restricted likelihood. Registration and kinematics are not repeated, and the robot itself predicts its rows.
+    Each fold goes through the same stages as a fit from the beginning; the robot itself predicts its rows.
     """
     task, estimate, problem = fitted.task, fitted.estimate, fitted.estimate.problem
     rows, model = problem.rows, fitted.kinematics.model
@@ -205,10 +204,7 @@ def _on_the_linearised(fitted: Fitted, masks: tuple[Mask, ...], outliers: Mask) 
 
 
 def nominal_cross_validation(task: Task, rows: Rows, outliers: Mask) -> CrossValidation:
-    """Cross-validation of the nominal robot, frames and targets registered to the rows that are not left out.
-
-    It differs from the calibrated one by the calibration alone: what is estimated there is registered here.
-    """
+    """Cross-validation of the nominal robot: what is estimated for the calibrated one is registered here."""
     folds, unknown = Folds.of_task(task, rows), task.setup.unknown
     given = np.array([not directions for directions in unknown])
     setup = replace(task.setup, frame_given=given, target_given=~task.setup.target_unknown)
@@ -222,10 +218,7 @@ def nominal_cross_validation(task: Task, rows: Rows, outliers: Mask) -> CrossVal
 
 
 def linear_cross_validation(fitted: Fitted, outliers: Mask | None = None) -> CrossValidation:
-    """Cross-validation on the linearised problem, with the sizes, the noise and the weights of the fit to all rows.
-
-    No fit is repeated: without the fold the normal equations lack its rows. For comparing candidates.
-    """
+    """Cross-validation on the linearised problem, with sizes, noise and weights of the fit to all rows: no new fit."""
     problem, estimate = fitted.estimate.problem, fitted.estimate
     rows, linear = problem.rows, problem.linear(estimate.x)
     folds, residuals = Folds.of_task(fitted.task, rows), []

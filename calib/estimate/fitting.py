@@ -1,8 +1,7 @@
 """One fit: register, estimate, and what the fit says of rows that it did not see.
 
-Registration puts target and frame in place. From there: least squares with wide priors, then the stages of
-`calib.estimate.stages`, each followed by a new solve from where the last one stopped. This is what cross-validation
-repeats and what `calibrate` reports on.
+Registration puts target and frame in place; then least squares with wide priors, and the stages of
+`calib.estimate.stages`, each followed by a new solve from where the last one stopped.
 """
 
 from __future__ import annotations
@@ -19,12 +18,11 @@ from calib.errors import MeasurementError, ModelError, choices
 from calib.estimate.likelihood import Linear, Normal
 from calib.estimate.problem import PART, Problem
 from calib.estimate.registration import register
-from calib.estimate.robust import Limits, as_of_a_point, deleted_norms
 from calib.estimate.rows import Rows
 from calib.estimate.setup import KnownDistance, Setup
 from calib.estimate.solvers import SOLVERS, Solution, Solver, paper_levenberg_marquardt
 from calib.estimate.stages import PriorTerms, Stage, staged
-from calib.estimate.statistics import repeats
+from calib.estimate.statistics import Limits, as_of_a_point, deleted_norms, repeats
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import steps
@@ -118,7 +116,7 @@ class Fitted:
         return rows.residual(self.kinematics.poses(self.estimate.x, rows.samples))
 
     def unseen_scores(self, rows: Rows) -> Array:
-        """The scores of rows that the fit did not use, shape (N,); see `calib.estimate.robust`."""
+        """The scores of rows that the fit did not use, shape (N,); see `calib.estimate.statistics`."""
         result, estimate = np.zeros(len(rows)), self.estimate
         for own in rows.parts(PART):
             part = rows.select(own)
@@ -151,13 +149,12 @@ def fit(
 ) -> Fitted:
     """Register and estimate.
 
-    weights, shape (N,), stay, repeats shared out; None to find them. started is where registration puts frames and
-    targets, of another fit to these rows; None to register.
+    weights, (N,), stay, repeats shared out; None to find them. started is where registration puts frames and targets,
+    of another fit to these rows; None to register.
 
     Raises:
         ModelError: Unknown solver, parameter set or parameter.
         MeasurementError: Too few rows.
-        SolverError: The residual at the start is not finite.
     """
     if not callable(task.solver) and task.solver not in (*SOLVERS, PAPER):
         raise ModelError(
@@ -197,11 +194,7 @@ def prior_terms(task: Task, model: ErrorModel, started: Setup) -> PriorTerms:
 
 
 def model_of(task: Task) -> ErrorModel:
-    """The error model of a task, frozen and tied parameters out.
-
-    Raises:
-        ModelError: Unknown parameter set or parameter, or one that cannot be frozen.
-    """
+    """The error model of a task, frozen and tied parameters out; `ModelError` where they cannot be."""
     setup = task.setup
     model = error_model(
         task.robot,
@@ -230,8 +223,7 @@ def model_of(task: Task) -> ErrorModel:
 def _estimate(problem: Problem, task: Task, prior: PriorTerms, weights: Array | None) -> Estimate:
     """The parameters of a registered problem; those that would leave their bounds are held there.
 
-    Active set: what would leave its bounds stays there and the others are estimated again; what then is no longer
-    pushed against its bound is let go, once.
+    Active set: the others are estimated again; what then is no longer pushed against its bound is let go, once.
     """
     low, high = prior.limits.T
     fixed: dict[int, float] = {}
@@ -327,9 +319,8 @@ def _pushed_inside(result: Estimate, prior: PriorTerms, fixed: Mapping[int, floa
 def _by_the_paper(problem: Problem, task: Task, started: Setup) -> Estimate:
     """The estimate of the paper's solver, in mm and rad at absolute parameters, without priors and weights.
 
-    It minimises the sum of |r_i|^4. For normal noise in three coordinates that spreads the parameters by 7/5 of least
-    squares' covariance: the second derivative is 10 sigma^2 J^T J in the mean and the gradient's covariance
-    140 sigma^6 J^T J; so the squares left over are sigma^2 (3 N - 3/5 rank) in the mean.
+    It minimises the sum of |r_i|^4. For normal noise in 3-D that spreads the parameters by 7/5 of least squares'
+    covariance, and the squares left over are sigma^2 (3 N - 3/5 rank) in the mean.
     """
     model = problem.kinematics.model
     if any(kind.name != "point" for kind in problem.rows.present) or len(started.targets) > 1:
@@ -359,7 +350,7 @@ def _by_the_paper(problem: Problem, task: Task, started: Setup) -> Estimate:
 def _finish(problem: Problem, stage: Stage, solution: Solution, spread: float = 1.0) -> Estimate:
     """The estimate at the last stage, with covariance and scores at the solution itself.
 
-    ``spread`` is the covariance that the solver's estimator has, over that of least squares.
+    ``spread`` is the covariance of the solver's estimator over that of least squares.
     """
     linear, model = problem.linear(solution.x), problem.kinematics.model
     effective, prior, priors = stage.effective, stage.prior, stage.priors
@@ -393,9 +384,8 @@ def _finish(problem: Problem, stage: Stage, solution: Solution, spread: float = 
 def _shared_by_stops(rows: Rows, linear: Linear, stage: Stage, freedom: float) -> Normal:
     """The normal equations with the derivative as several targets of one stop let it be known.
 
-    They share where the robot stopped beside where it should: with the correlation rho the mean of n rows has the
-    variance s^2 (1 + (n - 1) rho) / n, and so much less is known of what moves all of them alike. What they say of
-    each other counts as ever, though it is known better.
+    They share where the robot stopped: with the correlation rho the mean of n rows has the variance
+    s^2 (1 + (n - 1) rho) / n. What they say of each other counts as ever.
     """
     effective, data = stage.effective[0], linear.data(stage.effective)
     weights = stage.weights[0] * rows.where(lambda kind: kind.position)

@@ -44,11 +44,6 @@ def inspect(robot: Robot, cell: Cell, measurements: Measurements | None = None) 
 
     Judged are a table's estimation poses or, without one, 200 poses of a Sobol sequence over the joint limits, of the
     cell's kind. A target or anchor that is not given is registered to the table, or stands at a generic place.
-
-    Raises:
-        ModelError: Unknown parameter set or parameter; or the cell's kind says which poses can be, and only a table
-            can tell them.
-        MeasurementError: A joint's column is missing, or too few rows.
     """
     assumed = []
     if measurements is None:

@@ -1,18 +1,12 @@
-"""The linearised problem: its normal equations, its fit, and the sizes of noise and priors that are most likely.
+"""The linearised problem y = A x + n: its normal equations, its fit, and the most likely sizes of noise and priors.
 
-Every parameter of a family has the prior N(0, tau_f^2); frame and target are flat. The sizes tau_f and the noise
-sigma_c of each instrument maximise the restricted marginal likelihood (REML: H. D. Patterson, R. Thompson, 1971) of
-
-    y = A x + n,    x_k ~ N(0, tau_f(k)^2),    n ~ N(0, sigma_c^2)
-
-so that a family that the data do not support shrinks to nothing, and what poses cannot tell apart is shared out by
-size instead of running away. With C the posterior covariance and m the posterior mean of x, the score is
+Sizes tau_f of x_k ~ N(0, tau_f^2) and sigma_c of each instrument maximise the restricted marginal likelihood (REML: H.
+D. Patterson, R. Thompson, 1971); frame and target are flat. With posterior covariance C, mean m and H_c = A_c^T A_c
 
     dL/dlog tau_f = sum_k (m_k^2 + C_kk) / tau_f^2 - n_f,
-    dL/dlog sigma_c = |y - A m|_c^2 / sigma_c^2 + tr(H_c C) / sigma_c^2 - N_c,      H_c = A_c^T A_c
+    dL/dlog sigma_c = |y - A m|_c^2 / sigma_c^2 + tr(H_c C) / sigma_c^2 - N_c
 
-and its expected (Fisher) information has a closed form in C too. B fits that differ in the weights of their rows, such
-as those without one fold each, are worked on together: they are the first axis of arrays.
+B fits that differ in the weights of their rows are worked on together: they are the first axis of arrays.
 """
 
 from __future__ import annotations
@@ -24,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh
 from scipy.linalg.lapack import dpotrf, dtrtri
 
-from calib.estimate.robust import as_of_a_point, deleted_norms
+from calib.estimate.statistics import as_of_a_point, deleted_norms
 from calib.robot.kernel import over_blocks
 
 Array = NDArray[np.float64]
@@ -54,7 +48,7 @@ class Normal:
     known: tuple[Array, Array, float]  # C^T C, C^T z and z^T z
 
     def posterior(self, noise: Array, priors: Priors) -> tuple[Array, Array]:
-        """Mean and covariance of x, shapes (B, p) and (B, p, p), at the sigma of each instrument, shape (B, C).
+        """Mean (B, p) and covariance (B, p, p) of x, at the sigma of each instrument, (B, C).
 
         Directions that neither data nor prior determine get no share of either.
         """
@@ -83,7 +77,7 @@ class Normal:
         """The restricted log likelihood of noise and sizes, but for a constant of the flat parameters, shape (B,).
 
         -1/2 [sum_c N_c log sigma_c^2 - sum_k log own_k + log det M + y^T P y], with the posterior's precision M and
-        the precision ``own``, shape (B, p), of the parameters that are not flat.
+        ``own``, (B, p), the precision of the parameters that are not flat.
         """
         scaled, scale = self._scaled(noise, priors)
         values = np.linalg.eigvalsh(scaled)
@@ -179,12 +173,7 @@ class Linear:
         return made
 
     def fit(self, weights: Array, noise: Array, priors: Priors) -> tuple[Array, Array, Array]:
-        """The linear fit with these weights, shape (B, N), noise, shape (B, C), and priors.
-
-        Returns:
-            x, shape (B, p); its covariance, shape (B, p, p); and the degrees of freedom, shape (B,): scalars, by
-            weight, minus the parameters that they have to pay for.
-        """
+        """The linear fit with weights, noise and priors: x (B, p), covariance (B, p, p), degrees of freedom (B,)."""
         data = self.data(weights)
         x, covariance = data.posterior(noise, priors)
         paid = np.sum(data.H * covariance[:, None], axis=(2, 3)) / np.square(noise)
@@ -214,14 +203,11 @@ def sizes_by_reml(
     noise_spread: float = np.inf,
     iterations: int = 30,
 ) -> tuple[Array, Array]:
-    """The sizes that maximise the restricted marginal likelihood, by damped Fisher scoring on their logarithms.
+    """Noise (B, C) and sizes (B, K) that maximise the likelihood, by damped Fisher scoring on their logarithms.
 
-    families, shape (K, p), says which parameters belong to each; noise, shape (B, C), and sizes, shape (B, K), are
-    where to begin, with a smallest noise of each instrument and bounds of each size. noise_spread is the standard
-    deviation of a normal prior on log sigma: it decides where rows are too few to tell noise from error. priors stay.
-
-    Returns:
-        Noise and sizes, of the same shapes.
+    families, (K, p), says which parameters belong to each; noise and sizes are where to begin. noise_spread is the
+    standard deviation of a normal prior on log sigma, which decides where rows are too few to tell noise from error;
+    priors stay.
     """
     C = noise.shape[1]
     lowest = np.log(np.array([*smallest_noise, *(low for low, _ in bounds)]))

@@ -1,11 +1,9 @@
 """Problem: robot, error model and measurements as one weighted least-squares problem.
 
-    minimise  1/2 sum_i w_i |r_i(x) / sigma_i|^2 + 1/2 sum_k (x_k - m_k)^2 / tau_k^2
-              + 1/2 sum_c (d_c - d_c(x))^2 / s_c^2
+    minimise  1/2 sum_i w_i |r_i(x) / sigma_i|^2 + 1/2 sum_k (x_k - m_k)^2 / tau_k^2 + 1/2 sum_c (d_c - d_c(x))^2 /
+    s_c^2
 
-with the residuals r_i, measured minus predicted, of `calib.estimate.rows`, normal priors of size tau_k on the offsets
-(their mean m_k is 0, but for a parameter that is held at a bound), and known distances d_c between what two set-ups
-hold the target in.
+with residuals r, normal priors of size tau on the offsets (mean 0, but at a bound) and known distances d.
 """
 
 from __future__ import annotations
@@ -74,10 +72,9 @@ class Problem:
         return np.asarray(self.linear(x).A * self.rows.scales[:, :, None])
 
     def linear(self, x: Array) -> Linear:
-        """The problem linearised at x, in units of each scalar's sigma as given.
+        """The problem linearised at x, in units of each scalar's sigma as given; the last one is kept.
 
-        The last one is kept, because solvers and the stages between them often ask twice at the same x. Weights, noise
-        and priors do not enter it, so that a problem and its reweighted copies share one.
+        Weights, noise and priors do not enter it, so that a problem and its reweighted copies share one.
         """
         if self._last and np.array_equal(x, self._last[0].x):
             return self._last[0]
@@ -104,7 +101,7 @@ class Problem:
         return np.asarray(self.constraints(x)[1] * sigma[:, None])
 
     def constraints(self, x: Array) -> tuple[Array, Array]:
-        """Known minus predicted distances, over their sigma, shape (K,), and the derivative of the prediction, (K, p).
+        """Known minus predicted distances over their sigma, (K,), and the derivative of the prediction, (K, p).
 
         A point held at the origin of frame f stands at c_f = -R^T t in the base, with T_frame_base = (R, t).
         """
@@ -128,10 +125,8 @@ class Problem:
     def system(self, x: Array) -> tuple[Array, Array]:
         """The whitened residual and its own derivative, with a row for each prior and each known distance.
 
-        Returns:
-            shape (M + priors + distances,) and shape (M + priors + distances, p); see the module's equation. Of the M
-            scalars those of column 0 come first, of all rows, then those of column 1. Of many rows M is p + 1: numbers
-            whose squares and products are those of all scalars.
+        Of the M scalars those of column 0 come first, of all rows, then those of column 1. Of many rows M is p + 1:
+        numbers whose squares and products are those of all scalars.
         """
         held = np.flatnonzero(self.precision)
         root = np.sqrt(self.precision[held])

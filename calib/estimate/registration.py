@@ -1,8 +1,7 @@
 """Registration: where targets and measurement frames stand, before anything about the robot is estimated.
 
-A robust fit from a wrong start takes every row for an outlier, so these come first, by plain least squares on the
-nominal robot: in closed form where the problem is linear, and else from several starts, the best of which are refined
-by Levenberg-Marquardt.
+By plain least squares on the nominal robot, for a robust fit from a wrong start takes every row for an outlier: in
+closed form where the problem is linear, else by Levenberg-Marquardt from several starts.
 """
 
 from __future__ import annotations
@@ -92,11 +91,7 @@ def register_poses(
 
 
 def nominal_setup(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
-    """Frames and targets as given; those that were not given as the nominal robot registers them.
-
-    Rows that lie far from the others take no part: one gross row would move target and frame, and with them the errors
-    of the nominal robot on every other row.
-    """
+    """Frames and targets as given; those that were not given as the nominal robot registers them, gross rows aside."""
     setup = setup.as_known(setup.frame_given, setup.target_given)
     if not setup.count:
         return setup
@@ -121,10 +116,7 @@ def nominal_setup(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
 
 
 def _settled(setup: Setup, rows: Rows) -> Setup:
-    """The set-up with frames put somewhere definite in directions that no row tells: a plane's turn about its normal.
-
-    Without this the start that happened to win would decide it, by rounding.
-    """
+    """The set-up with frames put somewhere definite where no row tells: a plane's turn about its normal."""
     T_frame_base = setup.T_frame_base.copy()
     for f, directions in enumerate(setup.unknown):
         for kind in rows.present:
@@ -224,10 +216,9 @@ def _system(
 
 
 def _linear_start(setup: Setup, T_base_tip: Array, rows: Rows) -> Setup | None:
-    """Targets, and the unknown translations of frames, by one linear least squares; None where it does not apply.
+    """Targets, and the unknown translations of frames, by linear least squares R_f (R_i t + p_i) + s_f = m_i.
 
-    It does where each frame's rotation is known, every row measures a position in it, and the targets' rotations do not
-    matter: R_f (R_i t + p_i) + s_f = m_i.
+    None where a frame's rotation is unknown, or rows measure no position.
     """
     known_turns = all(not {"rx", "ry", "rz"} & set(directions) for directions in setup.unknown)
     if not known_turns or not all(kind.coordinates for kind in rows.present):
@@ -296,8 +287,7 @@ def _frames_around(setup: Setup, T_base_tip: Array, rows: Rows) -> Setup:
 def _pose_start(setup: Setup, T_base_tip: Array, rows: Rows) -> Setup | None:
     """Rotations of frames and targets from measured orientations, then their translations; None without enough.
 
-    M_i = R_f R_i R_t for each row: M_i R_t^T - R_f R_i = 0 is linear in both rotations; the null vector is projected
-    to SO(3) (M. Shah, 2013, for the same equation in hand-eye calibration).
+    M_i R_t^T - R_f R_i = 0 is linear in both rotations; the null vector is projected to SO(3) (M. Shah, 2013).
     """
     oriented = rows.where(lambda kind: kind.orientation)
     whole = [f for f, d in enumerate(setup.unknown) if len(d) == _ALL]

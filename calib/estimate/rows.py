@@ -131,8 +131,7 @@ class Rows:
     def derivative(self, T_frame_target: Array, twists: Array) -> Array:
         """The derivative of what is predicted, minus that of the residual, shape (N, width, p).
 
-        ``twists``, shape (N, 6, p), are the targets', linear then angular, along the frame's axes, see
-        `calib.model.kinematics.Kinematics.twists`; shape (N, 3, p) does where no kind measures an orientation.
+        ``twists``, (N, 6, p) or (N, 3, p) where no kind measures an orientation, are those of `Kinematics.twists`.
         """
         shape, numbers = (len(self), self.width, twists.shape[2]), np.arange(len(self))[:, None]
         result: Array | None = None
@@ -173,7 +172,7 @@ class Rows:
     def evenly(self, most: int) -> Mask:
         """All rows, or about so many, the same share of each frame, target and kind, shape (N,); whole pairs.
 
-        Which ones is drawn at random, always alike: tables have cycles, and every tenth row may be of one kind of pose.
+        Drawn at random, always alike: tables have cycles, and every tenth row may be of one kind of pose.
         """
         if len(self) <= most:
             return np.ones(len(self), dtype=bool)
@@ -207,10 +206,9 @@ class Rows:
 
 
 def same_poses(joints: Array) -> Integers:
-    """Which pose each row, shape (N, n), [rad] or [m], was measured at: repeats get the same number, from 0 on.
+    """Which pose each row (N, n), [rad] or [m], was measured at: repeats get the same number, from 0 on.
 
-    Rows within `_SAME_POSE` of another in every joint are repeats of it: of the first one in the table's order that is
-    no repeat itself.
+    Rows within `_SAME_POSE` of another in every joint are repeats of the first one that is no repeat itself.
     """
     unique, first, copy = np.unique(joints, axis=0, return_index=True, return_inverse=True)
     tree, leader = cKDTree(unique), first.copy()

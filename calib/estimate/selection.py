@@ -1,12 +1,8 @@
 """auto: how much model the data support, decided by the data.
 
-Every candidate is fitted with prior sizes and noise by restricted likelihood, with the same weights of the rows, so
-that likelihoods can be compared: one that adds errors the data do not show gains nothing, whatever its number of
-parameters. A step up the ladder must gain `_STEP` in log likelihood, and must not be worse on left-out rows.
-
-The geometry is chosen first: it alone goes into a URDF. The families that no URDF can hold (`calib.model.families`) are
-then added to it one by one, as long as one of them passes. What they left over may have hidden a larger geometry: with
-one of them found, the sets above are asked again.
+Every candidate is fitted by restricted likelihood with the same weights of the rows. A step up the ladder must gain
+`_STEP` in log likelihood, and must not be worse on left-out rows. The geometry is chosen first; then the families that
+no URDF can hold are added one by one, and with one of them found, the larger sets are asked again.
 """
 
 from __future__ import annotations
@@ -63,12 +59,7 @@ class Selection:
 
 
 def select(task: Task, rows: Rows) -> Selection:
-    """Choose geometry and larger model for some rows.
-
-    Raises:
-        ModelError: The cell names a parameter that no model of the ladder has.
-        MeasurementError: Too few rows.
-    """
+    """Choose geometry and larger model for some rows; `ModelError` for a name in the cell that no model has."""
     _check_names(task)
     task, off = replace(task, lenient=True), task.cell.priors.sizes == "off"
     models = {name: model_of(replace(task, model=name)).names for name in LADDER}

@@ -113,9 +113,8 @@ class Setup:
     def aligned(self, model: ErrorModel) -> ErrorModel:
         """The model with the directions of planes' frames along the planes' axes, and of targets along the tip's.
 
-        A frame is displaced in the base, T_frame_base D: with the rotation R of T_frame_base the twist of a unit along
-        one of its own axes e is R^T e. A target is displaced in its own frame, T_tip_target D, and its position is
-        given and told along the tip's axes; its angles stay about its own.
+        With the rotation R of T_frame_base the twist of a unit along one of the plane's own axes e is R^T e. A target's
+        position is given and told along the tip's axes; its angles stay about its own.
         """
         frames = zip(self.frame_unknowns, self.own_axes, self.T_frame_base, strict=True)
         targets = zip(self.target_names, self.T_tip_target, strict=True)
@@ -135,12 +134,9 @@ class Setup:
 
 
 def setup_of(cell: Cell, measurements: Measurements, kinds: Integers) -> Setup:
-    """What a cell says of the frames and targets of a table.
+    """What a cell says of the frames and targets of a table; `ModelError` for a name that the table lacks.
 
     Sockets, planes and anchors are always unknown where the cell does not give their group's frame.
-
-    Raises:
-        ModelError: The cell names a set-up or a target that the table lacks.
     """
     groups = tuple(dict.fromkeys(measurements.groups))
     targets = tuple(dict.fromkeys(measurements.targets))
@@ -197,7 +193,6 @@ def rows_of(robot: Robot, measurements: Measurements, cell: Cell) -> tuple[Rows,
 
     Raises:
         MeasurementError: A joint's column is missing, or a pair has lost its other row.
-        ModelError: The cell names a set-up or target that the table lacks.
     """
     m, count = measurements, len(measurements)
     q = m.joints_for(robot.joint_names)
@@ -239,11 +234,7 @@ def rows_of(robot: Robot, measurements: Measurements, cell: Cell) -> tuple[Rows,
 
 
 def known_distances(cell: Cell, setup: Setup) -> tuple[KnownDistance, ...]:
-    """The cell's known distances between set-ups, by the numbers of their frames; a "*" stands for any text.
-
-    Raises:
-        ModelError: A distance fits no two set-ups of the table.
-    """
+    """The cell's known distances between set-ups, by the numbers of their frames; a "*" stands for any text."""
     result: list[KnownDistance] = []
     for known in cell.distances:
         pairs = known.pairs(setup.groups)

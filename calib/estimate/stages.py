@@ -1,8 +1,7 @@
 """The stages of an estimation: robust weights, noise and prior sizes on the linearised problem, until they settle.
 
-From wide priors and all rows in full: robust weights whose scale is a median; then sizes of noise and priors by
-restricted likelihood (`calib.estimate.likelihood`) with weights that name the outliers. B fits go through them at a
-time, that lack some rows each.
+First robust weights whose scale is a median; then sizes of noise and priors by restricted likelihood with weights that
+name the outliers. B fits go through them at a time, that lack some rows each.
 """
 
 from __future__ import annotations
@@ -18,9 +17,8 @@ from scipy.spatial.transform import Rotation
 from calib.data.cell import Cell
 from calib.errors import ModelError
 from calib.estimate.likelihood import Linear, Priors, sizes_by_reml
-from calib.estimate.robust import Limits, cauchy_weights, median_noise
 from calib.estimate.setup import Setup
-from calib.estimate.statistics import repeats
+from calib.estimate.statistics import Limits, cauchy_weights, median_noise, repeats
 from calib.model.families import FAMILIES
 from calib.model.parameters import FRAME, TARGET, ErrorModel, frame_place, target_place
 from calib.robot.robot import rigid_inverse
@@ -109,10 +107,7 @@ class PriorTerms:
 
 
 def _nominal(given: Setup, started: Setup, model: ErrorModel, asked: list[int]) -> Array:
-    """Where the changes of parameters count from, shape (p,): 0, but for targets and frames, which registration moved.
-
-    A displacement by x, y, z, rx, ry, rz in this order has these translations and these angles about moving axes.
-    """
+    """Where the changes of parameters count from, (p,): 0, but for targets and frames, which registration moved."""
     frames = zip(given.frame_given, started.T_frame_base, given.T_frame_base, strict=True)
     targets = zip(given.target_given, started.T_tip_target, given.T_tip_target, strict=True)
     places = dict(zip(map(frame_place, given.frame_unknowns), frames, strict=True))
@@ -259,9 +254,7 @@ def staged(
 ) -> tuple[Stage, Array]:
     """Weights, noise and sizes from the first stage on, until they settle, for each fit of the stage.
 
-    Returns:
-        The last stage, and the degrees of freedom of the first fit, shape (B,): where they are few no row loses its
-        weight.
+    Also returned are the degrees of freedom of the first fit, (B,): where they are few no row loses its weight.
     """
     linear = linear_at(stage)
     stage = stage.sharing(linear, poses, repeats)

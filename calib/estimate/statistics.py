@@ -1,12 +1,10 @@
-"""Errors of rows, and what repeats of a pose tell: arrays in, values out.
+"""Statistics of rows: errors, what repeats of a pose share, and which rows do not belong to the others.
 
-What a model leaves over at a pose is the same in each repeat, the instrument's noise is not:
-
-    e = b + w,  var b = s_b^2 (shared by a pose),  var w = s_w^2,  rho = s_b^2 / (s_b^2 + s_w^2)
-
-Both are found by moments from the mean squares within and between poses (one-way analysis of variance, repeats of
-unequal number). A mean of n repeats has the variance s^2 (1 + (n - 1) rho) / n, which weights of 1 / (1 + (n - 1) rho)
-for each of them give it.
+Repeats: e = b + w with var b = s_b^2 shared by a pose and var w = s_w^2 its own; rho = s_b^2 / (s_b^2 + s_w^2) by
+moments from the mean squares within and between poses. Outliers: with the leverage K = A C A^T of a row of weight 1,
+whitened, score^2 = r^T (I + (1 - w) K)^-1 (I - w K)^-1 r, the squared deleted residual over its covariance; score^2 / d
+follows F(d, dof) for a good row of d scalars. Scores are told as those of three scalars, so that one limit serves a
+table.
 """
 
 from __future__ import annotations
@@ -15,9 +13,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.special import stdtrit
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import chdtrc, chdtri, fdtri, stdtrit
 
+from calib.robot.kernel import over_blocks
 from calib.robot.robot import read_only
 
 Array = NDArray[np.float64]
@@ -45,7 +44,7 @@ class Errors:
 
     @classmethod
     def of(cls, residual: Array, used: Mask | None = None) -> Errors:
-        """From residuals, measured minus predicted, shape (N, D); used, of this shape: which scalars were measured.
+        """From residuals, measured minus predicted, (N, D); used, (N, D), says which scalars were measured.
 
         Example:
             >>> errors = Errors.of(np.array([[3e-3, 4e-3, 0.0], [0.0, 0.0, 0.0]]))
@@ -84,12 +83,7 @@ class CrossValidation:
 
 
 def interval_factor(freedom: float, level: float = 0.95) -> float:
-    """How many standard deviations the two-sided interval of a probability reaches: Student's t.
-
-    Example:
-        >>> round(interval_factor(1e6), 3)
-        1.96
-    """
+    """How many standard deviations the two-sided interval of a probability reaches: Student's t."""
     return float(stdtrit(max(freedom, 1.0), 0.5 + level / 2.0))
 
 
@@ -106,12 +100,11 @@ class Repeats:
 def repeats(
     residual: Array, used: Mask, poses: Integers, weights: Array, *, fitted: float = 0.0
 ) -> Repeats:
-    """Scatter within repeats, which holds whatever the model lacks, and their correlation, by the method of moments.
+    """Scatter within repeats, which holds whatever the model lacks, and their correlation.
 
-    residual, shape (N, D), is measured minus predicted, lengths in columns 0 to 2 and angles behind; used, of its
-    shape, says which there are. poses, shape (N,), is what is repeated as a whole, weights are robust ones, 0 for
-    outliers. fitted is the number of parameters that the fit took from all scalars: they make the means of poses
-    smaller than their errors, and without them rho is found too small.
+    Of residuals (N, D) in the columns ``used``, of rows repeated as ``poses`` (N,) says, with robust weights (N,).
+    fitted is the number of parameters that the fit took from all scalars: they make the means of poses smaller than
+    their errors.
     """
     _, pose = np.unique(poses, return_inverse=True)
     w = np.where(used, weights[:, None], 0.0)
@@ -138,14 +131,10 @@ def repeats(
 
 
 def pose_means(values: Array, weights: Array, poses: Integers) -> tuple[Array, Integers]:
-    """Means over the repeats of each pose, as large as one row of the same noise: sum w v / sqrt(sum w).
+    """Means over repeats, sum w v / sqrt(sum w), (K, ...), and the first row of each, (K,).
 
-    With the weights that `calib.estimate.stages.Stage.sharing` gives to repeats they have the variance of one row, and
-    are independent of each other, however much the repeats share. values, shape (N, ...), are whitened; weights, shape
-    (N,), above 0, repeats shared out.
-
-    Returns:
-        shape (K, ...), and shape (K,), the first row of each pose.
+    Of whitened values (N, ...), with the weights (N,) > 0 that `calib.estimate.stages.Stage.sharing` gives to repeats,
+    the means have the variance of one row and are independent of each other.
     """
     _, first, pose = np.unique(poses, return_index=True, return_inverse=True)
     scale = weights / np.sqrt(np.bincount(pose, weights))[pose]
@@ -154,7 +143,7 @@ def pose_means(values: Array, weights: Array, poses: Integers) -> tuple[Array, I
 
 
 def _moments(e: Array, w: Array, pose: Integers) -> Array:
-    """Sums over poses for each component of residuals and weights of shape (N, D), shape (8, D).
+    """Sums over poses for each component of residuals and weights (N, D), shape (8, D).
 
     The weighted squares within poses, their expectation over s_w^2, their degrees of freedom; the weighted squares of
     means about the grand mean, their expectations over s_w^2 and over s_b^2; the number of poses, and that less one.
@@ -191,3 +180,129 @@ def _within(m: Array) -> tuple[float, float]:
 def _by_pose(pose: Integers, values: Array) -> Array:
     """Sums of rows (N, D) over each pose, shape (K, D)."""
     return np.stack([np.bincount(pose, column) for column in values.T], axis=1)
+
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+#: A good row keeps its full weight with this probability; and that with which any row of a clean table is flagged.
+_FULL, _FALSE_ALARM = 0.99, 0.01
+
+#: A row that leaves less than this of a direction to the others carries it nearly alone; and the scalars of a point,
+#: for which scores are told.
+_CARRIED, _POINT = 1e-4, 3
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Scores between which the weight falls from 1 to 0; of one table or of several, shape (B, 1)."""
+
+    full: Array  # Below it a row counts in full
+    flagged: Array  # Above it a row does not count and is named as an outlier
+
+    @classmethod
+    def of(cls, rows: ArrayLike, freedom: ArrayLike) -> Limits:
+        """The limits for a table."""
+        freedom, clean = np.maximum(freedom, 1.0), 1.0 - _FALSE_ALARM / np.maximum(rows, 10)
+        return cls(*(np.sqrt(3.0 * fdtri(3.0, freedom, p)) for p in (_FULL, clean)))
+
+    def weights(self, scores: Array) -> Array:
+        """Redescending weights: 1, then falling linearly in influence to 0, of the scores' shape."""
+        fall = (self.flagged - scores) / (self.flagged - self.full)
+        return np.where(scores <= self.full, 1.0, np.clip(fall, 0.0, 1.0))
+
+
+def deleted_norms(
+    residual: Array, jacobian: Array, covariance: Array, weights: Array, factors: Array
+) -> Array:
+    """How far each row lies from what the others predict, in standard deviations, shape (B, N); see the module's text.
+
+    residual (B, N, D) and jacobian (N, D, p) are in units of each scalar's sigma, and multiplied by factors (B or 1, N,
+    D); covariance (B, p, p), weights (B, N).
+    """
+    norms = np.empty(weights.shape)
+
+    def work(own: slice) -> None:
+        A = jacobian[own].transpose(2, 1, 0)
+        p, D, n = A.shape
+        spread = (covariance @ A.reshape(p, D * n)).reshape(-1, p, D, n)
+        leverage: Array = np.empty((D, D, len(norms), n))
+        for i in range(D):
+            row = np.einsum("bpn,pjn->jbn", spread[:, :, i], A[:, : i + 1])
+            leverage[i, : i + 1], leverage[: i + 1, i] = row, row
+        f = factors[:, own].transpose(2, 0, 1)
+        r = (residual[:, own].transpose(2, 0, 1) * f).reshape(D, -1)
+        leverage *= f * f[:, None]
+        found = _norms_of(r, leverage.reshape(D, D, -1), weights[:, own].ravel())
+        norms[:, own] = found.reshape(-1, n)
+
+    over_blocks(work, weights.shape[1])
+    return norms
+
+
+def _norms_of(r: Array, K: Array, w: Array) -> Array:
+    """The norms of residuals (D, B), with the leverages K (D, D, B) and weights (B,).
+
+    (I + (1 - w) K) (I - w K) is symmetric and solved as it stands; where a row carries nearly all that is known of a
+    direction, by the eigenvalues of K, none of which may then pass 1 / w.
+    """
+    kept = np.eye(len(r))[:, :, None] - w * K
+    spread = kept + (1.0 - w) * np.einsum("ijb,jkb->ikb", K, kept)
+    with np.errstate(all="ignore"):
+        _, square = _eliminated(spread, r.copy())
+    # The product of 1 - w k over the eigenvalues k of K is at most its smallest factor, and at least 1 - w trace K.
+    if not np.all(w * np.einsum("iib->b", K) < 1.0 - _CARRIED):
+        with np.errstate(all="ignore"):
+            left, _ = _eliminated(kept, np.zeros_like(r))
+        risky = ~(left >= _CARRIED) | (K.max(axis=(0, 1), initial=0.0) > 1.0 / _CARRIED)
+        if risky.any():
+            values, vectors = np.linalg.eigh(K[:, :, risky].T)
+            along, w = np.einsum("nij,ni->nj", vectors, r[:, risky].T), w[risky, None]
+            spread = (1.0 + (1.0 - w) * values) * np.maximum(1.0 - w * values, 1e-9)
+            square[risky] = np.sum(along**2 / spread, axis=1)
+    return np.asarray(np.sqrt(np.maximum(square, 0.0)))
+
+
+def _eliminated(M: Array, r: Array) -> tuple[Array, Array]:
+    """The determinants of symmetric matrices, shape (D, D, B), and r^T M^-1 r; both arguments are overwritten."""
+    determinant, square = np.ones(r.shape[1]), np.zeros(r.shape[1])
+    for j in range(len(r)):
+        pivot = M[j, j]
+        determinant *= pivot
+        square += r[j] ** 2 / pivot
+        if j + 1 < len(r):
+            ratio = M[j + 1 :, j] / pivot
+            M[j + 1 :, j + 1 :] -= ratio[:, None] * M[j, j + 1 :]
+            r[j + 1 :] -= ratio * r[j]
+    return determinant, square
+
+
+def as_of_a_point(row_scores: Array, scalars: NDArray[np.int_]) -> Array:
+    """The scores (..., N) that three scalars would have at the same chi-squared probability; 0 without scalars."""
+    result: Array = row_scores.copy()
+    result[..., scalars == 0] = 0.0
+    for d in np.unique(scalars):
+        if d in (0, _POINT):
+            continue
+        own = scalars == d
+        farthest = np.sqrt(chdtri(d, 1e-200))  # beyond it the tail is too thin to be inverted
+        inner = np.minimum(row_scores[..., own], farthest)
+        same = np.sqrt(chdtri(_POINT, chdtrc(d, inner**2)))
+        result[..., own] = same + (row_scores[..., own] - inner)
+    return result
+
+
+def median_noise(row_scores: Array, used: Mask, kept: Mask) -> Array:
+    """The noise that makes the median score (B, N) of the rows kept what it is for normal noise, shape (B,)."""
+    scalars = np.sum(used, axis=1)
+    typical = np.sqrt(chdtri(np.maximum(np.arange(used.shape[1] + 1), 1), 0.5))[scalars]
+    there = kept & (scalars > 0)
+    ordered = np.sort(np.where(there, row_scores / typical, np.inf), axis=1)
+    count = there.sum(axis=1)[:, None]
+    middle = np.hstack([(count - 1) // 2, count // 2])
+    return np.asarray(np.take_along_axis(ordered, middle, axis=1).mean(axis=1))
+
+
+def cauchy_weights(row_scores: Array) -> Array:
+    """1 / (1 + (s / 3.4)^2): never quite 0, while the fit may still be wrong for all rows."""
+    return np.asarray(1.0 / (1.0 + (row_scores / 3.4) ** 2))

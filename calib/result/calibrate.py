@@ -23,12 +23,11 @@ from calib.estimate.crossvalidation import (
 )
 from calib.estimate.fitting import Fitted, Task, fit
 from calib.estimate.registration import nominal_setup
-from calib.estimate.robust import Limits
 from calib.estimate.rows import Rows
 from calib.estimate.selection import Candidate, select
 from calib.estimate.setup import known_distances, rows_of
 from calib.estimate.solvers import Solver
-from calib.estimate.statistics import CrossValidation, Repeats, repeats
+from calib.estimate.statistics import CrossValidation, Limits, Repeats, repeats
 from calib.model.error_model import split_name
 from calib.model.kinematics import Samples
 from calib.model.observability import Observability, analyse

@@ -128,7 +128,7 @@ class Calibration(Solved):
     residual_nominal: Array
     residual_calibrated: Array  #: shape (N, D), by the calibrated robot
     used: Mask  #: shape (N, D), which scalars were measured
-    scores: Array  #: shape (N,), of all rows; see `calib.estimate.robust`
+    scores: Array  #: shape (N,), of all rows; see `calib.estimate.statistics`
     weights: Array  #: shape (N,), of all rows in the fit, between 0 and 1; 0 for validation rows
     #: shape (m, 2), the smallest and the largest value of each joint in the rows that were fitted [rad], [m]
     ranges: Array

@@ -134,9 +134,7 @@ def validation_errors(
 ) -> tuple[Errors, Errors, int]:
     """Errors on the validation rows, before and after, without suspects if they are few, and how many those are.
 
-    One wild row would decide the comparison; many of them are no accidents but a robot that is not met. All are of
-    shape (N,) or (N, D): which rows validate, which of them the calibrated robot does not explain, the residuals of the
-    nominal and of the calibrated robot [m], [rad], and which scalars were measured.
+    One wild row would decide the comparison; many of them are no accidents. Residuals are of shape (N, D), masks (N,).
     """
     aside = suspects & validation
     many = np.sum(suspects) > max(1, int(_FEW_SUSPECTS * np.sum(validation)))

@@ -1,16 +1,12 @@
 """Tests of residuals: whether they follow a joint's value, drift with time, or leave a set-up unpredicted.
 
-The residual r of a fit with regressors A, both whitened, is looked at in the space that A cannot reach. With Q an
-orthonormal basis of A's range and r' = r - Q Q^T r, further regressors Z, less what Q reaches of them, explain the
-square S of r', and F follows Fisher's distribution when the rest is normal noise of one variance:
+F tests in the space that the fit's regressors A cannot reach, of further regressors Z: S is what they explain of the
+rest,
 
     F = (S / rank Z') / ((|r'|^2 - S) / (M - rank A - rank Z'))
 
-Repeats of a pose share what the model lacks there: their mean is one measurement. A set-up is predicted by a fit to all
-the others, its own nuisance (measurement frame, target) registered anew. With C the covariance of that fit's parameters
-and A their regressors in the set-up, its residual r has the covariance I + A C A^T when nothing is wrong, and
-
-    F = (r^T W r / freedom) / noise,   W = (I + A C A^T)^-1, less what the nuisance takes up.
+Repeats of a pose share what the model lacks there: their mean is one measurement. A set-up is predicted by a fit to the
+others: its residual r has the covariance I + A C A^T when nothing is wrong, less what its own frame and target take up.
 """
 
 from __future__ import annotations
@@ -89,8 +85,8 @@ def joint_patterns(
 ) -> list[tuple[int, Explained]]:
     """The joints whose value, ``joints`` (N, m), residuals follow beyond a constant of each component; surest first.
 
-    For each joint the regressors are sin q, cos q and q, or q and q^2 where it slides, times the directions (M, k) of
-    what displacements of it do to the scalars. A table with nothing but noise gives any with `FALSE_ALARM`.
+    The regressors are sin q, cos q and q, or q and q^2 where a joint slides, times the directions (M, k) of what
+    displacements of it do to the scalars. A table with nothing but noise gives any with `FALSE_ALARM`.
     """
     if not len(stack.r):
         return []
@@ -107,10 +103,9 @@ def joint_patterns(
 
 
 def drift(stack: Stack, order: Array) -> Explained | None:
-    """The drift of the residuals in the order of the rows, shape (N,); None where chance gives such a one.
+    """The drift of the residuals in the order of the rows, (N,); None where chance gives such a one.
 
-    The drift between poses and that within the repeats of a pose are tested apart, and their probabilities combined by
-    Fisher's method: that holds however much of the residual the repeats share. The surer test is returned.
+    Between poses and within repeats it is tested apart, and the probabilities are combined by Fisher's method.
     """
     if not len(stack.r):
         return None
@@ -156,7 +151,7 @@ def _within(stack: Stack, Z: Array) -> Explained:
 
 
 def f_test(base: Array, r: Array, Z: Array, sizes: Array, lost: int = 0) -> Explained:
-    """The F test of further regressors Z (M, k) beyond an orthonormal base (M, rank A); the module's text has it.
+    """The F test of further regressors Z (M, k) beyond an orthonormal base (M, rank A).
 
     A column of Z below `_CUT` times its size counts for nothing; ``lost`` degrees of freedom were taken before.
     """
@@ -176,10 +171,7 @@ def f_test(base: Array, r: Array, Z: Array, sizes: Array, lost: int = 0) -> Expl
 
 
 def even_factors(A: Array, r: Array, component_of: Integers) -> Array:
-    """What makes the residual of each component equally large, shape (M,): an instrument may see depth worse.
-
-    With the factors right, the expected square of each scalar is what the regressors leave of its freedom, 1 - h.
-    """
+    """What makes the residual of each component equally large, (M,): an instrument may see depth worse."""
     found, component = np.unique(component_of, return_inverse=True)
     factors, count = np.ones(len(r)), len(found)
     for _ in range(_ROUNDS if count > 1 else 0):
@@ -205,10 +197,9 @@ def _levelled(squares: NDArray[Any], freedom: NDArray[Any]) -> Array:
 def unpredicted(
     squares: Array, freedoms: Array, noises: Array, noise_freedoms: Array
 ) -> list[tuple[int, float]]:
-    """The set-ups whose errors are larger than the noise, beyond chance and by a factor that matters; surest first.
+    """The set-ups whose errors are larger than noise, beyond chance and by `_MATTERS`; surest first, with the ratio.
 
-    Of each the sum of whitened squares under the fit to the others (`prediction_square`) with its degrees of freedom,
-    and the variance of a whitened scalar in that fit with its own. Number, and errors over those expected, rms.
+    squares and freedoms are of `prediction_square`, noises the variance of a whitened scalar in the fit to the others.
     """
     testable = np.flatnonzero((freedoms > 0.0) & (noise_freedoms > 0.0) & (noises > 0.0))
     F = squares[testable] / freedoms[testable] / noises[testable]
@@ -220,8 +211,8 @@ def unpredicted(
 def prediction_square(r: Array, A: Array, covariance: Array, nuisance: Array) -> tuple[float, int]:
     """Sum of squares of a set-up's residual, in units of its prediction's own uncertainty, and its degrees of freedom.
 
-    The residual r (M,) and the regressors A (M, p) of what the others know are whitened; the covariance (p, p) is for
-    scalars of variance 1. What the set-up has to itself, ``nuisance`` (M, k) of any rank, takes up its share.
+    The residual r (M,) and the regressors A (M, p) of what the others know are whitened, the covariance (p, p) is for
+    scalars of variance 1; ``nuisance`` (M, k) is what the set-up has to itself.
     """
     # A symmetric root of W: with A C^(1/2) = U S V^T it is I + U ((1 + S^2)^(-1/2) - 1) U^T, never made as a matrix.
     sizes, vectors = np.linalg.eigh(covariance)

@@ -1,8 +1,6 @@
 """What a result rests on: the poses that were measured, the rows whose weight was lowered, the set-up as it was given.
 
-A fit answers for what was measured. Functions of a joint's value extrapolate badly beyond its measured range, and
-poses in one corner leave most of the arm's errors free to be anything elsewhere. Robust weights rest on the belief
-that a few rows are accidents; how much hangs on it is seen by fitting again with every row in full. And where a
+A fit answers for what was measured; robust weights rest on the belief that a few rows are accidents; and where a
 nominal arm is off by centimetres, the usual mistakes are tried on it, with the target registered anew.
 """
 
@@ -57,10 +55,9 @@ class OutsideRow:
 def outside(
     measured: Array, asked: Array, names: Sequence[str], types: Sequence[str]
 ) -> tuple[OutsideRow, ...]:
-    """The rows asked for, shape (K, m), with joint values outside the range of the measured ones, (N, m) [rad or m].
+    """The rows asked for, (K, m), with joint values outside the range of the measured ones, (N, m) [rad or m].
 
-    A continuous joint's values are points on a circle: its range is what the largest gap leaves. A margin of 5 % of the
-    range is allowed, the distance is from the range. m names and URDF types of the joints.
+    A continuous joint's range is what the largest gap on the circle leaves; a margin of 5 % is allowed.
     """
     if not len(measured) or not len(asked):
         return ()
@@ -94,10 +91,7 @@ def spread_of(tips: Array, everywhere: Array) -> float:
 
 
 def shares_of_ranges(joints: Array, ranges: Array, types: Sequence[str]) -> Array:
-    """The share of each joint's range (m, 2) that was used by rows (N, m), 0 to 1, shape (m,); 1 without a range.
-
-    A joint that turns has a full turn at most to use.
-    """
+    """The share of each joint's range (m, 2), a full turn at most, that rows (N, m) use, 0 to 1, (m,)."""
     spans = np.array([_range(q, kind)[1] for q, kind in zip(joints.T, types, strict=True)])
     turning = np.array([kind != "prismatic" for kind in types])
     room = np.minimum(ranges[:, 1] - ranges[:, 0], np.where(turning, 2.0 * np.pi, np.inf))
@@ -194,10 +188,7 @@ Trial = tuple[float, Robot, Setup, Rows, Why, dict[str, Any]]
 
 
 def better_setup(robot: Robot, cell: Cell, setup: Setup, rows: Rows) -> Reason | None:
-    """The set-up which explains the estimation rows far better than the one given, if there is one.
-
-    Only tables of points of one target in one frame are looked at.
-    """
+    """The set-up which explains points of one target in one frame far better than the one given, if there is one."""
     several = len(setup.targets) > 1 or len(setup.groups) > 1
     if several or any(kind.name != "point" for kind in rows.present):
         return None

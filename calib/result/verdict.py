@@ -110,8 +110,7 @@ class Evidence:
     def gain(self) -> float:
         """Mean fall of the squared error on left-out rows, outliers aside, in standard errors of that mean.
 
-        Paired by poses, so that one that is hard for both robots does not blur the comparison, and repeats do not count
-        as evidence of their own; 0 where nothing changes.
+        Paired by poses, and repeats do not count as evidence of their own; 0 where nothing changes.
         """
         good, squares = ~self.outliers & np.any(self.used, axis=1), []
         for v in (self.nominal, self.calibrated):
