@@ -6,21 +6,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.data.kinds import DIRECTIONS
 from calib.errors import MeasurementError
 from calib.estimate.fitting import PAPER, Fitted, Task, fit, prior_terms
 from calib.estimate.likelihood import Linear, Priors
 from calib.estimate.registration import ENOUGH, nominal_setup, register_poses
-from calib.estimate.rows import Integers, Mask, Rows
+from calib.estimate.rows import Rows
 from calib.estimate.setup import Setup, joined_setups
 from calib.estimate.stages import FEWEST_FREEDOM, Stage, staged
-from calib.estimate.statistics import CrossValidation, Errors
+from calib.estimate.statistics import Array, CrossValidation, Errors, Integers, Mask
 from calib.model.parameters import frame_place, target_place
 from calib.robot.robot import read_only
-
-Array = NDArray[np.float64]
 
 #: A fold is fitted from the beginning where the robot differs from the linearised one by this share of the noise, rms,
 #: and where a set-up has fewer scalars: its frame may be anywhere.

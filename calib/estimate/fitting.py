@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.data.cell import Cell, Priors
 from calib.errors import MeasurementError, ModelError, choices
@@ -22,16 +21,13 @@ from calib.estimate.rows import Rows
 from calib.estimate.setup import KnownDistance, Setup
 from calib.estimate.solvers import SOLVERS, Solution, Solver, paper_levenberg_marquardt
 from calib.estimate.stages import PriorTerms, Stage, staged
-from calib.estimate.statistics import Limits, as_of_a_point, deleted_norms, repeats
+from calib.estimate.statistics import Array, Limits, Mask, as_of_a_point, deleted_norms, repeats
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import steps
 from calib.model.parameters import FRAME, TARGET, ErrorModel, Parameter
 from calib.robot.kernel import one_blas_thread
 from calib.robot.robot import Robot, read_only
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 #: The paper's algorithm, which is no least-squares solver: it knows no weights and no priors.
 PAPER = "paper"

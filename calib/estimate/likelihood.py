@@ -18,11 +18,8 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh
 from scipy.linalg.lapack import dpotrf, dtrtri
 
-from calib.estimate.statistics import as_of_a_point, deleted_norms
+from calib.estimate.statistics import Array, Mask, as_of_a_point, deleted_norms
 from calib.robot.kernel import over_blocks
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 #: How far the logarithm of a size may fall and rise in one step: where nothing supports a size it falls to its bound;
 #: and normal equations that are kept.

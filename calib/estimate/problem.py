@@ -11,16 +11,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.estimate.likelihood import Linear
 from calib.estimate.rows import LENGTHS, Rows
 from calib.estimate.setup import KnownDistance
 from calib.estimate.solvers import triangle
+from calib.estimate.statistics import Array
 from calib.model.kinematics import Kinematics
 from calib.robot.kernel import over_blocks
-
-Array = NDArray[np.float64]
 
 #: Below this the noise is no instrument's but rounding [m, rad].
 _SMALLEST_SIGMA = 1e-8

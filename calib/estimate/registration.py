@@ -11,21 +11,18 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.errors import MeasurementError
 from calib.estimate.rows import LENGTHS, NONE, Rows
 from calib.estimate.setup import Setup
 from calib.estimate.solvers import levenberg_marquardt
+from calib.estimate.statistics import Array, Mask
 from calib.model.error_model import frame_and_target_model
 from calib.model.observability import steps
 from calib.model.parameters import ErrorModel
 from calib.robot import kernel
 from calib.robot.robot import Robot
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 #: Distances from the tip at which a target is looked for when nothing is known of it [m]; so many starts, those that
 #: fit best, are refined, with so many rows of each view of a target.

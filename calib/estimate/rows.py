@@ -11,11 +11,8 @@ from scipy.spatial import cKDTree
 
 import calib.data.kinds as registry
 from calib.data.kinds import Kind
+from calib.estimate.statistics import Array, Integers, Mask
 from calib.model.kinematics import Samples
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int_]
-Mask = NDArray[np.bool_]
 
 #: The number in place of a kind's of rows that say nothing themselves: the second ones of pairs; and the column from
 #: which on a residual has its angles, behind its lengths.

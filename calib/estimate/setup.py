@@ -13,7 +13,8 @@ import calib.data.kinds as registry
 from calib.data.cell import AUTO, Cell
 from calib.data.measurements import Measurements
 from calib.errors import MeasurementError, ModelError, choices
-from calib.estimate.rows import NONE, Array, Integers, Mask, Rows, same_poses
+from calib.estimate.rows import NONE, Rows, same_poses
+from calib.estimate.statistics import Array, Integers, Mask
 from calib.model.error_model import DIRECTIONS, split_name
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Samples

@@ -11,21 +11,24 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.data.cell import Cell
 from calib.errors import ModelError
 from calib.estimate.likelihood import Linear, Priors, sizes_by_reml
 from calib.estimate.setup import Setup
-from calib.estimate.statistics import Limits, cauchy_weights, median_noise, repeats
+from calib.estimate.statistics import (
+    Array,
+    Integers,
+    Limits,
+    Mask,
+    cauchy_weights,
+    median_noise,
+    repeats,
+)
 from calib.model.families import FAMILIES
 from calib.model.parameters import FRAME, TARGET, ErrorModel, frame_place, target_place
 from calib.robot.robot import rigid_inverse
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Integers = NDArray[np.int_]
 
 #: The noise may be ten times larger or smaller than the one given or assumed, a standard deviation of its logarithm.
 _NOISE_SPREAD = float(np.log(10.0))

@@ -182,9 +182,6 @@ def _by_pose(pose: Integers, values: Array) -> Array:
     return np.stack([np.bincount(pose, column) for column in values.T], axis=1)
 
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-
 #: A good row keeps its full weight with this probability; and that with which any row of a clean table is flagged.
 _FULL, _FALSE_ALARM = 0.99, 0.01
 

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.estimate.crossvalidation import only_there
 from calib.estimate.fitting import PAPER, Fitted, fit
@@ -15,7 +14,7 @@ from calib.estimate.problem import Problem
 from calib.estimate.registration import ENOUGH
 from calib.estimate.rows import Rows
 from calib.estimate.setup import joined_setups
-from calib.estimate.statistics import Errors, pose_means
+from calib.estimate.statistics import Array, Errors, Mask, pose_means
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
 from calib.model.parameters import FRAME, TARGET
@@ -24,9 +23,6 @@ from calib.result.residual_tests import Stack, drift, joint_patterns, prediction
 from calib.result.support import shares_of_ranges, spread_of
 from calib.result.verdict import Evidence, Reason, Why
 from calib.robot.readback import column_ranges, spread_poses
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 #: A joint that moves less than this over the rows tells little of itself [rad, m].
 _STILL_RAD, _STILL_M = 0.35, 0.05

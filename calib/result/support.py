@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.data.cell import Cell
 from calib.errors import MeasurementError
@@ -21,13 +20,11 @@ from calib.estimate.fitting import Fitted, fit
 from calib.estimate.registration import register
 from calib.estimate.rows import Rows
 from calib.estimate.setup import Setup
-from calib.estimate.statistics import Errors
+from calib.estimate.statistics import Array, Errors, Mask
 from calib.model.error_model import DIRECTIONS
 from calib.result.prediction import without_rigid_motion
 from calib.result.verdict import Reason, Why
 from calib.robot.robot import Robot, read_only
-
-Array = NDArray[np.float64]
 
 #: A joint value is outside when it is further from the measured range than this share of it; less is none [rad or m].
 _MARGIN, _STILL = 0.05, 1e-3
@@ -114,7 +111,7 @@ class Robustness:
     """The fit with the weights of doubtful rows lowered, beside the one with every row in full."""
 
     lowered: bool  # Whether it is the calibration that has the weights lowered, or the fit that it is compared with
-    flagged: NDArray[np.bool_]  # (N,), the fitted rows that the calibration flags
+    flagged: Mask  # (N,), the fitted rows that the calibration flags
     moved: Array  # (N,), how far the other fit's prediction at each measured pose lies from the calibration's [m]
     names: tuple[str, ...]  # Names of the parameters
     change: Array  # (p,), the other fit's parameters minus the calibration's, counted from the same place

@@ -8,11 +8,8 @@ from enum import Enum
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from calib.estimate.statistics import CrossValidation, Errors
-
-Mask = NDArray[np.bool_]
+from calib.estimate.statistics import Array, CrossValidation, Errors, Integers, Mask
 
 USE, CARE, NO = "use", "use with care", "do not use"
 
@@ -89,9 +86,9 @@ class Evidence:
 
     nominal: CrossValidation
     calibrated: CrossValidation
-    scales: NDArray[np.float64]  # (N, D), the noise of each scalar
+    scales: Array  # (N, D), the noise of each scalar
     used: Mask  # (N, D), which scalars were measured
-    repeats: NDArray[np.int_]  # (N,), rows of one number are repeats of one measurement
+    repeats: Integers  # (N,), rows of one number are repeats of one measurement
     pairs: Mask  # (N,), which rows hold the distance between two poses
     outliers: Mask  # (N,), flagged by the fit to all of them
     # On validation rows: of the nominal and the calibrated robot, and how many more rows were left out as accidents
@@ -103,7 +100,7 @@ class Evidence:
     notes: tuple[Reason, ...] = ()  # Told in the end, and decide nothing
     hint: Reason | None = None  # Which set-up would explain the measurements better
 
-    def whitened(self, v: CrossValidation) -> NDArray[np.float64]:
+    def whitened(self, v: CrossValidation) -> Array:
         """The squared error of each row, in units of the noise, shape (N,)."""
         return np.asarray(np.sum(np.where(self.used, v.residual / self.scales, 0.0) ** 2, axis=1))
 
