@@ -52,8 +52,8 @@ LEASH = 1.0
 #: An instrument of which nothing is said, and its distance [m].
 _USUAL, _USUAL_DISTANCE = Tracker(np.zeros(3)), 3.0
 
-#: Poses whose derivatives are computed together, and poses over which a forecast without a plan is made.
-_CHUNK, _POSES = 8192, 4096
+#: Poses over which a forecast without a plan is made.
+_POSES = 4096
 
 #: Share of calibrations whose rms lies inside the range.
 _RANGE = 0.90
@@ -147,31 +147,28 @@ class Sensitivity:
         variance s^2 / k (1 + (k - 1) rho), rho = r^2 / s^2. What they say of each other is exacter than s; a fit, to
         which rows are independent, makes no use of that.
         """
-        x, k, parts = np.zeros(len(self.names)), len(self.setup.targets), []
-        kind = registry.get(self.kind)
-        for chunk in np.array_split(q, 1 + len(q) // _CHUNK):
-            noise, samples = self.noise(chunk), self._samples(chunk)
-            poses, twists = self.kinematics.twists(x, samples)
-            n = len(samples)
-            rows = Rows(
-                samples=samples,
-                kinds=np.full(n, registry.names().index(self.kind)),
-                measured=np.zeros((n, kind.size)),
-                partner=np.full(n, -1),
-                sigma=np.repeat(noise, k),
-                sigma_angle=np.full(n, self.cell.sigma_angle or FIRST_SIGMA_ANGLE),
-                poses=np.arange(n),
-                blocks=np.arange(n),
-            ).as_measured_at(poses)
-            slopes = rows.derivative(poses, twists) / rows.scales[:, :, None]
-            slopes = slopes.reshape(len(chunk), k, -1, len(x))
-            if k > 1 and kind.position and self.cell.sigma is None:
-                rho = ((self.cell.tracker or _USUAL).noise.repeatability / noise) ** 2
-                less = 1.0 - 1.0 / np.sqrt(1.0 + (k - 1) * rho)
-                shared = slopes[:, :, :3].mean(axis=1, keepdims=True)
-                slopes[:, :, :3] -= less[:, None, None, None] * shared
-            parts.append(slopes.reshape(len(chunk), -1, len(x)))
-        return np.concatenate(parts)
+        x, k, noise = np.zeros(len(self.names)), len(self.setup.targets), self.noise(q)
+        kind, samples = registry.get(self.kind), self._samples(q)
+        poses, twists = self.kinematics.twists(x, samples)
+        n = len(samples)
+        rows = Rows(
+            samples=samples,
+            kinds=np.full(n, registry.names().index(self.kind)),
+            measured=np.zeros((n, kind.size)),
+            partner=np.full(n, -1),
+            sigma=np.repeat(noise, k),
+            sigma_angle=np.full(n, self.cell.sigma_angle or FIRST_SIGMA_ANGLE),
+            poses=np.arange(n),
+            blocks=np.arange(n),
+        ).as_measured_at(poses)
+        slopes = rows.derivative(poses, twists) / rows.scales[:, :, None]
+        slopes = slopes.reshape(len(q), k, -1, len(x))
+        if k > 1 and kind.position and self.cell.sigma is None:
+            rho = ((self.cell.tracker or _USUAL).noise.repeatability / noise) ** 2
+            less = 1.0 - 1.0 / np.sqrt(1.0 + (k - 1) * rho)
+            shared = slopes[:, :, :3].mean(axis=1, keepdims=True)
+            slopes[:, :, :3] -= less[:, None, None, None] * shared
+        return np.asarray(slopes.reshape(len(q), -1, len(x)))
 
     def located(self, q: Array) -> Array:
         """The derivative of the targets' predicted positions at poses, shape (n, 3 k, p), [m per unit].
@@ -179,9 +176,7 @@ class Sensitivity:
         Distances do not tell where the base stands: what one rigid motion of all these positions does is left out.
         """
         x = np.zeros(len(self.names))
-        chunks = np.array_split(q, 1 + len(q) // _CHUNK)
-        pairs = [self.kinematics.points_jacobian(x, self._samples(chunk)) for chunk in chunks]
-        points, slopes = (np.concatenate(one) for one in zip(*pairs, strict=True))
+        points, slopes = self.kinematics.points_jacobian(x, self._samples(q))
         if not registry.get(self.kind).position:
             slopes = without_rigid_motion(points, slopes)
         return np.asarray(slopes.reshape(len(q), -1, len(x)))
@@ -215,22 +210,17 @@ def _checked_kind(cell: Cell) -> str:
     """The kind that is planned for: one whose poses can be chosen freely, in one set-up."""
     name = cell.kind or "point"
     kind = registry.get(name)
-    if not kind.free:
-        free = [one for one in registry.names() if registry.get(one).free]
-        raise ModelError(
-            f"Poses cannot be planned for the kind '{name}', whose rows cannot be chosen freely. Choose one of "
-            f"{choices(free)}."
-        )
-    if len(cell.frames) > 1:
-        raise ModelError(
-            f"The cell has the set-ups {choices(cell.frames)}; poses are planned for one set-up at a time. Give the "
-            "one frame as frame_xyz_mm and frame_rpy_deg."
-        )
-    if kind.own_frame and cell.T_frame_base is None and not cell.frames:
-        raise ModelError(
-            f"To plan for rows of the kind '{name}', give the base in a frame at the {kind.place.lower()}, "
-            "frame_xyz_mm in the cell file."
-        )
+    free = [one for one in registry.names() if registry.get(one).free]
+    for wrong, why in (
+        (not kind.free, f"its rows cannot be chosen freely; choose one of {choices(free)}"),
+        (len(cell.frames) > 1, "the cell has several set-ups; give one as frame_xyz_mm"),
+        (
+            kind.own_frame and cell.T_frame_base is None and not cell.frames,
+            f"give the base in a frame at the {kind.place.lower()}, frame_xyz_mm in the cell file",
+        ),
+    ):
+        if wrong:
+            raise ModelError(f"Poses cannot be planned for the kind '{name}': {why}.")
     return name
 
 
@@ -345,11 +335,8 @@ class Forecast:
 def forecast(robot: Robot, cell: Cell, joints: ArrayLike, margin: float = 0.0) -> Forecast:
     """What a calibration measured at these poses will reach, over the joint ranges.
 
-    Args:
-        robot: The nominal robot.
-        cell: Model, targets, frames, noise and priors; ``"auto"`` is taken as ``"placement"``.
-        joints: shape (N, m), [rad] or [m], in the order of ``robot.joint_names``.
-        margin: See `calib.design.candidates.planning_ranges`.
+    ``joints`` is of shape (N, m), [rad] or [m]; the model ``"auto"`` is taken as ``"placement"``; ``margin`` [rad] is
+    the distance to the joint limits.
 
     Raises:
         ModelError: The model or the cell do not fit the robot, or a joint's value is missing.
@@ -367,13 +354,7 @@ def forecast(robot: Robot, cell: Cell, joints: ArrayLike, margin: float = 0.0) -
 def forecast_of_table(robot: Robot, cell: Cell, measurements: Measurements) -> Forecast | None:
     """What a fit of a table's estimation rows can reach, by its poses alone; the target is registered.
 
-    Args:
-        robot: The nominal robot.
-        cell: As for the fit; ``"auto"`` is taken as ``"placement"``.
-        measurements: The table.
-
-    Returns:
-        None where rows are of several kinds, targets or set-ups, or of a kind whose poses are not free.
+    None where rows are of several kinds, targets or set-ups, or of a kind whose poses are not free.
 
     Raises:
         MeasurementError: A joint's column is missing, or too few rows.

@@ -94,11 +94,8 @@ def _rows(plan: Plan, number: int) -> Iterator[dict[str, str]]:
 class Taken:
     """Poses that were measured already.
 
-    Attributes:
-        joints: shape (T, m), [rad] or [m], in the order of the robot's joints; read-only.
-        unmeasured: Numbers of the rows that hold no measurement yet, and do not count.
-        validation: How many rows are ``validate``, and do not count either.
-        last_row: The largest number of a row.
+    ``joints``, shape (T, m), [rad] or [m], read-only; the numbers of the rows that hold no measurement, and how many
+    are ``validate``, which do not count; and the largest number of a row.
     """
 
     joints: Array
@@ -116,8 +113,7 @@ def read_taken(path: str | Path, robot: Robot, columns: Mapping[str, str] | None
     Raises:
         MeasurementError: The table cannot be read, or lacks a joint.
     """
-    table = Table.read(path)
-    values = _joint_values(table, robot, columns)
+    table, values = _joint_values(path, robot, columns)
     named, _ = name_columns(table, robot.joint_names, columns or {})
     at = [named[name].index for name in (*POINT, "distance", "pair") if name in named]
     # By the cells alone; a row that measures nothing, of a socket or a plane, counts.
@@ -141,6 +137,29 @@ def read_taken(path: str | Path, robot: Robot, columns: Mapping[str, str] | None
     )
 
 
+def read_pose_list(
+    path: str | Path, robot: Robot, columns: Mapping[str, str] | None = None
+) -> tuple[Array, tuple[str, ...]]:
+    """The poses of a table, shape (N, m), [rad] or [m], and the set of each; what was measured may be missing.
+
+    Raises:
+        MeasurementError: The table cannot be read, or lacks a joint.
+    """
+    _, values = _joint_values(path, robot, columns)
+    kept = _poses(values, range(len(values.joints)))
+    return read_only(values.joints[kept]), tuple(values.sets[i] for i in kept)
+
+
+def _joint_values(
+    path: str | Path, robot: Robot, columns: Mapping[str, str] | None
+) -> tuple[Table, Values]:
+    """A table, and what it says but for what was measured."""
+    table = Table.read(path)
+    # A row of this kind measures nothing but its joint values.
+    layout = Layout.find(table, robot.joint_names, robot.joint_types, columns, "fixed")
+    return table, Values.read(table, layout)
+
+
 def _poses(values: Values, rows: Iterable[int]) -> list[int]:
     """One row for each pose: of rows with the same joint values, as many as measure the same target."""
     most: Counter[bytes] = Counter()
@@ -153,31 +172,6 @@ def _poses(values: Values, rows: Iterable[int]) -> list[int]:
             most[pose] += 1
             kept.append(i)
     return kept
-
-
-def read_pose_list(
-    path: str | Path, robot: Robot, columns: Mapping[str, str] | None = None
-) -> tuple[Array, tuple[str, ...]]:
-    """The poses of a table, and the set of each; what was measured there is not read, and may be missing.
-
-    Rows that measure several targets at one pose are one pose. ``columns`` is as in `Measurements.read`.
-
-    Returns:
-        shape (N, m), [rad] or [m], read-only; and N words, ``"estimate"`` or ``"validate"``.
-
-    Raises:
-        MeasurementError: The table cannot be read, or lacks a joint.
-    """
-    values = _joint_values(Table.read(path), robot, columns)
-    kept = _poses(values, range(len(values.joints)))
-    return read_only(values.joints[kept]), tuple(values.sets[i] for i in kept)
-
-
-def _joint_values(table: Table, robot: Robot, columns: Mapping[str, str] | None) -> Values:
-    """What a table says but for what was measured."""
-    # A row of this kind measures nothing but its joint values.
-    layout = Layout.find(table, robot.joint_names, robot.joint_types, columns, "fixed")
-    return Values.read(table, layout)
 
 
 def plan_table(plan: Plan) -> dict[str, Any]:

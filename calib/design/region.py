@@ -6,7 +6,7 @@ same numbers are another place.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 from scipy.spatial import KDTree
 
-from calib.errors import CalibError, FileError, choices
+from calib.errors import CalibError, FileError
 from calib.files import damage, json_bytes, read_json, write_atomically
 from calib.robot.robot import Robot, read_only
 from calib.version import __version__
@@ -135,28 +135,10 @@ def voxel_of(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RegionFile:
-    """A region and what it was made from.
-
-    Attributes:
-        region: The region, in the base frame.
-        robot: The robot's name in the URDF.
-        base: Base link.
-        tip: Tip link.
-        joints: Of each joint its ``name`` and the ends of its range, ``low_rad`` and ``high_rad``, or ``low_m`` and
-            ``high_m``.
-        target: shape (3,), the target in the tip [m].
-        samples: How many samples the region was made from.
-        seed: Their seed.
-    """
+    """A region and what it was made from: the file's ``robot``, ``target_xyz_m``, ``samples`` and ``seed``."""
 
     region: Region
-    robot: str
-    base: str
-    tip: str
-    joints: Sequence[Mapping[str, Any]]
-    target: Array
-    samples: int
-    seed: int
+    about: Mapping[str, Any]
 
     @classmethod
     def of(
@@ -164,10 +146,12 @@ class RegionFile:
     ) -> RegionFile:
         """The file of a robot's region; ``ranges`` of shape (m, 2), [rad] or [m]."""
         joints = []
-        for name, (low, high) in zip(robot.joint_names, ranges.tolist(), strict=True):
-            unit = "m" if robot.joint_types[name] == "prismatic" else "rad"
-            joints.append({"name": name, f"low_{unit}": low, f"high_{unit}": high})
-        return cls(region, robot.name, robot.base, robot.tip, joints, target, samples, seed)
+        for joint, (low, high) in zip(robot.inputs, ranges.tolist(), strict=True):
+            unit = "m" if joint.type == "prismatic" else "rad"
+            joints.append({"name": joint.name, f"low_{unit}": low, f"high_{unit}": high})
+        made_for = {"name": robot.name, "base": robot.base, "tip": robot.tip, "joints": joints}
+        numbers = {"target_xyz_m": target, "samples": samples, "seed": seed}
+        return cls(region, {"robot": made_for, **numbers})
 
     def write(self, path: str | Path, *, overwrite: bool = False) -> Path:
         """Write the region as JSON, whole or not at all.
@@ -178,14 +162,10 @@ class RegionFile:
         region, flat = self.region, self.region.cells.ravel()
         ends = np.flatnonzero(np.diff(flat)) + 1
         runs = np.diff([0, *ends, flat.size]).tolist()
-        robot = {"name": self.robot, "base": self.base, "tip": self.tip, "joints": self.joints}
         table = {
             "schema": SCHEMA,
             "calib": __version__,
-            "robot": robot,
-            "target_xyz_m": self.target,
-            "samples": self.samples,
-            "seed": self.seed,
+            **self.about,
             "share": region.share,
             "held": region.held,
             "volume_m3": region.volume,
@@ -204,26 +184,15 @@ class RegionFile:
         Raises:
             FileError: The file cannot be read, is no JSON, no region of calib, of another schema, or damaged.
         """
-        expected = (
-            f"a region of calib {__version__} has '{SCHEMA}'. Give the file that 'calib workspace -o' wrote, by "
-            "the same version."
-        )
+        expected = f"a region of calib {__version__} has '{SCHEMA}'. Make it again with 'calib workspace -o'."
         table = read_json(path, "region", SCHEMA, expected)
         try:
             runs = np.asarray(table["runs"], dtype=np.int64)
             cells = np.repeat(np.arange(len(runs)) % 2 == 1, runs).reshape(table["shape"])
-            numbers = (float(table[key]) for key in ("share", "held"))
-            name, base, tip, joints = (table["robot"][k] for k in ("name", "base", "tip", "joints"))
-            return cls(
-                region=Region(table["origin_m"], float(table["voxel_m"]), cells, *numbers),
-                robot=name,
-                base=base,
-                tip=tip,
-                joints=joints,
-                target=read_only(table["target_xyz_m"]),
-                samples=table["samples"],
-                seed=table["seed"],
-            )
+            voxel, share, held = (float(table[key]) for key in ("voxel_m", "share", "held"))
+            about = {key: table[key] for key in ("robot", "target_xyz_m", "samples", "seed")}
+            [about["robot"][key] for key in ("name", "base", "tip", "joints")]
+            return cls(Region(table["origin_m"], voxel, cells, share, held), about)
         except (CalibError, KeyError, TypeError, ValueError, OverflowError) as error:
             raise FileError(
                 f"{path}: the region is damaged: {damage(error)}. Write it again with 'calib workspace -o'."
@@ -235,18 +204,18 @@ class RegionFile:
         Raises:
             CalibError: It is one.
         """
-        apart = 0.0 if target is None else float(np.linalg.norm(target - self.target))
-        names = tuple(joint["name"] for joint in self.joints)
+        own = self.about["robot"]
+        offset = 0.0 if target is None else np.subtract(target, self.about["target_xyz_m"])
+        apart = float(np.linalg.norm(offset))
+        moved = f"{1e3 * apart:.0f} mm away" if apart > self.region.voxel else "there"
         for what, here, there in (
-            ("the base", robot.base, self.base),
-            ("the tip", robot.tip, self.tip),
-            ("the joints", choices(robot.joint_names), choices(names)),
-            ("a target", f"{1e3 * apart:.0f} mm away", "where it was")
-            if apart > self.region.voxel
-            else ("", "", ""),
+            ("base", robot.base, own["base"]),
+            ("tip", robot.tip, own["tip"]),
+            ("joints", list(robot.joint_names), [joint["name"] for joint in own["joints"]]),
+            ("target", moved, "there"),
         ):
             if here != there:
                 raise CalibError(
-                    f"The region was made for {what} {there}, and now it is {here}: give the same --base, --tip, "
+                    f"The region was made for the {what} {there}, and now it is {here}: give the same --base, --tip, "
                     "--hold and --target, or make the region again with 'calib workspace'."
                 )

@@ -1,14 +1,9 @@
 """The way to drive: poses in a short order, whole turns of joints and poses in between where a straight way is blocked.
 
-A move takes as long as the joint that moves farthest, c(a, b) = max_k |q_bk - q_ak|, and the order is an open path
-through all poses, from where the robot stands if that is said. It is found by nearest neighbours, improved by turning
-pieces round (2-opt) and by putting short pieces elsewhere (or-opt), then by kicks from which the same is done again.
-Whether the way of a move is free is asked only for moves that the path has; those that are not are made dear, and the
-path is improved again.
-
-A joint of more than one turn reaches each pose in more than one way. A robot that cannot swing its arm down through the
-table gets to the other side over the top: the target is measured in the same place, and the joint stands 360 deg
-further. Where that does not help either, a pose is named by which the way is free.
+A move takes as long as the joint that moves farthest, c(a, b) = max_k |q_bk - q_ak|. The order is an open path through
+all poses: nearest neighbours, improved by 2-opt and or-opt, then by kicks. Whether a move is free is asked only for
+moves that the path has; those that are not are made dear, and the path is improved again. Where a joint has more than
+one turn, the other side may be reached by turning it 360 deg further; else a pose is named by which the way is free.
 """
 
 from __future__ import annotations
@@ -16,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations, pairwise, product
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -36,32 +32,24 @@ _KICKS, _KICK_WORK = 200, 1.0e6
 #: So many nearest neighbour paths are improved, from first poses spread over all; fewer of many poses.
 _BEGINNINGS, _MANY = 6, 1200
 
-#: Pieces of up to this many poses are put elsewhere.
-_PIECE = 3
-
-#: Kicks swap stretches among so many neighbours, or shuffle so many.
-_WINDOW, _SHUFFLED = 30, 8
+#: Pieces of up to so many poses are put elsewhere; kicks swap stretches among so many neighbours, or shuffle so many.
+_PIECE, _WINDOW, _SHUFFLED = 3, 30, 8
 
 #: A gain below this, as a part of a typical move, is rounding.
 _ROUNDING = 1e-9
 
+#: Whole turns are tried of at most so many joints at once; so many ways between two stretches, and poses in between.
+_MOST_JOINTS, _TRIES, _STOPS = 2, 60, 300
+
 _TURN = 2.0 * np.pi
-
-#: Turned by whole turns at once are at most this many joints.
-_MOST_JOINTS = 2
-
-#: Ways between two stretches that are tried, and poses in between, the shortest ways first.
-_TRIES, _STOPS = 60, 300
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Blocked:
     """A move whose straight way in joint space is not free.
 
-    Attributes:
-        start: The pose that it leaves, from 1 in the order to drive; 0 is where the robot stands before.
-        end: The pose that it leads to.
-        by: shape (m,), joint values by which the way is free, [rad] or [m]; None where none was found.
+    From pose ``start`` to pose ``end``, from 1 in the order to drive (0: where the robot stands before), and joint
+    values ``by`` which the way is free, shape (m,), [rad] or [m]; None where none was found.
     """
 
     start: int
@@ -73,11 +61,8 @@ class Blocked:
 class Route:
     """Poses in the order to drive.
 
-    Attributes:
-        joints: shape (K, m), [rad] or [m].
-        indices: shape (K,), which of the poses each is.
-        length: The sum over all moves of the largest move of a joint [rad] or [m].
-        blocked: The moves that are not free.
+    ``joints``, shape (K, m), [rad] or [m]; ``indices``, shape (K,), which of the poses each is; ``length``, the sum of
+    the largest joint move over all moves; and the moves that are not free.
     """
 
     joints: Array
@@ -105,30 +90,30 @@ def route(
         stops: Called where moves are blocked for free poses to drive by, shape (n, m).
     """
     tour = order(joints, start, free_path)
-    blocked = []
-    if free_path is not None and tour.blocked:
-        place = {int(i): k for k, i in enumerate(tour.indices, 1)}
-        cuts = sorted(place[b] - 1 for _, b in tour.blocked)
-        stretches = [part for part in np.split(tour.indices, cuts) if len(part)]
-        turned = with_whole_turns(joints, stretches, limits, turning(robot, limits), free_path)
-        turned = rounded(robot, turned)
-        again = order(turned, start, free_path)
-        if len(again.blocked) < len(tour.blocked):
-            joints, tour = turned, again
-    if free_path is not None and tour.blocked:
-        free = np.zeros((0, joints.shape[1])) if stops is None else stops()
-        place = {int(i): k for k, i in enumerate(tour.indices, 1)} | {START: 0}
-        for a, b in tour.blocked:
-            first = joints[a] if a != START else np.asarray(start, dtype=np.float64)
-            blocked.append(Blocked(place[a], place[b], detour(first, joints[b], free, free_path)))
+    if free_path is None or not tour.blocked:
+        return Route(read_only(joints[tour.indices]), tour.indices, tour.cost, ())
+    place = {int(i): k for k, i in enumerate(tour.indices, 1)}
+    cuts = sorted(place[b] - 1 for _, b in tour.blocked)
+    stretches = [part for part in np.split(tour.indices, cuts) if len(part)]
+    turned = with_whole_turns(joints, stretches, limits, turning(robot, limits), free_path)
+    turned = rounded(robot, turned)
+    again = order(turned, start, free_path)
+    if len(again.blocked) < len(tour.blocked):
+        joints, tour = turned, again
+    blocked, free = [], np.zeros((0, joints.shape[1]))
+    if tour.blocked and stops is not None:
+        free = stops()
+    place = {int(i): k for k, i in enumerate(tour.indices, 1)} | {START: 0}
+    for a, b in tour.blocked:
+        first = joints[a] if a != START else np.asarray(start, dtype=np.float64)
+        blocked.append(Blocked(place[a], place[b], detour(first, joints[b], free, free_path)))
     return Route(read_only(joints[tour.indices]), tour.indices, tour.cost, tuple(blocked))
 
 
 # The order
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Tour:
+class Tour(NamedTuple):
     """An order of poses, shape (N,), what its moves cost, and the moves (from, to) that are not free, in that order."""
 
     indices: Indices
@@ -137,15 +122,10 @@ class Tour:
 
 
 def order(q: Array, start: ArrayLike | None = None, free_path: FreePath | None = None) -> Tour:
-    """A short open path through all poses, the same for the same poses.
+    """A short open path through all poses, shape (N, m), the same for the same poses.
 
-    Joint values count as they are: a joint that can turn without end does not take the short way round, for
-    controllers do not.
-
-    Args:
-        q: shape (N, m), [rad] or [m].
-        start: shape (m,), where the robot stands before; None: it begins at any of the poses.
-        free_path: Whether a straight move between two poses is free, both shape (m,), the same there and back.
+    A joint that can turn without end does not take the short way round, for controllers do not. ``free_path``: whether
+    a straight move between two poses of shape (m,) is free, the same there and back.
     """
     from scipy.spatial.distance import cdist
 
@@ -269,11 +249,7 @@ def _kicked(path: Indices, costs: Array) -> Indices:
 
 
 def detour(start: Array, end: Array, poses: Array, free_path: FreePath) -> Array | None:
-    """The pose, of shape (n, m), by which the way from start to end is free, and the shortest of those tried.
-
-    The length of a straight move is that of the joint that turns farthest, max_k |q_bk - q_ak|. None where none of the
-    300 shortest ways is free.
-    """
+    """The pose, of shape (n, m), by which the way is free, and shortest of the 300 tried; None where none is."""
     length = np.max(np.abs(poses - start), axis=1) + np.max(np.abs(poses - end), axis=1)
     for k in np.argsort(length, kind="stable")[:_STOPS]:
         if free_path(start, poses[k]) and free_path(poses[k], end):
@@ -298,23 +274,23 @@ def with_whole_turns(
     turns: NDArray[np.bool_],
     free_path: FreePath,
 ) -> Array:
-    """Poses of which whole stretches are turned, so that a free way leads to them from the longest of all.
+    """Poses, shape (N, m), of which whole stretches are turned, so that a free way leads to them from the longest.
 
-    Args:
-        q: shape (N, m), [rad] or [m].
-        stretches: Indices of poses between which ways are free, but from one stretch to another they may not be.
-        ranges: shape (m, 2), between which values must stay.
-        turns: shape (m,), which joints may be turned by whole turns, see `turning`.
-        free_path: Whether the straight way between two poses is free.
-
-    Returns:
-        shape (N, m); a stretch to which no turn leads stays as it is.
+    ``stretches`` are indices of poses between which ways are free; ``ranges``, shape (m, 2), between which values must
+    stay; ``turns``, shape (m,), see `turning`. A stretch to which no turn leads stays as it is.
     """
     result: Array = q.copy()
     longest = max(range(len(stretches)), key=lambda k: len(stretches[k]))
     reached = stretches[longest]
+    joints = np.flatnonzero(turns)
+    shifts = [
+        np.bincount(chosen, signs, len(turns)) if chosen else np.zeros(len(turns))
+        for count in range(min(_MOST_JOINTS, len(joints)) + 1)
+        for chosen in combinations(joints.tolist(), count)
+        for signs in product((-_TURN, _TURN), repeat=count)
+    ]
     for k, stretch in enumerate(stretches):
-        for shift in _shifts(turns) if k != longest else ():
+        for shift in shifts if k != longest else ():
             turned = result[stretch] + shift
             inside = np.all((turned >= ranges[:, 0]) & (turned <= ranges[:, 1]))
             if inside and _joined(result[reached], turned, free_path):
@@ -330,14 +306,3 @@ def _joined(some: Array, others: Array, free_path: FreePath) -> bool:
     shortest = np.argsort(length, axis=None, kind="stable")[:_TRIES]
     ways = zip(*np.unravel_index(shortest, length.shape), strict=True)
     return any(free_path(some[a], others[b]) for a, b in ways)
-
-
-def _shifts(turns: NDArray[np.bool_]) -> Iterator[Array]:
-    """No turn, and one turn either way of each joint and of each pair of joints, shape (m,) each."""
-    joints = np.flatnonzero(turns)
-    for count in range(min(_MOST_JOINTS, len(joints)) + 1):
-        for chosen in combinations(joints, count):
-            for signs in product((-_TURN, _TURN), repeat=count):
-                shift = np.zeros(len(turns))
-                shift[list(chosen)] = signs
-                yield shift

@@ -33,9 +33,12 @@ def test_the_paper_s_region(call, shop):
     assert "  30 of 30 estimation rows lie in the region." in done.lines
     assert "  3 of 5 validation rows lie in the region; outside: 34, 35." in done.lines
     stored = RegionFile.read(shop / "region.json")
-    assert (stored.robot, stored.base, stored.tip) == ("ur3", "base", "tool0")
-    assert (stored.samples, stored.seed) == (2**17, 3)
-    np.testing.assert_allclose(stored.target, [-0.06997, 0.07020, 0.02252], rtol=1e-12)
+    robot = stored.about["robot"]
+    assert (robot["name"], robot["base"], robot["tip"]) == ("ur3", "base", "tool0")
+    assert (stored.about["samples"], stored.about["seed"]) == (2**17, 3)
+    np.testing.assert_allclose(
+        stored.about["target_xyz_m"], [-0.06997, 0.0702, 0.02252], rtol=1e-12
+    )
     assert stored.region.held == pytest.approx(0.95, abs=1e-3)
     with Image.open(shop / "region.png") as image:
         assert image.width > 1000
