@@ -155,7 +155,7 @@ def choose_poses(
         request: How many, and by which criterion.
         taken: shape (T, m), poses that were measured already; they count, and are not planned again.
         restarts: Random starts of the exchange; one is a few percent worse than several.
-        progress: Called after each step.
+        progress: Called after each step of the ladder.
 
     Raises:
         ModelError: No such criterion, fewer candidates than poses, or fewer poses than the model needs.
@@ -181,10 +181,6 @@ def choose_poses(
             "poses are needed, twice as many are better. Ask for more poses, or choose a smaller --model."
         )
 
-    def done(step: int) -> None:
-        if progress is not None:
-            progress(step, 2 + len(rungs))
-
     def foreseen(indices: Indices) -> Forecast:
         return Forecast.of(sensitivity, workspace, np.concatenate([taken, q[indices]]))
 
@@ -197,9 +193,7 @@ def choose_poses(
     mean = information(measured) / len(measured)
     basis = Basis.of(mean, held(sensitivity.precision), weight, known)
     blocks = measured @ basis.directions
-    done(1)
     chosen = choose(blocks, basis, count, seed, restarts if count <= _MANY else 1)
-    done(2)
     rng = np.random.default_rng([seed, 1])
     others = rng.permutation(np.setdiff1d(np.arange(len(q)), chosen))
     plan = foreseen(chosen)
@@ -210,7 +204,8 @@ def choose_poses(
         if number != count:
             at = grow(blocks[short], basis, at, number)
         found.append((number, plan if number == count else foreseen(short[at])))
-        done(2 + len(found))
+        if progress is not None:
+            progress(len(found), len(rungs))
     drawn = [foreseen(rng.choice(len(q), count, replace=False)) for _ in range(_RANDOM)]
     return Choice(
         planned=read_only(q[chosen]),

@@ -94,14 +94,12 @@ def _rows(plan: Plan, number: int) -> Iterator[dict[str, str]]:
 class Taken:
     """Poses that were measured already.
 
-    ``joints``, shape (T, m), [rad] or [m], read-only; the numbers of the rows that hold no measurement, and how many
-    are ``validate``, which do not count; and the largest number of a row.
+    ``joints``, shape (T, m), [rad] or [m], read-only, the largest number of a row, and the table's name.
     """
 
     joints: Array
-    unmeasured: tuple[int, ...]
-    validation: int
     last_row: int
+    source: str
 
 
 def read_taken(path: str | Path, robot: Robot, columns: Mapping[str, str] | None = None) -> Taken:
@@ -131,9 +129,8 @@ def read_taken(path: str | Path, robot: Robot, columns: Mapping[str, str] | None
         )
     return Taken(
         joints=read_only(values.joints[_poses(values, np.flatnonzero(measured & estimate))]),
-        unmeasured=tuple(np.array(values.rows)[~measured].tolist()),
-        validation=int(np.sum(measured & ~estimate)),
         last_row=max(values.rows),
+        source=table.source,
     )
 
 

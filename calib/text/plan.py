@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
-from calib.model.families import unit_of
-from calib.text.lines import fill, row_ranges
+from calib.text.lines import fill
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -18,9 +17,6 @@ if TYPE_CHECKING:
     from calib.design.notes import Code, Note
     from calib.design.plan import Plan
     from calib.design.plan_file import Taken
-
-#: The width of a line of the command to type next.
-_COMMAND = 87
 
 #: Five more poses that gain less than this part of the error hardly pay.
 _PAYS, _FIVE = 0.05, 5
@@ -61,10 +57,10 @@ _NOTES: dict[Code, str] = {
 }
 
 
-def plan_text(plan: Plan, asked_model: str, remarks: Iterable[str] = ()) -> str:
-    """The text of a plan; ``asked_model`` is the cell's, which may be ``auto``, ``remarks`` are on its inputs."""
-    notes = [f"Note: {note}" for note in (*remarks, *map(note_text, plan.notes), *_blocked(plan))]
-    paragraphs = (_head(plan, asked_model), _forecasts(plan), _ladder(plan), _travel(plan), notes)
+def plan_text(plan: Plan) -> str:
+    """The text of a plan."""
+    notes = [f"Note: {note}" for note in (*map(note_text, plan.notes), *_blocked(plan))]
+    paragraphs = (_head(plan), _forecasts(plan), _ladder(plan), _travel(plan), notes)
     return "\n\n".join(
         "\n".join(line if line.startswith("  ") else fill(line) for line in lines)
         for lines in map(list, paragraphs)
@@ -81,44 +77,19 @@ def note_text(note: Note) -> str:
     return _NOTES[note.code].format(", ".join(map(str, note.values)))
 
 
-def taken_text(taken: Taken, path: Path) -> Iterator[str]:
-    """Which rows of the table of poses taken do not count."""
-    if taken.unmeasured:
-        yield f"{path.name}: rows {row_ranges(taken.unmeasured)} are not measured and do not count."
-    if taken.validation:
-        yield f"{path.name}: {taken.validation} validation rows do not count."
-
-
-def next_text(plan: Plan, robot: str, output: Path | None, taken: Path | None) -> str:
+def next_text(plan: Plan, robot: str, output: Path | None, taken: Taken | None) -> str:
     """What to do next with the robot as it was named, the table of the plan and that of the poses taken."""
     if output is None:
         return "No table was written; add -o plan.csv to write it."
-    measured = {"distance": "distance", "pose": "x, y, z, qx, qy, qz, qw"}.get(plan.kind, "x, y, z")
+    fit = ["calib", "fit", robot, str(taken.source if taken else output), "-o", "corrected.urdf"]
+    fit += ["--base", plan.robot.base, "--tip", plan.robot.tip]
     steps = [
         f"Drive the {len(plan.joints)} poses of {output} from top to bottom, and measure at each.",
-        f"Write what was measured into the empty columns {measured}"
-        + (
-            ", or keep the tracker's list, its points named as in 'point'."
-            if taken is None
-            else "."
-        )
-        + (f" Add the rows to {taken}." if taken is not None else ""),
+        "Write what was measured into the empty columns, or name the points as in the column 'point'"
+        + (f", and add the rows to {taken.source}." if taken else " (--points tracker.txt)."),
     ]
     lines = [fill(f"{k}. {step}", "  ", "   ") for k, step in enumerate(steps, 1)]
-    fit = ["calib", "fit", robot, str(taken or output), "--base", plan.robot.base]
-    fit += ["--tip", plan.robot.tip, "-o", "corrected.urdf"]
-    points = " (--points tracker.txt), with the plan's cell and options" if taken is None else ""
-    return "\n".join(["Next:", *lines, f"  3. {shlex.join(fit)}{points}"])
-
-
-def command_text(parts: Iterable[str], indent: int) -> str:
-    """A command, of parts that are not to be broken, in lines that a shell joins again."""
-    lines = [""]
-    for part in parts:
-        if lines[-1] and len(lines[-1]) + len(part) > _COMMAND:
-            lines.append("")
-        lines[-1] += f" {part}" if lines[-1] else part
-    return (" \\\n" + " " * indent).join(lines)
+    return "\n".join(["Next:", *lines, f"  3. {shlex.join(fit)}"])
 
 
 def _mm(value: float) -> str:
@@ -127,7 +98,7 @@ def _mm(value: float) -> str:
     return f"{1e3 * value:.{1 if size >= 100 else 2 if size >= 10 else 3 if size >= 1 else 4}f} mm"
 
 
-def _head(plan: Plan, asked: str) -> Iterator[str]:
+def _head(plan: Plan) -> Iterator[str]:
     """How many poses of which robot, out of which candidates, and what is to be estimated."""
     robot, f, count = plan.robot, plan.forecast, len(plan.estimation)
     taken = f", beside {len(plan.taken)} measured already" if len(plan.taken) else ""
@@ -135,7 +106,7 @@ def _head(plan: Plan, asked: str) -> Iterator[str]:
         f"Plan for '{robot.name}' ({robot.urdf.source}), chain {robot.base} to {robot.tip}: {count} poses to calibrate "
         f"with{taken}, {len(plan.joints) - count} to validate with; targets at each: {', '.join(plan.targets)}."
     )
-    auto = ", the largest that 'auto' may choose" if asked == "auto" and plan.model != asked else ""
+    auto = ", for 'auto'" if plan.cell.model != plan.model else ""
     indices = ", ".join(f"{name} {value:.3g}" for name, value in f.indices.items())
     refused = ", ".join(f"{n} {_REASONS[why]}" for why, n in plan.refused.items() if n)
     for label, value in (
@@ -167,15 +138,6 @@ def _forecasts(plan: Plan) -> Iterator[str]:
         f"Noise of one measured coordinate: {_mm(f.sigma)}; expected rms error in units of it: {f.rms / f.sigma:.2f}, "
         f"with random poses {plan.at_random.rms / f.sigma:.2f}. Errors that the model lacks come on top."
     )
-    known: dict[str, list[str]] = {}
-    for name, unit, std, alone in zip(
-        f.names, f.units, f.parameter_std, f.identifiable, strict=True
-    ):
-        if alone:
-            scale, shown = unit_of(unit).shown
-            known.setdefault(shown, []).append(f"{name} {scale * std:.2g}")
-    for unit, values in known.items():
-        yield f"Expected standard deviation [{unit}]: {', '.join(values)}."
     if rest := f.columns - sum(map(bool, f.identifiable)):
         yield f"{rest} parameters are known in combinations only."
 

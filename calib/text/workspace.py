@@ -13,9 +13,6 @@ from calib.text.lines import fill, row_ranges
 
 Array = NDArray[np.float64]
 
-#: Tables with more rows are printed without those that lie well inside.
-_MOST_ROWS = 60
-
 
 def text(view: RegionView, origin: str, seed: int, reach: float, *, every_row: bool) -> str:
     """The whole text.
@@ -75,10 +72,7 @@ def _rows_text(view: RegionView, checked: Checked, *, every_row: bool) -> Iterat
     """Which rows lie inside."""
     rows, points, measured, predicted = checked
     inside, depth = view.region.contains(points), view.region.depth(points)
-    how = "as measured" if measured.all() else "as the nominal robot predicts them"
-    if measured.any() and not measured.all():
-        how = "as measured, or else as the nominal robot predicts them"
-    yield f"Targets of {rows.source}, {how}:"
+    yield f"Targets of {rows.source}, {sum(measured)} measured, {sum(~measured)} predicted:"
     if every_row:
         yield from _row_lines(view, checked, inside, depth)
     for word, chosen in (("estimation", rows.estimation), ("validation", rows.validation)):
@@ -96,25 +90,20 @@ def _rows_text(view: RegionView, checked: Checked, *, every_row: bool) -> Iterat
 def _row_lines(
     view: RegionView, checked: Checked, inside: NDArray[np.bool_], depth: Array
 ) -> Iterator[str]:
-    """A line for each row of the checked table; in a long one without those well inside."""
+    """A line for each row of the checked table."""
     rows, points = checked.rows, checked.points
     needed = view.density.share_of(points)
-    shown = np.ones(len(rows), dtype=bool)
-    if len(rows) > _MOST_ROWS:
-        shown = ~inside | (depth < view.region.voxel)
     yield (
         f"  {'row':>6}  {'set':<10}{'x':>9}{'y':>9}{'z [mm]':>9}   {'region':<9}{'border [mm]':>11}"
         f"{'within densest':>18}"
     )
-    for i in np.flatnonzero(shown):
+    for i in range(len(rows)):
         x, y, z = (f"{1e3 * value:9.1f}" for value in points[i])
         word = "inside" if inside[i] else "OUTSIDE"
         often = f"{100 * needed[i]:.1f} %" if np.isfinite(needed[i]) else "not reached"
         yield (
             f"  {rows.rows[i]:>6}  {rows.sets[i]:<10}{x}{y}{z}   {word:<9}{1e3 * abs(depth[i]):>11.0f}{often:>18}"
         )
-    if not shown.all():
-        yield f"  {np.count_nonzero(~shown)} more rows lie inside by a voxel or more."
 
 
 def _extent_text(ends: Array) -> str:

@@ -51,7 +51,7 @@ def test_a_list_of_poses_and_an_unknown_frame_are_predicted(call, shop):
     for words in (("--check", "poses.csv"), ("--check", "data.csv", "--frame", "estimate")):
         done = call(shop, "workspace", *PAPER, *FEW, *words)
         assert (done.code, done.err) == (0, "")
-        assert f"Targets of {words[1]}, as the nominal robot predicts them:" in done.lines
+        assert f"Targets of {words[1]}, 0 measured, 35 predicted:" in done.lines
         assert re.search(r"\n +34  validate +386.\d +-43.\d +441.\d   OUTSIDE ", done.out)
 
 

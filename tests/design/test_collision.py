@@ -4,7 +4,6 @@ import math
 import re
 from functools import cache
 
-import fcl
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings, strategies as st
@@ -83,14 +82,6 @@ def test_balls_touch_where_their_distance_says_so(q, clearance):
     assert model.free(q).tolist() == [least > clearance]
 
 
-def test_what_is_left_out_and_why():
-    model = ball_model()
-    assert set(model.ignored) == {("base", "upper"), ("upper", "fore"), ("fore", "hand")}
-    assert set(model.ignored.values()) == {"joined"}
-    assert model.close == ()
-    assert [note.code for note in model.notes] == ["collisions_checked", "floor_not_checked"]
-
-
 def test_links_that_always_touch_are_left_out_and_named():
     shell = LINK.format(name="shell", x=0.3, kind="collision").replace("0.05", "0.08")
     joint = JOINT.format(name="s", parent="fore", child="shell", x=0.0)
@@ -133,18 +124,6 @@ def test_visual_geometry_stands_in_and_bodies_without_any_are_named():
     np.testing.assert_array_equal(model.free(q), ball_model().free(q))
 
 
-def test_joints_beside_the_chain_stand_where_they_are_held():
-    side = LINK.format(name="side", x=0.3, kind="collision") + JOINT.format(
-        name="s", parent="base", child="side", x=0.0
-    )
-    text = balls(more=side)
-    for angle in (0.0, 1.5):
-        urdf = Urdf.from_bytes(text.encode(), "balls.urdf")
-        model = model_of(Robot.from_urdf(urdf, "base", "hand", held={"s": angle}))
-        for turn in (angle, angle + 0.5):
-            assert model.free([turn, 0.0, 0.0]).tolist() == [turn != angle]
-
-
 def at(x: float, y: float, z: float) -> np.ndarray:
     T = np.eye(4)
     T[:3, 3] = x, y, z
@@ -166,20 +145,6 @@ def box_model() -> CollisionModel:
     return model_of(robot_of(balls()), [Box("post", (0.1, 0.2, 1.0), at(0.5, 0.2, 0.0))])
 
 
-def test_a_box_stands_in_the_base_even_where_joints_move_the_base():
-    # From the hand to the base: the chain's joints move the base 'hand' in the URDF's root.
-    forward, backward = robot_of(balls()), robot_of(balls(), "hand", "base")
-    assert backward.base_moves
-    model = model_of(backward, [Box("plate", (0.1, 0.1, 0.1), at(-0.4, 0.3, 0.0))])
-    order = [forward.joint_names.index(name) for name in backward.joint_names]
-    for q in spread_poses(forward, 200):
-        T_hand_base = np.linalg.inv(forward.poses(q)[0])
-        points = np.column_stack([centres(q), np.zeros(4), np.ones(4)]) @ T_hand_base.T
-        outside = np.maximum(np.abs(points[:3, :3] - [-0.4, 0.3, 0.0]) - 0.05, 0.0)
-        least = min([*gaps(q).values(), *(np.linalg.norm(outside, axis=1) - 0.05)])
-        assert model.free(q[order]).tolist() == [least > 0.0]
-
-
 ROD = """<robot name="rod"><link name="base"/>
   <link name="arm"><collision><origin xyz="2 0 0" rpy="0 {turn} 0"/><geometry><{shape} radius="0.005" length="2"/>
     </geometry></collision></link>
@@ -188,14 +153,13 @@ ROD = """<robot name="rod"><link name="base"/>
 
 
 @pytest.mark.parametrize("shape", ["cylinder", "capsule"])
-@pytest.mark.parametrize("size", [0.001, 0.1, 0.5])
-def test_a_rod_through_the_middle_of_a_box(shape, size):
+def test_a_rod_through_the_middle_of_a_box(shape):
     # Of these coal misses some where it is not asked for contacts: the rod's axis goes through the box's centre.
     robot = robot_of(ROD.format(shape=shape, turn=repr(math.pi / 2)), tip="arm")
-    for x in (1.5, 2.0, 2.25):
-        for angle in np.linspace(-3.0, 3.0, 13):
+    for x in (1.5, 2.25):
+        for angle in np.linspace(-3.0, 3.0, 5):
             place = at(x * math.cos(angle), x * math.sin(angle), 0.0)
-            model = model_of(robot, [Box("post", (size, size, size), place)])
+            model = model_of(robot, [Box("post", (0.1, 0.1, 0.1), place)])
             assert model.free([[angle], [angle + 1.0]]).tolist() == [False, True]
 
 
@@ -271,18 +235,6 @@ def held_model() -> CollisionModel:
     )
 
 
-def test_the_ur10_s_target_stays_above_a_table():
-    robot, place = Robot.load("ur10"), np.array([0.0, 0.05, 0.2])
-    table = Box("table", (3.0, 3.0, 0.05), at(0.0, 0.0, -0.025))
-    bare = model_of(robot, [table])
-    held = model_of(robot, [table], targets={"target": place})
-    q = spread_poses(robot, 600)
-    height = (robot.poses(q) @ [*place, 1.0])[:, 2]
-    assert np.any(bare.free(q) & (height < 0.0))
-    assert not np.any(held.free(q) & (height < 0.0199))
-    assert np.any(held.free(q) & (height < 0.1))
-
-
 def test_nothing_comes_below_the_mounting_plane():
     robot = Robot.load("ur10")
     plane = model_of(robot, floor=True, targets={"target": (0.0, 0.05, 0.2)})
@@ -303,46 +255,6 @@ def test_nothing_comes_below_the_mounting_plane():
     assert 0.2 < np.mean(free[without]) < 0.8
 
 
-def test_the_plane_lies_below_what_stands_with_the_base():
-    post = LINK.format(name="foot", x=0.0, kind="collision").replace(
-        'xyz="0.0 0 0"', 'xyz="0 0 -0.7" rpy="0.3 0 0"'
-    )
-    fixed = '<joint name="f" type="fixed"><parent link="base"/><child link="foot"/></joint>'
-    model = model_of(robot_of(balls(more=post + fixed)), floor=True)
-    assert ("hand", "the mounting plane (z = -750 mm of 'base')") in model.pairs
-    # Joints that turn about z move nothing towards it: it changes nothing.
-    q = spread_poses(model.robot, 100)
-    np.testing.assert_array_equal(model.free(q), ball_model().free(q))
-
-
-def test_the_plane_of_a_base_that_joints_move_is_that_of_the_root():
-    tilted = balls().replace('<axis xyz="0 0 1"/>', '<axis xyz="0 1 0"/>', 1)
-    forward, backward = robot_of(tilted), robot_of(tilted, "hand", "base")
-    models = [model_of(robot, floor=True) for robot in (forward, backward)]
-    for model in models:
-        assert ("hand", "the mounting plane (z = -50 mm of 'base')") in model.pairs
-    order = [forward.joint_names.index(name) for name in backward.joint_names]
-    q = spread_poses(forward, 200)
-    np.testing.assert_array_equal(models[0].free(q), models[1].free(q[:, order]))
-
-
-def test_links_that_never_leave_the_plane_are_left_out_and_a_tip_that_never_does_refused():
-    low = balls().replace(
-        'child link="upper"/><origin xyz="0.0 0 0"', 'child link="upper"/><origin xyz="0 0 -1"'
-    )
-    with pytest.raises(CalibError, match=r"tip 'hand'.*--no-floor"):
-        model_of(robot_of(low), floor=True)
-    # Balls that turn in the plane stand in it, and the hand above it does not.
-    high = balls().replace(
-        'child link="hand"/><origin xyz="0.3 0 0"', 'child link="hand"/><origin xyz="0.3 0 1"'
-    )
-    sunk = high.replace(
-        'child link="upper"/><origin xyz="0.0 0 0"', 'child link="upper"/><origin xyz="0 0 -0.5"'
-    )
-    model = model_of(robot_of(sunk), floor=True)
-    assert {a for a, b in model.ignored if "plane" in b} == {"upper", "fore"}
-
-
 def test_a_robot_without_geometry():
     text = re.sub(r"<collision>.*?</collision>", "", balls())
     with pytest.raises(
@@ -361,15 +273,6 @@ def ur3() -> Robot:
 
 def fcl_touches(placed, pairs) -> bool:
     return any(touch(placed[a], placed[b]) for a, b in pairs)
-
-
-def fcl_distance(placed, pairs) -> float:
-    if fcl_touches(placed, pairs):
-        return 0.0
-    return min(
-        fcl.distance(placed[a], placed[b], fcl.DistanceRequest(), fcl.DistanceResult())
-        for a, b in pairs
-    )
 
 
 NEIGHBOURS = [
@@ -408,15 +311,3 @@ def test_the_ur3_agrees_with_fcl(boxed):
     expected = [not fcl_touches(objects(ur3(), row, boxes), pairs) for row in q]
     assert 100 < np.count_nonzero(free) < 340
     np.testing.assert_array_equal(free, expected)
-
-
-@pytest.mark.slow
-def test_the_ur3_s_clearance_agrees_with_fcl():
-    boxes = surroundings()
-    near, touching = (model_of(ur3(), boxes, clearance=c) for c in (0.01, 0.0))
-    assert near.close == ()
-    q = np.random.default_rng(5).uniform(-np.pi, np.pi, (120, 6))
-    q = q[touching.free(q)][:40]
-    expected = np.array([fcl_distance(objects(ur3(), row, boxes), near.pairs) for row in q])
-    assert 5 < np.count_nonzero(expected > 0.01) < 35
-    np.testing.assert_array_equal(near.free(q), expected > 0.01)

@@ -9,13 +9,11 @@ import numpy as np
 import pytest
 
 from calib.design.forecast import (
-    LEASH,
     Forecast,
     Sensitivity,
     Workspace,
     covariance_root,
 )
-from calib.model.observability import analyse
 
 #: Sizes of the errors in truth, those of the priors too: lengths [m] and angles [rad].
 UNITS = ("m", "m", "rad", "rad", "m", "rad", "rad")
@@ -120,60 +118,7 @@ def test_the_rms_over_the_workspace_and_its_range_are_those_of_calibrations(coun
 # In the noise of what is measured
 
 
-def test_efficiency_is_bound_over_mean():
-    s, q = sensitivity(np.zeros(7)), poses(8)
-    f = Forecast.of(s, Workspace.of(s, poses(100, 1)), q)
-    C = np.linalg.inv(np.einsum("nij,nik->jk", s.measured(q), s.measured(q)))
-    variance = np.einsum("nij,jk,nik->n", s.measured(poses(100, 1)), C, s.measured(poses(100, 1)))
-    assert f.mean_variance == pytest.approx(variance.mean(), rel=1e-4)
-    assert f.worst_variance == pytest.approx(variance.max(), rel=1e-4)
-    assert f.efficiency == pytest.approx(7 / 8 / variance.mean(), rel=1e-4)
-
-
-def test_rank_and_indices_are_those_of_the_same_jacobian():
-    for count in (2, 3, 10):
-        q = poses(count)
-        f = Forecast.of(sensitivity(), Workspace.of(sensitivity(), poses(50, 1)), q)
-        seen = analyse(jacobian(q).reshape(-1, 7), NAMES, UNITS)
-        assert f.rank == seen.rank == min(3 * count, 7)
-        assert set(f.indices) == {"O1", "O2", "O3", "O4", "O5"}
-        for name, value in seen.indices.items():
-            assert f.indices[name] == pytest.approx(value, rel=1e-9)
-        assert f.workspace_rank == 7
-
-
 # Priors off
-
-
-def test_what_nothing_tells_is_held_by_the_leash_alone():
-    """Two equal columns and one of zeros: their sum is known well, their difference not at all."""
-    s = sensitivity(np.zeros(7))
-
-    def changed(q: np.ndarray) -> np.ndarray:
-        J = jacobian(q)
-        J[:, :, 1], J[:, :, 4] = J[:, :, 0], 0.0
-        return J
-
-    bare = replace(s, measured=lambda q: changed(q) / noise(q)[:, None, None], located=changed)
-    q, where = poses(12), poses(60, 1)
-    f = Forecast.of(bare, Workspace.of(bare, where), q)
-    assert f.rank == f.workspace_rank == 5
-    assert f.parameter_std[4] == pytest.approx(LEASH)
-    assert f.parameter_std[[0, 1]] == pytest.approx(LEASH / np.sqrt(2.0), rel=1e-4)
-    # As if the five that are left had been the model.
-    few = [0, 2, 3, 5, 6]
-    lean = replace(
-        s,
-        names=tuple(NAMES[k] for k in few),
-        units=tuple(UNITS[k] for k in few),
-        measured=lambda q: bare.measured(q)[:, :, few],
-        located=lambda q: changed(q)[:, :, few],
-        precision=np.zeros(5),
-    )
-    g = Forecast.of(lean, Workspace.of(lean, where), q)
-    for name in ("rms", "rms_low", "rms_high", "max", "mean_variance", "worst_variance"):
-        rel = 0.02 if name.startswith("rms_") else 1e-5
-        assert getattr(f, name) == pytest.approx(getattr(g, name), rel=rel)
 
 
 @pytest.mark.parametrize("finer", [1e-2, 1e-6])

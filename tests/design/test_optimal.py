@@ -13,7 +13,6 @@ from calib.design.optimal import (
     choose,
     exchange,
     information,
-    short_list,
 )
 
 
@@ -94,27 +93,6 @@ def test_the_best_of_all_designs_is_found(criterion, prior, taken):
         assert costs[tuple(sorted(found.tolist()))] <= best + 1e-9 * abs(best)
 
 
-@pytest.mark.parametrize("criterion", ["D", "A", "V"])
-@pytest.mark.parametrize("kind", ["zeros", "equal"])
-def test_columns_that_no_candidate_tells_apart(criterion, kind):
-    """With priors of different sizes: the unseen directions move with the seen ones."""
-    for seed in range(5):
-        A = pool(400 + seed, 10, 2, 6)
-        A[:, :, 5] = 0.0 if kind == "zeros" else A[:, :, 0]
-        precision = np.array([4.0, 0.1, 0.2, 0.3, 0.4, 0.5])
-        size = {"D": None, "A": np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 3.0]), "V": None}[criterion]
-        weight = information(A) / len(A) if criterion == "V" else size
-        basis = basis_of(A, criterion, precision, weight=weight)
-        assert basis.directions.shape[1] == 5
-        costs = {
-            c: cost(np.diag(precision) + information(A[list(c)]), weight)
-            for c in combinations(range(10), 3)
-        }
-        found = choose(A @ basis.directions, basis, 3, seed, restarts=20)
-        best = min(costs.values())
-        assert costs[tuple(sorted(found.tolist()))] <= best + 1e-9 * abs(best)
-
-
 # What the cost is
 
 
@@ -136,10 +114,6 @@ def test_an_exchange_never_ends_worse_than_it_began_and_no_single_one_helps_then
 
 
 # Textbook designs: a quadratic on [-1, 1]
-
-
-def quadratic(x: np.ndarray) -> np.ndarray:
-    return np.stack([np.ones_like(x), x, x**2], axis=1)[:, None, :]
 
 
 # Kiefer and Wolfowitz
@@ -168,38 +142,7 @@ def test_no_design_beats_rank_over_n(seed):
 # The short list
 
 
-@pytest.mark.parametrize("criterion", ["D", "V"])
-def test_the_short_list_keeps_what_an_endless_design_stands_on(criterion):
-    x = np.linspace(-1.0, 1.0, 201)
-    A = quadratic(x)
-    basis = basis_of(A, criterion)
-    short = short_list(A @ basis.directions, basis, 30)
-    assert len(short) == len(set(short.tolist())) == 30
-    assert (np.diff(short) > 0).all()
-    assert {0, 100, 200} <= set(short.tolist())
-
-
-def test_a_choice_by_the_short_list_is_as_good_as_one_without(monkeypatch):
-    A = pool(11, 3000, 3, 9)
-    basis = basis_of(A)
-    whole = choose(A @ basis.directions, basis, 12, 0)
-    monkeypatch.setattr("calib.design.optimal.SHORT", 400)
-    quick = choose(A @ basis.directions, basis, 12, 0)
-    assert cost(information(A[quick]), None) < cost(information(A[whole]), None) + 0.2
-
-
 # Units
-
-
-@pytest.mark.parametrize("criterion", ["D", "V"])
-def test_units_do_not_matter(criterion):
-    A = pool(13, 80, 3, 6)
-    scaled = A * 10.0 ** np.array([-6, -3, 0, 3, 6, 1.5])
-    found = []
-    for one in (A, scaled):
-        basis = basis_of(one, criterion)
-        found.append(sorted(choose(one @ basis.directions, basis, 8, 0).tolist()))
-    assert found[0] == found[1]
 
 
 def test_a_column_of_rounding_is_no_direction():

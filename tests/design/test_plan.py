@@ -142,18 +142,6 @@ def test_those_that_were_refused_are_counted_by_reason(full, bare):
     assert bare.refused == {}
 
 
-def test_sets_targets_and_places(ur3, full):
-    assert sorted(full.sets) == ["estimate"] * 15 + ["validate"] * 4
-    assert full.estimation.shape == (15, 6)
-    assert len(np.unique(full.joints, axis=0)) == 19
-    assert (full.model, full.kind) == ("hayati", "point")
-    assert full.targets == ("target",)
-    np.testing.assert_allclose(full.expected[:, 0], points(ur3, full.joints), atol=1e-12)
-    assert full.taken.shape == (0, 6)
-    assert full.before is None
-    assert full.forecast.poses == 15
-
-
 def test_poses_are_added_to_those_taken(ur3, bare):
     more = plan(
         ur3,
@@ -195,19 +183,6 @@ def test_other_kinds_can_be_planned(ur3, kind, count, numbers):
     assert p.kind == kind
     assert p.forecast.rank == p.forecast.workspace_rank <= numbers * count
     np.testing.assert_allclose(p.expected[:, 0], points(ur3, p.joints) + frame[:3, 3], atol=1e-12)
-
-
-def test_several_targets_are_all_in_sight(ur3):
-    two = {"front": TARGET, "back": np.array([0.0, -0.2, 0.0])}
-    cell = replace(
-        FULL, target=None, targets=two, tracker=Tracker(np.array([2.2, 0.6, 0.5]), 2.0, 2.5)
-    )
-    p = plan(ur3, cell, PlanRequest(12, 0, candidates=200, ladder=()), collisions=None)
-    assert p.targets == ("front", "back")
-    assert p.expected.shape == (12, 2, 3)
-    distance = np.linalg.norm(p.expected - cell.tracker.position, axis=2)
-    assert (distance >= 2.0).all()
-    assert (distance <= 2.5).all()
 
 
 # Refusals

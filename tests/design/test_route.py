@@ -6,7 +6,6 @@ import pytest
 from calib.design.candidates import planning_ranges
 from calib.design.route import detour, route, turning, with_whole_turns
 from calib.robot.robot import Robot
-from calib.robot.urdf import Urdf
 
 WIDE = np.array([[-2.0 * np.pi, 2.0 * np.pi], [-np.pi, np.pi]])
 
@@ -32,14 +31,6 @@ def test_a_bar_goes_over_the_top():
     assert floor(turned[0], turned[3])
 
 
-def test_the_longest_stretch_stays_whatever_the_order():
-    q = poses(150.0, 170.0, -120.0, -80.0, -10.0)
-    turned = with_whole_turns(
-        q, [np.arange(2), np.arange(2, 5)], WIDE, np.array([True, False]), floor
-    )
-    assert np.degrees(turned[:, 0]) == pytest.approx([-210.0, -190.0, -120.0, -80.0, -10.0])
-
-
 @pytest.mark.parametrize(
     ("ranges", "turns"),
     [(WIDE, [False, False]), (np.array([[-np.pi, np.pi], [-np.pi, np.pi]]), [True, False])],
@@ -57,19 +48,6 @@ def test_joints_of_more_than_a_turn():
     assert limits[3] == pytest.approx([-1.0, 1.0])
     # The elbow has one turn, and a joint with a range is kept in it.
     assert turning(ur3, limits).tolist() == [True, True, False, False, True, True]
-
-
-def test_joints_that_slide_or_are_followed_are_not_turned():
-    text = Robot.load("urdf/ur3.urdf", base="base", tip="tool0").urdf.data.decode()
-    start = text.index("</joint>", text.index('name="wrist_3_joint"'))
-    mimic = '<mimic joint="wrist_2_joint" multiplier="0.5"/>'
-    robot = Robot.from_urdf(
-        Urdf.from_bytes((text[:start] + mimic + text[start:]).encode(), "m"), "base", "tool0"
-    )
-    wide = np.tile([-10.0, 10.0], (len(robot.inputs), 1))
-    assert turning(robot, wide).tolist() == [True, True, True, True, False]
-    panda = Robot.load("panda", tip="panda_leftfinger")
-    assert not turning(panda, np.tile([-10.0, 10.0], (8, 1)))[-1]
 
 
 # A pose in between
@@ -101,12 +79,6 @@ def test_the_shortest_way_round_a_wall():
     assert max(abs(found - start)) + max(abs(found - end)) == pytest.approx(min(lengths))
     with pytest.raises(ValueError, match="read-only"):
         found[0] = 0.0
-
-
-def test_no_way_round_is_none():
-    below = np.array([(x, -1.0) for x in np.linspace(-3.0, 3.0, 30)])
-    assert detour(np.array([-1.0, 0.0]), np.array([1.0, 0.0]), below, free) is None
-    assert detour(np.array([-1.0, 0.0]), np.array([1.0, 0.0]), below[:0], free) is None
 
 
 # All together

@@ -154,20 +154,6 @@ def test_what_is_located_moves_as_predictions_do(ur3, cell):
     np.testing.assert_allclose(found, expected.reshape(found.shape), rtol=0.0, atol=2e-6)
 
 
-def test_targets_are_expected_where_the_nominal_robot_puts_them(ur3):
-    q = random_joint_values(ur3, 9, 5)
-    tips = ur3.poses(q)
-    for name in ("two targets", "two targets' distances"):
-        found = Sensitivity.of(ur3, CELLS[name]).expected(q)
-        T = FRAME if "distances" in name else np.eye(4)
-        for t, target in enumerate((TARGET, -2.0 * TARGET)):
-            want = (T @ tips @ np.append(target, 1.0))[:, :3]
-            np.testing.assert_allclose(found[:, t], want, atol=1e-12)
-    # A frame that nobody knows counts as the base.
-    found = Sensitivity.of(ur3, CELLS["a frame that is not given"]).expected(q)
-    np.testing.assert_allclose(found[:, 0], (tips @ np.append(TARGET, 1.0))[:, :3], atol=1e-12)
-
-
 # Noise
 
 
@@ -247,24 +233,6 @@ def test_targets_of_one_stop_share_the_robots_repeatability(ur3):
     robot = slice(0, 20)
     square = (10e-6**2 / 3.0 + 40e-6**2) / (noise.std(3.0) ** 2 / 3.0)
     assert alone[..., robot] / np.sqrt(square) == pytest.approx(shared[..., robot], rel=1e-9)
-
-
-def test_the_noise_of_a_distance_grows_from_the_anchor(ur3):
-    cell = Cell(target=TARGET, model="dh", kind="distance", T_frame_base=FRAME)
-    q = random_joint_values(ur3, 5, seed=3)
-    length = np.linalg.norm(Sensitivity.of(ur3, cell).expected(q)[:, 0], axis=1)
-    tracker = Tracker(np.array([9.0, 0.0, 0.0]), noise=TrackerNoise(10e-6, 5e-6, 0.0))
-    assert Sensitivity.of(ur3, cell).noise(q) == pytest.approx(TrackerNoise().std(length))
-    told = Sensitivity.of(ur3, replace(cell, tracker=tracker)).noise(q)
-    assert told == pytest.approx(10e-6 + 5e-6 * length)
-
-
-def test_auto_is_foreseen_as_the_largest_geometry(ur3):
-    sensitivity = Sensitivity.of(ur3, Cell())
-    assert sensitivity.kinematics.model.name == "placement"
-    assert [note.code for note in sensitivity.notes] == ["generic_target"]
-    np.testing.assert_allclose(sensitivity.setup.T_tip_target[0, :3, 3], [0.05, 0.07, 0.03])
-    assert Sensitivity.of(ur3, Cell(target=TARGET)).notes == ()
 
 
 # Against calibrations

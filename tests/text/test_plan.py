@@ -23,7 +23,7 @@ def planned(ur3) -> Plan:
 
 
 def said(one: Plan) -> str:
-    return " ".join(plan_text(one, "zeros").split())
+    return " ".join(plan_text(one).split())
 
 
 def test_moves_that_collide_are_named_with_poses_to_drive_by(planned: Plan):

@@ -14,7 +14,6 @@ from calib.data.cell import Cell
 from calib.data.surroundings import Box, Tracker
 from calib.design.optimal import PlanRequest
 from calib.design.plan import plan
-from calib.report.label_rows import BEAM
 from calib.robot.readback import random_joint_values
 from calib.viewer.design_view import plan_page
 
@@ -107,28 +106,3 @@ def test_the_legend_hides_what_it_names(page):
     assert "the &lt;table&gt;" in text
     assert "to estimate from, 6" in text
     assert "Expected error of a predicted position after the calibration" in text
-
-
-@pytest.mark.parametrize("fixture", ["fingers", "head_and_arm"])
-def test_any_robot_is_drawn(request, fixture):
-    robot = request.getfixturevalue(fixture)
-    made = plan(
-        robot,
-        Cell(model="zeros"),
-        PlanRequest(4, 0, candidates=100, ladder=()),
-        collisions=None,
-    )
-    page = plan_page(made)
-    assert len(moved(scene_of(page), r"estimate/\d+")) == 4
-
-
-@pytest.mark.slow
-def test_chromium_draws_it_without_a_complaint(browser, planned, tmp_path):
-    path = plan_page(planned).write(tmp_path / "plan.html")
-    with browser.open(path.as_uri()) as tab:
-        pixels = tab.screenshot().reshape(-1, 3).astype(int)
-        assert tab.console == []
-        assert tab.elsewhere == []
-    beam = tuple(bytes.fromhex(BEAM[1:]))
-    for colour in ((0x9A, 0xAF, 0xC4), beam):  # the robot, lines of sight
-        assert np.sum(np.abs(pixels - colour).max(axis=1) < 40) > 30

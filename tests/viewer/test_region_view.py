@@ -109,7 +109,7 @@ def test_many_voxels_are_thinned_out_and_a_share_has_its_bands(view, ur3):
     assert sum(len(positions(scene, f"band{i}")) for i in range(3)) == 60_000
 
 
-@pytest.mark.parametrize("fixture", ["gantry", "head_and_arm", "fingers"])
+@pytest.mark.parametrize("fixture", ["gantry", "fingers"])
 def test_any_robot_is_drawn(request, fixture):
     robot: Robot = request.getfixturevalue(fixture)
     density, ranges = Density.of(workspace(robot, count=2**12)), joint_ranges(robot)

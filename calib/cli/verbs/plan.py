@@ -8,7 +8,9 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.options import Columns, Force, ModelOptions, Quiet, RobotFile, Seed, verb
+from calib.cli.options import Force, ModelOptions, Quiet, RobotFile, Seed, verb
+
+File = Path | None
 
 
 @verb("""Plan the poses of a calibration: which to measure, in which order, and how accurate the robot will be.
@@ -27,57 +29,35 @@ def plan(
     robot: RobotFile,
     setup: ModelOptions,
     count: Annotated[int, typer.Option(metavar="N", help="Poses to calibrate with.")] = 30,
-    validation: Annotated[
-        int, typer.Option(metavar="N", help="Additional random poses held out for validation.")
-    ] = 5,
-    criterion: Annotated[
-        str,
-        typer.Option(metavar="V|D|A", help="Optimality: V predictions, D ellipsoid, A parameters."),
-    ] = "V",
+    validation: Annotated[int, typer.Option(metavar="N", help="Random validation poses.")] = 5,
+    criterion: Annotated[str, typer.Option(metavar="V|D|A", help="Optimality criterion.")] = "V",
     candidates: Annotated[int, typer.Option(metavar="N", help="Poses to choose from.")] = 20_000,
     seed: Seed = 0,
     tracker: Annotated[
         str | None,
-        typer.Option(metavar='"X Y Z UNIT"', help="Position of the tracker in the base."),
+        typer.Option(metavar='"X Y Z UNIT"', help="Position of the tracker, in the base."),
     ] = None,
-    region: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Region for the target, of calib workspace.")
-    ] = None,
-    margin: Annotated[
-        str, typer.Option(metavar="ANGLE", help="Distance to the joint limits.")
-    ] = "5 deg",
-    clearance: Annotated[
-        str, typer.Option(metavar="LENGTH", help="Least distance to everything that is checked.")
-    ] = "0 mm",
+    region: Annotated[File, typer.Option(help="Region for the target, of calib workspace.")] = None,
+    margin: Annotated[str, typer.Option(metavar="ANGLE", help="Margin to joint limits.")] = "5 deg",
+    clearance: Annotated[str, typer.Option(metavar="LENGTH", help="Least distance.")] = "0 mm",
     collisions: Annotated[bool, typer.Option(help="Check poses and moves for collisions.")] = True,
     floor: Annotated[bool, typer.Option(help="Keep above the robot's mounting plane.")] = True,
     package_dir: Annotated[
         list[Path] | None, typer.Option(metavar="FOLDER", help="Folder with packages of meshes.")
     ] = None,
-    taken: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Table of poses measured already, to add to."),
-    ] = None,
-    columns: Columns = None,
+    taken: Annotated[File, typer.Option(help="Table of poses measured already, to add to.")] = None,
     start: Annotated[
         list[str] | None,
         typer.Option(metavar='"JOINT=VALUE UNIT"', help="Start pose; other joints are at 0."),
     ] = None,
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="Table of poses.")] = None,
-    json: Annotated[Path | None, typer.Option(help="Plan and forecast as JSON.")] = None,
-    view: Annotated[Path | None, typer.Option(help="3D page of the plan.")] = None,
+    output: Annotated[File, typer.Option("-o", "--output", help="Table of poses.")] = None,
+    json: Annotated[File, typer.Option(help="Plan and forecast as JSON.")] = None,
+    view: Annotated[File, typer.Option(help="3D page of the plan.")] = None,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
     """See the text of `verb`."""
-    from calib.cli.setup import (
-        check_outputs,
-        parse_amount,
-        parse_columns,
-        parse_held,
-        parse_tracker,
-        read_cell,
-    )
+    import calib.cli.setup as line
     from calib.cli.terminal import stages_bar
     from calib.compensation.inverse import start_values
     from calib.data.table import Table
@@ -88,23 +68,24 @@ def plan(
     from calib.design.region import RegionFile
     from calib.result.calibration_file import write_table
     from calib.robot.robot import Robot
-    from calib.text.plan import next_text, plan_text, taken_text
+    from calib.text.plan import next_text, plan_text
 
     inputs: list[str | Path] = [robot, *filter(None, (setup.cell, region, taken))]
-    check_outputs([output, json, view], inputs, force=force)
-    gap = parse_amount(margin, "--margin", "an angle", "5 deg")
-    clear = parse_amount(clearance, "--clearance", "a length", "1 mm")
-    cell, renamed = read_cell(**asdict(setup)), parse_columns(columns or [])
-    cell = replace(cell, tracker=parse_tracker(tracker, cell.tracker))
-    names = None if taken is None else Table.read(taken).names(renamed)
+    line.check_outputs([output, json, view], inputs, force=force)
+    gap = line.parse_amount(margin, "--margin", "an angle", "5 deg")
+    clear = line.parse_amount(clearance, "--clearance", "a length", "1 mm")
+    cell = line.read_cell(**asdict(setup))
+    cell = replace(cell, tracker=line.parse_tracker(tracker, cell.tracker))
+    names = None if taken is None else Table.read(taken).names({})
     arm = Robot.load(robot, cell.base, cell.tip, measured=names, held=cell.held)
     place = None if region is None else RegionFile.read(region)
     if place is not None:
         place.check_fits(arm, next(iter(cell.targets.values()), cell.target))
-    before = None if taken is None else read_taken(taken, arm, renamed)
+    before = None if taken is None else read_taken(taken, arm)
+    check = CollisionCheck(clear, floor, package_dirs=tuple(package_dir or ()))
     request = PlanRequest(count, validation, criterion, candidates, gap, seed=seed)
     if start:
-        request = replace(request, start=start_values(arm, parse_held(start, "--start"), 0.0))
+        request = replace(request, start=start_values(arm, line.parse_held(start, "--start"), 0.0))
     with stages_bar(quiet=quiet) as progress:
         made = make_plan(
             arm,
@@ -112,9 +93,7 @@ def plan(
             request,
             region=None if place is None else place.region,
             taken=None if before is None else before.joints,
-            collisions=CollisionCheck(clear, floor, package_dirs=tuple(package_dir or ()))
-            if collisions
-            else None,
+            collisions=check if collisions else None,
             progress=progress,
         )
     if output is not None:
@@ -128,7 +107,6 @@ def plan(
 
         plan_page(made).write(view, overwrite=force)
     if not quiet:
-        remarks = [] if before is None or taken is None else taken_text(before, taken)
         written = [f"Written: {path}" for path in (output, json, view) if path is not None]
-        following = next_text(made, robot, output, taken)
-        typer.echo("\n".join([plan_text(made, cell.model, remarks), "", *written, following]))
+        following = next_text(made, robot, output, before)
+        typer.echo("\n".join([plan_text(made), "", *written, following]))

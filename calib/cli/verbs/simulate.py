@@ -149,7 +149,7 @@ def simulate(
 
 def next_command(robot: str, table: Path, setup: CellOptions) -> str:
     """The command that calibrates with what was simulated, in lines that a shell joins again."""
-    from calib.text.plan import command_text
+    from calib.text.lines import command_text
 
     parts = [shlex.join(["calib", "fit", robot, str(table)])]
     for name, value in asdict(setup).items():

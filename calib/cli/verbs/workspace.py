@@ -10,6 +10,8 @@ import typer
 
 from calib.cli.options import CellOptions, Columns, Force, Quiet, RobotFile, Seed, verb
 
+File = Path | None
+
 
 @verb("""Sample the reachable workspace of the target, and find the region to measure in.
 
@@ -25,45 +27,26 @@ poses inside it. Collisions are not checked here.
 def workspace(
     robot: RobotFile,
     setup: CellOptions,
-    like: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DATA", help="Joint ranges are those of this table's estimation rows."
-        ),
-    ] = None,
+    like: Annotated[File, typer.Option(help="Table whose estimation rows give the ranges.")] = None,
     margin: Annotated[
         str,
-        typer.Option(
-            metavar="ANGLE",
-            help="Added to the ranges of --like; 5 mm for prismatic joints.",
-        ),
+        typer.Option(metavar="ANGLE", help="Margin around --like (5 mm for prismatic joints)."),
     ] = "0 deg",
-    share: Annotated[
-        float, typer.Option(metavar="P", help="Probability that the region holds.")
-    ] = 0.95,
+    share: Annotated[float, typer.Option(metavar="P", help="Probability in the region.")] = 0.95,
     samples: Annotated[
         int, typer.Option(min=1000, max=2**24, metavar="N", help="Samples of the joint values.")
     ] = 2**19,
     voxel: Annotated[
-        str | None,
-        typer.Option(
-            metavar="LENGTH", help="Edge of a voxel. Default: as small as the samples allow."
-        ),
+        str | None, typer.Option(metavar="LENGTH", help="Edge of a voxel. Default: by the samples.")
     ] = None,
     seed: Seed = 0,
-    check: Annotated[
-        Path | None,
-        typer.Option(metavar="DATA", help="Print which rows of this table lie in the region."),
-    ] = None,
+    check: Annotated[File, typer.Option(help="Table: which of its rows lie in the region.")] = None,
     columns: Columns = None,
     output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", help="Write the region, for 'calib plan --region'."),
+        File, typer.Option("-o", "--output", help="Region file, for 'calib plan --region'.")
     ] = None,
-    picture: Annotated[
-        Path | None, typer.Option(help="Draw density and region; .png, .svg or .pdf.")
-    ] = None,
-    view: Annotated[Path | None, typer.Option(help="Write a 3D page of robot and region.")] = None,
+    picture: Annotated[File, typer.Option(help="Density and region: .png, .svg or .pdf.")] = None,
+    view: Annotated[File, typer.Option(help="3D page of robot and region.")] = None,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
