@@ -97,7 +97,7 @@ def test_what_stands_around_the_robot(call, shop: Path):
         shop, "plan", "robot.urdf", "--base", "base", "--tip", "tool0", "--model", "dh", "--target", "30 0 60 mm",
         "--candidates", "60", "--count", "10", "--tracker", "2500 500 600 mm", "--cell", "around.toml",
         "--clearance", "2 mm", "--margin", "10 deg", "--start", "shoulder_lift_joint=-90 deg",
-        "-o", "plan.csv", "--json", "plan.json", "--view", "plan.html",
+        "-o", "plan.csv", "--json", "plan.json",
     )  # fmt: skip
     assert (done.code, done.err) == (0, "")
     table = json.loads((shop / "plan.json").read_text(encoding="utf-8"))

@@ -201,6 +201,3 @@ def test_a_region_is_the_fewest_voxels_of_the_highest_density(seed, count, share
 
 
 # What is refused.
-
-
-POINTS = np.random.default_rng(0).uniform(size=(1000, 3))

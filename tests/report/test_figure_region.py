@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -40,9 +39,8 @@ def view(ur3, rows, density, region):
     return RegionView(ur3, np.zeros(3), np.zeros((6, 2)), density, region, checked)
 
 
-def test_png_svg_and_pdf_open_elsewhere(view, tmp_path):
-    paths = [write_picture(view, tmp_path / name) for name in ("a.png", "a.SVG", "a.pdf")]
-    with Image.open(paths[0]) as image:
+def test_a_png_opens_elsewhere(view, tmp_path):
+    with Image.open(write_picture(view, tmp_path / "a.png")) as image:
         image.load()
         assert image.size == (1950, 1380)
         pixels = np.asarray(image.convert("RGB")).astype(int)
@@ -50,10 +48,6 @@ def test_png_svg_and_pdf_open_elsewhere(view, tmp_path):
     green = (pixels[..., 1] - pixels[..., 0] > 90) & (pixels[..., 1] > 140)
     assert 0.02 < orange.mean() < 0.5
     assert green.sum() > 500  # the validation rows
-    assert ElementTree.parse(paths[1]).getroot().tag == "{http://www.w3.org/2000/svg}svg"
-    pdf = paths[2].read_bytes()
-    assert pdf.startswith(b"%PDF-")
-    assert pdf.rstrip().endswith(b"%%EOF")
 
 
 def texts(figure):

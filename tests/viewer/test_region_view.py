@@ -14,7 +14,6 @@ from calib import example
 from calib.data.measurements import Measurements
 from calib.data.ranges import joint_ranges
 from calib.design.workspace import Checked, Density, RegionView, workspace
-from calib.robot.robot import Robot
 from calib.viewer.design_view import region_page
 
 
@@ -107,14 +106,6 @@ def test_many_voxels_are_thinned_out_and_a_share_has_its_bands(view, ur3):
     assert np.count_nonzero(big.region.cells) > 70_000
     scene = scene_of(region_page(big))
     assert sum(len(positions(scene, f"band{i}")) for i in range(3)) == 60_000
-
-
-@pytest.mark.parametrize("fixture", ["gantry", "fingers"])
-def test_any_robot_is_drawn(request, fixture):
-    robot: Robot = request.getfixturevalue(fixture)
-    density, ranges = Density.of(workspace(robot, count=2**12)), joint_ranges(robot)
-    page = region_page(RegionView(robot, np.zeros(3), ranges, density, density.region(0.9)))
-    assert b"/robots/nominal/target" not in page.html
 
 
 @pytest.mark.slow
