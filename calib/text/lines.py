@@ -56,9 +56,6 @@ def mm(value: float, digits: int = 3) -> str:
 
 def deg(value: float, digits: int = 3) -> str:
     """An angle [rad] in degrees, without its unit."""
-<<<<<<< HEAD
-    return number(float(math.degrees(value)), digits)
-=======
     return number(float(math.degrees(value)), digits)
 
 
@@ -70,4 +67,3 @@ def command_text(parts: Iterable[str], indent: int) -> str:
             lines.append("")
         lines[-1] += f" {part}" if lines[-1] else part
     return (" \\\n" + " " * indent).join(lines)
->>>>>>> 862c28e (The verbs plan and workspace are options, one call and one text; tests of design keep what catches an error)
