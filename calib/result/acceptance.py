@@ -41,9 +41,6 @@ OUTCOMES: tuple[Outcome, ...] = ("pass", "undecided", "fail")
 #: What is compared with the tolerance: the largest AP, their mean, or the largest error of a single repeat.
 CRITERIA = ("max", "mean", "single")
 
-#: Origins that differ by less are the same [m] and [1].
-_SAME = 1e-9
-
 #: A column that every table of commands has, and how exactly the poses to send are those of the nominal robot [m].
 _COMMANDS, _EXACT = "correction position", 1e-6
 
@@ -207,7 +204,6 @@ class Assessment:
     figures: Mapping[str, Accuracy]  #: Their accuracy
     judged: str  #: The robot that is judged
     accepted: Acceptance | None  #: The acceptance, where a tolerance was stated
-    own: bool  #: Whether the URDF is neither the nominal nor the calibrated robot
     #: Judged rows with joint values that the fit did not see, and the numbers of the rows asked for
     outside: tuple[tuple[OutsideRow, ...], tuple[int, ...]]
     moved: Moved | None  #: A frame or target that moved since the calibration
@@ -262,11 +258,6 @@ def assess(
             f"--judge {judged}: there is no such robot; choose one of {choices(found)}."
         )
     figures = {who: accuracy(one, seen=seen) for who, one in found.items()}
-    origins = {who: one.robot.origins() for who, one in found.items()}
-    own = c is not None and not any(
-        all(abs(T - origins["urdf"][joint]).max() < _SAME for joint, T in origins[who].items())
-        for who in ("nominal", "calibration")
-    )
     beyond: tuple[OutsideRow, ...] = ()
     rows = tuple(row for pose in figures[judged].poses for row in pose.rows[:1])
     if c is not None and judged in ("calibration", "larger"):
@@ -278,7 +269,6 @@ def assess(
         figures=figures,
         judged=judged,
         accepted=acceptance(found[judged], **limits, seen=seen) if limits else None,
-        own=own,
         outside=(beyond, rows),
         moved=moved(found["calibration"].robot, table, cell, c.setup)
         if c is not None and set(which) == {"frame", "target"}

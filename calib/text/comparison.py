@@ -9,13 +9,11 @@ from typing import Any
 import numpy as np
 
 from calib.errors import choices
-from calib.estimate.statistics import Errors
 from calib.result.calibration import Calibration
 from calib.result.calibration_file import versions
 from calib.result.comparison import Comparison
 from calib.result.drift import LEVEL, own_names, unknown_frame
 from calib.text.lines import deg, mm, number, wrap
-from calib.text.summary import error_title, measured_lengths
 from calib.version import __version__
 
 #: The layout of `comparison_table`; a word, so that it is not taken for a result.
@@ -26,8 +24,6 @@ _MOST_PLACES = 6
 
 #: Beyond this many standard deviations the number says nothing more.
 _HIGHEST = 37.0
-
-_ERRORS = "{:<5}{:<31}{:>8}{:>10}{:>10}{:>10}"
 
 _WHERE = {
     "measured ranges": "the joint values that both measured",
@@ -41,7 +37,6 @@ def comparison_text(c: Comparison) -> str:
         _heading(c),
         _answer(c),
         "\n".join(wrap(f"Note: {note}") for note in notes(c)),
-        _errors(c),
         _parameters(c),
         _places(c),
     )
@@ -150,27 +145,6 @@ def notes(c: Comparison) -> tuple[str, ...]:
         f"The verdict on {careful} is 'use with care'; see there.": careful,
     }
     return tuple(text for text, applies in every.items() if applies)
-
-
-def _error_sets(one: Calibration) -> list[tuple[str, Errors]]:
-    """Errors of the calibrated robot: estimation rows, validation rows, left-out rows."""
-    sets = [(f"{name} rows", errors) for name, errors in one.errors["calibrated"].items()]
-    if one.cross_validation is not None:
-        sets.append(("left-out rows", one.cross_validation.errors))
-    return [(rows, errors) for rows, errors in sets if errors.n]
-
-
-def _errors(c: Comparison) -> str:
-    """Errors of both calibrated robots, each on its own rows."""
-    used = c.a.used, c.b.used
-    lines = [_ERRORS.format("", f"{error_title(*used)} [mm]", "rows", "max", "mean", "rms")]
-    for letter, _, one in _both(c):
-        for rows, e in _error_sets(one):
-            lines.append(_ERRORS.format(letter, rows, e.n, mm(e.max), mm(e.mean), mm(e.rms)))
-    noise = [f"{mm(one.sigma)} mm in {x}" for x, _, one in _both(c) if np.isfinite(one.sigma)]
-    if noise:
-        lines.append(f"Noise of a {measured_lengths(*used)}: {', '.join(noise)}.")
-    return "\n".join(lines) if len(lines) > 1 else ""
 
 
 def _parameters(c: Comparison) -> str:

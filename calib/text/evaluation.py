@@ -20,9 +20,6 @@ from calib.text.lines import deg, mm, wrap
 from calib.text.summary import ANGLE_HEAD, angle_row, error_head, error_row, error_title
 from calib.text.verdict import outside_text, reason_text
 
-#: Residuals that differ by less are the same [m] and [rad].
-_SAME = 1e-9
-
 #: Poses that are listed, and rows of a pose that are named.
 _MOST_POSES, _MOST_ROWS = 10, 3
 
@@ -60,12 +57,7 @@ def assessment_text(e: Assessment, result: str, source: str) -> str:
     judged = _NAMES[e.judged][1].format(result)
     parts = [_places_text(e.found["urdf"], source), _errors_text(e.found, result)]
     if e.accepted is not None or any(one.repeats[1] > 1 for one in e.figures.values()):
-        shown = {
-            _NAMES[who][0]: one
-            for who, one in e.figures.items()
-            if who != "urdf" or e.judged == "urdf" or e.own or len(e.found) == 1
-        }
-        parts.append(accuracy_text(shown))
+        parts.append(accuracy_text({_NAMES[who][0]: one for who, one in e.figures.items()}))
     if e.accepted is not None:
         reasons = (wrap(reason, "  ") for reason in _reasons(e, e.accepted, judged))
         first = "\n".join([f"Verdict: {e.accepted.outcome}", *reasons])
@@ -100,9 +92,6 @@ def _reasons(e: Assessment, a: Acceptance, judged: str) -> Iterator[str]:
         "Positions have no tolerance and are not judged.": a.length is None,
         f"Rows of the kind {choices(kinds)} say nothing of errors across them.": kinds,
         f"Joint values outside of the calibrated range: {beyond}.": beyond,
-        "The URDF is neither the nominal nor the calibrated robot; --judge urdf judges it.": (
-            e.own and e.judged != "urdf"
-        ),
         _advice(e): _advice(e),
     }
     yield from (sentence for sentence, applies in every.items() if applies)
@@ -225,13 +214,8 @@ def _places_text(first: Evaluation, source: str) -> str:
 
 
 def _errors_text(found: Mapping[str, Evaluation], result: str) -> str:
-    """The errors of each robot as tables; the nominal one where it is not the URDF itself."""
-    urdf = found["urdf"]
-    shown = {
-        _NAMES[who][1].format(result): one
-        for who, one in found.items()
-        if who != "nominal" or not abs(one.residual - urdf.residual).max(initial=0.0) < _SAME
-    }
+    """The errors of each robot as tables."""
+    shown = {_NAMES[who][1].format(result): one for who, one in found.items()}
 
     def table(head: str, row: Callable[[str, Errors], str], count: str) -> str:
         """Of lengths or angles; ``count`` names the attribute that says how many there are."""
@@ -247,7 +231,7 @@ def _errors_text(found: Mapping[str, Evaluation], result: str) -> str:
                     lines.append(row(f"  {called.get(name, name)} rows", errors))
         return "\n".join(lines)
 
-    parts = [table(error_head(error_title(urdf.used)), error_row, "n")]
+    parts = [table(error_head(error_title(found["urdf"].used)), error_row, "n")]
     if any(one.errors["all"].n_angle for one in shown.values()):
         parts.append(table(ANGLE_HEAD, angle_row, "n_angle"))
     return "\n\n".join(parts)

@@ -17,32 +17,22 @@ Examples:
   calib compare january.json june.json
   calib compare january.json june.json --robot robot.urdf --json compared.json --view both.html
 
-A and B are results that 'calib fit --json' wrote, of measurements taken at different times. The answer comes first:
-by how much the target moved, up to what frame and target absorb, and whether that is more than chance. A tracker that
-stands elsewhere and a target mounted anew are no drift.
+A tracker that stands elsewhere and a target mounted anew are no drift.
 """)
 def compare(
-    a: Annotated[
-        Path, typer.Argument(metavar="A", help="Result that 'calib fit --json' wrote: the first.")
-    ],
-    b: Annotated[
-        Path, typer.Argument(metavar="B", help="The same of the second, later measurements.")
-    ],
+    a: Annotated[Path, typer.Argument(metavar="A", help="First result, of 'calib fit --json'.")],
+    b: Annotated[Path, typer.Argument(metavar="B", help="Second, later result.")],
     robot: Annotated[
         str | None,
         typer.Option(
             "--robot",
             metavar="ROBOT",
-            help="URDF of the robot, nominal or corrected, for the meshes of --view. Default: the one that the first "
-            "result holds.",
+            help="URDF with the meshes for --view. Default: that of A.",
         ),
     ] = None,
-    json: Annotated[
-        Path | None, typer.Option("--json", help="Write the comparison as JSON.")
-    ] = None,
+    json: Annotated[Path | None, typer.Option("--json", help="Write JSON.")] = None,
     view: Annotated[
-        Path | None,
-        typer.Option("--view", help="Write a page that shows the robot as both have it."),
+        Path | None, typer.Option("--view", help="Write a page of both robots.")
     ] = None,
     force: Force = False,
     quiet: Quiet = False,
