@@ -71,7 +71,7 @@ def test_a_tolerance_that_is_kept(examples):
     table = done.lines[done.lines.index(head) :]
     assert [line.split()[1] for line in table[2:7]] == ["32", "35", "34", "31", "33"]
     rows = [line.split()[0] for line in done.lines if line.startswith("  ") and "5 " in line[33:40]]
-    assert rows[-2:] == ["nominal", "calibrated"]
+    assert rows[-3:] == ["nominal", "URDF", "calibrated"]
 
 
 @pytest.mark.parametrize(
