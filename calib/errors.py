@@ -53,25 +53,13 @@ class FileError(CalibError):
 
 
 def choices(names: Iterable[str], limit: int = 12) -> str:
-    """The allowed names as text for a message: at most ``limit`` of them, then how many more.
-
-    Example:
-        >>> choices(["base", "tool0"])
-        "'base', 'tool0'"
-        >>> choices(["a", "b", "c"], limit=2)
-        "'a', 'b' and 1 more"
-    """
+    """The allowed names as text for a message: at most ``limit`` of them, then how many more."""
     listed = list(names)
     text = ", ".join(f"'{name}'" for name in listed[:limit])
     return text if len(listed) <= limit else f"{text} and {len(listed) - limit} more"
 
 
 def did_you_mean(name: str, names: Iterable[str]) -> str:
-    """The names most like the one given, as the end of a message; empty if none is like it.
-
-    Example:
-        >>> did_you_mean("tool", ["base", "tool0"])
-        " (did you mean 'tool0'?)"
-    """
+    """The names most like the one given, as the end of a message; empty if none is like it."""
     close = difflib.get_close_matches(name, names, n=3)
     return f" (did you mean {' or '.join(repr(match) for match in close)}?)" if close else ""

@@ -26,12 +26,7 @@ _PIPED: dict[tuple[int, int], bytes] = {}
 def read_bytes(path: str | os.PathLike[str], what: str) -> bytes:
     """Read a whole file, or a pipe to its end: standard input as ``-``, a shell's ``<(zcat table.csv.gz)``.
 
-    Args:
-        path: File to read.
-        what: What the file should be, for the message: ``"URDF"``.
-
-    Raises:
-        FileError: There is no such file, it is a folder, or it cannot be read.
+    ``what`` the file should be (``"URDF"``) begins the message of a FileError.
     """
     name = "/dev/stdin" if os.fspath(path) == "-" else path
     try:
@@ -135,13 +130,7 @@ _LONG = 500
 def read_json(
     path: str | os.PathLike[str], what: str, schema: object, expected: str
 ) -> dict[str, Any]:
-    """Read a table whose ``schema`` is the one wanted.
-
-    Args:
-        path: The file.
-        what: What the file should be, for the message: ``"region"``.
-        schema: The value under ``schema``.
-        expected: What has which schema, and which file to give: the end of the message about another schema.
+    """Read a table whose ``schema`` is the one wanted; ``what`` and ``expected`` say in the message what file to give.
 
     Raises:
         FileError: It cannot be read, is no JSON, or of another schema.

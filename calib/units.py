@@ -156,11 +156,7 @@ def parse_quantity(text: object) -> tuple[float, str]:
 
 
 def parse_joint_value(value: object, where: str) -> float:
-    """The value of a joint with its unit, such as ``"30 deg"`` or ``"0.3 m"``, as an `Angle` or a `Length`.
-
-    Raises:
-        CalibError: No number with a unit of length or angle; the text says ``where`` it was given.
-    """
+    """The value of a joint with its unit, such as ``"30 deg"`` or ``"0.3 m"``, as an `Angle` or a `Length`."""
     try:
         number, kind = parse_quantity(value)
     except CalibError as error:
@@ -173,11 +169,7 @@ def parse_joint_value(value: object, where: str) -> float:
 
 
 def parse_joint_range(value: object, where: str) -> tuple[float, float]:
-    """The least and the largest value of a joint, such as ``["-90 deg", "90 deg"]``, [rad] or [m].
-
-    Raises:
-        CalibError: Not two values of a joint, or an angle and a length; the text says ``where`` they were given.
-    """
+    """The least and the largest value of a joint, such as ``["-90 deg", "90 deg"]``, [rad] or [m]."""
     ends = value if isinstance(value, (list, tuple)) else ()
     if len(ends) != 2:
         raise CalibError(

@@ -1,5 +1,3 @@
-import math
-
 import pytest
 from hypothesis import given, strategies as st
 
@@ -13,27 +11,6 @@ from calib.units import (
     split_header,
     unit_fault,
 )
-
-
-@pytest.mark.parametrize(
-    ("symbol", "quantity", "to_si"),
-    [
-        ("m", "length", 1.0),
-        ("mm", "length", 0.001),
-        ("um", "length", 0.000001),
-        ("cm", "length", 0.01),
-        ("in", "length", 0.0254),
-        ("rad", "angle", 1.0),
-        ("deg", "angle", math.tau / 360.0),
-        ("mrad", "angle", 0.001),
-        ("Nm", "torque", 1.0),
-        ("N", "force", 1.0),
-    ],
-)
-def test_each_unit(symbol, quantity, to_si):
-    unit = find_unit(symbol)
-    assert (unit.symbol, unit.quantity) == (symbol, quantity)
-    assert unit.to_si == pytest.approx(to_si, rel=1e-15)
 
 
 @pytest.mark.parametrize("symbol", ["Nm", "N m", "N.m", "N*m", "N\u00b7m", "N\u22c5m"])

@@ -5,11 +5,9 @@ with the joint's own, so that
 
     P_i' = P_i G_i,   P_(i+1)' = G_i^-1 P_(i+1)
 
-are the placements of the same robot. Standard DH rows leave that choice to the common normals, and those of nearly
-parallel axes lie hundreds of metres away. Here the link's own geometry decides, from the base on: frame i stands so
-that the next axis, or the tip, lies in link i as near as it can to where the nominal robot has it. An error of a
-joint's zero thus stays in that joint's placement. What the next axis does not tell, the slide along parallel axes and
-the turn about a common one, brings the frame nearest to its nominal pose in link i - 1.
+are the placements of the same robot. DH rows leave that choice to the common normals, and those of nearly parallel
+axes lie hundreds of metres away. Here frame i is where the next axis, or the tip, lies in link i as near as it can to
+where the nominal robot has it; what that leaves open brings the frame nearest to its nominal pose in link i - 1.
 """
 
 from __future__ import annotations
@@ -55,11 +53,7 @@ def anchored_placements(
 
 
 def check_same_joints(robot: Robot, nominal: Robot) -> None:
-    """Refuse two robots whose joints differ in name, type or axis.
-
-    Raises:
-        ModelError: They do.
-    """
+    """Refuse two robots whose joints differ in name, type or axis."""
     ours, theirs = (
         [f"{joint.name} ({joint.type}, axis {joint.axis + 0.0})" for joint in one.joints]
         for one in (robot, nominal)

@@ -1,18 +1,12 @@
 """The one error model: every error is a small displacement of a placement, times a parameter.
 
-A parameter x_k has a *place* (one of the chain's placements, the measurement frame or the target) and a
-*direction*, a twist xi_k in the local frame of that place, linear part first. The displaced placement is
+A parameter x_k has a *place* (one of the chain's placements, the measurement frame or the target) and a *direction*, a
+twist xi_k in the local frame of that place, linear part first. The displaced placement and its derivative are
 
-    P' = P exp(xi_1 x_1) exp(xi_2 x_2) ...
+    P' = P exp(xi_1 x_1) exp(xi_2 x_2) ...        dP'/dx_k = P' [Ad(exp(xi_(k+1) x_(k+1)) ...)^-1 xi_k]
 
-in the order of the parameters. Along the x axis of a DH frame this is exactly an offset of a or alpha, along
-the joint's axis one of d or theta, so that DH offsets are injected without approximation; and the Jacobian
-of any parameter is Pinocchio's placement regressor times its direction, carried past the factors after it:
-
-    dP'/dx_k = P' [Ad(exp(xi_(k+1) x_(k+1)) ...)^-1 xi_k]
-
-Errors that change with the joints' state (`calib.model.families`) act about the joint's own axis, times a known
-number of that state: the same columns of the regressor, times that number.
+Along the x axis of a DH frame this is exactly an offset of a or alpha, along the joint's axis one of d or theta. Errors
+of the joints' state (`calib.model.families`) act about the joint's own axis, times a known number of that state.
 """
 
 from __future__ import annotations
@@ -166,11 +160,7 @@ def _followers(robot: Robot) -> dict[str, tuple[str, float]]:
 
 
 def split_name(name: str) -> tuple[str, tuple[str, ...]]:
-    """A model's set and the families added to it: ``"dh+gain"`` is ``("dh", ("gain",))``.
-
-    Raises:
-        ModelError: No such set or family, or one twice.
-    """
+    """A model's set and the families added to it: ``"dh+gain"`` is ``("dh", ("gain",))``."""
     base, *families = (part.strip() for part in name.split("+"))
     wrong = [f for f in families if f not in joint_families() or families.count(f) > 1]
     if base not in MODELS or wrong:

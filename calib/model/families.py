@@ -159,11 +159,7 @@ FAMILIES: Mapping[str, Family] = MappingProxyType(_REGISTRY)
 
 
 def register(family: Family) -> None:
-    """Add a family of the joints' state, which models can then name: ``"dh+harmonic"``.
-
-    Raises:
-        ModelError: Its name is taken, a parameter's name is, or it has no factors.
-    """
+    """Add a family of the joints' state, which models can then name: ``"dh+harmonic"``."""
     taken = [factor.name for row in FAMILIES.values() for factor in row.factors]
     doubled = [factor.name for factor in family.factors if factor.name in taken]
     if family.name in FAMILIES or doubled or not family.factors:

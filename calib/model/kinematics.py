@@ -59,11 +59,7 @@ Where: TypeAlias = Samples | NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Kinematics:
-    """A robot under an error model, seen at targets from measurement frames.
-
-    Raises:
-        ModelError: There are more or fewer frames or targets than the model has places for.
-    """
+    """A robot under an error model, seen at targets from measurement frames."""
 
     robot: Robot  #: The nominal robot.
     model: ErrorModel  #: Its parameters.
@@ -136,11 +132,7 @@ class Kinematics:
 def joint_displacements(
     robot: Robot, terms: Sequence[Parameter], q: Array, load: Array | None
 ) -> Array:
-    """How far a unit of each term, with a ``factor``, moves each joint of the chain, shape (N, n, len(terms)).
-
-    Raises:
-        ModelError: A term needs the load, (N, n) [Nm, N], and there is none.
-    """
+    """How far a unit of each term, with a ``factor``, moves each joint of the chain, shape (N, n, len(terms))."""
     joints = tuple(joint.name for joint in robot.joints)
     moved = np.zeros((len(q), len(joints), len(terms)))
     for k, term in enumerate(terms):

@@ -15,24 +15,15 @@ from numpy.typing import NDArray
 from calib.model.families import unit_of
 from calib.robot.robot import read_only
 
-#: A direction whose effect on the measurements is smaller than this share of the strongest one's cannot be
-#: identified: 1 mm of it moves the measured points by less than the repeatability of any arm.
+#: Directions with less than this share of the strongest one's effect cannot be identified: 1 mm moves points by < 1 um.
 _NEGLIGIBLE = 1e-3
-
-#: A ratio of neighbouring singular values that is a gap.
-_GAP = 30.0
-
-#: A relative singular value of this size is zero.
-_ROUNDING = 1e-13
-
-#: Longer combinations than this are not written out: too few poses, and no one reads them.
-_MOST_NAMES = 6
-
-#: A parameter with less than this share of a combination's strongest effect is left out of its text.
-_NAMED_EFFECT = 0.02
-
-#: A parameter with less than this share in what cannot be identified counts as identifiable.
-_UNSEEN_SHARE = 0.05
+_GAP = 30.0  #: A ratio of neighbouring singular values that is a gap.
+_ROUNDING = 1e-13  #: A relative singular value of this size is zero.
+_MOST_NAMES = 6  #: Longer combinations than this are not written out.
+_NAMED_EFFECT = (
+    0.02  #: A parameter's least share of a combination's strongest effect, to be named in it.
+)
+_UNSEEN_SHARE = 0.05  #: A parameter with less than this share in what cannot be identified counts as identifiable.
 
 Array = NDArray[np.float64]
 
@@ -104,12 +95,23 @@ def analyse(
     identifiable = np.linalg.norm(null, axis=0) < _UNSEEN_SHARE
     identifiable &= np.array([name not in named for name in names])
     identifiable.setflags(write=False)
+    indices = {}
+    if rank:
+        seen, largest, smallest = values[:rank], float(values[0]), float(values[rank - 1])
+        count = len(jacobian) if rows is None else rows
+        indices = {
+            "O1": float(np.exp(np.mean(np.log(seen))) / np.sqrt(count)),
+            "O2": smallest / largest,
+            "O3": smallest,
+            "O4": smallest**2 / largest,
+            "O5": float(1.0 / np.sum(1.0 / seen)),
+        }
     return Observability(
         columns=p,
         rank=rank,
         condition=float(values[0] / values[rank - 1]) if rank else np.inf,
         singular_values=read_only(values),
-        indices=_indices(values[:rank], len(jacobian) if rows is None else rows),
+        indices=indices,
         unidentifiable=combinations,
         identifiable=identifiable,
     )
@@ -128,20 +130,6 @@ def rank_by_gap(values: Array) -> int:
     if np.any(wide):
         return int(np.argmax(wide)) + 1
     return int(np.sum(relative > 10.0 * _ROUNDING))
-
-
-def _indices(values: Array, rows: int) -> dict[str, float]:
-    """O1 to O5 of the non-zero singular values."""
-    if len(values) == 0:
-        return {}
-    largest, smallest = float(values[0]), float(values[-1])
-    return {
-        "O1": float(np.exp(np.mean(np.log(values))) / np.sqrt(rows)),
-        "O2": smallest / largest,
-        "O3": smallest,
-        "O4": smallest**2 / largest,
-        "O5": float(1.0 / np.sum(1.0 / values)),
-    }
 
 
 def _echelon(null: Array) -> Array:

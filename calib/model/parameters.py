@@ -124,11 +124,7 @@ class ErrorModel:
         return self.names.index(name)
 
     def without(self, names: Iterable[str]) -> ErrorModel:
-        """The model with these parameters frozen at their nominal values, and those tied to them with them.
-
-        Raises:
-            ModelError: No such parameter.
-        """
+        """The model with these parameters frozen at their nominal values, and those tied to them with them."""
         gone = {self.index(name) for name in names}
         kept = [k for k in range(len(self)) if k not in gone]
         return self._mixed(kept, self.mixing[:, kept]) if gone else self
@@ -207,11 +203,7 @@ class ErrorModel:
         )
 
     def apply(self, robot: Robot, x: Array) -> Robot:
-        """The robot with its placements displaced by x, without frame, target and errors of the joints' state.
-
-        Raises:
-            UrdfError: No ``<origin>`` of the URDF can hold a displacement.
-        """
+        """The robot with its placements displaced by x, without frame, target and errors of the joints' state."""
         displacement, _ = self.displacements(x)
         if not np.any(x):
             return robot

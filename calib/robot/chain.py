@@ -42,12 +42,7 @@ Geometry: TypeAlias = tuple[
 
 
 def chain_between(urdf: Urdf, base: str, tip: str) -> Geometry:
-    """The path between two links as a serial chain of n moving joints.
-
-    Raises:
-        UrdfError: No such link, no moving joint between them, or one with more than one coordinate; or
-            Pinocchio cannot build a model of the URDF.
-    """
+    """The path between two links as a serial chain of n moving joints."""
     path = _path(urdf, base, tip)
     moving = [step for step in path if step.joint.type != "fixed"]
     wrong = [step.joint for step in moving if step.joint.type not in MOVING]
@@ -232,9 +227,6 @@ def farthest_link(
     Only links that ``measured`` joints alone lead to count (all joints if None), if there are any with a moving joint
     before them; ``held`` joints lead on but do not count. Links below the base come first; where nothing moves below
     it, as on a camera's link, all others are looked at.
-
-    Raises:
-        UrdfError: The base is not a link.
     """
     urdf.chain(base, base)  # raises, with the names there are, for a link that does not exist
     every = {joint.name for joint in urdf.joints}

@@ -23,16 +23,10 @@ Array = NDArray[np.float64]
 def coupling(
     urdf: Urdf, joints: Sequence[UrdfJoint], held: Mapping[str, float]
 ) -> tuple[tuple[UrdfJoint, ...], Array, Array]:
-    """How the n joints of a chain follow m columns.
+    """How the n joints of a chain follow m columns: the joint of each column, A (n, m) and b (n,).
 
-    Returns:
-        The joint of each column, in the order in which the joints first need them; A, shape (n, m), 1 where a joint is
-        its own column and the multiplier where it mimics another; b, shape (n,), [rad] or [m]: offsets of mimic
-        joints, and held values.
-
-    Raises:
-        UrdfError: A joint mimics one that does not exist, that moves by more than one coordinate or that
-            mimics it in turn; or every joint is held.
+    A has 1 where a joint is its own column and the multiplier where it mimics another; b, [rad] or [m], has the offsets
+    of mimic joints and held values.
     """
     # A joint of the chain may have its axis turned round.
     by_name = {joint.name: joint for joint in (*urdf.joints, *joints)}
@@ -52,11 +46,7 @@ def coupling(
 
 
 def checked_held(urdf: Urdf, held: Mapping[str, float] | None) -> tuple[tuple[str, float], ...]:
-    """The held joints and their values [rad or m], by name.
-
-    Raises:
-        UrdfError: No such joint with one coordinate, or a value that is not finite or in another unit than the joint's.
-    """
+    """The held joints and their values [rad or m], by name."""
     given = dict(held or {})
     moving = {joint.name: joint for joint in urdf.joints if joint.type in MOVING}
     for name, value in given.items():

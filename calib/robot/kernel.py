@@ -1,16 +1,12 @@
 """The one arithmetic of poses and their derivatives, vectorised over samples; it knows arrays only, no robot.
 
 A frame of B samples is an array of shape (4, 3, B): its axes x, y, z and its origin, along the axes of the measurement
-frame. Components come first and samples last, so that every operation runs through contiguous memory; a constant
-placement is then one matrix product for all samples, and so is the step from a chain's regressor to the columns of a
-model's parameters. Samples are taken in blocks that stay in the processor's cache.
+frame. Samples come last, so that a constant placement is one matrix product for all samples, and so is the step from
+a chain's regressor to the columns of a model's parameters. A twist (v, w) of a body with the axes R moves a point of
+it, d from its origin, with R v + (R w) x d: that is the whole derivative, and it is exact.
 
-A twist (v, w) of a body with the axes R moves a point of it, d from its origin, with R v + (R w) x d. That is all there
-is to the derivative of the target's pose by a displacement of any placement, and it is exact. Pinocchio's regressor is
-what the tests compare with.
-
-Threads share out blocks, whose size and order do not depend on their number, and so neither does a result. Linear
-algebra on such small matrices has one thread: more gain nothing there.
+Threads share blocks of samples that stay in the processor's cache; their size and order, and so the results, do not
+depend on the number of threads. Linear algebra on such small matrices has one thread: more gain nothing there.
 """
 
 from __future__ import annotations
@@ -151,13 +147,10 @@ def regressor(frames: Array, point: Array) -> Array:
 
 
 def add_columns(columns: Array, moves: Array, local: Array, which: Numbers) -> None:
-    """Add what parameters of one of several like places do, each to the samples that are seen from or at it.
+    """Add to columns (p, 3, B) what parameters of one of several like places do, each to its own samples.
 
-    Args:
-        columns: shape (p, 3, B), added to in place.
-        moves: shape (d, 3, B), what unit twists of each sample's own place do.
-        local: shape (K, d, p), the parameters' twists at each place.
-        which: shape (B,), the place of each sample.
+    ``moves`` (d, 3, B) is what unit twists of each sample's place do, ``local`` (K, d, p) the parameters' twists there,
+    ``which`` (B,) the place of each sample.
     """
     for k, twist in enumerate(local):
         used = np.flatnonzero(twist.any(axis=0))

@@ -29,12 +29,7 @@ Array = NDArray[np.float64]
 
 
 def check_written(robot: Robot, expected: Array, q: Array) -> None:
-    """Compare a robot's URDF, read by Pinocchio and by yourdfpy, with poses computed otherwise.
-
-    Args:
-        robot: The robot whose ``urdf`` is to be written.
-        expected: shape (N, 4, 4), T_base_tip of the model in memory [m].
-        q: shape (N, m), joint values [rad or m] in the order of ``robot.joint_names``.
+    """Compare a robot's URDF, read by Pinocchio and by yourdfpy, with poses T_base_tip (N, 4, 4) [m] at q (N, m).
 
     Raises:
         UrdfError: A reader disagrees by more than `TOLERANCE`, or cannot read the URDF at all.

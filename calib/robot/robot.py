@@ -5,10 +5,9 @@ pose of joint i in the frame of the joint before it, and the pose of the tip in 
 
     T_base_tip(q) = T_root_base^-1  P_1 J_1(q_1)  P_2 J_2(q_2) ... P_n J_n(q_n)  P_tip
 
-Every correction is a change of these placements, and each placement is carried by the ``<origin>`` of one
-URDF joint, so that a corrected robot and a corrected URDF are the same thing. The joints may lie on both sides of the
-link where the branches to base and tip part, see `calib.robot.chain`; and they may be fewer columns than joints, where
-some mimic others or are held, see `calib.robot.coupling`.
+Every correction is a change of these placements, each carried by the ``<origin>`` of one URDF joint. The joints may lie
+on both sides of the link where the branches to base and tip part (`calib.robot.chain`), and may be more than the
+columns of q, where some mimic others or are held (`calib.robot.coupling`).
 """
 
 from __future__ import annotations
@@ -133,7 +132,7 @@ class Robot:
 
     @property
     def joint_types(self) -> dict[str, str]:
-        """For each column of q its joint's URDF type: revolute, continuous or prismatic."""
+        """The URDF type of each column's joint: revolute, continuous or prismatic."""
         return {joint.name: joint.type for joint in self.inputs}
 
     @property
@@ -142,11 +141,7 @@ class Robot:
         return dict(self._held)
 
     def poses(self, q: ArrayLike) -> NDArray[np.float64]:
-        """T_base_tip, shape (N, 4, 4), [m], at q, shape (N, m) or (m,), [rad] or [m].
-
-        Raises:
-            ModelError: ``q`` has not one column for each of ``joint_names``, or a value is not finite.
-        """
+        """T_base_tip, shape (N, 4, 4), [m], at q, shape (N, m) or (m,), [rad] or [m]."""
         values = self.chain_values(q)
         first = np.zeros(len(values), dtype=np.int_)
         stood = kernel.Stood(values, first, first, np.zeros((*values.shape, 0)), first[:0])
@@ -164,15 +159,9 @@ class Robot:
         that is the base or the tip.
         """
         slides, turns, T_base_root = _axes_of(self)
-        one = np.eye(4)[None]
-        return kernel.Geometry(
-            slides,
-            turns,
-            placements,
-            one if T_frame_base is None else T_frame_base,
-            T_base_root,
-            one if T_tip_target is None else T_tip_target,
-        )
+        bases = np.eye(4)[None] if T_frame_base is None else T_frame_base
+        targets = np.eye(4)[None] if T_tip_target is None else T_tip_target
+        return kernel.Geometry(slides, turns, placements, bases, T_base_root, targets)
 
     def chain_values(self, q: ArrayLike) -> NDArray[np.float64]:
         """The values of ``joints``, q_chain = A q + b, shape (N, n), [rad] or [m]; raises as `poses`."""

@@ -25,11 +25,7 @@ GRAVITY = (0.0, 0.0, -9.81)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Payload:
-    """A mass that the tip carries and that the URDF does not hold.
-
-    Raises:
-        ModelError: The mass is negative, or a number is not finite.
-    """
+    """A mass that the tip carries and that the URDF does not hold."""
 
     mass: float  #: [kg].
     #: shape (3,), its centre of mass in the tip [m].

@@ -51,12 +51,7 @@ class Urdf:
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Urdf:
-        """Read a URDF file.
-
-        Raises:
-            FileError: The file cannot be read.
-            UrdfError: It is not a URDF that can be calibrated; the text says where and why.
-        """
+        """Read a URDF file."""
         return cls.from_bytes(read_bytes(path, "URDF"), Path(path).name, Path(path))
 
     @classmethod
@@ -64,16 +59,12 @@ class Urdf:
         """Parse the bytes of a URDF; ``path`` is the file that they come from, beside which its meshes lie.
 
         Raises:
-            UrdfError: As for `read`.
+            UrdfError: It is not a URDF that can be calibrated; the text says where and why.
         """
-        return cls._from_document(Document.from_bytes(data, source), path)
-
-    @classmethod
-    def _from_document(cls, document: Document, path: Path | None) -> Urdf:
-        """Interpret the elements and check the tree."""
+        document = Document.from_bytes(data, source)
         joints, links = read_tree(document)
         name = document.root.attributes.get("name", "")
-        return cls(document.data, document.source, path, name, joints, links, document)
+        return cls(data, source, path, name, joints, links, document)
 
     @property
     def encoding(self) -> str:
@@ -100,11 +91,7 @@ class Urdf:
         return self.joints[self._joint_index(name)]
 
     def chain(self, base: str, tip: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """The joints, fixed ones included, from two links' nearest common ancestor down to ``base`` and to ``tip``.
-
-        Raises:
-            UrdfError: A name is not that of a link.
-        """
+        """The joints, fixed ones included, from two links' nearest common ancestor down to ``base`` and to ``tip``."""
         above = {joint.child: joint for joint in self.joints}
         to_base: list[str] = []
         to_tip: list[str] = []
@@ -144,14 +131,10 @@ class Urdf:
             elif values:
                 margin = self._document.line_head(joint.children[0].start) or b""
                 patches.append((joint.end, joint.end, margin + _origin_tag(T)))
-        return Urdf._from_document(self._document.patched(patches), self.path) if patches else self
+        return self._patched(patches) if patches else self
 
     def with_link(self, name: str, parent: str, T_parent_link: FloatArray) -> Urdf:
-        """The URDF with a massless link fixed to ``parent`` by ``<name>_joint``, written just before ``</robot>``.
-
-        Raises:
-            UrdfError: ``parent`` is not a link, or a name is taken or empty.
-        """
+        """The URDF with a massless link fixed to ``parent`` by ``<name>_joint``, written just before ``</robot>``."""
         self._check_link(parent)
         joint_name = f"{name}_joint"
         if not name or name in self.links or joint_name in {joint.name for joint in self.joints}:
@@ -178,16 +161,19 @@ class Urdf:
             step = inner[len(outer) :] if inner.startswith(outer) else b"  "
             before = close - len(outer)
             patch = (before, before, b"".join(inner + step * deep + line for deep, line in lines))
-        return Urdf._from_document(document.patched([patch]), self.path)
+        return self._patched([patch])
 
     def write(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
-        """Write the bytes to a file, whole or not at all.
-
-        Raises:
-            FileError: The file exists and ``overwrite`` is False, it cannot be written, or its name is a xacro's.
-        """
+        """Write the bytes to a file, whole or not at all."""
         check_no_xacro(path)
         return write_atomically(path, self.data, overwrite=overwrite)
+
+    def _patched(self, patches: list[tuple[int, int, bytes]]) -> Urdf:
+        """The URDF with bytes start to end replaced, for every (start, end, new)."""
+        data = self.data
+        for start, end, new in sorted(patches, reverse=True):
+            data = data[:start] + new + data[end:]
+        return Urdf.from_bytes(data, self.source, self.path)
 
     def _joint_index(self, name: str) -> int:
         """Where the joint stands in `joints`; UrdfError if there is none."""
@@ -224,12 +210,7 @@ def _origin_tag(T: FloatArray) -> bytes:
 
 
 def read_urdf(source: str | Path) -> Urdf:
-    """The URDF of a file, of a xacro with the arguments behind it, or of a robot of example-robot-data.
-
-    Raises:
-        FileError: The file cannot be read.
-        UrdfError: No such robot, no URDF, or a xacro that cannot be flattened.
-    """
+    """The URDF of a file, of a xacro with the arguments behind it, or of a robot of example-robot-data."""
     if not is_xacro(source):
         return Urdf.read(find_urdf(source))
     call = XacroCall.parse(source)

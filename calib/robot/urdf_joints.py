@@ -48,11 +48,7 @@ class UrdfJoint:
 
 
 def read_tree(document: Document) -> tuple[tuple[UrdfJoint, ...], tuple[str, ...]]:
-    """The joints and the names of the links, both in the file's order.
-
-    Raises:
-        UrdfError: Not a URDF with joints, a value is missing or wrong, or joints and links do not form one tree.
-    """
+    """The joints and the names of the links, both in the file's order."""
     root = document.root
     elements = root.all("joint")
     if root.tag != "robot":

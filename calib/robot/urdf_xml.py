@@ -6,7 +6,7 @@ With these positions one number can be changed while all other bytes (comments, 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from xml.etree import ElementTree
 from xml.parsers import expat
@@ -49,11 +49,7 @@ class Document:
 
     @classmethod
     def from_bytes(cls, data: bytes, source: str) -> Document:
-        """Parse an XML file.
-
-        Raises:
-            UrdfError: Not XML, an encoding whose bytes are not those of ASCII, or a xacro file.
-        """
+        """Parse an XML file."""
         if data[:2] in (b"\xff\xfe", b"\xfe\xff") or b"\0" in data[:4]:
             raise UrdfError(f"{source} is in UTF-16 or UTF-32; save it as UTF-8")
         try:
@@ -96,13 +92,6 @@ class Document:
     def quoted(self, value: str) -> bytes:
         """An attribute value in quotes, escaped, in the encoding of the file."""
         return quoteattr(value).encode(self.encoding, "xmlcharrefreplace")
-
-    def patched(self, patches: Iterable[tuple[int, int, bytes]]) -> Document:
-        """The document with bytes ``start`` to ``end`` replaced, for every (start, end, new)."""
-        data = self.data
-        for start, end, new in sorted(patches, reverse=True):
-            data = data[:start] + new + data[end:]
-        return Document.from_bytes(data, self.source)
 
     def start_tag_with(self, element: Element, values: Mapping[str, str]) -> bytes:
         """The start tag with these attribute values (plain numbers); its other bytes stay.

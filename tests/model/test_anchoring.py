@@ -104,22 +104,3 @@ def test_a_joint_s_zero_stays_that_joint_s(ur3):
     wild = slid_and_turned(robot, [1.0, 1.6, -1.7, 0.1, 2.0, -1.0], [0, 400, -390, -10, 0, 0])
     back = anchored(robot.with_placements(wild), ur3)
     np.testing.assert_allclose(back.placements, robot.placements, rtol=0, atol=1e-10)
-
-
-def test_a_mimic_joint_is_anchored_like_any_other(serial_urdf):
-    joints = [
-        ("revolute", (0, 0, 0.3), (0.1, 0.2, 0.3), Y),
-        ("revolute", (0.3, 0, 0), (0, 0, 0), Y),
-    ]
-    data = serial_urdf(joints).data.replace(
-        b'<child link="l2"/>', b'<child link="l2"/><mimic joint="j1" multiplier="-2" offset="0.1"/>'
-    )
-    nominal = Robot.from_urdf(type(serial_urdf(joints)).from_bytes(data, "mimic.urdf"), tip="tip")
-    assert nominal.joint_names == ("j1",)
-    robot = displaced(nominal, 1e-3)
-    wild = robot.with_placements(slid_and_turned(robot, [1.0, 2.0], [3.0, -2.0]))
-    back = anchored(wild, nominal)
-    np.testing.assert_allclose(
-        back.poses([[0.4], [-1.0]]), robot.poses([[0.4], [-1.0]]), rtol=0, atol=1e-12
-    )
-    assert np.abs(back.placements - nominal.placements).max() < 0.02

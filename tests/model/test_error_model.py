@@ -15,7 +15,7 @@ from calib.model.families import ANGLE, LENGTH, ZERO
 from calib.model.kinematics import Kinematics
 from calib.model.parameters import FRAME, TARGET, TIP, ErrorModel
 from calib.robot.robot import Robot
-from calib.robot.urdf import Urdf
+from tests.robot.shared import joint, urdf_of
 
 COMPLIANCE, ECCENTRICITY, GAIN = "compliance", "eccentricity", "gain"
 
@@ -76,14 +76,10 @@ def test_the_paper_s_27_parameters(ur3):
     model = error_model(ur3, "paper")
     assert model.names == PAPER_NAMES
     assert len(model) == 27
-    units = {p.name: p.unit for p in model.parameters}
-    assert {units[f"{k}{i}"] for k in ("a", "d") for i in range(1, 7)} == {"m"}
-    assert {units[f"{k}{i}"] for k in ("alpha", "theta") for i in range(1, 7)} == {"rad"}
-    families = {p.name: p.family for p in model.parameters}
-    assert {families[f"{k}{i}"] for k in ("a", "d") for i in range(1, 7)} == {LENGTH}
-    assert {families[f"alpha{i}"] for i in range(1, 7)} == {ANGLE}
-    assert {families[f"theta{i}"] for i in range(1, 7)} == {ZERO}
-    assert [p.family for p in model.parameters[-3:]] == [TARGET] * 3
+    families = {"a": LENGTH, "alpha": ANGLE, "d": LENGTH, "theta": ZERO, "target_": TARGET}
+    for p in model.parameters:
+        assert p.family == families[p.name.rstrip("123456xyz")]
+        assert p.unit == ("rad" if p.family in (ANGLE, ZERO) else "m")
     assert model.families == (LENGTH, ANGLE, ZERO)
     nominal = {p.name: p.nominal for p in model.parameters}
     np.testing.assert_allclose((nominal["a2"], nominal["d4"]), (-0.24365, 0.11235), atol=1e-9)
@@ -104,27 +100,10 @@ def test_the_sizes_of_the_sets(ur3, name, count, frame, target):
     assert model.places == (FRAME, *ur3.joint_names, TIP, TARGET)
 
 
-def test_frame_and_target_names_and_directions(ur3):
-    model = error_model(ur3, "frames", frame=True)
-    axes = ("x", "y", "z", "rx", "ry", "rz")
-    assert model.names == tuple(f"frame_{a}" for a in axes) + tuple(f"target_{a}" for a in "xyz")
-    stacked = np.array([p.direction for p in model.parameters])
-    np.testing.assert_array_equal(stacked, np.vstack([np.eye(6), np.eye(6)[:3]]))
-    assert [p.unit for p in model.parameters] == ["m"] * 3 + ["rad"] * 3 + ["m"] * 3
-
-
 def test_hayati_has_beta_in_place_of_d_where_axes_are_parallel(ur3):
     dh, hayati = (set(error_model(ur3, name).names) for name in ("dh", "hayati"))
     assert dh - hayati == {"d2", "d3"}
     assert hayati - dh == {"beta2", "beta3"}
-
-
-# Families behind the set
-
-
-def test_a_family_without_a_set_lists_the_sets(ur3):
-    with pytest.raises(ModelError, match=r"no parameter set 'gain'\. Choose one of 'paper', 'dh'"):
-        error_model(ur3, "gain")
 
 
 # Several frames and targets, by name
@@ -204,30 +183,6 @@ def test_offsets_of_any_chain_equal_the_paper_s_matrices(chains, which, name):
         np.testing.assert_allclose(pose, expected, rtol=0, atol=1e-13)
 
 
-@pytest.mark.parametrize("which", CHAINS)
-def test_zeros_of_any_chain_add_to_the_columns(chains, which):
-    robot = chains[which]
-    model = error_model(robot, "zeros", target=False)
-    # one for each column: those of joints that follow are their driver's
-    assert len(model) == len(robot.joint_names)
-    slides = [joint.type == "prismatic" for joint in robot.inputs]
-    assert [p.unit for p in model.parameters] == ["m" if s else "rad" for s in slides]
-    x = offsets_of(model)
-    # a driver that is not in the chain: the first joint that follows it leads
-    leads = [
-        next(
-            robot.coupling[i, c]
-            for i, joint in enumerate(robot.joints)
-            if f"{joint.name}.zero" == model.names[c]
-        )
-        for c in range(len(model))
-    ]
-    q = np.random.default_rng(0).uniform(-1, 1, (3, len(x)))
-    np.testing.assert_allclose(
-        model.apply(robot, x).poses(q), robot.poses(q + x / leads), rtol=0, atol=1e-13
-    )
-
-
 def test_a_skew_axis_has_a_zero_of_its_own_among_the_placement_s(serial_urdf):
     robot = Robot.from_urdf(
         serial_urdf(
@@ -249,33 +204,19 @@ def test_a_skew_axis_has_a_zero_of_its_own_among_the_placement_s(serial_urdf):
     np.testing.assert_array_equal(zero.direction[3:], robot.joints[1].axis)
 
 
-LIMIT = '<limit lower="-3" upper="3" effort="1" velocity="1"/>'
-
-
-def followers(*joints: tuple[str, str, str]) -> Robot:
-    """A serial chain of joints (name, type, mimic) behind one of another branch, called ``outside``."""
-    links = "".join(f'<link name="l{i}"/>' for i in range(len(joints) + 2))
-    lines = [
-        f'<joint name="{name}" type="{kind}"><parent link="l{i}"/><child link="l{i + 1}"/>'
-        f'<origin xyz="0.1 0.2 0.3" rpy="0.1 0.4 0.2"/><axis xyz="0 1 2"/>{LIMIT}{mimic}</joint>'
-        for i, (name, kind, mimic) in enumerate(joints)
-    ]
-    last = len(joints) + 1
-    lines.append(
-        f'<joint name="outside" type="revolute"><parent link="l0"/><child link="l{last}"/>{LIMIT}</joint>'
-    )
-    text = f'<robot name="r">{links}{"".join(lines)}</robot>'
-    return Robot.from_urdf(Urdf.from_bytes(text.encode(), "r.urdf"), tip=f"l{len(joints)}")
-
-
 def test_zeros_of_followers_are_tied_to_their_driver_s():
-    robot = followers(
-        ("a", "continuous", ""),
-        ("b", "revolute", '<mimic joint="a" multiplier="-2" offset="0.3"/>'),
-        ("c", "prismatic", '<mimic joint="a" multiplier="0.5"/>'),
-        ("d", "revolute", '<mimic joint="outside" multiplier="4"/>'),
-        ("e", "prismatic", '<mimic joint="a" multiplier="0.25"/>'),
-        ("f", "revolute", '<mimic joint="outside" multiplier="-1"/>'),
+    robot = Robot.from_urdf(
+        urdf_of(
+            "l0 l1 l2 l3 l4 l5 l6 l7",
+            joint("a", "l0", "l1", "continuous"),
+            joint("b", "l1", "l2", mimic='joint="a" multiplier="-2" offset="0.3"'),
+            joint("c", "l2", "l3", "prismatic", mimic='joint="a" multiplier="0.5"'),
+            joint("d", "l3", "l4", mimic='joint="outside" multiplier="4"'),
+            joint("e", "l4", "l5", "prismatic", mimic='joint="a" multiplier="0.25"'),
+            joint("f", "l5", "l6", mimic='joint="outside" multiplier="-1"'),
+            joint("outside", "l0", "l7"),
+        ),
+        tip="l6",
     )
     assert robot.joint_names == ("a", "outside")
     model = error_model(robot, "zeros", target=False)

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.errors import ModelError
 from calib.model import families
 from calib.model.error_model import joint_parameters
-from calib.model.families import FAMILIES, Factor, Family, JointState, register, unit_of
+from calib.model.families import FAMILIES, Factor, Family, JointState, register
 
 
 @pytest.fixture
@@ -47,9 +46,3 @@ def test_a_family_from_outside(registry, ur3):
     assert registry["lost"] is own
     names = [p.name for p in joint_parameters(ur3, "lost")]
     assert names == [f"{joint}.sign" for joint in ur3.joint_names]
-
-
-def test_a_unit_that_no_family_has():
-    assert unit_of("rad/Nm").shown == (1e6, "urad/Nm")
-    with pytest.raises(ModelError, match="furlong"):
-        unit_of("furlong")

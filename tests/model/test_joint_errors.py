@@ -10,20 +10,9 @@ from calib.model.kinematics import Kinematics, Samples, joint_displacements
 from calib.robot.robot import Robot
 from calib.robot.torques import Payload, gravity_load
 from calib.robot.urdf import Urdf
+from tests.robot.shared import LIMIT, joint, urdf_of
 
 GAIN, ECCENTRICITY, COMPLIANCE = "gain", "eccentricity", "compliance"
-
-LIMIT = '<limit lower="-3" upper="3" effort="1" velocity="1"/>'
-
-
-def joint(
-    name: str, parent: str, child: str, kind: str = "revolute", mimic: str = "", axis: str = "0 0 1"
-) -> str:
-    inside = f"<mimic {mimic}/>" if mimic else ""
-    return (
-        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
-        f'<origin xyz="0.1 0.2 0.3" rpy="0.1 0.3 0.2"/><axis xyz="{axis}"/>{LIMIT}{inside}</joint>'
-    )
 
 
 @pytest.fixture(scope="module")
@@ -35,13 +24,11 @@ def mixed() -> Robot:
         joint("slide", "a", "b", "prismatic", axis="1 1 0"),
         joint("spin", "b", "c", "continuous", axis="0 2 1"),
         joint("follower", "c", "d", mimic='joint="turn" multiplier="-0.5" offset="0.3"'),
-        joint("slider", "d", "e", "prismatic", 'joint="turn" multiplier="0.2"'),
+        joint("slider", "d", "e", "prismatic", mimic='joint="turn" multiplier="0.2"'),
         joint("driven", "e", "f", mimic='joint="outside" multiplier="3"'),
         joint("still", "f", "tip"),
     )
-    links = ("base", "elsewhere", *"abcdef", "tip")
-    text = "".join(f'<link name="{link}"/>' for link in links) + "".join(joints)
-    urdf = Urdf.from_bytes(f'<robot name="r">{text}</robot>'.encode(), "r.urdf")
+    urdf = urdf_of("base elsewhere a b c d e f tip", *joints)
     return Robot.from_urdf(urdf, "base", "tip", held={"still": 0.4})
 
 
@@ -66,9 +53,6 @@ def expected(**columns: np.ndarray) -> np.ndarray:
     for name, values in columns.items():
         result[:, CHAIN.index(name)] = values
     return result
-
-
-# Parameters
 
 
 # Displacements
@@ -134,26 +118,6 @@ def test_a_beam_sags_by_compliance_times_torque(axis, payload):
     np.testing.assert_allclose(
         point, [np.cos(c * torque), 0, -np.sin(c * torque)], rtol=0, atol=1e-15
     )
-
-
-def test_a_lift_sinks_by_compliance_times_force():
-    robot = Robot.load("tiago_no_hand", tip="wrist_ft_tool_link")
-    q = np.zeros((1, len(robot.joint_names)))
-    load = gravity_load(robot, q)
-    lift = [joint.name for joint in robot.joints].index("torso_lift_joint")
-    full = pin.buildModelFromXML(robot.urdf.data.decode(robot.urdf.encoding))
-    data = full.createData()
-    pin.computeSubtreeMasses(full, data)
-    mass = data.mass[full.getJointId("torso_lift_joint")]
-    assert mass > 10  # all that stands on it
-    assert load[0, lift] == pytest.approx(-9.81 * mass)
-    model = error_model(robot, "frames+compliance", target=False)
-    x = np.zeros(len(model))
-    x[model.index("torso_lift_joint.compliance")] = 1e-5
-    kinematics = Kinematics(robot, model, np.eye(4), np.eye(4))
-    at = Samples.at(q, load)
-    (sunk,), (nominal,) = kinematics.points(x, at), kinematics.points(0 * x, at)
-    np.testing.assert_allclose(sunk - nominal, [0, 0, 1e-5 * load[0, lift]], atol=1e-15)
 
 
 def test_both_sides_of_the_fork_sag_as_the_full_robot_does():

@@ -11,7 +11,7 @@ from calib.model.kinematics import Kinematics, Samples
 from calib.model.parameters import ErrorModel
 from calib.robot.chain import pinocchio_chain
 from calib.robot.robot import Robot
-from calib.robot.urdf import Urdf
+from tests.robot.shared import joint, urdf_of
 
 SETS = ("dh", "hayati", "placement", "zeros", "frames")
 
@@ -26,9 +26,6 @@ CHAINS = {
     "panda_fingers": ("panda", "panda_leftfinger", "panda_rightfinger"),
     "turned_round_bare": ("ur3", "wrist_3_link", "base"),
 }
-
-#: The links of a robot with followers on both branches.
-LINKS = ("fork", "elsewhere", "a", "b", "c", "tip", "base")
 
 #: Joints that are held in one of them.
 HELD = {"torso_lift_joint": 0.2, "head_2_joint": -0.3, "arm_4_joint": 0.7}
@@ -66,25 +63,22 @@ def robots(ur3, panda, serial_urdf) -> dict[str, Robot]:
 def mimicking() -> Robot:
     """Skew axes, followers of every kind on both branches, a driver outside, base and tip moved directly."""
 
-    def joint(name: str, parent: str, child: str, kind: str = "revolute", mimic: str = "") -> str:
-        inside = f"<mimic {mimic}/>" if mimic else ""
-        return (
-            f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
-            '<origin xyz="0.1 0.2 0.3" rpy="0.1 0.3 0.2"/><axis xyz="1 2 -0.5"/>'
-            f'<limit lower="-1" upper="1" effort="1" velocity="1"/>{inside}</joint>'
-        )
-
     joints = (
-        joint("outside", "fork", "elsewhere"),
-        joint("a1", "fork", "a"),
-        joint("a2", "a", "b", "prismatic", 'joint="a1" multiplier="0.2" offset="0.1"'),
-        joint("a3", "b", "tip", "continuous"),
-        joint("b1", "fork", "c", "continuous", 'joint="a1" multiplier="-0.5"'),
-        joint("b2", "c", "base", "revolute", 'joint="outside" multiplier="1.5" offset="-0.2"'),
+        joint("outside", "fork", "elsewhere", axis="1 2 -0.5"),
+        joint("a1", "fork", "a", axis="1 2 -0.5"),
+        joint("a2", "a", "b", "prismatic", "1 2 -0.5", 'joint="a1" multiplier="0.2" offset="0.1"'),
+        joint("a3", "b", "tip", "continuous", "1 2 -0.5"),
+        joint("b1", "fork", "c", "continuous", "1 2 -0.5", 'joint="a1" multiplier="-0.5"'),
+        joint(
+            "b2",
+            "c",
+            "base",
+            "revolute",
+            "1 2 -0.5",
+            'joint="outside" multiplier="1.5" offset="-0.2"',
+        ),
     )
-    links = "".join(f'<link name="{link}"/>' for link in LINKS)
-    text = f'<robot name="mimic">{links}{"".join(joints)}</robot>'
-    return Robot.from_urdf(Urdf.from_bytes(text.encode(), "mimic.urdf"), "base", "tip")
+    return Robot.from_urdf(urdf_of("fork elsewhere a b c tip base", *joints), "base", "tip")
 
 
 def seen(robot: Robot, model: ErrorModel) -> Kinematics:
@@ -203,32 +197,6 @@ def test_every_column_with_several_frames_and_targets(robots, which, name):
     assert_columns_equal_their_differences(kinematics, x, samples)
 
 
-@pytest.mark.parametrize("name", ["placement+gain+compliance", "zeros+eccentricity"])
-@pytest.mark.parametrize("which", ["ur3", "mimic", "pr2_head_to_finger"])
-def test_tied_and_frozen_columns_are_those_of_the_free_model(robots, which, name):
-    robot = robots[which]
-    free = error_model(robot, name, frame=True)
-    names = [n for n, u in zip(free.names, free.units, strict=True) if u == "rad"]
-    first, second, third, gone = names[0], names[1], names[-1], names[2]
-    tied = free.tied({second: (first, -2.0), third: (first, 0.5)}).without([gone])
-    x = finite_x(tied)
-    every = np.zeros(len(free))
-    for name, value in zip(tied.names, x, strict=True):
-        every[free.index(name)] = value
-    leader = x[tied.index(first)]
-    every[free.index(second)], every[free.index(third)] = -2.0 * leader, 0.5 * leader
-    samples = Samples.at(some_q(robot), some_load(robot))
-    poses, twists = seen(robot, tied).twists(x, samples)
-    free_poses, free_twists = seen(robot, free).twists(every, samples)
-    np.testing.assert_allclose(poses, free_poses, rtol=0, atol=1e-13)
-    for k, name in enumerate(tied.names):
-        expected = free_twists[:, :, free.index(name)]
-        if name == first:
-            followers = free_twists[:, :, [free.index(second), free.index(third)]]
-            expected = expected + followers @ [-2.0, 0.5]
-        np.testing.assert_allclose(twists[:, :, k], expected, rtol=0, atol=1e-12)
-
-
 @pytest.mark.parametrize("which", ROBOTS)
 def test_errors_of_the_joints_state_move_the_joints(robots, which):
     # The same poses as of the nominal robot with its joints where these errors put them.
@@ -237,11 +205,11 @@ def test_errors_of_the_joints_state_move_the_joints(robots, which):
     x, q, load = finite_x(model), some_q(robot), some_load(robot)
     value = dict(zip(model.names, x, strict=True))
     column = np.zeros_like(q)
-    for c, joint in enumerate(robot.inputs):
-        column[:, c] = value[f"{joint.name}.gain"] * q[:, c]
-        if joint.type != "prismatic":
-            column[:, c] += value[f"{joint.name}.sin"] * np.sin(q[:, c])
-            column[:, c] += value[f"{joint.name}.cos"] * np.cos(q[:, c])
+    for c, one in enumerate(robot.inputs):
+        column[:, c] = value[f"{one.name}.gain"] * q[:, c]
+        if one.type != "prismatic":
+            column[:, c] += value[f"{one.name}.sin"] * np.sin(q[:, c])
+            column[:, c] += value[f"{one.name}.cos"] * np.cos(q[:, c])
     given_way = load * [value[f"{joint.name}.compliance"] for joint in robot.joints]
     chain = pinocchio_chain(robot.joints, robot.placements)
     configurations = robot.chain_values(q + column) + given_way

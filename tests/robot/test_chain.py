@@ -9,7 +9,6 @@ from hypothesis import event, given, settings, strategies as st
 
 from calib.errors import CalibError, UrdfError
 from calib.model.dh import dh_table
-from calib.robot.chain import full_model, link_frame
 from calib.robot.readback import check_written
 from calib.robot.robot import Robot
 from calib.robot.torques import Payload, gravity_load
@@ -156,14 +155,6 @@ def test_any_two_links_of_every_robot(path):
 
 
 # The whole model
-
-
-def test_the_full_model_tells_links_from_joints():
-    urdf = urdf_of("a 1 2", joint("1", "a", "1"), joint("2", "1", "2"))
-    model = full_model(urdf)
-    frames = [model.frames[link_frame(model, link)] for link in urdf.links]
-    assert [frame.type for frame in frames] == [pin.FrameType.BODY] * 3
-    assert [frame.parentJoint for frame in frames] == [0, 1, 2]
 
 
 # Any tree

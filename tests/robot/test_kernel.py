@@ -97,16 +97,6 @@ def test_it_says_what_pinocchio_says(robots, name, model):  # noqa: F811
     np.testing.assert_array_equal(linear, twists[:, :3])
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_poses_of_the_robot_itself(robots, name):  # noqa: F811
-    robot = robots[name]
-    q = np.random.default_rng(0).uniform(-2.0, 2.0, (20, len(robot.joint_names)))
-    model = error_model(robot, "frames", target=False)
-    kinematics = Kinematics(robot, model, np.eye(4), np.eye(4))
-    expected, _ = by_pinocchio(kinematics, np.zeros(0), Samples.at(q))
-    np.testing.assert_allclose(robot.poses(q), expected, atol=2e-14)
-
-
 def test_blocks_are_the_same_as_one(ur3, monkeypatch):
     kinematics, samples = seen(ur3, "dh+gain", 0, 95)
     x = np.full(len(kinematics.model), 1e-3)

@@ -119,11 +119,6 @@ def test_meshes_are_those_that_coal_reads(robot):
         np.testing.assert_allclose(extent(vertices, faces), expected, rtol=1e-4, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", ["", "http://x/y.stl", "a" * 300, "package://", "none.stl"])
-def test_a_name_that_means_no_file(tmp_path, name):
-    assert find_mesh(name, [tmp_path]) is None
-
-
 def test_files_that_are_no_meshes(tmp_path):
     (tmp_path / "bad.dae").write_bytes(b"no mesh")
     assert load_mesh(tmp_path / "bad.dae", (1, 1, 1)) == (None, "cannot be read")

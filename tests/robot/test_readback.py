@@ -27,23 +27,6 @@ def corrected(robot: Robot, size: float = 5e-3) -> Robot:
 
 
 @pytest.mark.parametrize(
-    ("name", "tip"),
-    [
-        ("ur3", "tool0"),
-        ("panda", "panda_link8"),
-        ("kinova", "j2s6s200_end_effector"),
-        ("pr2", "l_gripper_tool_frame"),
-        ("baxter", "left_gripper"),
-        ("b1-z1", "gripperMover"),
-    ],
-)
-def test_a_corrected_robot_passes(name, tip):
-    robot = corrected(Robot.load(name, tip=tip))
-    q = random_joint_values(robot)
-    check_written(robot, robot.poses(q), q)
-
-
-@pytest.mark.parametrize(
     ("name", "base", "tip", "held"),
     [
         ("tiago_no_hand", "xtion_rgb_optical_frame", "wrist_ft_tool_link", {}),

@@ -6,7 +6,6 @@ import pytest
 
 from calib.robot.robot import Robot
 from calib.robot.torques import GRAVITY, Payload, gravity_load
-from calib.robot.urdf import Urdf
 
 STEP = 1e-5
 
@@ -68,62 +67,3 @@ def test_the_load_is_the_slope_of_the_potential_energy(name, base, tip, payload)
     for row, values in zip(load, q, strict=True):
         expected = load_by_differences(robot, values, payload, gravity)
         np.testing.assert_allclose(row, expected, rtol=0, atol=1e-5)
-
-
-@pytest.fixture(scope="module")
-def pendulum() -> Urdf:
-    """A rod of 2 kg, its centre 0.5 m along x, that turns about y; a slide of 3 kg along z; a beam beside them."""
-    mass = '<inertial><origin xyz="{}"/><mass value="{}"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
-    limit = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
-
-    def link(name: str, com: str, kg: float) -> str:
-        return f'<link name="{name}">{mass.format(com, kg)}</inertial></link>'
-
-    def joint(name: str, parent: str, child: str, kind: str, axis: str, inside: str = "") -> str:
-        return (
-            f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
-            f'<axis xyz="{axis}"/>{limit}{inside}</joint>'
-        )
-
-    text = (
-        '<robot name="p"><link name="a"/>'
-        + link("lift", "0 0 0", 3)
-        + link("rod", "0.5 0 0", 2)
-        + link("beam", "0.2 0 0", 4)
-        + joint("slide", "a", "lift", "prismatic", "0 0 1")
-        + joint("turn", "lift", "rod", "revolute", "0 1 0")
-        + joint("swing", "rod", "beam", "revolute", "0 1 0")
-        + "</robot>"
-    )
-    return Urdf.from_bytes(text.encode(), "p.urdf")
-
-
-def test_signs_and_units_by_hand(pendulum):
-    # Horizontal: gravity pulls the rod down, which is the positive sense about y, and the slide down its axis.
-    robot = Robot.from_urdf(pendulum, tip="rod")
-    g = 9.81
-    load = gravity_load(robot, [[0.0, 0.0], [0.0, np.pi / 2]], Payload(1.0, (1.0, 0.0, 0.0)))
-    weight, moment = (3 + 2 + 4 + 1) * g, (2 * 0.5 + 4 * 0.2 + 1 * 1.0) * g
-    np.testing.assert_allclose(load, [[-weight, moment], [-weight, 0.0]], atol=1e-12)
-
-
-def test_joints_beside_the_chain_stand_where_they_are_held(pendulum):
-    # The beam beyond the tip hangs straight down instead of along the rod.
-    held = Robot.from_urdf(pendulum, tip="rod", held={"swing": np.pi / 2})
-    load = gravity_load(held, [[0.0, 0.0]])
-    np.testing.assert_allclose(load[0, 1], 2 * 0.5 * 9.81, atol=1e-12)
-    # A held joint of the chain keeps its place among the loads.
-    held = Robot.from_urdf(pendulum, tip="rod", held={"turn": np.pi / 2})
-    np.testing.assert_allclose(gravity_load(held, [[0.1]]), [[-9 * 9.81, 0.0]], atol=1e-12)
-
-
-def test_the_load_does_not_ask_from_which_side_the_chain_is_seen():
-    there = Robot.load("tiago_no_hand", "xtion_rgb_optical_frame", "wrist_ft_tool_link")
-    back = Robot.load("tiago_no_hand", "wrist_ft_tool_link", "xtion_rgb_optical_frame")
-    q = np.random.default_rng(2).uniform(-1, 1, (3, 9))
-    np.testing.assert_allclose(
-        gravity_load(there, q), gravity_load(back, q[:, ::-1])[:, ::-1], atol=1e-12
-    )
-
-
-# What is refused

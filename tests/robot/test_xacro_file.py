@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.errors import FileError, UrdfError
+from calib.errors import UrdfError
 from calib.robot.meshes import find_mesh, link_shapes, mesh_folders
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import Robot
 from calib.robot.urdf import find_urdf, read_urdf
-from calib.robot.xacro_file import XacroCall, is_xacro, package_folder
+from calib.robot.xacro_file import XacroCall, package_folder
 
 URDF = Path(__file__).parents[2] / "urdf"
 EXAMPLE = URDF / "ur3_from_origins.urdf.xacro"
@@ -142,20 +142,6 @@ def test_the_file_and_what_is_behind_it(text: str, arguments: dict[str, str]):
     assert XacroCall.parse(call.name) == call
 
 
-def test_which_names_are_those_of_a_xacro(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    assert all(map(is_xacro, ["r.xacro", "a b/r.urdf.xacro", "r.xacro a:=b", Path("r.xacro")]))
-    assert not any(map(is_xacro, ["ur3", "r.urdf", "xacro", "r.xacro.urdf", "", "\0"]))
-    monkeypatch.chdir(tmp_path)
-    folder = tmp_path / "my.xacro files"
-    folder.mkdir()
-    shutil.copy(URDF / "ur3.urdf", folder)
-    shutil.copy(EXAMPLE, folder)
-    shutil.copy(URDF / "ur3_nominal_origins.yaml", folder)
-    assert not is_xacro("my.xacro files/ur3.urdf")
-    call = XacroCall.parse(f"my.xacro files/{EXAMPLE.name} origins:=ur3_nominal_origins.yaml")
-    assert call.path == Path("my.xacro files") / EXAMPLE.name
-
-
 # What a xacro may use
 
 
@@ -199,17 +185,12 @@ def test_faults(written: Written, text: str, others: dict[str, str], arguments: 
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.slow
 def test_a_xacro_that_comes_to_no_end_is_stopped(written: Written, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("calib.robot.xacro_file.TIME_LIMIT", 1.0)
     path = written('<xacro:property name="h" value="${9**9**9}"/>\n')
     with pytest.raises(UrdfError, match=r"r\.urdf\.xacro: xacro took longer than 1 s"):
         read_urdf(path)
-
-
-def test_no_urdf_is_written_as_a_xacro(tmp_path: Path):
-    with pytest.raises(FileError, match=r"r.urdf.xacro' is the name of a xacro"):
-        read_urdf(EXAMPLE).write(tmp_path / "r.urdf.xacro")
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.fixture(autouse=True)
@@ -233,11 +214,6 @@ def file(tmp_path: Path) -> Path:
     cell = package(tmp_path / "ws" / "src" / "cell", "my_cell")
     (cell / "urdf").mkdir()
     return cell / "urdf" / "cell.urdf.xacro"
-
-
-def test_a_package_in_another_repository_of_the_workspace(file: Path):
-    arm = package(file.parents[2] / "drivers" / "arm", "arm_description")
-    assert package_folder("arm_description", file) == arm
 
 
 def test_a_folder_without_a_manifest_is_the_last_that_counts(file: Path):
