@@ -21,9 +21,6 @@ Mask = NDArray[np.bool_]
 #: More rows than this get no markers, and more than that are pixels in SVG and PDF.
 _MOST_MARKERS, _MOST_LINES = 80, 1000
 
-#: More rows than this have no single dots beside their box.
-_MOST_DOTS = 120
-
 #: Residuals are drawn up to so many standard deviations.
 _REACH = 5.0
 
@@ -34,7 +31,7 @@ _BY_ROW = (
 _BY_AXIS = (
     "the axes of the measurement frame, measured minus predicted, [UNIT], of {rows}. Above, both robots; below, the "
     "calibrated one alone, without outliers. Boxes hold the middle half of the rows and their median; whiskers reach "
-    "from 5 to 95 %; dots are single rows, where they are few."
+    "from 5 to 95 %."
 )
 
 
@@ -298,7 +295,7 @@ def _curve_handles(count: int) -> list[Any]:
 
 
 def _boxes(ax: Axes, values: Array, shift: float, who: base.Who) -> None:
-    """A box for each of three columns, with the rows' values where they are few."""
+    """A box for each of three columns."""
     ax.boxplot(
         list(values.T),
         positions=[k + shift for k in range(3)],
@@ -312,11 +309,6 @@ def _boxes(ax: Axes, values: Array, shift: float, who: base.Who) -> None:
         whiskerprops={"color": who.colour, "lw": 1.4},
         capprops={"color": who.colour, "lw": 1.4},
     )
-    if len(values) <= _MOST_DOTS:
-        at = shift + 0.09 * np.sin(2.4 * np.arange(len(values)))
-        look: dict[str, Any] = {"marker": who.marker, "ms": 2.8, "mfc": who.colour, "mec": "white"}
-        for k in range(3):
-            ax.plot(k + at, values[:, k], ls="none", mew=0.3, zorder=3, **look)
 
 
 def _area_handles() -> list[Any]:

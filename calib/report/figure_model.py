@@ -23,9 +23,6 @@ Mask = NDArray[np.bool_]
 #: A singular value below this share of the largest is drawn there.
 _FLOOR = 1e-7
 
-#: More iterations than this get no dots.
-_MOST_DOTS = 60
-
 #: What the parameters of each unit are called.
 _TITLES = {"m": "Lengths", "rad": "Angles", "1": "Gear ratios and sines", "rad/Nm": "Compliances"}
 
@@ -47,7 +44,7 @@ _CHOSEN = {
     "method",
     "Convergence of the solver",
     "Cost, length of the step and, where there is one, damping over the {iterations} iterations of the solver "
-    "'{solver}' on the {estimation}, on logarithmic scales. Lines are broken where weights and noise were set anew.",
+    "'{solver}' on the {estimation}, on logarithmic scales. The cost jumps where weights and noise are set anew.",
     lambda c: len(c.solution.history) > 0,
 )
 def convergence(c: Calibration) -> Figure:
@@ -60,44 +57,24 @@ def convergence(c: Calibration) -> Figure:
     series = [("cost E", cost, np.append(accepted, [True]))]
     series += [("step\n[mm, mrad]" if c.solver != "paper" else "step", step, accepted)]
     series += [("damping μ", mu, accepted)] * bool(np.any(mu > 0.0))
-    starts = _stage_starts(c)
     figure = base.new_figure(len(series) + 0.7)
     panels = figure.subplots(len(series), 1, sharex=True)
-    dot = "" if len(history) > _MOST_DOTS else "o"
+    cross: dict[str, Any] = {"ls": "none", "marker": "x", "ms": 4.5, "mew": 1.2, "color": OUTLIER}
     for ax, (name, values, taken) in zip(panels, series, strict=True):
         shown = np.maximum(values, max(float(values.max()) * 1e-18, 1e-30))
         at = np.arange(len(values))
-        for start in starts:
-            ax.axvline(start - 0.5, color=SOFT, lw=0.9, ls=":", zorder=1)
-        for part in np.split(at, starts):
-            ax.plot(part, shown[part], color=INK, lw=1.1)
-        ax.plot(at[taken], shown[taken], ls="none", marker=dot, ms=3.6, color=INK)
-        ax.plot(at[~taken], shown[~taken], ls="none", marker="x", ms=4.5, mew=1.2, color=OUTLIER)
+        ax.plot(at, shown, color=INK, lw=1.1)
+        ax.plot(at[taken], shown[taken], ls="none", marker="o", ms=3.6, color=INK)
+        ax.plot(at[~taken], shown[~taken], **cross)
         base.log_axis(ax, "y")
         ax.xaxis.set_major_locator(base.few_ticks(10, whole=True))
         ax.set_ylabel(name)
     panels[-1].set_xlabel("iteration")
-    handles = [base.line("step taken", color=INK, marker=dot, ms=4, lw=1.1)]
+    handles = [base.line("step taken", color=INK, marker="o", ms=4, lw=1.1)]
     if not np.all(accepted):
-        label = "step not taken: it would have raised the cost"
-        handles.append(base.line(label, ls="none", marker="x", ms=5, mew=1.3, color=OUTLIER))
-    if starts:
-        handles.append(base.line("weights and noise set anew", color=SOFT, lw=0.9, ls=":"))
+        handles.append(base.line("step not taken: it would have raised the cost", **cross))
     base.legend_above(figure, handles)
     return figure
-
-
-def _stage_starts(c: Calibration) -> list[int]:
-    """The iterations, but for the first, at which the solver was started anew with other weights and noise.
-
-    The damping then is what it was first; solvers without one have a cost that rises.
-    """
-    history = c.solution.history
-    if c.solver == "paper":
-        return []
-    if any(one.mu > 0.0 for one in history):
-        return [k for k in range(1, len(history)) if history[k].mu == history[0].mu]
-    return [k for k in range(1, len(history)) if history[k].cost > 1.000001 * history[k - 1].cost]
 
 
 def shown_parameters(c: Calibration) -> tuple[ParameterEstimate, ...]:

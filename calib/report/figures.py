@@ -7,9 +7,9 @@ one, `write_figures` writes all and what they show beside them.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -47,17 +47,8 @@ FIGURES = (
 CAPTIONS = "captions.md"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Drawing:
-    """A figure of a calibration, drawn where it is needed.
-
-    Attributes:
-        name: Its key and the stem of its file, such as ``"errors-by-pose"``.
-        section: Where in the report it stands.
-        title: Plain text.
-        caption: What is shown, on which rows, in which units, and how to read it; plain text.
-        draw: Draws it, anew at each call; `rendered` makes a file of it.
-    """
+class Drawing(NamedTuple):
+    """A figure of a calibration, with its caption; ``draw`` draws it anew at each call."""
 
     name: str
     section: str
@@ -70,13 +61,7 @@ def drawings(calibration: Calibration) -> tuple[Drawing, ...]:
     """The figures that apply to a calibration, in a report's order; none is drawn yet."""
     words = _words(calibration)
     return tuple(
-        Drawing(
-            one.name,
-            one.section,
-            one.title,
-            one.caption.format(**words),
-            partial(one.draw, calibration),
-        )
+        Drawing(*one[:3], one.caption.format(**words), partial(one.draw, calibration))
         for one in FIGURES
         if one.applies(calibration)
     )

@@ -9,7 +9,6 @@ import base64
 import os
 import re
 from collections import Counter
-from collections.abc import Sequence
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -36,8 +35,8 @@ _LARGE = 260_000
 #: A longer word in a table is broken anywhere: it would push its table off the page.
 _LONGEST_WORD = 24
 
-#: More names than this, and more targets, set-ups or combinations of parameters, are counted.
-_MOST_NAMES, _MOST = 12, 40
+#: More targets, set-ups or combinations of parameters than this are counted.
+_MOST = 40
 
 #: The sign and the class of each verdict: a word and a sign, never a colour alone.
 _VERDICTS = {
@@ -181,44 +180,16 @@ def _content(c: Calibration, command: str, date: str) -> dict[str, Any]:
 
 
 def _measured(c: Calibration, said: dict[str, str]) -> list[tuple[str, str]]:
-    """What was measured, and how well; rows without a text are not shown."""
-    m, slides = c.measurements, {j.name for j in c.nominal.urdf.joints if j.type == "prismatic"}
+    """What was measured, and how well."""
+    m = c.measurements
     rows = f"{m.estimation.sum():,} to estimate, {m.validation.sum():,} to validate (column 'set')"
     more = f"; {len(m.unmeasured):,} more without a measurement, left out" if m.unmeasured else ""
     kinds = [f"{kind_named(kind).words} ({n:,} rows)" for kind, n in Counter(m.kinds).items()]
-    found = sum(bool(directions) for directions in c.setup.unknown)
-    placed = c.cell.T_frame_base is not None or bool(c.cell.frames)
-    frame = f"known: {'as the set-up places it' if placed else c.nominal.base}"
-    if found:
-        frame = f"estimated from the rows, for {found} of {len(c.setup.groups)} set-ups"
-    sigma = c.cell.sigma if m.sigma is None else float(np.nanmedian(m.sigma))
-    held = [
-        f"{k} at {1e3 * v:.3f} mm" if k in slides else f"{k} at {np.degrees(v):.3f} deg"
-        for k, v in c.nominal.held.items()
-    ]
     what = "one standard deviation of the target's position, from the covariance of the parameters"
-    pairs = (
+    return [
         ("Rows", f"{len(m):,}: {rows}{more}"),
         ("Each row measures", "; ".join(kinds)),
-        ("Targets", _named(m.targets) if len(set(m.targets)) > 1 else ""),
-        ("Set-ups", _named(m.groups) if len(set(m.groups)) > 1 else ""),
-        ("Measurement frame", frame),
         ("Noise of the rows", said["Noise"]),
-        (
-            "Noise stated",
-            f"{1e3 * sigma:.3f} mm a coordinate (median of the rows)" if sigma else "",
-        ),
-        (texts.SCATTER, said.get(texts.SCATTER, "")),
-        ("Joints held", ", ".join(held)),
-        ("Columns not used", _named(m.ignored)),
+        *[(texts.SCATTER, said[texts.SCATTER])] * (texts.SCATTER in said),
         (texts.EXPECTED, f"{said[texts.EXPECTED].removesuffix('.')}; {what}."),
-    )
-    return [(label, text) for label, text in pairs if text]
-
-
-def _named(names: Sequence[str]) -> str:
-    """Different names, the first dozen."""
-    different = list(dict.fromkeys(names))
-    shown = ", ".join(f"'{name}'" for name in different[:_MOST_NAMES])
-    rest = len(different) - _MOST_NAMES
-    return shown + (f" and {rest} more" if rest > 0 else "")
+    ]

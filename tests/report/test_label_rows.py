@@ -33,16 +33,6 @@ def test_sizes_of_errors_are_those_of_the_tables(calibrations):
     assert np.sqrt(np.mean(angles**2)) == pytest.approx(errors.rms_angle, rel=1e-12)
 
 
-def test_what_was_not_measured_is_no_number(calibrations):
-    c = calibrations.made("mixed")
-    found = np.isfinite(angles_of(c.residual_nominal, c.used))
-    np.testing.assert_array_equal(found, c.measurements.of_kind("pose"))
-    distances = calibrations.made("distances")
-    expected = np.abs(distances.residual_nominal[:, 0])
-    found = lengths_of(distances.residual_nominal, distances.used)
-    np.testing.assert_allclose(found, expected)
-
-
 def test_few_points_are_numbered_and_many_are_not(calibrations):
     m = calibrations.made("paper").measurements
     ax = new_figure(2.0).subplots()

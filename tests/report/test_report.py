@@ -176,17 +176,6 @@ def test_parameters_with_correction_and_interval(page, paper_calibration):
     assert "half the 95 % interval, 2.00 standard deviations" in text
 
 
-def test_of_many_validation_rows_the_worst_are_listed(calibrations):
-    c = calibrations.many_rows(600)
-    table = report_tables.validation_rows(c)
-    assert table.title.startswith("Error of the 20 of 60 validation rows with the largest error")
-    listed = [int(row[0]) for row in table.rows]
-    assert listed == sorted(listed)
-    size = np.linalg.norm(c.residual_calibrated, axis=1)
-    size[~c.measurements.validation] = 0.0
-    assert set(listed) == {c.measurements.rows[i] for i in np.argsort(-size)[:20]}
-
-
 @pytest.mark.parametrize(
     "name", ["paper", "hostile_names", pytest.param("prismatic", marks=pytest.mark.slow)]
 )
@@ -218,22 +207,6 @@ def test_flagged_rows(calibrations):
         ["11", "estimate", "1.592", "1.988", "17.3", "0.00"],
         ["14", "estimate", *rows[1][2:]],
     ]
-
-
-def test_how_it_was_measured(page, calibrations):
-    c = calibrations.made("paper")
-    text = page(c).text
-    for said in (
-        "Rows 35: 30 to estimate, 5 to validate (column 'set')",
-        "Each row measures position of the target (35 rows)",
-    ):
-        assert said in text
-    table = report_tables.ranges(c)
-    wanted = ("elbow_joint", "deg", "-90.21", "123.63", "-180.00", "180.00", "59 %")
-    assert table.rows[2] == wanted
-    # 420.75 deg is beyond the limit of 360: what lies outside is no share of the range.
-    assert table.rows[5][3:] == ("420.75", "-360.00", "360.00", "68 %")
-    assert table.note.endswith("'wrist_3_joint'.")
 
 
 def test_files_have_the_hashes_of_what_is_written(page, paper_calibration, tmp_path):

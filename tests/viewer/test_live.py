@@ -84,14 +84,6 @@ def test_a_closed_viewer_says_so(gantry):
         viewer.visualizer.set_object(mc.Sphere(0.1))
 
 
-def test_a_port_that_is_taken(gantry):
-    view = View(gantry, None, np.zeros((1, 3)))
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        with pytest.raises(CalibError, match=f"Port {port} of 127.0.0.1 cannot be used"):
-            Viewer(view, port=port)
-
-
 def target_of(tab, who: str) -> list[float]:
     """Where the page has the target of a robot, in its base [m]."""
     return tab.evaluate(

@@ -12,12 +12,8 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 import umsgpack
-from markupsafe import escape
 
-from calib import example
 from calib.report.label_rows import CALIBRATED, NOMINAL
-from calib.robot.robot import Robot
-from calib.robot.urdf import Urdf
 from calib.viewer.page import (
     FACTORS,
     Key,
@@ -25,7 +21,6 @@ from calib.viewer.page import (
     magnification,
     puppets,
     script_table,
-    single_page,
     view_page,
 )
 from calib.viewer.scene import translation
@@ -141,22 +136,6 @@ def test_names_add_no_tag_wherever_they_stand(view):
     assert NASTY.replace("\udcff", "?") in nasty.text
 
 
-def test_a_page_of_one_robot_holds_it_and_what_is_drawn(gantry):
-    sizes = []
-
-    def draw(scene, size):
-        sizes.append(size)
-        scene["ball"].set_transform(np.eye(4))
-        return [Key("a ball", "#112233", "ball")]
-
-    for points in (np.zeros((0, 3)), np.array([[9.0, 0.0, 0.0]])):
-        words = {"title": "A <title>", "text": "1 < 2", "legend": "an arm"}
-        html = single_page(gantry, np.zeros(3), points, draw, **words).html.decode()
-    assert sizes[1] > 8.0 > sizes[0]
-    assert "A &lt;title&gt;" in html
-    assert re.findall('data-show="(.*?)"', html) == ["nominal", "ball"]
-
-
 def test_the_ur3_is_drawn_twice_from_one_copy_of_its_meshes(ur3_view, ur3_page):
     assert ur3_page.warnings == ()
     assert len(ur3_page.html) < 7_000_000
@@ -180,18 +159,6 @@ def test_the_two_robots_do_not_touch(view):
     groups = [shown[who].outline() + table["places"][who] for who in shown]
     row = np.subtract(table["places"]["calibrated"], table["places"]["nominal"])
     assert (groups[0] @ row).max() < (groups[1] @ row).min()
-
-
-def test_a_robot_with_a_hostile_name_and_a_missing_mesh(disturb):
-    text = example.paper_urdf().read_text(encoding="utf-8")
-    text = text.replace('robot name="ur3"', 'robot name="&lt;b&gt;"')
-    text = text.replace("visual/wrist1.dae", "visual/&lt;i&gt;.dae")
-    robot = Robot.from_urdf(Urdf.from_bytes(text.encode(), "r.urdf"), "base", "tool0")
-    page = view_page(View(robot, disturb(robot), np.full((1, 6), 0.4)))
-    assert b"<h1>&lt;b&gt;: nominal and calibrated</h1>" in page.html
-    (warning,) = page.warnings
-    assert warning.startswith("link 'wrist_1_link': the mesh 'package://example-robot-data/")
-    assert escape(warning).encode() in page.html
 
 
 def test_a_wild_measurement_does_not_move_the_camera(view):
@@ -232,15 +199,6 @@ def test_poses_points_and_numbers_are_those_of_the_view(view):
     assert table["instruments"] == []
     seen = script_table(replace(view, instruments=translation([3.0, 1.0, 0.5])[None]), shown)
     np.testing.assert_allclose(seen["instruments"], [[3.0, 1.0, 0.5, 0.0, 0.0, 0.0, 1.0]])
-
-
-def test_movers_of_the_same_link_are_paired_whatever_else_moves(view, gantry):
-    """A calibrated robot with a link more, such as the one that carries the target."""
-    other = replace(gantry, urdf=gantry.urdf.with_link("calib_target", "tip", np.eye(4)))
-    same = table_of(view_page(replace(view, calibrated=other)))["robots"]["calibrated"]["same"]
-    links = [*gantry.urdf.links, "base", "tip", "target"]
-    theirs = [*other.urdf.links, "base", "tip", "target"]
-    assert [links[k] if k >= 0 else "calib_target" for k in same] == theirs
 
 
 def test_typical_arrows_are_well_visible(ur3, ur3_view):

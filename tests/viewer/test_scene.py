@@ -13,7 +13,6 @@ from calib.viewer.scene import (
     SceneWindow,
     look_at,
     round_length,
-    row_direction,
     without_shadow,
 )
 
@@ -71,15 +70,6 @@ def test_all_points_are_in_view_and_fill_it(size, angle):
     assert (np.ptp(at, axis=0) / [1.9, 1.44]).max() > 0.97
     np.testing.assert_allclose(camera.axes @ camera.axes.T, np.eye(3), atol=1e-12)
     assert (np.linalg.norm(points - camera.centre, axis=1) <= camera.radius * (1 + 1e-9)).all()
-
-
-@pytest.mark.parametrize("points", [[[0, 0, 0], [1, 0, 1], [2, 0, 0]], [[0, 0, 0], [0, 0, 1]]])
-def test_the_row_is_seen_from_a_horizontal_direction(points):
-    back = row_direction(np.array(points, dtype=float))
-    assert np.linalg.norm(back) == pytest.approx(1.0)
-    assert back[2] == 0
-    if points[-1][0]:  # an arm along x reaches to the right on the screen
-        assert -back[1] > 0.9
 
 
 @pytest.mark.parametrize(("length", "rounded"), [(0.1, 0.1), (0.199, 0.1), (0.6, 0.5), (7, 5)])

@@ -19,7 +19,6 @@ from calib.viewer.shapes import (
     read_visuals,
     rod_between,
     root_poses,
-    simplified,
     stage_poses,
 )
 from calib.viewer.view import View
@@ -55,11 +54,6 @@ def test_the_meshes_of_the_ur3_are_found_and_read(ur3):
     ]
     upper_arm, _ = visuals[2].mesh
     assert 0.3 < np.ptp(upper_arm, axis=0).max() < 0.4  # a2 is 243.65 mm, joints on both ends
-
-
-def test_a_mesh_used_twice_is_one(panda):
-    by_link = {v.link: v.mesh for v in read_visuals(panda.urdf)[0]}
-    assert by_link["panda_leftfinger"] is by_link["panda_rightfinger"]
 
 
 def test_meshes_that_are_missing_empty_changed_or_heavy(with_mesh, tmp_path, monkeypatch):
@@ -112,15 +106,6 @@ def test_vertices_are_doubled_on_edges_only():
     assert again.shape == (2 * 59**2, 3)
 
 
-@pytest.mark.parametrize("most", [100, 700])
-def test_simplified_meshes_keep_their_form(most):
-    vertices, faces = sheet(30)
-    fewer, merged = simplified(vertices, faces, most)
-    assert 0.2 * most < len(merged) <= most
-    assert np.abs(np.ptp(fewer, axis=0) - np.ptp(vertices, axis=0)).max() < 0.25
-    assert simplified(vertices, faces, 5000)[1] is faces
-
-
 Q = {
     "ur3": [0.3, -1.2, 0.8, -0.5, 1.1, 2.0],
     "panda": [0.3, -0.5, 0.2, -2.0, 0.1, 1.8, 0.6],
@@ -149,15 +134,6 @@ def test_the_tip_is_where_the_robot_says(request, disturb, name):
     tip = link_poses(other, Q[name])[robot.tip]
     np.testing.assert_allclose(tip, other.poses(Q[name])[0], rtol=0, atol=1e-9)
     assert np.abs(tip - robot.poses(Q[name])[0]).max() > 1e-4
-
-
-def test_followers_and_held_joints_are_drawn_where_they_are(fingers):
-    poses = link_poses(fingers, [0.03])
-    np.testing.assert_allclose(poses["panda_rightfinger"], fingers.poses([0.03])[0], atol=1e-12)
-    held = Robot.load("panda", "panda_link0", "panda_link8", held={"panda_finger_joint1": 0.02})
-    poses = link_poses(held, np.full(7, 0.3))
-    gap = poses["panda_leftfinger"][:3, 3] - poses["panda_rightfinger"][:3, 3]
-    assert np.linalg.norm(gap) == pytest.approx(0.04)
 
 
 def test_visuals_stand_where_pinocchio_puts_them(panda):
