@@ -190,6 +190,6 @@ def _measured(c: Calibration, said: dict[str, str]) -> list[tuple[str, str]]:
         ("Rows", f"{len(m):,}: {rows}{more}"),
         ("Each row measures", "; ".join(kinds)),
         ("Noise of the rows", said["Noise"]),
-        *[(texts.SCATTER, said[texts.SCATTER])] * (texts.SCATTER in said),
+        *((label, text) for label, text in said.items() if label == texts.SCATTER),
         (texts.EXPECTED, f"{said[texts.EXPECTED].removesuffix('.')}; {what}."),
     ]
