@@ -256,10 +256,9 @@ def test_the_python_of_these_pages_runs(tmp_path, monkeypatch, capsys):
         monkeypatch, tmp_path, "workspace", "robot.urdf", "--samples", "65536", "-o", "region.json"
     )
     for page in HERE:
-        if "result" in names:
-            names["result"].write_json(
-                "result.json", overwrite=True
-            )  # as the page before leaves it
+        (tmp_path / "result.json").unlink(missing_ok=True)
+        if page == "result-json.md":
+            names["result"].write_json("result.json")
         exec(compile(python(page), page, "exec"), names)
         assert capsys.readouterr().out or page in ("convert.md", "result-json.md")
         names.update(calibration=names["result"], q=np.zeros(6))
