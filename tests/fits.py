@@ -388,9 +388,7 @@ CASES = {
 
 
 @pytest.fixture(scope="session")
-def calibrated(
-    make_scene: Callable[..., Scene],
-) -> Callable[[str], tuple[Scene, Calibration]]:
+def calibrated(make_scene: Callable[..., Scene]) -> Callable[[str], tuple[Scene, Calibration]]:
     """A function that gives the scene of one of `CASES` and its calibration; each is fitted once."""
 
     def make(seed: int, **given: Any) -> Scene:

@@ -112,13 +112,7 @@ def cross_validation(
     residuals = []
     for k, mask in enumerate(folds.masks):
         if k not in found:
-            try:
-                found[k] = _unseen(fit(task, rows.select(~mask)), rows, mask, outliers)
-            except MeasurementError as error:
-                raise MeasurementError(
-                    f"Cross-validation leaves out {mask.sum()} of {len(rows)} rows at a time, and the others are too "
-                    f"few: {error} Or do without validation (--no-validate)."
-                ) from error
+            found[k] = _unseen(fit(task, rows.select(~mask)), rows, mask, outliers)
         residuals.append(found[k])
         if progress is not None:
             progress(k + 1, len(folds.masks))
@@ -175,11 +169,7 @@ def _on_the_linearised(fitted: Fitted, masks: tuple[Mask, ...], outliers: Mask) 
         for first in range(0, len(some), size):
             begun = Stage.first(prior, ~some[first : first + size], len(linear.smallest))
             stage, freedom = staged(
-                begun,
-                lambda _: linear,
-                rows.poses,
-                task.cell.repeats,
-                robust=task.robust,
+                begun, lambda _: linear, rows.poses, task.cell.repeats, robust=task.robust
             )
             parts.append((stage.fit(linear)[0], freedom))
         x, freedom = map(np.concatenate, zip(*parts, strict=True))

@@ -57,9 +57,7 @@ class Task:
         str | Sequence[Parameter]
     )  # Name of the parameter set and families, or the robot's own parameters themselves
     distances: tuple[KnownDistance, ...] = ()  # Known distances between set-ups
-    solver: str | Solver = (
-        "lm"  # A name of `calib.estimate.solvers.SOLVERS`, `PAPER`, or a solver itself
-    )
+    solver: str | Solver = "lm"  # A name of `SOLVERS`, `PAPER`, or a solver itself
     robust: bool = True  # Whether outliers lose their weight
     lenient: bool = False  # Whether the cell may name parameters that this model lacks, because it is one of several
 
@@ -128,14 +126,12 @@ class Fitted:
     def _scales(self, rows: Rows) -> Array:
         """The noise that was found, for each scalar of some rows; of a kind not fitted, the first instrument's."""
         seen, result = self.estimate.problem.rows, rows.scales
+        noise, width = np.array(self.estimate.noise), min(rows.width, seen.width)
         for kind in np.unique(rows.kinds):
-            own, inside = rows.kinds == kind, seen.kinds == kind
-            for column in range(rows.width):
-                known = seen.instruments[
-                    inside & (column < seen.width), min(column, seen.width - 1)
-                ]
-                number = int(known[0]) if len(known) and known[0] >= 0 else 0
-                result[own, column] *= self.estimate.noise[number]
+            number = np.zeros(rows.width, dtype=int)
+            for known in seen.instruments[seen.kinds == kind][:1]:
+                number[:width] = np.maximum(known[:width], 0)
+            result[rows.kinds == kind] *= noise[number]
         return result
 
 

@@ -126,26 +126,22 @@ def _settled(setup: Setup, rows: Rows) -> Setup:
 
 def _check_enough(setup: Setup, rows: Rows) -> None:
     """Refuse fewer numbers than unknowns, in all and for each frame."""
+    points, frame = (
+        rows.where(lambda kind: kind.coordinates and not kind.orientation),
+        rows.samples.frame,
+    )
     whole = [len(directions) == _ALL for directions in setup.unknown]
-    points = rows.where(lambda kind: kind.coordinates and not kind.orientation)
-    least = _FEWEST_POINTS if any(whole) else 1
-    if rows.count < setup.count or (np.all(points) and len(rows) < least):
-        parts = [f"the measurement frame{'s' * (len(setup.groups) > 1)}"] * any(setup.unknown)
-        parts += ["the target"] * setup.estimate_target
-        raise MeasurementError(
-            f"{len(rows)} rows give {rows.count} numbers; {setup.count} are needed to find "
-            f"{' and '.join(parts)} alone. Measure more poses, or give what is known of the set-up."
-        )
-    for f, directions in enumerate(setup.unknown):
-        own = rows.samples.frame == f
+    parts = [("The table", np.ones(len(rows), dtype=bool), setup.count, any(whole))]
+    for f, name in enumerate(setup.groups):
+        if np.any(frame == f):
+            parts.append((f"The set-up '{name}'", frame == f, len(setup.unknown[f]), whole[f]))
+    for what, own, unknowns, three in parts:
         count, seen = int(np.sum(rows.used[own])), int(np.sum(own))
         # Two points leave the rotation about the line through them.
-        too_few_points = whole[f] and bool(np.all(points[own])) and seen < _FEWEST_POINTS
-        if seen and (count < len(directions) or too_few_points):
+        if count < unknowns or (three and np.all(points[own]) and seen < _FEWEST_POINTS):
             raise MeasurementError(
-                f"The set-up '{setup.groups[f]}' has {seen} row{'s' * (seen != 1)} with {count} numbers; its frame "
-                f"has {len(directions)} unknowns. Measure {_FEWEST_POINTS if too_few_points else 'more'} poses there, "
-                "or leave its rows out."
+                f"{what} has {seen} row{'s' * (seen != 1)} with {count} numbers for {unknowns} unknowns of frame and "
+                "target. Measure more poses, 3 or more a set-up, or give what is known of the set-up."
             )
 
 

@@ -160,10 +160,7 @@ def verdict(e: Evidence) -> Verdict:
     careful = [
         *_those(
             (chance and not against, Reason.of(Why.MAY_BE_CHANCE, gain=gain)),
-            (
-                few and not against,
-                Reason.of(Why.FEW_NUMBERS, **size, parameters=e.parameters),
-            ),
+            (few and not against, Reason.of(Why.FEW_NUMBERS, **size, parameters=e.parameters)),
             (before.rms > _ABSURD, Reason.of(Why.FAR_OFF_BEFORE, before=before)),
         ),
         *e.doubts,

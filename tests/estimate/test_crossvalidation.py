@@ -179,11 +179,7 @@ def test_outliers_are_found_in_each_fold_as_by_refits(make_scene):
 
 @pytest.mark.parametrize(
     ("cell", "count", "solver"),
-    [
-        (Cell(bounds={"a2": (-1e-5, 1e-5)}), 12, "lm"),
-        (Cell(), 9, "lm"),
-        (Cell(), 14, "paper"),
-    ],
+    [(Cell(bounds={"a2": (-1e-5, 1e-5)}), 12, "lm"), (Cell(), 9, "lm"), (Cell(), 14, "paper")],
     ids=["at a bound", "few rows", "the paper's solver"],
 )
 def test_folds_are_fitted_from_the_beginning_where_the_linearised_problem_does_not_do(

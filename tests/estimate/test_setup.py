@@ -74,11 +74,7 @@ def test_each_group_has_the_unknowns_of_its_kinds(scene, join):
     table = join(scene.points(4, 0), as_kind(scene.points(4, 1), "plane"), scene.distances(4, 2))
     setup = setup_of(table, Cell(estimate_frame=True, frame_directions=("x", "rz")))
     assert setup.groups == ("0", "1", "2")
-    assert setup.frame_unknowns == {
-        "0": ("x", "rz"),
-        "1": ("z", "rx", "ry"),
-        "2": ("x", "y", "z"),
-    }
+    assert setup.frame_unknowns == {"0": ("x", "rz"), "1": ("z", "rx", "ry"), "2": ("x", "y", "z")}
     assert setup.count == 3 + 2 + 3 + 3
 
 
@@ -213,10 +209,7 @@ def test_a_star_stands_for_the_same_text_in_both_groups(seen, ur3):
     groups = ["a/0", "a/1", "b/0", "b/1", "c/1", "?/0", "[x]/0", "[x]/1"]
     table = named(kind_of(seen.points(8), "fixed"), groups)
     cell = Cell(
-        distances=(
-            GroupDistance("*/0", "*/1", 0.2, 1e-5),
-            GroupDistance("a/0", "b/0", 0.5, 2e-5),
-        )
+        distances=(GroupDistance("*/0", "*/1", 0.2, 1e-5), GroupDistance("a/0", "b/0", 0.5, 2e-5))
     )
     rows, setup = rows_of(ur3, table, cell)
     known = known_distances(cell, setup)

@@ -11,10 +11,7 @@ import pytest
 
 from calib.data.measurements import Measurements
 from calib.result.calibrate import Calibration, calibrate
-from calib.result.evidence import (
-    disagreeing_setups,
-    validation_errors,
-)
+from calib.result.evidence import disagreeing_setups, validation_errors
 from calib.result.verdict import Why
 from calib.robot.readback import random_joint_values
 
