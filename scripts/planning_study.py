@@ -72,7 +72,7 @@ def free(count: int, candidates: int, criterion: str) -> tuple[Forecast, float]:
     made = plan(
         ur3(),
         cell_of(),
-        PlanRequest(count, 0, criterion, candidates, ladder=()),
+        PlanRequest(count, 0, criterion, candidates, ladder=False),
         collisions=None,
     )
     return made.forecast, time.perf_counter() - began
@@ -119,7 +119,7 @@ def obstacles(candidates: int) -> list[str]:
     """A plan among limits, collisions and sight against the free one, both over the free workspace."""
     robot = ur3()
     began = time.perf_counter()
-    request = PlanRequest(30, 0, candidates=candidates, ladder=())
+    request = PlanRequest(30, 0, candidates=candidates, ladder=False)
     made = plan(robot, surroundings(), request)
     seconds = time.perf_counter() - began
     # Over the same workspace and with the same noise, so that the poses alone differ.
@@ -158,7 +158,7 @@ def comparison(count: int, candidates: int) -> list[str]:
             made = plan(
                 ur3(),
                 cell_of(model),
-                PlanRequest(number, 0, candidates=candidates, ladder=()),
+                PlanRequest(number, 0, candidates=candidates, ladder=False),
                 collisions=None,
             )
             found = trials(count, model, made.estimation, number)

@@ -73,16 +73,7 @@ def draw(
 ) -> Pool:
     """Draw candidates until ``count`` have passed all tests, or far more than that have been tried.
 
-    Args:
-        robot: The robot.
-        ranges: shape (m, 2), see `planning_ranges`.
-        tests: In order, that of the region first.
-        count: Candidates wanted.
-        seed: The same seed draws the same poses.
-        progress: Called with what was kept and what is wanted.
-
-    Raises:
-        ModelError: None passed; the text says which tests refused how many.
+    The tests are asked in order, that of the region first; ``ranges`` are as in `planning_ranges`, shape (m, 2).
     """
     # Not above: SciPy's distributions take as long to import as the rest of calib.
     from scipy.stats import qmc
@@ -135,9 +126,6 @@ def planning_ranges(
 
     Those of `joint_ranges`, less a margin to the URDF's limits as in `by_joint`; with ``turns``, joints that turn
     and are not narrowed go to their limits, more than a turn where these allow it.
-
-    Raises:
-        CalibError: An unknown joint, a range that leaves the limits, or one of which the margin leaves nothing.
     """
     limits, gap = column_limits(robot), by_joint(robot, margin)
     result = np.array(joint_ranges(robot, narrowed))

@@ -23,7 +23,6 @@ from pinocchio import hppfcl
 from calib.data.surroundings import Box, Reflector, Tracker, checked_boxes
 from calib.design.notes import Code, Note
 from calib.design.solids import (
-    ALWAYS_TOUCHING,
     SAMPLES,
     Kind,
     Scene,
@@ -74,15 +73,15 @@ class CollisionModel:
     Attributes:
         robot: The robot.
         pairs: The names of what is checked (links, targets, boxes, the plane), those that touch most often first.
-        ignored: The names of those that are not, and why: `solids.JOINED` or `solids.ALWAYS_TOUCHING`.
         close: Those that are always closer than the clearance; they are refused only where they touch.
+        touching: Those that are not checked, for they always touch.
         notes: What was checked, and what was not as a person might expect.
     """
 
     robot: Robot
     pairs: tuple[tuple[str, str], ...]
-    ignored: Mapping[tuple[str, str], str]
     close: tuple[tuple[str, str], ...]
+    touching: tuple[tuple[str, str], ...]
     notes: tuple[Note, ...]
     _scene: Scene
     _beam: hppfcl.Capsule
@@ -97,15 +96,7 @@ class CollisionModel:
     ) -> CollisionModel:
         """Read the geometry of a robot and find out which pairs have to be checked.
 
-        Args:
-            robot: The robot; its URDF names the meshes.
-            boxes: In the robot's base; they move with it where joints of the chain move the base.
-            targets: Places in the tip by name, shape (3,), [m]; each and what holds it joins the check.
-            check: How it is checked.
-
-        Raises:
-            UrdfError: A mesh cannot be found or read, or no link has geometry.
-            CalibError: A box with a link's name or that the robot always touches, or a plane that its tip never leaves.
+        Boxes are in the robot's base; targets are places in the tip by name, shape (3,), [m].
         """
         boxes, check = checked_boxes(tuple(boxes)), check or CollisionCheck()
         same = [box.name for box in boxes if box.name in robot.urdf.links]
@@ -132,20 +123,19 @@ class CollisionModel:
         around = [part.owner for part in parts if part.kind in (Kind.BOX, Kind.PLANE)]
         beam = hppfcl.Capsule(0.5 * BEAM, 1.0)
         parts.append(Solid("the beam", Kind.BOX, robot.base, np.eye(4), beam))
-        scene, pairs, ignored, close = choose_pairs(
+        scene, pairs, close, touching = choose_pairs(
             robot, Scene.of(robot.urdf, parts), rigid, configurations, float(check.clearance)
         )
-        always = [pair for pair, why in ignored.items() if why == ALWAYS_TOUCHING]
         notes = [Note("collisions_checked", (check.holder_radius, *around))]
         notes += [] if check.floor else [Note("floor_not_checked")]
         listed: tuple[tuple[Code, Sequence[str]], ...] = (
             ("no_geometry", unchecked),
             ("visual_geometry", from_visuals),
             ("always_close", [f"{a} and {b}" for a, b in close]),
-            ("always_touching", [f"{a} and {b}" for a, b in always]),
+            ("always_touching", [f"{a} and {b}" for a, b in touching]),
         )
         notes += [Note(code, tuple(names)) for code, names in listed if names]
-        return cls(robot, pairs, ignored, close, tuple(notes), scene, beam)
+        return cls(robot, pairs, close, touching, tuple(notes), scene, beam)
 
     def free(self, q: ArrayLike) -> Mask:
         """Where the robot keeps clear, shape (N,), of q of shape (N, m) or (m,), [rad] or [m]."""

@@ -81,11 +81,7 @@ class Sensitivity:
 
     @classmethod
     def of(cls, robot: Robot, cell: Cell) -> Sensitivity:
-        """The fit's model of a robot in a cell.
-
-        Raises:
-            ModelError: An unknown parameter set or parameter, or a kind or cell that cannot be planned for.
-        """
+        """The fit's model of a robot in a cell."""
         kind = _checked_kind(cell)
         cell = replace(cell, distances=())
         setup = _one_pose(robot, cell, kind)
@@ -337,10 +333,6 @@ def forecast(robot: Robot, cell: Cell, joints: ArrayLike, margin: float = 0.0) -
 
     ``joints`` is of shape (N, m), [rad] or [m]; the model ``"auto"`` is taken as ``"placement"``; ``margin`` [rad] is
     the distance to the joint limits.
-
-    Raises:
-        ModelError: The model or the cell do not fit the robot, or a joint's value is missing.
-        MeasurementError: No pose.
     """
     robot.chain_values(joints)
     q = np.atleast_2d(np.asarray(joints, dtype=np.float64))
@@ -355,9 +347,6 @@ def forecast_of_table(robot: Robot, cell: Cell, measurements: Measurements) -> F
     """What a fit of a table's estimation rows can reach, by its poses alone; the target is registered.
 
     None where rows are of several kinds, targets or set-ups, or of a kind whose poses are not free.
-
-    Raises:
-        MeasurementError: A joint's column is missing, or too few rows.
     """
     seen = measurements.select(measurements.estimation)
     if (

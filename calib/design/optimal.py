@@ -18,9 +18,9 @@ variance tr(A_i C A_i^T) over its candidates below rank / N (J. Kiefer, J. Wolfo
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -80,7 +80,7 @@ class PlanRequest:
         candidates: Poses among which is chosen.
         margin: Distance to the joint limits of the URDF [rad].
         start: shape (m,), where the robot stands before it begins [rad] or [m]; None: it begins at any pose.
-        ladder: Numbers of poses to forecast too; None: some from half to three times ``count``; empty: none.
+        ladder: Whether other numbers of poses, from half to three times ``count``, are forecast too.
         seed: The same seed makes the same plan.
     """
 
@@ -90,15 +90,11 @@ class PlanRequest:
     candidates: int = 20_000
     margin: float = math.radians(5.0)
     start: ArrayLike | None = None
-    ladder: Sequence[int] | None = None
+    ladder: bool = True
     seed: int = 0
 
     def check(self, candidates: int) -> None:
-        """Refuse an unknown criterion, and numbers of poses that cannot be.
-
-        Raises:
-            ModelError: Below one pose, more than there are candidates, or very many.
-        """
+        """Refuse an unknown criterion, and numbers of poses that cannot be."""
         if self.criterion not in ("V", "D", "A"):
             raise ModelError(f"There is no criterion '{self.criterion}'. Choose V, D or A.")
         wanted, most = self.count + self.validation, min(candidates, MOST_POSES)
@@ -109,25 +105,8 @@ class PlanRequest:
                 "for fewer poses, or drop a condition."
             )
 
-    def rungs(self, candidates: int, fewest: int) -> list[int]:
-        """The numbers of poses to forecast, in rising order, ``count`` among them if there are any.
 
-        Raises:
-            ModelError: One of them is below the fewest that the model needs, or above the candidates.
-        """
-        if self.ladder is None:
-            wanted = {self.count, *(round(share * self.count) for share in _RUNGS)}
-            return sorted(n for n in wanted if fewest <= n <= min(candidates, MOST_POSES))
-        wrong = [n for n in self.ladder if not fewest <= n <= candidates]
-        if wrong:
-            raise ModelError(
-                f"A forecast for {wrong[0]} poses was asked for; it takes {fewest} to {candidates}."
-            )
-        return sorted({*self.ladder, self.count}) if self.ladder else []
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Choice:
+class Choice(NamedTuple):
     """What was chosen out of a pool; the fields are those of `calib.design.plan.Plan`."""
 
     planned: Array
@@ -149,16 +128,8 @@ def choose_poses(
 ) -> Choice:
     """Choose poses from a pool of candidates.
 
-    Args:
-        sensitivity: Of the model that the fit will use.
-        pool: The candidates, and where accuracy is wanted.
-        request: How many, and by which criterion.
-        taken: shape (T, m), poses that were measured already; they count, and are not planned again.
-        restarts: Random starts of the exchange; one is a few percent worse than several.
-        progress: Called after each step of the ladder.
-
-    Raises:
-        ModelError: No such criterion, fewer candidates than poses, or fewer poses than the model needs.
+    ``taken``, shape (T, m), were measured already; they count, and are not planned again. One random start of the
+    exchange in place of several ``restarts`` is a few percent worse.
     """
     taken = np.zeros((0, pool.q.shape[1])) if taken is None else taken
     again = np.zeros(len(pool.q), dtype=bool)
@@ -172,7 +143,8 @@ def choose_poses(
     workspace = Workspace.of(sensitivity, pool.workspace)
     d = measured.shape[1]
     fewest = max(1, -(-workspace.rank // d) - len(taken))
-    rungs = request.rungs(len(q), fewest)
+    wanted = {count, *(round(share * count) for share in _RUNGS)} if request.ladder else ()
+    rungs = sorted(n for n in wanted if fewest <= n <= min(len(q), MOST_POSES))
     if count < fewest:
         before = f" with the {len(taken)} measured already" if len(taken) else ""
         raise ModelError(

@@ -48,9 +48,6 @@ def write_plan(
     Each row has the name of a point, ``P1`` for row 1, by which a list of points can be matched. The columns of what is
     measured are empty; ``expected`` columns are what the nominal robot would give. ``first_row`` is the number of the
     first row: where rows are to be added to a table, one more than its last.
-
-    Raises:
-        FileError: The file exists and ``overwrite`` is False, or it cannot be written.
     """
     rows = list(_rows(plan, first_row))
     text = io.StringIO()
@@ -107,9 +104,6 @@ def read_taken(path: str | Path, robot: Robot, columns: Mapping[str, str] | None
 
     A table in which nothing is measured, such as a plan that is still to be driven, counts whole. Rows that measure
     several targets at one pose are one pose. ``columns`` is as in `Measurements.read`.
-
-    Raises:
-        MeasurementError: The table cannot be read, or lacks a joint.
     """
     table, values = _joint_values(path, robot, columns)
     named, _ = name_columns(table, robot.joint_names, columns or {})
@@ -137,11 +131,7 @@ def read_taken(path: str | Path, robot: Robot, columns: Mapping[str, str] | None
 def read_pose_list(
     path: str | Path, robot: Robot, columns: Mapping[str, str] | None = None
 ) -> tuple[Array, tuple[str, ...]]:
-    """The poses of a table, shape (N, m), [rad] or [m], and the set of each; what was measured may be missing.
-
-    Raises:
-        MeasurementError: The table cannot be read, or lacks a joint.
-    """
+    """The poses of a table, shape (N, m), [rad] or [m], and the set of each; what was measured may be missing."""
     _, values = _joint_values(path, robot, columns)
     kept = _poses(values, range(len(values.joints)))
     return read_only(values.joints[kept]), tuple(values.sets[i] for i in kept)

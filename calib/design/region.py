@@ -154,11 +154,7 @@ class RegionFile:
         return cls(region, {"robot": made_for, **numbers})
 
     def write(self, path: str | Path, *, overwrite: bool = False) -> Path:
-        """Write the region as JSON, whole or not at all.
-
-        Raises:
-            FileError: The file exists and ``overwrite`` is False, or it cannot be written.
-        """
+        """Write the region as JSON, whole or not at all."""
         region, flat = self.region, self.region.cells.ravel()
         ends = np.flatnonzero(np.diff(flat)) + 1
         runs = np.diff([0, *ends, flat.size]).tolist()
@@ -179,11 +175,7 @@ class RegionFile:
 
     @classmethod
     def read(cls, path: str | Path) -> RegionFile:
-        """Read what `write` wrote.
-
-        Raises:
-            FileError: The file cannot be read, is no JSON, no region of calib, of another schema, or damaged.
-        """
+        """Read what `write` wrote."""
         expected = f"a region of calib {__version__} has '{SCHEMA}'. Make it again with 'calib workspace -o'."
         table = read_json(path, "region", SCHEMA, expected)
         try:
@@ -199,11 +191,7 @@ class RegionFile:
             ) from error
 
     def check_fits(self, robot: Robot, target: Array | None = None) -> None:
-        """Refuse a region of another base, tip or joints, or of a target more than a voxel away in the tip.
-
-        Raises:
-            CalibError: It is one.
-        """
+        """Refuse a region of another base, tip or joints, or of a target more than a voxel away in the tip."""
         own = self.about["robot"]
         offset = 0.0 if target is None else np.subtract(target, self.about["target_xyz_m"])
         apart = float(np.linalg.norm(offset))

@@ -34,9 +34,6 @@ SAMPLES, ALWAYS = 256, 0.95
 #: What stands for all below the mounting plane is a box so thick and twice as wide [m].
 _GROUND = 20.0
 
-#: Why links are not compared.
-JOINED, ALWAYS_TOUCHING = "joined", "touching"
-
 
 class Kind(Enum):
     """What a shape is part of."""
@@ -68,9 +65,6 @@ def read_solids(
     Returns:
         The shapes; the links without collision geometry, whose visual geometry stands for it; and the links that carry
         a mass but have no geometry that can be used, or not all of it.
-
-    Raises:
-        UrdfError: A mesh cannot be found or read, or no link has geometry.
     """
     folders = mesh_folders(urdf, package_dirs)
     shapes = {tag: list(link_shapes(urdf, tag)) for tag in ("collision", "visual")}
@@ -243,12 +237,12 @@ def mounting_plane(
 
 
 class Pairs(NamedTuple):
-    """The scene with the pairs that can tell poses apart, and the others, by the names of what they belong to."""
+    """The scene with the pairs that can tell poses apart, those always too close, and those left out for touching."""
 
     scene: Scene
     checked: tuple[tuple[str, str], ...]
-    ignored: dict[tuple[str, str], str]
     close: tuple[tuple[str, str], ...]
+    touching: tuple[tuple[str, str], ...]
 
 
 def choose_pairs(
@@ -262,9 +256,6 @@ def choose_pairs(
         rigid: For each link what stands for all that never moves against it.
         configurations: shape (SAMPLES, nq), over the joints' ranges.
         clearance: [m].
-
-    Raises:
-        CalibError: A box is touched wherever the robot goes, or what the tip carries never leaves the mounting plane.
     """
     urdf, parts = robot.urdf, scene.parts
     welded = clusters(urdf, (joint for joint in urdf.joints if joint.type == "fixed"))
@@ -273,7 +264,7 @@ def choose_pairs(
         for joint in urdf.joints
         if joint.type != "fixed"
     }
-    ignored: dict[tuple[str, str], str] = {}
+    touching = []
     flat: list[Pair] = []
     for i, j in itertools.combinations(range(len(parts) - 1), 2):
         first, second = parts[i], parts[j]
@@ -281,9 +272,7 @@ def choose_pairs(
         if rigid[first.link] == rigid[second.link] or first.kind not in (Kind.LINK, Kind.TARGET):
             continue
         links = second.kind is Kind.LINK
-        if links and frozenset((welded[first.link], welded[second.link])) in joined:
-            ignored[scene.names((i, j))] = JOINED
-        else:
+        if not links or frozenset((welded[first.link], welded[second.link])) not in joined:
             flat.append((i, j))
     touched = near = scene.comparing(flat, [0.0] * len(flat)).touched(configurations)
     if clearance > 0.0:
@@ -297,7 +286,7 @@ def choose_pairs(
     for names, own in owned.items():
         share = touched[:, own].any(axis=1).mean()
         if share >= ALWAYS and parts[flat[own[0]][1]].kind is not Kind.BOX:
-            ignored[names] = ALWAYS_TOUCHING
+            touching.append(names)
             continue
         too_close = share < ALWAYS and near[:, own].any(axis=1).mean() >= ALWAYS
         if too_close:
@@ -307,7 +296,7 @@ def choose_pairs(
     kept.sort(key=lambda one: -one[0])
     checked = tuple(dict.fromkeys(scene.names(pair) for _, pair, _ in kept))
     scene = scene.comparing([pair for _, pair, _ in kept], [margin for *_, margin in kept])
-    return Pairs(scene, checked, ignored, tuple(close))
+    return Pairs(scene, checked, tuple(close), tuple(touching))
 
 
 def _check_around(

@@ -31,11 +31,7 @@ _PALE, _GREY = "#9aa7b4", "#4a5866"
 
 
 def check_ending(path: str | Path) -> str:
-    """The kind of a picture's file by its name's ending, in small letters.
-
-    Raises:
-        FileError: It is none of `KINDS`.
-    """
+    """The kind of a picture's file by its name's ending; a FileError where it is none of `KINDS`."""
     kind = Path(path).suffix.lower().removeprefix(".")
     if kind not in KINDS:
         endings = choices([f".{one}" for one in KINDS])
@@ -56,11 +52,7 @@ def headings(view: RegionView) -> tuple[str, str]:
 
 
 def write_picture(view: RegionView, path: str | Path, *, overwrite: bool = False) -> Path:
-    """Write the figure of a region; the file's ending says which of `KINDS`.
-
-    Raises:
-        FileError: Another ending, or the file exists or cannot be written.
-    """
+    """Write the figure of a region; the file's ending says which of `KINDS`."""
     kind = check_ending(path)
     with styled():
         data = saved(draw_region(view), kind, *headings(view), dpi=150)
@@ -194,8 +186,6 @@ def _mark(axes: Any, checked: Checked, inside: Mask, figure: Figure) -> None:  #
         bbox_to_anchor=(0.985, 0.985),
         ncols=(len(handles) + 1) // 2,
         fontsize=9,
-        handletextpad=0.3,
-        columnspacing=1.4,
     )
 
 

@@ -103,7 +103,7 @@ class Trials:
             given = choose_poses(
                 sensitivity,
                 draw(robot, ranges, [], max(_CANDIDATES, self.count), seed),
-                PlanRequest(self.count, 0, self.criterion, ladder=(), seed=seed),
+                PlanRequest(self.count, 0, self.criterion, ladder=False, seed=seed),
                 restarts=1,
             ).planned
         return self.scenario.poses(seed, self.count, self.validation, given, self.sets)

@@ -69,12 +69,23 @@ def _region_text(view: RegionView, seed: int, reach: float) -> Iterator[str]:
 
 
 def _rows_text(view: RegionView, checked: Checked, *, every_row: bool) -> Iterator[str]:
-    """Which rows lie inside."""
+    """Which rows lie inside; a line for each if wanted."""
     rows, points, measured, predicted = checked
-    inside, depth = view.region.contains(points), view.region.depth(points)
+    inside = view.region.contains(points)
     yield f"Targets of {rows.source}, {sum(measured)} measured, {sum(~measured)} predicted:"
     if every_row:
-        yield from _row_lines(view, checked, inside, depth)
+        yield (
+            f"  {'row':>6}  {'set':<10}{'x':>9}{'y':>9}{'z [mm]':>9}   {'region':<9}{'border [mm]':>11}"
+            f"{'within densest':>18}"
+        )
+        depth, needed = view.region.depth(points), view.density.share_of(points)
+        for i, word in enumerate(rows.sets):
+            x, y, z = (f"{1e3 * value:9.1f}" for value in points[i])
+            often = f"{100 * needed[i]:.1f} %" if np.isfinite(needed[i]) else "not reached"
+            yield (
+                f"  {rows.rows[i]:>6}  {word:<10}{x}{y}{z}   {'inside' if inside[i] else 'OUTSIDE':<9}"
+                f"{1e3 * abs(depth[i]):>11.0f}{often:>18}"
+            )
     for word, chosen in (("estimation", rows.estimation), ("validation", rows.validation)):
         if chosen.any():
             outside = row_ranges(rows.rows[i] for i in np.flatnonzero(chosen & ~inside))
@@ -85,25 +96,6 @@ def _rows_text(view: RegionView, checked: Checked, *, every_row: bool) -> Iterat
     if measured.any():
         off = 1e3 * np.median(np.linalg.norm(points - predicted, axis=1)[measured])
         yield f"  Median distance of measured to predicted positions: {off:.3g} mm."
-
-
-def _row_lines(
-    view: RegionView, checked: Checked, inside: NDArray[np.bool_], depth: Array
-) -> Iterator[str]:
-    """A line for each row of the checked table."""
-    rows, points = checked.rows, checked.points
-    needed = view.density.share_of(points)
-    yield (
-        f"  {'row':>6}  {'set':<10}{'x':>9}{'y':>9}{'z [mm]':>9}   {'region':<9}{'border [mm]':>11}"
-        f"{'within densest':>18}"
-    )
-    for i in range(len(rows)):
-        x, y, z = (f"{1e3 * value:9.1f}" for value in points[i])
-        word = "inside" if inside[i] else "OUTSIDE"
-        often = f"{100 * needed[i]:.1f} %" if np.isfinite(needed[i]) else "not reached"
-        yield (
-            f"  {rows.rows[i]:>6}  {rows.sets[i]:<10}{x}{y}{z}   {word:<9}{1e3 * abs(depth[i]):>11.0f}{often:>18}"
-        )
 
 
 def _extent_text(ends: Array) -> str:

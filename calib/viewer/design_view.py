@@ -8,6 +8,7 @@ there. Each can be hidden.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterable
 
 import meshcat
 import numpy as np
@@ -67,21 +68,31 @@ def _draw_targets(
     scene: meshcat.Visualizer, plan: Plan, places: Array, taken: Array, size: float
 ) -> list[Key]:
     """Where the targets will be, by their set, and the way; the lines of the legend."""
-    keys = []
-    sets = np.array(plan.sets)
-    for name, colour, text, count, points in (
-        ("estimate", ESTIMATION, "to estimate from", np.sum(sets == "estimate"), None),
-        ("validate", VALIDATION, "to validate with", np.sum(sets == "validate"), None),
-        ("taken", _TAKEN, "measured already", len(plan.taken), taken),
-    ):
-        at = places[sets == name].reshape(-1, 3) if points is None else points
-        if len(at):
-            draw_points(scene[name], at, colour, _BALL * size)
-            keys.append(Key(f"{text}, {count}", colour, name, "dot"))
-    first = places[:, 0]
+    chosen, first = np.array(plan.sets) == "estimate", places[:, 0]
+    keys = _draw_dots(
+        scene,
+        (
+            ("estimate", ESTIMATION, f"to estimate from, {chosen.sum()}", places[chosen]),
+            ("validate", VALIDATION, f"to validate with, {(~chosen).sum()}", places[~chosen]),
+            ("taken", _TAKEN, f"measured already, {len(plan.taken)}", taken),
+        ),
+        _BALL * size,
+    )
     if len(first) > 1:
         draw_lines(scene["way"], np.stack([first[:-1], first[1:]], axis=1), _WAY, 0.55)
         keys.append(Key("order to drive", _WAY, "way"))
+    return keys
+
+
+def _draw_dots(
+    scene: meshcat.Visualizer, sets: Iterable[tuple[str, str, str, Array]], radius: float
+) -> list[Key]:
+    """Points by node, colour and text, as far as there are any; the lines of the legend."""
+    keys = []
+    for name, colour, text, points in sets:
+        if len(points):
+            draw_points(scene[name], points.reshape(-1, 3), colour, radius)
+            keys.append(Key(text, colour, name, "dot"))
     return keys
 
 
@@ -175,17 +186,13 @@ def _draw_voxels(scene: meshcat.Visualizer, view: RegionView, centres: Array) ->
 
 def _draw_rows(scene: meshcat.Visualizer, view: RegionView, size: float) -> list[Key]:
     """The points of a table, and their lines of the legend."""
-    keys: list[Key] = []
     if view.checked is None:
-        return keys
-    rows, every, *_ = view.checked
-    for chosen, colour, word in (
-        (rows.estimation, ESTIMATION, "estimation"),
-        (rows.validation, VALIDATION, "validation"),
-    ):
-        # A wild point is not looked for at the end of the world.
-        points = every[chosen & (np.linalg.norm(every, axis=1) < 5.0 * size)]
-        if len(points):
-            draw_points(scene[word], points, colour, _ROW_BALL * size)
-            keys.append(Key(f"{word} rows", colour, word, "dot"))
-    return keys
+        return []
+    rows, points, *_ = view.checked
+    # A wild point is not looked for at the end of the world.
+    near = np.linalg.norm(points, axis=1) < 5.0 * size
+    sets = (
+        ("estimation", ESTIMATION, "estimation rows", points[rows.estimation & near]),
+        ("validation", VALIDATION, "validation rows", points[rows.validation & near]),
+    )
+    return _draw_dots(scene, sets, _ROW_BALL * size)

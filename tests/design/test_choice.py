@@ -39,7 +39,7 @@ def some(ur3) -> Pool:
 
 @pytest.fixture(scope="module")
 def planned(paper, some) -> Choice:
-    return choose_poses(paper, some, PlanRequest(20, 5, ladder=(), seed=3))
+    return choose_poses(paper, some, PlanRequest(20, 5, ladder=False, seed=3))
 
 
 # The bars
@@ -48,7 +48,9 @@ def planned(paper, some) -> Choice:
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_a_d_optimal_choice_comes_close_to_the_bound(paper, free, seed):
-    f = choose_poses(paper, free, PlanRequest(30, 0, criterion="D", ladder=(), seed=seed)).forecast
+    f = choose_poses(
+        paper, free, PlanRequest(30, 0, criterion="D", ladder=False, seed=seed)
+    ).forecast
     assert f.rank == f.workspace_rank == 23
     assert 1.0 < f.mean_variance / (23 / 30) <= 1.02
     # Below the bound none can be (Kiefer and Wolfowitz).
@@ -58,7 +60,7 @@ def test_a_d_optimal_choice_comes_close_to_the_bound(paper, free, seed):
 
 @pytest.mark.slow
 def test_a_v_optimal_choice_passes_it_in_the_mean(paper, free):
-    c = choose_poses(paper, free, PlanRequest(30, 0, criterion="V", ladder=(), seed=0))
+    c = choose_poses(paper, free, PlanRequest(30, 0, criterion="V", ladder=False, seed=0))
     assert c.forecast.mean_variance / (23 / 30) <= 1.0
     assert c.forecast.worst_variance / (23 / 30) > 1.0
     # In the noise of one measurement.
@@ -78,12 +80,13 @@ def test_the_papers_poses_predict_with_four_times_the_noise(paper, some, paper_t
 
 def test_each_criterion_is_the_best_at_its_own(paper, some):
     found = {
-        name: choose_poses(paper, some, PlanRequest(16, 0, criterion=name, ladder=()))
+        name: choose_poses(paper, some, PlanRequest(16, 0, criterion=name, ladder=False))
         for name in "DAV"
     }
     s = replace(paper, precision=np.full(len(paper.names), 1e4))
     by_prior = {
-        name: choose_poses(s, some, PlanRequest(16, 0, criterion=name, ladder=())) for name in "DA"
+        name: choose_poses(s, some, PlanRequest(16, 0, criterion=name, ladder=False))
+        for name in "DA"
     }
     rms = {name: one.forecast.rms for name, one in found.items()}
     assert min(rms, key=rms.__getitem__) == "V"
@@ -119,8 +122,8 @@ def test_poses_are_of_the_pool_and_all_different(planned, some):
 
 def test_poses_taken_lower_what_is_planned(paper, some, planned):
     taken = planned.planned[:10]
-    c = choose_poses(paper, some, PlanRequest(10, 0, ladder=()), taken=taken)
-    alone = choose_poses(paper, some, PlanRequest(10, 0, ladder=()))
+    c = choose_poses(paper, some, PlanRequest(10, 0, ladder=False), taken=taken)
+    alone = choose_poses(paper, some, PlanRequest(10, 0, ladder=False))
     assert c.before is not None
     assert (c.before.poses, c.forecast.poses, c.at_random.poses) == (10, 20, 20)
     assert c.forecast.rms < alone.forecast.rms < c.before.rms
@@ -132,12 +135,14 @@ def test_poses_taken_lower_what_is_planned(paper, some, planned):
 @pytest.mark.parametrize("criterion", ["V"])
 def test_poses_taken_are_not_planned_again(paper, some, criterion):
     few = replace(some, q=some.q[:60])
-    taken = choose_poses(paper, few, PlanRequest(30, 0, criterion=criterion, ladder=())).planned
+    taken = choose_poses(paper, few, PlanRequest(30, 0, criterion=criterion, ladder=False)).planned
     # A controller's values are not quite those that it was told.
     taken = taken + np.radians(0.01)
     # Nor the same turn: it is the same pose after one more.
     taken[::2, 5] += 2.0 * np.pi
-    c = choose_poses(paper, few, PlanRequest(20, 10, criterion=criterion, ladder=()), taken=taken)
+    c = choose_poses(
+        paper, few, PlanRequest(20, 10, criterion=criterion, ladder=False), taken=taken
+    )
     both = np.concatenate([c.planned, c.validation])
     turns = both[:, None] - taken[None]
     gap = np.abs(np.arctan2(np.sin(turns), np.cos(turns))).max(axis=2)
@@ -166,4 +171,4 @@ def test_what_cannot_be_asked_is_refused(request_, candidates):
 def test_fewer_poses_than_parameters_need_are_refused(paper, some):
     with pytest.raises(ModelError, match=r"7 poses give 21 numbers.* 23 identifiable .* least 8"):
         choose_poses(paper, some, PlanRequest(7, 0))
-    assert choose_poses(paper, some, PlanRequest(8, 0, ladder=())).forecast.rank == 23
+    assert choose_poses(paper, some, PlanRequest(8, 0, ladder=False)).forecast.rank == 23

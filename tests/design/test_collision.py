@@ -87,10 +87,10 @@ def test_links_that_always_touch_are_left_out_and_named():
     joint = JOINT.format(name="s", parent="fore", child="shell", x=0.0)
     model = model_of(robot_of(balls(more=shell + joint)))
     # 'shell' stays where it is on 'fore', 0.2 m from the ball of 'hand' wherever that turns.
-    assert ("hand", "shell") not in model.ignored
+    assert ("hand", "shell") not in model.touching
     big = shell.replace("0.08", "0.3")
     model = model_of(robot_of(balls(more=big + joint)))
-    assert model.ignored["hand", "shell"] == "touching"
+    assert ("hand", "shell") in model.touching
     assert model.notes[-1].code == "always_touching"
 
 
@@ -209,7 +209,7 @@ def test_a_target_and_its_holder_touch_where_their_distance_says_so(q):
     assert {("base", "probe and its holder"), ("upper", "probe and its holder")} <= set(model.pairs)
     # Not with the link that it is mounted on, nor with one that it always touches: the tip is in the forearm's ball.
     assert ("hand", "probe and its holder") not in model.pairs
-    assert [a for a, b in model.ignored if "holder" in b] == ["fore"]
+    assert [a for a, b in model.touching if "holder" in b] == ["fore"]
     angle = sum(q)
     tip = (model.robot.poses([q])[0] @ [0, 0, 0, 1])[:2]
     end = tip + 0.6 * np.array([math.cos(angle), math.sin(angle)])
@@ -305,7 +305,7 @@ def test_the_ur3_agrees_with_fcl(boxed):
     pairs = {(a, b) for i, a in enumerate(links) for b in links[i + 1 :]} - left_out
     pairs |= {(a, box.name) for box in boxes for a in links if a != "base_link"}
     assert set(model.pairs) == pairs
-    assert set(model.ignored) <= left_out
+    assert model.touching == ()
     q = np.random.default_rng(4).uniform(-np.pi, np.pi, (400, 6))
     free = model.free(q)
     expected = [not fcl_touches(objects(ur3(), row, boxes), pairs) for row in q]

@@ -116,7 +116,7 @@ def test_targets_and_their_holders_stay_out_of_a_box_and_above_the_mounting_plan
     table = box("table", (3.0, 3.0, 0.05), (0.0, 0.0, -0.4))
 
     def lowest(boxes=(), **check) -> float:
-        request = PlanRequest(8, 8, candidates=60, ladder=())
+        request = PlanRequest(8, 8, candidates=60, ladder=False)
         found = plan(robot, replace(cell, boxes=boxes), request, collisions=CollisionCheck(**check))
         return float(found.places(found.joints)[..., 2].min())
 
@@ -146,7 +146,7 @@ def test_poses_are_added_to_those_taken(ur3, bare):
     more = plan(
         ur3,
         BARE,
-        PlanRequest(5, 0, candidates=300, ladder=()),
+        PlanRequest(5, 0, candidates=300, ladder=False),
         collisions=None,
         taken=bare.estimation,
     )
@@ -165,7 +165,7 @@ def test_notes_are_codes(ur3, full, bare):
     assert codes[0] == "collisions_checked"
     assert full.notes[0].values[:3] == (0.02, "table", "post")
     aimless = replace(FULL, target=None, tracker=None, model="auto")
-    p = plan(ur3, aimless, PlanRequest(12, 0, candidates=60, ladder=()), collisions=None)
+    p = plan(ur3, aimless, PlanRequest(12, 0, candidates=60, ladder=False), collisions=None)
     assert p.model == "placement"
     assert [note.code for note in p.notes] == [
         "generic_target",
@@ -179,7 +179,7 @@ def test_other_kinds_can_be_planned(ur3, kind, count, numbers):
     frame = np.eye(4)
     frame[:3, 3] = [-0.7, 0.5, -0.3]
     cell = replace(BARE, kind=kind, T_frame_base=frame)
-    p = plan(ur3, cell, PlanRequest(count, 0, candidates=300, ladder=()), collisions=None)
+    p = plan(ur3, cell, PlanRequest(count, 0, candidates=300, ladder=False), collisions=None)
     assert p.kind == kind
     assert p.forecast.rank == p.forecast.workspace_rank <= numbers * count
     np.testing.assert_allclose(p.expected[:, 0], points(ur3, p.joints) + frame[:3, 3], atol=1e-12)
@@ -191,7 +191,6 @@ def test_other_kinds_can_be_planned(ur3, kind, count, numbers):
 @pytest.mark.parametrize(
     ("cell", "request_", "given", "words"),
     [
-        (BARE, PlanRequest(12, candidates=300, ladder=(9, 500)), {}, "A forecast for 500 poses"),
         (BARE, PlanRequest(12, candidates=300), {"taken": np.zeros((3, 5))}, "6 joints"),
         (
             replace(FULL, tracker=Tracker(np.array([9.0, 0.0, 0.0]), 0.0, 2.0)),

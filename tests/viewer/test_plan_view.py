@@ -31,7 +31,7 @@ def planned(ur3):
     return plan(
         ur3,
         cell,
-        PlanRequest(6, 2, candidates=200, ladder=()),
+        PlanRequest(6, 2, candidates=200, ladder=False),
         taken=random_joint_values(ur3, 3),
         collisions=None,
     )
