@@ -115,7 +115,7 @@ def _head(plan: Plan) -> Iterator[str]:
             "error model",
             f"{plan.model}{auto}: {f.columns} parameters, rank {f.rank} (whole workspace {f.workspace_rank})",
         ),
-        ("observability", f"{indices} (in steps of 1 mm, 1 mrad)"),
+        ("observability", f"{indices} (1 mm, 1 mrad)"),
         ("candidates", f"{plan.candidates} of {plan.drawn} drawn"),
         ("refused", refused or "none"),
     ):

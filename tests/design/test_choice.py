@@ -103,17 +103,6 @@ def test_each_criterion_is_the_best_at_its_own(paper, some):
 # What a choice is made of
 
 
-def test_poses_are_of_the_pool_and_all_different(planned, some):
-    assert planned.planned.shape == (20, 6)
-    assert planned.validation.shape == (5, 6)
-    both = np.concatenate([planned.planned, planned.validation])
-    assert len(np.unique(both, axis=0)) == 25
-    pool = {row.tobytes() for row in some.q}
-    assert all(row.tobytes() in pool for row in both)
-    assert not planned.planned.flags.writeable
-    assert planned.before is None
-
-
 # The ladder
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -119,31 +119,3 @@ def test_the_rms_over_the_workspace_and_its_range_are_those_of_calibrations(coun
 
 
 # Priors off
-
-
-@pytest.mark.parametrize("finer", [1e-2, 1e-6])
-def test_a_finer_instrument_is_as_much_better(finer):
-    """Down to 0.2 nm, with a direction that nothing but the leash of 1 m holds."""
-    s = sensitivity(np.zeros(7))
-
-    def equal(q: np.ndarray) -> np.ndarray:
-        J = jacobian(q)
-        J[:, :, 1] = J[:, :, 0]
-        return J
-
-    q, where = poses(5), poses(60, 1)
-    coarse, fine = (
-        replace(
-            s,
-            measured=lambda q, k=k: equal(q) / (k * noise(q))[:, None, None],
-            located=equal,
-            noise=lambda q, k=k: k * noise(q),
-        )
-        for k in (1.0, finer)
-    )
-    f, g = (Forecast.of(one, Workspace.of(one, where), q) for one in (coarse, fine))
-    assert g.rms == pytest.approx(finer * f.rms, rel=1e-4)
-    assert g.rms_high == pytest.approx(finer * f.rms_high, rel=1e-4)
-    assert g.sigma == pytest.approx(finer * f.sigma)
-    assert g.mean_variance == pytest.approx(f.mean_variance, rel=1e-4)
-    assert g.rank == f.rank == 6

@@ -11,7 +11,6 @@ from calib.design.optimal import (
     Basis,
     _gains,
     choose,
-    exchange,
     information,
 )
 
@@ -94,23 +93,6 @@ def test_the_best_of_all_designs_is_found(criterion, prior, taken):
 
 
 # What the cost is
-
-
-def test_an_exchange_never_ends_worse_than_it_began_and_no_single_one_helps_then():
-    for seed in range(2):
-        A = pool(600 + seed, 60, 3, 7)
-        for criterion in "DAV":
-            basis = basis_of(A, criterion)
-            weight = {"D": None, "A": np.eye(7), "V": information(A) / 60}[criterion]
-            start = np.random.default_rng(seed).choice(60, 8, replace=False)
-            chosen, _ = exchange(A @ basis.directions, basis, start)
-            least = cost(information(A[chosen]), weight)
-            assert least <= cost(information(A[start]), weight)
-            for k in range(8):
-                for y in sorted(set(range(60)) - set(chosen.tolist())):
-                    other = chosen.copy()
-                    other[k] = y
-                    assert cost(information(A[other]), weight) >= least - 1e-6 * abs(least)
 
 
 # Textbook designs: a quadratic on [-1, 1]

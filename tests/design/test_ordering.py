@@ -4,7 +4,6 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
 from scipy.sparse.csgraph import minimum_spanning_tree
 
 from calib.design.route import START, order
@@ -27,28 +26,6 @@ def is_order(tour, count):
 
 def every_order(count):
     return np.array(list(itertools.permutations(range(count))))
-
-
-@pytest.mark.slow
-@settings(max_examples=60, deadline=None)
-@given(
-    count=st.integers(2, 7),
-    joints=st.integers(1, 6),
-    seed=st.integers(0, 10**6),
-    begin=st.booleans(),
-)
-def test_few_poses_are_in_the_best_order(count, joints, seed, begin):
-    random = np.random.default_rng(seed)
-    q = random.uniform(-3.0, 3.0, (count, joints))
-    start = random.uniform(-3.0, 3.0, joints) if begin else None
-    tour = order(q, start)
-    orders, costs = every_order(count), moves(q)
-    totals = costs[orders[:, :-1], orders[:, 1:]].sum(axis=1)
-    if start is not None:
-        totals += np.abs(q - start).max(axis=1)[orders[:, 0]]
-    assert is_order(tour, count)
-    assert tour.cost == pytest.approx(cost_of(tour, q, start), rel=1e-12)
-    assert tour.cost == pytest.approx(totals.min(), rel=1e-9)
 
 
 @pytest.mark.parametrize("count", [30])

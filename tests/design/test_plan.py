@@ -142,23 +142,6 @@ def test_those_that_were_refused_are_counted_by_reason(full, bare):
     assert bare.refused == {}
 
 
-def test_poses_are_added_to_those_taken(ur3, bare):
-    more = plan(
-        ur3,
-        BARE,
-        PlanRequest(5, 0, candidates=300, ladder=False),
-        collisions=None,
-        taken=bare.estimation,
-    )
-    assert more.joints.shape == (5, 6)
-    assert more.before is not None
-    assert more.before.rms == pytest.approx(bare.forecast.rms, rel=0.05)
-    assert more.forecast.rms < more.before.rms
-    assert more.forecast.poses == 20
-    old = {bytes(q) for q in bare.estimation}
-    assert not any(bytes(q) in old for q in more.joints)
-
-
 def test_notes_are_codes(ur3, full, bare):
     assert bare.notes == (Note("collisions_not_checked"),)
     codes = [note.code for note in full.notes]

@@ -171,21 +171,6 @@ def test_tables_of_every_kind_count(table, arm):
     assert degrees(read_taken(mapped, arm, columns)) == [2.0]
 
 
-@pytest.mark.parametrize(
-    ("lines", "says"),
-    [
-        (("j2 [deg],x [mm]", "1,2"), "taken.csv: no column for the joints 'j1'."),
-        (
-            ("set,j1 [deg],x [mm]", "validate,1,200", "estimate,2,"),
-            "taken.csv: no row that is measured is 'estimate', so that no pose counts as taken.",
-        ),
-    ],
-)  # fmt: skip
-def test_tables_from_which_nothing_is_taken(table, arm, lines, says):
-    with pytest.raises(MeasurementError, match=re.escape(says)):
-        read_taken(table(*lines), arm)
-
-
 # The forecast
 
 

@@ -181,33 +181,6 @@ def test_the_noise_is_the_cells_or_the_trackers_by_distance_or_a_usual_trackers(
 # Priors
 
 
-def test_precision_is_that_of_each_parameters_prior(ur3):
-    priors = Priors(length=1e-3, angle=2e-3, zero=4e-3, gain=5e-4, compliance=2e-5)
-    cell = Cell(
-        target=TARGET,
-        model="dh+gain+compliance",
-        priors=priors,
-        estimate_frame=True,
-        parameter_priors={"a2": 7e-5, "target_x": 1e-2},
-    )
-    s = Sensitivity.of(ur3, cell)
-    found = dict(zip(s.names, s.precision, strict=True))
-    model = Sensitivity.of(ur3, cell).kinematics.model
-    seen = set()
-    for parameter in model.parameters:
-        if parameter.name in cell.parameter_priors:
-            size = cell.parameter_priors[parameter.name]
-        elif parameter.name.startswith(("frame_", "target_")):
-            assert found[parameter.name] == 0.0
-            continue
-        else:
-            size = priors.of(parameter.family)
-        seen.add(parameter.family)
-        assert found[parameter.name] == pytest.approx(1.0 / size**2)
-    assert {"length", "angle", "gain", "compliance"} <= seen
-    assert not s.precision.flags.writeable
-
-
 # Ranks
 
 
@@ -286,29 +259,6 @@ def test_the_forecast_is_what_a_calibration_then_says_of_itself(ur3, name):
     rms = np.sqrt(np.einsum("nij,jk,nik->", located, found.covariance, located) / len(where))
     assert f.rms == pytest.approx(rms, rel=0.15)
     assert f.sigma == pytest.approx(SIGMA)
-
-
-@pytest.mark.slow
-def test_the_error_that_calibrations_leave_is_the_one_foreseen(ur3):
-    """Twenty tables of a robot, fitted with the noise that they have: rms over unseen poses."""
-    cell = Cell(target=TARGET, model="hayati", sigma=SIGMA, priors=Priors(sizes="off"))
-    q, where = random_joint_values(ur3, 20, 5), random_joint_values(ur3, 200, 9)
-    f = forecast(ur3, cell, q)
-    sensitivity = Sensitivity.of(ur3, cell)
-    kinematics = sensitivity.kinematics
-    rng = np.random.default_rng(4)
-    size = np.where(np.array(f.units) == "m", 3e-4, 1e-3)
-    left = []
-    for _ in range(20):
-        x = size * rng.normal(size=len(f.names))
-        points = kinematics.points(x, q) + SIGMA * rng.normal(size=(20, 3))
-        table = Measurements(ur3.joint_names, q, points)
-        c = calibrate(ur3, table, cell=cell, validate=False, robust=False)
-        off = c.predict(where) - kinematics.points(x, where)
-        left.append(np.sqrt(np.mean(np.sum(off**2, axis=1))))
-    assert f.rms == pytest.approx(np.sqrt(np.mean(np.square(left))), rel=0.12)
-    # Of 20 with a chance of 90 % each: fewer than 15 in one case of 50.
-    assert np.sum((np.array(left) > f.rms_low) & (np.array(left) < f.rms_high)) >= 15
 
 
 @pytest.mark.parametrize(

@@ -80,16 +80,6 @@ def test_a_ball_beside_the_beam():
     assert beam(0.0, tracker=(4.0, 0.0, 0.0))
 
 
-def test_the_nest_does_not_count():
-    # The ball's surface is at 1.05 m; the beam ends 30 mm before the target.
-    edge = 1.05 + NEST - 1.5
-    assert beam(0.0, edge + 1e-4, tracker=(4.0, 0.0, 0.0))
-    assert beam(0.0, edge - 1e-4, tracker=(4.0, 0.0, 0.0))
-    front = 0.95 + NEST - 1.5
-    assert beam(0.0, front - 1e-4)
-    assert not beam(0.0, front + 1e-4)
-
-
 # --- A real robot, against rays and FCL ----------------------------------------------------------------------------
 
 TARGET = np.array(example.PAPER_TARGET)

@@ -95,14 +95,3 @@ def test_way_sight_and_boxes(planned, page):
     assert cosine == pytest.approx(np.ones(8), abs=1e-6)
     (table,) = moved(scene, r"around/\d+").values()
     np.testing.assert_allclose(table, planned.cell.boxes[0].T_base_box, atol=1e-12)
-
-
-def test_the_legend_hides_what_it_names(page):
-    text = page.html.decode()
-    shown = re.findall(r'data-show="([^"]*)"', text)
-    assert shown == ["nominal", "estimate", "validate", "taken", "way", "around", "sight"]
-    nodes = {c["path"].split("/")[2] for c in scene_of(page)["commands"] if "/robots/" in c["path"]}
-    assert set(shown) <= nodes
-    assert "the &lt;table&gt;" in text
-    assert "to estimate from, 6" in text
-    assert "Expected error of a predicted position after the calibration" in text

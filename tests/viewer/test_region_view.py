@@ -90,13 +90,6 @@ def test_rows_and_target_stand_where_they_were(view, page):
     assert page.warnings == ()
 
 
-def test_the_legend_hides_what_it_names(page):
-    shown = re.findall(r'data-show="([^"]*)"', page.html.decode())
-    assert shown == ["nominal", "band0", "band1", "band2", "estimation", "validation"]
-    nodes = {c["path"].split("/")[2] for c in scene_of(page)["commands"] if "/robots/" in c["path"]}
-    assert set(shown) <= nodes
-
-
 def test_many_voxels_are_thinned_out_and_a_share_has_its_bands(view, ur3):
     small = region_page(replace(view, region=view.density.region(0.3)))
     assert b"the densest 30 %" in small.html
