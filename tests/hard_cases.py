@@ -171,16 +171,6 @@ def larger() -> Calibration:
     return calibrate(scenario.robot, simulated(scenario, 40, 10), cell=scenario.cell)
 
 
-def many_parameters() -> Calibration:
-    """Seven joints, full placements, two targets and three set-ups: 66 parameters."""
-    robot = Robot.load("panda", base="panda_link0", tip="panda_link8")
-    frames = {name: _turned(turn) for name, turn in (("north", 0.3), ("south", 2.0), ("east", 4.0))}
-    targets = {"high": read_only((0.1, 0.0, 0.1)), "low": read_only((-0.1, 0.05, 0.05))}
-    cell = Cell(frames=frames, targets=targets, estimate_frame=True, target=None, model="placement")
-    found = simulated(Scenario(robot, cell), 90, 15)
-    return calibrate(robot, found, cell=cell, validate=False)
-
-
 def distances() -> Calibration:
     """Lengths from anchors: no row has coordinates."""
     scenario = Scenario(ur3(), Cell(kind="distance", model="dh"), model="dh")
@@ -206,23 +196,10 @@ def many_rows(count: int = 20_000) -> Calibration:
     return calibrate(scenario.robot, found, cell=scenario.cell, validate=False)
 
 
-def _turned(angle: float) -> np.ndarray:
-    """Where the base stands 2 m from a tracker."""
-    T = np.eye(4)
-    T[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-    T[:3, 3] = 2.0 * np.cos(angle), 2.0 * np.sin(angle), 0.2
-    return read_only(T)
-
-
 def with_rows(c: Calibration, m: Measurements) -> Calibration:
     """The calibration as if its rows had been others."""
     rows = RowNames(m.rows, m.sets, m.kinds, m.groups, m.targets)
     return replace(c, rows=rows, fit=replace(c.fit, measurements=m))
-
-
-def with_cell(c: Calibration, cell: Cell) -> Calibration:
-    """The calibration as if its cell had been another."""
-    return replace(c, fit=replace(c.fit, cell=cell))
 
 
 #: What makes each case; in tests ``many_rows`` has 20,000 rows.
@@ -235,11 +212,9 @@ CASES: dict[str, Callable[[], Calibration]] = {
     "with_outliers": with_outliers,
     "do_not_use": do_not_use,
     "three_rows": few_rows,
-    "two_rows": lambda: few_rows(2),
     "one_row": lambda: few_rows(1),
     "hostile_names": hostile_names,
     "larger": larger,
-    "many_parameters": many_parameters,
     "distances": distances,
     "mixed": mixed,
     "many_rows": many_rows,

@@ -88,23 +88,16 @@ class Program:
             raise ModelError(f"'{self.match}' cannot be matched; choose {known}.")
         if self.start and self.q is not None:
             raise ModelError("Each row has joint values to start at: leave out the start.")
-        for name, what, own in (("q", "joint values", ()), ("T_wanted", "poses", (4, 4))):
-            if getattr(self, name) is None:
-                continue
-            values = read_only(getattr(self, name))
-            if values.ndim < 2 or values.shape != (len(self), *(own or values.shape[1:2])):
-                raise ModelError(
-                    f"The {what} of a program of {len(self)} rows have the shape {values.shape}."
-                )
-            wrong = ~np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
-            if own:
-                wrong |= no_rotation(values[:, :3, :3])
-                wrong |= (values[:, 3] != [0.0, 0.0, 0.0, 1.0]).any(axis=1)
-            if wrong.any():
-                raise ModelError(
-                    f"The {what} of {self.labels[int(np.argmax(wrong))]} of a program are not finite or no pose."
-                )
-            object.__setattr__(self, name, values)
+        for name, rank in (("q", 2), ("T_wanted", 3)):
+            if getattr(self, name) is not None:
+                values = read_only(getattr(self, name))
+                if values.ndim != rank or len(values) != len(self):
+                    raise ModelError(f"{name} has the shape {values.shape}, for {len(self)} rows.")
+                if not np.isfinite(values).all() or (
+                    rank == 3 and no_rotation(values[:, :3, :3]).any()
+                ):
+                    raise ModelError(f"{name} of a program has a number or a pose that is none.")
+                object.__setattr__(self, name, values)
 
     def __len__(self) -> int:
         """Number of rows."""

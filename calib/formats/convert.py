@@ -16,9 +16,9 @@ import numpy as np
 
 from calib.errors import CalibError, ModelError, choices
 from calib.formats.dh_files import ENDINGS, DHTables, write_dh
-from calib.formats.notes import Note
+from calib.formats.notes import Note, Source
 from calib.formats.origins import write_origins
-from calib.formats.sources import YAML, Options, Source, read_source, source_kind
+from calib.formats.sources import YAML, Options, read_source, source_kind
 from calib.formats.universal_robots import read_ur, write_ur_conf, write_ur_yaml
 from calib.formats.ur_arms import UrModel
 from calib.formats.ur_files import Conf
@@ -39,26 +39,15 @@ class Conversion:
     notes: Notes
 
 
-class Target(NamedTuple):
-    """The file to write, what goes with it, and whether one that exists is replaced."""
-
-    path: Path
-    options: Options
-    overwrite: bool
-
-
 class Format(NamedTuple):
-    """A format that can be written; ``any_ending``: also into files whose ending belongs to no format."""
+    """A format that can be written: what it is, its files' endings, and what writes it."""
 
     what: str
     endings: tuple[str, ...]
-    write: Callable[[Source, Target], Notes]
-    any_ending: bool = True
+    write: Callable[[Source, Path, Options], Notes]
 
 
-def convert(
-    source: str, path: str | Path, options: Options | None = None, *, overwrite: bool = False
-) -> Conversion:
+def convert(source: str, path: str | Path, options: Options | None = None) -> Conversion:
     """Read a file or the name of a robot, and write it in the format that the file's ending or ``options.to`` says.
 
     What is written is read back and compared with the robot before it appears.
@@ -83,7 +72,7 @@ def convert(
                 f"--{option.replace('_', '-')} has no use in this conversion. Leave it out."
             )
     found = read_source(source, options)
-    notes = FORMATS[name].write(found, Target(path, options, overwrite))
+    notes = FORMATS[name].write(found, path, options)
     return Conversion(found, name, path, notes)
 
 
@@ -91,7 +80,7 @@ def chosen_format(path: Path, asked: str | None, source_kind: str) -> str:
     """The format that a file is written in: the one asked for, or what its ending says.
 
     Raises:
-        CalibError: No such format, one that the ending does not go with, or an ending of several or of none.
+        CalibError: No such format, or an ending of several or of none.
     """
     ending = path.suffix.lower()
     fitting = [name for name, one in FORMATS.items() if ending in one.endings]
@@ -106,14 +95,10 @@ def chosen_format(path: Path, asked: str | None, source_kind: str) -> str:
         )
     if asked not in FORMATS:
         raise CalibError(f"There is no format '{asked}'; --to is one of {choices(FORMATS)}.")
-    if asked not in fitting and (fitting or not FORMATS[asked].any_ending):
-        raise CalibError(
-            f"{path}: '{asked}' is written into files that end in {choices(FORMATS[asked].endings)}, not in '{ending}'."
-        )
     return asked
 
 
-def _write_urdf(source: Source, target: Target) -> Notes:
+def _write_urdf(source: Source, path: Path, options: Options) -> Notes:
     """The URDF, read back by Pinocchio and yourdfpy."""
     robot = source.robot
     q = random_joint_values(robot)
@@ -127,66 +112,66 @@ def _write_urdf(source: Source, target: Target) -> Notes:
                 "the other was made from."
             )
     check_written(robot, poses, q)
-    robot.urdf.write(target.path, overwrite=target.overwrite)
+    robot.urdf.write(path, overwrite=options.overwrite)
     return ()
 
 
-def _write_origins(source: Source, target: Target) -> Notes:
+def _write_origins(source: Source, path: Path, options: Options) -> Notes:
     """The origins of the chain's joints."""
-    write_origins(source.robot, target.path, overwrite=target.overwrite)
+    write_origins(source.robot, path, overwrite=options.overwrite)
     return ()
 
 
-def _write_dh(convention: str, source: Source, target: Target) -> Notes:
+def _write_dh(convention: str, source: Source, path: Path, options: Options) -> Notes:
     """DH rows, beside the nominal ones where these are another robot's."""
     nominal = None if source.nominal is source.robot else source.nominal
     tables = DHTables.of(source.robot, nominal, convention)
-    write_dh(tables, target.path, overwrite=target.overwrite)
+    write_dh(tables, path, overwrite=options.overwrite)
     return tables.notes
 
 
-def _write_ur_yaml(source: Source, target: Target) -> Notes:
+def _write_ur_yaml(source: Source, path: Path, options: Options) -> Notes:
     """A kinematics.yaml with the robot's own hash."""
-    nominal, arm = _arm(source, target)
-    hash, own = source.hash, target.options.hash_from
+    nominal, arm = _arm(source, path)
+    hash, own = source.hash, options.hash_from
     notes: Notes = ()
     if own is not None:
-        read = read_ur(own, urcontrol=target.options.urcontrol, model=arm)
+        read = read_ur(own, urcontrol=options.urcontrol, model=arm)
         hash, notes = read.hash, read.notes
     if hash is None:
         raise CalibError(
-            f"{target.path}: a kinematics.yaml has the hash of the robot's own calibration, which the ROS driver "
+            f"{path}: a kinematics.yaml has the hash of the robot's own calibration, which the ROS driver "
             "compares with what the controller reports. Give the robot's own kinematics.yaml (from ros2 launch "
             "ur_calibration calibration_correction.launch.py) or its calibration.conf as --hash-from."
         )
-    path, again = target.path, target.overwrite
+    again = options.overwrite
     written = write_ur_yaml(source.robot, nominal, path, hash=hash, model=arm, overwrite=again)
     return notes + written.notes
 
 
-def _write_ur_conf(source: Source, target: Target) -> Notes:
+def _write_ur_conf(source: Source, path: Path, options: Options) -> Notes:
     """The deltas of a calibration.conf."""
-    nominal, arm = _arm(source, target)
-    own, update = source.conf, target.options.update
+    nominal, arm = _arm(source, path)
+    own, update = source.conf, options.update
     written = write_ur_conf(
         source.robot,
         nominal,
-        target.path,
+        path,
         update=None if update is None else Conf.read(update),
         like=None if own is None else own.deltas,
         model=arm,
-        overwrite=target.overwrite,
+        overwrite=options.overwrite,
     )
     if own is None or update is not None or not own.others:
         return written.notes
     return (*written.notes, Note("other lines left out", (choices(own.others),)))
 
 
-def _arm(source: Source, target: Target) -> tuple[Robot, UrModel]:
+def _arm(source: Source, path: Path) -> tuple[Robot, UrModel]:
     """The nominal robot, which must be an arm of Universal Robots, and which arm it is."""
     if source.nominal is None or source.model is None:
         raise ModelError(
-            f"{target.path}: this format is for arms of Universal Robots, and the nominal robot is none that is known. "
+            f"{path}: this format is for arms of Universal Robots, and the nominal robot is none that is known. "
             "Name the arm with --ur-model, or give its nominal URDF as --robot; for other robots write 'urdf', "
             "'origins' or DH rows."
         )
@@ -195,7 +180,7 @@ def _arm(source: Source, target: Target) -> tuple[Robot, UrModel]:
 
 def _dh(what: str, convention: str) -> Format:
     """A row for DH rows in a convention."""
-    return Format(f"DH rows{what}", ENDINGS, partial(_write_dh, convention), any_ending=False)
+    return Format(f"DH rows{what}", ENDINGS, partial(_write_dh, convention))
 
 
 FORMATS: Mapping[str, Format] = {

@@ -7,24 +7,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from calib.compensation.nominal_actual import is_corrected
 from calib.errors import CalibError, FileError, ModelError, choices
 from calib.files import read_bytes
-from calib.formats.notes import Note
+from calib.formats.notes import Note, Source
 from calib.formats.origins import origins_of, parse_yaml, read_origins, with_origins
 from calib.formats.universal_robots import read_ur
 from calib.formats.ur_arms import UrModel, ur_model, ur_robot
-from calib.formats.ur_files import Conf
 from calib.formats.ur_mount import Mount, the_mount
 from calib.result.calibration_file import read_result
-from calib.robot.readback import spread_poses
 from calib.robot.robot import Robot
 from calib.robot.xacro_file import is_xacro
-
-Array = NDArray[np.float64]
 
 YAML = (".yaml", ".yml")
 
@@ -42,6 +35,7 @@ class Options:
         update: A ``calibration.conf`` whose other lines a new one keeps.
         base, tip: Links of the chain; None: those of the source.
         held: Joints that stay [rad or m].
+        overwrite: Whether a file that exists is replaced.
     """
 
     to: str | None = None
@@ -53,33 +47,11 @@ class Options:
     base: str | None = None
     tip: str | None = None
     held: Mapping[str, float] | None = None
+    overwrite: bool = False
 
     def load(self, source: str) -> Robot:
         """A robot between the links asked for."""
         return Robot.load(source, self.base, self.tip, held=self.held)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Source:
-    """A robot of one of `KINDS`, and the same chain with nominal kinematics, if known."""
-
-    kind: str
-    robot: Robot
-    nominal: Robot | None
-    hash: str | None = None
-    model: UrModel | None = None
-    conf: Conf | None = None
-    notes: tuple[Note, ...] = ()
-
-    def distances(self) -> tuple[Array, Array] | None:
-        """How far the tip lies from the nominal robot's, over the joint limits: shape (N,), [m], and (N,), [rad]."""
-        if self.nominal is None:
-            return None
-        q = spread_poses(self.nominal)
-        apart = self.robot.poses(q)[:, :3] - self.nominal.poses(q)[:, :3]
-        chord = np.linalg.norm(apart[:, :, :3], axis=(1, 2)) / np.sqrt(8.0)
-        turned = 2.0 * np.arcsin(np.clip(chord, 0.0, 1.0))
-        return np.linalg.norm(apart[:, :, 3], axis=1), turned
 
 
 def _universal_robots(source: str, options: Options) -> Source:
@@ -88,13 +60,11 @@ def _universal_robots(source: str, options: Options) -> Source:
     arm = options.ur_model
     found = read_ur(source, urcontrol=options.urcontrol, model=arm, robot=given)
     if given is None and (options.base or options.tip or options.held):
-        bare = found.nominal
+        bare = found.nominal or found.robot
         links = options.base or bare.base, options.tip or bare.tip
         given = Robot.from_urdf(bare.urdf, *links, held=options.held)
         found = read_ur(source, urcontrol=options.urcontrol, model=arm, robot=given)
-    kind = source_kind(source)
-    conf = Conf.read(source) if kind == "ur-conf" else None
-    return Source(kind, found.robot, found.nominal, found.hash, found.model, conf, found.notes)
+    return found
 
 
 def _result(source: str, options: Options) -> Source:

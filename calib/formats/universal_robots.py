@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from calib.errors import FileError, ModelError, choices
 from calib.files import write_atomically
-from calib.formats.notes import Note, displaced
+from calib.formats.notes import Note, Source, displaced
 from calib.formats.ur_arms import (
     MODELS,
     TOLERANCE,
@@ -63,17 +63,6 @@ _SUSPECT, _FARTHEST = 0.01, 0.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class UrSource:
-    """What a file says: a nominal arm, given or bare, and the same calibrated; the driver's ``"calib_..."``; notes."""
-
-    nominal: Robot
-    robot: Robot
-    hash: str | None
-    model: UrModel
-    notes: tuple[Note, ...]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class UrWritten:
     """What was written, and displacements of base and flange (4, 4) [m] that the file cannot hold.
 
@@ -92,7 +81,7 @@ def read_ur(
     urcontrol: PathLike | None = None,
     model: UrModel | str | None = None,
     robot: Robot | None = None,
-) -> UrSource:
+) -> Source:
     """The arm that a ``calibration.conf`` or a ``kinematics.yaml`` of the ROS driver describes.
 
     A ``.conf`` needs one of: ``urcontrol``, a file with the nominal rows; ``model``, such as ``"UR5e"``; ``robot``, the
@@ -137,7 +126,9 @@ def read_ur(
         notes += [Note("no hash", (str(path),))] if hash is None else []
     if any(one.default_hash == hash for one in MODELS):
         notes.append(Note("nominal hash", (str(path),)))
-    return UrSource(nominal, nominal.with_placements(placements), hash, arm, tuple(notes))
+    kind = "ur-yaml" if conf is None else "ur-conf"
+    calibrated = nominal.with_placements(placements)
+    return Source(kind, calibrated, nominal, hash, arm, conf, tuple(notes))
 
 
 def write_ur_yaml(

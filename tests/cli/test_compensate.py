@@ -254,7 +254,7 @@ def test_what_is_refused(call, folder: Path, words: tuple[str, ...], message: st
     ],
 )
 def test_a_tool(text: str, place: list[float], turn: list[float]):
-    T = parse_tool(text)
+    T = np.array(parse_tool(text))
     assert T[:3, 3] == pytest.approx(place)
     assert T[:3, :3] == pytest.approx(Rotation.from_rotvec(turn).as_matrix())
     assert parse_tool("target") == ""

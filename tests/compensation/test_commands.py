@@ -95,18 +95,6 @@ def test_paper_rows_that_the_fit_did_not_see():
     assert mean_mm(found.q) < 0.15
 
 
-def test_a_straight_path_stays_smooth(ur3):
-    path = np.tile(ur3.poses(START)[0], (500, 1, 1))
-    path[:, :3, 3] += np.linspace(0.0, 1.0, 500)[:, None] * [0.1, 0.15, -0.05]
-    start = dict(zip(ur3.joint_names, START, strict=True))
-    found = compensate(off(ur3), replace(Program.of_poses(path), start=start), nominal=ur3)
-    assert found.reached.all()
-    nominal = np.abs(np.diff(found.q_nominal, axis=0)).max()
-    assert np.abs(np.diff(found.q, axis=0)).max() < 1.1 * nominal
-    sent = np.linalg.norm(np.diff(found.T_send[:, :3, 3], axis=0), axis=1)
-    assert sent.max() < 1.1 * np.linalg.norm(path[1, :3, 3] - path[0, :3, 3])
-
-
 def test_the_frame_of_the_poses(ur3):
     true, T = off(ur3), turned(7)
     poses = ur3.poses(START)

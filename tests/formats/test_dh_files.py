@@ -158,18 +158,6 @@ def test_the_change_is_after_minus_before(ur3, tmp_path):
     assert max(abs(float(by["change", i]["theta [deg]"])) for i in "123456") < 1.0
 
 
-def test_json_has_every_digit(crooked, tmp_path):
-    tables = DHTables.of(moved(crooked), crooked, "modified")
-    table = json.loads(write_dh(tables, tmp_path / "dh.json").read_text())
-    assert (table["schema"], table["convention"]) == ("dh 1", "modified")
-    assert [row["d_m"] for row in table["after"]["rows"]] == [row.d for row in tables.after.rows]
-    assert table["joints"][2]["driver"] == "_arm|*a*_"
-    assert (table["joints"][2]["factor"], table["joints"][2]["offset_rad"]) == (-2.0, 0.1)
-    alone = json.loads(write_dh(DHTables.of(crooked), tmp_path / "o.json").read_text())
-    assert alone["before"] is None
-    assert alone["change"] is None
-
-
 def test_notes(ur3):
     (note,) = DHTables.of(moved(ur3, 2e-5), ur3, "standard").notes
     assert note.code == "nearly parallel axes"

@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
 from calib.cli.options import Columns, Force, Hold, PayloadMass, Quiet, RobotFile, verb
 from calib.errors import CalibError
 
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-
 Forms = Literal["rotation-vector", "quaternion", "rpy"]
 _TOOL = '"X Y Z UNIT [RX RY RZ UNIT]"|target[:NAME]'
 _TOOL_HELP = "Tool in the tip, such as '0 0 150 mm', or the calibrated target. Default: the tip."
 _FRAME = "Frame of the poses: the base, the one that was measured in, or that of a set-up."
 _MATCH = "What is to be reached; axis: position and direction of the tool's z. Default: pose."
-_START = '"JOINT=VALUE UNIT"'
-_START_HELP = "Where the first of poses alone starts. Can be repeated. Default: mid range."
+_START = "JOINT=VALUE UNIT: where the first of poses alone starts. Can be repeated."
 
 
 @verb("""Compute compensated commands so that the real robot reaches the programmed poses.
@@ -44,20 +39,12 @@ def compensate(
     tool: Annotated[str | None, typer.Option(metavar=_TOOL, help=_TOOL_HELP)] = None,
     poses_in: Annotated[str, typer.Option(metavar="base|measured|SET-UP", help=_FRAME)] = "base",
     match: Annotated[Literal["pose", "position", "axis"] | None, typer.Option(help=_MATCH)] = None,
-    start: Annotated[list[str] | None, typer.Option(metavar=_START, help=_START_HELP)] = None,
-    accept: Annotated[
-        str, typer.Option(help="Accepted residual error per row.")
-    ] = "1e-8 m 1e-8 rad",
-    skip: Annotated[
-        bool, typer.Option("--skip", help="Leave rows without a command empty.")
-    ] = False,
-    send: Annotated[
-        Literal["both", "joints", "poses"], typer.Option(help="What is written.")
-    ] = "both",
+    start: Annotated[list[str] | None, typer.Option(help=_START)] = None,
+    accept: Annotated[str, typer.Option(help="Accepted error per row.")] = "1e-8 m 1e-8 rad",
+    skip: Annotated[bool, typer.Option("--skip", help="Leave such rows empty.")] = False,
+    send: Annotated[Literal["both", "joints", "poses"], typer.Option(help="Written.")] = "both",
     orientation: Annotated[Forms, typer.Option(help="Of the poses.")] = "rotation-vector",
-    geometry: Annotated[
-        bool, typer.Option("--geometry", help="Use the joint origins only.")
-    ] = False,
+    geometry: Annotated[bool, typer.Option("--geometry", help="Only joint origins.")] = False,
     payload: PayloadMass = None,
     base: Annotated[str | None, typer.Option(help="Base link. Default: the result's.")] = None,
     tip: Annotated[str | None, typer.Option(help="Tip link. Default: the result's.")] = None,
@@ -67,13 +54,7 @@ def compensate(
     quiet: Quiet = False,
 ) -> None:
     """See the text of `verb`."""
-    from calib.cli.setup import (
-        check_outputs,
-        parse_columns,
-        parse_held,
-        parse_pair,
-        parse_payload,
-    )
+    import calib.cli.setup as words
     from calib.compensation.commands import compensate as compensated, write_commands
     from calib.compensation.program import read_program
     from calib.data.table import Table
@@ -87,9 +68,10 @@ def compensate(
         raise CalibError("Give one of --calibration result.json and --corrected corrected.urdf.")
     if geometry and payload:
         raise CalibError("--payload is for the non-geometric model, which --geometry leaves out.")
-    check_outputs([output], [robot, program, source], force=force)
-    renamed, held = parse_columns(columns or []), parse_held(hold or [])
+    words.check_outputs([output], [robot, program, source], force=force)
+    renamed, held = words.parse_columns(columns or []), words.parse_held(hold or [])
     actual: Calibration | Robot
+    carried = None
     if calibration is not None:
         actual = read_result(calibration)
         chain = actual.nominal
@@ -99,9 +81,8 @@ def compensate(
     else:
         nominal = Robot.load(robot, base, tip, Table.read(program).names(renamed), held)
         actual = Robot.load(str(corrected), nominal.base, nominal.tip, held=held)
-        carried = None
-    left = parse_pair(accept, "--accept", "0.05 mm 0.01 deg")
-    near = parse_held(start or [], "--start")
+    left = words.parse_pair(accept, "--accept", "0.05 mm 0.01 deg")
+    near = words.parse_held(start or [], "--start")
     found = compensated(
         actual,
         read_program(program, nominal, columns=renamed, match=match, start=near),
@@ -109,21 +90,20 @@ def compensate(
         tool=parse_tool(tool) if tool else None,
         frame={"base": None, "measured": ""}.get(poses_in, poses_in),
         accept=(left[0] or 1e-8, left[1] or 1e-8),
-        larger=parse_payload(payload, carried) if payload else not geometry,
+        larger=words.parse_payload(payload, carried) if payload else not geometry,
     )
     if not found.reached.all() and (not skip or not found.reached.any()):
         raise CalibError(no_commands(found))
     if output is not None:
         write_commands(found, output, send=send, orientation=orientation, overwrite=force)
-    name = Path(source).name
-    verdict = found.pair.result.verdict if found.pair.result else None
+    name, result = Path(source).name, found.pair.result
     if not quiet:
         typer.echo(text(found, name, output))
-    elif verdict is not None and verdict.use == "do not use":
+    elif result and result.verdict and result.verdict.use == "do not use":
         typer.echo(f"calib: the verdict of {name} is 'do not use'.", err=True)
 
 
-def parse_tool(text: str) -> ArrayLike | str:
+def parse_tool(text: str) -> list[list[float]] | str:
     """``--tool``: a pose in the tip (4, 4) [m]; or the name of a target, empty for the only one."""
     import numpy as np
     from scipy.spatial.transform import Rotation
@@ -133,9 +113,10 @@ def parse_tool(text: str) -> ArrayLike | str:
     word, _, name = text.strip().partition(":")
     if word == "target":
         return name.strip()
-    words, T = text.replace(",", " ").split(), np.eye(4)
-    T[:3, 3] = parse_point(" ".join(words[:4]), "--tool")
-    if words[4:]:
-        turn = np.array(parse_point(" ".join(words[4:]), "--tool", "angle"))
+    parts, T = text.replace(",", " ").split(), np.eye(4)
+    T[:3, 3] = parse_point(" ".join(parts[:4]), "--tool")
+    if parts[4:]:
+        turn = np.array(parse_point(" ".join(parts[4:]), "--tool", "angle"))
         T[:3, :3] = Rotation.from_rotvec(turn).as_matrix()
-    return T
+    tool: list[list[float]] = T.tolist()
+    return tool

@@ -74,7 +74,7 @@ def convert(
     inputs = [source, *(path for path in (robot, urcontrol, hash_from, update) if path)]
     check_outputs([output], inputs, force=force)
     held = parse_held(hold or [])
-    options = Options(to, robot, ur_model, urcontrol, hash_from, update, base, tip, held)
-    done = converted(source, output, options, overwrite=force)
+    options = Options(to, robot, ur_model, urcontrol, hash_from, update, base, tip, held, force)
+    done = converted(source, output, options)
     if not quiet:
         typer.echo(text(done, source))
