@@ -122,9 +122,6 @@ class DHTables:
                 named = ", ".join(f"'{a}' and '{b}'" for a, b in pairs)
                 longest = max(abs(row.d) for row in self.after.rows)
                 notes.append(Note("nearly parallel axes", (named, longest)))
-            cost = self._cost_of_parallels()
-            if cost > TOLERANCE:
-                notes.append(Note("taken as parallel", (cost,)))
         pairs_of = zip(self.after.rows, self.added(), strict=True)
         others = [f"'{row.joint}' ({text})" for row, text in pairs_of if text != row.joint]
         if others:

@@ -31,7 +31,6 @@ Code = Literal[
     "joints without origin",
     "geometry alone",
     "nearly parallel axes",
-    "taken as parallel",
     "joints without value",
 ]
 

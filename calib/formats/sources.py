@@ -78,11 +78,6 @@ def _result(source: str, options: Options) -> Source:
         )
     if options.robot is not None:
         arm = Robot.load(options.robot, nominal.base, nominal.tip, held=nominal.held)
-        if arm.origins().keys() != robot.origins().keys():
-            raise ModelError(
-                f"{source} has origins of the joints {choices(robot.origins())}; {arm.urdf.source} has "
-                f"{choices(arm.origins())}. Give the URDF that the result was made with as --robot."
-            )
         if is_corrected(result, arm):
             nominal, robot = result.uncorrected(arm), arm
         else:
@@ -121,14 +116,7 @@ def _robot(source: str, options: Options) -> Source:
     elif (mounted := _mount(robot)) is not None and mounted.nominal:
         nominal = robot  # an arm with the kinematics of the data sheet is its own nominal robot
     elif options.ur_model is not None:
-        bare = ur_robot(options.ur_model)
-        links, joints = bare.urdf.links, [joint.name for joint in bare.joints]
-        if robot.base not in links or robot.tip not in links or own != joints:
-            raise ModelError(
-                f"{source}: links and joints from '{robot.base}' to '{robot.tip}' are not named as in Universal "
-                f"Robots' description ({choices(links)}; {choices(joints)}). Give the nominal URDF as --robot."
-            )
-        nominal = bare.rebuilt(base=robot.base, tip=robot.tip)
+        nominal = ur_robot(options.ur_model).rebuilt(base=robot.base, tip=robot.tip)
     model = None if nominal is None else _arm(nominal, options)
     return Source("robot", robot, nominal, model=model)
 

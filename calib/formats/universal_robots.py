@@ -180,7 +180,7 @@ def write_ur_conf(
     mounted, chain = _chain_of(robot, nominal, model)
     arm = mounted.model
     if update is not None:
-        _checked_distance(path, arm, lambda one: chain_of_rows(one.rows + update.deltas))
+        _checked_distance("--update", arm, lambda one: chain_of_rows(one.rows + update.deltas))
         like = update.deltas
     bare = ur_robot(arm)
     same = bare.with_placements(the_mount(bare, arm).placements_of(chain, bare))
@@ -229,12 +229,7 @@ def _chain_of(robot: Robot, nominal: Robot, model: UrModel | str | None) -> tupl
     mounted = the_mount(nominal, None if model is None else ur_model(model))
     check_same_joints(robot, nominal)
     chain = mounted.chain_of(robot)
-    moved = distance_from(chain, mounted.model)
-    if moved > _FARTHEST:
-        raise ModelError(
-            f"The robot '{robot.name}' has its flange up to {moved:.2f} m from where the nominal {mounted.model.name} "
-            "has it, so that it is no correction of it. Give the nominal URDF that the robot was corrected from."
-        )
+    _checked_distance(robot.urdf.source, mounted.model, lambda _: chain)
     return mounted, chain
 
 

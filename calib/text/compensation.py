@@ -118,8 +118,8 @@ def _table(
     """Labelled numbers in columns, "-" where there is none, and words behind them."""
     lines = [f"{title:<58}" + "".join(f"{head:>10}" for head in heads)]
     for label, values, behind in rows:
-        cells = [f"{round(float(v), digits) + 0.0:.{digits}f}" if v == v else "-" for v in values]
-        lines.append(f"{label:<58}" + "".join(f"{cell:>10}" for cell in cells) + behind)
+        cells = "".join(f"{v + 0.0:>10.{digits}f}" if v == v else f"{'-':>10}" for v in values)
+        lines.append(f"{label:<58}{cells}{behind}")
     return "\n".join(lines)
 
 

@@ -43,8 +43,6 @@ _NOTES: dict[Code, str] = {
     "'calib compensate' uses it.",
     "nearly parallel axes": "Nearly parallel axes: {0}. d and theta of their rows may be large (here up to {1:.3g} mm) "
     "and cancel over the rows: enter every digit, and all rows together. 'hayati' has no such rows.",
-    "taken as parallel": "Axes that the URDF's rounding leaves out of parallel are taken as parallel: the rows differ "
-    "from the URDF by less than {0:.2g} mm.",
     "joints without value": "Joints without a value of their own: {0}.",
 }
 

@@ -256,7 +256,7 @@ def test_robots_and_their_nominal_ones(shop):
         ("calibration.conf", Options(), ModelError, "Say of which arm it is"),
         ("calibration.conf", Options(ur_model="UR6"), ModelError, "'UR6' is not an arm"),
         ("robot.urdf", replace(CHAIN, ur_model="UR5"), ModelError, "is no UR5"),
-        ("corrected.urdf", Options(ur_model="UR3"), ModelError, "are not named as in Universal"),
+        ("corrected.urdf", Options(ur_model="UR3"), UrdfError, "no link 'world'"),
         ("corrected.urdf", Options(robot="panda"), UrdfError, "no link"),
         ("origins.yaml", Options(), CalibError, "give the URDF that they belong to"),
     ],
