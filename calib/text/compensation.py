@@ -24,11 +24,8 @@ Array = NDArray[np.float64]
 #: One metre and one radian in the units that are printed.
 MM, DEG = 1e3, float(np.degrees(1.0))
 
-#: What a controller misses by above this, sent as a pose and not as joint values, is worth a line [m], [rad].
-_WORTH = 1e-7
-
-#: Columns that are named at most, and rows with a reason each.
-_COLUMNS, _REASONS = 12, 50
+#: Rows that are listed with a reason each.
+_REASONS = 50
 
 #: Joint values of a program further from its poses than this ask for a second look [m]: no calibration moves a tool so.
 _ELSEWHERE = 0.02
@@ -69,10 +66,10 @@ def text(found: Commands, name: str, written: Path | None) -> str:
     parts = [
         _expected(found, name),
         _program(found),
-        _errors(found),
-        _corrections(found),
+        *_sizes(found),
         *map(fill, filter(None, _notes(found))),
-        "\n".join([f"{_have(found, len(reasons))} no command:", *reasons]) if reasons else "",
+        "\n".join([f"Rows without a command: {len(reasons)} of {len(found)}", *reasons])
+        * bool(reasons),
         _warnings(found),
         after,
     ]
@@ -86,11 +83,9 @@ def no_commands(found: Commands) -> str:
     rows[_REASONS:] = [f"  and {count - _REASONS} more"] if count > _REASONS else []
     advice = _elsewhere(found) or (
         "Check --tool, --poses-in and the units; --accept takes rows of which little is left, --match position those "
-        "whose orientation may be free."
+        "whose orientation may be free; --skip leaves rows empty."
     )
-    if count < len(found):
-        advice += " --skip leaves these rows empty and writes the others."
-    head = f"{_have(found, count)} no command, and nothing was written:"
+    head = f"{count} of {len(found)} rows have no command, and nothing was written:"
     return "\n".join([head, *rows, fill(advice)])
 
 
@@ -107,18 +102,11 @@ def finding_text(finding: Finding, robot: Robot) -> str:
     return words.format(*numbers, joint=finding.joint, row=finding.row, unit=unit)
 
 
-def _have(found: Commands, count: int) -> str:
-    """``3 of 9 rows have``."""
-    return f"{count} of {len(found)} rows {'has' if count == 1 else 'have'}"
-
-
-def _table(
-    title: str, heads: Iterable[str], rows: Iterable[tuple[str, Iterable[float], str]], digits: int
-) -> str:
+def _table(title: str, heads: str, rows: Iterable[tuple[str, Iterable[float], str]]) -> str:
     """Labelled numbers in columns, "-" where there is none, and words behind them."""
-    lines = [f"{title:<58}" + "".join(f"{head:>10}" for head in heads)]
+    lines = [f"{title:<58}{heads}"]
     for label, values, behind in rows:
-        cells = "".join(f"{v + 0.0:>10.{digits}f}" if v == v else f"{'-':>10}" for v in values)
+        cells = "".join(f"{value:>10.4f}" if value == value else f"{'-':>10}" for value in values)
         lines.append(f"{label:<58}{cells}{behind}")
     return "\n".join(lines)
 
@@ -146,7 +134,7 @@ def _expected(found: Commands, name: str) -> str:
     rows = [(label, MM * np.array([e.max, e.mean, e.rms]), "") for label, e in unseen if e.n]
     if rows:
         title = "Position error of the result [mm]"
-        lines += ["", _table(title, ("max", "mean", "rms"), rows, 3)]
+        lines += ["", _table(title, "       max      mean       rms", rows)]
         other = ", of another tool than the measured target more" * (found.pair.target is None)
         lines.append(f"Expect errors of this size on the robot{other}.")
     return "\n".join(lines)
@@ -163,85 +151,63 @@ def _program(found: Commands) -> str:
     frame = f"'{robot.base}'"
     if pair.set_up is not None:
         frame = f"the measured frame{f' of {pair.set_up!r}' if pair.set_up else ''}"
-    labels = [label for label, _ in program.kept if label]
-    more = f" and {len(labels) - _COLUMNS} more" if len(labels) > _COLUMNS else ""
-    unread = f" Passed through unread: {', '.join(labels[:_COLUMNS])}{more}." if labels else ""
+    unread = ", ".join(label for label, _ in program.kept if label)
+    unread = f" Passed through unread: {unread}." if unread else ""
     return fill(
-        f"Program: {len(found)} row{'s' * (len(found) > 1)} of {what}. Tool: {_place(pair.actual.T_tip_tool)} in "
-        f"'{robot.tip}'. Matched: {_MATCHED[found.match]}. Poses are in {frame}.{unread}"
+        f"Program: {len(found)} rows of {what}. Tool: {_place(pair.actual.T_tip_tool)} in '{robot.tip}'. Matched: "
+        f"{_MATCHED[found.match]}. Poses are in {frame}.{unread}"
     )
 
 
-def _errors(found: Commands) -> str:
-    """How far the robot would have missed, what is left, and how far the poses are moved."""
-    rows = found.reached
-    angles = bool(np.isfinite(found.missed[rows, 1]).any())
-    # A controller with a redundant joint may come to other joint values than those that were meant.
-    other = bool((np.abs(found.left_by_pose - found.left)[rows] > _WORTH).any())
-    table = [
-        ("error without compensation", found.missed),
-        ("model residual after compensation", found.left),
-        *[("model residual if sent as a pose", found.left_by_pose)] * other,
-        ("standard deviation of the prediction (covariance)", found.std),
-        ("correction of the pose to send", found.pose_corrections),
-    ]
-    count = int(rows.sum())
-    return _table(
-        f"By the calibrated model, {count} row{'s' * (count != 1)} with commands",
-        ("max mm", "mean mm", "max deg", "mean deg")[: 2 + 2 * angles],
+def _sizes(found: Commands) -> Iterator[str]:
+    """How far the robot would have missed, what is left, and how far poses and joints are moved."""
+    rows, robot = found.reached, found.nominal
+    table = {
+        "error without compensation": found.missed,
+        "model residual after compensation": found.left,
+        "model residual if sent as a pose": found.left_by_pose,
+        "standard deviation of the prediction (covariance)": found.std,
+        "correction of the pose to send": found.pose_corrections,
+    }
+    yield _table(
+        f"By the calibrated model, rows with commands: {int(rows.sum())}",
+        "    max mm   mean mm   max deg  mean deg",
         [
-            (
-                label,
-                [*_most_and_mean(MM * own[:, 0]), *_most_and_mean(DEG * own[:, 1]) * angles],
-                "",
-            )
-            for label, own in ((label, values[rows]) for label, values in table)
-            if np.isfinite(own).any()
+            (label, [*_max_and_mean(MM * own[rows, 0]), *_max_and_mean(DEG * own[rows, 1])], "")
+            for label, own in table.items()
+            if np.isfinite(own[rows]).any()
         ],
-        4,
     )
+    joints = []
+    for name, sizes in zip(robot.joint_names, np.abs(found.joint_corrections).T, strict=True):
+        scale, unit = (MM, "mm") if robot.joint_types[name] == "prismatic" else (DEG, "deg")
+        if np.isfinite(sizes).any():
+            row = found.program.labels[int(np.nanargmax(sizes.round(8)))]
+            joints.append(
+                (f"  {name[:48]} [{unit}]", _max_and_mean(scale * sizes), f"   {row[:16]}")
+            )
+    yield _table("Correction of each joint", "       max      mean   in", joints) if joints else ""
 
 
-def _most_and_mean(values: Array) -> tuple[float, ...]:
+def _max_and_mean(values: Array) -> tuple[float, ...]:
     """Largest and mean of those that there are."""
     there = values[np.isfinite(values)]
     return (float(there.max()), float(there.mean())) if there.size else (np.nan, np.nan)
 
 
-def _corrections(found: Commands) -> str:
-    """How far each joint is moved, and in which row most."""
-    robot, sizes = found.nominal, np.abs(found.joint_corrections)
-    rows = []
-    for name, size in zip(robot.joint_names, sizes.T, strict=True):
-        scale, unit = (MM, "mm") if robot.joint_types[name] == "prismatic" else (DEG, "deg")
-        if np.isfinite(size).any():
-            row = found.program.labels[int(np.nanargmax(size.round(8)))]
-            rows.append((f"  {name[:48]} [{unit}]", _most_and_mean(scale * size), f"   {row[:16]}"))
-    return _table("Correction of each joint", ("max", "      mean   in"), rows, 4) if rows else ""
-
-
 def _notes(found: Commands) -> Iterator[str]:
     """What to look at before the commands go to the robot, a note each; empty ones are none."""
-    program, rows, pair = found.program, found.reached, found.pair
-    robot, result = found.nominal, pair.result
+    program, pair, robot = found.program, found.pair, found.nominal
     if program.T_wanted is not None and not program.oriented and program.kept:
         yield (
             "No orientation was read: positions alone are matched. If one of the unread columns is a part of it, name "
             'it: --columns "A=yaw [deg]".'
         )
     yield _elsewhere(found)
-    known = result is not None and np.isfinite(found.std[rows]).any()
-    if result is not None and not result.setup.rotation and found.match != "position" and known:
-        unsure, moved = (DEG * one[rows, 1].mean() for one in (found.std, found.pose_corrections))
+    if pair.set_up is None and pair.result is not None and pair.result.frame_estimated:
         yield (
-            f"Only positions were measured: the tip's orientation is known to {unsure:.2f} deg (standard deviation), "
-            f"and the corrections turn it by {moved:.2f} deg on average. --match position corrects the position alone."
-        )
-    if pair.set_up is None and result is not None and result.frame_estimated and known:
-        yield (
-            "The measurement frame was estimated with the robot: places in the base are known to "
-            f"{MM * found.std[rows, 0].mean():.2f} mm (standard deviation), "
-            "those in the measured frame better: --poses-in measured."
+            "The measurement frame was estimated with the robot: places in the base are known less well than those in "
+            "the measured frame, --poses-in measured."
         )
     if pair.target is not None:
         yield (
@@ -298,7 +264,7 @@ def _warnings(found: Commands) -> str:
             kinds.setdefault(one.code, {}).setdefault(label, finding_text(one, found.nominal))
     if not kinds:
         return ""
-    lines = [f"{_have(found, sum(map(bool, found.warnings)))} a warning:"]
+    lines = [f"Rows with a warning: {sum(map(bool, found.warnings))} of {len(found)}"]
     for rows in kinds.values():
         first, *others = rows
         more = f"; and {len(others)} more" if others else ""

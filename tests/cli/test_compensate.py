@@ -201,7 +201,7 @@ def test_rows_that_cannot_be_reached(call, folder: Path):
     done = call(folder, *words)
     assert (done.code, done.out) == (1, "")
     assert done.err.startswith(
-        "calib: 1 of 2 rows has no command, and nothing was written:\n  row b: the true robot cannot reach it"
+        "calib: 1 of 2 rows have no command, and nothing was written:\n  row b: the true robot cannot reach it"
     )
     assert not (folder / "c.csv").exists()
     skipped = call(folder, *words, "--skip")

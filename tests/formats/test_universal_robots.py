@@ -187,7 +187,7 @@ def test_names_that_do_not_agree(conf_of, tmp_path, ur3, panda):
     path = tmp_path / "out"
     with pytest.raises(ModelError, match="The robot 'panda' has the joints"):
         write_ur_yaml(panda, ur3, path, hash=HASH)
-    with pytest.raises(ModelError, match="moves the flange of a UR3 by"):
+    with pytest.raises(FileError, match="moves the flange of a UR3 by"):
         write_ur_conf(ur_robot("UR5"), ur_robot("UR3"), path)
     with pytest.raises(FileError, match="the hash is 'a b'"):
         write_ur_yaml(ur3, ur3, path, hash="a b")
