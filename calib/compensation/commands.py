@@ -19,6 +19,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pinocchio as pin
@@ -60,10 +61,6 @@ _TIMES = 6
 
 #: The length that an angle weighs as with another controller; below the second there is nothing to correct [m].
 _SHORT, _ENOUGH = 0.01, 1e-12
-
-#: What may be written of a command, and how an orientation may be.
-SEND = ("both", "joints", "poses")
-ORIENTATIONS = ("rotation-vector", "quaternion", "rpy")
 
 #: The units of a table: symbol, how many are one in SI units, decimals. Angles are exact to 1e-11 rad, lengths to
 #: 1e-9 m, on any arm far below what a controller resolves.
@@ -282,8 +279,8 @@ def write_commands(
     commands: Commands,
     path: str | Path,
     *,
-    send: str = "both",
-    orientation: str = "rotation-vector",
+    send: Literal["both", "joints", "poses"] = "both",
+    orientation: Literal["rotation-vector", "quaternion", "rpy"] = "rotation-vector",
     overwrite: bool = False,
 ) -> Path:
     """Write commands as a CSV table in deg and mm; docs/compensation.md describes it.
@@ -291,17 +288,11 @@ def write_commands(
     First the columns of the program that went along, then joint values and poses to send, then by how much they were
     changed, then ``ok`` or the codes of warnings or of the reason why a row has no command and its cells are empty.
 
-    ``send`` is one of `SEND`, ``orientation`` one of `ORIENTATIONS`; a rotation vector is in rad.
+    ``send`` says which of the two forms are written; a rotation vector is in rad.
 
     Raises:
-        ModelError: No such way to send, or no such form of an orientation.
         FileError: The file exists and ``overwrite`` is False, or it cannot be written.
     """
-    if send not in SEND or orientation not in ORIENTATIONS:
-        raise ModelError(
-            f"'{send}', '{orientation}': commands are written as {choices(SEND)}, with orientations as "
-            f"{choices(ORIENTATIONS)}."
-        )
     robot, T_send = commands.nominal, commands.T_send
     names = robot.joint_names
     of_joints = [_MM if robot.joint_types[name] == "prismatic" else _DEG for name in names]
@@ -332,7 +323,7 @@ def write_commands(
 
 
 def _orientations(R: Array, form: str) -> tuple[Sequence[str], Sequence[_Unit], Array]:
-    """Rotations (N, 3, 3) in one of `ORIENTATIONS`: names, units, values; NaN stays NaN."""
+    """Rotations (N, 3, 3) in some form: names, units, values; NaN stays NaN."""
     if form == "quaternion":
         return QUATERNION, [_PLAIN] * 4, to_quaternions(R)
     there = np.isfinite(R).all(axis=(1, 2))

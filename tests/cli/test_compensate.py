@@ -166,20 +166,6 @@ def test_what_is_printed_with_an_estimated_frame(call, large: Path):
     assert "it has 'left', 'right'" in call(large, *words, "--poses-in", "middle").err
 
 
-def test_both_forms_of_a_command_are_the_same(call, folder: Path, ur3):
-    words = ("--calibration", "result.json", "--orientation", "quaternion", "-o", "c.csv")
-    done = call(folder, "compensate", "robot.urdf", "program.csv", *words)
-    assert (done.code, done.err) == (0, "")
-    assert all(line == line.rstrip() and len(line) <= 100 for line in done.lines)
-    for row in table(folder / "c.csv"):
-        q = np.radians([float(row[f"{name}_joint [deg]"]) for name in JOINTS])
-        sent = [1e-3 * float(row[f"{axis} [mm]"]) for axis in "xyz"]
-        R = Rotation.from_quat([float(row[name]) for name in ("qx", "qy", "qz", "qw")])
-        T = ur3.poses(q)[0]
-        assert sent == pytest.approx(T[:3, 3], abs=2e-9)
-        assert R.as_matrix() == pytest.approx(T[:3, :3], abs=2e-9)
-
-
 def test_a_corrected_urdf_in_place_of_a_result(call, folder: Path):
     names = ("--corrected", "corrected.urdf", "--base", "base", "--tip", "tool0")
     words = ("compensate", "robot.urdf", "program.csv")

@@ -105,14 +105,6 @@ def test_the_frame_of_the_poses(ur3):
     assert in_frame.pose_corrections == pytest.approx(in_base.pose_corrections, abs=1e-10)
 
 
-def test_joint_values_beside_poses_say_where_to_start(ur3):
-    wanted = ur3.poses(START)
-    other = START - [0, 0, 0, 0, 0, 2.0 * np.pi]
-    found = compensate(off(ur3), Program.of_poses(wanted, other), nominal=ur3)
-    assert found.q_nominal == pytest.approx(other[None], abs=1e-9)
-    assert np.abs(found.joint_corrections).max() < 0.1
-
-
 #: Well inside the Panda's workspace [rad].
 PANDA = np.array([0.3, -0.4, 0.2, -1.9, 0.4, 1.7, 0.5])
 

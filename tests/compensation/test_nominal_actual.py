@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -147,20 +145,6 @@ def test_of_two_robots(ur3):
 def test_what_does_not_fit_the_calibration_is_refused(ur3, arguments, said):
     with pytest.raises(ModelError, match=said):
         pair_of(made("paper"), **{"nominal": ur3, **arguments})
-
-
-def test_several_targets_want_a_name(ur3):
-    one = made("paper")
-    setup = replace(
-        one.setup,
-        targets=("left", "right"),
-        T_tip_target=np.stack([np.eye(4), turned(3)]),
-        target_given=(False, False),
-    )
-    two = replace(one, setup=setup)
-    with pytest.raises(ModelError, match=r"it has 'left', 'right'\. Name one"):
-        pair_of(two, ur3, tool="")
-    assert np.array_equal(pair_of(two, ur3, tool="right").actual.T_tip_tool, turned(3))
 
 
 def test_two_robots_are_one_robot_and_know_no_targets(ur3):

@@ -195,19 +195,6 @@ def test_a_calibration_of_the_ends_alone_is_not_lost(tmp_path):
     assert codes(again.notes)[0] == "arm by name"
 
 
-def test_how_far_a_source_is_from_its_nominal_robot(shop):
-    source = read_source(str(shop / "result.json"), Options())
-    apart, turned = source.distances()
-    assert 1e-3 < apart.mean() < apart.max() < 1e-2
-    assert 1e-3 < turned.mean() < turned.max() < 3e-2
-    placements = source.nominal.placements.copy()
-    placements[-1, :3, :3] = placements[-1, :3, :3] @ Rotation.from_euler("x", 0.25).as_matrix()
-    placements[-1, :3, 3] += [3e-3, 0, 4e-3]
-    moved = Source("robot", source.nominal.with_placements(placements), source.nominal)
-    np.testing.assert_allclose(moved.distances()[0], 5e-3, atol=1e-12)
-    np.testing.assert_allclose(moved.distances()[1], 0.25, atol=1e-12)
-
-
 # Sources
 
 
@@ -237,14 +224,6 @@ def test_origins_of_some_of_the_joints(shop, tmp_path):
     path.write_text("\n".join(line for line in lines if "elbow_joint:" not in line) + "\n")
     found = read_source(str(path), OPTIONS["origins.yaml"])
     assert found.notes == (("joints without origin", ("'elbow_joint'",)),)
-
-
-def test_robots_and_their_nominal_ones(shop):
-    alone = read_source(str(shop / "corrected.urdf"), CHAIN)
-    assert (alone.nominal, alone.model) == (None, None)
-    nominal = read_source(str(shop / "robot.urdf"), CHAIN)
-    assert nominal.nominal is nominal.robot
-    assert nominal.model.name == "UR3"
 
 
 @pytest.mark.parametrize(
@@ -299,13 +278,6 @@ def test_formats_and_options_that_are_refused(shop, tmp_path, name, options, sai
     with pytest.raises(CalibError, match=said):
         convert(str(shop / "result.json"), tmp_path / name, Options(**options))
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_kinematics_yaml_keeps_the_robot_s_own_hash(shop, tmp_path):
-    options = Options(to="ur-yaml", hash_from=shop / "calibration.conf")
-    done = convert(str(shop / "result.json"), tmp_path / "k.yaml", options)
-    assert done.format == "ur-yaml"
-    assert own_hash(tmp_path / "k.yaml") == own_hash(shop / "kinematics.yaml")
 
 
 def test_other_robots_have_no_files_of_universal_robots(shop, tmp_path):
