@@ -32,6 +32,7 @@ from calib.robot.robot import Robot, read_only
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Rows = Literal["all", "validation", "fresh"]
 
 #: Fewer repeats than this have no RP: of two, both lie equally far from their mean, and S is 0 whatever the robot does.
 FEWEST_REPEATS = 3
@@ -69,7 +70,7 @@ class Accuracy:
     poses: tuple[PoseAccuracy, ...]  #: The poses in the order of the table
     #: ``"all"``; where something was found from the others, ``"validation"``, the table's validation rows, or
     #: ``"fresh"``, others that nothing was found from
-    rows: Literal["all", "validation", "fresh"]
+    rows: Rows
     #: Where some rows alone are judged, what the others were used for: ``"calibration"``, ``"target"``, ``"frame"``
     others: tuple[str, ...]
     measured: int  #: Number of rows that measure something
@@ -103,12 +104,10 @@ class Accuracy:
     def figures(self, *, angle: bool = False) -> dict[str, float]:
         """Largest and mean AP and RP, and the largest single error, [m] or [rad]; NaN where there are none."""
         ap, rp, one = (self.of(f"{name}{'_angle' * angle}") for name in ("ap", "rp", "single"))
+        sizes = {"ap_max": ap, "ap_mean": ap, "rp_max": rp, "rp_mean": rp, "single_max": one}
         return {
-            "ap_max": float(ap.max()) if len(ap) else np.nan,
-            "ap_mean": float(ap.mean()) if len(ap) else np.nan,
-            "rp_max": float(rp.max()) if len(rp) else np.nan,
-            "rp_mean": float(rp.mean()) if len(rp) else np.nan,
-            "single_max": float(one.max()) if len(one) else np.nan,
+            name: float(v.mean() if name.endswith("mean") else v.max()) if len(v) else np.nan
+            for name, v in sizes.items()
         }
 
     @property
@@ -157,14 +156,10 @@ def accuracy(evaluation: Evaluation, *, seen: bool | Mask = False) -> Accuracy:
     order = chosen[np.argsort(rows.poses[chosen], kind="stable")]
     groups = np.split(order, np.flatnonzero(np.diff(rows.poses[order])) + 1)
     groups.sort(key=lambda own: int(own[0]))
-    which: Literal["all", "validation", "fresh"] = "fresh"
-    if np.array_equal(judged, told):
-        which = "all"
-    elif np.array_equal(judged, told & m.validation):
-        which = "validation"
+    named: dict[Rows, Mask] = {"all": told, "validation": told & m.validation, "fresh": judged}
     return Accuracy(
         poses=tuple(_of_pose(evaluation, residual, own) for own in groups),
-        rows=which,
+        rows=next(name for name, mask in named.items() if np.array_equal(judged, mask)),
         others=others,
         measured=int(np.sum(told)),
         fitted=int(np.sum(fitted)),

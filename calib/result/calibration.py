@@ -238,17 +238,19 @@ class Calibration(Solved):
         Target and set-up are the first, and the payload is the calibration's, where None; `ModelError` for other names.
         """
         values = np.atleast_2d(np.asarray(q, dtype=np.float64))
-        load, numbers = None, []
-        if self.larger is not None:
-            load = self.larger.load(self.nominal, values, payload)
-        for name, names, what in (
-            (group, self.setup.groups, "set-up"),
-            (target, self.setup.targets, "target"),
-        ):
+        load = None if self.larger is None else self.larger.load(self.nominal, values, payload)
+
+        def numbered(what: str, name: str | None, names: tuple[str, ...]) -> NDArray[np.int_]:
             if name is not None and name not in names:
                 raise ModelError(f"There is no {what} '{name}'; there is {choices(names)}.")
-            numbers.append(np.full(len(values), 0 if name is None else names.index(name)))
-        return replace(Samples.at(values, load), frame=numbers[0], target=numbers[1])
+            return np.full(len(values), 0 if name is None else names.index(name))
+
+        frame = numbered("set-up", group, self.setup.groups)
+        return replace(
+            Samples.at(values, load),
+            frame=frame,
+            target=numbered("target", target, self.setup.targets),
+        )
 
     def predict_poses(
         self,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Literal
 
@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from calib.errors import ModelError
 from calib.result.calibration import Calibration
 from calib.result.calibration_file import read_result
-from calib.result.drift import Displacement, DriftTest, drift_between, own_names
+from calib.result.drift import Drift, drift_between, own_names
 from calib.result.verdict import NO
 from calib.robot.readback import spread_between, spread_poses
 from calib.robot.robot import Robot, rigid_inverse
@@ -51,8 +51,8 @@ class ParameterDifference:
     alone: bool
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Comparison:
+@dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
+class Comparison(Drift):
     """The result of `compare`."""
 
     a: Calibration  #: The first result
@@ -60,15 +60,7 @@ class Comparison:
     names: tuple[str, str]  #: Their files, or ``"a"`` and ``"b"``
     outcome: Outcome  #: ``"drift"``, ``"no drift shown"`` or ``"cannot tell"``
     why: Why  #: Why nothing can be told; empty otherwise
-    test: DriftTest  #: The test of the difference
-    #: Displacement of the target: over the joint values that both data cover, then over the limits
-    moves: tuple[Displacement, Displacement]
     parameters: tuple[ParameterDifference, ...]  #: The robot's own, of either result
-    #: Parameters that frame and target make up for, so that their drift cannot be told
-    untold: tuple[str, ...]
-    #: Parameters of the first that move the target in ways that the second's cannot
-    only_a: tuple[str, ...]
-    only_b: tuple[str, ...]  #: The same of the second
     #: How far the base lies elsewhere in set-ups of the same name, (shift [m], turn [rad]) by name; the only one of
     #: each has the name ""
     frames: Mapping[str, Place]
@@ -134,34 +126,29 @@ def compare(
         spread_poses(first.nominal, _POSES),
         same_start=same,
     )
-    test, moves, only = found.test, found.moves, found.only
     why: Why = ""
     if first is second or (first.source.sha256 and first.source.sha256 == second.source.sha256):
         why = "same data"
     elif any(one.verdict is not None and one.verdict.use == NO for one in both):
         why = "bad verdict"
-    elif test.combinations == 0:
+    elif found.test.combinations == 0:
         why = "nothing known"
-    elif any(only) and test.drifted:
+    elif (found.only_a or found.only_b) and found.test.drifted:
         residual = max(one.errors["calibrated"]["estimation"].rms for one in both)
-        why = "" if moves[0].moved > _FAR * residual else "other errors"
+        why = "" if found.moves[0].moved > _FAR * residual else "other errors"
     s, t = first.setup, second.setup
     bases = [
         dict(zip(one.groups, map(rigid_inverse, one.T_frame_base), strict=True)) for one in (s, t)
     ]
     targets = [dict(zip(one.targets, one.T_tip_target, strict=True)) for one in (s, t)]
     return Comparison(
+        **{one.name: getattr(found, one.name) for one in fields(found)},
         a=first,
         b=second,
         names=names,
-        outcome="cannot tell" if why else "drift" if test.drifted else "no drift shown",
+        outcome="cannot tell" if why else "drift" if found.test.drifted else "no drift shown",
         why=why,
-        test=test,
-        moves=moves,
         parameters=_parameters(first, second, same_start=same),
-        untold=found.untold,
-        only_a=only[0],
-        only_b=only[1],
         frames=_places(*bases, oriented=True),
         targets=_places(*targets, oriented=s.oriented and t.oriented),
         same_start=same,

@@ -308,18 +308,18 @@ def _beyond(own: Array, other: Array, names: tuple[str, ...]) -> tuple[str, ...]
     return tuple(n for n, b, s in zip(names, beyond, least, strict=True) if b > s > 0.0)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
 class Drift:
-    """The test, the displacements over measured ranges and joint limits, and which parameters could not be compared.
+    """What two results say of a robot's drift."""
 
-    ``untold`` names those that frame and target make up for; ``only`` those of each result that move the target in ways
-    that the other's cannot.
-    """
-
-    test: DriftTest
+    test: DriftTest  #: The test of the difference
+    #: Displacement of the target: over the joint values that both data cover, then over the limits
     moves: tuple[Displacement, Displacement]
+    #: Parameters that frame and target make up for, so that their drift cannot be told
     untold: tuple[str, ...]
-    only: tuple[tuple[str, ...], tuple[str, ...]]
+    #: Parameters of the first that move the target in ways that the second's cannot
+    only_a: tuple[str, ...]
+    only_b: tuple[str, ...]  #: The same of the second
 
 
 def drift_between(
@@ -368,5 +368,6 @@ def drift_between(
         test=test,
         moves=moves,
         untold=tuple(dict.fromkeys(map(str, untold))),
-        only=(_beyond(A, B, own[0]), _beyond(B, A, own[1])),
+        only_a=_beyond(A, B, own[0]),
+        only_b=_beyond(B, A, own[1]),
     )

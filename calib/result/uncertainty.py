@@ -130,20 +130,20 @@ def bootstrap(
     Args:
         calibration: The calibration, in memory.
         count: Number of samples; 200 for standard deviations, 1000 for intervals.
-        seed: The samples are the same for the same seed.
+        seed: The samples are the same for the same seed, wherever they are fitted.
         progress: Called after each sample.
-        executor: Where to fit; None: here. The samples are the same to the bit everywhere.
+        executor: Where to fit; None: here.
 
     Raises:
-        CalibError: Too few or too many samples, a seed below 0, or an executor that loses samples.
-        ModelError: The paper's solver made the calibration.
+        CalibError: Too few or too many samples, a seed below 0, or the paper's solver made the calibration.
     """
     if not FEWEST_SAMPLES <= count <= MOST_SAMPLES or seed < 0:
         raise CalibError(
             f"A bootstrap of {count} samples with seed {seed} was asked for; it takes {FEWEST_SAMPLES} to "
             f"{MOST_SAMPLES} samples, 1000 for intervals to be trusted, and a seed of 0 or more."
         )
-    fitted = _least_squares(calibration.fitted)
+    fitted = calibration.fitted
+    _check_solver(fitted)
     problem, start = fitted.estimate.problem, fitted.estimate.x
     rows = problem.rows
     drawn = bootstrap_indices(rows.blocks, count, seed, rows.samples.frame)
@@ -218,7 +218,8 @@ def profile_interval(calibration: Calibration, name: str, level: float = 0.95) -
     fitted = calibration.fitted
     if calibration.fit is not None and calibration.fit.larger is not None:
         fitted = fitted if name in calibration.model.names else calibration.fit.larger
-    estimate = _least_squares(fitted).estimate
+    _check_solver(fitted)
+    estimate = fitted.estimate
     k = fitted.kinematics.model.index(name)
     if k in estimate.at_bound:
         raise ModelError(
@@ -241,15 +242,8 @@ def profile(
 ) -> tuple[float, float]:
     """The interval where the cost, minimised over the others, is not too high.
 
-    cost(x) - cost(estimate) <= quantile of chi^2(1), or of F(1, freedom) where the noise was estimated.
-
-    Args:
-        cost_at: Squares over their variance, with the parameter held at a value and the others fitted. What is not
-            finite counts as too high.
-        value: The estimate, where the cost is least.
-        std: Its standard deviation, roughly; the first step.
-        level: Probability that the interval holds the true value.
-        freedom: Degrees of freedom of the noise's estimate; infinite where the noise is known.
+    cost(x) - cost(estimate) <= quantile of chi^2(1), or of F(1, freedom) where the noise was estimated. The cost is
+    that of squares over their variance, the standard deviation the first step.
 
     Example:
         >>> low, high = profile(lambda x: ((x - 1.0) / 0.5) ** 2, value=1.0, std=0.5)
@@ -321,14 +315,10 @@ def workspace_uncertainty(
     return WorkspaceUncertainty(q, read_only(calibration.position_std(q, larger=larger)))
 
 
-def _least_squares(fitted: Fitted) -> Fitted:
-    """The fit, refused where the paper's solver made it: it is not the least cost of its own problem."""
+def _check_solver(fitted: Fitted) -> None:
+    """Refuse the paper's solver: its fit is not the least cost of its own problem."""
     if fitted.task.solver == "paper":
-        raise ModelError(
-            "The solver 'paper' minimises fourth powers, of which there is neither bootstrap nor profile. Choose 'lm' "
-            "or 'scipy'."
-        )
-    return fitted
+        raise ModelError("The solver 'paper' has neither bootstrap nor profile. Choose 'lm'.")
 
 
 def _some(samples: Samples) -> Samples:

@@ -197,15 +197,8 @@ def comparison_table(c: Comparison) -> dict[str, Any]:
         "why": c.why,
         "test": {**asdict(c.test), "level": LEVEL},
         "moves": [
-            {
-                "where": m.where,
-                "rms_m": m.rms,
-                "max_m": m.max,
-                "noise_rms_m": m.noise,
-                "moved_rms_m": m.moved,
-                "moved_std_m": m.std,
-                "rms_rad": m.rms_angle,
-            }
+            {"where": m.where, "moved_rms_m": m.moved, "rms_rad": m.rms_angle}
+            | {"rms_m": m.rms, "max_m": m.max, "noise_rms_m": m.noise, "moved_std_m": m.std}
             for m in c.moves
         ],
         "parameters": [asdict(p) for p in c.parameters],

@@ -34,27 +34,6 @@ def test_another_robot_is_called_a_drift(call, folder: Path):
     assert call(folder, "compare", "result.json", "first.json", "--quiet").out == ""
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("no.json", "later.json"), "calibration result 'no.json' does not exist; check"),
-        (("errors.json", "later.json"), "errors.json: its 'schema' is 'evaluation 2'; a result of"),
-        (("first.json", "data.csv"), "data.csv: this is not a JSON file: "),
-        (("first.json", "later.json", "--robot", "no.urdf"), "'no.urdf' does not exist"),
-        (("first.json", "later.json", "--robot", "panda"), "base"),
-        (("first.json", "later.json", "--json", "first.json"), "is also an input of this command"),
-        (("first.json", "later.json", "--json", "errors.json"), "exists already; add --force"),
-        (("first.json", "later.json", "--json", "no/c.json"), "the folder 'no' does not exist"),
-    ],
-)
-def test_errors_are_one_line(call, folder: Path, words: tuple[str, ...], said: str):
-    done = call(folder, "compare", *words)
-    assert (done.code, done.out) == (1, "")
-    assert done.err.startswith("calib: ")
-    assert said in done.err
-    assert done.err.count("\n") == 1
-
-
 def test_a_page_of_both(call, folder: Path, tmp_path: Path):
     done = call(folder, "compare", "first.json", "later.json", "--view", tmp_path / "v.html")
     assert (done.code, done.lines[-1]) == (0, f"Written: {tmp_path / 'v.html'}")

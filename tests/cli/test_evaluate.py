@@ -155,28 +155,6 @@ def test_a_tracker_that_moved_is_named(call, folder: Path, tmp_path: Path):
     assert "did the tracker" not in anew.out
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("--judge", "urdf"), "--judge take --tolerance"),
-        (("--tolerance", "0 mm"), "The tolerance is 0.0 m"),
-        (
-            ("--tolerance", "1 mm 2 deg"),
-            "data.csv: a tolerance of 2 deg was stated, and no orientation was measured",
-        ),
-        (
-            ("--tolerance", "1 mm", "--judge", "larger"),
-            "choose one of 'urdf'.",
-        ),
-    ],
-)
-def test_what_cannot_be_judged_is_refused(call, shop, words: tuple[str, ...], said: str):
-    done = call(shop, "evaluate", "robot.urdf", "data.csv", "--base", "base", *words)
-    assert (done.code, done.out) == (1, "")
-    assert said in done.err
-    assert done.err.count("\n") == 1
-
-
 def test_commands_are_not_taken_for_measurements(call, folder: Path, tmp_path: Path):
     """What a controller is sent is where the nominal robot predicts it to be: every tolerance would be kept."""
     header, *rows = table_of(folder / "data.csv")
@@ -200,17 +178,3 @@ def test_commands_are_not_taken_for_measurements(call, folder: Path, tmp_path: P
     measured = sent + 0.1 * np.random.default_rng(1).normal(size=sent.shape)
     for count in (8, 1):
         assert evaluated(measured[:count]).err == ""
-
-
-def test_a_urdf_that_is_neither_has_a_row_of_its_own(call, folder: Path, tmp_path: Path):
-    other = tmp_path / "other.urdf"
-    text = (folder / "robot.urdf").read_text(encoding="utf-8")
-    other.write_text(text.replace('xyz="0 -0.0925 0.24365"', 'xyz="0 -0.0925 0.2439"'), "utf-8")
-    words = ("data.csv", "--calibration", "result.json", "--tolerance", "0.5 mm")
-    done = call(folder, "evaluate", other, *words)
-    rows = [line.split()[0] for line in done.lines if "  5   " in line and "rows" not in line]
-    assert (done.code, rows) == (0, ["nominal", "URDF", "calibrated"])
-    judged = call(folder, "evaluate", "robot.urdf", *words, "--judge", "urdf")
-    assert judged.code == 3
-    assert "Judged is the URDF as it is: largest" in judged.out
-    assert any(line.startswith("  URDF as it is  ") for line in judged.lines)

@@ -139,20 +139,6 @@ def test_lengths_have_the_standards_distance_accuracy(ur3: Robot):
     assert second.kind == "distance"
 
 
-@pytest.mark.parametrize("kind", ["mixed", "pairs"])
-def test_every_kind_is_judged_by_the_rows_that_measure(calibrated, kind: str):
-    """Of a pair the first row; and no length is lost or counted twice."""
-    _, c = calibrated(kind)
-    found = accuracy(evaluate(c.nominal, c.measurements, c.cell))
-    told = np.any(c.used, axis=1) & (c.measurements.validation | (found.rows == "all"))
-    rows = sorted(row for pose in found.poses for row in pose.rows)
-    assert rows == [c.measurements.rows[i] for i in np.flatnonzero(told)]
-    norms = np.linalg.norm(c.residual_nominal[:, :3], axis=1)[told]
-    assert found.of("single").max() == pytest.approx(norms.max(), abs=1e-9)
-    assert np.all(found.of("ap") <= found.of("single") + 1e-12)
-    assert len(found.of("ap_angle")) == sum(pose.kind == "pose" for pose in found.poses)
-
-
 def test_what_was_registered_is_counted(ur3: Robot):
     m = with_errors(ur3, np.zeros((12, 3)), 3)
 

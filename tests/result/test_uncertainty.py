@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import fdtri, stdtrit
 
 from calib.calibration import Calibration, calibrate
-from calib.data.cell import Cell, Priors
+from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.errors import CalibError, ModelError
 from calib.model.error_model import error_model
@@ -249,13 +249,6 @@ class TestWorkspace:
         assert np.ptp(found.q, axis=0) == pytest.approx(
             np.minimum(np.diff(limits)[:, 0], 2 * np.pi), rel=0.02
         )
-
-    def test_of_the_larger_model_unless_the_geometry_is_wanted(self, ur3: Robot):
-        result = fitted(ur3, measured(ur3, "zeros", 40, 8), "zeros+gain", priors=Priors("given"))
-        larger, alone = (workspace_uncertainty(result, 50, larger=w) for w in (True, False))
-        assert np.allclose(larger.std, result.position_std(larger.q), rtol=1e-12)
-        assert np.allclose(alone.std, result.position_std(alone.q, larger=False), rtol=1e-12)
-        assert np.mean(larger.std) > 1.05 * np.mean(alone.std)
 
 
 class TestCorrelations:
