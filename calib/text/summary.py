@@ -73,6 +73,10 @@ def summary(c: Calibration) -> str:
     )
     for name, value, half, unit in larger_parameters(c):
         larger.append(f"  {name:<{_LONGEST_NAME}}{value:>10} {half} {unit}")
+    every = c.observability.unidentifiable
+    unknown = [f"{unidentifiable_text(c)}:"] * bool(every)
+    unknown += [wrap(str(one), "  ") for one in every[:_MOST_ROWS]]
+    unknown += [f"  and {len(every) - _MOST_ROWS} more"] * (len(every) > _MOST_ROWS)
     parts = (
         wrap(
             f"calib {__version__}: robot '{c.nominal.name}', {c.nominal.base} to {c.nominal.tip}, "
@@ -85,7 +89,7 @@ def summary(c: Calibration) -> str:
         "\n".join(map(wrap, target_sentences(c))),
         "\n".join(map(wrap, frame_sentences(c))),
         _ladder(c),
-        "\n".join([*(wrap(f"{label}: {text}") for label, text in known.items()), *_unknown(c)]),
+        "\n".join([*(wrap(f"{label}: {text}") for label, text in known.items()), *unknown]),
         _parameters(c),
         wrap(f"{TOGETHER}: {together}" if together else ""),
         "\n".join(larger),
@@ -366,16 +370,6 @@ def _ladder(c: Calibration) -> str:
     needed = c.candidates[0].needed
     note = "  evidence: restricted log likelihood, less the best one's; a step up must gain"
     return "\n".join([*lines, f"{note} {needed:.1f}"])
-
-
-def _unknown(c: Calibration) -> list[str]:
-    """What the poses cannot tell apart."""
-    every = c.observability.unidentifiable
-    if not every:
-        return []
-    more = len(every) - _MOST_ROWS
-    lines = [f"{unidentifiable_text(c)}:", *(wrap(str(u), "  ") for u in every[:_MOST_ROWS])]
-    return lines + [f"  and {more} more"] * (more > 0)
 
 
 def _parameters(c: Calibration) -> str:

@@ -31,6 +31,7 @@ class _Options(CellOptions):
 
 #: A tolerance as it could be typed, and the exit code where one was not shown to be kept.
 _EXAMPLE, NOT_PASSED = "0.5 mm 0.1 deg", 3
+_METAVAR = '"LENGTH [ANGLE]"'
 
 
 @verb("""Compare a robot with measurements, and judge its accuracy by a tolerance.
@@ -56,23 +57,15 @@ def evaluate(
     ] = None,
     tolerance: Annotated[
         str | None,
-        typer.Option(
-            metavar='"LENGTH [ANGLE]"',
-            help='Tolerance of the accuracy, such as "0.5 mm 0.1 deg".',
-        ),
+        typer.Option(metavar=_METAVAR, help='Tolerance, such as "0.5 mm 0.1 deg".'),
     ] = None,
     uncertainty: Annotated[
         str | None,
-        typer.Option(
-            metavar='"LENGTH [ANGLE]"',
-            help="Expanded measuring uncertainty (k = 2), as a guard band.",
-        ),
+        typer.Option(metavar=_METAVAR, help="Expanded measuring uncertainty (k = 2)."),
     ] = None,
     criterion: Annotated[
         Literal["max", "mean", "single"] | None,
-        typer.Option(
-            help="What must be within: the AP of every pose (max), their mean, or every single repeat."
-        ),
+        typer.Option(help="What must be within: every AP, their mean, or every single row."),
     ] = None,
     judge: Annotated[
         Literal["nominal", "urdf", "calibration", "larger"] | None,
