@@ -192,12 +192,7 @@ def few_ticks(count: int, *, whole: bool = False) -> MaxNLocator:
 
 
 def short_names(names: Sequence[str], longest: int = 26) -> list[str]:
-    """Names that fit: long ones lose their middle, and get a number where two became the same.
-
-    Example:
-        >>> short_names(["elbow", "a_very_long_joint_name_1", "a_very_long_joint_name_2"], 12)
-        ['elbow', 'a_very…ame_1', 'a_very…ame_2']
-    """
+    """Names that fit: long ones lose their middle, and get a number where two became the same."""
     head = longest // 2
     texts = [" ".join(name.split()) for name in names]
     texts = [

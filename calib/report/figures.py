@@ -84,15 +84,7 @@ def write_figures(
 ) -> tuple[Path, ...]:
     """Write every figure into a folder, which is made if it is missing, and their captions as `CAPTIONS`.
 
-    Args:
-        calibration: The calibration.
-        folder: Where to.
-        kind: ``"png"``, ``"svg"`` or ``"pdf"``.
-        overwrite: Whether files that exist may be replaced.
-        progress: Called after each figure with the number done and that of all.
-
-    Returns:
-        The figures' files, in the order of `drawings`.
+    ``progress`` is called after each figure with the number done and that of all.
 
     Raises:
         FileError: Another kind, or a file exists or cannot be written; what exists is found before anything is drawn.

@@ -58,14 +58,10 @@ def write_report(
 ) -> Path:
     """Write the report as a page.
 
-    Args:
-        calibration: The calibration.
-        path: Where to; the name ends in .html.
-        command: The command that made the calibration, as it was typed; empty where there was none.
-        overwrite: Whether an existing file may be replaced.
+    ``command`` made the calibration, as it was typed; empty where there was none.
 
     Raises:
-        FileError: The name has another ending, the file exists, or it cannot be written.
+        FileError: The name does not end in .html, the file exists, or it cannot be written.
     """
     check_ending(path)
     return write_atomically(path, report_bytes(calibration, command=command), overwrite=overwrite)

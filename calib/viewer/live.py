@@ -274,17 +274,8 @@ def view(
 ) -> Path | Viewer:
     """Open the picture of a calibration, of a robot or of two robots in the browser.
 
-    Args:
-        shown: A calibration, or a robot.
-        other: A second robot with the same joints, to be shown beside the first.
-        live: Whether this program serves the page, so that it can move the robots and draw more; the page is then there
-            until the viewer is closed or the program ends. Otherwise it is a file, and stays.
-
-    Returns:
-        The page, in a temporary folder of its own; or the viewer.
-
-    Raises:
-        ModelError: The robots have different joints.
+    A ``live`` page is served by this program, which can move the robots and draw more, until the viewer is closed.
+    Otherwise it is a file in a temporary folder of its own. Two robots must have the same joints.
     """
     if isinstance(shown, Calibration):
         scene = view_of(shown)

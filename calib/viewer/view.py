@@ -144,18 +144,11 @@ def view_of_result(
     known: Sequence[str] = PLACES,
     source: str = "the result",
 ) -> View:
-    """A robot with the origins before and after a result that was read from a file.
+    """A robot with the origins before and after a result that was read from a file, at the rows of a table.
 
-    Errors are those of the result's frames and targets, as `calib.evaluate` finds them.
-
-    Args:
-        result: The result.
-        robot: The robot, nominal or corrected.
-        table: The measurements; None for poses over the joint limits. Rows that the fit flagged are marked if the table
-            is the one that was fitted.
-        cell: Targets and frames that were given.
-        known: Which of ``"frame"`` and ``"target"`` the result says, not the cell.
-        source: What the result is called.
+    Errors are those of the result's frames and targets, as `calib.evaluate` finds them; ``known`` says which of them
+    the result has, not the cell. Without a table two robots go through poses over the joint limits. Rows that the fit
+    flagged are marked if the table is the one that was fitted. ``source`` is what the result is called.
     """
     cell = cell or Cell()
     both = result.uncorrected(robot), result.corrected(robot)
@@ -188,13 +181,8 @@ def view_of_robots(
     """One or two robots at the rows of a table, with the errors that `calib.evaluate` finds.
 
     Without a table two robots go through poses spread over the joint limits, and one moves one joint after the other.
-
-    Args:
-        nominal: The first robot.
-        calibrated: The second; None for none.
-        table: The measurements; None for none.
-        cells: Target and frame of each robot, where they are known.
-        names: What the robots are called, and what that means. Default: nominal and calibrated, and their files.
+    ``cells`` have target and frame of each robot, where they are known; ``names`` what the robots are called, and what
+    that means, by default nominal and calibrated, and their files.
     """
     cells = cells or [Cell()] * 2
     robots = [nominal] if calibrated is None else [nominal, calibrated]

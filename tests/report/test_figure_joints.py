@@ -41,17 +41,6 @@ def test_of_a_distance_all_is_along_the_beam(calibrations):
     np.testing.assert_allclose(np.abs(parts[there, 1]), sizes[there])
 
 
-def test_of_a_plane_all_is_along_its_normal(calibrations):
-    c = calibrations.made("distances")
-    kinds = ("plane",) * len(c.measurements)
-    plane = calibrations.with_rows(c, replace(c.measurements, kinds=kinds))
-    q = c.measurements.joints_for(c.nominal.joint_names)
-    anchor = c.measurements.groups[0]
-    up = c.predict(q + 1e-5 * np.eye(6)[1], group=anchor) - c.predict(q, group=anchor)
-    expected = np.sign(up[:, 2]) * c.residual_calibrated[:, 0]
-    np.testing.assert_allclose(along_joints(plane)[:, 1], expected)
-
-
 def test_a_joint_that_does_not_move_the_target_has_no_part(calibrations):
     """The target on the last axis."""
     c = calibrations.made("paper")
@@ -63,29 +52,6 @@ def test_a_joint_that_does_not_move_the_target_has_no_part(calibrations):
     assert np.all(np.isfinite(parts[:, 0]))
     words = [text.get_text() for text in joints(moved).axes[5].texts]
     assert words == ["does not move the target"]
-
-
-@pytest.mark.slow
-def test_panels_are_of_the_joints_in_their_units(calibrations):
-    figure = joints(calibrations.made("prismatic"))
-    labels = [ax.get_xlabel() for ax in figure.axes]
-    assert labels == ["joint value [mm]"] * 3 + ["joint value [deg]"]
-    assert [ax.get_title(loc="left") for ax in figure.axes] == [
-        "slide_x",
-        "slide_y",
-        "slide_z",
-        "turn",
-    ]
-
-
-@pytest.mark.slow
-def test_outliers_do_not_set_the_scale_and_stand_at_its_edge(calibrations):
-    c = calibrations.made("with_outliers")
-    ax = joints(c).axes[0]
-    assert ax.get_ylim()[1] < 0.3
-    crosses = next(line for line in ax.lines if line.get_marker() == "x")
-    assert len(crosses.get_ydata()) == len(c.outliers) + len(c.suspects)
-    assert np.all(np.abs(crosses.get_ydata()) < ax.get_ylim()[1])
 
 
 def test_the_mean_is_that_of_the_estimation_rows_without_outliers(calibrations):

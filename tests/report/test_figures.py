@@ -10,7 +10,6 @@ import pytest
 from calib.errors import FileError
 from calib.report import figures as figures
 from calib.report.figures import CAPTIONS, drawings, rendered, write_figures
-from calib.text.summary import errorless
 
 #: Figures that are soon drawn.
 QUICK = ("error-curves", "singular-values")
@@ -102,13 +101,3 @@ def test_all_are_written_and_none_is_written_over(calibrations, tmp_path, monkey
     text = (folder / CAPTIONS).read_text(encoding="utf-8")
     for one in drawings(c):
         assert f"## {one.name}.svg\n\n**{one.title}.** {one.caption}\n" in text
-
-
-def test_parameters_without_errors_are_not_drawn(calibrations):
-    c = calibrations.made("three_rows")
-    none = errorless(c)
-    assert none == {f"theta{k}" for k in range(1, 7)}
-    drawn = next(one for one in drawings(c) if one.name == "parameter-changes").draw()
-    names = {text.get_text() for ax in drawn.axes for text in ax.get_yticklabels()}
-    assert {"d1", "alpha1"} <= names
-    assert not names & none

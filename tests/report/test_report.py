@@ -148,18 +148,6 @@ def test_validation_rows_are_those_of_the_paper_s_table_4(paper_calibration):
     assert table.groups == [("", 1), ("before: nominal [mm]", 4), ("after: calibrated [mm]", 4)]
 
 
-def test_orientations_have_tables_and_columns_of_their_own(calibrations):
-    c = calibrations.made("poses")
-    rows = {row[0]: row for row in report_tables.errors(c, turned=True).rows}
-    wanted = np.degrees(c.errors["calibrated"]["validation"].rms_angle)
-    assert float(rows["validation rows, calibrated"][-1]) == pytest.approx(wanted, abs=5.1e-5)
-    table = report_tables.validation_rows(c)
-    assert table.groups[-1] == ("angle [deg]", 2)
-    first = np.flatnonzero(c.measurements.validation)[0]
-    wanted = np.degrees(np.linalg.norm(c.residual_calibrated[first, 3:]))
-    assert float(table.rows[0][-1]) == pytest.approx(wanted, abs=5.1e-5)
-
-
 def test_parameters_with_correction_and_interval(page, paper_calibration):
     c = paper_calibration
     rows = {r[0]: r for unit in ("mm", "deg") for r in report_tables.parameters(c, unit).rows}

@@ -90,14 +90,6 @@ def test_every_row_is_a_pose_and_the_worst_one_held_back_is_shown_first(result):
         assert rms == pytest.approx(result.errors[who]["validation"].rms, abs=1e-12)
 
 
-def test_without_validation_rows_an_outlier_is_not_shown_first(result):
-    every = replace(result.measurements, sets=("estimate",) * 35)
-    worst = np.array(result.residual_nominal)
-    worst[10] *= 100.0  # row 11, the outlier
-    view = view_of(with_rows(replace(result, residual_nominal=worst), every))
-    assert view.kinds[view.start] == "estimation"
-
-
 def test_measured_points_are_shown_in_the_base_frame_and_the_tracker_where_it_stands(result):
     T = translation([2.0, -1.0, 0.4])
     T[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
