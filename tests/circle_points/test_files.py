@@ -15,7 +15,6 @@ from calib.circle_points.files import (
 from calib.circle_points.survey import Survey, base_frame
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.errors import MeasurementError
 from tests.circle_points.virtual_sweeps import virtual_sweeps
 
 T_TRUE = pin.exp6(np.array([2.0, 1.0, -0.5, 0.3, -0.8, 1.2])).homogeneous
@@ -46,20 +45,6 @@ def test_positions_and_orientations_are_carried(ur3, found):
     assert np.array_equal(moved.joints, table.joints)
 
 
-def test_what_cannot_be_carried(ur3, found):
-    table, _ = poses(ur3, found.frame, 4)
-    two = replace(table, groups=("a", "a", "b", "b"), source="d.csv")
-    with pytest.raises(
-        MeasurementError, match=r"^d.csv: the rows are of the set-ups 'a', 'b' .* Carry each"
-    ):
-        carried(two, found.frame)
-    fixed = Measurements(
-        table.joint_names, table.joints, table.points, kinds=("fixed",) * 4, source="d.csv"
-    )
-    with pytest.raises(MeasurementError, match=r"^d.csv: no row measures a position, .* 'fixed'"):
-        carried(fixed, found.frame)
-
-
 @pytest.mark.parametrize(
     "twist", [(2.0, 1.0, -0.5, 0.3, -0.8, 1.2), (0.1, 3.0, 1.0, 0.0, np.pi / 2, 0.0)]
 )
@@ -74,18 +59,6 @@ def test_the_cell_file_is_the_frame_to_the_last_digits(tmp_path, found, twist):
     assert cell.tracker is None
     path.write_text(cell_text(moved, "s.csv"), encoding="utf-8")
     assert (Cell.read(path).base, Cell.read(path).tip) == (None, None)
-
-
-def test_the_cell_file_has_the_tracker_s_place_ready_to_be_used(tmp_path, found):
-    T = found.frame.T_tracker_base
-    path = tmp_path / "frame.toml"
-    text = cell_text(found, "s.csv")
-    path.write_text(
-        text.replace("# [tracker]", "[tracker]").replace("# xyz_mm", "xyz_mm"), encoding="utf-8"
-    )
-    place = Cell.read(path).tracker.position
-    np.testing.assert_allclose(T[:3, :3] @ place + T[:3, 3], np.zeros(3), atol=1e-4)
-    np.testing.assert_allclose(found.frame.T_base_tracker[:3, 3], place, atol=1e-4)
 
 
 def test_the_table_has_everything(found):

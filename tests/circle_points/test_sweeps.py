@@ -57,20 +57,6 @@ def test_joint_values_sigma_and_decimal_commas(tmp_path: Path):
     assert b.where == "s.csv, sweep 'q_b' (row 13)"
 
 
-def test_names_of_the_robot_and_of_the_user(tmp_path: Path):
-    text = PLAIN.replace("joint 1", "pan").replace("joint 2", "ring").replace("sweep", "what")
-    sweeps = read(
-        tmp_path,
-        text,
-        joint_names=("pan", "lift"),
-        columns={"what": "sweep"},
-        words={"ring": "lift"},
-    )
-    assert [s.joint for s in sweeps.sweeps] == [None, 0, 1]
-    assert [s.name for s in sweeps.sweeps] == ["plane", "pan", "ring"]
-    assert sweeps.label(1) == "lift"
-
-
 LIST = """// Units: mm
 A::Main::plane_1  1 2 3
 A::Main::plane_2  2 2 3
@@ -85,20 +71,6 @@ def test_a_tracker_s_list(tmp_path: Path):
     assert [(s.name, len(s)) for s in sweeps.sweeps] == [("plane", 2), ("joint1", 2), ("joint2", 1)]
     assert sweeps.sweeps[1].points[0] == pytest.approx([0.0405, 0.005, 0.006])
     assert sweeps.sweeps[1].where == "t.txt, sweep 'joint1' (lines 4 to 5)"
-
-
-def test_a_list_with_names_of_its_own(tmp_path: Path):
-    path = written(tmp_path, "ring_a 7 1 20 3\nfoot-1 2 20 3\n", "t.txt")
-    with pytest.raises(MeasurementError, match=r"^t.txt: the unit of the points is not in it"):
-        read_sweeps(points=path)
-    path = written(tmp_path, "# Units: mm\nring_a.7 1 20 3\nfoot-1 2 20 3\n", "t.txt")
-    words = {"ring_a": "joint 1", "foot": "plane"}
-    sweeps = read_sweeps(points=path, words=words)
-    assert [s.joint for s in sweeps.sweeps] == [None, 0]
-    with pytest.raises(
-        MeasurementError, match=r"t.txt, line 2: the point 'ring_a.7': 'ring_a' is not"
-    ):
-        read_sweeps(points=path)
 
 
 def test_a_list_beside_a_table(tmp_path: Path):
@@ -154,15 +126,6 @@ def test_tables_that_are_refused(tmp_path: Path, text: str, options: dict, said:
         read(tmp_path, text, **options)
 
 
-def test_no_file_and_no_names(tmp_path: Path):
-    with pytest.raises(MeasurementError, match=r"^No file of sweeps was given"):
-        read_sweeps()
-    with pytest.raises(MeasurementError, match=r"^t.txt: the points have no names"):
-        read_sweeps(points=written(tmp_path, "# Units: mm\n1.5 20 3\n", "t.txt"))
-    with pytest.raises(MeasurementError, match="does not exist"):
-        read_sweeps(tmp_path / "no.csv")
-
-
 NAMES = ("shoulder_pan_joint", "shoulder_lift_joint")
 
 
@@ -194,8 +157,3 @@ def test_and_what_not(tmp_path: Path, word: str):
         MeasurementError, match="is not a sweep; allowed are 'plane', a joint's name"
     ):
         read(tmp_path, text, joint_names=NAMES)
-
-
-def test_a_word_that_is_mapped_to_no_sweep(tmp_path: Path):
-    with pytest.raises(MeasurementError, match=r"^--sweep maps 'a': 'joint 7' is not a sweep"):
-        read(tmp_path, PLAIN, joint_names=NAMES, words={"a": "joint 7"})

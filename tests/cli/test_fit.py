@@ -10,8 +10,6 @@ import pytest
 
 DOCS = Path(__file__).parents[2] / "docs"
 
-AS_PRINTED = "69.97 -70.20 22.52 mm"
-
 
 def load(path: Path) -> Any:
     return json.loads(path.read_text(encoding="utf-8"))

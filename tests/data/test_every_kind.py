@@ -101,12 +101,6 @@ def test_orientations_that_are_refused(table, header, row, says):
     refused(table(POSE + header, "1,100,200,300," + row), says)
 
 
-def test_poses_without_an_orientation(table):
-    path = table(POSE + "qx,qy,qz", "1,100,200,300,0,0,0")
-    assert Measurements.read(path).kinds == ("point",)
-    refused(path, ["need an orientation", "There are only 'qx', 'qy', 'qz'"], kind="pose")
-
-
 # Distances
 
 
@@ -154,28 +148,6 @@ def test_pairs_that_are_refused(table, lines, says):
     refused(table("a [deg],pair,distance [mm]", *lines), says)
 
 
-@pytest.mark.parametrize(
-    ("header", "cell", "says"),
-    [
-        (
-            "distance [m]",
-            "742.6",
-            ["742.6 was read as 742.6 m, further from the origin than 100 m", "[mm]'"],
-        ),
-        (
-            "distance [mm]",
-            "0.7426",
-            ["none is further from the origin than 5 mm", "'distance [m]'"],
-        ),
-        ("distance [mm]", "0", ["distance is '0'", "greater than zero"]),
-        ("distance", "500", ["column 'distance'", "no unit", "'distance [mm]'"]),
-        ("distance [deg]", "500", ["'deg' is not a unit of length"]),
-    ],
-)
-def test_distances_that_are_refused(table, header, cell, says):
-    refused(table(f"a [deg],{header}", f"1,{cell}"), says)
-
-
 # Fixed points and planes
 
 
@@ -195,10 +167,6 @@ def test_fixed_points_in_groups_of_several_columns(table):
         table("Group,socket,a [deg]", *lines), kind="fixed", columns={"socket": "group"}
     )
     assert mixed.groups == m.groups
-
-
-def test_two_columns_called_group_were_hardly_meant_to_be_joined(table):
-    refused(table("group,Group,a [deg]", "a,b,1"), "two columns are called 'group'", kind="fixed")
 
 
 def test_groups_with_too_few_rows(table):
@@ -280,16 +248,6 @@ def test_kinds_that_are_refused(table, lines, says):
 # Columns that mean something else
 
 
-def test_a_column_is_left_out(table):
-    path = table("set,tool,a [deg],x [mm],y [mm],z [mm]", "all,t,1,100,200,300")
-    refused(path, ["'all' is not a set; allowed are 'estimate', 'validate'", '--columns "set=-"'])
-    m = Measurements.read(path, columns={"set": "-"})
-    assert m.sets == ("estimate",)
-    assert m.ignored == ("set", "tool")
-    named = table("-,a [deg],x [mm],y [mm],z [mm]", "9,1,100,200,300")
-    assert Measurements.read(named).ignored == ("-",)
-
-
 # Torques
 
 
@@ -307,13 +265,6 @@ def test_torques(table):
     with_unit = {"b.torque": "b.torque [Nm]"}
     refused(path, "column 'b.torque': the cell is empty", joint_names=["b"], columns=with_unit)
     assert m.select(np.array([False, True])).torques.tolist() == [[6, 7]]
-
-
-def test_joints_without_a_torque(table):
-    path = table("a [deg],b [deg],b.torque [Nm],x [mm],y [mm],z [mm]", "1,2,3,100,200,300")
-    m = Measurements.read(path)
-    np.testing.assert_array_equal(m.torques, [[np.nan, 3]])
-    assert Measurements.read(path, ["a"]).torques is None
 
 
 # The value
@@ -407,15 +358,3 @@ def test_what_is_written_reads_back(tmp_path_factory, data):
     assert_same(again, m, 4e-15)
     inferred = kinds.count(kinds[0]) == len(kinds) and kinds[0] not in ("fixed", "plane")
     assert ("kind" in path.read_text().splitlines()[0].split(",")) != inferred
-
-
-def test_the_tables_written(tmp_path):
-    path = tmp_path / "data.csv"
-    m = Measurements(
-        **GOOD, kinds=("pose", "fixed"), rotations=[np.eye(3)] * 2, torques=[[1.5], [2.5]]
-    )
-    m.write(path)
-    head, *rows = path.read_text().splitlines()
-    assert head == "row,set,kind,a [deg],a.torque [Nm],x [mm],y [mm],z [mm],qx,qy,qz,qw"
-    assert rows[0].endswith(",1.5,1000.0,1000.0,1000.0,0.0,0.0,0.0,1.0")
-    assert rows[1].endswith(",2.5,,,,,,,")

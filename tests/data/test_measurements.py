@@ -1,7 +1,6 @@
 import csv
 import hashlib
 import itertools
-import pickle
 from dataclasses import FrozenInstanceError, replace
 from pathlib import Path
 
@@ -131,14 +130,6 @@ def test_arrays_are_read_only_copies():
         m.source = "other"
 
 
-def test_what_is_not_given_is_filled_in():
-    m = Measurements(("a",), np.zeros((2, 1)), np.ones((2, 3)))
-    assert (m.sets, m.targets) == (("estimate", "estimate"), ("target", "target"))
-    assert (m.groups, m.rows) == (("", ""), (1, 2))
-    assert m.estimation.all()
-    assert not m.validation.any()
-
-
 def test_select_keeps_row_numbers_and_the_rest():
     m = replace(Measurements.read(UR3), sigma=np.linspace(1e-4, 2e-4, 35))
     held_back = m.select(m.validation)
@@ -220,12 +211,6 @@ def test_columns_are_renamed_and_given_units(table):
     assert_same(Measurements.read(path, ["a", "b"], columns=with_unit_in_key), m, rtol=0)
 
 
-def test_two_columns_swap_their_names(table):
-    path = table("a [deg],x [mm],y [mm],z [mm]", "10,300,400,500")
-    m = Measurements.read(path, columns={"x": "y", "y": "x"})
-    np.testing.assert_allclose(m.points, [[0.4, 0.3, 0.5]])
-
-
 def test_prismatic_joints(table):
     path = table("rail [mm],a [deg],x [mm],y [mm],z [mm]", "1500,20,300,400,500")
     types = {"rail": "prismatic", "a": "continuous"}
@@ -273,20 +258,6 @@ def test_what_is_written_reads_back(tmp_path_factory, data):
     again = Measurements.read(path, joint_names)
     assert_same(again, replace(m, prismatic=again.prismatic))
     assert set(again.prismatic) == set(m.prismatic)
-
-
-def test_the_table_written_is_in_degrees_and_millimetres(tmp_path):
-    path = tmp_path / "data.csv"
-    m = Measurements(("a", "rail"), [[np.pi, 0.5]], [[0.1, 0.2, 0.3]], prismatic=("rail",))
-    m.write(path)
-    head, row = path.read_text().splitlines()
-    assert head == "row,set,a [deg],rail [mm],x [mm],y [mm],z [mm]"
-    assert [float(cell) for cell in row.split(",")[2:]] == pytest.approx([180, 500, 100, 200, 300])
-
-
-def test_measurements_can_be_sent_to_another_process():
-    m = Measurements.read(UR3)
-    assert_same(pickle.loads(pickle.dumps(m)), m, rtol=0)
 
 
 # Refusals: the file
@@ -342,38 +313,6 @@ def test_missing_joints_are_named_with_what_is_close(table):
     assert '--columns "name in the table=shoulder_pan_joint [deg]"' in text
 
 
-def test_the_wrong_kind_of_unit_for_a_joint(table):
-    path = table("a [mm],b [deg],x [mm],y [mm],z [mm]", "1,2,3,4,5")
-    for kind in ("revolute", "continuous"):
-        refused(
-            path,
-            joint_names=["a"],
-            joint_types={"a": kind},
-            says=["'a [mm]'", f"{kind} joint 'a'", "'mm' is not a unit of angle", "'deg'"],
-        )
-    refused(
-        path,
-        joint_names=["b"],
-        joint_types={"b": "prismatic"},
-        says=["'b [deg]'", "prismatic joint 'b'", "'deg' is not a unit of length"],
-    )
-
-
-@pytest.mark.parametrize(
-    ("columns", "says"),
-    [
-        ({"J12": "b"}, ["no column 'J12'", "maps to 'b'", "Close to it: 'J1'", "'a [deg]'"]),
-        ({"a": "b [rad]"}, ["'a [deg]'", "gives it another, 'b [rad]'"]),
-        ({"J1": "b [grad]"}, ["'J1'", "'b [grad]'", "'grad' is not a unit"]),
-        ({"J1": "a [deg]"}, ["two columns are called 'a'", "'J1'", '--columns "J1=-"']),
-        ({"a": "b", "a [deg]": "c"}, ["maps the column 'a [deg]' twice, as 'a' and as 'a [deg]'"]),
-    ],
-)
-def test_mappings_that_are_refused(table, columns, says):
-    path = table("a [deg],J1,x [mm],y [mm],z [mm]", "1,2,300,400,500")
-    refused(path, columns=columns, says=["data.csv", *says])
-
-
 # Refusals: the cells
 
 
@@ -397,12 +336,6 @@ def test_mappings_that_are_refused(table, columns, says):
 def test_cells_that_are_refused(table, row, says):
     path = table(HEADER, "# remark", ROWS[0], row)
     refused(path, says=["data.csv, line 4 (row ", *says])
-
-
-@pytest.mark.parametrize("cell", ["1.0", "one", "", "1_0"])
-def test_row_numbers_that_are_no_integers(table, cell):
-    path = table(HEADER, f"{cell},estimate,1,2,300,4,5")
-    refused(path, says=["line 2", "column 'row'", f"'{cell}' is not a whole number"])
 
 
 def test_without_a_row_column_rows_are_counted(table):
@@ -441,37 +374,10 @@ def test_points_in_the_wrong_unit(table, unit, point, says):
     refused(path, says=["line 2 (row 1), column '", *says])
 
 
-def test_one_point_near_the_origin_is_no_reason(table):
-    m = Measurements.read(table("a [deg],x [mm],y [mm],z [mm]", "1,0,0,0", "1,0,0,50000"))
-    assert m.points[1, 2] == pytest.approx(50)
-
-
-def test_a_prismatic_joint_in_the_wrong_unit(table):
-    path = table("rail [m],x [mm],y [mm],z [mm]", "1500,10,20,300")
-    refused(path, joint_names=["rail"], says=["'rail [m]'", "1500 was read as 1500 m", "[mm]'"])
-
-
 def test_degrees_read_as_radians(table):
     header = "a [rad],b [rad],x [mm],y [mm],z [mm]"
     path = table(header, "1,-74.76,10,20,300", "1,6.1,10,20,300", "1,-72,10,20,300")
     refused(path, says=["column 'b [rad]'", "look like degrees", "'b [deg]'"])
-
-
-def test_a_joint_that_turns_more_than_once(table):
-    header = "a [rad],b [deg],x [mm],y [mm],z [mm]"
-    m = Measurements.read(table(header, "12.5,720,10,20,300", "1,-719,10,20,300", "2,9,1,2,300"))
-    np.testing.assert_allclose(m.joints[:, 0], [12.5, 1, 2])
-    assert m.joints[0, 1] == pytest.approx(4 * np.pi)
-
-
-def test_joints_may_be_called_by_a_capital_letter(tmp_path: Path):
-    """Gantries have joints X, Y, Z; the measured point has the small letters."""
-    path = tmp_path / "gantry.csv"
-    path.write_text("X [mm],Y [mm],x [mm],y [mm],z [mm]\n10,20,110,120,130\n11,22,111,122,133\n")
-    kinds = {"X": "prismatic", "Y": "prismatic"}
-    table = Measurements.read(path, ["X", "Y"], kinds)
-    np.testing.assert_allclose(table.joints, [[0.010, 0.020], [0.011, 0.022]])
-    np.testing.assert_allclose(table.points[0], [0.110, 0.120, 0.130])
 
 
 # What programs of this world write

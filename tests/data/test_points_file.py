@@ -119,12 +119,6 @@ def test_lists_as_programs_write_them(listed, lines, names):
     assert len(points) == 2
 
 
-def test_inches_are_told_from_the_word_in(listed):
-    for remark in ("# Units: in", "# Units in inches", "# x [in]"):
-        points = read_points(listed(remark, "P1 1 2 3"))
-        np.testing.assert_allclose(points.points, [[0.0254, 0.0508, 0.0762]], rtol=1e-14)
-
-
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252"])
 def test_encodings_of_windows(listed, encoding):
     points = read_points(listed("# Gerät; units: µm", "Pé 500000 0 1", encoding=encoding))
@@ -178,14 +172,6 @@ def test_units_that_are_missing_or_contradict(listed):
     refused(listed("# units: feet", "P1 1 2 3"), "'ft' is not a unit")
 
 
-def test_coordinates_in_another_unit(listed):
-    path = listed("# units: m", "P1 1 2 3.5", "P2 100.5 742.6 0")
-    refused(path, "line 3: 742.6 was read as 742.6 m", "100 m", "'# Units: mm'")
-    path = listed("# units: mm", "P1 0.1 0.2 0.7")
-    refused(path, "line 2: 0.7 was read as 0.0007 m", "none is further", "'# Units: m'")
-    refused(listed("# units: mm", "P1 1e999 0.5 1"), "line 2", "Correct it")
-
-
 @pytest.mark.parametrize(
     ("lines", "says"),
     [
@@ -231,23 +217,6 @@ def test_points_are_matched_in_order(listed, table):
     np.testing.assert_array_equal(again.points, m.points)
 
 
-def test_the_controllers_own_pose_is_not_the_measured_one(listed, table):
-    joints = table(
-        "a [deg],x [m],y [m],z [m],rx [rad],ry [rad],rz [rad]", "1,1,2,3,0,0,1", "2,1,2,3,0,0,1"
-    )
-    m = Measurements.read(joints, points=listed(*TRACKER))
-    np.testing.assert_allclose(m.points, XYZ, rtol=1e-14)
-    assert m.rotations is None
-    assert m.ignored[:2] == ("x [m]", "y [m]")
-
-
-def test_rows_of_other_kinds_need_no_point(listed, table):
-    joints = table("a [deg],kind,point", "1,fixed,", "2,point,P1", "3,fixed,", "4,point,P2")
-    m = Measurements.read(joints, points=listed(*TRACKER))
-    np.testing.assert_allclose(m.points[[1, 3]], XYZ, rtol=1e-14)
-    assert np.isnan(m.points[[0, 2]]).all()
-
-
 @pytest.mark.parametrize(
     ("lines", "arguments", "says"),
     [
@@ -268,17 +237,3 @@ def test_tables_that_do_not_match(listed, table, lines, arguments, says):
     with pytest.raises(MeasurementError) as caught:
         Measurements.read(table(*lines), points=listed(*TRACKER), **arguments)
     assert says in str(caught.value)
-
-
-def test_names_in_the_table_only(listed, table):
-    joints = table("a [deg],point", "1,P1")
-    path = listed("100.5 200.5 300.5")
-    with pytest.raises(MeasurementError, match=r"the points have no names.*\"point=-\""):
-        Measurements.read(joints, points=path, points_unit="mm")
-    m = Measurements.read(joints, points=path, points_unit="mm", columns={"point": "-"})
-    assert len(m) == 1
-
-
-def test_a_line_that_ends_before_the_names_is_named(listed):
-    path = listed("x [mm],y [mm],z [mm],point", "1,2,300,P1", "4,5,600")
-    refused(path, "tracker.txt, line 3: '4 5 600' has not its three numbers where the other lines")

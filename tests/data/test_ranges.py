@@ -7,7 +7,7 @@ import pytest
 
 from calib import example
 from calib.data.measurements import Measurements
-from calib.data.ranges import column_limits, full_ranges, joint_ranges, range_text
+from calib.data.ranges import column_limits, full_ranges, joint_ranges
 from calib.errors import CalibError
 from calib.robot.readback import column_ranges
 from calib.robot.robot import Robot
@@ -94,11 +94,6 @@ def test_ranges_of_the_paper_s_rows(ur3):
     np.testing.assert_array_equal(narrowed[2], [0.0, 1.0])
 
 
-def test_words(leg):
-    assert range_text(leg, "lift", np.array([0.1, 0.4])) == "100 to 400 mm"
-    assert range_text(leg, "knee", np.array([-np.pi, np.pi])) == "-180 to 180 deg"
-
-
 @pytest.mark.parametrize(
     ("given", "said"),
     [
@@ -122,8 +117,3 @@ def test_words(leg):
 def test_ranges_that_cannot_be_are_refused(leg, given, said):
     with pytest.raises(CalibError, match=said):
         joint_ranges(leg, given)
-
-
-def test_no_rows_are_refused(ur3):
-    with pytest.raises(CalibError, match="No rows were given to take the ranges"):
-        joint_ranges(ur3, like=np.zeros((0, 6)))

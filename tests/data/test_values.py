@@ -78,19 +78,6 @@ def test_rows_of_commands_that_were_never_sent_are_left_out(table, listed):
     np.testing.assert_allclose(m.points[:, 0], [0.1005, 0.1035], rtol=1e-14)
 
 
-def test_a_status_of_another_table_is_not_read(table):
-    """A cell that is empty there was forgotten."""
-    lines = [line.replace(",ok", ",x") for line in SENT]
-    other = table(COMMANDS.replace("correction position [mm]", "remark"), *lines)
-    says = "line 3 (row 2), column 'a [deg]': the cell is empty."
-    refused(other, says, kind="fixed", joint_names=["a"])
-
-
-def test_what_a_plan_has_beside_needs_no_word(table):
-    m = Measurements.read(table(HEADER + ",remark", *(f"{row},by hand" for row in ROWS)))
-    assert m.ignored == ("remark",)
-
-
 def test_every_kind_that_measures_may_be_empty(table):
     pose = table("a [deg],x [mm],y [mm],z [mm],qx,qy,qz,qw", "1,100,200,300,0,0,0,1", "2,,,,,,,")
     assert Measurements.read(pose).unmeasured == (2,)
@@ -132,14 +119,6 @@ def test_a_plan_of_which_nothing_is_measured(table):
     refused(table(HEADER), "the table has a header and no rows below it")
 
 
-def test_only_validation_rows_are_measured(table):
-    says = (
-        "plan.csv, column 'set': no measured row is 'estimate', all 1 are 'validate'. "
-        "Mark those to estimate from"
-    )
-    refused(table(HEADER, *ROWS[1:]), says)
-
-
 def test_a_list_of_points_that_is_not_complete_yet(table, listed):
     path = table(HEADER, *ROWS)
     m = Measurements.read(path, points=listed("A::P3 1 2 300", "A::P1 4 5 600"))
@@ -151,15 +130,6 @@ def test_a_list_of_points_that_is_not_complete_yet(table, listed):
     )
     only = listed("P3 1 2 300")
     refused(path, "no measured row is 'estimate', all 1 are 'validate'", points=only)
-
-
-def test_empty_columns_beside_a_list_need_no_word(table, listed):
-    points = listed("P1 4 5 600", "P2 4 5 601", "P3 1 2 300", "P4 1 2 3")
-    rows = [re.sub(r",10[03],200,300,", ",,,,", row) for row in ROWS]
-    m = Measurements.read(table(HEADER, *rows), points=points)
-    assert (len(m), m.ignored) == (4, ())
-    filled = Measurements.read(table(HEADER, *ROWS), points=points)
-    assert filled.ignored == ("x [mm]", "y [mm]", "z [mm]")
 
 
 def test_points_in_the_order_of_the_rows(table, listed):

@@ -1,7 +1,5 @@
 """Scenarios: what a cell is to be like, and cells with errors of their own out of it."""
 
-import pickle
-
 import numpy as np
 import pytest
 
@@ -57,12 +55,3 @@ def test_random_poses_lie_inside_the_limits_or_the_cell_s_ranges(ur3):
     assert ((q[:, 2] >= 0.1) & (q[:, 2] <= 0.2)).all()
     with pytest.raises(CalibError, match="joint 'elbow', which does not move the chain"):
         Scenario(ur3, Cell(ranges={"elbow": (0.1, 0.2)})).random_poses(3, 1)
-
-
-def test_a_scenario_travels_to_another_process(ur3):
-    scenario = Scenario(ur3, Cell(tracker=TRACKER, ranges={"elbow_joint": (0.1, 0.2)}), "dh+gain")
-    again = pickle.loads(pickle.dumps(scenario))
-    q = scenario.random_poses(5, 1)
-    assert (again.random_poses(5, 1) == q).all()
-    ours, theirs = (s.draw(3).measure(q, 3).measurements.points for s in (scenario, again))
-    assert (ours == theirs).all()

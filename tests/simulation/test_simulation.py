@@ -129,16 +129,6 @@ def test_noise_grows_with_the_distance_from_the_tracker(truth, q, away):
     assert scaled.std() == pytest.approx(1.0, rel=4 / np.sqrt(2 * scaled.size))
 
 
-def test_repeatability_is_the_robot_s_and_so_of_all_targets_of_a_stop(ur3, q):
-    cell = Cell(targets={"a": (0.1, 0, 0), "b": (0, 0.1, 0)})
-    truth = draw_truth(ur3, cell=cell)
-    made = virtual(truth, noise=TrackerNoise(0.0, 0.0, 2e-5), visits=2).measure(q, 1)
-    off = (made.measurements.points - made.points).reshape(2, 40, 2, 3)
-    assert off[:, :, 0] == pytest.approx(off[:, :, 1], abs=1e-15)
-    assert not np.allclose(off[0], off[1])
-    assert off.std() == pytest.approx(2e-5, rel=0.15)
-
-
 def test_orientations_are_turned_by_their_noise(truth, q):
     made = virtual(truth, kind="pose", noise=None, sigma_angle=1e-3, visits=100).measure(q, 1)
     turned = made.measurements.rotations @ made.T_frame_target[:, :3, :3].transpose(0, 2, 1)
@@ -202,18 +192,6 @@ def test_a_fit_flags_the_outliers_and_no_other_rows(ur3, seed):
     assert {outlier.row for outlier in found.outliers} == set(made.outlier_rows)
 
 
-@pytest.mark.parametrize("kind", ["distance", "pair"])
-def test_outliers_of_lengths(ur3, q, kind):
-    truth = draw_truth(ur3, cell=Cell(estimate_frame=True))
-    cell = virtual(truth, kind=kind, outliers=Outliers(count=3, size=4e-3))
-    made, clean = cell.measure(q, 1), changed(cell, outliers=None).measure(q, 1)
-    off = made.measurements.distances - clean.measurements.distances
-    assert np.abs(off[np.abs(off) > 1e-12]) == pytest.approx(4e-3)
-    assert np.count_nonzero(np.abs(off) > 1e-12) == (6 if kind == "pair" else 3)
-    rows = [row - 1 for row in made.outlier_rows]
-    assert off[rows] == pytest.approx(made.outliers[rows, 0])
-
-
 def test_a_moved_target_is_an_exact_step(plain, truth, q):
     by = np.array([0.0, 3e-4, -4e-4])
     made = changed(plain, moved=MovedTarget(26, by)).measure(q)
@@ -232,16 +210,6 @@ def test_drift_is_linear_in_the_row(plain, q):
     assert step == pytest.approx(np.arange(40)[:, None] / 39 * drift, abs=1e-15)
 
 
-def test_the_same_seed_gives_the_same_table_and_another_another(truth, q):
-    cell = virtual(
-        truth, "pose", sigma_angle=1e-4, encoder=Encoder(1e-5), outliers=Outliers(count=2)
-    )
-    one, same, other = (cell.measure(q, s).measurements for s in (5, 5, 6))
-    for name in ("joints", "points", "rotations"):
-        assert (getattr(one, name) == getattr(same, name)).all()
-        assert not np.allclose(getattr(one, name), getattr(other, name), rtol=0, atol=1e-9)
-
-
 def test_set_ups_are_dealt_out_in_turn_and_tours_repeat(ur3, q):
     frames = {
         n: tracker_pose((2, y, 0), np.random.default_rng(1))
@@ -254,21 +222,6 @@ def test_set_ups_are_dealt_out_in_turn_and_tours_repeat(ur3, q):
     for name in frames:
         rows = [i for i, group in enumerate(table.groups) if group == name]
         assert table.points[rows] == pytest.approx(truth.points(table.joints[rows], group=name))
-
-
-@pytest.mark.parametrize(
-    ("values", "said"),
-    [
-        ({"kind": "fixed"}, "kind 'fixed' cannot be simulated.*Choose one of 'point', 'pose'"),
-        ({"kind": "best"}, "'best' is not a kind"),
-        ({"sigma_angle": -1.0}, "noise of an angle is -1.0 rad"),
-        ({"visits": 0}, "visited 0 times"),
-        ({"drift": (1.0, 2.0)}, "it must be three finite numbers"),
-    ],
-)
-def test_what_a_cell_cannot_be(truth, values, said):
-    with pytest.raises(CalibError, match=said):
-        virtual(truth, **values)
 
 
 def test_what_cannot_be_measured(plain, truth, q):

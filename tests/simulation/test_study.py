@@ -9,7 +9,6 @@ import pytest
 
 from calib.data.cell import Cell
 from calib.data.surroundings import TrackerNoise
-from calib.errors import CalibError
 from calib.result.calibrate import calibrate
 from calib.robot.robot import Robot
 from calib.simulation.scenario import Scenario
@@ -114,12 +113,6 @@ def test_outliers_models_and_verdicts_are_counted(ur3):
     )
 
 
-def test_progress_counts_the_trials(ur3):
-    seen = []
-    study(trials(ur3, count=15), 3, progress=lambda done, every: seen.append((done, every)))
-    assert seen == [(1, 3), (2, 3), (3, 3)]
-
-
 @pytest.mark.slow
 def test_of_distances_the_fits_say_and_the_forecast_says_what_is_reached(ur3):
     T_anchor_base = np.eye(4)
@@ -134,17 +127,6 @@ def test_of_distances_the_fits_say_and_the_forecast_says_what_is_reached(ur3):
     assert 0.85 < found.values("covered").mean() < 1.0
     assert found.forecast is not None
     assert found.forecast.rms == pytest.approx(found.rms, rel=0.12)
-
-
-def test_the_forecast_of_a_study_knows_its_noise_of_orientations(ur3):
-    cell = Cell(target=TARGET, kind="pose", model="dh")
-    scenario = Scenario(ur3, cell=cell, model="dh", sigma_angle=1.745e-4)
-    told = replace(cell, sigma_angle=1.745e-4)
-    one = study(Trials(scenario, cell, count=30, validate=False), 2).forecast
-    two = study(Trials(scenario, told, count=30, validate=False), 2).forecast
-    assert one is not None
-    assert two is not None
-    assert one.rms == two.rms
 
 
 @pytest.mark.slow
@@ -164,43 +146,6 @@ def test_several_targets_of_a_stop_share_the_robots_repeatability(ur3):
     stated = np.sqrt(np.mean(found.values("stated_rms") ** 2))
     assert stated == pytest.approx(found.rms, rel=0.12)
     assert 0.92 < found.values("covered").mean() < 0.985
-
-
-@pytest.mark.slow
-def test_where_poses_are_random_the_forecast_is_of_those_in_the_middle(ur3):
-    what = trials(ur3, count=12)
-    found = study(what, 3).forecast
-    assert found is not None
-    assert found.rms == np.median([_of_one(what, seed) for seed in range(3)])
-
-
-def _of_one(what: Trials, seed: int) -> float:
-    """The forecast for one trial's random poses."""
-    q = what.scenario.random_poses(what.count, seed)
-    found = study(replace(what, poses=q, sets=("estimate",) * len(q)), 2).forecast
-    assert found is not None
-    return found.rms
-
-
-def test_the_noise_is_that_of_the_fit_that_answers(ur3):
-    what = trials(ur3, model="dh+gain", count=30)
-    found = study(what, 3)
-    # Of the geometry alone, which cannot hold the gains, it was 0.23 mm.
-    assert found.values("sigma") == pytest.approx(0.039e-3, rel=0.25)
-
-
-@pytest.mark.parametrize(("count", "seed"), [(1, 0), (0, 0), (5, -1)])
-def test_too_few_trials_are_refused(ur3, count, seed):
-    with pytest.raises(CalibError, match="it takes 2 trials or more"):
-        study(trials(ur3), count, seed)
-
-
-def test_where_every_trial_fails_the_first_reason_is_told(ur3):
-    # The model has no parameter of this name, whatever is drawn.
-    cell = Cell(target=TARGET, model="hayati", frozen=("d17",))
-    what = replace(trials(ur3), cell=cell)
-    with pytest.raises(CalibError, match=r"None of the 2 trials came to an end.*'d17'"):
-        study(what, 2)
 
 
 @pytest.mark.parametrize(

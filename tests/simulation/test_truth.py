@@ -77,15 +77,6 @@ def test_drawn_errors_have_the_sizes_of_their_families(ur3):
     assert (x[:, model.family("compliance")] > 0.0).all()
 
 
-def test_sizes_that_are_nothing_leave_the_robot_as_it_is(ur3):
-    nothing = draw_truth(ur3, "placement", None, seed=1)
-    assert nothing.robot.urdf == ur3.urdf
-    assert (nothing.x == 0.0).all()
-    turned = draw_truth(ur3, "placement", {"length": 0.0}, seed=1)
-    assert (turned.x[turned.model.family("length")] == 0.0).all()
-    assert (turned.x[turned.model.family("angle")] != 0.0).all()
-
-
 def test_single_errors_win_over_drawn_ones(ur3):
     given = {"elbow_joint.rx": 2e-3, "wrist_1_joint.gain": 1e-3}
     drawn = draw_truth(ur3, "placement+gain", seed=1)
@@ -134,37 +125,6 @@ def test_a_true_urdf_is_the_truth(ur3):
     assert np.count_nonzero(given.x[~geometry]) == 1
 
 
-def test_a_true_urdf_whose_tip_sits_elsewhere(ur3):
-    placements = ur3.placements.copy()
-    placements[-1] = placements[-1] @ pin.exp6(np.array([1e-3, 0, 0, 0, 2e-3, 0])).homogeneous
-    true = ur3.with_placements(placements)
-    truth = draw_truth(ur3, true_robot=true)
-    q = random_joint_values(ur3, 5)
-    assert truth.tip_poses(q) == pytest.approx(true.poses(q), abs=1e-14)
-    # The set of placements has no word for it: the error is the robot's all the same.
-    assert np.abs(truth.x).max() < 1e-14
-    assert truth.nominal_errors(q).min() > 5e-4
-
-
-def test_a_true_urdf_of_another_base(serial_urdf):
-    joints = [
-        ("revolute", (0, 0, 0.3), (0.1, 0, 0), (0, 0, 1)),
-        ("revolute", (0.3, 0, 0), (1.5, 0, 0), (0, 0, 1)),
-    ]
-    extra = (
-        '<link name="foot"/><joint name="jfoot" type="fixed"><parent link="l0"/><child link="foot"/>'
-        '<origin xyz="{} 0 0"/></joint>'
-    )
-    nominal = Robot.from_urdf(
-        serial_urdf(joints, extra=extra.format("0.1")), base="foot", tip="tip"
-    )
-    true = Robot.from_urdf(serial_urdf(joints, extra=extra.format("0.101")), base="foot", tip="tip")
-    truth = draw_truth(nominal, true_robot=true)
-    q = random_joint_values(nominal, 5)
-    assert truth.tip_poses(q) == pytest.approx(true.poses(q), abs=1e-14)
-    assert truth.nominal_errors(q) == pytest.approx(1e-3)
-
-
 def test_what_is_no_truth(ur3, panda):
     data = ur3.urdf.data.replace(b'<axis xyz="0 1 0"/>', b'<axis xyz="0 1 0.001"/>', 1)
     bent = ur3.rebuilt(type(ur3.urdf).from_bytes(data, "bent.urdf"))
@@ -198,16 +158,6 @@ def test_the_target_is_drawn_about_where_it_is_said_to_be(ur3):
     assert not np.allclose(one.T_tip_target[0, :3, :3], cell.target_rotation, atol=1e-4)
 
 
-@pytest.mark.parametrize("known", [True, False])
-def test_a_known_target_and_one_without_an_error_are_where_they_are_said_to_be(ur3, known):
-    cell = Cell(targets={"a": (0.1, 0, 0), "b": (0, 0.1, 0)}, estimate_target=not known)
-    truth = draw_truth(ur3, cell=cell, target_error=1e-3 if known else 0.0)
-    assert truth.targets == ("a", "b")
-    assert truth.T_tip_target[:, :3, 3].tolist() == [[0.1, 0, 0], [0, 0.1, 0]]
-    q = random_joint_values(ur3, 3)
-    assert truth.points(q, "b") == pytest.approx((truth.tip_poses(q) @ (0, 0.1, 0, 1))[:, :3])
-
-
 def test_frames_are_the_cell_s_or_drawn_or_the_base(ur3):
     own = tracker_pose((1.0, 2.0, 3.0), rng())
     assert (draw_truth(ur3).T_frame_base[0] == np.eye(4)).all()
@@ -224,24 +174,6 @@ def test_frames_are_the_cell_s_or_drawn_or_the_base(ur3):
     assert placed[2, 2] > np.cos(0.06)
 
 
-def test_the_nominal_robot_s_own_error(ur3):
-    truth = draw_truth(ur3, "zeros", None, errors={"shoulder_pan_joint.zero": 1e-3})
-    q = random_joint_values(ur3, 20)
-    radius = np.hypot(*truth.points(q)[:, :2].T)
-    assert truth.nominal_errors(q) == pytest.approx(2 * np.sin(5e-4) * radius)
-
-
-def test_gravity_the_other_way_bends_the_robot_the_other_way(ur3):
-    q = random_joint_values(ur3, 10)
-    sag = []
-    for g in (-9.81, 9.81):
-        cell = Cell(gravity=np.array([0.0, 0.0, g]))
-        truth = draw_truth(ur3, "frames+compliance", seed=1, cell=cell)
-        sag.append(truth.points(q) - draw_truth(ur3, "frames", seed=1).points(q))
-    assert np.abs(sag[0]).max() > 1e-5
-    assert sag[0] == pytest.approx(-sag[1], abs=1e-6)
-
-
 def test_a_chain_with_a_sliding_joint_a_mimic_joint_and_two_branches():
     robot = Robot.load("tiago", tip="arm_7_link")
     truth = draw_truth(robot, MANY, seed=2)
@@ -254,24 +186,6 @@ def test_a_chain_with_a_sliding_joint_a_mimic_joint_and_two_branches():
     q = random_joint_values(camera, 5)
     assert seen.tip_poses(q) == pytest.approx(seen.robot.poses(q), abs=1e-14)
     assert seen.nominal_errors(q).min() > 1e-4
-
-
-@pytest.mark.parametrize(
-    ("outliers", "among", "number"),
-    [
-        (Outliers(share=0.2), 30, 6),
-        (Outliers(share=0.001), 30, 1),
-        (Outliers(share=0.0), 30, 0),
-        (Outliers(share=1.0), 7, 7),
-        (Outliers(count=0), 30, 0),
-        (Outliers(count=3), 3, 3),
-    ],
-)
-def test_how_many(outliers, among, number):
-    chosen = outliers.choose(range(100, 100 + among), seed=1)
-    assert len(chosen) == len(set(chosen)) == number
-    assert chosen == sorted(chosen)
-    assert set(chosen) <= set(range(100, 100 + among))
 
 
 def test_more_outliers_are_those_of_fewer_and_others():
@@ -287,14 +201,6 @@ def test_a_target_is_moved_from_its_row_on():
     assert only.tolist() == [False, False, False, True, False]
 
 
-def test_a_moved_target_that_does_not_fit():
-    for row in (0, 6):
-        with pytest.raises(CalibError, match=f"before row {row}; the table has the rows 1 to 5"):
-            MovedTarget(row, (0, 0, 1e-3)).rows(["a"] * 5)
-    with pytest.raises(CalibError, match="'c' is to move; there are 'a', 'b'"):
-        MovedTarget(2, (0, 0, 1e-3), "c").rows(["a", "b"])
-
-
 @given(
     st.lists(st.floats(-6.0, 6.0), min_size=1, max_size=8),
     st.floats(1e-6, 0.1),
@@ -308,16 +214,6 @@ def test_what_is_read_is_at_most_half_a_step_from_where_the_robot_stands(values,
     assert np.abs(stood - q).max() <= 0.5 * step * (1 + 1e-9)
     assert np.abs(read - stood).max() <= 0.5 * step + 1e-12
     assert np.abs(read / step - np.round(read / step)).max() < 1e-6
-
-
-def test_joints_that_slide_have_a_step_of_their_own():
-    q = np.full((1000, 3), 0.1234567)
-    slides = [False, True, False]
-    for encoder, moved in ((Encoder(1e-3, 0.0), [0, 2]), (Encoder(0.0, 1e-4), [1])):
-        off = encoder.measure(q, slides, 1)[0] - q
-        assert [k for k in range(3) if off[:, k].any()] == moved
-    # evenly within the step, so that its standard deviation is a step over the root of twelve
-    assert off[:, 1].std() == pytest.approx(1e-4 / np.sqrt(12), rel=0.05)
 
 
 def test_each_purpose_has_numbers_of_its_own():
