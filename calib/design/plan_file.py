@@ -45,9 +45,8 @@ def write_plan(
 ) -> Path:
     """Write a plan as a CSV table, degrees and millimetres, in the order to drive; several targets have a row each.
 
-    Each row has the name of a point, ``P1`` for row 1, by which a list of points can be matched. The columns of what is
-    measured are empty; ``expected`` columns are what the nominal robot would give. ``first_row`` is the number of the
-    first row: where rows are to be added to a table, one more than its last.
+    The columns of what is measured are empty; ``expected`` columns are what the nominal robot would give. ``first_row``
+    is the number of the first row: where rows are to be added to a table, one more than its last.
     """
     rows = list(_rows(plan, first_row))
     text = io.StringIO()

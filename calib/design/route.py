@@ -81,13 +81,9 @@ def route(
 ) -> Route:
     """Poses in the order to drive; where a move is blocked, a turn more of some joints, else a pose to drive by.
 
-    Args:
-        robot: The robot.
-        joints: shape (K, m), [rad] or [m].
-        limits: shape (m, 2), between which joints may stand.
-        start: shape (m,), where the robot stands before; None: it begins at any pose.
-        free_path: Whether the straight way between two poses is free; None: all are.
-        stops: Called where moves are blocked for free poses to drive by, shape (n, m).
+    ``joints``, shape (K, m), stay between ``limits``, shape (m, 2); ``start``, shape (m,), is where the robot stands
+    before. ``free_path`` says whether the straight way between two poses is free, ``stops`` gives free poses to drive
+    by.
     """
     tour = order(joints, start, free_path)
     if free_path is None or not tour.blocked:

@@ -117,16 +117,15 @@ def _geometry(
         name, scale = shape.mesh
         path = find_mesh(name, folders)
         if path is None:
-            raise UrdfError(
-                f"{urdf.source}: link '{shape.link}': the mesh '{name}' was not found in "
-                f"{choices(map(str, folders))}. Name the folder that holds it by --package-dir (for package://NAME/... "
-                "the one that NAME is in), or plan without collisions (--no-collisions)."
+            problem = (
+                f"was not found in {choices(map(str, folders))}. Name its folder by --package-dir"
             )
-        meshes[shape.mesh], problem = load_mesh(path, scale)
+        else:
+            meshes[shape.mesh], problem = load_mesh(path, scale)
         if problem:
             raise UrdfError(
-                f"{urdf.source}: link '{shape.link}': the mesh file '{path}' {problem}. Replace it, or plan without "
-                "collisions (--no-collisions)."
+                f"{urdf.source}: link '{shape.link}': the mesh '{path or name}' {problem}; or plan without collisions "
+                "(--no-collisions)."
             )
     return meshes[shape.mesh]
 
@@ -248,14 +247,10 @@ class Pairs(NamedTuple):
 def choose_pairs(
     robot: Robot, scene: Scene, rigid: Mapping[str, str], configurations: Array, clearance: float
 ) -> Pairs:
-    """Pairs of shapes to compare, those that touch most often first.
+    """Pairs of shapes to compare, those that touch most often first; the scene's last shape is none of them.
 
-    Args:
-        robot: The robot.
-        scene: All shapes, without pairs; the last is none that is compared here.
-        rigid: For each link what stands for all that never moves against it.
-        configurations: shape (SAMPLES, nq), over the joints' ranges.
-        clearance: [m].
+    ``rigid`` is for each link what stands for all that never moves against it; ``configurations``, shape (SAMPLES, nq),
+    are spread over the joints' ranges.
     """
     urdf, parts = robot.urdf, scene.parts
     welded = clusters(urdf, (joint for joint in urdf.joints if joint.type == "fixed"))

@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 
-from calib.data.ranges import column_limits
 from calib.design.candidates import Condition, draw, planning_ranges
 from calib.errors import CalibError, ModelError
 from calib.robot.robot import Robot
@@ -49,18 +48,6 @@ def test_ranges_keep_the_margin_to_the_urdfs_limits(mixed):
 def test_ranges_of_which_nothing_is_left_are_refused(mixed, given, margin, words):
     with pytest.raises(CalibError, match=words):
         planning_ranges(mixed, given, margin)
-
-
-def test_joints_are_driven_by_whole_turns_where_their_limits_allow_it(ur3, mixed):
-    limits = planning_ranges(ur3, {"wrist_3_joint": (-1.0, 2.0)}, 5 * DEG, turns=True)
-    urdf = column_limits(ur3)
-    np.testing.assert_allclose(limits[0], [urdf[0, 0] + 5 * DEG, urdf[0, 1] - 5 * DEG])
-    assert limits[0, 1] > 1.5 * math.pi
-    np.testing.assert_allclose(limits[5], [-1.0, 2.0])
-    np.testing.assert_allclose(
-        planning_ranges(mixed, {}, 5 * DEG, turns=True)[:2], planning_ranges(mixed, {}, 5 * DEG)[:2]
-    )
-    assert planning_ranges(mixed, {}, 5 * DEG, turns=True)[2].tolist() == [-math.inf, math.inf]
 
 
 # Drawing

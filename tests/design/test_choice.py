@@ -26,12 +26,6 @@ def paper(ur3) -> Sensitivity:
 
 
 @pytest.fixture(scope="module")
-def free(ur3) -> Pool:
-    """20,000 poses anywhere."""
-    return draw(ur3, planning_ranges(ur3, {}, 0.0), [], 20_000, 0)
-
-
-@pytest.fixture(scope="module")
 def some(ur3) -> Pool:
     """Some hundreds: quick to choose from."""
     return draw(ur3, planning_ranges(ur3, {}, 0.0), [], 700, 0)
@@ -43,29 +37,6 @@ def planned(paper, some) -> Choice:
 
 
 # The bars
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 1, 2])
-def test_a_d_optimal_choice_comes_close_to_the_bound(paper, free, seed):
-    f = choose_poses(
-        paper, free, PlanRequest(30, 0, criterion="D", ladder=False, seed=seed)
-    ).forecast
-    assert f.rank == f.workspace_rank == 23
-    assert 1.0 < f.mean_variance / (23 / 30) <= 1.02
-    # Below the bound none can be (Kiefer and Wolfowitz).
-    assert 1.0 < f.worst_variance / (23 / 30) <= 1.15
-    assert f.efficiency == pytest.approx(23 / 30 / f.mean_variance)
-
-
-@pytest.mark.slow
-def test_a_v_optimal_choice_passes_it_in_the_mean(paper, free):
-    c = choose_poses(paper, free, PlanRequest(30, 0, criterion="V", ladder=False, seed=0))
-    assert c.forecast.mean_variance / (23 / 30) <= 1.0
-    assert c.forecast.worst_variance / (23 / 30) > 1.0
-    # In the noise of one measurement.
-    assert c.forecast.rms / SIGMA == pytest.approx(0.87, abs=0.02)
-    assert c.at_random.rms / SIGMA == pytest.approx(1.0, abs=0.06)
 
 
 def test_the_papers_poses_predict_with_four_times_the_noise(paper, some, paper_table):

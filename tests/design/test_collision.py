@@ -82,18 +82,6 @@ def test_balls_touch_where_their_distance_says_so(q, clearance):
     assert model.free(q).tolist() == [least > clearance]
 
 
-def test_links_that_always_touch_are_left_out_and_named():
-    shell = LINK.format(name="shell", x=0.3, kind="collision").replace("0.05", "0.08")
-    joint = JOINT.format(name="s", parent="fore", child="shell", x=0.0)
-    model = model_of(robot_of(balls(more=shell + joint)))
-    # 'shell' stays where it is on 'fore', 0.2 m from the ball of 'hand' wherever that turns.
-    assert ("hand", "shell") not in model.touching
-    big = shell.replace("0.08", "0.3")
-    model = model_of(robot_of(balls(more=big + joint)))
-    assert ("hand", "shell") in model.touching
-    assert model.notes[-1].code == "always_touching"
-
-
 def test_links_always_within_the_clearance_are_refused_where_they_touch():
     model = model_of(robot_of(balls()), clearance=0.7)
     assert set(model.close) <= {("base", "fore"), ("base", "hand"), ("upper", "hand")}

@@ -157,17 +157,6 @@ def test_notes_are_codes(ur3, full, bare):
     ]
 
 
-@pytest.mark.parametrize(("kind", "count", "numbers"), [("pose", 8, 6), ("distance", 30, 1)])
-def test_other_kinds_can_be_planned(ur3, kind, count, numbers):
-    frame = np.eye(4)
-    frame[:3, 3] = [-0.7, 0.5, -0.3]
-    cell = replace(BARE, kind=kind, T_frame_base=frame)
-    p = plan(ur3, cell, PlanRequest(count, 0, candidates=300, ladder=False), collisions=None)
-    assert p.kind == kind
-    assert p.forecast.rank == p.forecast.workspace_rank <= numbers * count
-    np.testing.assert_allclose(p.expected[:, 0], points(ur3, p.joints) + frame[:3, 3], atol=1e-12)
-
-
 # Refusals
 
 

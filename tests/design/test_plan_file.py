@@ -72,30 +72,6 @@ def test_a_plan_is_a_table_to_fill_in(planned, ur3, tmp_path):
     assert (table.sets, table.ignored, table.unmeasured) == (planned.sets, (), ())
 
 
-@pytest.mark.parametrize(
-    ("kind", "columns"),
-    [
-        ("pose", ["x [mm]", "y [mm]", "z [mm]", "qx", "qy", "qz", "qw"]),
-        ("distance", ["distance [mm]"]),
-    ],
-)
-def test_every_kind_has_its_columns(ur3, tmp_path, kind, columns):
-    T = np.eye(4)
-    T[:3, 3] = [1.0, 0.5, 0.2]
-    cell = replace(CELL, kind=kind, T_frame_base=T)
-    made = plan(ur3, cell, PlanRequest(30, 0, candidates=400, ladder=False), collisions=None)
-    header, rows = cells(write_plan(made, tmp_path / "plan.csv"))
-    assert header[9 : 9 + len(columns)] == columns
-    assert [name.partition(" ")[0] for name in header[9 + len(columns) :]] == ["expected"] * (
-        3 if kind == "pose" else 1
-    )
-    if kind == "distance":
-        distance = np.array([float(row[-1]) for row in rows])
-        np.testing.assert_allclose(
-            distance, 1e3 * np.linalg.norm(made.expected[:, 0], axis=1), atol=5.1e-4
-        )
-
-
 def test_several_targets_have_a_row_each(ur3, tmp_path):
     targets = {"left": np.array([0.05, 0.0, 0.03]), "right": np.array([-0.05, 0.0, 0.03])}
     made = plan(

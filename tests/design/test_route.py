@@ -31,16 +31,6 @@ def test_a_bar_goes_over_the_top():
     assert floor(turned[0], turned[3])
 
 
-@pytest.mark.parametrize(
-    ("ranges", "turns"),
-    [(WIDE, [False, False]), (np.array([[-np.pi, np.pi], [-np.pi, np.pi]]), [True, False])],
-)
-def test_where_no_turn_leads_poses_stay(ranges, turns):
-    q = poses(-120.0, -80.0, -10.0, 150.0, 170.0)
-    turned = with_whole_turns(q, [np.arange(3), np.arange(3, 5)], ranges, np.array(turns), floor)
-    assert np.array_equal(turned, q)
-
-
 def test_joints_of_more_than_a_turn():
     ur3 = Robot.load("urdf/ur3.urdf", base="base", tip="tool0")
     limits = planning_ranges(ur3, {"wrist_1_joint": (-1.0, 1.0)}, np.radians(5.0), turns=True)
