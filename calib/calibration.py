@@ -54,7 +54,7 @@ class Calibration(CalibrationValues):
 
     @classmethod
     def read_json(cls, path: str | Path) -> Calibration:
-        """Read a result that `write_json` or ``calib fit --json`` wrote; `FileError` where that cannot be."""
+        """Read a result that `write_json` or ``calib calibrate --json`` wrote; `FileError` where that cannot be."""
         from calib.result.calibration_file import read_result
 
         return _of(cls, read_result(path))

@@ -20,7 +20,9 @@ Examples:
 A tracker that stands elsewhere and a target mounted anew are no drift.
 """)
 def compare(
-    a: Annotated[Path, typer.Argument(metavar="A", help="First result, of 'calib fit --json'.")],
+    a: Annotated[
+        Path, typer.Argument(metavar="A", help="First result, of 'calib calibrate --json'.")
+    ],
     b: Annotated[Path, typer.Argument(metavar="B", help="Second, later result.")],
     robot: Annotated[
         str | None,

@@ -53,7 +53,8 @@ def evaluate(
     said: _Options,
     read: TableOptions,
     calibration: Annotated[
-        Path | None, typer.Option("--calibration", help="Result that 'calib fit --json' wrote.")
+        Path | None,
+        typer.Option("--calibration", help="Result that 'calib calibrate --json' wrote."),
     ] = None,
     tolerance: Annotated[
         str | None,
