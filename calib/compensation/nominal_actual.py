@@ -238,11 +238,7 @@ def pair_of(
 
 
 def is_corrected(result: Calibration, robot: Robot) -> bool:
-    """Whether a robot has the joint origins that a result corrected; False: those that it began with.
-
-    Raises:
-        ModelError: It has neither.
-    """
+    """Whether a robot has the joint origins that a result corrected, not those that it began with; or `ModelError`."""
     own = result.nominal
     if (robot.base, robot.tip) != (own.base, own.tip):
         raise ModelError(

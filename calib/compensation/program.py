@@ -149,7 +149,6 @@ def read_program(
 
     Raises:
         MeasurementError: The table cannot be read; the text names file, row and column.
-        ModelError: The program has no use for ``match`` or ``start``.
     """
     table = Table.read(path)
     rows = list(table.rows())

@@ -78,12 +78,8 @@ class Finding(NamedTuple):
 class Attempt:
     """What was found for a program, before it is judged.
 
-    Attributes:
-        pair, program, matching: What it was found for.
-        T_wanted: shape (N, 4, 4), in the base [m].
-        starts, before, solved: The nominal robot, the actual one at the same joint values, the actual one at those to
-            command.
-        left_by_pose: shape (N, 2), how far it misses if the poses are sent [m], [rad].
+    ``T_wanted`` (N, 4, 4) is in the base [m]; ``starts`` is the nominal robot, ``before`` the actual one at the same
+    joint values, ``solved`` at those to command; ``left_by_pose`` (N, 2): how far it misses if poses are sent.
     """
 
     pair: Pair
@@ -188,11 +184,7 @@ def warnings_of(
 
 
 def _near_singularity(a: Attempt) -> tuple[Mask, Array]:
-    """Where small motions of the tool take large ones of a joint, before the correction or behind it.
-
-    Returns:
-        Which rows, shape (N,); and what 1 mm of the tool may take of each joint, shape (N, m) [rad] or [m].
-    """
+    """Where small motions of the tool take large ones of a joint (N,); what 1 mm takes of each (N, m) [rad or m]."""
     scaled = Matching(a.matching.name, 1.0)
     smallest, worst = [], []
     for one in (a.starts, a.solved):

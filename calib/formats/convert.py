@@ -77,11 +77,7 @@ def convert(source: str, path: str | Path, options: Options | None = None) -> Co
 
 
 def chosen_format(path: Path, asked: str | None, source_kind: str) -> str:
-    """The format that a file is written in: the one asked for, or what its ending says.
-
-    Raises:
-        CalibError: No such format, or an ending of several or of none.
-    """
+    """The format that a file is written in: the one asked for, or what its ending says; `CalibError` if none."""
     ending = path.suffix.lower()
     fitting = [name for name, one in FORMATS.items() if ending in one.endings]
     if asked is None:

@@ -71,11 +71,7 @@ def origins_of(robot: Robot) -> dict[str, JointOrigin]:
 
 
 def with_origins(robot: Robot, origins: Mapping[str, JointOrigin]) -> Robot:
-    """The robot with these origins; those of other joints, and its held joints, stay.
-
-    Raises:
-        UrdfError: The robot's URDF has no joint of a name.
-    """
+    """The robot with these origins, those of other joints and its held joints stay; `UrdfError` for unknown joints."""
     names = [joint.name for joint in robot.urdf.joints]
     for name in origins:
         if name not in names:
@@ -164,13 +160,7 @@ for _tag, _unit in (("!degrees", math.radians(1.0)), ("!radians", 1.0)):
 
 
 def parse_yaml(data: bytes, source: str, what: str) -> dict[Any, Any]:
-    """The outermost table of a YAML file's bytes; empty where it holds none.
-
-    ``source`` is the file's name and ``what`` what it should be, for messages.
-
-    Raises:
-        FileError: It is no YAML, or it has a tag that is not known.
-    """
+    """The outermost table of a YAML file's bytes, empty where it holds none; `FileError` where it is no YAML."""
     try:
         table = _Loader(data).get_single_data()
     except (yaml.YAMLError, ValueError, RecursionError, ArithmeticError) as error:

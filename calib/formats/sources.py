@@ -156,11 +156,7 @@ KINDS = {
 
 
 def source_kind(source: str) -> str:
-    """Which of `KINDS` a source is: by its ending, and a YAML file by its first key.
-
-    Raises:
-        FileError: It is none, or cannot be read.
-    """
+    """Which of `KINDS` a source is: by its ending, and a YAML file by its first key; `FileError` if none."""
     ending = "" if is_xacro(source) else Path(source).suffix.lower()
     keys: tuple[str, ...] = ()
     if ending in YAML:
@@ -177,9 +173,5 @@ def source_kind(source: str) -> str:
 
 
 def read_source(source: str, options: Options) -> Source:
-    """Read what is to be converted: a file, or the name of a robot.
-
-    Raises:
-        CalibError: A file cannot be read, or things do not fit each other.
-    """
+    """Read what is to be converted: a file, or the name of a robot; `CalibError` where things do not fit each other."""
     return KINDS[source_kind(source)].read(source, options)

@@ -72,12 +72,7 @@ class Conf:
 
     @classmethod
     def read(cls, path: PathLike, data: bytes | None = None) -> Conf:
-        """What a file says, or will say that is to be written.
-
-        Raises:
-            FileError: It cannot be read, has no ``[mounting]``, or not six numbers for each of the four in metres and
-                radians.
-        """
+        """What a file says, or will say that is to be written; `FileError` where it has not these numbers."""
         text = (read_bytes(path, "calibration.conf") if data is None else data).decode("latin-1")
         deltas = _columns(path, text, "mounting", _LARGEST_DELTA)
         keys = dict(_KEY.findall(_section(text, "mounting")))
@@ -102,11 +97,7 @@ def conf_bytes(deltas: Array) -> bytes:
 
 
 def read_nominal(path: PathLike) -> Array:
-    """The nominal rows (6, 4) of a ``urcontrol.conf``: ``a``, ``d``, ``alpha`` of ``[DH]``, and ``theta`` or zeros.
-
-    Raises:
-        FileError: As for `Conf.read`.
-    """
+    """The nominal rows (6, 4) of a ``urcontrol.conf``: ``a``, ``d``, ``alpha`` of ``[DH]``, and ``theta`` or zeros."""
     text = read_bytes(path, "urcontrol.conf").decode("latin-1")
     return _columns(path, text, "DH", _LARGEST_NOMINAL, optional="theta")
 
@@ -174,12 +165,7 @@ class UrYaml(NamedTuple):
 
 
 def read_kinematics(path: PathLike, data: bytes | None = None) -> UrYaml:
-    """What a ``kinematics.yaml`` says, or will say that is to be written.
-
-    Raises:
-        FileError: It cannot be read, lacks a link or a number, or has numbers that are no metres and
-            radians.
-    """
+    """What a ``kinematics.yaml`` says, or will say that is to be written; `FileError` where it lacks something."""
     what = "kinematics.yaml"
     top = parse_yaml(read_bytes(path, what) if data is None else data, str(path), what)
     links = _check_keys(path, "kinematics", top.get("kinematics"), list(LINKS))

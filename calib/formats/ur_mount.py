@@ -77,11 +77,7 @@ class Mount:
 
 
 def the_mount(robot: Robot, model: UrModel | None = None) -> Mount:
-    """How a robot's frames are fixed to those of the arm that it is, or that it must be.
-
-    Raises:
-        ModelError: It is not that arm, or none.
-    """
+    """How a robot's frames are fixed to those of the arm that it is, or that it must be; `ModelError` if it is not."""
     wanted = MODELS if model is None else (model,)
     for T_base_arm, T_flange_tip in _named_frames(robot):
         arm = rigid_inverse(T_base_arm) @ robot.poses(SPREAD) @ rigid_inverse(T_flange_tip)
