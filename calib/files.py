@@ -49,14 +49,10 @@ def read_bytes(path: str | os.PathLike[str], what: str) -> bytes:
 
 
 def write_atomically(path: str | os.PathLike[str], data: bytes, *, overwrite: bool) -> Path:
-    """Write a file so that it holds all of ``data`` or stays as it was.
+    """Write a file so that it holds all of ``data`` or stays as it was; FileError where it cannot be written.
 
     The bytes go into a file beside it, which then takes its name. A symbolic link is followed and stays one. A file
     that is overwritten keeps its permissions.
-
-    Raises:
-        FileError: The file exists and ``overwrite`` is False, it is a folder or a device, or the
-            folder is missing or not writable. Nothing is left behind.
     """
     check_writable(path, overwrite=overwrite)
     target = Path(path).resolve()

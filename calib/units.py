@@ -94,18 +94,11 @@ def find_unit(symbol: str) -> Unit:
 def split_header(text: str) -> tuple[str, str | None]:
     """Split a column header into its name and the text in its last square brackets, if any."""
     match = _HEADER.fullmatch(text.strip())
-    if match is None:
-        return text.strip(), None
-    return match["name"].strip(), match["symbol"].strip()
+    return (match["name"].strip(), match["symbol"].strip()) if match else (text.strip(), None)
 
 
 def parse_header(text: str) -> tuple[str, Unit | None]:
-    """Split a column header into its name and its unit, None when there are no brackets.
-
-    Example:
-        >>> parse_header("x [mm]")
-        ('x', Unit(symbol='mm', quantity='length', to_si=0.001))
-    """
+    """Split a column header into its name and its unit, None when there are no brackets."""
     name, symbol = split_header(text)
     return name, None if symbol is None else find_unit(symbol)
 
@@ -120,10 +113,7 @@ def is_number(value: object) -> TypeGuard[float]:
     """Whether a value is a finite number."""
     if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
         return False
-    try:
-        return math.isfinite(value)
-    except OverflowError:  # a whole number that no float is
-        return False
+    return math.isfinite(value)
 
 
 def parse_quantity(text: object) -> tuple[float, str]:
@@ -157,14 +147,14 @@ def parse_quantity(text: object) -> tuple[float, str]:
 
 def parse_joint_value(value: object, where: str) -> float:
     """The value of a joint with its unit, such as ``"30 deg"`` or ``"0.3 m"``, as an `Angle` or a `Length`."""
+    hint = 'Write "30 deg" or "0.3 m".'
     try:
         number, kind = parse_quantity(value)
     except CalibError as error:
-        raise CalibError(f'{where}: {error}. Write "30 deg" or "0.3 m".') from error
+        raise CalibError(f"{where}: {error}. {hint}") from error
     if kind not in (LENGTH, ANGLE):
-        raise CalibError(
-            f'{where} is {value!r}; a joint\'s value needs a unit of angle or length: "30 deg" or "0.3 m".'
-        )
+        message = f"{where} is {value!r}; a joint's value needs a unit of angle or length. {hint}"
+        raise CalibError(message)
     return Length(number) if kind == LENGTH else Angle(number)
 
 

@@ -32,7 +32,8 @@ from scipy.special import gammaincinv, ndtri
 
 from calib.circle_points.fits import Circle, Plane
 from calib.errors import CalibError, UrdfError, choices
-from calib.model.dh import DHRow, DHTable, dh_table, rows_between, zero_poses
+from calib.model.dh import dh_table, rows_between, zero_poses
+from calib.model.dh_table import DHRow, DHTable
 from calib.robot.robot import Robot, read_only, rigid_inverse
 
 Array = NDArray[np.float64]

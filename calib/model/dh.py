@@ -34,18 +34,6 @@ from calib.model.dh_table import (
 )
 from calib.robot.robot import Robot, read_only, rigid_inverse
 
-__all__ = [
-    "NEARLY_PARALLEL_RAD",
-    "DHRow",
-    "DHTable",
-    "dh_frames",
-    "dh_table",
-    "near_parallel",
-    "rows_between",
-    "taken_as_parallel",
-    "zero_poses",
-]
-
 Array = NDArray[np.float64]
 
 #: Axes closer to parallel than the first of these [rad] are rounding of a URDF's text: the common normal would be of

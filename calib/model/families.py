@@ -1,8 +1,7 @@
 """Families of errors: the registry. A family is one row, and everything else that names families reads it.
 
-A family of the *geometry* (length, angle, zero) is what a URDF can hold; its parameters are directions at placements
-(`calib.model.error_model`). A family of the *joints' state* moves a joint about, or along, its own axis by a parameter
-times a known number of that state, its factor:
+A family of the *geometry* (length, angle, zero) is what a URDF can hold; its parameters are directions at placements.
+A family of the *joints' state* moves a joint about, or along, its own axis by a parameter times a known factor:
 
     gain          dq = g q
     eccentricity  dq = s sin q + c cos q       the encoder's once-per-turn error
@@ -100,17 +99,14 @@ class Family:
     unit: Unit  #: Of a parameter, at a joint that turns.
     prior: float  #: Standard deviation that is assumed, or where the search for it begins, in that unit.
     typical: float  #: Standard deviation of a virtual robot's, in that unit.
-    factors: tuple[
-        Factor, ...
-    ] = ()  #: Of the parameters that each joint has; empty for the geometry.
+    #: Of the parameters that each joint has; empty for the geometry.
+    factors: tuple[Factor, ...] = ()
     #: The unit at a joint that slides; None: such a joint has none of the family.
     sliding: Unit | None = None
     #: Whether each joint of the chain errs by itself; else each measured joint, with its followers.
     every_joint: bool = False
-    bounds: tuple[float, float] = (
-        1e-7,
-        0.1,
-    )  #: Smallest and largest standard deviation that is believed, in ``unit``.
+    #: Smallest and largest standard deviation that is believed, in ``unit``.
+    bounds: tuple[float, float] = (1e-7, 0.1)
     positive: bool = False  #: Whether its parameters are none but positive, as a compliance is.
     lever: float = 1.0  #: A sliding joint's typical error over that of a turning one.
 

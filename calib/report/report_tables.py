@@ -9,7 +9,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib.model.dh import DHRow, dh_table
+from calib.model.dh import dh_table
+from calib.model.dh_table import DHRow
 from calib.report.label_rows import angles_of, lengths_of
 from calib.result.calibration import Calibration
 from calib.robot.robot import rigid_inverse

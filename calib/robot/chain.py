@@ -47,11 +47,8 @@ def chain_between(urdf: Urdf, base: str, tip: str) -> Geometry:
     moving = [step for step in path if step.joint.type != "fixed"]
     wrong = [step.joint for step in moving if step.joint.type not in MOVING]
     if not moving or wrong:
-        fault = "no joint moves"
-        if wrong:
-            fault = (
-                f"joint '{wrong[0].name}' of type '{wrong[0].type}' is not one of {choices(MOVING)}"
-            )
+        types = [f"'{joint.name}' of type '{joint.type}'" for joint in wrong]
+        fault = f"joint {types[0]} is not one of {choices(MOVING)}" if wrong else "no joint moves"
         raise UrdfError(
             f"{urdf.source}: {fault} between the base '{base}' and the tip '{tip}'. Name two links with the arm "
             f"between them by --base and --tip; the links are {choices(urdf.links)}."
@@ -120,25 +117,15 @@ def _built_model(urdf: Urdf) -> pin.Model:
         raise UrdfError(
             f"{urdf.source}: Pinocchio cannot build a model of this URDF: {error}"
         ) from error
-    _check_same(urdf, model)
-    # Pinocchio cannot lock a joint that shares its name with a link, as ANYmal's do: let links be told apart.
-    for frame in model.frames:
-        if frame.type == pin.FrameType.BODY:
-            frame.name = _LINK + frame.name
-    return model
-
-
-def _check_same(urdf: Urdf, model: pin.Model) -> None:
-    """Refuse a URDF whose links Pinocchio puts elsewhere than its text: it reads some numbers and names otherwise."""
     data = model.createData()
     pin.framesForwardKinematics(model, data, pin.neutral(model))
     bodies = [i for i, frame in enumerate(model.frames) if frame.type == pin.FrameType.BODY]
     T = {model.frames[i].name: data.oMf[i].homogeneous for i in bodies}
+    # It reads some numbers and names otherwise than they are written.
     wrong = [
         joint.name
         for joint in urdf.joints
-        if joint.child not in T
-        or joint.parent not in T
+        if not {joint.parent, joint.child} <= T.keys()
         or not np.allclose(T[joint.parent] @ joint.T_parent_joint, T[joint.child], 1e-9, 1e-9)
     ]
     if wrong:
@@ -146,6 +133,10 @@ def _check_same(urdf: Urdf, model: pin.Model) -> None:
             f"{urdf.source}: Pinocchio reads the joints {choices(wrong)} in another way than they are written. Look "
             "for unusual characters in numbers and names, and for comments inside of tags."
         )
+    # Pinocchio cannot lock a joint that shares its name with a link, as ANYmal's do: let links be told apart.
+    for i in bodies:
+        model.frames[i].name = _LINK + model.frames[i].name
+    return model
 
 
 def full_configurations(model: pin.Model, values: Mapping[str, Array]) -> Array:
@@ -190,10 +181,9 @@ class _Step:
 
 def _path(urdf: Urdf, base: str, tip: str) -> list[_Step]:
     """All joints from base to tip: up to the link where the branches part, and down from there."""
-    by_name = {joint.name: joint for joint in urdf.joints}
     to_base, to_tip = urdf.chain(base, tip)
-    up = [_Step(by_name[name], up=True) for name in reversed(to_base)]
-    return up + [_Step(by_name[name], up=False) for name in to_tip]
+    up = [_Step(urdf.joint(name), up=True) for name in reversed(to_base)]
+    return up + [_Step(urdf.joint(name), up=False) for name in to_tip]
 
 
 def _product(steps: Sequence[_Step]) -> Array:
@@ -205,13 +195,12 @@ def _product(steps: Sequence[_Step]) -> Array:
 
 
 def pinocchio_chain(joints: Sequence[UrdfJoint], placements: Array) -> pin.Model:
-    """A Pinocchio model of n joints in a row, whose configuration is their values; ``placements`` as in `Chain`."""
+    """A Pinocchio model of n joints in a row, whose configuration is their values; a tip's placement is no part."""
     model = pin.Model()
-    for parent, (joint, placement) in enumerate(zip(joints, placements, strict=False)):
+    for parent, (joint, P) in enumerate(zip(joints, placements, strict=False)):
         slides = joint.type == "prismatic"
         kind = pin.JointModelPrismaticUnaligned if slides else pin.JointModelRevoluteUnaligned
-        T = pin.SE3(placement[:3, :3], placement[:3, 3])
-        model.addJoint(parent, kind(np.array(joint.axis)), T, joint.name)
+        model.addJoint(parent, kind(np.array(joint.axis)), pin.SE3(P), joint.name)
     return model
 
 

@@ -75,9 +75,7 @@ def all_values(
         if joint.type in MOVING:
             try:
                 driver, factor, offset = _rule(urdf.source, by_name, joint.name, held)
-            except (
-                UrdfError
-            ):  # it follows nothing that there is; the chain's own joints were checked
+            except UrdfError:  # it follows nothing; the chain's own joints were checked
                 driver, factor, offset = None, 0.0, 0.0
             moved = np.zeros(count) if driver is None else columns.get(driver, np.zeros(count))
             result[joint.name] = factor * moved + offset

@@ -16,14 +16,12 @@ from calib.errors import UrdfError
 from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.robot.urdf import Urdf, UrdfJoint
 
-#: A pose read back may differ from the model's by this [m and rad].
-TOLERANCE = 1e-9
-
-#: Joint values spread over the limits.
-SPREAD = 200
-
-#: Sets of joint values compared, and the seed they are drawn with: the same every time.
-_POSES, _SEED = 20, 20170401
+TOLERANCE = 1e-9  #: A pose read back may differ from the model's by this [m and rad].
+SPREAD = 200  #: Joint values spread over the limits.
+_POSES, _SEED = (
+    20,
+    20170401,
+)  #: Sets of joint values compared, and the seed that they are drawn with.
 
 Array = NDArray[np.float64]
 

@@ -83,7 +83,7 @@ def flattened(call: XacroCall) -> bytes:
     """
     read_bytes(call.path, "xacro file")
     package = importlib.util.find_spec("xacro")
-    if package is None or package.origin is None:  # None: a folder of that name
+    if package is None or package.origin is None:
         raise UrdfError(
             f"{call.name} is a xacro, and the package that flattens it is not installed: pip install xacro"
         )
