@@ -30,13 +30,11 @@ SENTENCES = {
     Why.JOINT_ZERO: _OFF + "{add_rad:deg.0f} deg are added to '{joint}': check its zero.",
     Why.COLUMNS_SWAPPED: _OFF + "the columns {columns} are swapped.",
     Why.PARAMETER_ABSURD: "The nominal robot is {before_m:mm.0f} mm rms off on unseen rows, and the fit meets the rows "
-    f"only by moving a parameter by {{largest:mm.0f}} mm or mrad: {_RIGHT}, and has each set-up, socket or tracker "
-    "station its own group?",
+    f"only by moving a parameter by {{largest:mm.0f}} mm or mrad: {_RIGHT}, and each set-up a group of its own?",
     Why.NOISE_ABSURD: "What the model leaves over is {noise_m:mm.0f} mm a coordinate, which no arm or instrument "
     f"explains: {_RIGHT}, the measurements in the base frame (otherwise: --frame estimate)?",
     Why.ORIENTATION_ABSURD: "On unseen rows the calibrated robot's orientations are {after_rad:deg.0f} deg rms off: "
-    "are they those of the target in the measurement frame and not the inverse, is the scalar of the quaternion in the "
-    "column qw, and are rx, ry, rz a rotation vector, not roll, pitch and yaw?",
+    "are they inverse, is the quaternion's scalar in the column qw, are rx, ry, rz a rotation vector?",
     Why.NOTHING_TO_GAIN: "Nothing to gain: the robot as it is meets these rows to {before} on unseen rows, which is "
     "about their noise. Keep its URDF.",
     Why.STILL_FAR_OFF: "On unseen rows ({method}) the calibrated robot is {after_m:mm.0f} mm rms off.",
@@ -55,13 +53,9 @@ SENTENCES = {
     Why.MODEL_LACKS: "The model '{model}' leaves {noise_m:mm.3f} mm a coordinate, all placements would leave "
     "{less_m:mm.3f} mm: the robot has errors that this model lacks. Try --model auto or --model placement.",
     Why.CORNER: "The poses cover a corner of the workspace only: their tips spread over {spread:%.0f} % of the "
-    "distance that the joint limits allow, and '{joint}' uses {used:%.0f} % of its range. Measure poses "
-    "all over the workspace.",
+    "distance that the joint limits allow, and '{joint}' uses {used:%.0f} % of its range. Measure all over it.",
     Why.JOINT_PATTERN: _NOT_NOISE + "the {quantity} of '{joint}' " + _SHARE + ".",
-    Why.DRIFT: _NOT_NOISE
-    + "it drifts in the order of the rows, which "
-    + _SHARE
-    + ". Did something warm up, or move?",
+    Why.DRIFT: f"{_NOT_NOISE}it drifts in the order of the rows, which {_SHARE}. Did something warm up, or move?",
     Why.SETUP_UNPREDICTED: "The other set-ups do not predict set-up '{setup}': a fit without it leaves errors there "
     "{ratio:.1f} times those expected. " + _CHANGED,
     Why.SETUP_FLAGGED: "{flagged} of the {rows} rows of set-up '{setup}' are flagged as outliers: it does not agree "
