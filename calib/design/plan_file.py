@@ -10,7 +10,7 @@ import csv
 import io
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -98,14 +98,14 @@ class Taken:
     source: str
 
 
-def read_taken(path: str | Path, robot: Robot, columns: Mapping[str, str] | None = None) -> Taken:
+def read_taken(path: str | Path, robot: Robot) -> Taken:
     """The poses of a table that a fit would estimate from: those measured, of the set ``estimate``.
 
     A table in which nothing is measured, such as a plan that is still to be driven, counts whole. Rows that measure
-    several targets at one pose are one pose. ``columns`` is as in `Measurements.read`.
+    several targets at one pose are one pose.
     """
-    table, values = _joint_values(path, robot, columns)
-    named, _ = name_columns(table, robot.joint_names, columns or {})
+    table, values = _joint_values(path, robot)
+    named, _ = name_columns(table, robot.joint_names, {})
     at = [named[name].index for name in (*POINT, "distance", "pair") if name in named]
     # By the cells alone; a row that measures nothing, of a socket or a plane, counts.
     kind = [named["kind"].index] if "kind" in named else []
@@ -127,22 +127,18 @@ def read_taken(path: str | Path, robot: Robot, columns: Mapping[str, str] | None
     )
 
 
-def read_pose_list(
-    path: str | Path, robot: Robot, columns: Mapping[str, str] | None = None
-) -> tuple[Array, tuple[str, ...]]:
+def read_pose_list(path: str | Path, robot: Robot) -> tuple[Array, tuple[str, ...]]:
     """The poses of a table, shape (N, m), [rad] or [m], and the set of each; what was measured may be missing."""
-    _, values = _joint_values(path, robot, columns)
+    _, values = _joint_values(path, robot)
     kept = _poses(values, range(len(values.joints)))
     return read_only(values.joints[kept]), tuple(values.sets[i] for i in kept)
 
 
-def _joint_values(
-    path: str | Path, robot: Robot, columns: Mapping[str, str] | None
-) -> tuple[Table, Values]:
+def _joint_values(path: str | Path, robot: Robot) -> tuple[Table, Values]:
     """A table, and what it says but for what was measured."""
     table = Table.read(path)
     # A row of this kind measures nothing but its joint values.
-    layout = Layout.find(table, robot.joint_names, robot.joint_types, columns, "fixed")
+    layout = Layout.find(table, robot.joint_names, robot.joint_types, None, "fixed")
     return table, Values.read(table, layout)
 
 

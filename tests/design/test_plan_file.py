@@ -142,9 +142,6 @@ def test_tables_of_every_kind_count(table, arm):
     )  # fmt: skip
     taken = read_taken(mixed, arm)
     assert degrees(taken) == [1.0, 2.0, 4.0]
-    mapped = table("J [deg],X", "1,", "2,300")
-    columns = {"J": "j1", "X": "x [mm]"}
-    assert degrees(read_taken(mapped, arm, columns)) == [2.0]
 
 
 # The forecast
