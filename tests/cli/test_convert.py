@@ -58,15 +58,6 @@ def test_every_note_has_words():
     assert tuple(_NOTES) == get_args(Code)
 
 
-def test_quiet_says_nothing_and_force_overwrites(call, folder):
-    words = ("convert", "result.json", "-o", "quiet.urdf", "--quiet")
-    assert call(folder, *words).out == ""
-    again = call(folder, *words)
-    assert (again.code, again.out) == (1, "")
-    assert "quiet.urdf exists already; add --force" in again.err
-    assert call(folder, *words, "--force").code == 0
-
-
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -85,10 +76,3 @@ def test_what_is_refused(call, folder, words, said):
     assert (done.code, done.out) == (1, "")
     assert said in done.err
     assert sorted(folder.iterdir()) == before
-
-
-@pytest.mark.parametrize(
-    "words", [("result.json",), ("result.json", "-o", "o.urdf", "--to", "excel")]
-)
-def test_wrong_calls(call, folder, words):
-    assert call(folder, "convert", *words).code == 2

@@ -132,25 +132,11 @@ def test_the_three_forms_of_an_orientation_are_one(tmp_path_factory, roll, pitch
         assert program.T_wanted[0, :3, 3] == pytest.approx([0.3, 0.2, 0.1])
 
 
-def test_decimal_commas_between_semicolons(read):
-    program = read("x [mm];y [mm];z [mm];note", "300,5;200;100,25;a,b")
-    assert program.T_wanted is not None
-    assert program.T_wanted[0, :3, 3] == pytest.approx([0.3005, 0.2, 0.10025])
-    assert program.kept == (("note", ("a,b",)),)
-
-
 def test_a_plan_s_columns_to_fill_in_are_no_poses(read):
     program = read(f"row,{IN_DEG},{XYZ},qx,qy,qz,qw", f"7,{VALUES},,,,,,,")
     assert program.T_wanted is None
     assert program.labels == ("row 7",)
     assert [label for label, _ in program.kept] == ["row"]
-
-
-def test_rows_have_their_own_names_if_these_tell_them_apart(read):
-    lines = [f"{n},300,200,100" for n in ("a", "b", "a")]
-    assert read(f"row,{XYZ}", *lines[:2]).labels == ("row a", "row b")
-    assert read(f"row,{XYZ}", *lines).labels == ("row 1", "row 2", "row 3")
-    assert read(f"row,{XYZ}", "a,300,200,100", ",300,200,100").labels == ("row 1", "row 2")
 
 
 @pytest.mark.parametrize(

@@ -286,13 +286,3 @@ def test_other_robots_have_no_files_of_universal_robots(shop, tmp_path):
         for format in ("ur-yaml", "ur-conf"):
             with pytest.raises(ModelError, match="for arms of Universal Robots"):
                 write(source, tmp_path / "o", format, hash_from=shop / "kinematics.yaml")
-
-
-def test_a_urdf_on_another_that_differs_in_more_than_origins(shop, tmp_path):
-    text = (shop / "robot.urdf").read_text()
-    other = tmp_path / "other.urdf"
-    other.write_text(text.replace('<axis xyz="0 1 0"/>', '<axis xyz="0 -1 0"/>', 1))
-    assert other.read_text() != text
-    options = replace(CHAIN, robot=str(other))
-    with pytest.raises(ModelError, match="differ in more than the origins"):
-        convert(str(shop / "corrected.urdf"), tmp_path / "o.urdf", options)

@@ -6,7 +6,6 @@ import pytest
 from calib.errors import ModelError
 from calib.formats.ur_arms import (
     MODELS,
-    at_flange,
     chain_of_rows,
     chain_poses,
     kinematics_hash,
@@ -57,15 +56,6 @@ def test_the_bare_urdf_has_the_rows_poses(model):
     mounted = the_mount(robot, model)
     assert mounted.nominal
     np.testing.assert_allclose(mounted.T_base_arm, np.eye(4), rtol=0, atol=1e-12)
-
-
-def test_the_last_joint_goes_to_the_flange():
-    rows_ = ur_model("UR5e").rows + np.full((6, 4), 1e-3)
-    chain = chain_of_rows(rows_)
-    moved = at_flange(chain)
-    np.testing.assert_allclose(chain_poses(moved, Q), chain_poses(chain, Q), rtol=0, atol=1e-12)
-    assert abs(moved[6, 2, 3]) < 1e-15
-    assert moved[6, 1, 0] == pytest.approx(moved[6, 0, 1], abs=1e-15)
 
 
 def test_names_whatever_their_capitals():
