@@ -168,10 +168,6 @@ class Viewer:
         """Close it."""
         self.close()
 
-    def __repr__(self) -> str:
-        """Where the page is."""
-        return f"<Viewer {'closed' if self._ended.is_set() else self.url}>"
-
     def _run(self, page: bytes, listener: socket.socket) -> None:
         """The thread."""
         self._loop.run_until_complete(self._serve(page, listener))

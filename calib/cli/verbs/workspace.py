@@ -60,7 +60,6 @@ def workspace(
     from calib.design.candidates import by_joint
     from calib.design.region import RegionFile
     from calib.design.workspace import Checked, Density, RegionView, workspace as sample
-    from calib.report.figure_region import check_ending, write_picture
     from calib.robot.robot import Robot
     from calib.text.workspace import text
 
@@ -68,6 +67,8 @@ def workspace(
     inputs: list[str | Path] = [robot, *tables, *filter(None, [setup.cell])]
     check_outputs([output, picture, view], inputs, force=force)
     if picture is not None:
+        from calib.report.figure_region import check_ending, write_picture  # with matplotlib
+
         check_ending(picture)
     wider = parse_amount(margin, "--margin", "an angle", "5 deg")
     edge = None if voxel is None else parse_amount(voxel, "--voxel", "a length", "20 mm")
