@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.circle_points.checks import Finding, Turning, check_joint, findings, positive, turning
-from calib.circle_points.fits import fit_circle, fit_plane
+from calib.circle_points.fits import fit_circle
 from calib.circle_points.sweeps import Sweep
 from calib.errors import MeasurementError
 
@@ -59,14 +59,6 @@ def test_lobes_of_a_bearing_make_neighbours_err_alike(lobes: int, axial: bool):
     assert said.values["correlation"] > 0.5
 
 
-@pytest.mark.parametrize("row", [5, 20, 33])
-def test_and_so_does_a_target_that_moved_on_its_link(row: int):
-    move = np.zeros((N, 3))
-    move[row:] = [2e-4, 1e-4, -2e-4]
-    said = found(sweep(270.0, move=move))
-    assert {one.code for one in said} == {"correlated"}
-
-
 def test_a_gross_row_is_named_left_out_or_not():
     move = np.zeros((N, 3))
     move[7] = [1e-3, 0.0, 0.0]
@@ -82,21 +74,6 @@ def test_sigma_that_is_too_small():
     assert said.code == "scatter"
     assert said.values == pytest.approx({"scatter_mm": 0.029, "sigma_mm": 0.01}, abs=1e-3)
     assert found(sweep(200.0, sigma=SIGMA)) == ()
-
-
-def plane(gross: float = 0.0, seed: int = 0) -> tuple[Finding, ...]:
-    rng = np.random.default_rng(seed)
-    xy = rng.uniform(-0.25, 0.25, size=(20, 2))
-    points = np.column_stack([xy, 0.0 * xy[:, 0]]) + SIGMA * rng.normal(size=(20, 3))
-    points[4, 2] += gross
-    swept = Sweep(None, "plane", points, None, None, tuple(range(1, 21)), "s.csv")
-    return tuple(findings(swept, fit_plane(points)))
-
-
-def test_planes():
-    assert sum(bool(plane(seed=seed)) for seed in range(100)) <= 2
-    (gross,) = plane(gross=1e-3)
-    assert (gross.code, gross.where) == ("gross", "s.csv, row 5 (sweep 'plane')")
 
 
 def test_gains_and_once_per_turn_errors_are_told_where_they_are_no_chance():
@@ -192,16 +169,14 @@ def test_without_errors_nothing_is_found():
     assert np.mean([t.rms for t in found]) == pytest.approx(SIGMA / 0.3, rel=0.1)
 
 
-def test_a_once_per_turn_error():
-    q = np.radians(np.linspace(-150.0, 150.0, 40))
-    said = q - 1e-3 * np.sin(q)
-    swept = replace(turned(q), joints=np.column_stack([0 * q, said]))
-    found = turning(swept, positive(swept, fit_circle(swept.points)))
-    assert found is not None
-    assert found.eccentricity == pytest.approx(1e-3, abs=4 * found.eccentricity_std)
-    assert found.eccentricity_found
-    short = turned(np.radians(np.linspace(0.0, 90.0, 40)))
-    found = turning(short, positive(short, fit_circle(short.points)))
-    assert found is not None
-    assert np.isnan(found.eccentricity)
-    assert not found.eccentricity_found
+@pytest.mark.slow
+def test_a_once_per_turn_error_of_0_2_mrad_is_found_as_often_as_its_level_says():
+    # As two of the gain's t tests it had the level 5e-6 in place of 5e-4, and found 28 % of these.
+    q = np.radians(np.linspace(-135.0, 135.0, 40))
+    found = 0
+    for seed in range(100):
+        swept = turned(q + 2e-4 * np.sin(q + 1.0), seed=seed)
+        swept = replace(swept, joints=np.column_stack([0 * q, q]))
+        own = turning(swept, positive(swept, fit_circle(swept.points)))
+        found += own is not None and own.eccentricity_found
+    assert 50 <= found <= 85

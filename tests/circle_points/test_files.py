@@ -71,10 +71,3 @@ def test_the_table_has_everything(found):
     assert len(table["joints"][0]["radial_m"]) == 40
     plain = json.dumps(table, default=lambda array: array.tolist())
     assert "findings" in json.loads(plain)
-
-
-def test_an_axis_has_covariances_along_the_tracker_s_axes(found):
-    circle, axis = found.joints[0].circle, survey_table(found)["joints"][0]["tracker"]
-    assert np.trace(axis["point_covariance"]) == pytest.approx(np.trace(circle.covariance[:3, :3]))
-    tilt = circle.normal @ axis["direction_covariance"] @ circle.normal
-    assert tilt == pytest.approx(0.0, abs=1e-20)

@@ -18,7 +18,7 @@ from calib.circle_points.frame import (
     nominal_axes_frame,
     turned_about_z,
 )
-from calib.errors import CalibError, UrdfError
+from calib.errors import CalibError
 from calib.robot.robot import Robot, rigid_inverse
 
 SIGMA = 33e-6
@@ -74,12 +74,8 @@ def error(frame: BaseFrame, T: np.ndarray = T_TRUE) -> np.ndarray:
     return np.asarray(pin.log6(rigid_inverse(frame.T_tracker_base) @ T).vector)
 
 
-def test_the_plane_s_normal_may_point_anywhere():
-    plane, one, two = figures()
-    assert np.abs(error(frame_of(opposite(plane), one, two))).max() < 1e-9
-    assert frame_of(opposite(plane), one, two).covariance == pytest.approx(
-        frame_of(plane, one, two).covariance, rel=1e-6
-    )
+def test_the_paper_s_frame():
+    assert np.abs(error(frame_of(*figures()))).max() < 1e-9
 
 
 def test_joint_1_elsewhere_turns_the_frame_back():
@@ -144,19 +140,6 @@ def test_a_plane_of_four_points_widens_the_region_as_its_one_degree_of_freedom_d
     assert np.all((np.mean(within, axis=0) > 0.91) & (np.mean(within, axis=0) < 0.99))
 
 
-def test_points_are_carried_and_know_how_well():
-    frame = frame_of(*figures(rng=np.random.default_rng(2)))
-    points = np.random.default_rng(3).normal(size=(5, 3))
-    seen = points @ frame.T_tracker_base[:3, :3].T + frame.T_tracker_base[:3, 3]
-    assert frame.carry(seen) == pytest.approx(points, abs=1e-12)
-    assert frame.carry(seen[0]) == pytest.approx(points[0], abs=1e-12)
-    draws = np.random.default_rng(4).multivariate_normal(np.zeros(6), frame.covariance, size=4000)
-    moved = np.array([pin.exp6(xi).actInv(points[0]) for xi in draws])
-    assert frame.std_at(points[0]) == pytest.approx(moved.std(axis=0), rel=0.06)
-    assert frame.std_at(np.zeros(3)) == pytest.approx(frame.std[:3])
-    assert frame.std_at(points).shape == (5, 3)
-
-
 def test_what_makes_no_frame():
     plane, one, two = figures()
     with pytest.raises(
@@ -206,22 +189,6 @@ def test_of_true_axes_they_are_those_of_the_true_robot_up_to_the_choices(ur3, pa
         found = axis_rows(true.lines, nominal_axes(robot))
         assert np.abs(found - rows_of(nominal_axes(robot))).max() < 0.05
         assert axis_rows(true.lines) == pytest.approx(rows_of(true), abs=1e-9)
-
-
-def test_chains_that_cannot_be_swept():
-    with pytest.raises(
-        UrdfError,
-        match="the joints 'torso_lift_joint' slide, are held or follow others; a base frame needs a chain",
-    ):
-        nominal_axes(Robot.load("tiago", tip="arm_7_link"))
-    held = Robot.load("ur3", base="base", tip="tool0", held={"elbow_joint": 0.1})
-    with pytest.raises(UrdfError, match="the joints 'elbow_joint' slide, are held or follow"):
-        nominal_axes(held)
-    moving = Robot.load("ur3", base="forearm_link", tip="tool0")
-    assert len(nominal_axes(moving).lines) == 3
-    hand = Robot.load("ur3", base="tool0", tip="base")
-    with pytest.raises(UrdfError, match="joints move the base 'tool0' itself"):
-        nominal_axes(hand)
 
 
 X, Y, Z = np.eye(3)

@@ -86,46 +86,6 @@ def test_a_list_beside_a_table(tmp_path: Path):
         read(tmp_path, table.replace("P2", "P3"), points=points)
 
 
-@pytest.mark.parametrize(
-    ("text", "options", "said"),
-    [
-        (PLAIN.replace("sweep", "what"), {}, "^s.csv: no column 'sweep', which says .* 'what', 'x"),
-        (
-            PLAIN.replace("joint 2", "elbow"),
-            {},
-            "^s.csv, row 3, column 'sweep': 'elbow' is",
-        ),
-        (PLAIN.replace("z [mm]", "depth [mm]"), {}, "measured points need a column 'z .mm.'"),
-        (PLAIN.replace("z [mm]", "z"), {}, "column 'z': the column has no unit"),
-        (
-            PLAIN.replace("800", "nan"),
-            {},
-            r"line 4 \(row 3\), column 'y \[mm\]': 'nan' is not a finite",
-        ),
-        (PLAIN.replace("800", "1_0"), {}, "'1_0' is not a finite number"),
-        (PLAIN.replace("800", ""), {}, "the cell is empty. Fill in the number"),
-        (PLAIN.replace(",800", ""), {}, "the row has 3 cells, the header has 4"),
-        (PLAIN.replace("[mm]", "[m]"), {}, "further from the origin than 100 m. If it is in mm"),
-        (PLAIN.splitlines()[0], {}, "no rows"),
-        (WITH_JOINTS.replace("-90", ""), {}, "column 'q_a .deg.': the cell is empty"),
-        (WITH_JOINTS.replace(";20;", ";0;"), {}, "sigma is '0'; it is greater"),
-        (
-            WITH_JOINTS,
-            {"joint_names": ("q_a", "q_b", "q_c")},
-            "no column for the joints 'q_c'",
-        ),
-        (
-            WITH_JOINTS.replace("q_a [deg]", "q_a [mm]"),
-            {"joint_names": ("q_a", "q_b")},
-            "unit of angle",
-        ),
-    ],
-)
-def test_tables_that_are_refused(tmp_path: Path, text: str, options: dict, said: str):
-    with pytest.raises(MeasurementError, match=said):
-        read(tmp_path, text, **options)
-
-
 NAMES = ("shoulder_pan_joint", "shoulder_lift_joint")
 
 
@@ -148,12 +108,3 @@ def test_what_sweeps_may_be_called(tmp_path: Path, word: str, joint: int | None)
     words = {"ring_a": "joint 1", "flange": "plane"}
     (sweep,) = read(tmp_path, text, joint_names=NAMES, words=words).sweeps
     assert sweep.joint == joint
-
-
-@pytest.mark.parametrize("word", ["3", "0", "elbow_joint", ""])
-def test_and_what_not(tmp_path: Path, word: str):
-    text = f"sweep,x [mm],y [mm],z [mm]\n{word},1,200,3\n"
-    with pytest.raises(
-        MeasurementError, match="is not a sweep; allowed are 'plane', a joint's name"
-    ):
-        read(tmp_path, text, joint_names=NAMES)

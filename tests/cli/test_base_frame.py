@@ -104,16 +104,6 @@ def test_carried_data_go_into_fit(call, bench: Path):
     assert result["errors"]["calibrated"]["estimation"]["rms_m"] < 1e-4
 
 
-def test_columns_that_are_not_carried_are_named(call, bench: Path):
-    head, *rows = (bench / "seen.csv").read_text(encoding="utf-8").splitlines()
-    more = [f"{head},remark,speed", *(f"{row},fine,250" for row in rows)]
-    (bench / "more.csv").write_text("\n".join(more) + "\n", encoding="utf-8")
-    done = call(bench, "base-frame", "sweeps.csv", *ROBOT, "--carry", "more.csv", "-o", "m.csv")
-    assert (done.code, done.err) == (0, "")
-    assert "Columns left out: 'remark', 'speed'." in " ".join(done.out.split())
-    assert (bench / "m.csv").read_text(encoding="utf-8").splitlines()[0] == head
-
-
 def test_findings_are_printed(call, bench: Path):
     lines = (bench / "sweeps.csv").read_text(encoding="utf-8").splitlines()
     cells = lines[30].split(",")
@@ -126,53 +116,3 @@ def test_findings_are_printed(call, bench: Path):
     assert "left out: measure it again." in text
     kept = call(bench, "base-frame", "bad.csv", *ROBOT, "--no-robust")
     assert "used all the same" in " ".join(kept.out.split())
-
-
-def test_quiet_and_force(call, bench: Path):
-    words = ("base-frame", "sweeps.csv", *ROBOT, "--cell-out", "frame.toml")
-    assert call(bench, *words, "--quiet").out == ""
-    again = call(bench, *words)
-    assert (again.code, again.out) == (1, "")
-    assert again.err == "calib: frame.toml exists already; add --force or choose another name.\n"
-    assert call(bench, *words, "--force", "--quiet").code == 0
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ((), "No file of sweeps was given. Give a table, or a list of points (--points)."),
-        (
-            ("sweeps.csv", "--base", "base"),
-            "--base and --tip are links of a robot; name it with --robot",
-        ),
-        (
-            ("sweeps.csv", "--carry", "seen.csv"),
-            "--carry names the table to carry into the base frame and -o",
-        ),
-        (
-            ("sweeps.csv", "--plane-offset", "19"),
-            '--plane-offset "19": that is a number, a length is wanted',
-        ),
-        (
-            ("sweeps.csv", "--plane-offset", "1 m"),
-            "the circle of joint 1 lies 152 mm from the measured plane",
-        ),
-        (("sweeps.csv", "--sweep", "a=b"), "--sweep maps 'a': 'b' is not a sweep"),
-        (("sweeps.csv", "--cell-out", "sweeps.csv"), "sweeps.csv is also an input of this command"),
-        (("sweeps.csv", *ROBOT, "--carry", "swept.txt", "-o", "o.csv"), "swept.txt: "),
-        (
-            ("sweeps.csv", "--robot", "panda", "--cell-out", "f.toml"),
-            "sweeps.csv, row 21, column",
-        ),
-    ],
-)
-def test_refusals_are_one_line_and_write_nothing(
-    call, bench: Path, words: tuple[str, ...], said: str
-):
-    before = {path: path.read_bytes() for path in bench.iterdir()}
-    done = call(bench, "base-frame", *words)
-    assert (done.code, done.out) == (1, "")
-    assert done.err.startswith("calib: ")
-    assert said in done.err
-    assert done.err.count("\n") == 1
-    assert {path: path.read_bytes() for path in bench.iterdir()} == before

@@ -165,7 +165,7 @@ def test_a_row_s_own_words_win(call, arms_shop: Path):
     assert (own["robot"]["base"], own["robot"]["tip"]) == ("base_link", "wrist_3_link")
     # --model on the line wins over a cell file, a row's model over both.
     assert [found[n]["model"]["set"] for n in ("plain", "celled", "own")] == ["zeros"] * 3
-    assert own["larger"]["set"] == "zeros+gain"
+    assert own["larger"]["model"]["set"] == "zeros+gain"
     assert own["larger"]["payload"]["mass_kg"] == 1.0
     assert (plain["frames"]["frame_estimated"], own["frames"]["frame_estimated"]) == (False, True)
     assert plain["frames"]["target_m"] == plain["frames"]["target_given_m"]
@@ -198,75 +198,3 @@ def test_a_manifest_that_is_none_is_refused(call, tmp_path: Path, header, rows, 
     assert said in done.err
     assert done.err.count("\n") == 1
     assert not (tmp_path / "r").exists()
-
-
-@pytest.mark.parametrize(
-    ("column", "cell", "said"),
-    [
-        ("kind", "points", "m.csv, line 2: 'points' is not a kind of measurement; allowed are 'point'"),
-        ("points_unit", "mm", "m.csv, line 2: points_unit is the unit of a list of points; name the list in the "),
-        ("cell", "no.toml", "m.csv, line 2: "),
-        ("target", "7 mm", "m.csv, line 2: --target was given as "),
-        ("model", "dhh", "m.csv, line 2: --model: there is no model 'dhh'."),
-        ("frame", "world", "m.csv, line 2: --frame was given as "),
-        ("payload", "5", "m.csv, line 2: --payload was given as "),
-        ("base", "bse", "m.csv, line 2: robot.urdf has no link 'bse'"),
-        ("columns", "x", "m.csv, line 2: --columns was given 'x'"),
-        ("hold", "x", "m.csv, line 2: --hold was given 'x'"),
-    ],
-)  # fmt: skip
-def test_a_cell_that_is_wrong_fails_its_robot(call, arms_shop: Path, column, cell, said):
-    manifest(
-        arms_shop,
-        f"a,robot.urdf,arm-0.csv,{cell}",
-        "b,robot.urdf,arm-1.csv,",
-        header=f"name,robot,data,{column}",
-    )
-    done = call(arms_shop, "fleet", "m.csv", "--out", "r", *QUICK, "--quiet")
-    assert done.code == 1
-    assert f"calib: 1 of 2 robots failed; 'a': {said}" in done.err
-    assert (arms_shop / "r" / "b" / "result.json").is_file()
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("--model", "foo"), "--model: there is no model 'foo'."),
-        (("--frame", "world"), "--frame was given as "),
-        (("--target", "7 mm"), "--target was given as "),
-        (("--hold", "x"), "--hold was given 'x'"),
-        (("--columns", "x"), "--columns was given 'x'"),
-        (("--payload", "5"), "--payload was given as "),
-        (("--cell", "no.toml"), "no.toml"),
-    ],
-)  # fmt: skip
-def test_an_option_that_is_wrong_refuses_the_run(call, arms_shop: Path, words, said):
-    done = call(arms_shop, "fleet", "m.csv", "--out", "r", *QUICK, *words)
-    assert (done.code, done.out) == (1, "")
-    assert said in done.err
-    assert "line " not in done.err
-    assert done.err.count("\n") == 1
-    assert not (arms_shop / "r").exists()
-
-
-def test_workers_or_dask(call, arms_shop: Path):
-    words = ("fleet", "m.csv", "--out", "r", "--no-reports")
-    done = call(arms_shop, *words, "--workers", "2", "--dask", "tcp://127.0.0.1:1")
-    assert done.code == 1
-    assert done.err.startswith(
-        "calib: --workers are processes of this machine, and --dask has its own"
-    )
-    assert call(arms_shop, *words, "--workers", "0").code == 2
-    assert call(arms_shop, "fleet", "m.csv").code == 2
-    done = call(arms_shop, "fit", "robot.urdf", "arm-0.csv", "--workers", "2")
-    assert done.err.startswith("calib: --workers is for the samples of --bootstrap")
-    assert not (arms_shop / "r").exists()
-
-
-@pytest.mark.slow
-def test_a_bootstrap_in_processes_prints_the_same(call, arms_shop: Path):
-    words = ("fit", "robot.urdf", "arm-0.csv", *ARM[:-2], "--no-validate", "--bootstrap", "40")
-    one, two = (call(arms_shop, *words, "--workers", n) for n in "12")
-    clean = [re.sub(r"\d+ ms", "", done.out) for done in (one, two)]
-    assert clean[0] == clean[1]
-    assert one.code == two.code == 0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import resource
 import shlex
 from pathlib import Path
 
@@ -74,39 +73,12 @@ def test_the_next_command_works_as_it_is_printed(simulate, call, shop: Path):
     assert (shop / "corrected.urdf").is_file()
 
 
-def test_the_same_seed_gives_the_same_files_and_another_others(simulate, shop: Path):
-    words = (*["--outliers", "2", "--model", "placement+gain+compliance"], "--payload", "2 kg")
-    (shop / "cell.toml").write_text("[simulation]\nencoder_deg = 0.001\n")
-    words += ("--cell", "cell.toml")
-    for name, seed in (("a", "5"), ("b", "5"), ("c", "6")):
-        assert simulate("-o", f"{name}.csv", "--seed", seed, *words).code == 0
-    for suffix in (".csv", "_truth.json"):
-        a, b, c = ((shop / f"{name}{suffix}").read_bytes() for name in "abc")
-        assert a == b != c
-
-
 def test_poses_of_a_table_keep_their_sets(simulate, shop: Path, paper_table):
     done = simulate("--poses", "data.csv", "-o", "t.csv", "--validation", "3")
     assert done.code == 0
     made = table(shop)
     assert made.joints[:35] == pytest.approx(paper_table.joints)
     assert made.sets == (*paper_table.sets, *["validate"] * 3)
-
-
-def test_poses_outside_the_limits_are_measured_and_said(simulate, shop: Path):
-    text = (shop / "data.csv").read_text(encoding="utf-8")
-    first, second = text.splitlines()[:2]
-    column = first.split(",").index("elbow_joint [deg]")
-    cells = second.split(",")
-    cells[column] = "200"
-    (shop / "wide.csv").write_text(text.replace(second, ",".join(cells)), encoding="utf-8")
-    done = simulate("--poses", "wide.csv", "-o", "t.csv")
-    assert done.code == 0
-    assert (
-        "Note                      outside the limits of 'elbow_joint', -180 to 180 deg: rows 1\n"
-        in done.out
-    )
-    assert len(table(shop)) == 35
 
 
 def test_single_errors_alone_are_the_only_ones(simulate, shop: Path):
@@ -122,12 +94,6 @@ def test_single_errors_alone_are_the_only_ones(simulate, shop: Path):
     values = {p["name"]: p["value"] for p in truth(shop, "u_truth.json")["parameters"]}
     assert values["elbow_joint.rx"] == 2e-3
     assert all(values.values())
-
-
-def test_no_errors_at_all(simulate, shop: Path):
-    done = simulate("-o", "t.csv", "--sizes", "none", "--truth-urdf", "true.urdf")
-    assert "model placement; none is drawn or given" in done.out
-    assert (shop / "true.urdf").read_bytes() == (shop / "robot.urdf").read_bytes()
 
 
 def test_everything_that_disturbs_is_said(simulate, shop: Path):
@@ -180,31 +146,6 @@ def test_what_is_wrong_is_said_in_one_line_and_nothing_is_written(
     assert said in done.err
     assert done.err.startswith("calib: ")
     assert done.err.count("\n") == 1
-    assert sorted(shop.iterdir()) == before
-
-
-@pytest.mark.parametrize("taken", ["t.csv", "t_truth.json", "true.urdf"])
-def test_files_that_exist_are_not_overwritten_unless_asked(simulate, shop: Path, taken: str):
-    (shop / taken).write_text("mine")
-    before = sorted(shop.iterdir())
-    done = simulate("-o", "t.csv", "--truth-urdf", "true.urdf")
-    assert done.code == 1
-    assert done.err == f"calib: {taken} exists already; add --force or choose another name.\n"
-    assert sorted(shop.iterdir()) == before
-    assert simulate("-o", "t.csv", "--truth-urdf", "true.urdf", "--force").code == 0
-    assert (shop / taken).read_text() != "mine"
-
-
-def test_its_files_appear_all_or_none(simulate, shop: Path):
-    before = sorted(shop.iterdir())
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (8000, hard))  # the table fits, the truth does not
-    try:
-        done = simulate("-o", "t.csv", "--count", "8", "--validation", "0")
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    assert done.code == 1
-    assert "t_truth.json' cannot be written: File too large; choose another folder" in done.err
     assert sorted(shop.iterdir()) == before
 
 

@@ -7,8 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pytest
-from hypothesis import given, strategies as st
+from hypothesis import given, settings, strategies as st
 
 from calib.data.cell import Cell
 from calib.data.surroundings import Tracker
@@ -26,6 +25,7 @@ VALUES = st.recursive(
 )
 
 
+@settings(max_examples=40)
 @given(VALUES, VALUES)
 def test_other_values_have_another(one, two):
     same = repr(one) == repr(two)  # 1 and 1.0 and True are not the same here
@@ -50,8 +50,3 @@ def test_arrays_by_shape_kind_and_every_bit():
     kinds = [x, x.reshape(2, 3), x.astype(np.float32), -x, 3.0, Path("3.0"), "3.0"]
     assert len({fingerprint(kind) for kind in kinds}) == len(kinds)
     assert fingerprint(x[::2]) == fingerprint(x[::2].copy())
-
-
-def test_what_has_none_is_refused():
-    with pytest.raises(TypeError, match="a value of type set has no fingerprint"):
-        fingerprint({"cell": {1, 2}})

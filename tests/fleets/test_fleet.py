@@ -15,7 +15,7 @@ import pytest
 
 from calib.errors import CalibError
 from calib.fleets.fleet import FleetOptions, FleetRobot, fleet
-from calib.fleets.record import DONE, FAILED, STALE, FleetRow, csv_bytes
+from calib.fleets.record import DONE, FAILED, STALE
 from tests.fleets.arms import CELL, arms, files
 
 QUICK = FleetOptions(validate=False, reports=False)
@@ -154,30 +154,6 @@ def test_names_that_are_no_folders_are_refused(name, shop, tmp_path):
     with pytest.raises(CalibError, match=r"Robot 1: the name .* cannot be that of a folder"):
         fleet(robots, tmp_path / "out", QUICK)
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize(("one", "two"), [("a", "a"), ("SN 1", "sn 1"), ("é", "É"), ("ß", "SS")])
-def test_names_of_two_robots_are_refused(one, two, shop, tmp_path):
-    robots = [
-        replace(robot, name=name)
-        for robot, name in zip(robots_of(shop, 2), (one, two), strict=True)
-    ]
-    with pytest.raises(CalibError, match="Robot 2"):
-        fleet(robots, tmp_path / "out", QUICK)
-
-
-@pytest.mark.slow
-def test_a_report_has_the_command(shop, tmp_path):
-    options = replace(QUICK, reports=True, command="calib fleet m.csv")
-    fleet(robots_of(shop, 1), tmp_path / "out", options)
-    page = (tmp_path / "out" / "arm-0" / "report.html").read_text()
-    assert re.search(r"calib fleet m\.csv\s+#\s+arm-0", re.sub(r"<[^>]+>", "", page))
-
-
-def test_a_table_says_nothing_where_there_is_nothing():
-    row = FleetRow("a", "failed", "line one\nline two")
-    line = csv_bytes([row], []).decode().splitlines()[1]
-    assert line == "a,failed" + "," * 14 + "line one line two"
 
 
 @pytest.mark.slow

@@ -116,27 +116,6 @@ def test_robots_are_compared_with_their_own_kind():
     )
 
 
-def test_differences_that_do_not_matter_are_none():
-    rows = [replace(r, nominal_rms=1e-3, left_out_rms=1e-4, sigma=5e-5,
-                    parameters=(FleetParameter("p", "m", 0.0, 1e-7),)) for r in fleet_of(20)]  # fmt: skip
-    assert odd_ones(rows)[0] == ()
-    rows[0] = replace(rows[0], parameters=(FleetParameter("p", "m", 8e-5, 1e-7),), sigma=5.1e-5)
-    assert odd_ones(rows)[0] == ()
-    rows[0] = replace(rows[0], parameters=(FleetParameter("p", "m", 1e-3, 1e-7),))
-    assert [one.name for one in odd_ones(rows)[0]] == ["r0"]
-    # What is not known to better than this is not odd.
-    rows[0] = replace(rows[0], parameters=(FleetParameter("p", "m", 1e-3, 1e-3),))
-    assert odd_ones(rows)[0] == ()
-
-
-def test_models_that_many_have_are_not_odd():
-    rows = fleet_of(40)
-    half = [replace(r, model="placement") if k % 2 else r for k, r in enumerate(rows)]
-    some = [replace(r, model="placement") if k < 5 else r for k, r in enumerate(rows)]
-    two = [replace(r, model="placement") if k < 2 else r for k, r in enumerate(rows)]
-    assert [len(odd_ones(r)[0]) for r in (half, some, two)] == [0, 0, 2]
-
-
 def test_scores():
     x = np.array([0.0, 1.0, 2.0, 3.0, 104.0, np.nan])
     z = scores(x, np.zeros(6), 0.0)

@@ -7,7 +7,6 @@ from calib.data.cell import Cell
 from calib.data.surroundings import Tracker, TrackerNoise
 from calib.errors import CalibError
 from calib.robot.readback import column_ranges
-from calib.robot.robot import rigid_inverse
 from calib.simulation.scenario import DEFAULT_TRACKER, Scenario
 
 TRACKER = Tracker(np.array([2.0, 1.0, 0.5]), noise=TrackerNoise(1e-5, 1e-6, 0.0))
@@ -30,16 +29,6 @@ def test_the_tracker_stands_where_the_cell_says_or_at_its_frame_or_3_m_away(ur3)
     assert of(Cell(estimate_frame=True)) is None
     assert of(Cell(T_frame_base=np.eye(4))) is None
     assert of(Cell(frames={"a": np.eye(4)})) is None
-
-
-def test_the_anchor_of_distances_is_the_tracker_s_place(ur3):
-    cell = Scenario(ur3, Cell(kind="distance", tracker=TRACKER)).draw(1)
-    assert rigid_inverse(cell.truth.T_frame_base[0])[:3, 3] == pytest.approx(TRACKER.position)
-    q = np.zeros((2, 6))
-    made = cell.measure(q)
-    apart = cell.truth.tip_poses(q) @ cell.truth.T_tip_target[0]
-    expected = np.linalg.norm(apart[:, :3, 3] - TRACKER.position, axis=1)
-    assert made.measurements.distances == pytest.approx(expected, abs=2e-4)
 
 
 def test_random_poses_lie_inside_the_limits_or_the_cell_s_ranges(ur3):

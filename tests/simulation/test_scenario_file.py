@@ -34,14 +34,6 @@ def test_sizes():
     assert sizes_of(CELL, None, named=False) == {}
 
 
-@pytest.mark.parametrize(
-    "text", ["", "length 1 mm, length 2 mm", "length 1 mrad", "angle -1 mrad", "size 1 mm"]
-)
-def test_what_are_no_sizes(text):
-    with pytest.raises(CalibError, match=r"--sizes"):
-        sizes_of(CELL, text, named=False)
-
-
 def test_single_errors(ur3):
     pairs = ("a2=0.5 mm", "theta3 = -2 mrad", "elbow_joint.compliance=1e-5 rad/Nm", "d1=0")
     scenario = read_scenario(ur3, Cell(model="dh+compliance"), Words(error=pairs))

@@ -10,7 +10,6 @@ from calib.calibration import calibrate
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.data.surroundings import TrackerNoise
-from calib.errors import CalibError, ModelError
 from calib.robot.readback import random_joint_values
 from calib.simulation.truth import Encoder, MovedTarget, Outliers, draw_truth, tracker_pose
 from tests.simulation.cells import changed, virtual
@@ -183,15 +182,6 @@ def test_outliers_leave_all_else_as_it_was(truth, q):
     assert (with_them.measurements.points[30:] == without.measurements.points[30:]).all()
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_a_fit_flags_the_outliers_and_no_other_rows(ur3, seed):
-    truth = draw_truth(ur3, "hayati", seed=seed)
-    q = random_joint_values(ur3, 60, seed)
-    made = virtual(truth, outliers=Outliers(count=3)).measure(q, seed)
-    found = calibrate(ur3, made.measurements, model="hayati", validate=False)
-    assert {outlier.row for outlier in found.outliers} == set(made.outlier_rows)
-
-
 def test_a_moved_target_is_an_exact_step(plain, truth, q):
     by = np.array([0.0, 3e-4, -4e-4])
     made = changed(plain, moved=MovedTarget(26, by)).measure(q)
@@ -201,13 +191,6 @@ def test_a_moved_target_is_an_exact_step(plain, truth, q):
     assert step[25:] == pytest.approx(R[25:] @ by, abs=1e-15)
     assert made.moved.tolist() == [False] * 25 + [True] * 15
     assert (made.points == made.measurements.points).all()
-
-
-def test_drift_is_linear_in_the_row(plain, q):
-    drift = np.array([1e-4, 0.0, -2e-4])
-    made = changed(plain, drift=drift).measure(q)
-    step = made.measurements.points - plain.measure(q).measurements.points
-    assert step == pytest.approx(np.arange(40)[:, None] / 39 * drift, abs=1e-15)
 
 
 def test_set_ups_are_dealt_out_in_turn_and_tours_repeat(ur3, q):
@@ -222,22 +205,3 @@ def test_set_ups_are_dealt_out_in_turn_and_tours_repeat(ur3, q):
     for name in frames:
         rows = [i for i, group in enumerate(table.groups) if group == name]
         assert table.points[rows] == pytest.approx(truth.points(table.joints[rows], group=name))
-
-
-def test_what_cannot_be_measured(plain, truth, q):
-    with pytest.raises(CalibError, match="There are no poses to measure at"):
-        plain.measure(np.zeros((0, 6)))
-    with pytest.raises(ModelError, match=r"shape \(4, 3\) were given"):
-        plain.measure(np.zeros((4, 3)))
-    with pytest.raises(ModelError, match="finite"):
-        plain.measure(np.full((4, 6), np.nan))
-    with pytest.raises(CalibError, match="There are 40 poses and 3 words"):
-        plain.measure(q, sets=["estimate"] * 3)
-    with pytest.raises(CalibError, match="The seed is -1"):
-        plain.measure(q, -1)
-    with pytest.raises(CalibError, match="even number of poses; 3 are to 'estimate'"):
-        virtual(truth, "pair").measure(q[:3])
-    with pytest.raises(CalibError, match="before row 41; the table has the rows 1 to 40"):
-        changed(plain, moved=MovedTarget(41, (0, 0, 1e-3))).measure(q)
-    with pytest.raises(CalibError, match="31 outliers were asked for among 30 measurements"):
-        changed(plain, outliers=Outliers(count=31)).measure(q, sets=SETS)

@@ -8,19 +8,16 @@ from scipy.spatial.transform import Rotation
 
 from calib.data.cell import Cell
 from calib.data.surroundings import Tracker
-from calib.errors import CalibError
 from calib.model.error_model import error_model
 from calib.model.families import FAMILIES
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import Robot, rigid_inverse
 from calib.simulation.truth import (
-    STREAMS,
     TARGET_ERROR,
     Encoder,
     MovedTarget,
     Outliers,
     draw_truth,
-    stream,
     tracker_pose,
 )
 
@@ -125,24 +122,16 @@ def test_a_true_urdf_is_the_truth(ur3):
     assert np.count_nonzero(given.x[~geometry]) == 1
 
 
-def test_what_is_no_truth(ur3, panda):
-    data = ur3.urdf.data.replace(b'<axis xyz="0 1 0"/>', b'<axis xyz="0 1 0.001"/>', 1)
-    bent = ur3.rebuilt(type(ur3.urdf).from_bytes(data, "bent.urdf"))
-    for said, more in (
-        (
-            r"'elbow.rx' in the model 'placement' \(did you mean 'elbow_j",
-            {"errors": {"elbow.rx": 1.0}},
-        ),
-        ("is nan; it must be a finite number", {"errors": {"elbow_joint.rx": np.nan}}),
-        ("not an error but another robot", {"errors": {"elbow_joint.x": -1.1}}),
-        ("The size of errors in length is -1", {"sizes": {"length": -1.0}}),
-        ("The error of the target is -1", {"target_error": -1.0}),
-        ("they must be the same", {"true_robot": panda}),
-        (r"'bent.urdf' has another type or <axis>", {"true_robot": bent}),
-        ("the true robot states already", {"true_robot": ur3, "errors": {"elbow_joint.rx": 1e-3}}),
-    ):
-        with pytest.raises(CalibError, match=said):
-            draw_truth(ur3, "placement", **more)
+def test_a_true_urdf_whose_tip_sits_elsewhere(ur3):
+    placements = ur3.placements.copy()
+    placements[-1] = placements[-1] @ pin.exp6(np.array([1e-3, 0, 0, 0, 2e-3, 0])).homogeneous
+    true = ur3.with_placements(placements)
+    truth = draw_truth(ur3, true_robot=true)
+    q = random_joint_values(ur3, 5)
+    assert truth.tip_poses(q) == pytest.approx(true.poses(q), abs=1e-14)
+    # The set of placements has no word for it: the error is the robot's all the same.
+    assert np.abs(truth.x).max() < 1e-14
+    assert truth.nominal_errors(q).min() > 5e-4
 
 
 def test_the_target_is_drawn_about_where_it_is_said_to_be(ur3):
@@ -174,6 +163,17 @@ def test_frames_are_the_cell_s_or_drawn_or_the_base(ur3):
     assert placed[2, 2] > np.cos(0.06)
 
 
+def test_gravity_the_other_way_bends_the_robot_the_other_way(ur3):
+    q = random_joint_values(ur3, 10)
+    sag = []
+    for g in (-9.81, 9.81):
+        cell = Cell(gravity=np.array([0.0, 0.0, g]))
+        truth = draw_truth(ur3, "frames+compliance", seed=1, cell=cell)
+        sag.append(truth.points(q) - draw_truth(ur3, "frames", seed=1).points(q))
+    assert np.abs(sag[0]).max() > 1e-5
+    assert sag[0] == pytest.approx(-sag[1], abs=1e-6)
+
+
 def test_a_chain_with_a_sliding_joint_a_mimic_joint_and_two_branches():
     robot = Robot.load("tiago", tip="arm_7_link")
     truth = draw_truth(robot, MANY, seed=2)
@@ -188,10 +188,22 @@ def test_a_chain_with_a_sliding_joint_a_mimic_joint_and_two_branches():
     assert seen.nominal_errors(q).min() > 1e-4
 
 
-def test_more_outliers_are_those_of_fewer_and_others():
-    few = Outliers(count=3).choose(range(50), seed=4)
-    assert set(few) < set(Outliers(count=8).choose(range(50), seed=4))
-    assert few != Outliers(count=3).choose(range(50), seed=5)
+@pytest.mark.parametrize(
+    ("outliers", "among", "number"),
+    [
+        (Outliers(share=0.2), 30, 6),
+        (Outliers(share=0.001), 30, 1),
+        (Outliers(share=0.0), 30, 0),
+        (Outliers(share=1.0), 7, 7),
+        (Outliers(count=0), 30, 0),
+        (Outliers(count=3), 3, 3),
+    ],
+)
+def test_how_many(outliers, among, number):
+    chosen = outliers.choose(range(100, 100 + among), seed=1)
+    assert len(chosen) == len(set(chosen)) == number
+    assert chosen == sorted(chosen)
+    assert set(chosen) <= set(range(100, 100 + among))
 
 
 def test_a_target_is_moved_from_its_row_on():
@@ -214,12 +226,3 @@ def test_what_is_read_is_at_most_half_a_step_from_where_the_robot_stands(values,
     assert np.abs(stood - q).max() <= 0.5 * step * (1 + 1e-9)
     assert np.abs(read - stood).max() <= 0.5 * step + 1e-12
     assert np.abs(read / step - np.round(read / step)).max() < 1e-6
-
-
-def test_each_purpose_has_numbers_of_its_own():
-    drawn = [tuple(stream(1, purpose).normal(size=3)) for purpose in STREAMS]
-    assert len(set(drawn)) == len(STREAMS)
-    assert tuple(stream(1, STREAMS[0]).normal(size=3)) == drawn[0]
-    assert tuple(stream(2, STREAMS[0]).normal(size=3)) != drawn[0]
-    with pytest.raises(CalibError, match="The seed is -1"):
-        stream(-1, "errors")
