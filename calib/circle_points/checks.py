@@ -71,11 +71,7 @@ class Turning:
 
 
 def positive(sweep: Sweep, circle: Circle) -> Circle:
-    """The circle with its normal so that the joint's positive sense turns about it.
-
-    Raises:
-        MeasurementError: The points do not turn with the joint's values, or there are none and the rows go both ways.
-    """
+    """The circle with its normal so that the joint's positive sense turns about it."""
     angles = circle.angles[circle.used]
     if sweep.joints is not None and sweep.joint is not None:
         values = sweep.joints[circle.used, sweep.joint]
@@ -140,11 +136,7 @@ def _about_mean(angles: Array) -> Array:
 
 
 def check_joint(sweep: Sweep, joint_names: tuple[str, ...]) -> None:
-    """Refuse a sweep in which the joint columns show another joint turning.
-
-    Raises:
-        MeasurementError: The joint does not turn, or another one does.
-    """
+    """Refuse a sweep in which the joint columns show another joint turning."""
     if sweep.joints is None or sweep.joint is None:
         return
     if sweep.joint >= sweep.joints.shape[1]:
@@ -170,11 +162,7 @@ def check_pairs(
     lines: Sequence[Line],
     circles: Sequence[Circle],
 ) -> None:
-    """Refuse axes at zero, of circles, in any frame, that stand to each other as no two of this robot do.
-
-    Raises:
-        MeasurementError: The angle or the distance between two neighbours is far from the URDF's.
-    """
+    """Refuse axes at zero, of circles, in any frame, that stand to each other as no two of this robot do."""
     for k in range(len(lines) - 1):
         angle, distance = between(lines[k], lines[k + 1])
         wanted_angle, wanted_distance = between(nominal.lines[k], nominal.lines[k + 1])
@@ -215,11 +203,7 @@ class Finding:
 def side_findings(
     sweep: Sweep, plane: Plane, first: Circle, robot: Robot | None
 ) -> Iterator[Finding]:
-    """A finding, or a refusal, where axis 1 does not point from the plane towards its circle, as the URDF's does.
-
-    Raises:
-        MeasurementError: With a robot and without joint values: then the order of the rows is the wrong way round.
-    """
+    """A finding, or a refusal, where axis 1 does not point from the plane towards its circle, as the URDF's does."""
     height = float((first.point - plane.point) @ plane.normal)
     height *= float(np.sign(first.normal @ plane.normal))
     if robot is not None:

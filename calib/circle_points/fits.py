@@ -61,16 +61,11 @@ _TOO_SHORT = f"the arc is too short for its noise: no circle can be told from ot
 
 @dataclass(frozen=True, slots=True)
 class Scatter:
-    """The noise of a fit's points.
+    """The noise of a fit's points."""
 
-    Attributes:
-        estimate: Standard deviation of one coordinate from the residuals [m].
-        freedom: The degrees of freedom it is estimated with.
-        given: The one that was given, root of the mean square over the points [m]; None where none was.
-    """
-
-    estimate: float
-    freedom: int
+    estimate: float  #: Standard deviation of one coordinate from the residuals [m]
+    freedom: int  #: The degrees of freedom it is estimated with
+    #: The one that was given, root of the mean square over the points [m]; None where none was
     given: float | None
 
     @property
@@ -94,26 +89,17 @@ class Scatter:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plane:
-    """A plane through N points.
+    """A plane through N points."""
 
-    Attributes:
-        point: On the plane, the points' weighted mean, shape (3,) [m].
-        basis: Columns u, v, normal; shape (3, 3). The normal's sense means nothing.
-        covariance: shape (3, 3), of the displacement along the normal at ``point`` [m] and of the normal's tilt towards
-            u and v [rad].
-        residuals: Signed distances of all points, shape (N, 1) [m].
-        used: Which points the plane is fitted to, shape (N,).
-        gross: Which points are gross, used or not, shape (N,).
-        scatter: What is known of the noise.
-    """
-
-    point: Array
-    basis: Array
+    point: Array  #: On the plane, the points' weighted mean, shape (3,) [m]
+    basis: Array  #: Columns u, v, normal; shape (3, 3). The normal's sense means nothing
+    #: shape (3, 3), of the displacement along the normal at ``point`` [m] and of the normal's tilt towards u and v
+    #: [rad]
     covariance: Array
-    residuals: Array
-    used: Mask
-    gross: Mask
-    scatter: Scatter
+    residuals: Array  #: Signed distances of all points, shape (N, 1) [m]
+    used: Mask  #: Which points the plane is fitted to, shape (N,)
+    gross: Mask  #: Which points are gross, used or not, shape (N,)
+    scatter: Scatter  #: What is known of the noise
 
     @property
     def normal(self) -> Array:
@@ -128,14 +114,10 @@ class Circle(Plane):
     Its ``point`` is the centre, u points from there to the middle of the arc. Residuals are radial and axial, shape
     (N, 2) [m]; the covariance, shape (6, 6), is of the centre's displacement along u, v, normal [m], of the normal's
     tilt towards u and v [rad], and of the radius [m].
-
-    Attributes:
-        radius: [m].
-        angles: Of the points about the normal, from u, in (-pi, pi], shape (N,) [rad].
     """
 
-    radius: float
-    angles: Array
+    radius: float  #: [m]
+    angles: Array  #: Of the points about the normal, from u, in (-pi, pi], shape (N,) [rad]
 
     @property
     def center(self) -> Array:

@@ -78,11 +78,7 @@ class Nominal(NamedTuple):
 
 
 def nominal_axes(robot: Robot) -> Nominal:
-    """The axes of a robot of which each joint turns and has a column of its own.
-
-    Raises:
-        UrdfError: A joint slides, is held or follows another one, or joints move the base.
-    """
+    """The axes of a robot of which each joint turns and has a column of its own."""
     n = len(robot.joints)
     other = [
         j.name for j in robot.joints if j.type == "prismatic" or j.name not in robot.joint_names
@@ -128,16 +124,12 @@ def between(first: Line, second: Line) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BaseFrame:
-    """A base frame and how well it is known.
+    """A base frame and how well it is known."""
 
-    Attributes:
-        T_tracker_base: Pose of the base in the tracker's frame, shape (4, 4) [m].
-        parts: What plane, circle 1 and circle 2 contribute to the covariance, shape (6, 6) each.
-        dofs: The degrees of freedom of each part; infinite where the noise was given.
-    """
-
-    T_tracker_base: Array
+    T_tracker_base: Array  #: Pose of the base in the tracker's frame, shape (4, 4) [m]
+    #: What plane, circle 1 and circle 2 contribute to the covariance, shape (6, 6) each
     parts: tuple[Array, ...]
+    #: The degrees of freedom of each part; infinite where the noise was given
     dofs: tuple[float, ...]
 
     @property
@@ -230,10 +222,6 @@ def frame_of(
         plane_offset: How far the measured points stand off the mounting plane, towards the circles [m].
         T_base_axes: Pose of the frame A at q1 = 0 in the base, shape (4, 4) [m], see `nominal_axes_frame`; None: A is
             the base.
-
-    Raises:
-        CalibError: Axis 1 runs along the plane, axes 1 and 2 are parallel, or it cannot be told on which side of the
-            plane the circles are.
     """
     X = turned_about_z(-q1) @ rigid_inverse(np.eye(4) if T_base_axes is None else T_base_axes)
     lowered = mounting_plane(plane, first, plane_offset)
@@ -279,11 +267,7 @@ def propagated(
 
 
 def mounting_plane(plane: Plane, first: Circle, offset: float) -> Line:
-    """The mounting plane under the measured one, away from the circle of joint 1.
-
-    Raises:
-        CalibError: There is an offset, and the circle lies in the measured plane.
-    """
+    """The mounting plane under the measured one, away from the circle of joint 1."""
     height = float(plane.normal @ (first.point - plane.point))
     if offset and abs(height) < 2.0 * abs(offset):
         raise CalibError(
@@ -294,11 +278,7 @@ def mounting_plane(plane: Plane, first: Circle, offset: float) -> Line:
 
 
 def axes_frame(plane: Line, first: Line, second: Line) -> Array:
-    """T_tracker_A, shape (4, 4) [m]; see the module's text.
-
-    Raises:
-        CalibError: Axis 1 runs along the plane, or axes 1 and 2 are parallel.
-    """
+    """T_tracker_A, shape (4, 4) [m]; see the module's text."""
     z, n2 = first.direction, second.direction
     slope = float(plane.direction @ z)
     if abs(slope) < np.sin(SLANT_RAD):
@@ -322,11 +302,7 @@ def axes_frame(plane: Line, first: Line, second: Line) -> Array:
 
 
 def nominal_axes_frame(first: Line, second: Line) -> Array:
-    """T_base_A of a robot's nominal axes 1 and 2 at zero; the mounting plane is z = 0 of the base.
-
-    Raises:
-        CalibError: As for `axes_frame`.
-    """
+    """T_base_A of a robot's nominal axes 1 and 2 at zero; the mounting plane is z = 0 of the base."""
     try:
         return axes_frame(Line(np.zeros(3), np.array([0.0, 0.0, 1.0])), first, second)
     except CalibError as error:

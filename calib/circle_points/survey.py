@@ -42,28 +42,18 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointAxis:
-    """The axis of a joint as its sweep shows it.
+    """The axis of a joint as its sweep shows it."""
 
-    Attributes:
-        joint: Its number in the chain, from 0.
-        name: What to call it.
-        sweep: The points.
-        circle: Their circle in the tracker's frame, its normal in the joint's positive sense: centre and normal are the
-            axis.
-        point: The circle's centre in the base, shape (3,) [m].
-        direction: Its normal in the base, shape (3,).
-        covariance: shape (6, 6), of point [m] and direction in the base, the base's own uncertainty included.
-        turning: How well the joint turned; None without joint values.
-    """
-
-    joint: int
-    name: str
-    sweep: Sweep
+    joint: int  #: Its number in the chain, from 0
+    name: str  #: What to call it
+    sweep: Sweep  #: The points
+    #: Their circle in the tracker's frame, its normal in the joint's positive sense: centre and normal are the axis
     circle: Circle
-    point: Array
-    direction: Array
+    point: Array  #: The circle's centre in the base, shape (3,) [m]
+    direction: Array  #: Its normal in the base, shape (3,)
+    #: shape (6, 6), of point [m] and direction in the base, the base's own uncertainty included
     covariance: Array
-    turning: Turning | None
+    turning: Turning | None  #: How well the joint turned; None without joint values
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,25 +71,17 @@ class AxisRow:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Survey:
-    """What the sweeps say.
+    """What the sweeps say."""
 
-    Attributes:
-        frame: The base frame.
-        plane: The mounting plane as measured, in the tracker's frame.
-        plane_sweep: Its points.
-        joints: The swept joints, in the order of the chain.
-        rows: The DH rows of the joints that follow each other from the first one.
-        at_zero: Whether these are at the joints' zero; else at the pose in which the sweeps were measured.
-        findings: What is not as it should be.
-    """
-
-    frame: BaseFrame
-    plane: Plane
-    plane_sweep: Sweep
-    joints: tuple[JointAxis, ...]
+    frame: BaseFrame  #: The base frame
+    plane: Plane  #: The mounting plane as measured, in the tracker's frame
+    plane_sweep: Sweep  #: Its points
+    joints: tuple[JointAxis, ...]  #: The swept joints, in the order of the chain
+    #: The DH rows of the joints that follow each other from the first one
     rows: tuple[AxisRow, ...]
+    #: Whether these are at the joints' zero; else at the pose in which the sweeps were measured
     at_zero: bool
-    findings: tuple[Finding, ...]
+    findings: tuple[Finding, ...]  #: What is not as it should be
 
 
 def base_frame(

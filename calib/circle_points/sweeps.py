@@ -41,27 +41,17 @@ _POINT_NAME = re.compile(r"(.*?)[ _\-.:]*[0-9]+")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sweep:
-    """The points of one sweep, in the order in which they were measured.
+    """The points of one sweep, in the order in which they were measured."""
 
-    Attributes:
-        joint: Which joint of the chain turns, from 0; None for the plane.
-        name: As the file calls it.
-        points: shape (N, 3) in the tracker's frame [m].
-        sigma: Standard deviation of a coordinate of each point, shape (N,) [m]; None where not given.
-        joints: Values of the chain's joints, shape (N, n) [rad]; None where not given.
-        rows: Their numbers in the file, for messages.
-        source: The file's name, for messages.
-        counted: What ``rows`` are: "row" or "line".
-    """
-
-    joint: int | None
-    name: str
-    points: Array
+    joint: int | None  #: Which joint of the chain turns, from 0; None for the plane
+    name: str  #: As the file calls it
+    points: Array  #: shape (N, 3) in the tracker's frame [m]
+    #: Standard deviation of a coordinate of each point, shape (N,) [m]; None where not given
     sigma: Array | None
-    joints: Array | None
-    rows: tuple[int, ...]
-    source: str
-    counted: str = "row"
+    joints: Array | None  #: Values of the chain's joints, shape (N, n) [rad]; None where not given
+    rows: tuple[int, ...]  #: Their numbers in the file, for messages
+    source: str  #: The file's name, for messages
+    counted: str = "row"  #: What ``rows`` are: "row" or "line"
 
     def __len__(self) -> int:
         """The number of points, N."""
@@ -77,19 +67,13 @@ class Sweep:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sweeps:
-    """All sweeps of a file.
+    """All sweeps of a file."""
 
-    Attributes:
-        sweeps: The plane first, then the joints in the order of the chain; one of each at most.
-        joint_names: The chain's joints, base to tip; empty where nobody named them.
-        source: The file's name.
-        sha256: Of its bytes.
-    """
-
+    #: The plane first, then the joints in the order of the chain; one of each at most
     sweeps: tuple[Sweep, ...]
-    joint_names: tuple[str, ...]
-    source: str
-    sha256: str
+    joint_names: tuple[str, ...]  #: The chain's joints, base to tip; empty where nobody named them
+    source: str  #: The file's name
+    sha256: str  #: Of its bytes
 
     def find(self, joint: int | None) -> Sweep | None:
         """The sweep of a joint, from 0, or of the plane (None); None where there is none."""

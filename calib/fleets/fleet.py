@@ -54,15 +54,11 @@ FleetInputs = tuple[Robot, Measurements, Cell]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FleetRobot:
-    """One robot of a fleet, not read yet.
+    """One robot of a fleet, not read yet."""
 
-    Attributes:
-        name: Unique; the name of its folder.
-        load: Reads it, when its turn has come. Its argument reads a URDF, a xacro or a robot by its name, and keeps the
-            last ones, which many robots may share.
-    """
-
-    name: str
+    name: str  #: Unique; the name of its folder
+    #: Reads it, when its turn has come. Its argument reads a URDF, a xacro or a robot by its name, and keeps the last
+    #: ones, which many robots may share
     load: Callable[[Callable[[str], Urdf]], FleetInputs]
 
     @classmethod
@@ -111,40 +107,24 @@ class FleetRobot:
 
 @dataclass(frozen=True, slots=True)
 class FleetOptions:
-    """How all robots of a fleet are calibrated.
+    """How all robots of a fleet are calibrated."""
 
-    Attributes:
-        solver: As of `calibrate`.
-        robust: As of `calibrate`.
-        validate: As of `calibrate`.
-        reports: Whether each gets a report, which takes longer than the fit.
-        target_link: Whether the corrected URDFs get a link at the target.
-        command: For the reports: the command that made them.
-    """
-
-    solver: str = "lm"
-    robust: bool = True
-    validate: bool = True
-    reports: bool = True
-    target_link: bool = False
-    command: str = ""
+    solver: str = "lm"  #: As of `calibrate`
+    robust: bool = True  #: As of `calibrate`
+    validate: bool = True  #: As of `calibrate`
+    reports: bool = True  #: Whether each gets a report, which takes longer than the fit
+    target_link: bool = False  #: Whether the corrected URDFs get a link at the target
+    command: str = ""  #: For the reports: the command that made them
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fleet:
-    """Many robots, calibrated.
+    """Many robots, calibrated."""
 
-    Attributes:
-        rows: One for each robot, in their order.
-        odd: What is odd about which of them, see `calib.fleets.outliers`.
-        notes: What could not be said, and what else a person should know.
-        kept: How many of them were taken from an earlier run.
-    """
-
-    rows: tuple[FleetRow, ...]
-    odd: tuple[Odd, ...]
-    notes: tuple[str, ...]
-    kept: int
+    rows: tuple[FleetRow, ...]  #: One for each robot, in their order
+    odd: tuple[Odd, ...]  #: What is odd about which of them, see `calib.fleets.outliers`
+    notes: tuple[str, ...]  #: What could not be said, and what else a person should know
+    kept: int  #: How many of them were taken from an earlier run
 
     @property
     def failed(self) -> tuple[FleetRow, ...]:

@@ -12,9 +12,6 @@ from calib.text.lines import fill
 #: More robots than this are counted, and those are listed that need somebody to look at them.
 LISTED = 40
 
-#: Reasons that are told of one robot, and robots of one reason that are named; fleet.json has them all.
-_REASONS, _NAMES = 4, 5
-
 #: What `Odd.figure` says of data that are another robot's too.
 DATA = "data"
 
@@ -46,28 +43,21 @@ def fleet_cells(found: Fleet) -> tuple[list[str], list[list[str]]]:
 
 def fleet_text(found: Fleet) -> Iterator[str]:
     """The odd ones, the failed ones, what could not be said, and how many there were."""
-    reasons: dict[str, list[str]] = {}
+    odd: dict[str, list[str]] = {}
+    twice: dict[str, list[str]] = {}
+    failed: dict[str, list[str]] = {}
     for one in found.odd:
-        if one.figure != DATA:
-            reasons.setdefault(one.name, []).append(one.text)
-    odd = [
-        f"{name}: {'; '.join(texts[:_REASONS])}"
-        + f"; and {len(texts) - _REASONS} more in fleet.json" * (len(texts) > _REASONS)
-        for name, texts in reasons.items()
-    ]
-    twice = [f"{one.name}: {one.text}" for one in found.odd if one.figure == DATA]
-    groups: dict[tuple[str, bool], list[str]] = {}
+        (twice if one.figure == DATA else odd).setdefault(one.name, []).append(one.text)
     for row in found.failed:
-        groups.setdefault((row.message, row.status == STALE), []).append(row.name)
-    failed = []
-    for (message, stale), names in groups.items():
-        more = f" and {len(names) - _NAMES} more" * (len(names) > _NAMES)
-        kept = " The folder holds the result of earlier inputs." * stale
-        failed.append(f"{', '.join(names[:_NAMES])}{more}: {message.removesuffix('.')}.{kept}")
+        kept = " The folder holds the result of earlier inputs." * (row.status == STALE)
+        failed.setdefault(f"{row.message.removesuffix('.')}.{kept}", []).append(row.name)
     for head, lines in (
-        ("Odd ones out:", odd),
-        ("Data given twice, which count once in what is usual:", twice),
-        ("Failed:", failed),
+        ("Odd ones out:", [f"{name}: {'; '.join(texts)}" for name, texts in odd.items()]),
+        (
+            "Data given twice, which count once in what is usual:",
+            [f"{name}: {'; '.join(texts)}" for name, texts in twice.items()],
+        ),
+        ("Failed:", [f"{', '.join(names)}: {text}" for text, names in failed.items()]),
     ):
         if lines:
             yield "\n".join([head, *(fill(line, "  ", "  ") for line in lines), ""])
@@ -76,14 +66,11 @@ def fleet_text(found: Fleet) -> Iterator[str]:
     done = [row for row in found.rows if row not in found.failed]
     verdicts = Counter(row.verdict or "no verdict" for row in done)
     words = ", ".join(f"{count} {word}" for word, count in verdicts.most_common())
-    old = sum(row.status == STALE for row in found.failed)
     yield (
         f"{len(done)} of {len(found.rows)} robots calibrated"
         + f" ({words})" * bool(words)
         + f", {found.kept} of them by an earlier run" * bool(found.kept)
         + f"; {len(odd)} odd"
         + f", {len(twice)} with the data of another" * bool(twice)
-        + f", {len(found.failed)} failed"
-        + f" ({old} of them with a result of earlier inputs in the folder)" * bool(old)
-        + "."
+        + f", {len(found.failed)} failed."
     )

@@ -60,27 +60,17 @@ _FIGURES = {
 
 @dataclass(frozen=True, slots=True)
 class Odd:
-    """One reason why a robot is odd.
+    """One reason why a robot is odd."""
 
-    Attributes:
-        name: The robot.
-        figure: What is odd about it: a figure's or a parameter's name, ``"data"`` or ``"model"``.
-        unit: Of value and usual; ``""`` where they are no numbers.
-        value: Its value; NaN where it is no number.
-        usual: The median of the robots of its kind; NaN likewise.
-        z: How far it is off, see the module's text; NaN likewise.
-        limit: Beyond which it is flagged; NaN likewise.
-        text: The same in words.
-    """
-
-    name: str
+    name: str  #: The robot
+    #: What is odd about it: a figure's or a parameter's name, ``"data"`` or ``"model"``
     figure: str
-    unit: str = ""
-    value: float = math.nan
-    usual: float = math.nan
-    z: float = math.nan
-    limit: float = math.nan
-    text: str = ""
+    unit: str = ""  #: Of value and usual; ``""`` where they are no numbers
+    value: float = math.nan  #: Its value; NaN where it is no number
+    usual: float = math.nan  #: The median of the robots of its kind; NaN likewise
+    z: float = math.nan  #: How far it is off, see the module's text; NaN likewise
+    limit: float = math.nan  #: Beyond which it is flagged; NaN likewise
+    text: str = ""  #: The same in words
 
 
 def odd_ones(rows: Sequence[FleetRow]) -> tuple[tuple[Odd, ...], tuple[str, ...]]:

@@ -28,66 +28,40 @@ STALE = "failed; the folder holds the result of earlier inputs"
 
 @dataclass(frozen=True, slots=True)
 class FleetParameter:
-    """One parameter, as it is compared with the other robots'.
+    """One parameter, as it is compared with the other robots'."""
 
-    Attributes:
-        name: Its name.
-        unit: Its unit.
-        change: From the nominal value; of a target its place in the tip.
-        std: Standard deviation of it; NaN where the measurements do not determine it, or a bound stopped it.
-    """
-
-    name: str
-    unit: str
-    change: float
+    name: str  #: Its name
+    unit: str  #: Its unit
+    change: float  #: From the nominal value; of a target its place in the tip
+    #: Standard deviation of it; NaN where the measurements do not determine it, or a bound stopped it
     std: float
 
 
 @dataclass(frozen=True, slots=True)
 class FleetRow:
-    """One robot of a fleet. Numbers that there are not are NaN, words ``""``.
+    """One robot of a fleet. Numbers that there are not are NaN, words ``""``."""
 
-    Attributes:
-        name: Its name.
-        status: `DONE`, `FAILED` or `STALE`.
-        message: Why it failed.
-        verdict: ``"use"``, ``"use with care"`` or ``"do not use"``.
-        model: The geometry's parameter set.
-        larger: The larger model.
-        rows: Rows that were fitted.
-        outliers: How many of them are flagged.
-        nominal_rms: Error of the nominal robot on the rows that were fitted [m].
-        calibrated_rms: Of the calibrated robot [m].
-        unseen: What ``unseen_rms`` is of: ``"validation"`` or ``"cross-validation"``.
-        unseen_rms: Of the calibrated robot on rows that were not fitted [m].
-        left_out_rms: On left-out rows that are not flagged, by cross-validation [m].
-        sigma: Noise of one coordinate or length that the fit found [m].
-        sigma_angle: Of an angle [rad].
-        kind: What robots must share to be compared: the robot's name, its joints, base and tip.
-        data: The measurements' file.
-        measured: A hash of what was measured, whatever file it stood in.
-        parameters: Those of the geometry, frames aside.
-    """
-
-    name: str
-    status: str
-    message: str = ""
-    verdict: str = ""
-    model: str = ""
-    larger: str = ""
-    rows: int = 0
-    outliers: int = 0
-    nominal_rms: float = math.nan
-    calibrated_rms: float = math.nan
-    unseen: str = ""
-    unseen_rms: float = math.nan
+    name: str  #: Its name
+    status: str  #: `DONE`, `FAILED` or `STALE`
+    message: str = ""  #: Why it failed
+    verdict: str = ""  #: ``"use"``, ``"use with care"`` or ``"do not use"``
+    model: str = ""  #: The geometry's parameter set
+    larger: str = ""  #: The larger model
+    rows: int = 0  #: Rows that were fitted
+    outliers: int = 0  #: How many of them are flagged
+    nominal_rms: float = math.nan  #: Error of the nominal robot on the rows that were fitted [m]
+    calibrated_rms: float = math.nan  #: Of the calibrated robot [m]
+    unseen: str = ""  #: What ``unseen_rms`` is of: ``"validation"`` or ``"cross-validation"``
+    unseen_rms: float = math.nan  #: Of the calibrated robot on rows that were not fitted [m]
+    #: On left-out rows that are not flagged, by cross-validation [m]
     left_out_rms: float = math.nan
-    sigma: float = math.nan
-    sigma_angle: float = math.nan
+    sigma: float = math.nan  #: Noise of one coordinate or length that the fit found [m]
+    sigma_angle: float = math.nan  #: Of an angle [rad]
+    #: What robots must share to be compared: the robot's name, its joints, base and tip
     kind: str = ""
-    data: str = ""
-    measured: str = ""
-    parameters: tuple[FleetParameter, ...] = ()
+    data: str = ""  #: The measurements' file
+    measured: str = ""  #: A hash of what was measured, whatever file it stood in
+    parameters: tuple[FleetParameter, ...] = ()  #: Those of the geometry, frames aside
 
     @classmethod
     def of(cls, name: str, c: Calibration) -> FleetRow:
@@ -129,11 +103,7 @@ class FleetRow:
 
     @classmethod
     def read(cls, table: Mapping[str, Any]) -> FleetRow:
-        """The row of a table as `table` makes it.
-
-        Raises:
-            TypeError, KeyError: It is no such table.
-        """
+        """The row of a table as `table` makes it."""
 
         def filled(part: Mapping[str, Any]) -> dict[str, Any]:
             return {k: math.nan if v is None else v for k, v in part.items()}

@@ -47,41 +47,29 @@ DEFAULT_MODEL = "placement"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scenario:
-    """What virtual cells are to be like, before anything is drawn.
+    """What virtual cells are to be like, before anything is drawn."""
 
-    Attributes:
-        robot: The nominal robot.
-        cell: Targets, frames, tracker, payload, gravity, kind, and limits of single errors.
-        model: In which errors the robot is wrong, see `draw_truth`.
-        sizes: Standard deviations of the errors that are drawn; None: none is.
-        errors: Names and values of single errors.
-        true_robot: The true geometry, if it is given.
-        target_error: How far targets sit from where they are said to, standard deviation [m].
-        noise: Of one coordinate, by the distance from the tracker; None: none. The repeatability in it displaces all
-            targets of one stop alike; of the kind ``distance`` the distance is that from the anchor.
-        sigma_angle: Standard deviation of a measured orientation about one axis [rad].
-        encoder: Steps of the joint values.
-        outliers: Rows that are far off; None: none.
-        moved: A target that moves; None: none.
-        drift: shape (3,), how far the instrument, or the base, drifts from the first row to the last, along the
-            measurement frame's axes, evenly [m].
-        visits: How often the tour of all poses is made.
-    """
-
-    robot: Robot
+    robot: Robot  #: The nominal robot
+    #: Targets, frames, tracker, payload, gravity, kind, and limits of single errors
     cell: Cell = field(default_factory=Cell)
-    model: str = DEFAULT_MODEL
+    model: str = DEFAULT_MODEL  #: In which errors the robot is wrong, see `draw_truth`
+    #: Standard deviations of the errors that are drawn; None: none is
     sizes: Mapping[str, float] | None = field(default_factory=dict)
-    errors: tuple[tuple[str, float], ...] = ()
-    true_robot: Robot | None = None
+    errors: tuple[tuple[str, float], ...] = ()  #: Names and values of single errors
+    true_robot: Robot | None = None  #: The true geometry, if it is given
+    #: How far targets sit from where they are said to, standard deviation [m]
     target_error: float = TARGET_ERROR
+    #: Of one coordinate, by the distance from the tracker; None: none. The repeatability in it displaces all targets
+    #: of one stop alike; of the kind ``distance`` the distance is that from the anchor
     noise: TrackerNoise | None = field(default_factory=TrackerNoise)
-    sigma_angle: float = 0.0
-    encoder: Encoder = field(default_factory=Encoder)
-    outliers: Outliers | None = None
-    moved: MovedTarget | None = None
+    sigma_angle: float = 0.0  #: Standard deviation of a measured orientation about one axis [rad]
+    encoder: Encoder = field(default_factory=Encoder)  #: Steps of the joint values
+    outliers: Outliers | None = None  #: Rows that are far off; None: none
+    moved: MovedTarget | None = None  #: A target that moves; None: none
+    #: shape (3,), how far the instrument, or the base, drifts from the first row to the last, along the measurement
+    #: frame's axes, evenly [m]
     drift: Array = field(default_factory=lambda: np.zeros(3))
-    visits: int = 1
+    visits: int = 1  #: How often the tour of all poses is made
 
     def __post_init__(self) -> None:
         """Refuse a kind that cannot be simulated, and numbers that are none."""
@@ -90,11 +78,6 @@ class Scenario:
             raise CalibError(
                 f"Measurements of the kind '{self.kind.name}' cannot be simulated: their poses would have to hold the "
                 f"target in a socket or on a plane. Choose one of {choices(free)}."
-            )
-        if not (0.0 <= self.sigma_angle < np.inf and self.visits >= 1):
-            raise CalibError(
-                f"The noise of an angle is {self.sigma_angle} rad, and each pose is visited {self.visits} times; the "
-                "noise must not be below 0, and the visits 1 or more."
             )
         object.__setattr__(self, "drift", vector(self.drift, "drift"))
 
@@ -171,28 +154,20 @@ class Scenario:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Simulated:
-    """What a virtual cell measured, and what was true of it.
+    """What a virtual cell measured, and what was true of it."""
 
-    Attributes:
-        measurements: The table, as `calib fit` reads it.
-        truth: The robot, the targets and the frames.
-        q: shape (R, m), where the joints really stood in each row, before their own errors [rad] or [m].
-        T_frame_target: shape (R, 4, 4), true poses of the targets, the moved one's included [m].
-        sigma: shape (R,), standard deviation of the noise of one coordinate or length [m].
-        outliers: shape (R, 3), how far outliers are displaced [m]; zero in other rows. Of lengths the first
-            column says how much longer they are.
-        moved: shape (R,), which rows found the target moved.
-        seed: Of the random numbers.
-    """
-
-    measurements: Measurements
-    truth: Truth
+    measurements: Measurements  #: The table, as `calib fit` reads it
+    truth: Truth  #: The robot, the targets and the frames
+    #: shape (R, m), where the joints really stood in each row, before their own errors [rad] or [m]
     q: Array
+    #: shape (R, 4, 4), true poses of the targets, the moved one's included [m]
     T_frame_target: Array
-    sigma: Array
+    sigma: Array  #: shape (R,), standard deviation of the noise of one coordinate or length [m]
+    #: shape (R, 3), how far outliers are displaced [m]; zero in other rows. Of lengths the first column says how much
+    #: longer they are
     outliers: Array
-    moved: NDArray[np.bool_]
-    seed: int
+    moved: NDArray[np.bool_]  #: shape (R,), which rows found the target moved
+    seed: int  #: Of the random numbers
 
     @property
     def points(self) -> Array:
@@ -207,15 +182,10 @@ class Simulated:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VirtualCell:
-    """A robot with known errors, and an instrument that measures it.
+    """A robot with known errors, and an instrument that measures it."""
 
-    Attributes:
-        scenario: What is measured, and what disturbs it.
-        truth: The robot, the targets and the frames.
-    """
-
-    scenario: Scenario
-    truth: Truth
+    scenario: Scenario  #: What is measured, and what disturbs it
+    truth: Truth  #: The robot, the targets and the frames
 
     def measure(self, q: ArrayLike, seed: int = 0, sets: Sequence[str] | None = None) -> Simulated:
         """Measure every target at every pose.

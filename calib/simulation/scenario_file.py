@@ -57,11 +57,7 @@ class Words:
 
 
 def read_simulation(path: Path | None) -> dict[str, Any]:
-    """The table ``[simulation]`` of a cell file, in SI units, by the keys without their units.
-
-    Raises:
-        CalibError: An unknown key, or a value of the wrong kind; `Cell.read` refuses what is no TOML.
-    """
+    """The table ``[simulation]`` of a cell file, in SI units, by the keys without their units."""
     if path is None:
         return {}
     table = tomllib.loads(read_bytes(path, "cell file").decode("utf-8-sig")).get("simulation", {})
@@ -90,11 +86,7 @@ def read_simulation(path: Path | None) -> dict[str, Any]:
 
 
 def read_scenario(robot: Robot, cell: Cell, words: Words, path: Path | None = None) -> Scenario:
-    """The scenario of a robot and a cell, with what the command line and the cell file at ``path`` add.
-
-    Raises:
-        CalibError: A word or a value that cannot be meant.
-    """
+    """The scenario of a robot and a cell, with what the command line and the cell file at ``path`` add."""
     more = read_simulation(path)
     model = DEFAULT_MODEL if cell.model == "auto" else cell.model
     units = {p.name: p.unit for p in error_model(robot, model, target=False).parameters}

@@ -60,31 +60,19 @@ _FORECASTS = 9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trials:
-    """What is done each time.
+    """What is done each time."""
 
-    Attributes:
-        scenario: What robots and disturbances are drawn.
-        cell: What the fit is told; its model too.
-        poses: shape (N, m), poses to measure, the same each time; None: ``count`` others each time.
-        sets: ``"estimate"`` or ``"validate"`` for each of ``poses``.
-        count: Poses to fit, where they are made each time.
-        validation: Random poses to validate with, besides.
-        planned: Whether they are planned, or drawn at random.
-        criterion: Of the plan.
-        validate: Whether each fit is cross-validated, for its verdict.
-        solver: Of the fit.
-    """
-
-    scenario: Scenario
-    cell: Cell
+    scenario: Scenario  #: What robots and disturbances are drawn
+    cell: Cell  #: What the fit is told; its model too
+    #: shape (N, m), poses to measure, the same each time; None: ``count`` others each time
     poses: Array | None = None
-    sets: tuple[str, ...] = ()
-    count: int = 30
-    validation: int = 0
-    planned: bool = False
-    criterion: str = "V"
-    validate: bool = True
-    solver: str = "lm"
+    sets: tuple[str, ...] = ()  #: ``"estimate"`` or ``"validate"`` for each of ``poses``
+    count: int = 30  #: Poses to fit, where they are made each time
+    validation: int = 0  #: Random poses to validate with, besides
+    planned: bool = False  #: Whether they are planned, or drawn at random
+    criterion: str = "V"  #: Of the plan
+    validate: bool = True  #: Whether each fit is cross-validated, for its verdict
+    solver: str = "lm"  #: Of the fit
 
     @property
     def fitted(self) -> int:
@@ -111,51 +99,31 @@ class Trials:
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """One robot, calibrated and verified.
+    """One robot, calibrated and verified."""
 
-    Attributes:
-        seed: Of everything that was drawn.
-        nominal_rms: Error of the nominal robot, frame and target where they truly are, over the poses of the
-            verification [m].
-        rms: Error of what the calibrated robot predicts there [m].
-        max: The largest [m].
-        stated_rms: What the fit itself says of its error there [m].
-        covered: Share of these positions inside the 95 % ellipsoid that the fit states.
-        sigma: Noise that the fit found, with the larger model where there is one [m].
-        model: The parameter set that was fitted.
-        verdict: The verdict's word; "" without one.
-        outliers: How many rows are outliers in truth.
-        flagged: How many of these the fit named.
-        false_alarms: How many others it named.
-    """
-
-    seed: int
+    seed: int  #: Of everything that was drawn
+    #: Error of the nominal robot, frame and target where they truly are, over the poses of the verification [m]
     nominal_rms: float
-    rms: float
-    max: float
-    stated_rms: float
-    covered: float
-    sigma: float
-    model: str
-    verdict: str
-    outliers: int
-    flagged: int
-    false_alarms: int
+    rms: float  #: Error of what the calibrated robot predicts there [m]
+    max: float  #: The largest [m]
+    stated_rms: float  #: What the fit itself says of its error there [m]
+    covered: float  #: Share of these positions inside the 95 % ellipsoid that the fit states
+    sigma: float  #: Noise that the fit found, with the larger model where there is one [m]
+    model: str  #: The parameter set that was fitted
+    verdict: str  #: The verdict's word; "" without one
+    outliers: int  #: How many rows are outliers in truth
+    flagged: int  #: How many of these the fit named
+    false_alarms: int  #: How many others it named
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Study:
-    """Many trials.
+    """Many trials."""
 
-    Attributes:
-        trials: In the order of their seeds.
-        failures: Seed and reason of those that ended with an error.
-        forecast: What was to be expected: of the first trial's poses, or where poses are random of those in the middle
-            of several trials'; None where the robots' errors or what is fitted have no forecast.
-    """
-
-    trials: tuple[Trial, ...]
-    failures: tuple[tuple[int, str], ...]
+    trials: tuple[Trial, ...]  #: In the order of their seeds
+    failures: tuple[tuple[int, str], ...]  #: Seed and reason of those that ended with an error
+    #: What was to be expected: of the first trial's poses, or where poses are random of those in the middle of
+    #: several trials'; None where the robots' errors or what is fitted have no forecast
     forecast: Forecast | None
 
     def values(self, name: str) -> Array:

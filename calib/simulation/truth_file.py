@@ -125,21 +125,15 @@ def write_simulated(
     *,
     overwrite: bool = False,
 ) -> list[Path]:
-    """Write a table, what was true of it, and perhaps the true robot's URDF: all of them, or of new ones none.
+    """Write a table, what was true of it, and perhaps the true robot's URDF.
 
     Raises:
         UrdfError, FileError: As for `write_truth` and `write_true_urdf`.
     """
-    new = [path for path in (table, truth, urdf) if path is not None and not path.exists()]
-    try:
-        made.measurements.write(table, overwrite=overwrite)
-        write_truth(scenario, made, truth, overwrite=overwrite)
-        if urdf is not None:
-            write_true_urdf(made.truth, urdf, overwrite=overwrite)
-    except BaseException:
-        for path in new:
-            path.unlink(missing_ok=True)
-        raise
+    made.measurements.write(table, overwrite=overwrite)
+    write_truth(scenario, made, truth, overwrite=overwrite)
+    if urdf is not None:
+        write_true_urdf(made.truth, urdf, overwrite=overwrite)
     return [path for path in (table, truth, urdf) if path is not None]
 
 

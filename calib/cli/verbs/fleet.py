@@ -34,7 +34,7 @@ Examples:
 
 The manifest has a robot a row: its name, its robot (a URDF, a xacro, or a name such as ur3) and its data, and may say
 cell, points, points_unit, base, tip, target, frame, model, kind, payload, hold and columns of it, as the options of
-'calib fit' do. Options on the line are for all robots; what a row says wins. Each robot gets a folder with
+'calib calibrate' do. Options on the line are for all robots; what a row says wins. Each robot gets a folder with
 corrected.urdf, result.json, report.html and summary.txt; fleet.csv and fleet.json compare them. Given again, the same
 command keeps what is finished and unchanged. The exit code is 1 if a robot failed. See docs/fleet.md.
 """)

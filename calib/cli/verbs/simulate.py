@@ -151,7 +151,7 @@ def next_command(robot: str, table: Path, setup: CellOptions) -> str:
     """The command that calibrates with what was simulated, in lines that a shell joins again."""
     from calib.text.lines import command_text
 
-    parts = [shlex.join(["calib", "fit", robot, str(table)])]
+    parts = [shlex.join(["calib", "calibrate", robot, str(table)])]
     for name, value in asdict(setup).items():
         if value is not None and name != "model":
             values = value if isinstance(value, list) else [value]
