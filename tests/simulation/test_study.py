@@ -138,11 +138,3 @@ def test_several_targets_of_a_stop_share_the_robots_repeatability(ur3):
     stated = np.sqrt(np.mean(found.values("stated_rms") ** 2))
     assert stated == pytest.approx(found.rms, rel=0.12)
     assert 0.92 < found.values("covered").mean() < 0.985
-
-
-def test_where_every_trial_fails_the_first_reason_is_told(ur3):
-    # The model has no parameter of this name, whatever is drawn.
-    cell = Cell(target=TARGET, model="hayati", frozen=("d17",))
-    what = replace(trials(ur3), cell=cell)
-    with pytest.raises(CalibError, match=r"None of the 2 trials came to an end.*'d17'"):
-        study(what, 2)

@@ -16,7 +16,6 @@ from calib.simulation.truth import (
     TARGET_ERROR,
     Encoder,
     MovedTarget,
-    Outliers,
     draw_truth,
     tracker_pose,
 )
@@ -122,18 +121,6 @@ def test_a_true_urdf_is_the_truth(ur3):
     assert np.count_nonzero(given.x[~geometry]) == 1
 
 
-def test_a_true_urdf_whose_tip_sits_elsewhere(ur3):
-    placements = ur3.placements.copy()
-    placements[-1] = placements[-1] @ pin.exp6(np.array([1e-3, 0, 0, 0, 2e-3, 0])).homogeneous
-    true = ur3.with_placements(placements)
-    truth = draw_truth(ur3, true_robot=true)
-    q = random_joint_values(ur3, 5)
-    assert truth.tip_poses(q) == pytest.approx(true.poses(q), abs=1e-14)
-    # The set of placements has no word for it: the error is the robot's all the same.
-    assert np.abs(truth.x).max() < 1e-14
-    assert truth.nominal_errors(q).min() > 5e-4
-
-
 def test_the_target_is_drawn_about_where_it_is_said_to_be(ur3):
     said = np.array([0.1, 0.0, 0.03])
     cell = Cell(target=said, target_rotation=Rotation.from_euler("x", 0.3).as_matrix())
@@ -163,17 +150,6 @@ def test_frames_are_the_cell_s_or_drawn_or_the_base(ur3):
     assert placed[2, 2] > np.cos(0.06)
 
 
-def test_gravity_the_other_way_bends_the_robot_the_other_way(ur3):
-    q = random_joint_values(ur3, 10)
-    sag = []
-    for g in (-9.81, 9.81):
-        cell = Cell(gravity=np.array([0.0, 0.0, g]))
-        truth = draw_truth(ur3, "frames+compliance", seed=1, cell=cell)
-        sag.append(truth.points(q) - draw_truth(ur3, "frames", seed=1).points(q))
-    assert np.abs(sag[0]).max() > 1e-5
-    assert sag[0] == pytest.approx(-sag[1], abs=1e-6)
-
-
 def test_a_chain_with_a_sliding_joint_a_mimic_joint_and_two_branches():
     robot = Robot.load("tiago", tip="arm_7_link")
     truth = draw_truth(robot, MANY, seed=2)
@@ -186,24 +162,6 @@ def test_a_chain_with_a_sliding_joint_a_mimic_joint_and_two_branches():
     q = random_joint_values(camera, 5)
     assert seen.tip_poses(q) == pytest.approx(seen.robot.poses(q), abs=1e-14)
     assert seen.nominal_errors(q).min() > 1e-4
-
-
-@pytest.mark.parametrize(
-    ("outliers", "among", "number"),
-    [
-        (Outliers(share=0.2), 30, 6),
-        (Outliers(share=0.001), 30, 1),
-        (Outliers(share=0.0), 30, 0),
-        (Outliers(share=1.0), 7, 7),
-        (Outliers(count=0), 30, 0),
-        (Outliers(count=3), 3, 3),
-    ],
-)
-def test_how_many(outliers, among, number):
-    chosen = outliers.choose(range(100, 100 + among), seed=1)
-    assert len(chosen) == len(set(chosen)) == number
-    assert chosen == sorted(chosen)
-    assert set(chosen) <= set(range(100, 100 + among))
 
 
 def test_a_target_is_moved_from_its_row_on():
