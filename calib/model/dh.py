@@ -40,16 +40,13 @@ Array = NDArray[np.float64]
 #: noise. Behind a common normal that lies far away even such an angle is metres: there the first that holds is taken.
 _PARALLEL = (5e-7, 1e-8, 1e-10, 1e-12)
 
-#: An offset between parallel axes below this is rounding [m].
-_COINCIDENT = 1e-13
-
-#: A tip whose z axis lies beside the last axis by less is on it [m]: what a calibration moves it by has no direction.
-_ON_AXIS = 1e-3
-
+_COINCIDENT = 1e-13  #: An offset between parallel axes below this is rounding [m].
+_ON_AXIS = 1e-3  #: A tip whose z axis lies beside the last axis by less is on it [m].
 _TOLERANCE = 1e-9
-
-#: Joint values at which rows are compared with the robot to see whether they hold it, the same every time.
-_POSES, _SEED = 8, 20170401
+_POSES, _SEED = (
+    8,
+    20170401,
+)  #: Joint values at which rows are compared with the robot, the same every time.
 
 
 def dh_table(robot: Robot, convention: str = HAYATI, like: Robot | None = None) -> DHTable:
@@ -111,11 +108,9 @@ def taken_as_parallel(robot: Robot) -> float:
 def rows_between(
     lines: Sequence[tuple[Array, Array]], like: DHTable | None = None
 ) -> tuple[DHRow, ...]:
-    """Hayati's rows from each of some axes of turning joints to the next.
+    """Hayati's rows from each of some axes of turning joints to the next; open choices as in the nominal rows ``like``.
 
-    Args:
-        lines: A point (3,) [m] and the unit direction (3,) of each axis, in base at q = 0.
-        like: Hayati's rows of the nominal robot, whose open choices are kept.
+    An axis is a point (3,) [m] and a unit direction (3,), in base at q = 0.
     """
     wanted = _wanted(like, len(lines))
     T = _first_frame(*lines[0], np.eye(4) if like is None else like.T_base_0)

@@ -36,18 +36,14 @@ from calib.robot.urdf import UrdfJoint
 
 Array = NDArray[np.float64]
 
-#: The six directions of a frame or a placement.
-DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
+DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")  #: Of a frame or a placement.
 
 #: The unit of a parameter along or about each, and its twist.
 _UNITS = {one: "m" if k < 3 else "rad" for k, one in enumerate(DIRECTIONS)}
 _TWISTS = {one: read_only(row) for one, row in zip(DIRECTIONS, np.eye(6), strict=True)}
 
-#: The name of a set of parameters that was given, not named.
-OWN = "own"
-
-#: An axis within this of a coordinate axis is one [rad].
-_ALIGNED = 1e-6
+OWN = "own"  #: The name of a set of parameters that was given, not named.
+_ALIGNED = 1e-6  #: An axis within this of a coordinate axis is one [rad].
 
 
 def error_model(

@@ -40,14 +40,12 @@ class Combination:
 
     def __str__(self) -> str:
         """In words, such as ``d2 and d4 together (+1 mm, -1 mm)``."""
-        amounts = ", ".join(
-            f"{unit_of(u).shown[0] * s:+.3g} {unit_of(u).shown[1]}"
-            for s, u in zip(self.steps, self.units, strict=True)
-        )
         if len(self.names) == 1:
             return f"{self.names[0]} at all"
         if len(self.names) > _MOST_NAMES:
             return f"{', '.join(self.names[:_MOST_NAMES])} and {len(self.names) - _MOST_NAMES} more together"
+        shown = [(step, *unit_of(u).shown) for step, u in zip(self.steps, self.units, strict=True)]
+        amounts = ", ".join(f"{factor * step:+.3g} {unit}" for step, factor, unit in shown)
         return f"{', '.join(self.names[:-1])} and {self.names[-1]} together ({amounts})"
 
 

@@ -22,8 +22,7 @@ Array = NDArray[np.float64]
 #: The places that are not joints; no URDF calls a joint so.
 FRAME, TIP, TARGET = "(frame)", "(tip)", "(target)"
 
-#: A placement that is displaced by less than this stays as it is, and so does its <origin> [m, rad].
-_UNMOVED = 1e-12
+_UNMOVED = 1e-12  #: A placement that is displaced by less stays as it is, and so does its <origin> [m, rad].
 
 
 def frame_place(group: str) -> str:

@@ -214,16 +214,13 @@ def _frames(geometry: Geometry, steps: Array, stood: Stood, own: slice) -> Array
 
 T = TypeVar("T")
 
-#: Samples of one block.
-BLOCK = 1024
+BLOCK = 1024  #: Samples of one block.
 
 # scipy brings linear algebra of its own, which must be loaded before its threads can be counted.
 _LOADED = (np.__name__, scipy.linalg.__name__)
 
 _LOCK = threading.Lock()
-
-#: How many blocks are being worked on, and what they found: the last one to end puts it back.
-_INSIDE: list[Any] = []
+_INSIDE: list[Any] = []  #: What each block at work found; the last one to end puts it back.
 
 
 def over_blocks(work: Callable[[slice], T], count: int) -> list[T]:

@@ -25,8 +25,7 @@ __all__ = ["SAME", "Urdf", "UrdfJoint"]
 
 FloatArray = NDArray[np.float64]
 
-SAME = 1e-14
-"""Entries of two poses that differ by no more than this are the same [m; rotation matrices: 1]."""
+SAME = 1e-14  #: Entries of two poses that differ by no more are the same [m; rotation matrices: 1].
 
 
 @dataclass(frozen=True, slots=True)

@@ -51,10 +51,8 @@ class XacroCall:
         for piece in filter(None, _BETWEEN.split(text[end:].strip())):
             found = _ARGUMENT.fullmatch(piece)
             if found is None or found[1] in given:
-                fault = "is given twice" if found else "is no argument of a xacro"
-                raise UrdfError(
-                    f"'{piece}' behind {path.name} {fault}; write NAME:=VALUE, each name once"
-                )
+                message = f"'{piece}' behind {path.name} is no argument or a second one; write NAME:=VALUE"
+                raise UrdfError(message)
             value = found[2].strip()
             quoted = len(value) > 1 and value[0] == value[-1] and value[0] in "\"'"
             given[found[1]] = value[1:-1] if quoted else value
