@@ -81,21 +81,6 @@ def test_poses_of_a_table_keep_their_sets(simulate, shop: Path, paper_table):
     assert made.sets == (*paper_table.sets, *["validate"] * 3)
 
 
-def test_single_errors_alone_are_the_only_ones(simulate, shop: Path):
-    done = simulate(
-        "-o", "t.csv", "--error", "elbow_joint.rx=2 mrad", "--error", "wrist_1_joint.z=-0.5 mm"
-    )
-    assert done.code == 0
-    values = {p["name"]: p["value"] for p in truth(shop)["parameters"] if p["value"]}
-    assert values == {"elbow_joint.rx": 2e-3, "wrist_1_joint.z": -0.5e-3}
-    assert "  length                  1, rms 0.5 mm, largest wrist_1_joint.z -0.5 mm" in done.lines
-    both = simulate("-o", "u.csv", "--error", "elbow_joint.rx=2 mrad", "--sizes", "angle 1 mrad")
-    assert both.code == 0
-    values = {p["name"]: p["value"] for p in truth(shop, "u_truth.json")["parameters"]}
-    assert values["elbow_joint.rx"] == 2e-3
-    assert all(values.values())
-
-
 def test_everything_that_disturbs_is_said(simulate, shop: Path):
     (shop / "two.toml").write_text(
         "[targets_mm]\nupper = [0, 0, 120]\nlower = [80, 0, 20]\n"
@@ -125,28 +110,6 @@ def test_everything_that_disturbs_is_said(simulate, shop: Path):
     said = truth(shop)
     assert len(said["events"]["outliers"]) == 6
     assert said["instrument"]["tracker_base_xyz_m"] == [2.0, 0.5, 0.0]
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("--outliers", "31"), "31 outliers were asked for among 30 measurements"),
-        (("--kind", "fixed"), "Measurements of the kind 'fixed' cannot be simulated"),
-        (("--kind", "pair", "--count", "3"), "even number of poses; 3 are to 'estimate'"),
-        (("--poses", "nothing.csv"), "'nothing.csv' does not exist"),
-        (("--truth-robot", "data.csv"), "is not XML"),
-    ],
-)  # fmt: skip
-def test_what_is_wrong_is_said_in_one_line_and_nothing_is_written(
-    simulate, shop: Path, words, said
-):
-    before = sorted(shop.iterdir())
-    done = simulate("-o", "t.csv", *words)
-    assert (done.code, done.out) == (1, "")
-    assert said in done.err
-    assert done.err.startswith("calib: ")
-    assert done.err.count("\n") == 1
-    assert sorted(shop.iterdir()) == before
 
 
 def test_a_true_robot_is_the_truth(simulate, shop: Path):

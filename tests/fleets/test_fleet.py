@@ -102,21 +102,6 @@ def test_only_what_has_changed_is_done_again(tmp_path, ur3):
     assert fleet(robots, out, replace(QUICK, robust=False)).kept == 0
 
 
-def test_an_interrupted_run_goes_on(tmp_path, ur3):
-    def stop(done, _):
-        if done == 2:
-            raise KeyboardInterrupt
-
-    out, robots = tmp_path / "out", arms(tmp_path, ur3, range(3))
-    with pytest.raises(KeyboardInterrupt):
-        fleet(robots, out, QUICK, progress=stop)
-    # As a kill in the midst of a robot's files would leave it.
-    made = json.loads((out / "arm-1" / "made.json").read_text())
-    (out / "arm-1" / "made.json").write_text(json.dumps({**made, "fingerprint": ""}))
-    found = fleet(robots, out, QUICK)
-    assert (found.kept, len(found.failed)) == (1, 0)
-
-
 def test_robots_that_fail_are_named_and_the_others_finished(tmp_path, ur3):
     out, robots = tmp_path / "out", arms(tmp_path, ur3, range(3))
     fleet(robots[:2], out, QUICK)

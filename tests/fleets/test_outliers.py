@@ -69,21 +69,6 @@ def test_the_odd_ones_are_found_with_their_reasons():
     assert odd[3].z < 0.0
 
 
-def test_too_few_say_nothing_but_the_same_data():
-    rows = fleet_of(FEWEST - 1)
-    rows[0] = replace(rows[0], nominal_rms=1.0, measured=rows[1].measured)
-    odd, notes = odd_ones(rows)
-    assert [one.figure for one in odd] == ["data", "data"]
-    assert notes == (
-        "What is usual cannot be told of 4 robots with the data of 3; it takes 5. "
-        "Only data given twice are looked for.",
-    )
-    assert odd_ones(fleet_of(1))[1][0].startswith(
-        "What is usual cannot be told of 1 robot; it takes 5."
-    )
-    assert odd_ones([]) == ((), ())
-
-
 def test_data_given_many_times_count_once():
     rows = fleet_of(12)
     rows[0] = replace(rows[0], nominal_rms=50.0 * rows[0].nominal_rms)

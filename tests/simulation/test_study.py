@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from calib.data.cell import Cell
-from calib.data.surroundings import TrackerNoise
 from calib.result.calibrate import calibrate
 from calib.robot.robot import Robot
 from calib.simulation.scenario import Scenario
@@ -119,22 +118,3 @@ def test_of_distances_the_fits_say_and_the_forecast_says_what_is_reached(ur3):
     assert 0.85 < found.values("covered").mean() < 1.0
     assert found.forecast is not None
     assert found.forecast.rms == pytest.approx(found.rms, rel=0.12)
-
-
-@pytest.mark.slow
-def test_several_targets_of_a_stop_share_the_robots_repeatability(ur3):
-    targets = {
-        "a": TARGET,
-        "b": np.array([0.08, -0.02, 0.05]),
-        "c": np.array([0.0, -0.09, 0.03]),
-    }
-    cell = Cell(targets=targets, model="dh")
-    scenario = Scenario(ur3, cell=cell, model="dh", noise=TrackerNoise(10e-6, 0.0, 40e-6))
-    poses = scenario.random_poses(30, 7)
-    found = study(Trials(scenario, cell, poses=poses, sets=("estimate",) * 30, validate=False), 30)
-    assert found.forecast is not None
-    # As if they were measured at three stops, both were 0.70, and 72 % of positions inside the 95 % regions.
-    assert found.forecast.rms == pytest.approx(found.rms, rel=0.12)
-    stated = np.sqrt(np.mean(found.values("stated_rms") ** 2))
-    assert stated == pytest.approx(found.rms, rel=0.12)
-    assert 0.92 < found.values("covered").mean() < 0.985
