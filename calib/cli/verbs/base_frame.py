@@ -10,6 +10,8 @@ import typer
 from calib.cli.options import Base, Columns, Force, PointsUnit, Quiet, RobotTip, verb
 from calib.errors import CalibError
 
+_File = Path | None
+
 
 @verb("""Find the robot's base frame in the tracker's from points on its mounting plane and sweeps of joints 1 and 2.
 
@@ -23,70 +25,41 @@ values the rows of a sweep are in the order of increasing joint angle. See docs/
 """)
 def base_frame(
     data: Annotated[
-        Path | None,
-        typer.Argument(
-            metavar="[SWEEPS]", help="CSV table with the columns sweep, x, y, z, perhaps joints."
-        ),
+        _File, typer.Argument(metavar="[SWEEPS]", help="CSV table: sweep, x, y, z, perhaps joints.")
     ] = None,
     robot: Annotated[
         str | None,
         typer.Option(
-            "--robot",
-            metavar="ROBOT",
-            help="URDF, or a name such as 'ur3': the frame is then that of its link --base. Default: z along axis 1, y "
-            "along axis 2.",
+            help="URDF, or a name such as 'ur3', for the frame of its link --base. Default: z along axis 1, y along "
+            "axis 2.",
         ),
     ] = None,
     base: Base = None,
     tip: RobotTip = None,
     points: Annotated[
-        Path | None,
+        _File,
         typer.Option(
-            "--points",
-            metavar="FILE",
-            help="Points in a list of their own, named 'plane_1', 'joint1_01' and so on; or, beside a table, as its "
-            "column 'point' names them.",
+            help="List of points, named 'plane_1', 'joint1_01' and so on; or, beside a table, as its column 'point' "
+            "names them.",
         ),
     ] = None,
     points_unit: PointsUnit = None,
     sweep: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar='"NAME=SWEEP"',
-            help='What the file calls a sweep, such as "ring_a=joint 1". Can be repeated.',
-        ),
+        typer.Option(metavar='"NAME=SWEEP"', help='A sweep\'s name: "ring_a=joint 1". Repeatable.'),
     ] = None,
     columns: Columns = None,
     plane_offset: Annotated[
-        str,
-        typer.Option(
-            metavar='"LENGTH"',
-            help='Offset of the probe centre from the plane: the ball\'s radius, "19.05 mm".',
-        ),
+        str, typer.Option(help='Probe centre to plane: the radius of the ball, "19.05 mm".')
     ] = "0 mm",
-    carry: Annotated[
-        Path | None,
-        typer.Option(
-            "--carry", metavar="FILE", help="A table of measurements to carry into the base frame."
-        ),
-    ] = None,
-    carry_points: Annotated[
-        Path | None,
-        typer.Option("--carry-points", metavar="FILE", help="The list of points of that table."),
-    ] = None,
+    carry: Annotated[_File, typer.Option(help="Table to transform into the base frame.")] = None,
+    carry_points: Annotated[_File, typer.Option(help="List of points of that table.")] = None,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Write the carried table.")
+        _File, typer.Option("--output", "-o", help="Write the transformed table.")
     ] = None,
-    cell_out: Annotated[
-        Path | None,
-        typer.Option(
-            "--cell-out", metavar="FILE", help="Write the frame as a cell file, for --cell."
-        ),
-    ] = None,
-    json: Annotated[Path | None, typer.Option("--json", help="Write all of it as JSON.")] = None,
-    robust: Annotated[
-        bool, typer.Option("--robust/--no-robust", help="Reject and report outliers.")
-    ] = True,
+    cell_out: Annotated[_File, typer.Option(help="Write the frame as a cell file.")] = None,
+    json: Annotated[_File, typer.Option(help="Write all of it as JSON.")] = None,
+    robust: Annotated[bool, typer.Option(help="Reject and report outliers.")] = True,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
