@@ -38,7 +38,8 @@ class _Arrays:
     def __class_getitem__(cls, number: type) -> type:
         """The array of numbers of a type."""
         kinds = {"b": _named("BoolArray"), "i": _named("IntArray")}
-        return kinds.get(np.dtype(number).kind, _named("Array"))
+        kind = "f" if number is np.floating else np.dtype(number).kind
+        return kinds.get(kind, _named("Array"))
 
 
 # The modules of calib are imported by autodoc, after this line.

@@ -127,6 +127,7 @@ def outside_text(rows: Sequence[OutsideRow], numbers: Sequence[int]) -> str:
     ``numbers`` has the number of each row that was asked about as a person sees it.
 
     Example:
+        >>> from calib.result.support import Beyond, OutsideRow
         >>> outside_text([OutsideRow(1, (Beyond("elbow_joint", False, 0.663),))], [33, 34])
         "row 34: 'elbow_joint' 38 deg beyond the measured range"
     """

@@ -287,7 +287,7 @@ def test_force_overwrites(call, shop):
         ),
         (
             ("robot.urdf", "data.csv", "--hold", "lift=1 m"),
-            "joint 'lift', to be held at 1, does not",
+            "the joint 'lift', to be held at 1, is none that moves",
         ),
         (
             ("robot.urdf", "data.csv", "--points", "no.txt"),
@@ -310,7 +310,7 @@ def test_force_overwrites(call, shop):
         ),
         (
             ("robot.urdf", "data.csv", "--no-validate", "--bootstrap", "40", "--solver", "paper"),
-            "The solver 'paper' minimises fourth powers",
+            "The solver 'paper' has neither bootstrap nor profile",
         ),
         (("robot.urdf", "data.csv", "--columns", "J1"), "--columns was given 'J1'; it must be"),
         (("panda", "data.csv"), "data.csv: no column for the joints 'panda_joint1', "),
