@@ -337,7 +337,7 @@ def of_starts(times: int) -> list[str]:
         commands = {
             '`python -c "import calib"`': [sys.executable, "-c", "import calib"],
             "`calib --help`": [calib, "--help"],
-            "`calib fit` on the paper's 35 rows": [calib, *fitting, *written],
+            "`calib calibrate` on the paper's 35 rows": [calib, *fitting, *written],
         }
         lines = ["| a whole process | time |", "|---|---|"]
         for name, command in track(commands.items(), "starts", console=BARS, transient=True):

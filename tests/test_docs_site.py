@@ -196,15 +196,15 @@ def test_calls_of_the_program_are_such(page: Path):
 
 
 def test_calls_that_are_none_are_seen():
-    parse_whole('calib fit robot.urdf data.csv --target "0 0 1 mm"')
-    parse_whole("calib fit ... --frame estimate")
+    parse_whole('calib calibrate robot.urdf data.csv --target "0 0 1 mm"')
+    parse_whole("calib calibrate ... --frame estimate")
     parse("calib plan --region")
     for wrong in (
         "calib fat robot.urdf",
-        "calib fit robot.urdf",
-        "calib fit robot.urdf data.csv --nonsense",
-        "calib fit ... --nonsense",
-        "calib fit robot.urdf data.csv --solver best",
+        "calib calibrate robot.urdf",
+        "calib calibrate robot.urdf data.csv --nonsense",
+        "calib calibrate ... --nonsense",
+        "calib calibrate robot.urdf data.csv --solver best",
     ):
         with pytest.raises(UsageError):
             parse_whole(wrong)

@@ -226,7 +226,7 @@ class ModelOptions(CellOptions):
 
 @dataclass(frozen=True, slots=True)
 class FitOptions(ModelOptions):
-    """The same with how they are estimated, for `fit` and `fleet`."""
+    """The same with how they are estimated, for `calibrate` and `fleet`."""
 
     fix_target: FixTarget = False
     freeze: Freeze = None

@@ -25,7 +25,7 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     help="Kinematic calibration of robot arms: URDF in, corrected URDF out.",
-    epilog="Start with:  calib demo     then:  calib fit robot.urdf data.csv -o corrected.urdf",
+    epilog="Start with:  calib demo     then:  calib calibrate robot.urdf data.csv -o corrected.urdf",
 )
 for verb in (
     demo,

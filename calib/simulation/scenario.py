@@ -156,7 +156,7 @@ class Scenario:
 class Simulated:
     """What a virtual cell measured, and what was true of it."""
 
-    measurements: Measurements  #: The table, as `calib fit` reads it
+    measurements: Measurements  #: The table, as `calib calibrate` reads it
     truth: Truth  #: The robot, the targets and the frames
     #: shape (R, m), where the joints really stood in each row, before their own errors [rad] or [m]
     q: Array

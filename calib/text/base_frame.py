@@ -145,7 +145,8 @@ def carried_text(table: Measurements, frame: BaseFrame) -> list[str]:
     std = np.linalg.norm(frame.std_at(table.points[rows]), axis=1)
     text = (
         f"Carried {int(rows.sum())} rows of {table.source} into the base frame; it moves them "
-        f"together by {1e3 * std.max():.3f} mm at most (std). 'calib fit' takes them with --frame known, the default."
+        f"together by {1e3 * std.max():.3f} mm at most (std). "
+        "'calib calibrate' takes them with --frame known, the default."
     )
     if table.ignored:
         text += f" Columns left out: {choices(table.ignored)}."

@@ -81,7 +81,14 @@ def next_text(plan: Plan, robot: str, output: Path | None, taken: Taken | None) 
     """What to do next with the robot as it was named, the table of the plan and that of the poses taken."""
     if output is None:
         return "No table was written; add -o plan.csv to write it."
-    fit = ["calib", "fit", robot, str(taken.source if taken else output), "-o", "corrected.urdf"]
+    fit = [
+        "calib",
+        "calibrate",
+        robot,
+        str(taken.source if taken else output),
+        "-o",
+        "corrected.urdf",
+    ]
     fit += ["--base", plan.robot.base, "--tip", plan.robot.tip]
     steps = [
         f"Drive the {len(plan.joints)} poses of {output} from top to bottom, and measure at each.",

@@ -1,4 +1,4 @@
-"""``calib base-frame``: what it prints and writes, round trips to ``calib fit``, and refusals."""
+"""``calib base-frame``: what it prints and writes, round trips to ``calib calibrate``, and refusals."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ def reference(examples) -> Any:
 
 
 def test_it_says_what_it_found_and_what_it_wrote(examples):
-    done = examples.starting("calib fit robot.urdf data.csv --base base --tip tool0")
+    done = examples.starting("calib calibrate robot.urdf data.csv --base base --tip tool0")
     assert (done.code, done.err) == (0, "")
     assert "\nVerdict: use\n" in done.out
     assert done.lines[-3:] == [
@@ -40,7 +40,7 @@ def test_it_says_what_it_found_and_what_it_wrote(examples):
 
 
 def test_without_output_it_says_so(examples):
-    done = examples.starting("calib fit robot.urdf data.csv --frame estimate")
+    done = examples.starting("calib calibrate robot.urdf data.csv --frame estimate")
     assert done.lines[-1] == "No URDF was written; add -o corrected.urdf to write it."
     assert "Verdict: none, because nothing was cross-validated." in done.out
     assert re.search(
@@ -58,7 +58,7 @@ def test_the_corrected_urdf_differs_in_origins_alone(examples):
 
 
 def test_the_cell_file_and_freeze_on_the_line(examples):
-    done = examples.starting("calib fit robot.urdf data.csv --cell cell.toml")
+    done = examples.starting("calib calibrate robot.urdf data.csv --cell cell.toml")
     assert (done.code, done.out, done.err) == (0, "", "")
     result = load(examples.folder / "frozen.json")
     model = result["model"]
@@ -153,7 +153,7 @@ def test_auto_is_the_default_and_says_what_it_tried(examples, reference):
     assert {"frames", "zeros", "placement", "dh+gain", "dh+eccentricity"} <= chosen.keys()
     assert not any(chosen[name] for name in chosen if name != "dh")
     assert reference["larger"] is None
-    text = examples.starting("calib fit robot.urdf data.csv --base base --tip tool0").out
+    text = examples.starting("calib calibrate robot.urdf data.csv --base base --tip tool0").out
     assert re.search(r"^  dh .*  the URDF$", text, re.MULTILINE)
 
 
@@ -165,7 +165,9 @@ INTERVALS = re.compile(
 
 
 def test_bootstrap_and_profile_are_printed_and_written(examples):
-    done = examples.starting("calib fit robot.urdf data.csv --base base --no-validate --bootstrap")
+    done = examples.starting(
+        "calib calibrate robot.urdf data.csv --base base --no-validate --bootstrap"
+    )
     result = load(examples.folder / "intervals.json")
     found, names = result["bootstrap"], [p["name"] for p in result["parameters"]]
     assert (found["samples"], found["seed"], found["stopped"]) == (200, 1, 0)

@@ -1,4 +1,4 @@
-"""``calib fit --report`` and ``--figures``: what is written, and what is refused."""
+"""``calib calibrate --report`` and ``--figures``: what is written, and what is refused."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ FIT = ("fit", "robot.urdf", "data.csv", "--base", "base", "--tip", "tool0", "--m
 
 def test_report_and_figures_are_written_and_named(examples):
     call = (
-        "calib fit robot.urdf data.csv --base base --no-validate --report report.html --figures figures "
+        "calib calibrate robot.urdf data.csv --base base --no-validate --report report.html --figures figures "
         "--figure-format svg"
     )
     done = examples.done[call]

@@ -64,7 +64,8 @@ def test_from_plan_to_fit(call, shop: Path):
     assert (done.code, done.err) == (0, "")
     assert "Written: plan.csv\n" in done.out
     assert (
-        "  3. calib fit robot.urdf plan.csv -o corrected.urdf --base base --tip tool0" in done.out
+        "  3. calib calibrate robot.urdf plan.csv -o corrected.urdf --base base --tip tool0"
+        in done.out
     )
     fill_in(shop / "plan.csv", 14)
     fit = ("fit", "robot.urdf", "plan.csv", "--base", "base", "--tip", "tool0", *QUICK)

@@ -64,7 +64,7 @@ class Page(HTMLParser):
 def page(monkeypatch):
     """The report of a calibration without its figures, which take their time."""
     monkeypatch.setattr(figures, "drawings", lambda _: ())
-    return lambda c: Page(report_bytes(c, command="calib fit --x <b>").decode())
+    return lambda c: Page(report_bytes(c, command="calib calibrate --x <b>").decode())
 
 
 def every_table(c):
@@ -203,7 +203,7 @@ def test_files_have_the_hashes_of_what_is_written(page, paper_calibration, tmp_p
     text = page(c).text
     for sha in (c.nominal.urdf.sha256, c.measurements.sha256, hashlib.sha256(written).hexdigest()):
         assert f"SHA-256 {sha}" in text
-    assert "Command calib fit --x <b>" in text
+    assert "Command calib calibrate --x <b>" in text
 
 
 @pytest.mark.usefixtures("page")
@@ -218,7 +218,7 @@ def test_nothing_but_the_date_differs_between_two_reports(paper_calibration, mon
 
 @pytest.mark.usefixtures("page")
 def test_a_page_is_written_and_not_written_over(paper_calibration, tmp_path):
-    path = write_report(paper_calibration, tmp_path / "r.HTML", command="calib fit")
+    path = write_report(paper_calibration, tmp_path / "r.HTML", command="calib calibrate")
     assert path.read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
     with pytest.raises(FileError, match="exists already"):
         write_report(paper_calibration, path)

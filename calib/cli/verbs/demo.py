@@ -77,7 +77,7 @@ def demo(
     for path in paths:
         typer.echo(f"Written: {path}")
     typer.echo(f"Open {paths[2]} and {paths[3]} in a browser.")
-    typer.echo("Your own robot: calib fit robot.urdf data.csv -o corrected.urdf")
+    typer.echo("Your own robot: calib calibrate robot.urdf data.csv -o corrected.urdf")
 
 
 def _against_the_paper(result: Calibration, as_paper: Calibration) -> str:

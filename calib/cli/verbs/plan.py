@@ -23,7 +23,7 @@ Examples:
   calib plan robot.urdf --taken measured.csv --count 5 --validation 0 -o next.csv
 
 Boxes, reflector, noise and joint ranges stand in the cell file. Drive the poses from top to bottom, write what was
-measured into the empty columns, and give the table to calib fit. Rows that stay empty are left out there.
+measured into the empty columns, and give the table to calib calibrate. Rows that stay empty are left out there.
 """)
 def plan(
     robot: RobotFile,
