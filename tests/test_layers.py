@@ -19,6 +19,7 @@ ORDER = (
     "units",
     "files",
     "fields",
+    "jobs",
     "example",
     "robot",
     "model",

@@ -25,10 +25,10 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.data.table import Table
 from calib.errors import CalibError
-from calib.estimate.jobs import run
 from calib.files import json_bytes, make_folder, write_atomically
 from calib.fleets.outliers import Odd, odd_ones
 from calib.fleets.record import DONE, FAILED, STALE, FleetRow, csv_bytes, fleet_table
+from calib.jobs import run
 from calib.report.report import write_report
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf, read_urdf

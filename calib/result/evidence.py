@@ -12,6 +12,13 @@ from calib.estimate.fitting import PAPER, Fitted, fit
 from calib.estimate.likelihood import Priors
 from calib.estimate.problem import Problem
 from calib.estimate.registration import ENOUGH
+from calib.estimate.residual_tests import (
+    Stack,
+    drift,
+    joint_patterns,
+    prediction_square,
+    unpredicted,
+)
 from calib.estimate.rows import Rows
 from calib.estimate.setup import joined_setups
 from calib.estimate.statistics import Array, Errors, Mask, pose_means
@@ -19,7 +26,6 @@ from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
 from calib.model.parameters import FRAME, TARGET
 from calib.result.calibration import Calibration
-from calib.result.residual_tests import Stack, drift, joint_patterns, prediction_square, unpredicted
 from calib.result.support import shares_of_ranges, spread_of
 from calib.result.verdict import Evidence, Reason, Why
 from calib.robot.readback import column_ranges, spread_poses

@@ -22,8 +22,8 @@ from scipy.special import fdtri, gammaincinv
 
 from calib.errors import CalibError, ModelError
 from calib.estimate.fitting import Fitted
-from calib.estimate.jobs import batch_size, run
 from calib.estimate.solvers import levenberg_marquardt
+from calib.jobs import batch_size, run
 from calib.model.kinematics import Samples, Where
 from calib.model.observability import steps
 from calib.result.calibration import Calibration

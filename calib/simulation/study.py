@@ -25,7 +25,7 @@ from calib.design.forecast import Forecast, Sensitivity, Workspace
 from calib.design.optimal import PlanRequest, choose_poses
 from calib.errors import CalibError, ModelError
 from calib.estimate.fitting import Fitted
-from calib.estimate.jobs import batch_size, run
+from calib.jobs import batch_size, run
 from calib.model.kinematics import Samples
 from calib.result.calibrate import calibrate, fit_table
 from calib.result.prediction import without_rigid_motion

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from calib.result.calibration import Calibration
@@ -74,3 +74,23 @@ def _interval_table(rows: list[tuple[ParameterEstimate, float, float]], what: st
             cells[0] = f"{'at bound':>{pair}}"
         lines.append(f"{name:<{width}}{value:>{_NUMBER}}{''.join(cells)} {unit}")
     return lines
+
+
+def bootstrap_table(found: Bootstrap) -> dict[str, Any]:
+    """The bootstrap as nested tables of plain values, for the result file."""
+    return {
+        "samples": len(found.x),
+        "seed": found.seed,
+        "stopped": found.stopped,
+        "level": LEVEL,
+        "parameters": [
+            {"name": p.name, "unit": p.unit, "std": std, "low": low, "high": high}
+            for p, std, (low, high) in zip(
+                found.parameters, found.std, found.intervals(LEVEL), strict=True
+            )
+        ],
+        "expected": {
+            "measured_rms_m": found.measured_rms,
+            "everywhere_rms_m": found.everywhere_rms,
+        },
+    }

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import shlex
+from collections.abc import Iterator, Mapping
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +13,7 @@ from calib.data.ranges import column_limits, range_text
 from calib.model.families import FAMILIES, unit_of
 from calib.simulation.scenario import Scenario, Simulated
 from calib.simulation.study import VERIFIED, Study, Trials
-from calib.text.lines import fill, row_ranges
+from calib.text.lines import command_text, fill, row_ranges
 
 Array = NDArray[np.float64]
 
@@ -192,3 +194,13 @@ def _mm(value: float) -> str:
 def _point(values: Array) -> str:
     """Three lengths in mm."""
     return "(" + ", ".join(f"{1e3 * v + 0.0:.3f}".rstrip("0").rstrip(".") for v in values) + ")"
+
+
+def next_command(robot: str, table: Path, options: Mapping[str, object]) -> str:
+    """The command that calibrates with what was simulated, in lines that a shell joins again."""
+    parts = [shlex.join(["calib", "calibrate", robot, str(table)])]
+    for name, value in options.items():
+        if value is not None and name != "model":
+            values = value if isinstance(value, list) else [value]
+            parts += [shlex.join([f"--{name}", str(one)]) for one in values]
+    return command_text([*parts, "-o corrected.urdf"], 9)

@@ -64,7 +64,7 @@ def test_version_and_help(run, tmp_path: Path):
     assert run(tmp_path, "--version").out == f"calib {calib.__version__}\n"
     done = run(tmp_path, "--help")
     assert done.code == 0
-    for verb in ("demo", "fit", "evaluate", "inspect"):
+    for verb in ("demo", "calibrate", "evaluate", "inspect"):
         assert re.search(rf"\n  {verb} +[A-Z]", done.out)
 
 

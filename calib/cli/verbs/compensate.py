@@ -23,7 +23,6 @@ _START = "JOINT=VALUE UNIT: where the first of poses alone starts. Can be repeat
 \b
 Examples:
   calib compensate robot.urdf program.csv --calibration result.json -o commands.csv
-  calib compensate robot.urdf points.csv --calibration result.json --tool target --send poses -o commands.csv
   calib compensate robot.urdf program.csv --corrected corrected.urdf --base base --tip tool0
 
 ROBOT is the robot as its controller has it. PROGRAM is a table of joint values planned for that robot, or of poses of
@@ -118,5 +117,4 @@ def parse_tool(text: str) -> list[list[float]] | str:
     if parts[4:]:
         turn = np.array(parse_point(" ".join(parts[4:]), "--tool", "angle"))
         T[:3, :3] = Rotation.from_rotvec(turn).as_matrix()
-    tool: list[list[float]] = T.tolist()
-    return tool
+    return list(T.tolist())

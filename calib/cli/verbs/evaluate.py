@@ -56,10 +56,7 @@ def evaluate(
         Path | None,
         typer.Option("--calibration", help="Result that 'calib calibrate --json' wrote."),
     ] = None,
-    tolerance: Annotated[
-        str | None,
-        typer.Option(metavar=_METAVAR, help='Tolerance, such as "0.5 mm 0.1 deg".'),
-    ] = None,
+    tolerance: Annotated[str | None, typer.Option(metavar=_METAVAR, help="To judge by.")] = None,
     uncertainty: Annotated[
         str | None,
         typer.Option(metavar=_METAVAR, help="Expanded measuring uncertainty (k = 2)."),
@@ -93,9 +90,7 @@ def evaluate(
     inputs: list[str | Path] = [robot, data, *filter(None, (said.cell, calibration, read.points))]
     check_outputs([json], inputs, force=force)
     if tolerance is None and (uncertainty or criterion or judge):
-        raise CalibError(
-            f'--uncertainty, --criterion and --judge take --tolerance, such as --tolerance "{_EXAMPLE}".'
-        )
+        raise CalibError("--uncertainty, --criterion and --judge take a --tolerance.")
     limits: dict[str, Any] = {}
     if tolerance is not None:
         names = ("tolerance", "tolerance_angle", "uncertainty", "uncertainty_angle")

@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
-import shlex
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from calib.cli.options import (
-    CellOptions,
-    Dask,
-    Force,
-    ModelOptions,
-    Quiet,
-    RobotFile,
-    Workers,
-    verb,
-)
+from calib.cli.options import Dask, Force, ModelOptions, Quiet, RobotFile, Workers, verb
 from calib.cli.setup import AUTO, check_model, check_outputs, executor_of, load, read_cell
 from calib.errors import CalibError, choices
 
 _Text = str | None
 _File = Path | None
+_SIZES = 'Standard deviations, "length 0.5 mm, angle 3 mrad", or none. Default: typical; none with --error.'
+_ERROR = 'One error, "elbow_joint.rx=2 mrad". Can be repeated.'
+_NOISE = (
+    'Of a coordinate: "0.05 mm", "15 um + 6 um/m", or none. Default: the cell\'s, or a tracker\'s.'
+)
+_PLACE = "Standard deviation of the targets' places. Default: 1 mm."
+_EXTRA = "Random poses for validation. Default: 10; 0 with --poses."
 
 
 @verb("""Simulate measurements of a robot whose errors are known.
@@ -44,49 +41,21 @@ resolution, drift, a moved target and more. A study repeats simulation, calibrat
 def simulate(
     robot: RobotFile,
     setup: ModelOptions,
-    poses: Annotated[
-        _File, typer.Option(help="Poses of a plan or a table. Default: random.")
-    ] = None,
+    poses: Annotated[_File, typer.Option(help="Poses of a plan or table.")] = None,
     count: Annotated[int, typer.Option(min=1, metavar="N", help="Random poses.")] = 30,
-    validation: Annotated[
-        int | None,
-        typer.Option(min=0, help="Random poses for validation. Default: 10; 0 with --poses."),
-    ] = None,
+    validation: Annotated[int | None, typer.Option(min=0, help=_EXTRA)] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of all random numbers.")] = 0,
-    sizes: Annotated[
-        _Text,
-        typer.Option(
-            metavar='"FAMILY VALUE, ..."',
-            help='Standard deviations of the errors, such as "length 0.5 mm, angle 3 mrad", or none. Default: a '
-            "typical arm's; none with --error.",
-        ),
-    ] = None,
-    error: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar='"NAME=VALUE"', help='One error, "elbow_joint.rx=2 mrad". Repeatable.'
-        ),
-    ] = None,
+    sizes: Annotated[_Text, typer.Option(metavar='"FAMILY VALUE, ..."', help=_SIZES)] = None,
+    error: Annotated[list[str] | None, typer.Option(metavar="NAME=VALUE", help=_ERROR)] = None,
     truth_robot: Annotated[_File, typer.Option(help="URDF of the true robot.")] = None,
-    target_error: Annotated[
-        _Text, typer.Option(help="Standard deviation of the targets' places. Default: 1 mm.")
-    ] = None,
-    noise: Annotated[
-        _Text,
-        typer.Option(
-            help='Standard deviation of a coordinate, "0.05 mm", "15 um + 6 um/m" by the distance, or none. Default: '
-            "the cell's, or a laser tracker's and a repeatability of 0.02 mm.",
-        ),
-    ] = None,
+    target_error: Annotated[_Text, typer.Option(help=_PLACE)] = None,
+    noise: Annotated[_Text, typer.Option(help=_NOISE)] = None,
     outliers: Annotated[_Text, typer.Option(metavar='N|"P %"', help="Rows far off.")] = None,
     output: Annotated[_File, typer.Option("-o", "--output", help="Write the table.")] = None,
-    truth: Annotated[
-        _File, typer.Option(help="Default: TABLE_truth.json beside the table.")
-    ] = None,
+    truth: Annotated[_File, typer.Option(help="Default: TABLE_truth.json.")] = None,
     truth_urdf: Annotated[_File, typer.Option(help="Write the URDF of the true robot.")] = None,
     study: Annotated[
-        int | None,
-        typer.Option(min=2, metavar="N", help="Simulate, calibrate and verify N robots."),
+        int | None, typer.Option(min=2, help="Simulate and calibrate N robots.")
     ] = None,
     planned: Annotated[bool, typer.Option("--planned", help="Of a study: plan the poses.")] = False,
     fit_model: Annotated[_Text, typer.Option(help="Of a study: what is estimated.")] = None,
@@ -127,8 +96,7 @@ def simulate(
         given, sets = (None, ()) if poses is None else read_pose_list(poses, arm)
         extra = (10 if given is None else 0) if validation is None else validation
         if study is None:
-            assert output is not None
-            assert truth is not None
+            assert output is not None and truth is not None  # noqa: PT018
             made = simulated(scenario, count, extra, seed, given, sets)
             written = write_simulated(scenario, made, output, truth, truth_urdf, overwrite=force)
             said = text.simulated_text(scenario, made)
@@ -144,16 +112,4 @@ def simulate(
     if not quiet:
         typer.echo("\n".join([f"{said}\n", *(f"Written: {path}" for path in written)]))
         if output is not None:
-            typer.echo(f"\nNext:  {next_command(robot, output, setup)}")
-
-
-def next_command(robot: str, table: Path, setup: CellOptions) -> str:
-    """The command that calibrates with what was simulated, in lines that a shell joins again."""
-    from calib.text.lines import command_text
-
-    parts = [shlex.join(["calib", "calibrate", robot, str(table)])]
-    for name, value in asdict(setup).items():
-        if value is not None and name != "model":
-            values = value if isinstance(value, list) else [value]
-            parts += [shlex.join([f"--{name}", str(one)]) for one in values]
-    return command_text([*parts, "-o corrected.urdf"], 9)
+            typer.echo(f"\nNext:  {text.next_command(robot, output, asdict(setup))}")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from calib.result.residual_tests import (
+from calib.estimate.residual_tests import (
     FALSE_ALARM,
     Explained,
     Stack,
