@@ -127,7 +127,7 @@ def _space(ax: Any, places: Array, kinds: tuple[base.RowKind, ...], limits: Arra
         ax.plot(*p.T, rasterized=len(places) > base.MOST_SHAPES, **kind.style())
         for x, y, z in p if len(places) <= _MOST_STILTS else ():
             ax.plot([x, x], [y, y], [limits[0, 2], z], color=kind.colour, lw=0.5, alpha=0.35)
-    ax.set_box_aspect(limits[1] - limits[0], zoom=0.95)
+    ax.set_box_aspect(limits[1] - limits[0], zoom=0.85)
     ax.set_title("In space, base frame")
     for k, axis in enumerate((ax.xaxis, ax.yaxis, ax.zaxis)):
         (ax.set_xlim, ax.set_ylim, ax.set_zlim)[k](*limits[:, k])
