@@ -15,7 +15,7 @@ from calib.data.table import POINT, Table, name_columns
 from calib.errors import CalibError, choices
 from calib.robot.readback import column_ranges
 from calib.robot.robot import Robot, read_only, rigid_inverse
-from calib.robot.urdf_joints import UrdfJoint
+from calib.robot.urdf import UrdfJoint
 from calib.units import unit_fault
 
 Array = NDArray[np.float64]

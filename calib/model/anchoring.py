@@ -19,8 +19,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib.errors import ModelError, choices
-from calib.robot.chain import read_only, rigid_inverse
-from calib.robot.robot import Robot
+from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.robot.urdf import UrdfJoint
 
 Array = NDArray[np.float64]

@@ -5,23 +5,18 @@ frame. Samples come last, so that a constant placement is one matrix product for
 a chain's regressor to the columns of a model's parameters. A twist (v, w) of a body with the axes R moves a point of
 it, d from its origin, with R v + (R w) x d: that is the whole derivative, and it is exact.
 
-Threads share blocks of samples that stay in the processor's cache; their size and order, and so the results, do not
-depend on the number of threads. Linear algebra on such small matrices has one thread: more gain nothing there.
+Samples are worked on in blocks that stay in the processor's cache.
 """
 
 from __future__ import annotations
 
-import os
-import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
@@ -216,50 +211,20 @@ T = TypeVar("T")
 
 BLOCK = 1024  #: Samples of one block.
 
-# scipy brings linear algebra of its own, which must be loaded before its threads can be counted.
-_LOADED = (np.__name__, scipy.linalg.__name__)
-
-_LOCK = threading.Lock()
-_INSIDE: list[Any] = []  #: What each block at work found; the last one to end puts it back.
-
 
 def over_blocks(work: Callable[[slice], T], count: int) -> list[T]:
-    """What ``work`` gives for each block of some samples, in their order; it must not ask for blocks itself."""
-    parts = [slice(first, min(first + BLOCK, count)) for first in range(0, count, BLOCK)]
-    size = -(-len(parts) // _cores())
-    with one_blas_thread():
-        if len(parts) < 2 or size == len(parts):
-            return [work(part) for part in parts]
-        shares = [parts[k : k + size] for k in range(0, len(parts), size)]
-        with ThreadPoolExecutor(len(shares), thread_name_prefix="calib-blocks") as pool:
-            done = pool.map(lambda share: [work(part) for part in share], shares)
-            return [one for share in done for one in share]
+    """What ``work`` gives for each block of samples, in their order."""
+    return [work(slice(k, min(k + BLOCK, count))) for k in range(0, count, BLOCK)]
 
 
 @cache
-def _cores() -> int:
-    """As many as this process may use, or as OMP_NUM_THREADS says."""
-    wanted = os.environ.get("OMP_NUM_THREADS", "")
-    affinity = getattr(os, "sched_getaffinity", lambda _pid: range(os.cpu_count() or 1))
-    return max(int(wanted) if wanted.isdecimal() else len(affinity(0)), 1)
-
-
-@cache
-def _controller() -> ThreadpoolController:
+def _libraries() -> ThreadpoolController:
     """The libraries that are loaded; to look for them takes as long as a fit."""
     return ThreadpoolController()
 
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Linear algebra has one thread within the block, and what it had before after it, in all threads of a process."""
-    with _LOCK:
-        found = _INSIDE[0] if _INSIDE else _controller().limit(limits=1, user_api="blas")
-        _INSIDE.append(found)
-    try:
+    """Linear algebra has one thread within the block: on matrices this small more of them wait for each other."""
+    with _libraries().limit(limits=1, user_api="blas"):
         yield
-    finally:
-        with _LOCK:
-            _INSIDE.pop()
-            if not _INSIDE:
-                found.restore_original_limits()

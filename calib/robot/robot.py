@@ -7,7 +7,7 @@ pose of joint i in the frame of the joint before it, and the pose of the tip in 
 
 Every correction is a change of these placements, each carried by the ``<origin>`` of one URDF joint. The joints may lie
 on both sides of the link where the branches to base and tip part (`calib.robot.chain`), and may be more than the
-columns of q, where some mimic others or are held (`calib.robot.coupling`).
+columns of q, where some mimic others or are held (`calib.robot.chain`).
 """
 
 from __future__ import annotations
@@ -22,9 +22,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from calib.errors import ModelError, UrdfError, choices
 from calib.robot import kernel
-from calib.robot.chain import Around, chain_between, farthest_link, read_only, rigid_inverse
-from calib.robot.coupling import all_values, checked_held, coupling
-from calib.robot.urdf import Urdf, UrdfJoint, read_urdf
+from calib.robot.chain import (
+    Around,
+    all_values,
+    chain_between,
+    checked_held,
+    coupling,
+    farthest_link,
+    read_only,
+    rigid_inverse,
+)
+from calib.robot.urdf import Urdf, UrdfJoint, read_only, read_urdf
 
 __all__ = ["Robot", "read_only", "rigid_inverse"]
 

@@ -14,8 +14,8 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from calib.errors import ModelError
-from calib.robot.chain import full_configurations, full_model, link_frame, read_only
-from calib.robot.robot import Robot
+from calib.robot.chain import full_configurations, full_model, link_frame
+from calib.robot.robot import Robot, read_only
 
 Array = NDArray[np.float64]
 
