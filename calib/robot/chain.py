@@ -7,8 +7,8 @@ A joint of the base's side is walked from its child link to its parent, so that 
 
 With its axis turned round it is a joint like any other, at the same q, and the whole path is one serial chain.
 
-Its joints may be more than the columns of q, where some mimic others or are held: q_chain = A q + b, with one column for
-each joint that moves freely, a joint of the chain or the driver of one that mimics it.
+Its joints may be more than the columns of q, where some mimic others or are held: q_chain = A q + b, with one column
+for each joint that moves freely, a joint of the chain or the driver of one that mimics it.
 """
 
 from __future__ import annotations

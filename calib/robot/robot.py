@@ -29,7 +29,6 @@ from calib.robot.chain import (
     checked_held,
     coupling,
     farthest_link,
-    read_only,
     rigid_inverse,
 )
 from calib.robot.urdf import Urdf, UrdfJoint, read_only, read_urdf
