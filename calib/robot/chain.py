@@ -13,7 +13,6 @@ for each joint that moves freely, a joint of the chain or the driver of one that
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -208,47 +207,29 @@ _USUAL_TIPS = ("tool0", "tcp", "tool", "flange", "ee_link")
 def farthest_link(
     urdf: Urdf, base: str, measured: Collection[str] | None = None, held: Collection[str] = ()
 ) -> str:
-    """The link with the most moving joints between it and ``base``; a usual tip's name breaks ties.
+    """The link with the most moving joints between it and ``base``, below it; a usual tip's name breaks ties.
 
-    Only links that ``measured`` joints alone lead to count (all joints if None), if there are any with a moving joint
-    before them; ``held`` joints lead on but do not count. Links below the base come first; where nothing moves below
-    it, as on a camera's link, all others are looked at.
+    Only links that ``measured`` joints alone lead to count (all joints if None), if there are any; ``held`` joints lead
+    on but do not count.
     """
     urdf.chain(base, base)  # raises, with the names there are, for a link that does not exist
     every = {joint.name for joint in urdf.joints}
-    knowns = [every] if measured is None else [measured, every]
-    for known, climb in itertools.product(knowns, (False, True)):
-        count = _counted(urdf, base, known, held, climb=climb)
-        most = max(count.values())
-        if most:
-            break
-    farthest = [link for link in count if count[link] == most]
-    return next((name for name in _USUAL_TIPS if name in farthest), farthest[-1])
-
-
-def _counted(
-    urdf: Urdf, base: str, known: Collection[str], held: Collection[str], *, climb: bool
-) -> dict[str, int]:
-    """The number of moving joints before each link that can be reached; ``climb``: joints are passed upwards too."""
-    above = {joint.child: joint for joint in urdf.joints}
-    start = base
-    while start in above and above[start].type == "fixed":
-        start = above[start].parent
-    beside: dict[str, list[tuple[str, bool]]] = {}
+    below: dict[str, list[UrdfJoint]] = {}
     for joint in urdf.joints:
-        counts = joint.type != "fixed" and joint.name not in held
-        moves = joint.type in MOVING and joint.mimic is None and joint.name in known
-        if moves or not counts:
-            beside.setdefault(joint.parent, []).append((joint.child, counts))
-            if climb:
-                beside.setdefault(joint.child, []).append((joint.parent, counts))
-    count, waiting = {start: 0}, [start]
-    for link in waiting:
-        for other, counts in beside.get(link, []):
-            if other not in count:
-                count[other] = count[link] + counts
-                waiting.append(other)
-    return count
+        below.setdefault(joint.parent, []).append(joint)
+    for known in (every if measured is None else measured, every):
+        count, waiting = {base: 0}, [base]
+        for link in waiting:
+            for joint in below.get(link, []):
+                still = joint.type == "fixed" or joint.name in held
+                moves = joint.type in MOVING and joint.mimic is None and joint.name in known
+                if still or moves:
+                    count[joint.child] = count[link] + (not still)
+                    waiting.append(joint.child)
+        if max(count.values()):
+            break
+    farthest = [link for link in count if count[link] == max(count.values())]
+    return next((name for name in _USUAL_TIPS if name in farthest), farthest[-1])
 
 
 def coupling(

@@ -8,6 +8,7 @@ from __future__ import annotations
 import importlib.util
 import os
 import re
+import shlex
 import subprocess
 import sys
 import types
@@ -23,8 +24,6 @@ TIME_LIMIT = 60.0
 """How long flattening may take [s]."""
 
 _FILE = re.compile(r"\.xacro(?=\s|$)", re.IGNORECASE)
-_ARGUMENT = re.compile(r"([^\s:=\"']+):=(.*)", re.DOTALL)
-_BETWEEN = re.compile(r"\s+(?=[^\s:=\"']+:=)")
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +35,7 @@ class XacroCall:
 
     @classmethod
     def parse(cls, source: str | os.PathLike[str]) -> XacroCall:
-        """The file and the arguments of a text; a value may hold spaces, be quoted, and be empty.
+        """The file and the arguments of a text; quoted as for a shell.
 
         Example:
             >>> XacroCall.parse("ur.urdf.xacro ur_type:=ur5e name:='my arm'").arguments
@@ -47,21 +46,25 @@ class XacroCall:
         ends = [len(text), *(found.end() for found in _FILE.finditer(text))]
         end = next((end for end in ends if os.path.isfile(text[:end])), ends[:2][-1])  # noqa: PTH113
         path = Path(text[:end]).expanduser()
+        try:
+            words = shlex.split(text[end:])
+        except ValueError as error:
+            raise UrdfError(f"the arguments behind {path.name}: {error}") from error
         given: dict[str, str] = {}
-        for piece in filter(None, _BETWEEN.split(text[end:].strip())):
-            found = _ARGUMENT.fullmatch(piece)
-            if found is None or found[1] in given:
-                message = f"'{piece}' behind {path.name} is no argument or a second one; write NAME:=VALUE"
-                raise UrdfError(message)
-            value = found[2].strip()
-            quoted = len(value) > 1 and value[0] == value[-1] and value[0] in "\"'"
-            given[found[1]] = value[1:-1] if quoted else value
+        for word in words:
+            name, sign, value = word.partition(":=")
+            if not name or not sign or name in given:
+                raise UrdfError(
+                    f"'{word}' behind {path.name} is no argument or a second one; write NAME:=VALUE"
+                )
+            given[name] = value
         return cls(path, tuple(given.items()))
 
     @property
     def name(self) -> str:
         """The file's name with the arguments: what messages and results call it."""
-        return " ".join([self.path.name, *(f"{name}:={value}" for name, value in self.arguments)])
+        words = [f"{name}:={shlex.quote(value)}" for name, value in self.arguments]
+        return " ".join([self.path.name, *words])
 
 
 def is_xacro(source: str | os.PathLike[str]) -> bool:

@@ -236,10 +236,3 @@ def tiago() -> Urdf:
 ARM = [f"arm_{i}_joint" for i in range(1, 8)]
 
 
-def test_measured_joints_lead_over_the_fork_too(tiago):
-    head = ["head_1_joint", "head_2_joint"]
-    robot = Robot.from_urdf(tiago, "xtion_rgb_optical_frame", measured=[*head, *ARM[:4]])
-    assert robot.joint_names == (*head[::-1], *ARM[:4])
-    # and without the head's no further than the arm's own mount, which does not move: all joints count then
-    robot = Robot.from_urdf(tiago, "xtion_rgb_optical_frame", measured=ARM)
-    assert set(ARM) < set(robot.joint_names)
