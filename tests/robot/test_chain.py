@@ -234,5 +234,3 @@ def tiago() -> Urdf:
 
 
 ARM = [f"arm_{i}_joint" for i in range(1, 8)]
-
-
