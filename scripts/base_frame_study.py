@@ -176,7 +176,7 @@ def frame_runs(case: Case, runs: int, seed: int) -> tuple[Array, NDArray[np.bool
         """The base frame of the sweeps with some noise."""
         figures = []
         for sweep, e in zip(exact.sweeps, noise, strict=True):
-            sigma = np.full(len(sweep), SIGMA) if given else None
+            sigma = np.full(len(sweep.points), SIGMA) if given else None
             points = sweep.points + e
             figures.append((sweep, points, sigma))
         plane = fit_plane(figures[0][1], figures[0][2])

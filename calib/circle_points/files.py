@@ -85,7 +85,6 @@ def survey_table(survey: Survey) -> dict[str, Any]:
         "frame": {
             "T_tracker_base": frame.T_tracker_base,
             "covariance": frame.covariance,
-            "dof": frame.dof,
             "region_95": frame.limit(0.95),
             "std_m": frame.std[:3],
             "std_rad": frame.std[3:],

@@ -138,18 +138,6 @@ class BaseFrame:
         return np.asarray(np.sum(self.parts, axis=0))
 
     @property
-    def dof(self) -> float:
-        """Degrees of freedom of the covariance as a whole; infinite where the noise was given.
-
-            1 / dof = 1/6 sum_k tr(M_k^2) / dof_k,     M_k = C^-1/2 C_k C^-1/2
-
-        With it 6 F(6, dof) has the mean of the squared distance to the first order in 1 / dof_k.
-        """
-        M = np.linalg.solve(self.covariance, np.array(self.parts))
-        share = float(np.sum(np.trace(M @ M, axis1=1, axis2=2) / self.dofs))
-        return np.inf if share == 0.0 else 6.0 / share
-
-    @property
     def T_base_tracker(self) -> Array:
         """Pose of the tracker in the base, shape (4, 4) [m]."""
         return rigid_inverse(self.T_tracker_base)

@@ -163,16 +163,16 @@ def base_frame(
 
 def _all_there(sweeps: Sweeps) -> tuple[Sweep, list[Sweep]]:
     """The plane's sweep and those of joints; refused without the plane, joint 1 or joint 2."""
-    plane = sweeps.find(None)
-    missing = [sweeps.label(k) for k in (0, 1) if sweeps.find(k) is None]
-    if plane is None or missing:
-        wanted = [*([] if plane else ["plane"]), *missing]
+    by_joint = {sweep.joint: sweep for sweep in sweeps.sweeps}
+    missing = [sweeps.label(k) for k in (0, 1) if k not in by_joint]
+    wanted = [*(["plane"] if None not in by_joint else []), *missing]
+    if wanted:
         raise MeasurementError(
             f"{sweeps.source}: there is no sweep {choices(wanted)}; there are "
             f"{choices(s.name for s in sweeps.sweeps)}. A base frame needs points on the mounting plane, "
             "a sweep of joint 1 and one of joint 2."
         )
-    return plane, [sweep for sweep in sweeps.sweeps if sweep.joint is not None]
+    return by_joint[None], [sweep for sweep in sweeps.sweeps if sweep.joint is not None]
 
 
 @contextmanager

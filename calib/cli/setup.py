@@ -214,16 +214,6 @@ def parse_columns(pairs: Iterable[str]) -> dict[str, str]:
     return _pairs(pairs, "--columns", wanted)
 
 
-def parse_sweeps(pairs: Iterable[str]) -> dict[str, str]:
-    """``--sweep "ring_a=joint 1"`` as a mapping from the file's names of sweeps to what they are.
-
-    Raises:
-        CalibError: A pair without an equals sign, or a name twice.
-    """
-    wanted = "'name in the file=sweep', such as 'ring_a=joint 1', and each name once"
-    return _pairs(pairs, "--sweep", wanted)
-
-
 def read_cell(
     cell: Path | None,
     *,

@@ -65,7 +65,6 @@ def test_the_table_has_everything(found):
     table = survey_table(found)
     assert table["schema"] == "base-frame 1"
     assert table["frame"]["T_tracker_base"] is found.frame.T_tracker_base
-    assert table["frame"]["dof"] == pytest.approx(found.frame.dof)
     assert [joint["joint"] for joint in table["joints"]] == [1, 2]
     assert table["rows"][0]["nominal"]["d_m"] == pytest.approx(0.1519)
     assert len(table["joints"][0]["radial_m"]) == 40

@@ -88,7 +88,7 @@ def virtual_sweeps(
                 source,
             )
         )
-    return Sweeps(tuple(sweeps), robot.joint_names, source, "")
+    return Sweeps(tuple(sweeps), robot.joint_names, source)
 
 
 def _target(robot: Robot, joint: int, q: Array, radius: float) -> Array:

@@ -18,7 +18,6 @@ from calib.cli.setup import (
     parse_pair,
     parse_payload,
     parse_point,
-    parse_sweeps,
     read_cell,
 )
 from calib.data.cell import Cell
@@ -145,13 +144,6 @@ def test_the_kind_of_the_cell_is_that_of_the_table(shop: Path):
     (shop / "grouped.csv").write_text("\n".join(grouped), encoding="utf-8")
     _, table = load_with_data(str(shop / "robot.urdf"), cell, shop / "grouped.csv", None)
     assert set(table.kinds) == {"fixed"}
-
-
-def test_sweeps():
-    assert parse_sweeps(["ring a = joint 1", "p=plane"]) == {"ring a": "joint 1", "p": "plane"}
-    for wrong in (["ring"], ["=1"], ["a="], ["a=1", "a=2"]):
-        with pytest.raises(CalibError, match=r"^--sweep was given '.*'; it must be 'name in the"):
-            parse_sweeps(wrong)
 
 
 @pytest.mark.parametrize(

@@ -44,10 +44,6 @@ def base_frame(
         ),
     ] = None,
     points_unit: PointsUnit = None,
-    sweep: Annotated[
-        list[str] | None,
-        typer.Option(metavar='"NAME=SWEEP"', help='A sweep\'s name: "ring_a=joint 1". Repeatable.'),
-    ] = None,
     columns: Columns = None,
     plane_offset: Annotated[
         str, typer.Option(help='Probe centre to plane: the radius of the ball, "19.05 mm".')
@@ -67,7 +63,7 @@ def base_frame(
     from calib.circle_points.files import carried, cell_text, survey_table
     from calib.circle_points.survey import base_frame as found_frame
     from calib.circle_points.sweeps import read_sweeps
-    from calib.cli.setup import check_outputs, parse_amount, parse_columns, parse_sweeps
+    from calib.cli.setup import check_outputs, parse_amount, parse_columns
     from calib.data.measurements import Measurements
     from calib.files import write_atomically
     from calib.result.calibration_file import write_table
@@ -87,8 +83,7 @@ def base_frame(
     check_outputs([output, cell_out, json], inputs, force=force)
     arm = None if robot is None else Robot.load(robot, base, tip)
     names, types = (None, None) if arm is None else (arm.joint_names, arm.joint_types)
-    called, renamed = parse_sweeps(sweep or []), parse_columns(columns or [])
-    sweeps = read_sweeps(data, names, renamed, points, points_unit, called)
+    sweeps = read_sweeps(data, names, parse_columns(columns or []), points, points_unit)
     offset = parse_amount(plane_offset, "--plane-offset", "a length", "19.05 mm", signed=True)
     found = found_frame(sweeps, arm, plane_offset=offset, robust=robust)
     lines, written = survey_text(found, sweeps.source, arm), []
