@@ -30,7 +30,7 @@ from calib.data.table import (
     with_unit,
     without_unit,
 )
-from calib.data.values import Values
+from calib.data.values import read_values
 from calib.errors import MeasurementError, ModelError, choices, did_you_mean
 from calib.robot.robot import Robot, read_only
 
@@ -235,7 +235,7 @@ def _numbers(
     }
     kind = "fixed" if not points else "pose" if blocks["orientation"] else "point"
     empty = dict.fromkeys(("torques", "distance", "sigma", "sigma_angle"), ())
-    values = Values.read(table, Layout({}, (), {**empty, **blocks}, (kind,), ()))
+    values = read_values(table, Layout({}, (), {**empty, **blocks}, (kind,), ()))
     if values.unmeasured:
         raise MeasurementError(
             f"{table.source}, row {values.unmeasured[0]}: there is no position, all its cells are empty, while other "

@@ -12,7 +12,7 @@ from functools import partial
 from itertools import compress
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,12 +32,15 @@ from calib.data.table import (
     Table,
     reserved,
 )
-from calib.data.values import Values
+from calib.data.values import read_values
 from calib.errors import MeasurementError, choices
 from calib.files import write_atomically
 from calib.units import UNITS, Quantity
 
 Array = NDArray[np.float64]
+
+# Two rows that share a distance have it to all digits of a table [m].
+_AGREE_M = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,75 +101,136 @@ class Measurements:
 
     def __post_init__(self) -> None:
         """Copy the arrays, fill in what was not given, and check that all of it fits together."""
-        fill = object.__setattr__
-        count = len(np.asarray(self.points))
+        fill, count = partial(object.__setattr__, self), len(np.asarray(self.points))
         for name in ("joint_names", "prismatic", "ignored", "unmeasured"):
-            fill(self, name, tuple(getattr(self, name)))
-        fill(self, "rows", tuple(self.rows) or tuple(range(1, count + 1)))
+            fill(name, tuple(getattr(self, name)))
+        fill("rows", tuple(self.rows) or tuple(range(1, count + 1)))
         for name, word in _WORDS.items():
-            fill(self, name, tuple(getattr(self, name)) or (word,) * count)
-        checks.check_words(self._where, {name: getattr(self, name) for name in _WORDS}, count)
+            fill(name, tuple(getattr(self, name)) or (word,) * count)
+        self._check_words()
+        if any(self.pairs):
+            told = zip(self.paired.tolist(), self.pairs, strict=True)
+            fill("pairs", tuple(word if paired else "" for paired, word in told))
+        n, every = len(self.joint_names), np.ones(count, dtype=np.bool_)
+        turned, told_angles = (
+            self.where(lambda kind: kind.orientation),
+            self.where(lambda kind: kind.angles > 0),
+        )
+        readings = self._checked_readings()
+        rotations = self._numbers("rotations", self.rotations, (3, 3), turned, needed=True)
+        if rotations is not None:
+            for i in np.flatnonzero(turned)[checks.no_rotation(rotations[turned])]:
+                what = "'rotations' holds no rotation; each is orthonormal with determinant 1"
+                self._fail(int(i), what)
+        arrays = {
+            "joints": self._numbers("joints", self.joints, (n,), every),
+            "points": self._numbers("points", self.points, (3,), self.positions),
+            "rotations": rotations,
+            "sigma": self._numbers("sigma", self.sigma, (), every, checks.SIGMAS),
+            "sigma_angle": self._numbers(
+                "sigma_angle", self.sigma_angle, (), told_angles, checks.SIGMAS
+            ),
+            "torques": self._checked_torques(),
+            "distances": readings.pop("distance", None),
+        }
+        for name, width in (("joints", n), ("points", 3)):
+            if arrays[name] is None:
+                arrays[name] = _read_only(np.full((count, width), np.nan))
+        for name, array in {**arrays, "readings": MappingProxyType(readings)}.items():
+            fill(name, array)
+
+    def _fail(self, row: int, what: str) -> NoReturn:
+        """Refuse a row, from 0."""
+        raise MeasurementError(f"{self.source or 'Measurements'}, row {self.rows[row]}: {what}")
+
+    def _check_words(self) -> None:
+        """Refuse words that are not allowed, row numbers and names of joints that are not unique."""
+        source, count = self.source or "Measurements", len(self.points)
+        for name in (*_WORDS, "rows"):
+            number = len(getattr(self, name))
+            if number != count:
+                raise MeasurementError(
+                    f"{source}: '{name}' has {number} entries and should have {count}, one a row"
+                )
+        for name, allowed in (("sets", SETS), ("kinds", registry.names())):
+            words = getattr(self, name)
+            wrong = set(words) - set(allowed)
+            if wrong:
+                i = next(i for i, word in enumerate(words) if word in wrong)
+                what = f"{words[i]!r} in '{name}' is not allowed; it is one of {choices(allowed)}"
+                self._fail(i, what)
+        if len(set(self.rows)) < count:
+            twice = Counter(self.rows).most_common(1)[0][0]
+            raise MeasurementError(
+                f"{source}: the row number {twice} stands there twice; each row has its own"
+            )
         taken = [n for n, k in Counter(self.joint_names).items() if k > 1 or n in reserved()]
         if taken or not self.joint_names:
             raise MeasurementError(
-                f"{self.source or 'Measurements'}: joint names are unique and no other column's; given were "
+                f"{source}: joint names are unique and no other column's; given were "
                 f"{choices(taken or ['no names at all'])}"
             )
-        if any(self.pairs):
-            told = zip(self.paired.tolist(), self.pairs, strict=True)
-            fill(self, "pairs", tuple(word if paired else "" for paired, word in told))
-        for name, array in self._checked_arrays().items():
-            fill(self, name, array)
 
-    def _checked_arrays(self) -> dict[str, Any]:
-        """The arrays, each with the rows whose kinds measure it."""
-        where, n, count = self._where, len(self.joint_names), len(self.rows)
-        every, turned = np.ones(count, dtype=np.bool_), self.where(lambda kind: kind.orientation)
-        told = self.where(lambda kind: kind.angles > 0)
-        found: dict[str, Any] = {
-            "joints": checks.numbers(
-                where, "joints", self.joints, (n,), every, columns=self.joint_names
-            ),
-            "points": checks.numbers(
-                where, "points", self.points, (3,), self.positions, columns="xyz"
-            ),
-            "rotations": checks.numbers(where, "rotations", self.rotations, (3, 3), turned),
-            "sigma": checks.numbers(where, "sigma", self.sigma, (), every, checks.SIGMAS),
-            "sigma_angle": checks.numbers(
-                where, "sigma_angle", self.sigma_angle, (), told, checks.SIGMAS
-            ),
-            "torques": self._checked_torques(),
-        }
+    def _numbers(
+        self,
+        name: str,
+        values: ArrayLike | None,
+        tail: tuple[int, ...],
+        told: NDArray[np.bool_],
+        limits: tuple[float, float] = checks.REACH,
+        *,
+        needed: bool = False,
+    ) -> Array | None:
+        """A read-only copy of an array (N, *tail), NaN in rows that do not measure it; None if none is left."""
+        if not told.any() or (values is None and not needed):
+            return None
+        if values is None:
+            i = int(np.argmax(told))
+            self._fail(i, f"a row of the kind '{self.kinds[i]}' needs '{name}', and there are none")
+        array = np.array(values, dtype=np.float64)
+        if array.shape != (len(told), *tail):
+            raise MeasurementError(
+                f"Measurements: '{name}' has shape {array.shape} and should have {(len(told), *tail)}"
+            )
+        good = (array >= limits[0]) & (array <= limits[1])
+        wrong = np.argwhere(~good & told.reshape(-1, *(1 for _ in tail)))
+        if len(wrong):
+            at = tuple(int(i) for i in wrong[0])
+            self._fail(
+                at[0],
+                f"'{self.joint_names[at[1]] if name == 'joints' else name}' is {array[at]:g}; in a row of the kind "
+                f"'{self.kinds[at[0]]}' it is a number from {limits[0]:g} to {limits[1]:g}, in SI units. Correct it, "
+                "or its unit.",
+            )
+        array[~told] = np.nan
+        array.setflags(write=False)
+        return array
+
+    def _checked_readings(self) -> dict[str, Array]:
+        """What kinds read in columns of their own, by the column's name; of a pair both rows have it."""
         given, read = {"distance": self.distances, **self.readings}, registry.readings()
         strange = [name for name in given if name not in read]
         if strange:
             raise MeasurementError(
                 f"No kind of measurement reads {choices(strange)}; register it first (calib.data.kinds.register)."
             )
-        pairs = where.pairs(self.pairs)
-        readings: dict[str, Array | None] = {}
+        found: dict[str, Array] = {}
         for name, one in read.items():
             values = given.get(name)
-            if values is not None and pairs:
-                values = checks.shared(where, values, pairs)
+            if values is not None:
+                values = np.array(values, dtype=np.float64)
+                for pair in self.pair_rows:
+                    first, second = values[pair]
+                    if abs(first - second) > _AGREE_M:
+                        what = f"its pair has {first:.10g} m here and {second:.10g} m in row {self.rows[pair[1]]}"
+                        self._fail(int(pair[0]), f"{what}; give it once, or the same")
+                    values[pair] = second if np.isnan(first) else first
             own = self.of_kind(*(k for k in registry.names() if one in registry.get(k).readings))
             least = checks.SIGMAS[0] if one.positive else -checks.FARTHEST
-            limits = (least, checks.FARTHEST)
-            readings[name] = checks.numbers(where, name, values, (), own, limits)
-            if readings[name] is None and own.any():
-                checks.lacking(where, own, name)
-        if found["rotations"] is None and turned.any():
-            checks.lacking(where, turned, "rotations")
-        if turned.any():
-            for i in np.flatnonzero(turned)[checks.no_rotation(found["rotations"][turned])]:
-                what = "'rotations' holds no rotation; each is orthonormal with determinant 1"
-                where.fail(int(i), what)
-        for name, width in (("joints", n), ("points", 3)):
-            if found[name] is None:
-                found[name] = _read_only(np.full((count, width), np.nan))
-        found["distances"] = readings.pop("distance")
-        there = {name: values for name, values in readings.items() if values is not None}
-        return {**found, "readings": MappingProxyType(there)}
+            array = self._numbers(name, values, (), own, (least, checks.FARTHEST), needed=True)
+            if array is not None:
+                found[name] = array
+        return found
 
     def _checked_torques(self) -> Array | None:
         """A read-only copy of the torques; of each joint there are all, or none (NaN)."""
@@ -176,13 +240,39 @@ class Measurements:
         for name, there in zip(self.joint_names, np.isfinite(torques).T, strict=True):
             if there.any() and not there.all():
                 what = f"joint '{name}' has no torque here and has one in other rows; give all of them, or none"
-                self._where.fail(int(np.argmin(there)), what)
+                self._fail(int(np.argmin(there)), what)
         return torques
 
-    @property
-    def _where(self) -> checks.Where:
-        """What messages say of a row."""
-        return checks.Where(self.source, self.rows, self.kinds)
+    def _check_whole(self) -> None:
+        """Refuse, in a table as it was read, pairs of other than two rows and groups with too few rows."""
+
+        def named(at: Sequence[int]) -> str:
+            """These rows, from 0, by their numbers."""
+            numbers = ", ".join(str(self.rows[i]) for i in at[:8])
+            return f"row {numbers} only" if len(at) == 1 else f"rows {numbers}"
+
+        for word, at in self._by_word(self.pairs, self.paired).items():
+            if len(at) != 2 or self.sets[at[0]] != self.sets[at[1]]:
+                raise MeasurementError(
+                    f"{self.source}: the pair '{word}' stands in {named(at)}; a distance is between two rows of one "
+                    "set. Give each pair a word of its own."
+                )
+        for kind in set(self.kinds):
+            fewest = registry.get(kind).fewest
+            for group, at in self._by_word(self.groups, self.of_kind(kind)).items():
+                if len(at) < fewest:
+                    raise MeasurementError(
+                        f"{self.source}: the group '{group}' of the kind '{kind}' stands in {named(at)}; it takes "
+                        f"{fewest} rows or more. Measure more, or correct the group's name."
+                    )
+
+    @staticmethod
+    def _by_word(words: Sequence[str], chosen: NDArray[np.bool_]) -> dict[str, list[int]]:
+        """The chosen rows, from 0, by a word of theirs."""
+        found: dict[str, list[int]] = {}
+        for i in np.flatnonzero(chosen).tolist():
+            found.setdefault(words[i], []).append(i)
+        return found
 
     def where(self, test: Callable[[Kind], bool]) -> NDArray[np.bool_]:
         """True for the rows of kinds that pass a test, shape (N,), read-only."""
@@ -229,23 +319,19 @@ class Measurements:
         layout = Layout.find(
             table, joint_names, joint_types, columns, kind, points_elsewhere=elsewhere is not None
         )
-        values = Values.read(table, layout, elsewhere)
+        values = read_values(table, layout, elsewhere)
         source, sha256 = table.source, table.sha256
         if elsewhere is not None:
             source, sha256 = f"{source} + {elsewhere.source}", f"{sha256} + {elsewhere.sha256}"
-        given = {f.name: getattr(values, f.name) for f in fields(values)}
-        given["readings"] = {n: v for n, v in values.readings.items() if n != "distance"}
         measurements = cls(
-            **given,
+            **values._asdict(),
             joint_names=layout.joint_names,
-            distances=values.readings.get("distance"),
             source=source,
             sha256=sha256,
             ignored=layout.ignored,
             prismatic=layout.prismatic,
         )
-        words = {name: getattr(measurements, name) for name in _WORDS}
-        checks.check_whole(measurements._where, words)
+        measurements._check_whole()
         return measurements
 
     def __repr__(self) -> str:
@@ -289,7 +375,7 @@ class Measurements:
     @property
     def pair_rows(self) -> NDArray[np.intp]:
         """The two rows of each pair, from 0, shape (P, 2), read-only; pairs that have lost a row are left out."""
-        both = [rows for rows in self._where.pairs(self.pairs).values() if len(rows) == 2]
+        both = [at for at in self._by_word(self.pairs, self.paired).values() if len(at) == 2]
         pairs = np.array(both, dtype=np.intp).reshape(-1, 2)
         pairs.setflags(write=False)
         return pairs

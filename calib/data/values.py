@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import compress
-from typing import NoReturn
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,12 +38,8 @@ _MUST = {
 _TURNS_RAD = 7.0
 
 
-@dataclass(frozen=True, slots=True)
-class Values:
-    """What the rows of a table hold; the attributes are those of `Measurements`.
-
-    ``unmeasured`` are the numbers of rows that are left out: nothing is measured there yet.
-    """
+class Values(NamedTuple):
+    """What the rows of a table hold: arguments of `Measurements`."""
 
     joints: Array
     points: Array
@@ -55,84 +50,78 @@ class Values:
     rows: tuple[int, ...]
     kinds: tuple[str, ...]
     rotations: Array | None
+    distances: Array | None
     readings: Mapping[str, Array]
     sigma_angle: Array | None
     pairs: tuple[str, ...]
     torques: Array | None
     unmeasured: tuple[int, ...]
 
-    @classmethod
-    def read(cls, table: Table, layout: Layout, elsewhere: Points | None = None) -> Values:
-        """Read every row of a table, but for those in which all cells of the measurement are empty.
 
-        Args:
-            table: the table.
-            layout: what its columns are.
-            elsewhere: the points of the rows, which name them (rows of others are left out), or are in its order.
+def read_values(table: Table, layout: Layout, elsewhere: Points | None = None) -> Values:
+    """Read every row of a table, but for those in which all cells of the measurement are empty.
 
-        Raises:
-            MeasurementError: a row, a cell or a column's values cannot be used, a point is not there or is that of
-                another row, or no row is ``estimate``, or none is measured.
-        """
-        grid = _grid(table, layout)
-        measured, kinds = _measured(table, layout, grid)
-        if not any(measured):
-            raise MeasurementError(_no_rows(table, layout))
-        every = {name: _words(table, layout, name, measured, kinds) for name in _DEFAULTS}
-        placed = {name for name in layout.kinds if registry.get(name).position}
-        named = elsewhere is not None and "point" in layout.words
-        if elsewhere is not None and named:
-            at = [i for i in compress(range(len(kinds)), measured) if kinds[i] in placed]
-            for k in unmeasured_points(elsewhere, [every["point"][i] for i in at]):
-                measured[at[k]] = False
-        words = {name: tuple(compress(found, measured)) for name, found in every.items()}
-        if "estimate" not in words["set"]:
-            raise MeasurementError(
-                f"{table.source}, column 'set': no measured row is 'estimate', all {sum(measured)} are 'validate'. "
-                "Mark those to estimate from, or remove the column."
-            )
-        numbers = _row_numbers(table, layout)
-        rows, grid = tuple(compress(numbers, measured)), grid[measured]
-        kinds = list(compress(kinds, measured))
-        check_units(Numbers(table, layout, grid, tuple(np.flatnonzero(measured).tolist())))
-        si = grid * np.array([column.to_si for column in layout.numbers])
+    Args:
+        table: the table.
+        layout: what its columns are.
+        elsewhere: the points of the rows, which name them (rows of others are left out), or are in its order.
 
-        def block(name: str) -> Array | None:
-            """One column of numbers, shape (N,), if it is there."""
-            span = layout.span(name)
-            return si[:, span[0]] if span else None
-
-        points = np.full((len(si), 3), np.nan)
-        if elsewhere is not None:
-            at = [i for i, kind in enumerate(kinds) if kind in placed]
-            names = [words["point"][i] for i in at] if named else None
-            points[at] = match_points(elsewhere, table.source, [rows[i] for i in at], names)
-        elif layout.span("points"):
-            points = si[:, layout.span("points")]
-        torques = None
-        if layout.span("torques"):
-            torques = np.full((len(si), len(layout.joint_names)), np.nan)
-            driven = [c.name.removesuffix(TORQUE) for c in layout.blocks["torques"]]
-            torques[:, [layout.joint_names.index(name) for name in driven]] = si[
-                :, layout.span("torques")
-            ]
-        turned = layout.span("orientation")
-        return cls(
-            joints=si[:, layout.span("joints")],
-            points=points,
-            sets=words["set"],
-            sigma=block("sigma"),
-            targets=words["target"],
-            groups=words["group"],
-            rows=rows,
-            kinds=tuple(kinds),
-            rotations=to_matrices(si[:, turned]) if turned else None,
-            readings={n: si[:, layout.span(n)[0]] for n in registry.readings() if layout.span(n)},
-            sigma_angle=block("sigma_angle"),
-            pairs=words["pair"],
-            torques=torques,
-            unmeasured=tuple(n for n, there in zip(numbers, measured, strict=True) if not there),
+    Raises:
+        MeasurementError: a row, a cell or a column's values cannot be used, a point is not there or is that of
+            another row, or no row is ``estimate``, or none is measured.
+    """
+    grid = _grid(table, layout)
+    measured, kinds = _measured(table, layout, grid)
+    if not any(measured):
+        raise MeasurementError(_no_rows(table, layout))
+    every = {name: _words(table, layout, name, measured, kinds) for name in _DEFAULTS}
+    placed = {name for name in layout.kinds if registry.get(name).position}
+    named = elsewhere is not None and "point" in layout.words
+    if elsewhere is not None and named:
+        at = [i for i in compress(range(len(kinds)), measured) if kinds[i] in placed]
+        for k in unmeasured_points(elsewhere, [every["point"][i] for i in at]):
+            measured[at[k]] = False
+    words = {name: tuple(compress(found, measured)) for name, found in every.items()}
+    if "estimate" not in words["set"]:
+        raise MeasurementError(
+            f"{table.source}, column 'set': no measured row is 'estimate', all {sum(measured)} are 'validate'. "
+            "Mark those to estimate from, or remove the column."
         )
+    numbers = _row_numbers(table, layout)
+    rows, kinds = tuple(compress(numbers, measured)), list(compress(kinds, measured))
+    _check_units(table, layout, np.where(np.array(measured)[:, None], grid, np.nan))
+    si = grid[measured] * np.array([column.to_si for column in layout.numbers])
+    blocks = {name: si[:, span] for name in layout.blocks if (span := layout.span(name))}
+    points = blocks.get("points", np.full((len(si), 3), np.nan))
+    if elsewhere is not None:
+        at = [i for i, kind in enumerate(kinds) if kind in placed]
+        names = [words["point"][i] for i in at] if named else None
+        points[at] = match_points(elsewhere, table.source, [rows[i] for i in at], names)
+    torques = None
+    if "torques" in blocks:
+        torques = np.full((len(si), len(layout.joint_names)), np.nan)
+        driven = [c.name.removesuffix(TORQUE) for c in layout.blocks["torques"]]
+        torques[:, [layout.joint_names.index(name) for name in driven]] = blocks["torques"]
+    single = {name: block[:, 0] for name, block in blocks.items() if block.shape[1] == 1}
+    readings = {name: single[name] for name in registry.readings() if name in single}
+    turned = blocks.get("orientation")
+    return Values(
+        joints=si[:, layout.span("joints")],
+        points=points,
+        sets=words["set"],
+        sigma=single.get("sigma"),
+        targets=words["target"],
+        groups=words["group"],
+        rows=rows,
+        kinds=tuple(kinds),
+        rotations=None if turned is None else to_matrices(turned),
+        distances=readings.pop("distance", None),
+        readings=readings,
+        sigma_angle=single.get("sigma_angle"),
+        pairs=words["pair"],
+        torques=torques,
+        unmeasured=tuple(n for n, there in zip(numbers, measured, strict=True) if not there),
+    )
 
 
 def _no_rows(table: Table, layout: Layout) -> str:
@@ -264,80 +253,63 @@ def _words(
 # Values in another unit than the header says
 
 
-@dataclass(frozen=True, slots=True)
-class Numbers:
-    """Numbers as written, shape (N, columns), NaN where a row has none; and which rows of the table they are."""
-
-    table: Table
-    layout: Layout
-    grid: Array
-    rows: tuple[int, ...]
-
-    def fail(self, row: int, i: int, what: str) -> NoReturn:
-        """Refuse a number."""
-        place = self.table.place(self.rows[row], self.layout.words.get("row"), self.column(i))
-        raise MeasurementError(f"{place}: {what}")
-
-    def column(self, i: int) -> Column:
-        """One of the columns of numbers."""
-        return self.layout.numbers[i]
-
-
 @np.errstate(over="ignore")  # what is infinite is too large as well
-def check_units(numbers: Numbers) -> None:
+def _check_units(table: Table, layout: Layout, grid: Array) -> None:
     """Refuse metres read as millimetres, degrees as radians, and what must be greater than zero and is not.
 
-    Raises:
-        MeasurementError: with the place, and the unit that would make sense.
+    ``grid`` are the numbers as written, shape (rows, columns), NaN where a row has none.
     """
-    span, grid = numbers.layout.span, numbers.grid
+    span, columns = layout.span, layout.numbers
     orientation, vector = span("orientation"), len(span("orientation")) == 3
     for at in [*([i] for i in span("joints")), *([orientation] if vector else [])]:
-        _check_degrees(numbers, at)
+        _check_degrees(table, [columns[i] for i in at], grid[:, at])
     if orientation and not vector and (wrong := wrong_length(grid[:, orientation])):
         what = f"the quaternion has the length {wrong[1]:.6g}; that of an orientation is 1."
-        numbers.fail(wrong[0], orientation[0], what)
+        _fail(table, layout, wrong[0], columns[orientation[0]], what)
     read = {n: one for n, one in registry.readings().items() if span(n)}
     for name in ("sigma", "sigma_angle", *(n for n, one in read.items() if one.positive)):
         for i in span(name):
             bad = np.flatnonzero(grid[:, i] <= 0.0)
             if bad.size:
-                what = f"{numbers.column(i).name} is '{grid[bad[0], i]:.10g}'; it is greater than zero."
-                numbers.fail(int(bad[0]), i, what)
-    slides = [([i], False) for i in span("joints") if _unit(numbers.column(i)).quantity == "length"]
+                what = f"{columns[i].name} is '{grid[bad[0], i]:.10g}'; it is greater than zero."
+                _fail(table, layout, int(bad[0]), columns[i], what)
+    slides = [([i], False) for i in span("joints") if _unit(columns[i]).quantity == "length"]
     lengths = [(span(n), one.positive) for n, one in read.items() if one.quantity == "length"]
     for at, near in (*slides, (span("points"), True), *lengths):
         if at:
-            _check_lengths(numbers, at, near=near)
+            _check_lengths(table, layout, at, grid[:, at], near=near)
 
 
-def _check_degrees(numbers: Numbers, at: list[int]) -> None:
+def _check_degrees(table: Table, columns: Sequence[Column], values: Array) -> None:
     """Refuse columns of angles, or of a rotation vector, in radians that look like degrees."""
-    column = numbers.column(at[0])
-    if any(_unit(numbers.column(i)).symbol != "rad" for i in at):
+    if any(_unit(column).symbol != "rad" for column in columns):
         return
-    size = np.linalg.norm(numbers.grid[:, at], axis=1)
+    size = np.linalg.norm(values, axis=1)
     size = size[~np.isnan(size)]
     if size.size and np.median(size) > _TURNS_RAD:
         raise MeasurementError(
-            f"{numbers.table.source}, column '{column.label}': half of the values are beyond {np.median(size):.4g} "
-            f"rad, more than a turn; they look like degrees. If they are, write '{column.name} [deg]' into the header."
+            f"{table.source}, column '{columns[0].label}': half of the values are beyond {np.median(size):.4g} rad, "
+            f"more than a turn; they look like degrees. If they are, write '{columns[0].name} [deg]' into the header."
         )
 
 
-def _check_lengths(numbers: Numbers, at: list[int], *, near: bool) -> None:
+def _check_lengths(
+    table: Table, layout: Layout, at: list[int], values: Array, *, near: bool
+) -> None:
     """Refuse a place further away than a cell is wide; if ``near``, also places that are all at the origin."""
-    metres = np.nan_to_num(numbers.grid[:, at]) * [numbers.column(i).to_si for i in at]
-    row, what = implausible(metres, _unit(numbers.column(at[0])), near=near)
+    columns = [layout.numbers[i] for i in at]
+    metres = np.nan_to_num(values) * [column.to_si for column in columns]
+    row, what = implausible(metres, _unit(columns[0]), near=near)
     if not what:
         return
-    i = at[int(np.argmax(np.abs(metres[row])))]
-    column, value = numbers.column(i), float(numbers.grid[row, i])
+    k = int(np.argmax(np.abs(metres[row])))
+    column, value = columns[k], float(values[row, k])
     better = better_unit(value, _unit(column))
     fix = "Correct the value."
     if better:
         fix = f"If it is in {better}, write '{column.name} [{better}]' into the header."
-    numbers.fail(row, i, f"{value:.10g} was read as {value * column.to_si:.6g} m, {what}. {fix}")
+    what = f"{value:.10g} was read as {value * column.to_si:.6g} m, {what}. {fix}"
+    _fail(table, layout, row, column, what)
 
 
 def _unit(column: Column) -> Unit:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 import calib.data.kinds as registry
 from calib.data.layout import Layout
 from calib.data.table import DEFAULT_TARGET, EXPECTED, POINT, QUATERNION, Table, name_columns
-from calib.data.values import Values
+from calib.data.values import Values, read_values
 from calib.design.forecast import Forecast
 from calib.design.plan import Plan
 from calib.errors import MeasurementError
@@ -139,7 +139,7 @@ def _joint_values(path: str | Path, robot: Robot) -> tuple[Table, Values]:
     table = Table.read(path)
     # A row of this kind measures nothing but its joint values.
     layout = Layout.find(table, robot.joint_names, robot.joint_types, None, "fixed")
-    return table, Values.read(table, layout)
+    return table, read_values(table, layout)
 
 
 def _poses(values: Values, rows: Iterable[int]) -> list[int]:

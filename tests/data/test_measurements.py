@@ -163,7 +163,7 @@ def test_joints_for_another_order():
         ({"sets": ("estimate",)}, "'sets' has 1 entries"),
         ({"sets": ("estimate", "test")}, "row 2: 'test' in 'sets'"),
         ({"rows": (7, 7)}, "row number 7"),
-        ({"points": [[0, 0, 1], [0, np.nan, 0]]}, "row 2: 'y' is nan"),
+        ({"points": [[0, 0, 1], [0, np.nan, 0]]}, "row 2: 'points' is nan"),
         ({"joints": [[np.inf], [0]]}, "row 1: 'a' is inf"),
         ({"joints": [[0], [2e6]]}, "row 2: 'a' is 2e+06"),
         ({"sigma": [1e-4, 0.0]}, "row 2: 'sigma' is 0;"),
