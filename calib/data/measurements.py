@@ -49,55 +49,36 @@ class Measurements:
 
     What a row measures is its kind, one of `calib.data.kinds`: ``point``, ``pose``, ``distance``, ``pair``, ``fixed``,
     ``plane``, or one that was registered. What it does not measure is NaN, whatever was given; an array of which
-    nothing is left is None.
-
-    Attributes:
-        joint_names: the order of the columns of ``joints``.
-        joints: joint values, shape (N, n), [rad] or, for ``prismatic`` joints, [m]. Read-only.
-        points: measured target positions in the measurement frame, shape (N, 3), [m]. Read-only.
-        sets: ``"estimate"`` or ``"validate"`` per row; all ``"estimate"`` when not given.
-        sigma: standard deviation of one coordinate or length, shape (N,), [m], read-only; or None.
-        targets: the target's name per row; ``"target"`` when not given.
-        groups: the set-up's name per row; ``""`` when not given.
-        rows: the row numbers a person sees, unique; 1 to N when not given.
-        source: the file's name, for messages.
-        sha256: of the file's bytes, ``"... + ..."`` of two files; ``""`` when not from a file.
-        ignored: the headers of the table's columns that were not used.
-        prismatic: the names of those joints whose values are lengths.
-        kinds: the kind per row; all ``"point"`` when not given.
-        rotations: measured R_frame_target, shape (N, 3, 3), read-only; None without poses.
-        distances: measured distances, shape (N,), [m], read-only; None without. Both rows of a pair have it.
-        sigma_angle: standard deviation of an orientation about one axis, shape (N,), [rad], read-only; or None.
-        pairs: the word that two rows of the kind ``pair`` share; ``""`` in other rows.
-        torques: torques (forces) that the drives put on the joints, positive along the axis, shape (N, n),
-            [Nm] ([N]), read-only; NaN for joints without; or None.
-        readings: what kinds from outside measure, shape (N,) each, in SI units, by the column's name, read-only.
-        unmeasured: the numbers of the table's rows that are left out, for they hold no measurement.
+    nothing is left is None. Arrays are read-only; words are one a row.
 
     Raises:
         MeasurementError: a shape, a value or a word does not fit.
     """
 
-    joint_names: tuple[str, ...]
-    joints: NDArray[np.float64]
-    points: NDArray[np.float64]
-    sets: tuple[str, ...] = ()
-    sigma: NDArray[np.float64] | None = None
-    targets: tuple[str, ...] = ()
-    groups: tuple[str, ...] = ()
-    rows: tuple[int, ...] = ()
-    source: str = ""
-    sha256: str = ""
-    ignored: tuple[str, ...] = ()
-    prismatic: tuple[str, ...] = ()
-    kinds: tuple[str, ...] = ()
-    rotations: NDArray[np.float64] | None = None
-    distances: NDArray[np.float64] | None = None
-    sigma_angle: NDArray[np.float64] | None = None
-    pairs: tuple[str, ...] = ()
-    torques: NDArray[np.float64] | None = None
+    joint_names: tuple[str, ...]  #: The order of the columns of ``joints``.
+    joints: Array  #: Joint values, shape (N, n), [rad] or, for ``prismatic`` joints, [m].
+    points: Array  #: Measured positions of the targets in the measurement frame, shape (N, 3), [m].
+    sets: tuple[
+        str, ...
+    ] = ()  #: ``"estimate"`` or ``"validate"``; all ``"estimate"`` when not given.
+    sigma: Array | None = None  #: Standard deviation of one coordinate or length, shape (N,), [m].
+    targets: tuple[str, ...] = ()  #: The target's name; ``"target"`` when not given.
+    groups: tuple[str, ...] = ()  #: The set-up's name; ``""`` when not given.
+    rows: tuple[int, ...] = ()  #: The row numbers a person sees, unique; 1 to N when not given.
+    source: str = ""  #: The file's name, for messages.
+    sha256: str = ""  #: Of the file's bytes, ``"... + ..."`` of two files.
+    ignored: tuple[str, ...] = ()  #: The headers of the table's columns that were not used.
+    prismatic: tuple[str, ...] = ()  #: The names of those joints whose values are lengths.
+    kinds: tuple[str, ...] = ()  #: All ``"point"`` when not given.
+    rotations: Array | None = None  #: Measured R_frame_target, shape (N, 3, 3).
+    distances: Array | None = None  #: Shape (N,), [m]; both rows of a pair have it.
+    sigma_angle: Array | None = None  #: Of an orientation about one axis, shape (N,), [rad].
+    pairs: tuple[str, ...] = ()  #: The word that two rows of a paired kind share; ``""`` in others.
+    #: What drives put on the joints, positive along the axis, shape (N, n), [Nm] ([N]); NaN for joints without.
+    torques: Array | None = None
+    #: What kinds from outside measure, shape (N,) each, in SI units, by the column's name.
     readings: Mapping[str, Array] = field(default_factory=dict)
-    unmeasured: tuple[int, ...] = ()
+    unmeasured: tuple[int, ...] = ()  #: The numbers of rows left out, for they hold no measurement.
 
     def __post_init__(self) -> None:
         """Copy the arrays, fill in what was not given, and check that all of it fits together."""
