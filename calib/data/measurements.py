@@ -93,9 +93,8 @@ class Measurements:
             told = zip(self.paired.tolist(), self.pairs, strict=True)
             fill("pairs", tuple(word if paired else "" for paired, word in told))
         n, every = len(self.joint_names), np.ones(count, dtype=np.bool_)
-        turned, told_angles = (
-            self.where(lambda kind: kind.orientation),
-            self.where(lambda kind: kind.angles > 0),
+        turned, angles = (
+            self.where(test) for test in (lambda k: k.orientation, lambda k: k.angles > 0)
         )
         readings = self._checked_readings()
         rotations = self._numbers("rotations", self.rotations, (3, 3), turned, needed=True)
@@ -109,7 +108,7 @@ class Measurements:
             "rotations": rotations,
             "sigma": self._numbers("sigma", self.sigma, (), every, checks.SIGMAS),
             "sigma_angle": self._numbers(
-                "sigma_angle", self.sigma_angle, (), told_angles, checks.SIGMAS
+                "sigma_angle", self.sigma_angle, (), angles, checks.SIGMAS
             ),
             "torques": self._checked_torques(),
             "distances": readings.pop("distance", None),
