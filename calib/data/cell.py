@@ -15,7 +15,7 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 import calib.data.kinds as registry
 from calib.data.cell_file import read_cell_file
@@ -24,6 +24,7 @@ from calib.data.kinds import DIRECTIONS
 from calib.data.surroundings import (
     POSE,
     VECTOR,
+    Array,
     Box,
     Reflector,
     Tracker,
@@ -50,11 +51,6 @@ PRIOR_SIZES = ("data", "given", "off")
 
 #: A prior outside of these says nothing, or is a constraint; their squares would leave the range of numbers.
 PRIORS = (1e-15, 1e6)
-
-
-def _is_positive(value: object) -> bool:
-    """Whether a value is a positive finite number."""
-    return is_number(value) and bool(value > 0)
 
 
 @dataclass(frozen=True, slots=True, init=False)
@@ -85,14 +81,10 @@ class Priors:
                 f"Priors of the kind '{sizes}' were asked for; choose one of {choices(PRIOR_SIZES)}."
             )
         for name, value in given.items():
-            unit = family_of(name).unit.symbol
-            if not _is_positive(value):
-                raise CalibError(
-                    f"The prior's {name} is {value} {unit}; it must be positive. Use sizes 'off' for none."
-                )
             if not PRIORS[0] <= value <= PRIORS[1]:
                 raise CalibError(
-                    f"The prior's {name} is {value:g}; it lies between {PRIORS[0]:g} and {PRIORS[1]:g} in SI units."
+                    f"The prior's {name} is {value:g} {family_of(name).unit.symbol}; it lies between {PRIORS[0]:g} "
+                    f"and {PRIORS[1]:g}. Use sizes 'off' for none."
                 )
         object.__setattr__(self, "sizes", sizes)
         others = {name: value for name, value in given.items() if value != family_of(name).prior}
@@ -130,22 +122,17 @@ class GroupDistance:
 
     def __post_init__(self) -> None:
         """Refuse names that cannot be matched and lengths that are none."""
-        names = (self.first, self.second)
         said = f"The distance between the groups {self.first!r} and {self.second!r}"
-        if not all(isinstance(name, str) and name.strip() for name in names):
-            raise CalibError(f"{said}: each must be a name.")
-        stars = [name.count("*") for name in names]
-        if stars not in ([0, 0], [1, 1]):
+        if (self.first.count("*"), self.second.count("*")) not in ((0, 0), (1, 1)):
             raise CalibError(
                 f"{said}: '*' stands for the same text in both; write it once in each name, or in neither."
             )
         if self.first == self.second:
             raise CalibError(f"{said}: a group has one fixed point; name two different groups.")
-        for name in ("length", "sigma"):
-            if not _is_positive(getattr(self, name)):
-                raise CalibError(
-                    f"{said}: its {name} is {getattr(self, name)!r} m; it must be a positive number."
-                )
+        if not (self.length > 0.0 and self.sigma > 0.0):
+            raise CalibError(
+                f"{said} is {self.length!r} m, its sigma {self.sigma!r} m; both are greater than 0."
+            )
 
     def pairs(self, groups: Iterable[str]) -> tuple[tuple[str, str], ...]:
         """The pairs of these groups that the distance is between, each once, in the groups' order."""
@@ -176,34 +163,16 @@ def _between(low: float, high: float) -> Callable[[Any], float | None]:
     return convert
 
 
-def _of(kind: type) -> Callable[[Any], Any]:
-    """A value of a type."""
-    return lambda value: value if isinstance(value, kind) else None
-
-
-def _names(value: Any) -> tuple[str, ...] | None:  # noqa: ANN401
-    """A tuple of texts; one text alone is none."""
-    good = isinstance(value, (tuple, list)) and all(isinstance(word, str) for word in value)
-    return tuple(value) if good else None
-
-
 def _directions(value: Any) -> tuple[str, ...] | None:  # noqa: ANN401
     """Some of the directions of a frame, in their order."""
-    given = _names(value) or ()
-    good = given and set(given) <= set(DIRECTIONS) and len(set(given)) == len(given)
-    return tuple(d for d in DIRECTIONS if d in given) if good else None
-
-
-def _distances(value: Any) -> tuple[GroupDistance, ...] | None:  # noqa: ANN401
-    """Known distances."""
-    return tuple(value) if all(isinstance(one, GroupDistance) for one in value) else None
+    good = value and set(value) <= set(DIRECTIONS) and len(set(value)) == len(value)
+    return tuple(d for d in DIRECTIONS if d in value) if good else None
 
 
 def _tie(value: Any) -> tuple[str, float] | None:  # noqa: ANN401
     """Another parameter and a factor."""
     name, factor = value
-    good = isinstance(value, (tuple, list)) and isinstance(name, str) and is_number(factor)
-    return (name, float(factor)) if good and factor else None
+    return (name, float(factor)) if is_number(factor) and factor else None
 
 
 def _bounds(value: Any) -> tuple[float, float] | None:  # noqa: ANN401
@@ -220,25 +189,19 @@ def _range(value: Any) -> tuple[float, float] | None:  # noqa: ANN401
 
 _SIGMA = "a positive number, from {:g} to {:g} {}; without it, it is found from the data"
 
-#: What each attribute of a cell must be, and what gives the value that is kept; None is kept where it is the default.
+#: What an attribute of a cell must be, and what gives the value that is kept.
 _FIELDS: Mapping[str, tuple[str, Callable[[Any], Any]]] = {
-    **dict.fromkeys(("model", "base", "tip"), ("a text", _of(str))),
-    **dict.fromkeys(("estimate_target", "estimate_frame"), ("True or False", _of(bool))),
     "target": (f"{VECTOR} [m], none beyond {FARTHEST:g}", as_vector),
     "T_frame_base": (POSE, as_pose),
     "sigma": (_SIGMA.format(*SIGMAS, "m"), _between(*SIGMAS)),
     "sigma_angle": (_SIGMA.format(*SIGMAS, "rad"), _between(*SIGMAS)),
-    "priors": ("of type Priors", _of(Priors)),
-    "frozen": ("a tuple of names", _names),
+    "frozen": ("a tuple of names", tuple),
     "target_rotation": ("a 3 x 3 right-handed rotation", as_rotation),
     "frame_directions": (f"some of {choices(DIRECTIONS)}, each once", _directions),
-    "payload": ("of type Payload", _of(Payload)),
     "gravity": (f"{VECTOR} [m/s^2]", as_vector),
-    "distances": ("a tuple of GroupDistance", _distances),
+    "kind": ("a kind of measurement", lambda value: registry.get(value).name),
     "repeats": (f"one of {choices(REPEATS)}", lambda v: v if v in REPEATS else None),
     "boxes": ("a tuple of Box", checked_boxes),
-    "tracker": ("of type Tracker", _of(Tracker)),
-    "reflector": ("of type Reflector", _of(Reflector)),
 }
 
 #: The same of each value of the attributes that are mappings from names.
@@ -278,76 +241,74 @@ class Cell:
 
     Parameters are named as `calib inspect` prints them. A change is what is added to a parameter's nominal value, in
     its unit: [m], [rad], [rad/Nm], [m/N], or [rad/rad] for a gain.
-
-    Attributes:
-        target: shape (3,), position of the target in the tip [m]; None where it is not known.
-        estimate_target: Whether the targets are estimated with the robot (their start is found from the data).
-        T_frame_base: shape (4, 4), pose of the base in the measurement frame [m]; None where it is not given: then it
-            is estimated, or, if it is said to be known, the measurements are in the base frame itself.
-        estimate_frame: Whether the measurement frames are estimated.
-        sigma: Standard deviation of one measured coordinate or length [m]; None: found from the data.
-        priors: How large the robot's errors are expected to be.
-        model: What is estimated of the robot: ``"auto"``, as much as the measurements support, or a parameter set such
-            as ``"dh"``, and families of errors behind it, ``"dh+gain+compliance"``.
-        frozen: Names of parameters that stay at their nominal values.
-        base: Base link; None: left to the command line or the URDF.
-        tip: Tip link, likewise.
-        targets: Positions, shape (3,) each, of targets by name [m]; they win over ``target``.
-        target_rotation: shape (3, 3), R_tip_target, orientation of the targets in the tip; None where it is not known.
-        frames: Poses T_frame_base, shape (4, 4) each, by group [m]; they win over ``T_frame_base``.
-        frame_directions: Which of `DIRECTIONS`, the axes of the base, are estimated where frames are.
-        sigma_angle: Standard deviation of one measured angle [rad]; None: found from the data.
-        kind: Kind of all measurements; None: as the table says.
-        ties: Parameters that follow others, ``x_name = factor * x_other``: for each name the other's and the factor.
-        bounds: The least and the largest change of parameters by name; they contain 0.
-        parameter_priors: Standard deviations of the changes of single parameters; they win over ``priors``.
-        payload: What the tip carries; None: nothing.
-        gravity: shape (3,), acceleration of gravity in the URDF's root frame [m/s^2].
-        distances: Known distances between the fixed points of groups.
-        repeats: How rows of one pose count: ``"weighted"``: as the noise between them and the one they share say;
-            ``"average"``: as one row; ``"independent"``: each for itself.
-        held: Values of joints that have no column in the table [rad] or [m].
-        boxes: What the robot must not touch, and the beam not cross, where poses are planned.
-        tracker: Where the instrument stands, how far it sees and how well it measures; None: not known.
-        reflector: Where the reflector faces; None: it is turned by hand, and seen from everywhere.
-        ranges: The least and the largest value of joints by name, within which poses are planned [rad] or [m].
     """
 
-    target: NDArray[np.float64] | None = None
+    #: shape (3,), position of the target in the tip [m]; None where it is not known.
+    target: Array | None = None
+    #: Whether the targets are estimated with the robot (their start is found from the data).
     estimate_target: bool = True
-    T_frame_base: NDArray[np.float64] | None = None
-    estimate_frame: bool = False
+    #: shape (4, 4), pose of the base in the measurement frame [m]; None where it is not given: then it is estimated,
+    #: or, if it is said to be known, the measurements are in the base frame itself.
+    T_frame_base: Array | None = None
+    estimate_frame: bool = False  #: Whether the measurement frames are estimated.
+    #: Standard deviation of one measured coordinate or length [m]; None: found from the data.
     sigma: float | None = None
-    priors: Priors = field(default_factory=Priors)
+    priors: Priors = field(
+        default_factory=Priors
+    )  #: How large the robot's errors are expected to be.
+    #: What is estimated of the robot: ``"auto"``, as much as the measurements support, or a parameter set such as
+    #: ``"dh"``, and families of errors behind it, ``"dh+gain+compliance"``.
     model: str = AUTO
-    frozen: tuple[str, ...] = ()
-    base: str | None = None
-    tip: str | None = None
-    targets: Mapping[str, NDArray[np.float64]] = field(default_factory=_none)
-    target_rotation: NDArray[np.float64] | None = None
-    frames: Mapping[str, NDArray[np.float64]] = field(default_factory=_none)
+    frozen: tuple[str, ...] = ()  #: Names of parameters that stay at their nominal values.
+    base: str | None = None  #: Base link; None: left to the command line or the URDF.
+    tip: str | None = None  #: Tip link, likewise.
+    #: Positions, shape (3,) each, of targets by name [m]; they win over ``target``.
+    targets: Mapping[str, Array] = field(default_factory=_none)
+    #: shape (3, 3), R_tip_target, orientation of the targets in the tip; None where it is not known.
+    target_rotation: Array | None = None
+    #: Poses T_frame_base, shape (4, 4) each, by group [m]; they win over ``T_frame_base``.
+    frames: Mapping[str, Array] = field(default_factory=_none)
+    #: Which of `DIRECTIONS`, the axes of the base, are estimated where frames are.
     frame_directions: tuple[str, ...] = DIRECTIONS
+    #: Standard deviation of one measured angle [rad]; None: found from the data.
     sigma_angle: float | None = None
-    kind: str | None = None
+    kind: str | None = None  #: Kind of all measurements; None: as the table says.
+    #: Parameters that follow others, ``x_name = factor * x_other``: for each name the other's and the factor.
     ties: Mapping[str, tuple[str, float]] = field(default_factory=_none)
+    #: The least and the largest change of parameters by name; they contain 0.
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=_none)
+    #: Standard deviations of the changes of single parameters; they win over ``priors``.
     parameter_priors: Mapping[str, float] = field(default_factory=_none)
-    payload: Payload | None = None
-    gravity: NDArray[np.float64] = field(default_factory=lambda: read_only((0.0, 0.0, -9.81)))
-    distances: tuple[GroupDistance, ...] = ()
+    payload: Payload | None = None  #: What the tip carries; None: nothing.
+    #: shape (3,), acceleration of gravity in the URDF's root frame [m/s^2].
+    gravity: Array = field(default_factory=lambda: read_only((0.0, 0.0, -9.81)))
+    distances: tuple[
+        GroupDistance, ...
+    ] = ()  #: Known distances between the fixed points of groups.
+    #: How rows of one pose count: ``"weighted"``: as the noise between them and the one they share say; ``"average"``:
+    #: as one row; ``"independent"``: each for itself.
     repeats: str = "weighted"
+    #: Values of joints that have no column in the table [rad] or [m].
     held: Mapping[str, float] = field(default_factory=_none)
+    #: What the robot must not touch, and the beam not cross, where poses are planned.
     boxes: tuple[Box, ...] = ()
+    #: Where the instrument stands, how far it sees and how well it measures; None: not known.
     tracker: Tracker | None = None
+    #: Where the reflector faces; None: it is turned by hand, and seen from everywhere.
     reflector: Reflector | None = None
+    #: The least and the largest value of joints by name, within which poses are planned [rad] or [m].
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=_none)
 
     def __post_init__(self) -> None:
         """Check each value, and what belongs together; keep read-only copies."""
-        for f in fields(self):
-            value = getattr(self, f.name)
-            if value is not None or f.default is not None:
-                object.__setattr__(self, f.name, _checked(f.name, value))
+        for name, must in _FIELDS.items():
+            value = getattr(self, name)
+            if value is not None:
+                object.__setattr__(self, name, kept(value, f"A cell's {name}", *must))
+        for name, must in _NAMED.items():
+            given = getattr(self, name).items()
+            found = {k: kept(v, f"'{k}' in a cell's {name}", *must) for k, v in given}
+            object.__setattr__(self, name, MappingProxyType(found))
         if self.target is None and not self.targets and not self.estimate_target:
             raise CalibError(
                 'The target is said to be known but is not given. Give it (--target "x y z mm", or target_mm in the '
@@ -393,21 +354,3 @@ class Cell:
     def with_target(self, target: ArrayLike, *, estimate: bool = True) -> Cell:
         """The cell with this target [m], shape (3,)."""
         return replace(self, target=read_only(np.asarray(target)), estimate_target=estimate)
-
-
-def _checked(name: str, value: Any) -> Any:  # noqa: ANN401
-    """The value of an attribute as it is kept."""
-    if name == "kind":
-        return registry.get(value).name
-    if name not in _NAMED:
-        return kept(value, f"A cell's {name}", *_FIELDS[name])
-    given = kept(value, f"A cell's {name}", "a mapping from names", _by_name)
-    return MappingProxyType(
-        {k: kept(v, f"'{k}' in a cell's {name}", *_NAMED[name]) for k, v in given.items()}
-    )
-
-
-def _by_name(value: Any) -> Mapping[str, Any] | None:  # noqa: ANN401
-    """A mapping whose keys are names."""
-    good = isinstance(value, Mapping) and all(isinstance(k, str) and k.strip() for k in value)
-    return value if good else None
