@@ -1,123 +1,113 @@
-"""What all figures share: their list, their look, how they become files, axes and legends, and how rows are marked.
+"""What all pictures of a calibration share: the rows, their colours, and the look of figures.
 
 A figure belongs to no window and leaves no trace in matplotlib's global state. Names from files are plain text: none is
-read as a formula.
+read as a formula. Pages in the browser take the colours too, so matplotlib is loaded by what draws.
 """
 
 from __future__ import annotations
 
 import io
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from functools import partial
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.font_manager import get_font_names
-from matplotlib.layout_engine import ConstrainedLayoutEngine
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
-from matplotlib.patheffects import withStroke
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 
+from calib.data.measurements import Measurements
 from calib.errors import FileError, choices
-from calib.report.label_rows import (
-    CALIBRATED,
-    ESTIMATION,
-    GRID,
-    INK,
-    NOMINAL,
-    OUTLIER,
-    SOFT,
-    VALIDATION,
-    flagged_rows,
-)
+from calib.estimate.setup import Setup
 from calib.result.calibration import Calibration
+from calib.robot.robot import rigid_inverse
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+#: The robots; the rows that the fit has seen, those that it has not, and those that do not belong to the others.
+NOMINAL, CALIBRATED = "#45709c", "#ee8420"
+ESTIMATION, VALIDATION, OUTLIER = "#16202a", "#009e73", "#c8323c"
+
+#: Lines of sight, and what they come from.
+BEAM = "#a0569a"
+
+#: From little to much, from pale to dark: how often the target is somewhere, how badly a position is known.
+LITTLE_TO_MUCH = ("#fbe3b0", "#f5b13a", "#d6602a", "#8c2a4f")
+
+#: Text and axes, what stands behind them, and lines of a grid.
+INK, SOFT, GRID = "#16202a", "#5a6875", "#d8dee4"
+
 #: Kinds of picture files.
 KINDS = ("png", "svg", "pdf")
 
-#: Width of a figure over both columns of a page [in], and dots of a PNG for each of it.
-WIDTH, _DPI = 7.0, 180
+#: Width of a figure over both columns of a page [in].
+WIDTH = 7.0
 
 #: More markers than this are pixels in SVG and PDF: each shape takes a line of its file.
 MOST_SHAPES = 250
 
 #: Rows are numbered in a figure if there are not more than this.
-MOST_NUMBERS = 12
-
-#: What captions say of clipped markers.
-EDGE = "Outliers beyond the scale stand at its edge."
+_MOST_NUMBERS = 12
 
 #: Fonts that draw what DejaVu Sans lacks, where they are installed.
 _FALLBACKS = ("Noto Sans", "Noto Sans CJK JP", "Arial Unicode MS", "Microsoft YaHei", "PingFang SC")
 
 
-class FigureKind(NamedTuple):
-    """A figure: its key and file's stem, its section of the report, title, caption, and which calibrations have it.
+def flagged_rows(c: Calibration) -> Mask:
+    """The rows of either set that do not belong to the others, shape (N,)."""
+    return np.isin(c.measurements.rows, [one.row for one in (*c.outliers, *c.suspects)])
 
-    Words in braces in the caption are those of `calib.report.figures`.
+
+def lengths_of(residual: Array, used: Mask) -> Array:
+    """Size of each row's error of length, shape (N,), [m]; NaN where none was measured."""
+    return _norms(residual[:, :3], used[:, :3])
+
+
+def angles_of(residual: Array, used: Mask) -> Array:
+    """Size of each row's error of orientation, shape (N,), [rad]; NaN where none was measured."""
+    return _norms(residual[:, 3:], used[:, 3:])
+
+
+def _norms(values: Array, used: Mask) -> Array:
+    """Norms of rows, NaN where nothing is used."""
+    size = np.linalg.norm(np.where(used, values, 0.0), axis=1)
+    return np.where(np.any(used, axis=1), size, np.nan)
+
+
+def placed(setup: Setup, m: Measurements) -> tuple[Array, Array]:
+    """T_frame_base and T_tip_target of each row, shapes (N, 4, 4), [m]."""
+    frames = [setup.groups.index(group) for group in m.groups]
+    return setup.T_frame_base[frames], setup.T_tip_target[[*map(setup.targets.index, m.targets)]]
+
+
+def measured_in_base(m: Measurements, T_frame_base: Array) -> Array:
+    """Where the target was seen, in the base, shape (N, 3), [m]; NaN where that is not known.
+
+    A target in a socket was where its set-up's frame stands. Distances and planes tell no place.
     """
-
-    name: str
-    section: str
-    title: str
-    caption: str
-    applies: Callable[[Calibration], bool]
-    draw: Callable[[Calibration], Figure]
-
-    def __call__(self, c: Calibration) -> Figure:
-        """The figure of a calibration."""
-        return self.draw(c)
-
-
-def figure(
-    name: str, section: str, title: str, caption: str, applies: Callable[[Calibration], bool]
-) -> Callable[[Callable[[Calibration], Figure]], FigureKind]:
-    """A function that draws as a figure with its description."""
-    return partial(FigureKind, name, section, title, caption, applies)
-
-
-def always(_: Calibration) -> bool:
-    """For a figure of every calibration."""
-    return True
-
-
-def has_lengths(c: Calibration) -> bool:
-    """Whether any row measures a length or a position."""
-    return bool(np.any(c.used[:, :3]))
-
-
-def has_angles(c: Calibration) -> bool:
-    """Whether any row measures an orientation."""
-    return bool(np.any(c.used[:, 3:]))
-
-
-def has_axes(c: Calibration, rows: Mask | slice = slice(None)) -> bool:
-    """Whether any row has errors along x, y and z."""
-    used = c.used[rows]
-    return used.shape[1] >= 3 and bool(np.any(np.all(used[:, :3], axis=1)))
+    T_base_frame = rigid_inverse(T_frame_base)
+    points = np.einsum("nij,nj->ni", T_base_frame[:, :3, :3], np.nan_to_num(m.points))
+    known = m.where(lambda kind: kind.coordinates)
+    return np.where(known[:, None], points + T_base_frame[:, :3, 3], np.nan)
 
 
 @contextmanager
 def styled() -> Iterator[None]:
     """Matplotlib's defaults and the figures' look, whatever a user's matplotlibrc says, within the context."""
-    installed = set(get_font_names())
-    fonts = ["DejaVu Sans", *(name for name in _FALLBACKS if name in installed)]
-    pale = "#9aa7b4"
+    import matplotlib as mpl
+    from matplotlib.font_manager import get_font_names
+
+    installed, pale = set(get_font_names()), "#9aa7b4"
     with mpl.rc_context(), warnings.catch_warnings():
         # A name in letters that no font has is drawn as boxes; the terminal is no place to say so.
         warnings.filterwarnings("ignore", message=".*Glyph", category=UserWarning)
         mpl.rcdefaults()
-        mpl.rc("font", size=8.5, family=fonts)
+        mpl.rc("font", size=8.5, family=["DejaVu Sans", *(f for f in _FALLBACKS if f in installed)])
         mpl.rc("text", color=INK, parse_math=False)
         mpl.rc("axes", axisbelow=True, grid=True, edgecolor=pale, linewidth=0.7, labelcolor=INK)
         mpl.rc("axes", titlecolor=INK, titlelocation="left", titlesize=9.0, titleweight="bold")
@@ -125,7 +115,8 @@ def styled() -> Iterator[None]:
         mpl.rc("axes.spines", right=False, top=False)
         mpl.rc("grid", color=GRID, linewidth=0.6)
         mpl.rc("hatch", linewidth=0.7)
-        mpl.rc("legend", fontsize=8.0, frameon=False)
+        mpl.rc("legend", fontsize=8.0, frameon=False, handlelength=1.8, handletextpad=0.5)
+        mpl.rc("legend", columnspacing=1.6, borderaxespad=0.2)
         mpl.rc("xtick", color=pale, labelcolor=SOFT, labelsize=8.0)
         mpl.rc("ytick", color=pale, labelcolor=SOFT, labelsize=8.0)
         mpl.rc("pdf", fonttype=42)
@@ -133,7 +124,7 @@ def styled() -> Iterator[None]:
         yield
 
 
-def saved(figure: Figure, kind: str, title: str = "", caption: str = "", dpi: int = _DPI) -> bytes:
+def saved(figure: Figure, kind: str, title: str = "", caption: str = "", dpi: int = 180) -> bytes:
     """A figure as a file of one of `KINDS`: the same figure is the same bytes. Called within `styled`."""
     metadata: dict[str, dict[str, Any]] = {
         "png": {"Title": title, "Description": caption},
@@ -152,43 +143,39 @@ def check_kind(kind: str) -> None:
 
 
 def new_figure(height: float, width: float = WIDTH) -> Figure:
-    """An empty figure with room for a legend above; sizes in inches."""
-    layout = ConstrainedLayoutEngine(w_pad=0.05, h_pad=0.05, hspace=0.04, wspace=0.04)
-    return Figure(figsize=(width, height), layout=layout)
+    """An empty figure; sizes in inches."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
 
 
-def legend_above(figure: Figure, handles: Sequence[Any], columns: int = 4) -> None:
-    """A legend above all panels, where it hides nothing; so many columns side by side at most."""
-    look = {"handlelength": 1.8, "handletextpad": 0.5, "columnspacing": 1.6, "borderaxespad": 0.2}
-    if handles:
-        ncols = min(len(handles), columns)
-        figure.legend(handles=list(handles), loc="outside upper left", ncols=ncols, **look)
-
-
-def line(label: str, **look: Any) -> Line2D:  # noqa: ANN401
-    """A line or a marker for a legend."""
-    return Line2D([], [], label=label, **look)
-
-
-def area(label: str, **look: Any) -> Patch:  # noqa: ANN401
-    """An area for a legend."""
-    return Patch(label=label, **look)
+def legend_above(figure: Figure, columns: int = 4) -> None:
+    """A legend of every label above all panels, where it hides nothing; so many columns side by side at most."""
+    found: dict[str, Any] = {}
+    for ax in figure.axes:
+        if ax.get_legend() is None:
+            handles, labels = ax.get_legend_handles_labels()
+            for label, handle in zip(labels, handles, strict=True):
+                found.setdefault(label, handle)
+    if found:
+        ncols = min(len(found), columns)
+        figure.legend(found.values(), found, loc="outside upper left", ncols=ncols)
 
 
 def log_axis(ax: Axes, which: str) -> None:
     """A logarithmic scale ``"x"`` or ``"y"`` whose numbers are plain text."""
     axis = ax.xaxis if which == "x" else ax.yaxis
-    (ax.set_xscale if which == "x" else ax.set_yscale)("log")
-    axis.set_major_locator(LogLocator(numticks=8))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_formatter(NullFormatter())
+    ax.set(**{f"{which}scale": "log"})
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter("")
 
 
 def few_ticks(count: int, *, whole: bool = False) -> MaxNLocator:
     """At most so many steps between round numbers, or between whole ones."""
-    if whole:
-        return MaxNLocator(count, integer=True, min_n_ticks=1, steps=[1, 2, 5, 10])
-    return MaxNLocator(count, steps=[1, 2, 2.5, 5, 10])
+    from matplotlib.ticker import MaxNLocator
+
+    least = 1 if whole else 2
+    return MaxNLocator(count, integer=whole, min_n_ticks=least, steps=[1, 2, 2.5, 5, 10])
 
 
 def short_names(names: Sequence[str], longest: int = 26) -> list[str]:
@@ -212,8 +199,8 @@ class Who(NamedTuple):
 
     @property
     def area(self) -> dict[str, Any]:
-        """How its boxes and bars are drawn, but for their face."""
-        return {"alpha": 0.5, "edgecolor": self.colour, "hatch": self.hatch}
+        """How its boxes and bars are drawn."""
+        return {"alpha": 0.5, "fc": self.colour, "ec": self.colour, "hatch": self.hatch}
 
 
 BEFORE = Who("before (nominal)", NOMINAL, "s", "--", "////")
@@ -221,7 +208,7 @@ AFTER = Who("after (calibrated)", CALIBRATED, "o", "-", "")
 
 
 class RowKind(NamedTuple):
-    """Rows of one kind, shape (N,), and how they are marked everywhere; markers of outliers are not filled."""
+    """Rows of one kind, shape (N,), and how they are marked everywhere."""
 
     word: str
     mask: Mask
@@ -230,18 +217,13 @@ class RowKind(NamedTuple):
     size: float
 
     def style(self, factor: float = 1.0) -> dict[str, Any]:
-        """Of a line of markers, smaller where many rows are drawn."""
+        """Of a line of markers, smaller where many rows are drawn; labelled with their number."""
         out, every = self.word == "outlier", int(np.count_nonzero(self.mask))
         size = factor * self.size * (0.5 if every > (40 if out else 400) else 1.0)
-        look = {"linestyle": "none", "marker": self.marker, "markersize": size}
-        look |= {"markerfacecolor": "none" if out else self.colour}
+        label = rows_text(self.mask, self.word, "" if out else " row")
+        look = {"ls": "none", "marker": self.marker, "ms": size, "color": self.colour}
         edge = self.colour if out or every > 400 else "white"
-        return look | {"markeredgecolor": edge, "markeredgewidth": 1.4 if out else 0.4}
-
-    def handle(self) -> Line2D:
-        """For a legend, with the number of rows."""
-        label = rows_text(self.mask, self.word, "" if self.word == "outlier" else " row")
-        return line(label, **self.style() | {"markersize": self.size})
+        return look | {"mec": edge, "mew": 1.4 if out else 0.4, "label": label}
 
 
 def row_kinds(c: Calibration) -> tuple[RowKind, ...]:
@@ -264,19 +246,11 @@ def rows_text(mask: Mask, word: str, what: str = " row") -> str:
 def number_points(ax: Axes, rows: Sequence[int], places: Array, chosen: Mask) -> None:
     """Row numbers beside some of the points of shape (N, 2), if they are few."""
     at = np.flatnonzero(chosen & np.isfinite(places).all(axis=1)).tolist()
-    for k in at if len(at) <= MOST_NUMBERS else ():
+    for k in at if len(at) <= _MOST_NUMBERS else ():
         write_beside(ax, str(rows[k]), places[k])
 
 
 def write_beside(ax: Axes, text: str, at: Array) -> None:
     """A short text to the right of and above a point."""
-    ax.annotate(
-        text,
-        (float(at[0]), float(at[1])),
-        (4.0, 3.0),
-        textcoords="offset points",
-        size=7.5,
-        color=INK,
-        zorder=5,
-        path_effects=[withStroke(linewidth=2.0, foreground="white")],
-    ).set_in_layout(False)
+    where: dict[str, Any] = {"xytext": (4.0, 3.0), "textcoords": "offset points", "zorder": 5}
+    ax.annotate(text, (at[0], at[1]), size=7.5, color=INK, **where).set_in_layout(False)

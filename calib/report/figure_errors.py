@@ -1,4 +1,4 @@
-"""Errors before and after: over the rows, by axis, and how often which size occurs."""
+"""Errors before and after: over the rows, by axis, how often which size occurs, and along each joint's motion."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 import calib.report.figure_base as base
-import calib.report.label_rows as labels
 from calib.estimate.statistics import CrossValidation
 from calib.result.calibration import Calibration
 
@@ -24,28 +23,36 @@ _MOST_MARKERS, _MOST_LINES = 80, 1000
 #: Residuals are drawn up to so many standard deviations.
 _REACH = 5.0
 
-_BY_ROW = (
-    "of all rows, {rows}, in the order of the table, [UNIT]: before and after calibration "
-    f"above, after it alone below. Dashes: rows predicted by fits that have not seen them. {base.EDGE}"
-)
-_BY_AXIS = (
-    "the axes of the measurement frame, measured minus predicted, [UNIT], of {rows}. Above, both robots; below, the "
-    "calibrated one alone, without outliers. Boxes hold the middle half of the rows and their median; whiskers reach "
-    "from 5 to 95 %."
-)
+#: A step that derivatives are taken with [rad] or [m]; a joint that moves the target less has no direction [m/rad].
+_STEP, _NO_LEVER = 1e-6, 2e-3
+
+#: The mean over runs of rows is drawn from so many rows on, over so many runs at most.
+_FEWEST_ROWS, _MOST_RUNS = 24, 12
 
 
-class _What(NamedTuple):
-    """Lengths, or orientations: their columns of the residuals, size, factor and unit."""
+class What(NamedTuple):
+    """Lengths, or orientations: their columns of the residuals, size, factor and unit, and what axes are to them."""
 
     columns: slice
     size: Callable[[Array, Mask], Array]
     scale: float
     unit: str
+    word: str
+
+    def both(self, c: Calibration) -> list[Array]:
+        """The size of each row's error, nominal and calibrated, in the unit."""
+        residuals = c.residual_nominal, c.residual_calibrated
+        return [self.scale * self.size(residual, c.used) for residual in residuals]
 
 
-_LENGTH = _What(slice(0, 3), labels.lengths_of, 1e3, "mm")
-_ANGLE = _What(slice(3, 6), labels.angles_of, float(np.degrees(1.0)), "deg")
+LENGTH = What(slice(0, 3), base.lengths_of, 1e3, "mm", "along")
+ANGLE = What(slice(3, 6), base.angles_of, float(np.degrees(1.0)), "deg", "about")
+
+
+def has_axes(c: Calibration, rows: Mask | slice = slice(None)) -> bool:
+    """Whether any row has errors along x, y and z."""
+    used = c.used[rows]
+    return used.shape[1] >= 3 and bool(np.any(np.all(used[:, :3], axis=1)))
 
 
 def curve_rows(c: Calibration) -> tuple[str, Mask, Array, Array]:
@@ -72,29 +79,21 @@ def _left_out(c: Calibration, found: CrossValidation | None) -> Array | None:
     return residual
 
 
-@base.figure(
-    "error-curves",
-    "errors",
-    "Errors before and after calibration",
-    "Errors along x, y and z and their size, or the error of the length where a row measures one, measured minus "
-    "predicted, [mm], on {curve_rows}: by the nominal robot (dashed) and by the calibrated one (solid).",
-    base.has_lengths,
-)
 def curves(c: Calibration) -> Figure:
     """As the paper's figure 8. Lengths have one panel: their errors with their signs."""
     word, mask, before, after = curve_rows(c)
-    axes_too = base.has_axes(c, mask)
+    axes_too = has_axes(c, mask)
     whole = np.all(c.used[mask, :3], axis=1) if axes_too else c.used[mask, 0]
     rows = np.array(c.measurements.rows)[mask]
-    drawn = base.new_figure(4.9 if axes_too else 2.8)
-    panels = drawn.subplots(*((2, 2) if axes_too else (1, 1)), sharex=True, squeeze=False)
+    figure = base.new_figure(4.9 if axes_too else 2.8)
+    panels = figure.subplots(*((2, 2) if axes_too else (1, 1)), sharex=True, squeeze=False)
     *signed, last = panels.ravel()
     for who, residual in ((base.BEFORE, before), (base.AFTER, after)):
         for k, ax in enumerate(signed or [last]):
             _curve(ax, rows, np.where(whole, 1e3 * residual[mask, k], np.nan), who)
             ax.set_title(f"Δ{'xyz'[k]}" if axes_too else "Error of the length")
         if axes_too:
-            _curve(last, rows, 1e3 * labels.lengths_of(residual, c.used)[mask], who)
+            _curve(last, rows, 1e3 * base.lengths_of(residual, c.used)[mask], who)
     if axes_too:
         last.set_title("Size of the error")
         last.set_ylim(bottom=0.0)
@@ -103,26 +102,23 @@ def curves(c: Calibration) -> Figure:
         for ax in signed:
             ax.set_ylim(-reach, reach)
     for ax in panels.ravel():
-        ax.axhline(0.0, color=labels.INK, lw=0.7, zorder=1.5)
+        ax.axhline(0.0, color=base.INK, lw=0.7, zorder=1.5)
         ax.xaxis.set_major_locator(base.few_ticks(6 if axes_too else 10, whole=True))
         ax.set_ylabel("error [mm]")
     for ax in panels[-1]:
         ax.set_xlabel(f"{word} row")
-    base.legend_above(drawn, _curve_handles(len(rows)))
-    return drawn
+    base.legend_above(figure)
+    return figure
 
 
-def _by_row(c: Calibration, what: _What) -> Figure:
+def by_row(c: Calibration, what: What = LENGTH) -> Figure:
     """The size of each row's error: before and after above; after alone below."""
-    m, rows, others = c.measurements, np.array(c.measurements.rows), ~labels.flagged_rows(c)
-    before, after = (
-        what.scale * what.size(r, c.used) for r in (c.residual_nominal, c.residual_calibrated)
-    )
-    drawn = base.new_figure(4.6)
-    top, below = drawn.subplots(2, 1, sharex=True)
+    rows, others = np.array(c.measurements.rows), ~base.flagged_rows(c)
+    before, after = what.both(c)
+    figure = base.new_figure(4.6)
+    top, below = figure.subplots(2, 1, sharex=True)
     _curve(top, rows, before, base.BEFORE)
     _curve(top, rows, after, base.AFTER)
-    handles = _curve_handles(len(rows))
     kinds = [kind for kind in base.row_kinds(c) if np.any(np.isfinite(after[kind.mask]))]
     reach = float(np.nanmax(after[others], initial=1e-3))
     unseen = _left_out(c, c.cross_validation)
@@ -132,9 +128,8 @@ def _by_row(c: Calibration, what: _What) -> Figure:
     elif unseen is not None:
         dashes = np.where(others, what.scale * what.size(unseen, c.used), np.nan)
         reach = float(np.nanmax(dashes, initial=reach))
-        look = {"ls": "none", "marker": "_", "ms": 7, "mew": 1.1, "color": labels.SOFT}
-        below.plot(rows, dashes, **look)
-        handles.append(base.line("left out of the fit", **look))
+        look = {"ls": "none", "marker": "_", "ms": 7, "mew": 1.1, "color": base.SOFT}
+        below.plot(rows, dashes, label="left out of the fit", **look)
     # Outliers far above the others stand at the edge: above they are drawn to scale.
     after = np.where(others, after, np.minimum(after, 1.25 * reach))
     for kind in kinds:
@@ -142,8 +137,7 @@ def _by_row(c: Calibration, what: _What) -> Figure:
         if len(rows) <= _MOST_MARKERS:
             below.vlines(rows[at], 0.0, after[at], color=kind.colour, lw=0.9, alpha=0.6)
         below.plot(rows[at], after[at], **kind.style())
-        handles.append(kind.handle())
-    base.number_points(below, m.rows, np.stack([rows, after], axis=1), ~others)
+    base.number_points(below, c.measurements.rows, np.stack([rows, after], axis=1), ~others)
     for ax, title in ((top, "Before and after"), (below, "After")):
         ax.set_title(title)
         ax.set_ylabel(f"size of the error [{what.unit}]")
@@ -151,37 +145,21 @@ def _by_row(c: Calibration, what: _What) -> Figure:
     below.set_xlabel("row")
     top.set_ylim(bottom=0.0)
     below.set_ylim(0.0, 1.32 * reach)
-    base.legend_above(drawn, handles, 3)
-    return drawn
+    base.legend_above(figure, 3)
+    return figure
 
 
-by_row = base.figure(
-    "errors-by-pose",
-    "errors",
-    "Error by row",
-    "Size of the error of the position, or of the length, " + _BY_ROW.replace("UNIT", "mm"),
-    base.has_lengths,
-)(lambda c: _by_row(c, _LENGTH))
-turned_by_row = base.figure(
-    "orientation-errors-by-pose",
-    "errors",
-    "Orientation error by row",
-    "Angle between measured and predicted orientation " + _BY_ROW.replace("UNIT", "deg"),
-    base.has_angles,
-)(lambda c: _by_row(c, _ANGLE))
-
-
-def _by_axis(c: Calibration, what: _What) -> Figure:
+def by_axis(c: Calibration, what: What = LENGTH) -> Figure:
     """How errors along or about each axis spread: sets of rows before and after; after alone below, magnified."""
-    m, flagged, columns = c.measurements, labels.flagged_rows(c), what.columns
-    word, whole = "about" if what is _ANGLE else "along", np.all(c.used[:, columns], axis=1)
+    m, flagged, columns = c.measurements, base.flagged_rows(c), what.columns
+    whole = np.all(c.used[:, columns], axis=1)
     before, after = (
         what.scale * r[:, columns] for r in (c.residual_nominal, c.residual_calibrated)
     )
     sets = [("estimation", m.estimation & whole), ("validation", m.validation & whole)]
     sets = [(name, mask) for name, mask in sets if np.any(mask)]
-    drawn = base.new_figure(4.6)
-    panels = drawn.subplots(2, len(sets), squeeze=False, sharey="row", sharex=True)
+    figure = base.new_figure(4.6)
+    panels = figure.subplots(2, len(sets), squeeze=False, sharey="row", sharex=True)
     for (upper, lower), (name, mask) in zip(panels.T, sets, strict=True):
         _boxes(upper, before[mask], -0.19, base.BEFORE)
         _boxes(upper, after[mask], 0.19, base.AFTER)
@@ -189,77 +167,46 @@ def _by_axis(c: Calibration, what: _What) -> Figure:
         upper.set_title(base.rows_text(mask, name))
         lower.set_title("After, " + ("without outliers" if np.any(flagged[mask]) else "alone"))
         for ax in (upper, lower):
-            ax.axhline(0.0, color=labels.INK, lw=0.7, zorder=1.5)
+            ax.axhline(0.0, color=base.INK, lw=0.7, zorder=1.5)
             ax.grid(visible=False, axis="x")
-        lower.set_xticks(range(3), [f"about {axis}" if what is _ANGLE else axis for axis in "xyz"])
+        lower.set_xticks(range(3), [f"about {axis}" if what is ANGLE else axis for axis in "xyz"])
     for ax in panels[:, 0]:
-        ax.set_ylabel(f"error {word} the axis [{what.unit}]")
-    base.legend_above(drawn, _area_handles())
-    return drawn
+        ax.set_ylabel(f"error {what.word} the axis [{what.unit}]")
+    base.legend_above(figure)
+    return figure
 
 
-by_axis = base.figure(
-    "errors-by-axis",
-    "errors",
-    "Position error by axis",
-    "Errors along " + _BY_AXIS.replace("UNIT", "mm"),
-    base.has_axes,
-)(lambda c: _by_axis(c, _LENGTH))
-turned_by_axis = base.figure(
-    "orientation-errors-by-axis",
-    "errors",
-    "Orientation error by axis",
-    "Errors about " + _BY_AXIS.replace("UNIT", "deg"),
-    base.has_angles,
-)(lambda c: _by_axis(c, _ANGLE))
-
-
-@base.figure(
-    "histograms",
-    "errors",
-    "How often which error occurs",
-    "Left: size of the error of all rows, {rows}, before and after, on a logarithmic scale. Right: each number that "
-    "was measured in the estimation rows, less what the calibrated robot predicts, over its estimated noise; if the "
-    "model is complete, it follows the normal distribution.",
-    base.always,
-)
 def histograms(c: Calibration) -> Figure:
     """How often which size of error occurs, and whether the residuals look like noise."""
-    drawn = base.new_figure(2.9)
-    left, right = drawn.subplots(1, 2)
-    what = _LENGTH if base.has_lengths(c) else _ANGLE
-    before, after = (
-        what.scale * what.size(r, c.used) for r in (c.residual_nominal, c.residual_calibrated)
-    )
-    before, after = before[np.isfinite(before)], after[np.isfinite(after)]
+    figure = base.new_figure(2.9)
+    left, right = figure.subplots(1, 2)
+    what = LENGTH if np.any(c.used[:, :3]) else ANGLE
+    before, after = (sizes[np.isfinite(sizes)] for sizes in what.both(c))
     # Even in the logarithm; what is far below the median is put into the first bin.
     top = max(float(np.max([before, after])), 1e-6)
     low = min(max(0.05 * float(np.median(after)), 1e-6 * top), 0.5 * top)
     bins = np.geomspace(low, 1.001 * top, int(np.clip(2.0 * np.sqrt(len(after)) + 5, 9, 61)))
-    look = {"histtype": "stepfilled", "lw": 1.2}
     for who, values in ((base.BEFORE, before), (base.AFTER, after)):
-        left.hist(np.maximum(values, low), list(bins), color=who.colour, **look, **who.area)
+        shown = np.maximum(values, low)
+        left.hist(shown, list(bins), histtype="stepfilled", label=who.word, **who.area)
     base.log_axis(left, "x")
-    left.set_xlabel(f"size of the error [{what.unit}]")
-    left.set_ylabel("rows")
+    left.set(xlabel=f"size of the error [{what.unit}]", ylabel="rows")
     left.set_title(f"All {len(after):,} rows")
     values = scaled_residuals(c)
     edges = np.linspace(-_REACH, _REACH, int(np.clip(np.sqrt(len(values)) * 1.5, 8, 50)) + 1)
-    right.hist(values, list(edges), color=base.AFTER.colour, **look, **base.AFTER.area)
+    right.hist(values, list(edges), histtype="stepfilled", **base.AFTER.area)
     t = np.linspace(-_REACH, _REACH, 201)
     normal = np.exp(-0.5 * t**2) / np.sqrt(2.0 * np.pi) * len(values) * (edges[1] - edges[0])
-    right.plot(t, normal, color=labels.INK, lw=1.2, ls="--", label="normal")
-    right.set_xlabel("residual / its noise")
-    right.set_ylabel("measured numbers")
+    right.plot(t, normal, color=base.INK, lw=1.2, ls="--", label="normal")
+    right.set(xlabel="residual / its noise", ylabel="measured numbers")
     right.set_title(f"{len(values):,} numbers of estimation rows")
     outside = int(np.sum(np.abs(values) > _REACH))
     if outside:
         right.plot([], [], ls="none", label=f"{outside:,} beyond ±{_REACH:g}")
-    right.legend(loc="upper right", handlelength=1.6)
     for ax in (left, right):
         ax.yaxis.set_major_locator(base.few_ticks(6, whole=True))
-    base.legend_above(drawn, _area_handles())
-    return drawn
+    base.legend_above(figure)
+    return figure
 
 
 def scaled_residuals(c: Calibration) -> Array:
@@ -269,34 +216,106 @@ def scaled_residuals(c: Calibration) -> Array:
     return np.asarray((residual / problem.scales)[problem.rows.used])
 
 
+def tells_of_joints(c: Calibration) -> Mask:
+    """The rows whose residual lies along joints' motions, shape (N,); lengths between two rows belong to both."""
+    return np.asarray(c.used[:, 0] & ~c.measurements.of_kind("pair"))
+
+
+def joints(c: Calibration) -> Figure:
+    """The part r.g / |g| of each residual r, g the derivative of the predicted position by the joint's value."""
+    chosen, flagged = tells_of_joints(c), base.flagged_rows(c)
+    parts = 1e3 * along_joints(c)
+    parts[~chosen] = np.nan
+    q = c.measurements.joints_for(c.nominal.joint_names)
+    fitted = c.measurements.estimation & chosen & ~flagged
+    names = base.short_names(c.nominal.joint_names)
+    columns = 2 if len(names) in (2, 4) else min(len(names), 3)
+    lines = -(-len(names) // columns)
+    figure = base.new_figure(1.65 * lines + 0.6)
+    panels = figure.subplots(lines, columns, squeeze=False, sharey=True)
+    reach = max(1.15 * float(np.nanmax(np.abs(parts[~flagged]), initial=0.0)), 1e-3)
+    for ax in panels.ravel()[len(names) :]:
+        ax.remove()
+    for j, (ax, joint) in enumerate(zip(panels.ravel(), c.nominal.inputs, strict=False)):
+        scale, unit = (1e3, "mm") if joint.type == "prismatic" else (np.degrees(1.0), "deg")
+        ax.axhline(0.0, color=base.INK, lw=0.7, zorder=1.5)
+        for kind in base.row_kinds(c):
+            if np.any(kind.mask & chosen):
+                at = np.clip(parts[kind.mask, j], -reach, reach)
+                look = {"rasterized": len(q) > base.MOST_SHAPES, "zorder": 2}
+                ax.plot(scale * q[kind.mask, j], at, **look, **kind.style(0.8))
+        if np.all(np.isnan(parts[:, j])):
+            word = "does not move the target"
+            ax.text(0.5, 0.7, word, transform=ax.transAxes, ha="center", color=base.SOFT)
+        elif np.count_nonzero(fitted) >= _FEWEST_ROWS:
+            _mean(ax, scale * q[fitted, j], parts[fitted, j])
+        ax.set_ylim(-1.08 * reach, 1.08 * reach)
+        ax.set_title(names[j], size=8.5)
+        ax.set_xlabel(f"joint value [{unit}]")
+        ax.xaxis.set_major_locator(base.few_ticks(4))
+    for ax in panels[:, 0]:
+        ax.set_ylabel("residual [mm]")
+    base.legend_above(figure)
+    return figure
+
+
+def along_joints(c: Calibration) -> Array:
+    """The part of each row's residual along each joint's motion of the target, shape (N, m), [m]; NaN without one."""
+    m = c.measurements
+    q = m.joints_for(c.nominal.joint_names)
+    T_frame_base, T_tip_target = base.placed(c.setup, m)
+
+    def places(q: Array) -> Array:
+        """Predicted positions in the measurement frame."""
+        return np.asarray((T_frame_base @ c.robot.poses(q) @ T_tip_target)[:, :3, 3])
+
+    at = places(q)
+    # Of a distance the part along the beam counts, of a plane that along its normal.
+    beam = at / np.maximum(np.linalg.norm(at, axis=1, keepdims=True), 1e-12)
+    distance, plane = m.of_kind("distance"), m.of_kind("plane")
+    residual = np.where(c.used, c.residual_calibrated, 0.0)[:, :3]
+    result = np.full(q.shape, np.nan)
+    for j, step in enumerate(_STEP * np.eye(q.shape[1])):
+        move = (places(q + step) - places(q - step)) / (2.0 * _STEP)
+        move[distance, 0] = np.sum(beam[distance] * move[distance], axis=1)
+        move[plane, 0] = move[plane, 2]
+        move[distance | plane, 1:] = 0.0
+        move = move[:, : residual.shape[1]]
+        length = np.linalg.norm(move, axis=1)
+        part = np.sum(residual * move, axis=1) / np.maximum(length, 1e-12)
+        result[:, j] = np.where(length > _NO_LEVER, part, np.nan)
+    return result
+
+
+def _mean(ax: Axes, at: Array, parts: Array) -> None:
+    """The mean over runs of rows that are neighbours in the joint's value, twice its standard error about it."""
+    order = np.argsort(at, kind="stable")
+    order = order[np.isfinite(parts[order])]
+    count = min(len(order) // 8, _MOST_RUNS)
+    runs = [(at[run], parts[run]) for run in np.array_split(order, count)]
+    x, mean = np.array([(np.mean(q), np.mean(p)) for q, p in runs]).T
+    error = np.array([np.std(p, ddof=1) / np.sqrt(len(p)) for _, p in runs])
+    look: dict[str, Any] = {"color": base.CALIBRATED, "zorder": 3}
+    label = "mean of the estimation rows ± 2 standard errors"
+    ax.fill_between(x, mean - 2 * error, mean + 2 * error, alpha=0.45, lw=0, label=label, **look)
+    ax.plot(x, mean, lw=1.3, **look)
+
+
 def _curve(ax: Axes, rows: NDArray[np.int_], values: Array, who: base.Who) -> None:
     """A curve over rows; with markers where they are few, as pixels where they are many."""
     # A line leads over rows that hold nothing, such as the second ones of pairs: gaps would leave nothing of it.
     rows, values = rows[np.isfinite(values)], values[np.isfinite(values)]
     few = len(values) <= _MOST_MARKERS
-    look: dict[str, Any] = {"color": who.colour, "ls": who.line if few else "-", "zorder": 3}
-    look |= {"marker": who.marker if few else "", "ms": 4.2 if len(values) <= 40 else 3.0}
+    look: dict[str, Any] = {"color": who.colour, "label": who.word, "zorder": 3}
+    look |= {"ls": who.line, "marker": who.marker, "ms": 3.6} if few else {}
     many = len(values) > _MOST_LINES
     ax.plot(rows, values, lw=1.3 if few else 0.6, mec="white", mew=0.4, rasterized=many, **look)
 
 
-def _curve_handles(count: int) -> list[Any]:
-    """The legend of before and after over so many rows."""
-    few = count <= _MOST_MARKERS
-    look: dict[str, Any] = {"mec": "white", "mew": 0.4, "ms": 4.2}
-    return [
-        base.line(
-            who.word,
-            **look | {"color": who.colour, "ls": who.line if few else "-"},
-            marker=who.marker if few else "",
-        )
-        for who in (base.BEFORE, base.AFTER)
-    ]
-
-
 def _boxes(ax: Axes, values: Array, shift: float, who: base.Who) -> None:
     """A box for each of three columns."""
-    ax.boxplot(
+    line = {"color": who.colour, "lw": 1.4}
+    found = ax.boxplot(
         list(values.T),
         positions=[k + shift for k in range(3)],
         widths=0.3,
@@ -304,15 +323,9 @@ def _boxes(ax: Axes, values: Array, shift: float, who: base.Who) -> None:
         showfliers=False,
         patch_artist=True,
         manage_ticks=False,
-        boxprops={"facecolor": who.colour, "lw": 1.0, **who.area},
-        medianprops={"color": labels.INK, "lw": 1.4},
-        whiskerprops={"color": who.colour, "lw": 1.4},
-        capprops={"color": who.colour, "lw": 1.4},
+        boxprops=who.area,
+        medianprops={"color": base.INK, "lw": 1.4},
+        whiskerprops=line,
+        capprops=line,
     )
-
-
-def _area_handles() -> list[Any]:
-    """The legend of boxes and bars."""
-    return [
-        base.area(who.word, facecolor=who.colour, **who.area) for who in (base.BEFORE, base.AFTER)
-    ]
+    found["boxes"][0].set_label(who.word)

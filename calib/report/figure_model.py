@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import calib.report.figure_base as base
 from calib.model.families import unit_of
 from calib.model.parameters import FRAME, TARGET
-from calib.report.label_rows import CALIBRATED, INK, NOMINAL, OUTLIER, SOFT
+from calib.report.figure_base import CALIBRATED, INK, NOMINAL, OUTLIER, SOFT
 from calib.result.calibration import Calibration
 from calib.result.prediction import ParameterEstimate
 from calib.text.summary import errorless
@@ -26,10 +26,12 @@ _FLOOR = 1e-7
 #: What the parameters of each unit are called.
 _TITLES = {"m": "Lengths", "rad": "Angles", "1": "Gear ratios and sines", "rad/Nm": "Compliances"}
 
-#: How a parameter is drawn, its marker, edge and face, and what that means.
-_KNOWN = "o", "#b85c06", "#b85c06", "change, 95 % interval"
-_TOGETHER = "o", SOFT, "white", "known in combination with others only"
-_BOUND = "s", INK, INK, "stopped by a bound"
+#: How a parameter is drawn, and what that means.
+_INTERVAL: dict[str, Any] = {"capsize": 2.0, "ls": "none", "lw": 1.3, "ms": 4.6, "mew": 1.1}
+_KNOWN: dict[str, Any] = {"marker": "o", "color": "#b85c06", "label": "change, 95 % interval"}
+_TOGETHER: dict[str, Any] = {"marker": "o", "color": SOFT, "mfc": "white"}
+_TOGETHER |= {"label": "known in combination with others only"}
+_BOUND: dict[str, Any] = {"marker": "s", "color": INK, "label": "stopped by a bound"}
 
 #: What models that were tried were chosen for, and how they are drawn.
 _CHOSEN = {
@@ -39,14 +41,6 @@ _CHOSEN = {
 }
 
 
-@base.figure(
-    "convergence",
-    "method",
-    "Convergence of the solver",
-    "Cost, length of the step and, where there is one, damping over the {iterations} iterations of the solver "
-    "'{solver}' on the {estimation}, on logarithmic scales. The cost jumps where weights and noise are set anew.",
-    lambda c: len(c.solution.history) > 0,
-)
 def convergence(c: Calibration) -> Figure:
     """Cost, length of the step and damping over the solver's iterations."""
     history = c.solution.history
@@ -60,20 +54,19 @@ def convergence(c: Calibration) -> Figure:
     figure = base.new_figure(len(series) + 0.7)
     panels = figure.subplots(len(series), 1, sharex=True)
     cross: dict[str, Any] = {"ls": "none", "marker": "x", "ms": 4.5, "mew": 1.2, "color": OUTLIER}
+    cross["label"] = "step not taken: it would have raised the cost"
     for ax, (name, values, taken) in zip(panels, series, strict=True):
         shown = np.maximum(values, max(float(values.max()) * 1e-18, 1e-30))
         at = np.arange(len(values))
         ax.plot(at, shown, color=INK, lw=1.1)
-        ax.plot(at[taken], shown[taken], ls="none", marker="o", ms=3.6, color=INK)
-        ax.plot(at[~taken], shown[~taken], **cross)
+        ax.plot(at[taken], shown[taken], "o", ms=3.6, color=INK, label="step taken")
+        if not np.all(taken):
+            ax.plot(at[~taken], shown[~taken], **cross)
         base.log_axis(ax, "y")
         ax.xaxis.set_major_locator(base.few_ticks(10, whole=True))
         ax.set_ylabel(name)
     panels[-1].set_xlabel("iteration")
-    handles = [base.line("step taken", color=INK, marker="o", ms=4, lw=1.1)]
-    if not np.all(accepted):
-        handles.append(base.line("step not taken: it would have raised the cost", **cross))
-    base.legend_above(figure, handles)
+    base.legend_above(figure)
     return figure
 
 
@@ -96,15 +89,6 @@ def shown_parameters(c: Calibration) -> tuple[ParameterEstimate, ...]:
     return (*own, *(p for p in more if p.name not in c.model.names))
 
 
-@base.figure(
-    "parameter-changes",
-    "parameters",
-    "Changes of the parameters",
-    "Change of each parameter from its nominal value with its 95 % interval, estimated from {estimation}. An interval "
-    "that does not reach the dashed line is a change that the data show. Parameters of kinds of which no errors were "
-    "found stayed nominal and are not shown.",
-    lambda c: len(shown_parameters(c)) > 0,
-)
 def changes(c: Calibration) -> Figure:
     """The change of each parameter with its 95 % interval; a panel for each unit, two side by side."""
     shown = shown_parameters(c)
@@ -115,16 +99,14 @@ def changes(c: Calibration) -> Figure:
     heights = [0.16 * max(3, *map(len, pair)) + 0.75 for pair in pairs]
     figure = base.new_figure(sum(heights) + 0.4)
     grid = figure.add_gridspec(len(pairs), min(len(grouped), 2), height_ratios=heights)
-    kinds = {
-        p.name: _BOUND if p.at_bound else _KNOWN if p.identifiable else _TOGETHER for p in shown
-    }
     for k, parameters in enumerate(grouped):
         unit = parameters[0].unit
         scale, word = (float(np.degrees(1.0)), "deg") if unit == "rad" else unit_of(unit).shown
         ax = figure.add_subplot(grid[k // 2, k % 2])
         for y, p in enumerate(parameters):
             half = 0.0 if p.at_bound else 0.5 * scale * (p.high - p.low)
-            ax.errorbar(scale * p.delta, y, xerr=half, capsize=2.0, **_look(*kinds[p.name][:3]))
+            look = _BOUND if p.at_bound else _KNOWN if p.identifiable else _TOGETHER
+            ax.errorbar(scale * p.delta, y, xerr=half, **_INTERVAL, **look)
         names = base.short_names([p.name for p in parameters])
         ax.axvline(0.0, color=NOMINAL, lw=1.2, ls="--")
         ax.set_yticks(range(len(names)), names, size=7.5 if len(names) <= 40 else 6.5)
@@ -132,19 +114,8 @@ def changes(c: Calibration) -> Figure:
         ax.xaxis.set_major_locator(base.few_ticks(5))
         ax.set_xlabel(f"change from nominal [{word.replace('urad', 'µrad')}]")
         ax.set_title(_TITLES.get(unit, "Others"))
-    handles = [
-        base.line(kind[3], **_look(*kind[:3]) | {"linestyle": "-"})
-        for kind in (_KNOWN, _TOGETHER, _BOUND)
-        if kind in kinds.values()
-    ]
-    base.legend_above(figure, handles, 3)
+    base.legend_above(figure, 3)
     return figure
-
-
-def _look(marker: str, edge: str, face: str) -> dict[str, Any]:
-    """A dot on its interval."""
-    dot = {"marker": marker, "markersize": 4.6, "markerfacecolor": face, "markeredgecolor": edge}
-    return {"linestyle": "none", "color": edge, "linewidth": 1.3, "markeredgewidth": 1.1, **dot}
 
 
 def correlation_indices(c: Calibration) -> list[int]:
@@ -152,15 +123,6 @@ def correlation_indices(c: Calibration) -> list[int]:
     return [k for k, p in enumerate(c.parameters) if p.identifiable and not p.at_bound]
 
 
-@base.figure(
-    "correlations",
-    "parameters",
-    "Correlations of the parameters",
-    "Correlation of each pair of the parameters that the measurements determine, from the covariance of the fit to "
-    "the estimation rows. The area of a square is the size of the correlation; it fills its cell at ±1. Pairs near ±1 "
-    "are known together better than apart.",
-    lambda c: len(correlation_indices(c)) > 1,
-)
 def correlations(c: Calibration) -> Figure:
     """The correlation of each pair of parameters, as squares whose area is its size."""
     chosen = correlation_indices(c)
@@ -178,29 +140,19 @@ def correlations(c: Calibration) -> Figure:
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     squares = np.stack([j, i], axis=1)[:, None, :] + half[:, None, None] * corners
     looks = (("positive", 1.0, CALIBRATED, CALIBRATED), ("negative", -1.0, "white", NOMINAL))
-    for _, sign, face, edge in looks:
+    for word, sign, face, edge in looks:
         part = list(squares[sign * R[i, j] >= 0.02])
-        ax.add_collection(PolyCollection(part, facecolors=face, edgecolors=edge, linewidths=1.0))
+        ax.add_collection(PolyCollection(part, label=word, fc=face, ec=edge, lw=1.0))
     ax.set_xlim(-0.6, p - 1.4)
     ax.set_ylim(p - 0.4, 0.4)
     ax.set_aspect("equal")
     ax.set_xticks(range(p - 1), names[:-1], rotation=90, size=text)
     ax.set_yticks(range(1, p), names[1:], size=text)
     ax.grid(linewidth=0.4)
-    handles = [base.area(word, facecolor=face, ec=edge) for word, _, face, edge in looks]
-    base.legend_above(figure, handles)
+    base.legend_above(figure)
     return figure
 
 
-@base.figure(
-    "singular-values",
-    "unknown",
-    "What the poses determine",
-    "Singular values of the Jacobian at the estimation rows: how far all points together move for a step of 1 mm and "
-    "1 mrad along each of {columns} combinations of parameters, [mm]. Rank {rank}; values too small for the scale "
-    "stand at its foot. The dashed line is the smallest that counts.",
-    lambda c: c.observability.columns > 0,
-)
 def singular_values(c: Calibration) -> Figure:
     """The singular values of the scaled Jacobian, and where the rank ends."""
     o = c.observability
@@ -217,9 +169,7 @@ def singular_values(c: Calibration) -> Figure:
         (~seen, "x", OUTLIER, f"{o.columns - o.rank} that move nothing measured"),
     ):
         if np.any(mask):
-            ax.plot(
-                at[mask], shown[mask], ls="none", marker=marker, color=colour, ms=5, label=label
-            )
+            ax.plot(at[mask], shown[mask], marker, color=colour, ms=5, label=label)
     if o.rank and np.isfinite(o.condition):
         label = f"condition number {o.condition:,.0f}"
         ax.axhline(float(values[0] / o.condition), color=SOFT, ls="--", lw=1.0, label=label)
@@ -228,20 +178,10 @@ def singular_values(c: Calibration) -> Figure:
     ax.xaxis.set_major_locator(base.few_ticks(12, whole=True))
     ax.set_xlabel("number")
     ax.set_ylabel("singular value [mm]")
-    base.legend_above(figure, ax.get_legend_handles_labels()[0])
+    base.legend_above(figure)
     return figure
 
 
-@base.figure(
-    "candidates",
-    "candidates",
-    "Models tried",
-    "Each model that was tried, with its number of parameters. Left: rms of the error of the {compared} estimation "
-    "rows that had a weight when the models were compared, each predicted by a linearised fit without it; errors "
-    "elsewhere are those of whole fits. Right: restricted log likelihood, less that of the best; a larger model must "
-    "gain {needed} over a smaller one to be chosen.",
-    lambda c: len(c.candidates) > 0,
-)
 def candidates(c: Calibration) -> Figure:
     """The models that were tried: errors on left-out rows, and what the likelihood gains."""
     errors = [one.cross_validation.errors_without_outliers for one in c.candidates]
@@ -255,19 +195,15 @@ def candidates(c: Calibration) -> Figure:
     left.set_yticks(np.arange(len(names)), names)
     left.invert_yaxis()
     for ax, values, form in ((left, rms, "{:.3f}"), (right, gain - gain.max(), "{:.1f}")):
-        looks = [_CHOSEN[one.chosen] for one in c.candidates]
-        look: dict[str, Any] = {"color": [one[0] for one in looks], "ec": "white", "height": 0.72}
-        bars = ax.barh(range(len(names)), values, hatch=[one[1] for one in looks], **look)
-        ax.bar_label(bars, [form.format(value) for value in values], padding=2, size=7.5)
+        for key, (colour, hatch, label) in _CHOSEN.items():
+            at = [k for k, one in enumerate(c.candidates) if one.chosen == key]
+            if at:
+                look: dict[str, Any] = {"color": colour, "hatch": hatch, "ec": "white"}
+                bars = ax.barh(at, values[at], height=0.72, label=label, **look)
+                ax.bar_label(bars, [form.format(v) for v in values[at]], padding=2, size=7.5)
         ax.margins(x=0.2)
         ax.grid(visible=False, axis="y")
     left.set(title="Error on left-out rows", xlabel=f"rms [{unit}]")
     right.set(title="Evidence", xlabel="log likelihood, less that of the best")
-    chosen = {one.chosen for one in c.candidates}
-    handles = [
-        base.area(label, facecolor=colour, hatch=hatch, ec="white")
-        for key, (colour, hatch, label) in _CHOSEN.items()
-        if key in chosen
-    ]
-    base.legend_above(figure, handles)
+    base.legend_above(figure)
     return figure

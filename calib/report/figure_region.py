@@ -15,9 +15,18 @@ from numpy.typing import NDArray
 from calib.design.workspace import Checked, Density, RegionView
 from calib.errors import FileError, choices
 from calib.files import write_atomically
-from calib.report.figure_base import KINDS, line, number_points, saved, styled, write_beside
+from calib.report.figure_base import (
+    ESTIMATION,
+    INK,
+    KINDS,
+    LITTLE_TO_MUCH,
+    VALIDATION,
+    number_points,
+    saved,
+    styled,
+    write_beside,
+)
 from calib.report.figure_space import VIEWS
-from calib.report.label_rows import ESTIMATION, INK, LITTLE_TO_MUCH, VALIDATION
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -122,6 +131,7 @@ def _panel(ax: Axes, density: Density, pair: tuple[int, int], values: Array, ins
     )
     edges = list(outline(inside, low, density.voxel))
     lines = LineCollection(edges, colors=INK, linewidths=1.3, capstyle="projecting", zorder=3)
+    lines.set_label("outline of the region")
     ax.add_collection(lines)
     return image
 
@@ -162,7 +172,6 @@ def _dress(ax: Axes, limits: Array, pair: tuple[int, int], scale: float, unit: s
 def _mark(axes: Any, checked: Checked, inside: Mask, figure: Figure) -> None:  # noqa: ANN401
     """The rows' points in each view, and what they mean."""
     rows, points = checked.rows, checked.points
-    handles = [line("outline of the region", color=INK, lw=1.5)]
     for chosen_set, colour, shape, size, word in (
         (rows.estimation, ESTIMATION, "o", 4.5, "estimation"),
         (rows.validation, VALIDATION, "D", 6.0, "validation"),
@@ -174,14 +183,16 @@ def _mark(axes: Any, checked: Checked, inside: Mask, figure: Figure) -> None:  #
             look: dict[str, Any] = {"ls": "none", "marker": shape, "ms": size}
             look |= {"mfc": colour if within else "white", "mec": "white" if within else colour}
             look["mew"] = 0.7 if within else 1.4
+            look["label"] = f"{np.count_nonzero(chosen)} {word} rows {where}"
             for ax, (i, j, _) in zip(axes, VIEWS, strict=True):
                 ax.plot(points[chosen, i], points[chosen, j], zorder=4, **look)
-            handles.append(line(f"{np.count_nonzero(chosen)} {word} rows {where}", **look))
     for ax, (i, j, _) in zip(axes, VIEWS, strict=True):
         places = points[:, [i, j]]
         number_points(ax, rows.rows, places, rows.validation | ~inside)
+    handles, words = axes[0].get_legend_handles_labels()
     figure.legend(
-        handles=handles,
+        handles,
+        words,
         loc="upper right",
         bbox_to_anchor=(0.985, 0.985),
         ncols=(len(handles) + 1) // 2,

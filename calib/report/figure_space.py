@@ -10,13 +10,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 import calib.report.figure_base as base
-import calib.report.label_rows as labels
 from calib.result.calibration import Calibration
 from calib.result.uncertainty import workspace_uncertainty
-from calib.robot.readback import SPREAD
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 #: The two axes of each view, and what it is called.
 VIEWS = ((0, 1, "from above"), (0, 2, "from the front"), (1, 2, "from the side"))
@@ -34,20 +31,12 @@ POSES, _CELLS = 4000, 22
 def measured_places(c: Calibration) -> Array:
     """Where the target was, in the base, shape (N, 3), [m]; predicted by the calibrated robot where nothing tells."""
     m = c.measurements
-    T_frame_base, T_tip_target = labels.placed(c.setup, m)
-    places = labels.measured_in_base(m, T_frame_base)
-    predicted = labels.target_places(c, m.joints_for(c.nominal.joint_names), T_tip_target)
-    return np.where(np.isfinite(places), places, predicted)
+    T_frame_base, T_tip_target = base.placed(c.setup, m)
+    places = base.measured_in_base(m, T_frame_base)
+    predicted = c.robot.poses(m.joints_for(c.nominal.joint_names)) @ T_tip_target
+    return np.where(np.isfinite(places), places, predicted[:, :3, 3])
 
 
-@base.figure(
-    "points",
-    "errors",
-    "Points of the target",
-    "Where the target was at the {rows}, in the base frame, [mm]: in space, and seen from three sides. Rows that "
-    "measure no position are where the calibrated robot predicts them.",
-    base.always,
-)
 def points(c: Calibration) -> Figure:
     """The measured points in the base frame: in space, and from three sides; as the paper's figure 7."""
     places, kinds = 1e3 * measured_places(c), base.row_kinds(c)
@@ -62,8 +51,7 @@ def points(c: Calibration) -> Figure:
         height_ratios=[upper, scale * z],
         per_subplot_kw={"space": {"projection": "3d"}},
     )
-    _space(panels["space"], places, kinds, limits)
-    numbered = c.measurements.validation | labels.flagged_rows(c)
+    numbered = c.measurements.validation | base.flagged_rows(c)
     pixels = len(places) > base.MOST_SHAPES
     for i, j, name in VIEWS:
         ax = panels[name]
@@ -73,23 +61,24 @@ def points(c: Calibration) -> Figure:
             ax.plot(*at, rasterized=pixels, zorder=order, **kind.style(0.85))
         _flat(ax, limits, (i, j))
         base.number_points(ax, c.measurements.rows, places[:, [i, j]], numbered)
-    handles = [kind.handle() for kind in kinds]
-    if _holds_base(limits):
-        handles.append(base.line("base", ls="none", marker="+", ms=9, mew=1.4, color=labels.SOFT))
-    base.legend_above(figure, handles)
+    ax = panels["space"]
+    for kind in kinds:
+        ax.plot(*places[kind.mask].T, rasterized=pixels, **kind.style())
+        if len(places) <= _MOST_STILTS:
+            for p in places[kind.mask]:
+                ax.plot(*np.array([[*p[:2], limits[0, 2]], p]).T, color=kind.colour, lw=0.3)
+    ax.set_box_aspect(limits[1] - limits[0], zoom=0.85)
+    ax.set(xlim=limits[:, 0], ylim=limits[:, 1], zlim=limits[:, 2], title="In space, base frame")
+    for letter, axis in zip("xyz", (ax.xaxis, ax.yaxis, ax.zaxis), strict=True):
+        axis.set_label_text(f"{letter} [mm]")
+        axis.labelpad = 1.5
+        axis.set_major_locator(base.few_ticks(4))
+    ax.tick_params(labelsize=7.5, pad=1)
+    ax.view_init(elev=20, azim=-62)
+    base.legend_above(figure)
     return figure
 
 
-@base.figure(
-    "workspace-uncertainty",
-    "unknown",
-    "Uncertainty over the workspace",
-    "Standard deviation of the predicted position of the corrected URDF over "
-    f"{POSES:,} poses spread over the joint limits, from the covariance of the parameters, [mm]: root mean square of "
-    "the poses in each cell, in the base frame seen from three sides. The rms over the joint limits is that of the "
-    f"first {SPREAD} of these poses. It knows nothing of errors that the model lacks.",
-    base.always,
-)
 def uncertainty(c: Calibration) -> Figure:
     """The standard deviation of predicted positions: three views, and how often which size occurs."""
     found = workspace_uncertainty(c, POSES, larger=False)
@@ -99,15 +88,14 @@ def uncertainty(c: Calibration) -> Figure:
     measured = 1e3 * measured_places(c)
     measured = measured[:: max(-(-len(measured) // _MOST_RINGS), 1)]
     ring: dict[str, Any] = {"ls": "none", "marker": "o", "ms": 3.0, "mfc": "white", "mew": 0.6}
-    ring["mec"] = labels.INK
     figure = base.new_figure(6.2)
     *views, last = figure.subplots(2, 2).ravel()
     images = []
     for ax, (i, j, name) in zip(views, VIEWS, strict=True):
-        _flat(ax, limits, (i, j))
         images.append(_cells(ax, places[:, [i, j]], std, limits[:, [i, j]]))
-        ax.plot(*measured[:, [i, j]].T, **ring)
+        ax.plot(*measured[:, [i, j]].T, mec=base.INK, label="measured rows", **ring)
         ax.set_title(f"Seen {name}")
+        _flat(ax, limits, (i, j))
     every = np.concatenate([np.asarray(image.get_array()) for image in images])
     low, high = float(every.min()), float(np.quantile(every, 0.98))
     for image in images:  # one scale of colours; one cell must not make all others alike
@@ -115,47 +103,19 @@ def uncertainty(c: Calibration) -> Figure:
     bar = figure.colorbar(images[1], ax=views[1], shrink=0.95, pad=0.02, extend="max")
     bar.set_label("standard deviation [mm]")
     _how_often(last, std, c)
-    cell = base.area(f"rms of the poses in a cell, {POSES:,} poses", facecolor="#8a8678")
-    base.legend_above(figure, [cell, base.line("measured rows", **ring)])
+    base.legend_above(figure)
     return figure
-
-
-def _space(ax: Any, places: Array, kinds: tuple[base.RowKind, ...], limits: Array) -> None:  # noqa: ANN401
-    """The points in perspective, with lines down to the floor where they are few."""
-    for kind in kinds:
-        p = places[kind.mask]
-        ax.plot(*p.T, rasterized=len(places) > base.MOST_SHAPES, **kind.style())
-        for x, y, z in p if len(places) <= _MOST_STILTS else ():
-            ax.plot([x, x], [y, y], [limits[0, 2], z], color=kind.colour, lw=0.5, alpha=0.35)
-    ax.set_box_aspect(limits[1] - limits[0], zoom=0.85)
-    ax.set_title("In space, base frame")
-    for k, axis in enumerate((ax.xaxis, ax.yaxis, ax.zaxis)):
-        (ax.set_xlim, ax.set_ylim, ax.set_zlim)[k](*limits[:, k])
-        axis.set_label_text(f"{'xyz'[k]} [mm]")
-        axis.labelpad = 1.5
-        axis.set_major_locator(base.few_ticks(4))
-        axis.set_pane_color((0.97, 0.975, 0.98, 1.0))
-    ax.tick_params(labelsize=7.5, pad=1)
-    ax.view_init(elev=20, azim=-62)
-
-
-def _holds_base(limits: Array) -> bool:
-    """Whether the base's origin lies inside of what is shown."""
-    return bool(np.all(limits[0] <= 0.0) and np.all(limits[1] >= 0.0))
 
 
 def _flat(ax: Axes, limits: Array, pair: tuple[int, int]) -> None:
     """Equal scales, labels, and the base where it lies inside."""
-    shown = limits[:, list(pair)]
-    ax.set_aspect("equal")
-    ax.set_xlim(*shown[:, 0])
-    ax.set_ylim(*shown[:, 1])
-    ax.set_xlabel(f"{'xyz'[pair[0]]} [mm]")
-    ax.set_ylabel(f"{'xyz'[pair[1]]} [mm]", labelpad=1)
+    (i, j), at = pair, limits[:, pair]
+    ax.set(aspect="equal", xlim=at[:, 0], ylim=at[:, 1])
+    ax.set(xlabel=f"{'xyz'[i]} [mm]", ylabel=f"{'xyz'[j]} [mm]")
     ax.xaxis.set_major_locator(base.few_ticks(4))
     ax.yaxis.set_major_locator(base.few_ticks(4))
-    if _holds_base(shown):
-        ax.plot(0.0, 0.0, marker="+", ms=8, mew=1.4, color=labels.SOFT, zorder=4)
+    if np.all(at[0] <= 0.0) and np.all(at[1] >= 0.0):
+        ax.plot(0.0, 0.0, "+", ms=8, mew=1.4, color=base.SOFT, zorder=4, label="base")
 
 
 def _limits(places: Array) -> Array:
@@ -178,7 +138,7 @@ def _cells(ax: Axes, places: Array, std: Array, limits: Array) -> Any:  # noqa: 
         C=std**2,
         reduce_C_function=lambda squares: float(np.sqrt(np.mean(squares))),
         gridsize=(max(int(share[0]), 4), max(int(share[1] / np.sqrt(3.0)), 3)),
-        extent=(limits[0, 0], limits[1, 0], limits[0, 1], limits[1, 1]),
+        extent=limits.T.ravel().tolist(),
         cmap="cividis",
         linewidths=0.15,
         edgecolors="face",
@@ -188,20 +148,17 @@ def _cells(ax: Axes, places: Array, std: Array, limits: Array) -> Any:  # noqa: 
 
 def _how_often(ax: Axes, std: Array, c: Calibration) -> None:
     """The share of poses below each standard deviation, with the rms at the measured poses and over the limits."""
-    values = np.sort(std)
-    ax.plot(values, np.linspace(0.0, 100.0, len(values)), color=labels.INK, lw=1.4)
+    ax.ecdf(std, color=base.INK, lw=1.4)
     for value, style, word in (
         (1e3 * c.expected_measured, ":", "rms, measured poses"),
         # Not of the poses drawn, which are more: the report has one number for one thing.
         (1e3 * c.expected_everywhere, "--", "rms, joint limits"),
         (float(np.quantile(std, 0.95)), "-.", "95 % of the joint limits"),
     ):
-        look: dict[str, Any] = {"color": labels.SOFT, "ls": style, "lw": 1.1}
-        ax.vlines(value, 0.0, 100.0, label=f"{value:.3f} mm: {word}", **look)
+        ax.vlines(value, 0, 1, colors=base.SOFT, ls=style, lw=1.1, label=f"{value:.3f} mm: {word}")
     ax.set_xlim(0.0, 1.08 * max(float(np.quantile(std, 0.99)), 1e3 * c.expected_measured, 1e-9))
-    ax.set_ylim(0.0, 145.0)  # room for the legend above the curve
-    ax.set_yticks(range(0, 101, 20))
-    ax.set_xlabel("standard deviation [mm]")
-    ax.set_ylabel("poses below [%]")
+    ax.set_ylim(0.0, 1.45)  # room for the legend above the curve
+    ax.set_yticks(np.linspace(0.0, 1.0, 6), [f"{share}" for share in range(0, 101, 20)])
+    ax.set(xlabel="standard deviation [mm]", ylabel="poses below [%]")
     ax.set_title("How often, over the joint limits")
-    ax.legend(loc="upper left", handlelength=2.2, fontsize=7.5, frameon=True, edgecolor="none")
+    ax.legend(loc="upper left", fontsize=7.5)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from calib.model.dh import dh_table
 from calib.model.dh_table import DHRow
-from calib.report.label_rows import angles_of, lengths_of
+from calib.report.figure_base import angles_of, lengths_of
 from calib.result.calibration import Calibration
 from calib.robot.robot import rigid_inverse
 from calib.text.summary import (

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from calib.data.surroundings import Box
 from calib.design.plan import Plan
 from calib.design.workspace import RegionView
+from calib.report.figure_base import BEAM, ESTIMATION, LITTLE_TO_MUCH, NOMINAL, VALIDATION
 from calib.report.figure_region import headings
-from calib.report.label_rows import BEAM, ESTIMATION, LITTLE_TO_MUCH, NOMINAL, VALIDATION
 from calib.viewer.page import Key, single_page
 from calib.viewer.scene import (
     Page,

@@ -19,7 +19,7 @@ import meshcat
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-import calib.report.label_rows as look
+import calib.report.figure_base as look
 import calib.viewer.scene as stage
 from calib.result.calibration import Calibration
 from calib.robot.robot import Robot
@@ -30,7 +30,7 @@ from calib.viewer.view import View, view_of
 Array = NDArray[np.float64]
 
 #: The colours of robots and of what was measured.
-COLOURS = {"nominal": look.NOMINAL, "calibrated": look.CALIBRATED, "measured": look.MEASURED}
+COLOURS = {"nominal": look.NOMINAL, "calibrated": look.CALIBRATED, "measured": look.INK}
 
 #: What the rows of each kind are called, in colours of their own.
 _ROWS = {

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.errors import ModelError, choices
-from calib.report.label_rows import angles_of, flagged_rows, lengths_of, measured_in_base, placed
+from calib.report.figure_base import angles_of, flagged_rows, lengths_of, measured_in_base, placed
 from calib.result.calibration import Calibration
 from calib.result.comparison import Comparison
 from calib.result.evaluation import PLACES, Evaluation, evaluate

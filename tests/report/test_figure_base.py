@@ -1,15 +1,25 @@
-"""The look of figures, their files, and names that fit."""
+"""Rows as figures show them; the look of figures, their files, and names that fit."""
 
 from __future__ import annotations
 
 import io
 
 import matplotlib as mpl
+import numpy as np
 import pytest
 from PIL import Image
 
 from calib.errors import FileError
-from calib.report.figure_base import new_figure, short_names
+from calib.report.figure_base import (
+    angles_of,
+    flagged_rows,
+    lengths_of,
+    new_figure,
+    number_points,
+    row_kinds,
+    rows_text,
+    short_names,
+)
 from calib.report.figures import Drawing, rendered
 
 NASTY = "<b>$\\frac{a}{$</b> & \"x' 関節\n"
@@ -54,3 +64,33 @@ def test_files_open_and_carry_title_and_caption():
 def test_a_long_name_keeps_its_ends_and_two_of_one_kind_stay_different():
     assert short_names(["shoulder_of_the_left_arm.x", "elbow"], 12) == ["should…arm.x", "elbow"]
     assert len(set(short_names(["a" * 40 + "1" + "a" * 40, "a" * 81], 12))) == 2
+
+
+def test_every_row_is_of_one_kind(calibrations):
+    c = calibrations.made("with_outliers")
+    kinds = row_kinds(c)
+    assert [kind.word for kind in kinds] == ["estimation", "validation", "outlier"]
+    assert np.all(np.sum([kind.mask for kind in kinds], axis=0) == 1)
+    flagged = {one.row for one in (*c.outliers, *c.suspects)}
+    assert {c.measurements.rows[k] for k in np.flatnonzero(flagged_rows(c))} == flagged
+    assert kinds[2].style()["label"] == f"{len(flagged)} outliers"
+    assert len({(kind.colour, kind.marker) for kind in kinds}) == 3
+    assert rows_text(np.array([True]), "estimation") == "1 estimation row"
+
+
+def test_sizes_of_errors_are_those_of_the_tables(calibrations):
+    c = calibrations.made("poses")
+    v = c.measurements.validation
+    lengths, angles = (size(c.residual_calibrated, c.used)[v] for size in (lengths_of, angles_of))
+    errors = c.errors["calibrated"]["validation"]
+    assert lengths.max() == pytest.approx(errors.max, rel=1e-12)
+    assert np.sqrt(np.mean(angles**2)) == pytest.approx(errors.rms_angle, rel=1e-12)
+
+
+def test_few_points_are_numbered_and_many_are_not(calibrations):
+    m = calibrations.made("paper").measurements
+    ax = new_figure(2.0).subplots()
+    number_points(ax, m.rows, m.points[:, :2], m.validation)
+    assert [text.get_text() for text in ax.texts] == ["31", "32", "33", "34", "35"]
+    number_points(ax, m.rows, m.points[:, :2], m.estimation)
+    assert len(ax.texts) == 5

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.report.figure_base import styled
+from calib.report.figure_base import measured_in_base, placed, styled
 from calib.report.figure_space import POSES, measured_places, points, uncertainty
-from calib.report.label_rows import measured_in_base, placed
 from calib.result.uncertainty import workspace_uncertainty
 from calib.robot.readback import SPREAD
 
@@ -60,7 +59,7 @@ def test_cells_show_the_uncertainty_of_their_poses(calibrations, case):
     assert labels[1] == f"{1e3 * c.expected_everywhere:.3f} mm: rms, joint limits"
     assert np.sqrt(np.mean(std[:SPREAD] ** 2)) == pytest.approx(1e3 * c.expected_everywhere)
     x, y = share.lines[0].get_data()
-    assert x[np.searchsorted(y, 50.0)] == pytest.approx(np.median(std), rel=0.02)
+    assert x[np.searchsorted(y, 0.5)] == pytest.approx(np.median(std), rel=0.02)
 
 
 def test_places_are_in_the_base(calibrations):

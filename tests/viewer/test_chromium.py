@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.report.label_rows import CALIBRATED, NOMINAL, OUTLIER, VALIDATION
+from calib.report.figure_base import CALIBRATED, NOMINAL, OUTLIER, VALIDATION
 from calib.viewer.page import view_page
 from calib.viewer.view import View, view_of
 from tests.hard_cases import made

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import umsgpack
 
-from calib.report.label_rows import CALIBRATED, NOMINAL
+from calib.report.figure_base import CALIBRATED, NOMINAL
 from calib.viewer.page import (
     FACTORS,
     Key,
