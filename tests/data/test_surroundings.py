@@ -21,8 +21,6 @@ T = np.array([[0.0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]])
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        ({"name": " "}, "A box needs a name; ' ' was given."),
-        ({"name": 3}, "A box needs a name; 3 was given."),
         ({"size": (1, 2)}, "The size of the box 'table' is (1, 2); it must be three finite numbers x, y, z [m]"),
         ({"size": (1, 2, 0)}, "The box 'table' has the edges [1.0, 2.0, 0.0] m; each must be longer than 0."),
         ({"size": (1, -2, 3)}, "The box 'table' has the edges [1.0, -2.0, 3.0] m; each must be longer"),
