@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -28,38 +28,74 @@ if TYPE_CHECKING:
     from calib.result.calibration import Calibration
     from calib.robot.robot import Robot
     from calib.robot.torques import Payload
-    from calib.units import Quantity
 
 #: The model that lets the data choose; it takes no families, for it tries them all.
 AUTO = "auto"
 
 
-def parse_point(text: str, option: str, quantity: Quantity = "length") -> NDArray[np.float64]:
-    """Three numbers and a unit of length, such as ``70 -70 22.5 mm``, as a point [m], shape (3,); or of angle [rad].
+#: Numbers, and the unit that stands behind them: ``70 -70 22.5 mm``.
+_GROUP = re.compile(
+    r"((?:[-+]?[\d.]+(?:e[-+]?\d+)?[\s,]*)+?)([A-Za-z\u00b5\u03bc]+)[\s,]*", re.IGNORECASE
+)
+
+#: Units of mass, of which the command line alone has one.
+_MASSES = {"kg": 1.0, "g": 1e-3}
+
+
+def parse_amounts(
+    text: str, option: str, wanted: Mapping[str, int], example: str, *, signed: bool = True
+) -> dict[str, list[float]]:
+    """Numbers with units, such as ``10 mm 2 deg``, in SI units by what they are, ``a length``; 0 alone needs no unit.
+
+    Args:
+        text: As it was written.
+        option: To which it was given.
+        wanted: What may be there, once each, and of how many numbers it is.
+        example: Of how to write it.
+        signed: Whether numbers may be below 0.
 
     Raises:
         CalibError: Anything else.
     """
-    from calib.robot.robot import read_only
-    from calib.units import UNITS, symbols
+    if text.strip() == "0":
+        return {kind: [0.0] * count for kind, count in wanted.items()}
+    found: dict[str, list[float]] = {}
+    good = not _GROUP.sub("", text).strip()
+    for numbers, symbol in _GROUP.findall(text) if good else ():
+        values, kind = _si_values(numbers, symbol)
+        good &= wanted.get(kind) == len(values) and kind not in found
+        good &= all(math.isfinite(v) and (signed or v >= 0.0) for v in values)
+        found[kind] = values
+    if not good or not found:
+        raise CalibError(
+            f'{option} was given as "{text}"; it must be {" or ".join(wanted)}{", not below 0" * (not signed)}, such '
+            f'as "{example}".'
+        )
+    return found
 
-    # "22.5mm" is as clear as "22.5 mm".
-    words = re.sub(r"(?<=[\d.])(?=[a-z]+\s*$)", " ", text.replace(",", " ")).split()
+
+def _si_values(numbers: str, symbol: str) -> tuple[list[float], str]:
+    """Numbers in a unit as SI values, and what they are; nothing for what are no numbers, or no unit."""
+    from calib.units import UNITS
+
+    unit = UNITS.get("um" if symbol in ("\u00b5m", "\u03bcm") else symbol)
+    kind, factor = "a mass", _MASSES.get(symbol)
+    if unit is not None:
+        kind, factor = f"a{'n' * (unit.quantity == 'angle')} {unit.quantity}", unit.to_si
     try:
-        numbers = [float(word) for word in words[:3]]
+        return [
+            (factor or math.nan) * float(word) for word in numbers.replace(",", " ").split()
+        ], kind
     except ValueError:
-        numbers = []
-    if len(words) != 4 or len(numbers) != 3 or not all(map(math.isfinite, numbers)):
-        example = "70 -70 22.5 mm" if quantity == "length" else "0 0 90 deg"
-        raise CalibError(
-            f'{option} was given as "{text}"; it must be three numbers and a unit, such as "{example}".'
-        )
-    if words[3] not in symbols(quantity):
-        raise CalibError(
-            f"{option} was given as \"{text}\"; '{words[3]}' is no unit of {quantity}. Choose one of "
-            f"{choices(symbols(quantity))}."
-        )
-    return read_only([UNITS[words[3]].to_si * number for number in numbers])
+        return [], kind
+
+
+def parse_point(text: str, option: str, example: str = "70 -70 22.5 mm") -> NDArray[np.float64]:
+    """Three numbers and a unit of length, such as ``70 -70 22.5 mm``, as a point [m], shape (3,)."""
+    from calib.robot.robot import read_only
+
+    (point,) = parse_amounts(text, option, {"a length": 3}, example).values()
+    return read_only(point)
 
 
 def parse_tracker(text: str | None, given: Tracker | None) -> Tracker | None:
@@ -92,50 +128,16 @@ def parse_frame(text: str) -> tuple[bool, tuple[str, ...]]:
 
 
 def parse_pair(text: str, option: str, example: str) -> tuple[float | None, float | None]:
-    """A length [m], an angle [rad], or both, ``10 mm 2 deg``; None for what is not named.
-
-    Raises:
-        CalibError: Anything else, a value below zero, or two of one kind; the text has the option and the example.
-    """
-    from calib.units import ANGLE, LENGTH, parse_quantity
-
-    found: dict[str, float] = {}
-    parts = re.findall(r"[^\s,]+\s*[A-Za-zµμ]+", text)
-    whole = re.sub(r"[\s,]+", "", "".join(parts)) == re.sub(r"[\s,]+", "", text)
-    try:
-        values = [parse_quantity(part) for part in parts] if whole else []
-    except CalibError as error:
-        raise CalibError(f'{option} was given as "{text}"; {error}. Write "{example}".') from error
-    for value, kind in values:
-        if kind in (LENGTH, ANGLE) and value >= 0.0:
-            found.setdefault(kind, value)
-    if not values or len(found) != len(values):
-        raise CalibError(
-            f'{option} was given as "{text}"; it must be a length, an angle, or one of each, not below 0 and with '
-            f'units, such as "{example}".'
-        )
-    return found.get(LENGTH), found.get(ANGLE)
+    """A length [m], an angle [rad], or both, ``10 mm 2 deg``; None for what is not named."""
+    found = parse_amounts(text, option, {"a length": 1, "an angle": 1}, example, signed=False)
+    return found.get("a length", [None])[0], found.get("an angle", [None])[0]
 
 
 def parse_amount(
     text: str, option: str, wanted: str, example: str, *, signed: bool = False
 ) -> float:
-    """A number with its unit, such as ``0.5 mm``, of what is wanted, ``a length``, in SI units; 0 needs none.
-
-    Raises:
-        CalibError: Anything else.
-    """
-    from calib.units import PLAIN, parse_quantity
-
-    try:
-        value, kind = parse_quantity(text.strip())
-    except CalibError as error:
-        raise CalibError(f'{option} "{text}": {error}. Write "{example}".') from error
-    if kind != wanted and not (value == 0.0 and kind == PLAIN):
-        raise CalibError(f'{option} "{text}": that is {kind}, {wanted} is wanted: "{example}".')
-    if value < 0.0 and not signed:
-        raise CalibError(f'{option} "{text}" must not be below 0.')
-    return value
+    """A number with its unit, such as ``0.5 mm``, of what is wanted, ``a length``, in SI units."""
+    return parse_amounts(text, option, {wanted: 1}, example, signed=signed)[wanted][0]
 
 
 def check_model(text: str, source: str) -> None:
@@ -159,20 +161,10 @@ def check_model(text: str, source: str) -> None:
 
 
 def parse_payload(text: str, given: Payload | None) -> Payload:
-    """``--payload``: a mass such as ``5 kg``; its centre is that of the payload already given, or the tip.
-
-    Raises:
-        CalibError: No mass with a unit.
-    """
+    """``--payload``: a mass such as ``5 kg``; its centre is that of the payload already given, or the tip."""
     from calib.robot.torques import Payload as PayloadClass
 
-    match = re.fullmatch(r"\s*(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*(kg|g)\s*", text)
-    mass = float(f"{match[1]}{match[2] or ''}") * (1e-3 if match[3] == "g" else 1.0) if match else 0
-    if match is None or not math.isfinite(mass):
-        raise CalibError(
-            f'--payload was given as "{text}"; it must be a mass in kg or g, such as "5 kg". Its centre of mass stands '
-            "in the cell file."
-        )
+    mass = parse_amount(text, "--payload", "a mass", "5 kg")
     return PayloadClass(mass) if given is None else replace(given, mass=mass)
 
 

@@ -207,18 +207,21 @@ _USUAL_TIPS = ("tool0", "tcp", "tool", "flange", "ee_link")
 def farthest_link(
     urdf: Urdf, base: str, measured: Collection[str] | None = None, held: Collection[str] = ()
 ) -> str:
-    """The link with the most moving joints between it and ``base``, below it; a usual tip's name breaks ties.
+    """The link with the most moving joints between it and ``base``; a usual tip's name breaks ties.
 
     Only links that ``measured`` joints alone lead to count (all joints if None), if there are any; ``held`` joints lead
     on but do not count.
     """
     urdf.chain(base, base)  # raises, with the names there are, for a link that does not exist
     every = {joint.name for joint in urdf.joints}
+    above, start = {joint.child: joint for joint in urdf.joints}, base
+    while start in above and above[start].type == "fixed":
+        start = above[start].parent
     below: dict[str, list[UrdfJoint]] = {}
     for joint in urdf.joints:
         below.setdefault(joint.parent, []).append(joint)
     for known in (every if measured is None else measured, every):
-        count, waiting = {base: 0}, [base]
+        count, waiting = {start: 0}, [start]
         for link in waiting:
             for joint in below.get(link, []):
                 still = joint.type == "fixed" or joint.name in held

@@ -247,9 +247,7 @@ def test_a_tool(text: str, place: list[float], turn: list[float]):
     assert parse_tool(" target:upper ball ") == "upper ball"
 
 
-@pytest.mark.parametrize(
-    "text", ["", "150 mm", "0 0 1 deg", "0 0 150 mm 1 2 deg", "0 0 1 mm 0 0 90 mm"]
-)
+@pytest.mark.parametrize("text", ["", "150 mm", "0 0 150 mm 1 2 deg", "0 0 1 mm 0 0 90 mm"])
 def test_no_tool(text: str):
     with pytest.raises(CalibError, match="--tool was given as"):
         parse_tool(text)

@@ -70,7 +70,7 @@ def test_a_cell_file_gives_ranges_and_target(call, shop):
         (("--share", "0"), "The share is 0; it must be greater than 0 and at most 1"),
         (("--voxel", "0 mm"), "The voxel is 0 mm; it must be a length greater than 0"),
         (("--voxel", "1 mm"), "at most 4,000,000 are made"),
-        (("--like", "data.csv", "--margin", "5 mm"), "an angle is wanted"),
+        (("--like", "data.csv", "--margin", "5 mm"), "it must be an angle"),
         (("--picture", "r.gif"), "r.gif: the ending says what kind of picture is written"),
     ],
 )

@@ -107,14 +107,14 @@ def parse_tool(text: str) -> list[list[float]] | str:
     import numpy as np
     from scipy.spatial.transform import Rotation
 
-    from calib.cli.setup import parse_point
+    from calib.cli.setup import parse_amounts
 
     word, _, name = text.strip().partition(":")
     if word == "target":
         return name.strip()
-    parts, T = text.replace(",", " ").split(), np.eye(4)
-    T[:3, 3] = parse_point(" ".join(parts[:4]), "--tool")
-    if parts[4:]:
-        turn = np.array(parse_point(" ".join(parts[4:]), "--tool", "angle"))
-        T[:3, :3] = Rotation.from_rotvec(turn).as_matrix()
+    parts = {"a length": 3, "an angle": 3}
+    found = parse_amounts(text, "--tool", parts, "0 0 100 mm 0 0 90 deg")
+    T = np.eye(4)
+    T[:3, 3] = found.get("a length", [0.0] * 3)
+    T[:3, :3] = Rotation.from_rotvec(found.get("an angle", [0.0] * 3)).as_matrix()
     return list(T.tolist())
