@@ -115,7 +115,7 @@ def center_bias(
         for i in watched(range(pairs), f"circles, {arc} deg, {1e6 * sigma:.0f} um"):
             noise = sigma * rng.normal(size=points.shape)
             both = (points + noise, points - noise)
-            found[i] = [fit_circle(seen, robust=False).center @ B[:, 0] for seen in both]
+            found[i] = [fit_circle(seen, robust=False).point @ B[:, 0] for seen in both]
     except CalibError:
         return None  # to select the runs in which a fit is possible would be a bias too
     pair = found.mean(axis=1)

@@ -220,19 +220,18 @@ def side_findings(
 
 def findings(sweep: Sweep, figure: Plane, turned: Turning | None = None) -> Iterator[Finding]:
     """Gross rows, neighbours that err alike, noise beyond sigma, a joint's own errors."""
-    used, scatter = figure.used, figure.scatter
+    used = figure.used
     off = np.linalg.norm(figure.residuals, axis=1)
-    for i in np.flatnonzero(figure.gross):
+    for i in np.flatnonzero(~used):
         where = f"{sweep.source}, {sweep.counted} {sweep.rows[i]} (sweep '{sweep.name}')"
-        how = "used all the same" if used[i] else "left out"
-        yield Finding("gross", where, how, {"off_mm": 1e3 * float(off[i])})
+        yield Finding("gross", where, values={"off_mm": 1e3 * float(off[i])})
     if isinstance(figure, Circle) and used.sum() >= 10:
         for e, way in zip(figure.residuals[used].T, ("radially", "axially"), strict=True):
             correlation = float(e[1:] @ e[:-1] / (e @ e)) if np.any(e) else 0.0
             if ndtr(-correlation * np.sqrt(len(e))) < 0.5 * LEVEL:
                 yield Finding("correlated", sweep.where, way, {"correlation": correlation})
-    if scatter.contradicted and scatter.given is not None:
-        values = {"scatter_mm": 1e3 * scatter.estimate, "sigma_mm": 1e3 * scatter.given}
+    if figure.given is not None and np.isfinite(figure.dof):
+        values = {"scatter_mm": 1e3 * figure.noise, "sigma_mm": 1e3 * figure.given}
         yield Finding("scatter", sweep.where, values=values)
     if turned is not None and turned.gain_found:
         values = {"gain": 1e3 * turned.gain, "std": 1e3 * turned.gain_std}

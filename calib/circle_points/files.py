@@ -95,7 +95,7 @@ def survey_table(survey: Survey) -> dict[str, Any]:
             "point_m": plane.point,
             "normal": plane.normal,
             "rms_m": _rms(plane.residuals[plane.used]),
-            "noise_m": plane.scatter.estimate,
+            "noise_m": plane.noise,
             "residuals_m": plane.residuals[:, 0],
             "used": plane.used,
         },
@@ -137,7 +137,7 @@ def _joint_table(joint: JointAxis) -> dict[str, Any]:
         },
         "radial_rms_m": _rms(circle.residuals[circle.used, 0]),
         "axial_rms_m": _rms(circle.residuals[circle.used, 1]),
-        "noise_m": circle.scatter.estimate,
+        "noise_m": circle.noise,
         "turning": turned
         and {
             "rms_rad": turned.rms,

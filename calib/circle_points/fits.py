@@ -18,9 +18,9 @@ point is left out, the fit made again, and the next one looked at.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,43 +48,16 @@ LEVEL = 1e-3
 #: At most this share of the points is gross; more of them are no outliers.
 _SHARE = 0.1
 
-# Lines and spots: spread along the second axis, in that along the first one or in the noise.
-_THIN = 1e-9
-_IN_NOISE = 1.5
+# Points are on a line where they spread along the second axis by this share of the first one, or times their noise.
+_THIN, _IN_NOISE = 1e-9, 1.5
 
 # Of a radius that is not known to this share of itself neither is the centre.
 _VAGUE = 0.25
 
-_FURTHER = "Let the joint turn further, or fix the target further from its axis"
-_TOO_SHORT = f"the arc is too short for its noise: no circle can be told from others. {_FURTHER}"
-
-
-@dataclass(frozen=True, slots=True)
-class Scatter:
-    """The noise of a fit's points."""
-
-    estimate: float  #: Standard deviation of one coordinate from the residuals [m]
-    freedom: int  #: The degrees of freedom it is estimated with
-    #: The one that was given, root of the mean square over the points [m]; None where none was
-    given: float | None
-
-    @property
-    def contradicted(self) -> bool:
-        """Whether the residuals are larger than the given noise makes them, at `LEVEL`."""
-        if self.given is None:
-            return False
-        return bool(chdtrc(self.freedom, self.freedom * (self.estimate / self.given) ** 2) < LEVEL)
-
-    @property
-    def sigma(self) -> float:
-        """What the covariance is made with: the noise as given, if it was and the residuals allow it [m]."""
-        sigma = self.estimate if self.given is None or self.contradicted else self.given
-        return max(sigma, FLOOR_M)
-
-    @property
-    def dof(self) -> float:
-        """Degrees of freedom of ``sigma``; infinite where it was given."""
-        return float(self.freedom) if self.given is None or self.contradicted else np.inf
+_TOO_SHORT = (
+    "the arc is too short for its noise: no circle can be told from others. Let the joint turn further, or fix the "
+    "target further from its axis"
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,9 +70,12 @@ class Plane:
     #: [rad]
     covariance: Array
     residuals: Array  #: Signed distances of all points, shape (N, 1) [m]
-    used: Mask  #: Which points the plane is fitted to, shape (N,)
-    gross: Mask  #: Which points are gross, used or not, shape (N,)
-    scatter: Scatter  #: What is known of the noise
+    used: Mask  #: Which points the plane is fitted to, the gross ones left out, shape (N,)
+    noise: float  #: Standard deviation of one coordinate from the residuals [m]
+    #: The one that was given, root of the mean square over the points [m]; None where none was
+    given: float | None
+    #: Degrees of freedom of the noise in the covariance; infinite where it is the given one, which the residuals allow
+    dof: float
 
     @property
     def normal(self) -> Array:
@@ -120,11 +96,6 @@ class Circle(Plane):
     angles: Array  #: Of the points about the normal, from u, in (-pi, pi], shape (N,) [rad]
 
     @property
-    def center(self) -> Array:
-        """The centre, shape (3,) [m]."""
-        return self.point
-
-    @property
     def arc(self) -> float:
         """The angle that the points cover: a full turn less the largest gap between neighbours [rad]."""
         return 2.0 * np.pi - _largest_gap(self.angles[self.used])[1]
@@ -143,7 +114,7 @@ class Circle(Plane):
         )
 
 
-class Fit(NamedTuple):
+class _Fit(NamedTuple):
     """A figure through some of the points: residuals (N, k) [m] and their Jacobian (N, k, p) are of all of them."""
 
     residuals: Array
@@ -164,8 +135,7 @@ def fit_plane(points: Array, sigma: Array | None = None, *, robust: bool = True)
     Raises:
         CalibError: Fewer than four points, or points on a line.
     """
-    found, more = _judged(_plane_fit, points, sigma, "a plane", robust=robust)
-    return Plane(read_only(found.point), read_only(found.basis), *more)
+    return _judged(_plane_fit, points, sigma, robust=robust)[0]
 
 
 def fit_circle(points: Array, sigma: Array | None = None, *, robust: bool = True) -> Circle:
@@ -175,18 +145,14 @@ def fit_circle(points: Array, sigma: Array | None = None, *, robust: bool = True
         CalibError: Fewer than four points, points on a line, or an arc too short for its noise.
     """
     try:
-        found, more = _judged(_circle_fit, points, sigma, "a circle", robust=robust)
+        plane, radius = _judged(_circle_fit, points, sigma, robust=robust)
     except np.linalg.LinAlgError as error:  # the radius has no effect that the centre has not
         raise CalibError(_TOO_SHORT) from error
-    if not 0.0 <= more[0][5, 5] <= (_VAGUE * found.radius) ** 2:
+    if not 0.0 <= plane.covariance[5, 5] <= (_VAGUE * radius) ** 2:
         raise CalibError(_TOO_SHORT)
-    return Circle(
-        read_only(found.point),
-        read_only(found.basis),
-        *more,
-        found.radius,
-        read_only(_angles(points, found.point, found.basis)),
-    )
+    common: dict[str, Any] = {f.name: getattr(plane, f.name) for f in fields(plane)}
+    angles = read_only(_angles(points, plane.point, plane.basis))
+    return Circle(**common, radius=radius, angles=angles)
 
 
 def circle_residuals(
@@ -211,8 +177,51 @@ def circle_residuals(
     return np.stack([across - radius, axial], axis=1), J
 
 
-def all_but_gross(fit: Callable[[Mask], Fit], weights: Array) -> Mask:
-    """Which points are not gross, shape (N,), by the fit to those used and the weights of all points, shape (N,)."""
+def _judged(
+    figure: Callable[[Array, Array, Mask], _Fit],
+    points: Array,
+    sigma: Array | None,
+    *,
+    robust: bool,
+) -> tuple[Plane, float]:
+    """A figure through all points but the gross ones, with its covariance, and its radius."""
+    if len(points) < FEWEST:
+        raise CalibError(
+            f"there are {len(points)} points; it takes {FEWEST} at least and should be 10 or more. Measure more"
+        )
+    # Their harmonic mean is 1: of the noise's variance, in its own unit.
+    weights = np.ones(len(points)) if sigma is None else np.mean(sigma**2) / sigma**2
+    fit = partial(figure, points, np.asarray(weights))
+    used = _all_but_gross(fit, weights) if robust else np.ones(len(points), dtype=np.bool_)
+    found = fit(used)
+    J = found.jacobian[used].reshape(-1, found.jacobian.shape[-1])
+    w = np.repeat(weights[used], found.residuals.shape[1])
+    e = found.residuals[used].ravel()
+    freedom = len(e) - J.shape[1]
+    noise = float(np.sqrt(w @ e**2 / freedom))
+    given = None if sigma is None else float(np.sqrt(np.mean(sigma**2)))
+    # The noise as given, if it was and the residuals are not larger than it makes them.
+    believed = given is not None and chdtrc(freedom, freedom * (noise / given) ** 2) >= LEVEL
+    taken = max(given if given is not None and believed else noise, FLOOR_M)
+    # Lengths beside angles: scaled before the inversion.
+    norm = np.sqrt(w @ J**2)
+    inverse = np.linalg.inv((J / norm).T @ (w[:, None] * (J / norm))) / np.outer(norm, norm)
+    used.setflags(write=False)
+    plane = Plane(
+        read_only(found.point),
+        read_only(found.basis),
+        read_only(taken**2 * inverse),
+        read_only(found.residuals),
+        used,
+        noise,
+        given,
+        np.inf if believed else float(freedom),
+    )
+    return plane, found.radius
+
+
+def _all_but_gross(fit: Callable[[Mask], _Fit], weights: Array) -> Mask:
+    """Which points are not gross, shape (N,); see the module's text."""
     used = np.ones(len(weights), dtype=np.bool_)
     for _ in range(max(1, int(_SHARE * len(weights)))):
         residuals, jacobian, *_ = fit(used)
@@ -238,57 +247,18 @@ def all_but_gross(fit: Callable[[Mask], Fit], weights: Array) -> Mask:
     return used
 
 
-def _judged(
-    figure: Callable[[Array, Array, Mask], Fit],
-    points: Array,
-    sigma: Array | None,
-    what: str,
-    *,
-    robust: bool,
-) -> tuple[Fit, tuple[Array, Array, Mask, Mask, Scatter]]:
-    """A fit, its covariance and residuals, which points are used and which are gross, and the noise."""
-    if len(points) < FEWEST:
-        raise CalibError(
-            f"there are {len(points)} points, {what} with its uncertainty needs {FEWEST} at least and should have 10 "
-            "or more. Measure more"
-        )
-    # Their harmonic mean is 1: of the noise's variance, in its own unit.
-    weights = np.asarray(
-        np.ones(len(points)) if sigma is None else np.mean(sigma**2) / sigma**2, dtype=np.float64
-    )
-    fit = partial(figure, points, weights)
-    clean = all_but_gross(fit, weights)
-    used = clean if robust else np.ones_like(clean)
-    found = fit(used)
-    J = found.jacobian[used].reshape(-1, found.jacobian.shape[-1])
-    w = np.repeat(weights[used], found.residuals.shape[1])
-    e = found.residuals[used].ravel()
-    given = None if sigma is None else float(np.sqrt(np.mean(sigma**2)))
-    freedom = len(e) - J.shape[1]
-    scatter = Scatter(float(np.sqrt(w @ e**2 / freedom)), freedom, given)
-    # Lengths beside angles: scaled before the inversion.
-    norm = np.sqrt(w @ J**2)
-    inverse = np.linalg.inv((J / norm).T @ (w[:, None] * (J / norm))) / np.outer(norm, norm)
-    covariance = read_only(scatter.sigma**2 * inverse)
-    gross = ~clean
-    for mask in (used, gross):
-        mask.setflags(write=False)
-    return found, (covariance, read_only(found.residuals), used, gross, scatter)
-
-
-def _plane_fit(points: Array, weights: Array, used: Mask) -> Fit:
+def _plane_fit(points: Array, weights: Array, used: Mask) -> _Fit:
     """The plane of the points used."""
-    place = "no plane lies through them alone. Touch it at places that are well apart, not in a row"
-    point, basis = _principal_axes(points[used], weights[used], place)
+    point, basis = _principal_axes(points[used], weights[used])
     local = (points - point) @ basis
     J = np.concatenate([-np.ones((len(points), 1)), local[:, :2]], axis=1)[:, None, :]
-    return Fit(local[:, 2:], J, point, basis)
+    return _Fit(local[:, 2:], J, point, basis)
 
 
-def _circle_fit(points: Array, weights: Array, used: Mask) -> Fit:
+def _circle_fit(points: Array, weights: Array, used: Mask) -> _Fit:
     """The circle of the points used: Levenberg-Marquardt from the algebraic circle in their plane, in its radius."""
     some, w = points[used], weights[used]
-    mean, axes = _principal_axes(some, w, f"no circle lies through them. {_FURTHER}")
+    mean, axes = _principal_axes(some, w)
     # x^2 + y^2 = 2 a x + 2 b y + c
     xy = (some - mean) @ axes[:, :2]
     design = np.column_stack([2.0 * xy, np.ones(len(xy))])
@@ -302,41 +272,36 @@ def _circle_fit(points: Array, weights: Array, used: Mask) -> Fit:
         n = B @ np.array([x[3], x[4], 1.0])
         return B @ x[:3], _frame(n / np.linalg.norm(n), B[:, 0]), 1.0 + float(x[5])
 
-    eps = float(np.finfo(np.float64).eps)
+    def residuals(x: Array) -> Array:
+        return (root * circle_residuals(local, *at(x))[0]).ravel()
+
+    def jacobian(x: Array) -> Array:
+        """By displacements of the circle at x, which span what those of x do: the minimum is the same."""
+        return (root[..., None] * circle_residuals(local, *at(x))[1]).reshape(-1, 6)
+
+    tight = dict.fromkeys(("xtol", "ftol", "gtol"), float(np.finfo(np.float64).eps))
     try:
-        found = least_squares(
-            lambda x: (root * circle_residuals(local, *at(x))[0]).ravel(),
-            np.zeros(6),
-            # By displacements of the circle at x, which span what those of x do: the minimum is the same.
-            lambda x: (root[..., None] * circle_residuals(local, *at(x))[1]).reshape(-1, 6),
-            method="lm",
-            xtol=eps,
-            ftol=eps,
-            gtol=eps,
-        )
-    except (ValueError, np.linalg.LinAlgError) as error:  # on its way to a circle of no size
+        found = least_squares(residuals, np.zeros(6), jacobian, method="lm", **tight)
+    except ValueError as error:  # on its way to a circle of no size
         raise CalibError(_TOO_SHORT) from error
     if found.status <= 0:
         raise CalibError(_TOO_SHORT)
     center, basis, radius = at(found.x)
     center, radius = start + size * center, size * radius
     basis = _basis(some, center, basis)
-    return Fit(*circle_residuals(points, center, basis, radius), center, basis, radius)
+    return _Fit(*circle_residuals(points, center, basis, radius), center, basis, radius)
 
 
-def _principal_axes(points: Array, weights: Array, consequence: str) -> tuple[Array, Array]:
+def _principal_axes(points: Array, weights: Array) -> tuple[Array, Array]:
     """Weighted mean (3,) [m] and principal axes (3, 3), the longest first; points on a spot or a line are refused."""
     mean: Array = weights @ points / weights.sum()
     share = np.sqrt(weights / weights.sum())
     _, spread, rows = np.linalg.svd(share[:, None] * (points - mean), full_matrices=False)
-    if np.linalg.norm(spread) < STILL_M:
+    still = np.linalg.norm(spread) < STILL_M
+    if still or spread[1] <= max(_THIN * spread[0], _IN_NOISE * spread[2]):
         raise CalibError(
-            f"the points stay within {1e3 * np.linalg.norm(spread):.2g} mm of their mean: {consequence}"
-        )
-    if spread[1] <= max(_THIN * spread[0], _IN_NOISE * spread[2]):
-        raise CalibError(
-            f"the points lie on a line (they spread over {1e3 * spread[0]:.3g} mm along it and {1e3 * spread[1]:.3g} "
-            f"mm across): {consequence}"
+            f"the points lie on a spot or a line (they spread over {1e3 * spread[0]:.3g} mm along it and "
+            f"{1e3 * spread[1]:.3g} mm across). Touch a plane at places well apart, and let a joint turn further"
         )
     basis = rows.T.copy()
     basis[:, 2] *= np.sign(np.linalg.det(basis))

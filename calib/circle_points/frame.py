@@ -222,7 +222,7 @@ def frame_of(
         return np.concatenate([M[:3, 3], 0.5 * (M - M.T)[[2, 0, 1], [1, 2, 0]]])
 
     parts = propagated(moved, plane, lowered, circles)
-    dofs = tuple(figure.scatter.dof for figure in (plane, *circles))
+    dofs = tuple(figure.dof for figure in (plane, *circles))
     return BaseFrame(read_only(T), tuple(read_only(part) for part in parts), dofs)
 
 

@@ -21,7 +21,7 @@ _BY_DEFINITION = 1e-10
 
 #: The sentence of each finding; its numbers are in mm and mrad.
 _FINDINGS = {
-    "gross": "{where} is {off_mm:.3g} mm off and was {how}: measure it again.",
+    "gross": "{where} is {off_mm:.3g} mm off and was left out: measure it again.",
     "correlated": "{where}: neighbouring points err alike {how} (correlation {correlation:.2f}): that is no noise, so "
     "the stated uncertainty is too small. Look for a worn bearing, play, bending, drift, or a target or tracker that "
     "moved.",

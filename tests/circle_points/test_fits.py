@@ -37,7 +37,7 @@ def local_errors(circle: Circle, basis: np.ndarray = B) -> np.ndarray:
     """Errors along the true basis, the normal's sense being free: centre, tilt towards u and v, radius."""
     normal = circle.normal * np.sign(circle.normal @ basis[:, 2])
     return np.concatenate(
-        [basis.T @ (circle.center - CENTER), basis[:, :2].T @ normal, [circle.radius - 0.3]]
+        [basis.T @ (circle.point - CENTER), basis[:, :2].T @ normal, [circle.radius - 0.3]]
     )
 
 
@@ -51,7 +51,7 @@ def local_errors(circle: Circle, basis: np.ndarray = B) -> np.ndarray:
 def test_exact_points_give_the_circle(seed: int, degrees: float, radius: float, count: int):
     basis = basis_of(seed)
     circle = fit_circle(arc(degrees, count, radius, basis))
-    assert circle.center == pytest.approx(CENTER, abs=1e-9)
+    assert circle.point == pytest.approx(CENTER, abs=1e-9)
     assert circle.radius == pytest.approx(radius, abs=1e-9)
     assert abs(circle.normal @ basis[:, 2]) == pytest.approx(1.0, abs=1e-12)
     assert np.abs(circle.residuals).max() < 1e-9
@@ -99,15 +99,15 @@ def test_the_covariance_is_the_scatter_of_many_fits(degrees: float):
 def test_noise_is_found_from_the_residuals_or_taken_as_given():
     rng = np.random.default_rng(6)
     points = arc(200.0, 500) + SIGMA * rng.normal(size=(500, 3))
-    found = fit_circle(points).scatter
-    assert found.estimate == pytest.approx(SIGMA, rel=0.08)
-    assert (found.freedom, found.dof, found.given) == (994, 994.0, None)
-    given = fit_circle(points, np.full(500, SIGMA)).scatter
-    assert (given.sigma, given.dof, given.contradicted) == (SIGMA, np.inf, False)
-    wrong = fit_circle(points, np.full(500, SIGMA / 2)).scatter
-    assert wrong.contradicted
-    assert wrong.sigma == pytest.approx(found.estimate)
-    assert wrong.dof == 994.0
+    found = fit_circle(points)
+    assert found.noise == pytest.approx(SIGMA, rel=0.08)
+    assert (found.dof, found.given) == (994.0, None)
+    given = fit_circle(points, np.full(500, SIGMA))
+    assert (given.given, given.dof) == (pytest.approx(SIGMA), np.inf)
+    assert given.covariance * (found.noise / SIGMA) ** 2 == pytest.approx(found.covariance)
+    wrong = fit_circle(points, np.full(500, SIGMA / 2))
+    assert (wrong.given, wrong.dof) == (pytest.approx(SIGMA / 2), 994.0)
+    assert wrong.covariance == pytest.approx(found.covariance)
 
 
 @pytest.mark.slow
@@ -119,7 +119,7 @@ def test_on_a_short_arc_the_center_has_no_bias_to_speak_of(sigma: float):
     for _ in range(150):
         e = sigma * rng.normal(size=exact.shape)
         both = (exact + e, exact - e)  # the first order cancels
-        centers += [fit_circle(points, robust=False).center @ B[:, 0] for points in both]
+        centers += [fit_circle(points, robust=False).point @ B[:, 0] for points in both]
     # A tenth of the bias of the least squares of A = 1 (I. Kasa, 1976), 29 um at 33 um of noise.
     assert abs(np.mean(centers) - CENTER @ B[:, 0]) < 2.9e-6 * (sigma / SIGMA) ** 2
 
@@ -133,7 +133,7 @@ def test_one_gross_point_is_left_out(degrees: float):
     circle = fit_circle(gross)
     assert np.flatnonzero(~circle.used).tolist() == [17]
     without = fit_circle(np.delete(points, 17, axis=0))
-    assert circle.center == pytest.approx(without.center, abs=1e-10)
+    assert circle.point == pytest.approx(without.point, abs=1e-10)
     assert np.linalg.norm(circle.residuals[17]) > 5e-4
     assert fit_circle(gross, robust=False).used.all()
     touched = disc() + SIGMA * rng.normal(size=(20, 3))

@@ -72,7 +72,7 @@ def test_axes_are_where_they_are_in_both_frames(ur3, with_values):
         assert np.linalg.norm(joint.direction - line.direction) < 5e-4
         off = joint.point - line.point
         assert np.linalg.norm(off - line.direction * (off @ line.direction)) < 3e-4
-        seen = found.frame.carry(joint.circle.center)
+        seen = found.frame.carry(joint.circle.point)
         assert seen == pytest.approx(joint.point, abs=1e-12)
         assert joint.turning is not None
     assert found.findings == ()
