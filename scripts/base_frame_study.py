@@ -24,12 +24,10 @@ from rich.console import Console
 from rich.progress import track
 
 from calib.calibration import calibrate
-from calib.circle_points.checks import positive
-from calib.circle_points.files import carried
 from calib.circle_points.fits import fit_circle, fit_plane
 from calib.circle_points.frame import BaseFrame, frame_of, nominal_axes, nominal_axes_frame
-from calib.circle_points.survey import base_frame
-from calib.circle_points.sweeps import Sweep
+from calib.circle_points.survey import base_frame, carried
+from calib.circle_points.sweeps import Sweep, positive
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.data.surroundings import TrackerNoise
@@ -170,7 +168,7 @@ def frame_runs(case: Case, runs: int, seed: int) -> tuple[Array, NDArray[np.bool
         radius=RADIUS,
         seed=seed,
     )
-    T_base_axes = nominal_axes_frame(*nominal_axes(robot).lines[:2])
+    T_axes_base = rigid_inverse(nominal_axes_frame(nominal_axes(robot)))
 
     def frame(noise: Sequence[Array], *, given: bool) -> BaseFrame:
         """The base frame of the sweeps with some noise."""
@@ -183,7 +181,7 @@ def frame_runs(case: Case, runs: int, seed: int) -> tuple[Array, NDArray[np.bool
         first, second = (
             positive(_moved(sweep, p), fit_circle(p, sigma)) for sweep, p, sigma in figures[1:]
         )
-        return frame_of(plane, first, second, T_base_axes=T_base_axes)
+        return frame_of(plane, first, second, T_axes_base=T_axes_base)
 
     none = [np.zeros(sweep.points.shape) for sweep in exact.sweeps]
     covariance = frame(none, given=True).covariance

@@ -273,11 +273,11 @@ def _circle_fit(points: Array, weights: Array, used: Mask) -> _Fit:
         return B @ x[:3], _frame(n / np.linalg.norm(n), B[:, 0]), 1.0 + float(x[5])
 
     def residuals(x: Array) -> Array:
-        return (root * circle_residuals(local, *at(x))[0]).ravel()
+        return np.ravel(root * circle_residuals(local, *at(x))[0])
 
     def jacobian(x: Array) -> Array:
         """By displacements of the circle at x, which span what those of x do: the minimum is the same."""
-        return (root[..., None] * circle_residuals(local, *at(x))[1]).reshape(-1, 6)
+        return np.reshape(root[..., None] * circle_residuals(local, *at(x))[1], (-1, 6))
 
     tight = dict.fromkeys(("xtol", "ftol", "gtol"), float(np.finfo(np.float64).eps))
     try:

@@ -31,9 +31,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import gammaincinv, ndtri
 
 from calib.circle_points.fits import Circle, Plane
-from calib.errors import CalibError, UrdfError, choices
+from calib.errors import CalibError, UrdfError
 from calib.model.dh import dh_table, rows_between, zero_poses
-from calib.model.dh_table import DHRow, DHTable
+from calib.model.dh_table import DHTable
 from calib.robot.robot import Robot, read_only, rigid_inverse
 
 Array = NDArray[np.float64]
@@ -71,55 +71,31 @@ class Nominal(NamedTuple):
     lines: tuple[Line, ...]
     table: DHTable
 
-    @property
-    def rows(self) -> Array:
-        """The numbers of the rows, shape (n, 5) [m, rad]."""
-        return _numbers(self.table.rows)
-
 
 def nominal_axes(robot: Robot) -> Nominal:
     """The axes of a robot of which each joint turns and has a column of its own."""
     n = len(robot.joints)
-    other = [
-        j.name for j in robot.joints if j.type == "prismatic" or j.name not in robot.joint_names
-    ]
+    own = all(j.type != "prismatic" and j.name in robot.joint_names for j in robot.joints)
     free = robot.coupling.shape == (n, n) and np.array_equal(robot.coupling, np.eye(n))
-    if other or not free or robot.base_moves:
-        what = f"the joints {choices(other)} slide, are held or follow others"
-        if not other:
-            what = f"joints move the base '{robot.base}' itself, or follow each other"
+    if not own or not free or robot.base_moves:
         raise UrdfError(
-            f"'{robot.name}' from '{robot.base}' to '{robot.tip}': {what}; a base frame needs a chain of joints that "
-            "turn one by one. Choose --base and --tip so that only such joints lie between them."
+            f"'{robot.name}' from '{robot.base}' to '{robot.tip}': a base frame needs a chain of joints that turn one "
+            "by one, none of them sliding, held or following another. Choose --base and --tip so that only such joints "
+            "lie between them."
         )
     placed = zip(zero_poses(robot)[0], robot.joints, strict=True)
     lines = (Line(T[:3, 3], T[:3, :3] @ np.asarray(joint.axis)) for T, joint in placed)
     return Nominal(tuple(lines), dh_table(robot))
 
 
-def axis_rows(lines: Sequence[Line], nominal: Nominal | None = None) -> Array:
+def axis_rows(lines: Sequence[Line], table: DHTable | None = None) -> Array:
     """a, alpha, d, theta, beta of the rows from each axis to the next, shape (n - 1, 5) [m, rad].
 
     The last row of a robot leads to its tip, which no axis says anything of. The n axes are in the base at zero; those
-    of the URDF make the choices that the convention leaves open.
+    of the URDF's table make the choices that the convention leaves open.
     """
-    return _numbers(rows_between(lines, None if nominal is None else nominal.table))
-
-
-def _numbers(rows: Sequence[DHRow]) -> Array:
-    """The numbers of rows, shape (rows, 5) [m, rad]."""
+    rows = rows_between(lines, table)
     return np.array([[getattr(row, name) for name in NUMBERS] for row in rows]).reshape(-1, 5)
-
-
-def between(first: Line, second: Line) -> tuple[float, float]:
-    """The angle between two axes, in [0, pi], and their shortest distance [rad, m]."""
-    cross = np.cross(first.direction, second.direction)
-    sine = float(np.linalg.norm(cross))
-    angle = float(np.arctan2(sine, first.direction @ second.direction))
-    apart = second.point - first.point
-    if sine < np.sin(PARALLEL_RAD):
-        return angle, float(np.linalg.norm(np.cross(apart, first.direction)))
-    return angle, float(abs(apart @ cross) / sine)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,12 +128,10 @@ class BaseFrame:
         T = self.T_base_tracker
         return np.asarray(np.asarray(points, dtype=np.float64) @ T[:3, :3].T + T[:3, 3])
 
-    def std_at(self, points: ArrayLike) -> Array:
-        """What the frame's uncertainty makes of points of the base, along its axes, shape (N, 3) or (3,) [m]."""
-        given = np.asarray(points, dtype=np.float64)
-        G = np.array([np.hstack([np.eye(3), -pin.skew(p)]) for p in given.reshape(-1, 3)])
-        variance = np.einsum("nij,jk,nik->ni", G, self.covariance, G)
-        return np.asarray(np.sqrt(variance).reshape(given.shape))
+    def std_at(self, points: Array) -> Array:
+        """What the frame's uncertainty makes of points of the base in all directions together, shape (N,) [m]."""
+        G = np.array([np.hstack([np.eye(3), -pin.skew(p)]) for p in points])
+        return np.asarray(np.sqrt(np.einsum("nij,jk,nik->n", G, self.covariance, G)))
 
     def distance(self, T_tracker_base: Array) -> float:
         """Squared distance of another pose of the base in units of the covariance."""
@@ -196,9 +170,8 @@ def frame_of(
     first: Circle,
     second: Circle,
     *,
-    q1: float = 0.0,
     plane_offset: float = 0.0,
-    T_base_axes: Array | None = None,
+    T_axes_base: Array | None = None,
 ) -> BaseFrame:
     """The base frame.
 
@@ -206,63 +179,58 @@ def frame_of(
         plane: Through what was measured of the mounting plane.
         first: The circle of joint 1, its normal in the joint's positive sense.
         second: That of joint 2.
-        q1: Value of joint 1 while joint 2 was swept [rad].
         plane_offset: How far the measured points stand off the mounting plane, towards the circles [m].
-        T_base_axes: Pose of the frame A at q1 = 0 in the base, shape (4, 4) [m], see `nominal_axes_frame`; None: A is
+        T_axes_base: Pose of the base in the frame A as it was while joint 2 was swept, shape (4, 4) [m]; None: A is
             the base.
     """
-    X = turned_about_z(-q1) @ rigid_inverse(np.eye(4) if T_base_axes is None else T_base_axes)
-    lowered = mounting_plane(plane, first, plane_offset)
-    circles = (first, second)
-    T = axes_frame(lowered, *(Line(c.point, c.normal) for c in circles)) @ X
+    X = np.eye(4) if T_axes_base is None else T_axes_base
+    figures = (plane, first, second)
+    lines = lines_of(*figures, plane_offset=plane_offset)
+    T = axes_frame(*lines) @ X
 
-    def moved(mounting: Line, axes: Sequence[Line]) -> Array:
+    def moved(displaced: Sequence[Line]) -> Array:
         """The frame's displacement with that of the figures, as a twist in its own axes."""
-        M = rigid_inverse(T) @ axes_frame(mounting, *axes) @ X
+        M = rigid_inverse(T) @ axes_frame(*displaced) @ X
         return np.concatenate([M[:3, 3], 0.5 * (M - M.T)[[2, 0, 1], [1, 2, 0]]])
 
-    parts = propagated(moved, plane, lowered, circles)
-    dofs = tuple(figure.dof for figure in (plane, *circles))
-    return BaseFrame(read_only(T), tuple(read_only(part) for part in parts), dofs)
+    parts = propagated(moved, lines, figures)
+    return BaseFrame(read_only(T), tuple(map(read_only, parts)), tuple(f.dof for f in figures))
+
+
+def lines_of(plane: Plane, *circles: Circle, plane_offset: float) -> list[Line]:
+    """The mounting plane, which lies under the measured one, away from the first circle, and the circles' axes."""
+    height = float(plane.normal @ (circles[0].point - plane.point))
+    if plane_offset and abs(height) < 2.0 * abs(plane_offset):
+        raise CalibError(
+            f"the circle of joint 1 lies {1e3 * abs(height):.3g} mm from the measured plane: that is too near to tell "
+            f"on which side the robot stands, as an offset of {1e3 * plane_offset:.6g} mm needs it. Fix the target "
+            "higher up"
+        )
+    mounting = Line(plane.point - np.sign(height) * plane_offset * plane.normal, plane.normal)
+    return [mounting, *(Line(circle.point, circle.normal) for circle in circles)]
 
 
 def propagated(
-    result: Callable[[Line, Sequence[Line]], Array],
-    plane: Plane,
-    mounting: Line,
-    circles: Sequence[Circle],
+    result: Callable[[Sequence[Line]], Array], lines: Sequence[Line], figures: Sequence[Plane]
 ) -> list[Array]:
     """What plane and circles contribute to the covariance of a result, shape (k,), of mounting plane and axes."""
-    lines = [mounting, *(Line(circle.point, circle.normal) for circle in circles)]
     parts = []
-    for i, figure in enumerate((plane, *circles)):
+    for i, figure in enumerate(figures):
         # Columns of the basis along which the point moves, then two towards which the direction tilts.
-        along = figure.basis[:, 2:] if i == 0 else figure.basis
+        along = figure.basis if isinstance(figure, Circle) else figure.basis[:, 2:]
         moves = [(column, np.zeros(3)) for column in along.T]
         moves += [(np.zeros(3), column) for column in figure.basis[:, :2].T]
 
         def at(step: float, shift: Array, tilt: Array, i: int = i) -> Array:
             """The result with one figure displaced."""
             direction = lines[i].direction + step * tilt
-            one = list(lines)
-            one[i] = Line(lines[i].point + step * shift, direction / np.linalg.norm(direction))
-            return result(one[0], one[1:])
+            moved = Line(lines[i].point + step * shift, direction / np.linalg.norm(direction))
+            return result([*lines[:i], moved, *lines[i + 1 :]])
 
         columns = [(at(_STEP, *move) - at(-_STEP, *move)) / (2.0 * _STEP) for move in moves]
         D = np.column_stack(columns)
         parts.append(D @ figure.covariance[: len(moves), : len(moves)] @ D.T)
     return parts
-
-
-def mounting_plane(plane: Plane, first: Circle, offset: float) -> Line:
-    """The mounting plane under the measured one, away from the circle of joint 1."""
-    height = float(plane.normal @ (first.point - plane.point))
-    if offset and abs(height) < 2.0 * abs(offset):
-        raise CalibError(
-            f"the circle of joint 1 lies {1e3 * abs(height):.3g} mm from the measured plane: that is too near to tell "
-            f"on which side the robot stands, as an offset of {1e3 * offset:.6g} mm needs it. Fix the target higher up"
-        )
-    return Line(plane.point - np.sign(height) * offset * plane.normal, plane.normal)
 
 
 def axes_frame(plane: Line, first: Line, second: Line) -> Array:
@@ -279,8 +247,7 @@ def axes_frame(plane: Line, first: Line, second: Line) -> Array:
     if across < np.sin(PARALLEL_RAD):
         raise CalibError(
             f"the axes of joints 1 and 2 are parallel within {np.degrees(np.arcsin(across)):.2f} deg, so that they do "
-            "not say where y points. If the second sweep is of joint 1 again, sweep joint 2; a robot whose first axes "
-            "are parallel needs another joint for it"
+            "not say where y points. Check that the second sweep is of joint 2"
         )
     y = y / across
     T = np.eye(4)
@@ -289,18 +256,11 @@ def axes_frame(plane: Line, first: Line, second: Line) -> Array:
     return T
 
 
-def nominal_axes_frame(first: Line, second: Line) -> Array:
+def nominal_axes_frame(nominal: Nominal) -> Array:
     """T_base_A of a robot's nominal axes 1 and 2 at zero; the mounting plane is z = 0 of the base."""
     try:
-        return axes_frame(Line(np.zeros(3), np.array([0.0, 0.0, 1.0])), first, second)
+        return axes_frame(Line(np.zeros(3), np.array([0.0, 0.0, 1.0])), *nominal.lines[:2])
     except CalibError as error:
         raise CalibError(
             f"In the URDF, with the plane z = 0 of the base, {error}. Choose another base link (--base)."
         ) from error
-
-
-def turned_about_z(angle: float) -> Array:
-    """A rotation about z, shape (4, 4)."""
-    T = np.eye(4)
-    T[:3, :3] = pin.utils.rotate("z", angle)
-    return T

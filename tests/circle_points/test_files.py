@@ -7,14 +7,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib.circle_points.files import (
-    carried,
-    cell_text,
-    survey_table,
-)
-from calib.circle_points.survey import Survey, base_frame
+from calib.circle_points.survey import Survey, base_frame, carried
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
+from calib.text.base_frame import cell_text
 from tests.circle_points.virtual_sweeps import virtual_sweeps
 
 T_TRUE = pin.exp6(np.array([2.0, 1.0, -0.5, 0.3, -0.8, 1.2])).homogeneous
@@ -50,9 +46,9 @@ def test_positions_and_orientations_are_carried(ur3, found):
 )
 def test_the_cell_file_is_the_frame_to_the_last_digits(tmp_path, found, twist):
     T = pin.exp6(np.array(twist)).homogeneous
-    moved = replace(found, frame=replace(found.frame, T_tracker_base=T))
+    moved = replace(found.frame, T_tracker_base=T)
     path = tmp_path / "frame.toml"
-    path.write_text(cell_text(moved, 'my "sweeps".csv', "base", "tool0"), encoding="utf-8")
+    path.write_text(cell_text(moved, 'my "sweeps".csv', base="base", tip="tool0"), encoding="utf-8")
     cell = Cell.read(path)
     assert (cell.base, cell.tip, cell.estimate_frame) == ("base", "tool0", False)
     assert cell.T_frame_base == pytest.approx(T, abs=1e-12)
@@ -62,11 +58,13 @@ def test_the_cell_file_is_the_frame_to_the_last_digits(tmp_path, found, twist):
 
 
 def test_the_table_has_everything(found):
-    table = survey_table(found)
-    assert table["schema"] == "base-frame 1"
+    table = found.table()
+    assert table["schema"] == "base-frame 2"
     assert table["frame"]["T_tracker_base"] is found.frame.T_tracker_base
     assert [joint["joint"] for joint in table["joints"]] == [1, 2]
     assert table["rows"][0]["nominal"]["d_m"] == pytest.approx(0.1519)
-    assert len(table["joints"][0]["radial_m"]) == 40
+    circle = table["joints"][0]["circle"]
+    assert circle["residuals_m"].shape == (40, 2)
+    assert circle["basis"] @ table["joints"][0]["circle"]["basis"].T == pytest.approx(np.eye(3))
     plain = json.dumps(table, default=lambda array: array.tolist())
     assert "findings" in json.loads(plain)

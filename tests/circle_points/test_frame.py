@@ -9,13 +9,14 @@ from scipy.stats import chi2
 
 from calib.circle_points.fits import Circle, Plane, fit_circle, fit_plane
 from calib.circle_points.frame import (
+    NUMBERS,
     BaseFrame,
     Line,
+    Nominal,
     axis_rows,
     frame_of,
     nominal_axes,
     nominal_axes_frame,
-    turned_about_z,
 )
 from calib.robot.robot import Robot, rigid_inverse
 
@@ -73,8 +74,9 @@ def error(frame: BaseFrame, T: np.ndarray = T_TRUE) -> np.ndarray:
 
 
 def test_joint_1_elsewhere_turns_the_frame_back():
-    frame = frame_of(*figures(), q1=0.3)
-    assert np.abs(error(frame, T_TRUE @ turned_about_z(-0.3))).max() < 1e-9
+    back = pin.exp6(np.array([0, 0, 0, 0, 0, -0.3])).homogeneous
+    frame = frame_of(*figures(), T_axes_base=back)
+    assert np.abs(error(frame, T_TRUE @ back)).max() < 1e-9
 
 
 def test_a_ball_stands_off_the_plane_on_the_robot_s_side():
@@ -87,8 +89,8 @@ def test_a_robot_s_base_is_where_its_axes_say():
     # Axis 2 along -y of the base, and axis 1 beside its origin, as with `base` of a UR on a stand.
     first = Line(np.array([0.05, -0.02, 0.0]), np.array([0.0, 0.0, 1.0]))
     second = Line(np.array([0.0, 0.1, 0.15]), np.array([0.0, -1.0, 0.0]))
-    T = nominal_axes_frame(first, second)
-    frame = frame_of(*figures(), T_base_axes=T)
+    T = nominal_axes_frame(Nominal((first, second), None))
+    frame = frame_of(*figures(), T_axes_base=rigid_inverse(T))
     assert np.abs(error(frame, T_TRUE @ rigid_inverse(T))).max() < 1e-9
     assert T[:3, 3] == pytest.approx([0.05, -0.02, 0.0])
     assert T[:3, 1] == pytest.approx([0, -1, 0])
@@ -134,7 +136,7 @@ def test_a_plane_of_four_points_widens_the_region_as_its_one_degree_of_freedom_d
 
 
 def rows_of(nominal) -> np.ndarray:
-    return np.asarray(nominal.rows[:-1])
+    return np.array([[getattr(row, name) for name in NUMBERS] for row in nominal.table.rows[:-1]])
 
 
 def disturbed(robot: Robot, seed: int, size: float = 3e-3) -> Robot:
@@ -148,14 +150,14 @@ def disturbed(robot: Robot, seed: int, size: float = 3e-3) -> Robot:
 def test_of_exact_axes_they_are_those_of_the_urdf(ur3, panda):
     for robot in (ur3, panda):
         nominal = nominal_axes(robot)
-        assert axis_rows(nominal.lines, nominal) == pytest.approx(rows_of(nominal), abs=1e-12)
+        assert axis_rows(nominal.lines, nominal.table) == pytest.approx(rows_of(nominal), abs=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_of_true_axes_they_are_those_of_the_true_robot_up_to_the_choices(ur3, panda, seed):
     for robot in (ur3, panda):
         true = nominal_axes(disturbed(robot, seed))
-        found = axis_rows(true.lines, nominal_axes(robot))
+        found = axis_rows(true.lines, nominal_axes(robot).table)
         assert np.abs(found - rows_of(nominal_axes(robot))).max() < 0.05
         assert axis_rows(true.lines) == pytest.approx(rows_of(true), abs=1e-9)
 

@@ -52,8 +52,8 @@ def test_the_frame_is_printed_with_how_well_it_is_known(call, bench: Path):
         "shoulder_pan_joint 40 300.0",
         "270.0",
         "Turned against its own values",
-        "alpha 90.00",
-        "(151.9000)",
+        "alpha [deg] 90.00",
+        "151.9000",
         "the residuals look like noise",
     ):
         assert said in text

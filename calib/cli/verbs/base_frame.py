@@ -60,15 +60,14 @@ def base_frame(
     quiet: Quiet = False,
 ) -> None:
     """See the text of `verb`."""
-    from calib.circle_points.files import carried, cell_text, survey_table
-    from calib.circle_points.survey import base_frame as found_frame
+    from calib.circle_points.survey import base_frame as found_frame, carried
     from calib.circle_points.sweeps import read_sweeps
     from calib.cli.setup import check_outputs, parse_amount, parse_columns
     from calib.data.measurements import Measurements
     from calib.files import write_atomically
     from calib.result.calibration_file import write_table
     from calib.robot.robot import Robot
-    from calib.text.base_frame import carried_text, survey_text
+    from calib.text.base_frame import carried_text, cell_text, survey_text
 
     if (carry is None) != (output is None) or (carry_points is not None and carry is None):
         raise CalibError(
@@ -95,10 +94,10 @@ def base_frame(
         moved.write(output, overwrite=force)
         written.append(output)
     if cell_out is not None:
-        text = cell_text(found, sweeps.source, None if arm is None else arm.base, tip)
+        text = cell_text(found.frame, sweeps.source, base=arm.base if arm else None, tip=tip)
         written.append(write_atomically(cell_out, text.encode(), overwrite=force))
     if json is not None:
-        written.append(write_table(survey_table(found), json, overwrite=force))
+        written.append(write_table(found.table(), json, overwrite=force))
     if not quiet:
         for line in (*lines, *(f"Written: {path}" for path in written)):
             typer.echo(line)
