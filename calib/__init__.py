@@ -28,8 +28,7 @@ if TYPE_CHECKING:
     from calib.data.measurements import Measurements as Measurements
     from calib.design.optimal import PlanRequest as PlanRequest
     from calib.design.plan import Plan as Plan, plan as plan
-    from calib.design.region import Region as Region
-    from calib.design.workspace import workspace as workspace
+    from calib.design.workspace import Region as Region, workspace as workspace
     from calib.errors import CalibError as CalibError
     from calib.estimate.inspection import inspect as inspect
     from calib.fleets.fleet import fleet as fleet
@@ -52,8 +51,7 @@ _NAMES = {
     "calib.data.measurements": "Measurements",
     "calib.design.optimal": "PlanRequest",
     "calib.design.plan": "Plan plan",
-    "calib.design.region": "Region",
-    "calib.design.workspace": "workspace",
+    "calib.design.workspace": "Region workspace",
     "calib.errors": "CalibError",
     "calib.estimate.inspection": "inspect",
     "calib.fleets.fleet": "fleet",

@@ -14,8 +14,8 @@ import pytest
 import calib
 from calib.compensation.program import read_program
 from calib.data.points_file import read_points
-from calib.design.region import RegionFile
 from calib.design.solids import read_solids
+from calib.design.workspace import read_region
 from calib.errors import CalibError
 from calib.example import paper_measurements, paper_urdf
 from calib.formats.sources import Options, read_source
@@ -72,7 +72,7 @@ READERS = [
     ("c.toml", calib.Cell.read, cells),
     ("r.json", convert, made(CALIBRATE)),
     ("o.yaml", convert, lambda _: [p.read_bytes() for p in ROOT.glob("urdf/*.yaml")]),
-    ("w.json", RegionFile.read, made(WORKSPACE)),
+    ("w.json", read_region, made(WORKSPACE)),
 ]
 
 

@@ -20,8 +20,8 @@ from calib.design.collision import CollisionCheck, CollisionModel, in_sight
 from calib.design.forecast import Forecast, Sensitivity
 from calib.design.notes import Note
 from calib.design.optimal import PlanRequest, choose_poses
-from calib.design.region import Region
 from calib.design.route import Blocked, route
+from calib.design.workspace import Region
 from calib.robot.robot import Robot, read_only
 
 Array = NDArray[np.float64]

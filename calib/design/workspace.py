@@ -7,12 +7,16 @@ a share is made of the fewest voxels that hold it: those of the highest density 
 
 Unless it is given, the voxel is the smallest round length for which a smoothed count rests on `SAMPLES_PER_VOXEL`
 samples in the mean, a statistical error of 6 % (10 % at the border of 95 %).
+
+A region's file is JSON in SI units, see docs/workspace.md. It names robot, base, tip and target: in another base frame
+the same numbers are another place.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -22,11 +26,15 @@ from scipy import ndimage
 from calib.data.measurements import Measurements
 from calib.data.ranges import joint_ranges
 from calib.data.surroundings import vector
-from calib.design.region import Region, checked_points, voxel_of
-from calib.errors import CalibError
+from calib.errors import CalibError, FileError
+from calib.files import damage, json_bytes, read_json, write_atomically
 from calib.robot.robot import Robot, read_only
+from calib.version import __version__
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+SCHEMA = "region 1"
 
 #: Samples by default, and samples that the smoothed count of a voxel rests on in the mean where its size is chosen.
 COUNT, SAMPLES_PER_VOXEL = 2**17, 300.0
@@ -37,8 +45,11 @@ MOST_VOXELS, _FINEST = 4_000_000, 128
 #: Samples that are computed at once.
 _CHUNK = 2**15
 
-#: Weights of a voxel and its two neighbours along an axis, and first figures of round lengths.
-_WEIGHTS, _ROUND = np.array([0.25, 0.5, 0.25]), (1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10)
+#: Weights of a voxel and its two neighbours along an axis.
+_WEIGHTS = np.array([0.25, 0.5, 0.25])
+
+#: Round lengths in rising order [m].
+_ROUND = [float(f"{n}e{k}") for k in range(-9, 6) for n in (1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8)]
 
 
 def workspace(
@@ -66,10 +77,9 @@ def workspace(
     from scipy.stats import qmc
 
     point = vector(target, "target's position in the tip")
-    ends = joint_ranges(robot) if ranges is None else np.asarray(ranges, dtype=np.float64)
-    sequence = qmc.Sobol(len(ends), scramble=True, seed=np.random.default_rng(seed))
+    low, high = (joint_ranges(robot) if ranges is None else np.asarray(ranges)).T
+    sequence = qmc.Sobol(len(low), scramble=True, seed=np.random.default_rng(seed))
     points = np.empty((count, 3))
-    low, high = ends.T
     for start in range(0, count, _CHUNK):
         # The first piece is a power of two long, as SciPy asks.
         unit = sequence.random(_CHUNK)[: count - start]
@@ -82,14 +92,81 @@ def workspace(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Region:
+    """The part of space that a robot is measured in: voxels of a grid in the base frame.
+
+    Attributes:
+        origin: shape (3,), the grid's least corner [m].
+        voxel: Edge of a voxel [m].
+        cells: shape (nx, ny, nz), whether a voxel belongs to the region.
+        share: The share of the probability that was asked for.
+        held: The share of the samples that the voxels hold: not less than ``share``.
+    """
+
+    origin: Array
+    voxel: float
+    cells: Mask
+    share: float
+    held: float
+
+    @property
+    def volume(self) -> float:
+        """Of all voxels [m^3]."""
+        return float(np.count_nonzero(self.cells) * self.voxel**3)
+
+    @property
+    def bounds(self) -> Array:
+        """Least and greatest corner of the box about the region, shape (2, 3), [m]."""
+        index = np.argwhere(self.cells)
+        return self.origin + self.voxel * np.array([index.min(axis=0), index.max(axis=0) + 1])
+
+    def contains(self, points: ArrayLike) -> Mask:
+        """Whether points of shape (N, 3), in the base frame [m], lie in the region, shape (N,)."""
+        index, known = _voxel_of(np.asarray(points), self.origin, self.voxel, self.cells.shape)
+        found: Mask = known & self.cells[tuple(index.T)]
+        return found
+
+    def depth(self, points: ArrayLike) -> Array:
+        """Distance of points of shape (N, 3) to the region's border, shape (N,), [m]: negative outside.
+
+        The border itself is known to about half a voxel.
+        """
+        padded = np.pad(self.cells, 1)
+        around = ndimage.binary_dilation(padded) & ~padded
+        border = padded & ~ndimage.binary_erosion(padded)
+        inner, outer = (
+            self.origin + self.voxel * (np.argwhere(one) - 0.5) for one in (border, around)
+        )
+        result = np.empty(len(np.asarray(points)))
+        for i, inside in enumerate(self.contains(points)):
+            away = np.abs((outer if inside else inner) - np.asarray(points)[i])
+            gap = np.linalg.norm(np.maximum(away - 0.5 * self.voxel, 0.0), axis=1).min()
+            result[i] = gap if inside else -gap
+        return result
+
+
+def _voxel_of(
+    points: Array, origin: Array, voxel: float, shape: tuple[int, ...]
+) -> tuple[NDArray[np.intp], Mask]:
+    """The voxel that each point lies in, indices (N, 3), outside the nearest one; and whether it is in the grid, (N,).
+
+    The grid's outer faces belong to it.
+    """
+    at, last = (points - origin) / voxel, np.array(shape)
+    # Rounding must not put a point that made the grid outside of it.
+    known: Mask = np.all((at >= -1e-9) & (at <= last + 1e-9), axis=1)
+    return np.floor(np.clip(at, 0.0, last - 0.5)).astype(np.intp), known
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Density:
     """How often samples lie in each voxel of a grid in the base frame.
 
     Attributes:
         origin: shape (3,), the grid's least corner [m].
         voxel: Edge of a voxel [m].
-        counts: shape (nx, ny, nz), samples in each voxel. Read-only.
-        smooth: shape (nx, ny, nz), the same smoothed over neighbours, 0 where there is no sample. Read-only.
+        counts: shape (nx, ny, nz), samples in each voxel.
+        smooth: shape (nx, ny, nz), the same smoothed over neighbours, 0 where there is no sample.
     """
 
     origin: Array
@@ -102,16 +179,12 @@ class Density:
         """Count points of shape (N, 3), in the base frame [m]; None: a voxel of a size that suits them.
 
         Raises:
-            CalibError: No points, or a voxel that makes no grid, or one of more than `MOST_VOXELS`.
+            CalibError: A voxel that makes no grid, or one of more than `MOST_VOXELS`.
         """
-        values = checked_points(points)
-        if not len(values):
-            raise CalibError("No points were given to count; give one at least.")
-        low, high = values.min(axis=0), values.max(axis=0)
-        edge = _chosen_voxel(values, low, high) if voxel is None else float(voxel)
-        origin, counts = _counted(values, low, high, edge)
-        counts.setflags(write=False)
-        return cls(origin, edge, counts, read_only(_smoothed(counts)[0]))
+        values = np.asarray(points, dtype=np.float64)
+        edge = _chosen_voxel(values) if voxel is None else float(voxel)
+        origin, counts = _counted(values, edge)
+        return cls(origin, edge, counts, _smoothed(counts)[0])
 
     @property
     def samples(self) -> int:
@@ -152,10 +225,8 @@ class Density:
         order, held = self._by_density()
         needed = np.full(self.counts.size, np.inf)
         needed[order] = held
-        values = checked_points(points)
-        index, known = voxel_of(values, self.origin, self.voxel, self.counts.shape)
-        found = needed.reshape(self.counts.shape)[tuple(index.T)]
-        return read_only(np.where(known, found, np.inf))
+        index, known = _voxel_of(np.asarray(points), self.origin, self.voxel, self.counts.shape)
+        return np.where(known, needed.reshape(self.counts.shape)[tuple(index.T)], np.inf)
 
     def _by_density(self) -> tuple[NDArray[np.intp], Array]:
         """The voxels with samples, densest first, and the share that those up to each hold."""
@@ -197,31 +268,27 @@ class RegionView:
     def pose(self) -> Array:
         """Joint values to draw the robot at, shape (m,): the first row's, or some where the target is often."""
         if self.checked is not None and len(self.checked.rows):
-            return read_only(self.checked.rows.joints_for(self.robot.joint_names)[0])
+            return np.asarray(self.checked.rows.joints_for(self.robot.joint_names)[0])
         low, high = self.ranges.T
         q = low + np.random.default_rng(0).uniform(size=(200, len(low))) * (high - low)
         poses = self.robot.poses(q)
         needed = self.density.share_of(poses[:, :3, :3] @ self.target + poses[:, :3, 3])
-        return read_only(q[np.argmin(needed)])
+        return np.asarray(q[np.argmin(needed)])
 
 
-def _counted(
-    points: Array, low: Array, high: Array, voxel: float
-) -> tuple[Array, NDArray[np.int64]]:
+def _counted(points: Array, voxel: float) -> tuple[Array, NDArray[np.int64]]:
     """The least corner of a grid that lies evenly about the points [m], and how many lie in each of its voxels."""
-    if not (np.isfinite(voxel) and voxel > 0.0):
-        raise CalibError(f"The voxel is {1e3 * voxel:g} mm; it must be a length greater than 0.")
+    low, high = points.min(axis=0), points.max(axis=0)
     # A length that is a multiple of the voxel's, but for rounding, gets no voxel more.
-    sides = np.maximum(np.ceil((high - low) / voxel - 1e-6), 1.0)
+    sides = np.ceil((high - low) / voxel - 1e-6).clip(1.0) if voxel > 0.0 else np.full(3, np.inf)
     if np.prod(sides) > MOST_VOXELS:
         raise CalibError(
             f"Voxels of {1e3 * voxel:g} mm make a grid of {np.prod(sides):.3g}; at most {MOST_VOXELS:,} are made. "
             "Give larger ones."
         )
-    origin = read_only(0.5 * (low + high) - 0.5 * voxel * sides)
+    origin = 0.5 * (low + high) - 0.5 * voxel * sides
     shape = tuple(int(n) for n in sides)
-    index, _ = voxel_of(points, origin, voxel, shape)
-    flat = np.ravel_multi_index(tuple(index.T), shape)
+    flat = np.ravel_multi_index(tuple(_voxel_of(points, origin, voxel, shape)[0].T), shape)
     return origin, np.bincount(flat, minlength=int(np.prod(shape))).reshape(shape)
 
 
@@ -247,20 +314,74 @@ def _rests_on(counts: NDArray[np.int64]) -> float:
     return float(_smoothed(counts)[1].sum()) / reached * float(counts.sum()) / reached
 
 
-def _chosen_voxel(points: Array, low: Array, high: Array) -> float:
+def _chosen_voxel(points: Array) -> float:
     """The smallest round length for which a smoothed count rests on enough samples, see the module's text [m]."""
-    longest = float(np.max(high - low))
+    longest = float(np.ptp(points, axis=0).max())
     if longest < 1e-9:
         return 1e-3
-    voxel = _round_up(longest / _FINEST)
-    while voxel < longest and _rests_on(_counted(points, low, high, voxel)[1]) < SAMPLES_PER_VOXEL:
-        voxel = _round_up(1.01 * voxel)
-    return voxel
+    fitting = (voxel for voxel in _ROUND if voxel >= longest / _FINEST * (1.0 - 1e-9))
+    return next(
+        voxel
+        for voxel in fitting
+        if voxel >= longest or _rests_on(_counted(points, voxel)[1]) >= SAMPLES_PER_VOXEL
+    )
 
 
-def _round_up(length: float) -> float:
-    """The least round length that is not below another [m]."""
-    power = 10.0 ** np.floor(np.log10(length))
-    figure = next(step for step in _ROUND if step * power >= length * (1.0 - 1e-9))
-    # Written out in decimals, 0.02 is nearer to 20 mm than 2 * 0.01.
-    return float(f"{figure * power:.3g}")
+def write_region(view: RegionView, path: str | Path, seed: int, *, overwrite: bool = False) -> Path:
+    """Write a region and what it was made from as JSON; ``seed`` is that of the samples."""
+    robot, region, flat = view.robot, view.region, view.region.cells.ravel()
+    joints = []
+    for joint, (low, high) in zip(robot.inputs, view.ranges.tolist(), strict=True):
+        unit = "m" if joint.type == "prismatic" else "rad"
+        joints.append({"name": joint.name, f"low_{unit}": low, f"high_{unit}": high})
+    runs = np.diff([0, *np.flatnonzero(np.diff(flat)) + 1, flat.size]).tolist()
+    table = {
+        "schema": SCHEMA,
+        "calib": __version__,
+        "robot": {"name": robot.name, "base": robot.base, "tip": robot.tip, "joints": joints},
+        "target_xyz_m": view.target,
+        "samples": view.density.samples,
+        "seed": seed,
+        "share": region.share,
+        "held": region.held,
+        "volume_m3": region.volume,
+        "voxel_m": region.voxel,
+        "origin_m": region.origin,
+        "shape": region.cells.shape,
+        # Voxels in the order of the last index first, as lengths of runs: outside, inside, outside, ...
+        "runs": [0, *runs] if flat[0] else runs,
+    }
+    return write_atomically(path, json_bytes(table), overwrite=overwrite)
+
+
+def read_region(
+    path: str | Path, robot: Robot | None = None, target: Array | None = None
+) -> Region:
+    """Read a region's file; one of another base, tip or joints, or a target more than a voxel away, is refused."""
+    expected = (
+        f"a region of calib {__version__} has '{SCHEMA}'. Make it again with 'calib workspace -o'."
+    )
+    table = read_json(path, "region", SCHEMA, expected)
+    try:
+        runs = np.asarray(table["runs"], dtype=np.int64)
+        cells = np.repeat(np.arange(len(runs)) % 2 == 1, runs).reshape(table["shape"])
+        voxel, share, held = (float(table[key]) for key in ("voxel_m", "share", "held"))
+        region = Region(read_only(table["origin_m"]).reshape(3), voxel, cells, share, held)
+        own, point = table["robot"], read_only(table["target_xyz_m"]).reshape(3)
+        made = own["base"], own["tip"], [joint["name"] for joint in own["joints"]]
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise FileError(
+            f"{path}: the region is damaged: {damage(error)}. Write it again with 'calib workspace -o'."
+        ) from error
+    here = made if robot is None else (robot.base, robot.tip, list(robot.joint_names))
+    apart = 0.0 if target is None else float(np.linalg.norm(target - point))
+    moved = f"{1e3 * apart:.0f} mm away" if apart > voxel else "there"
+    for what, now, then in zip(
+        ("base", "tip", "joints", "target"), (*here, moved), (*made, "there"), strict=True
+    ):
+        if now != then:
+            raise CalibError(
+                f"The region was made for the {what} {then}, and now it is {now}: give the same --base, --tip, "
+                "--hold and --target, or make the region again with 'calib workspace'."
+            )
+    return region

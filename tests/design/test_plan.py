@@ -14,7 +14,7 @@ from calib.design.collision import CollisionCheck
 from calib.design.notes import Note
 from calib.design.optimal import PlanRequest
 from calib.design.plan import Plan, plan
-from calib.design.region import Region
+from calib.design.workspace import Region
 from calib.errors import CalibError
 from calib.example import PAPER_TARGET
 from tests.design.fcl_scene import bodies, objects, touch

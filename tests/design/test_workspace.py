@@ -1,6 +1,10 @@
-"""Density and region against what is known without counting: a planar arm, a gantry, the paper's table."""
+"""Density and region against what is known without counting: a planar arm, a gantry, the paper's table; the file."""
 
 from __future__ import annotations
+
+import itertools
+import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,10 +13,20 @@ from hypothesis import given, settings, strategies as st
 from calib import example
 from calib.data.measurements import Measurements
 from calib.data.ranges import joint_ranges
-from calib.design.workspace import MOST_VOXELS, Density, workspace
+from calib.design.workspace import (
+    MOST_VOXELS,
+    Density,
+    Region,
+    RegionView,
+    read_region,
+    workspace,
+    write_region,
+)
+from calib.errors import CalibError, FileError
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 
+TARGET = np.array(example.PAPER_TARGET)
 L1, L2 = 0.4, 0.3
 
 PLANAR = f"""<robot name="planar">
@@ -42,11 +56,6 @@ def gantry(size: float) -> Robot:
 @pytest.fixture(scope="module")
 def planar():
     return Robot.from_urdf(Urdf.from_bytes(PLANAR.encode(), "planar.urdf"), "a", "d")
-
-
-@pytest.fixture(scope="module")
-def ur3():
-    return Robot.load(example.paper_urdf(), base="base", tip="tool0")
 
 
 @pytest.fixture(scope="module")
@@ -81,9 +90,6 @@ def test_the_paper_s_region_holds_rows_31_to_33_and_not_34_and_35(ur3, paper, na
     assert inside[:30].all()
     # None of the five is a matter of luck: the nearest is further from the border than a voxel.
     assert np.abs(region.depth(paper.points[30:])).min() > 0.06 > region.voxel
-
-
-# Statistics of the rule for the voxel.
 
 
 # Truths that need no counting.
@@ -174,4 +180,106 @@ def test_a_region_is_the_fewest_voxels_of_the_highest_density(seed, count, share
     assert held - least < share
 
 
-# What is refused.
+# Voxels.
+
+#: 3 x 2 x 1 voxels of 0.1 m from (1, 2, 3), of which an L of four belongs to the region.
+CELLS = np.array([[[1], [1]], [[1], [0]], [[1], [0]]], dtype=bool)
+ELL = Region(np.array([1.0, 2.0, 3.0]), 0.1, CELLS, 0.5, 0.6)
+
+
+def distance_to_box(points, low, high):
+    return np.linalg.norm(np.maximum(np.maximum(low - points, points - high), 0.0), axis=-1)
+
+
+def test_points_in_voxels():
+    points = [[1.05, 2.05, 3.05], [1.05, 2.15, 3.05], [1.15, 2.15, 3.05], [1.29, 2.01, 3.09]]
+    assert ELL.contains(points).tolist() == [True, True, False, True]
+    assert ELL.contains([[0.99, 2.05, 3.05], [1.05, 2.05, 3.11], [1.31, 2.05, 3.05]]).sum() == 0
+    assert ELL.volume == pytest.approx(4e-3, rel=1e-12)
+    np.testing.assert_allclose(ELL.bounds, [[1.0, 2.0, 3.0], [1.3, 2.2, 3.1]], rtol=1e-12)
+    points = np.array([[1.05, 2.05, 3.04], [1.25, 2.05, 3.05], [1.15, 2.12, 3.05], [0.9, 2.0, 3.0]])
+    np.testing.assert_allclose(ELL.depth(points), [0.04, 0.05, -0.02, -0.1], atol=1e-12)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_depth_agrees_with_a_search_through_every_voxel(seed):
+    rng = np.random.default_rng(seed)
+    cells = rng.random(rng.integers(1, 5, 3)) < 0.6
+    cells.flat[0] = True
+    region = Region(np.zeros(3), 0.5, cells, 0.9, 0.9)
+    points = rng.uniform(-1.0, 3.0, (40, 3))
+    inside, outside = [], []
+    for index in itertools.product(*[range(-1, n + 1) for n in cells.shape]):
+        corner = 0.5 * np.array(index)
+        known = all(0 <= i < n for i, n in zip(index, cells.shape, strict=True))
+        part = inside if known and cells[index] else outside
+        part.append(distance_to_box(points, corner, corner + 0.5))
+    to_inside = np.min(inside, axis=0)
+    expected = np.where(to_inside > 0, -to_inside, np.min(outside, axis=0))
+    np.testing.assert_allclose(region.depth(points), expected, atol=1e-9)
+    sure = np.abs(expected) > 1e-9
+    np.testing.assert_array_equal(region.contains(points)[sure], expected[sure] > 0)
+
+
+# The file.
+
+
+@pytest.fixture(scope="module")
+def stored(ur3):
+    ranges = joint_ranges(ur3, {"elbow_joint": (0.1, 1.2)})
+    density = Density.of(workspace(ur3, TARGET, ranges, 2**13, 4))
+    return RegionView(ur3, TARGET, ranges, density, density.region(0.9))
+
+
+@pytest.fixture
+def path(stored, tmp_path):
+    return write_region(stored, tmp_path / "region.json", 4)
+
+
+def test_what_is_read_is_what_was_written(ur3, stored, path):
+    again = read_region(path, ur3, TARGET + 1e-3)
+    for name in ("origin", "cells", "voxel", "share", "held"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(stored.region, name))
+    table = json.loads(path.read_text())
+    assert (table["samples"], table["seed"], table["volume_m3"]) == (2**13, 4, again.volume)
+    elbow = {"name": "elbow_joint", "low_rad": 0.1, "high_rad": 1.2}
+    assert table["robot"]["joints"][2] == elbow
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_runs_begin_with_those_outside(stored, tmp_path, first):
+    cells = np.array([[[first, True, True], [False, False, True]]])
+    region = Region(np.zeros(3), 0.1, cells, 0.5, 0.5)
+    path = write_region(replace(stored, region=region), tmp_path / "small.json", 0)
+    table = json.loads(path.read_text())
+    assert table["runs"] == ([0, 3, 2, 1] if first else [1, 2, 2, 1])
+    np.testing.assert_array_equal(read_region(path).cells, cells)
+
+
+@pytest.mark.parametrize(
+    ("base", "tip", "by", "said"),
+    [
+        ("base_link", "tool0", 0.0, "made for the base base, and now it is base_link"),
+        ("base", "ee_link", 0.0, "made for the tip tool0"),
+        ("base", "tool0", 0.3, "now it is 300 mm away"),
+    ],
+)
+def test_a_region_belongs_to_a_base_a_tip_and_a_target(path, ur3, base, tip, by, said):
+    with pytest.raises(CalibError, match=said):
+        read_region(path, ur3.rebuilt(base=base, tip=tip), TARGET + np.array([0.0, by, 0.0]))
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [
+        ("schema", "region 2", "'region 2'"),
+        ("robot", {}, "'base' is missing"),
+        ("origin_m", None, "damaged"),
+        ("runs", [1, 2], "damaged"),
+    ],
+)
+def test_a_damaged_file_is_refused(path, key, value, said):
+    path.write_text(json.dumps({**json.loads(path.read_text()), key: value}))
+    with pytest.raises(FileError, match=said):
+        read_region(path)

@@ -65,7 +65,7 @@ def plan(
     from calib.design.optimal import PlanRequest
     from calib.design.plan import plan as make_plan
     from calib.design.plan_file import plan_table, read_taken, write_plan
-    from calib.design.region import RegionFile
+    from calib.design.workspace import read_region
     from calib.result.calibration_file import write_table
     from calib.robot.robot import Robot
     from calib.text.plan import next_text, plan_text
@@ -78,9 +78,8 @@ def plan(
     cell = replace(cell, tracker=line.parse_tracker(tracker, cell.tracker))
     names = None if taken is None else Table.read(taken).names({})
     arm = Robot.load(robot, cell.base, cell.tip, measured=names, held=cell.held)
-    place = None if region is None else RegionFile.read(region)
-    if place is not None:
-        place.check_fits(arm, next(iter(cell.targets.values()), cell.target))
+    point = next(iter(cell.targets.values()), cell.target)
+    place = None if region is None else read_region(region, arm, point)
     before = None if taken is None else read_taken(taken, arm)
     check = CollisionCheck(clear, floor, package_dirs=tuple(package_dir or ()))
     request = PlanRequest(count, validation, criterion, candidates, gap, seed=seed)
@@ -91,7 +90,7 @@ def plan(
             arm,
             cell,
             request,
-            region=None if place is None else place.region,
+            region=place,
             taken=None if before is None else before.joints,
             collisions=check if collisions else None,
             progress=progress,

@@ -58,8 +58,13 @@ def workspace(
     from calib.data.ranges import joint_ranges, predicted_points, read_rows, row_points
     from calib.data.table import Table
     from calib.design.candidates import by_joint
-    from calib.design.region import RegionFile
-    from calib.design.workspace import Checked, Density, RegionView, workspace as sample
+    from calib.design.workspace import (
+        Checked,
+        Density,
+        RegionView,
+        workspace as sample,
+        write_region,
+    )
     from calib.robot.robot import Robot
     from calib.text.workspace import text
 
@@ -90,8 +95,7 @@ def workspace(
         checked = Checked(rows[path], *places, predicted_points(arm, rows[path], cell, point))
     found = RegionView(arm, point, ends, density, density.region(share), checked)
     if output is not None:
-        file = RegionFile.of(found.region, arm, point, ends, samples, seed)
-        file.write(output, overwrite=force)
+        write_region(found, output, seed, overwrite=force)
     if picture is not None:
         write_picture(found, picture, overwrite=force)
     if view is not None:
