@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from calib.errors import ModelError
 from calib.result.calibration import Calibration
 from calib.result.calibration_file import read_result
-from calib.result.drift import Drift, drift_between, own_names
+from calib.result.drift import Drift, drift_between
 from calib.result.verdict import NO
 from calib.robot.readback import spread_between, spread_poses
 from calib.robot.robot import Robot, rigid_inverse
@@ -33,24 +33,6 @@ _POSES, _SAME = 200, 1e-9
 _FAR = 3.0
 
 
-@dataclass(frozen=True, slots=True)
-class ParameterDifference:
-    """One of the robot's parameters in both results, in its unit; NaN where a result has it not.
-
-    ``difference`` is b less a, NaN where they count from different nominal robots; ``std`` is sqrt(C_a + C_b), NaN at a
-    bound, ``sigmas`` their ratio; ``alone`` says whether both data determine it by itself.
-    """
-
-    name: str
-    unit: str
-    a: float
-    b: float
-    difference: float
-    std: float
-    sigmas: float
-    alone: bool
-
-
 @dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
 class Comparison(Drift):
     """The result of `compare`."""
@@ -60,13 +42,11 @@ class Comparison(Drift):
     names: tuple[str, str]  #: Their files, or ``"a"`` and ``"b"``
     outcome: Outcome  #: ``"drift"``, ``"no drift shown"`` or ``"cannot tell"``
     why: Why  #: Why nothing can be told; empty otherwise
-    parameters: tuple[ParameterDifference, ...]  #: The robot's own, of either result
     #: How far the base lies elsewhere in set-ups of the same name, (shift [m], turn [rad]) by name; the only one of
     #: each has the name ""
     frames: Mapping[str, Place]
     #: The same of targets in the tip; the turn is NaN where orientations are not known
     targets: Mapping[str, Place]
-    same_start: bool  #: Whether both count from the same nominal robot
     robot: Robot  #: The robot whose meshes are shown
 
     def __repr__(self) -> str:
@@ -148,10 +128,8 @@ def compare(
         names=names,
         outcome="cannot tell" if why else "drift" if found.test.drifted else "no drift shown",
         why=why,
-        parameters=_parameters(first, second, same_start=same),
         frames=_places(*bases, oriented=True),
         targets=_places(*targets, oriented=s.oriented and t.oriented),
-        same_start=same,
         robot=shown,
     )
 
@@ -164,32 +142,6 @@ def _covered(a: Array, b: Array) -> Array:
     high = np.where(apart, np.fmax(a[:, 1], b[:, 1]), high)
     found = np.stack([low, high], axis=1)
     return np.where(np.isfinite(found), found, 0.0)
-
-
-def _parameters(
-    a: Calibration, b: Calibration, *, same_start: bool
-) -> tuple[ParameterDifference, ...]:
-    """The robot's own parameters of either result, those of the first first."""
-    nan, result = float("nan"), []
-    every = [{one.name: one for one in c.parameters} for c in (a, b)]
-    for name in dict.fromkeys((*own_names(a), *own_names(b))):
-        p, q = (one.get(name) for one in every)
-        known = [one for one in (p, q) if one is not None]
-        difference = q.delta - p.delta if p and q and same_start else nan
-        std = float(np.hypot(p.std, q.std)) if p and q else nan
-        result.append(
-            ParameterDifference(
-                name=name,
-                unit=known[0].unit,
-                a=p.value if p else nan,
-                b=q.value if q else nan,
-                difference=difference,
-                std=std,
-                sigmas=difference / std if std > 0.0 else nan,
-                alone=all(one.identifiable for one in known),
-            )
-        )
-    return tuple(result)
 
 
 def _places(a: Mapping[str, Array], b: Mapping[str, Array], *, oriented: bool) -> dict[str, Place]:

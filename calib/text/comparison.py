@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from dataclasses import asdict
 from typing import Any
 
@@ -13,11 +12,11 @@ from calib.result.calibration import Calibration
 from calib.result.calibration_file import versions
 from calib.result.comparison import Comparison
 from calib.result.drift import LEVEL, own_names, unknown_frame
-from calib.text.lines import deg, mm, number, wrap
+from calib.text.lines import deg, mm, wrap
 from calib.version import __version__
 
 #: The layout of `comparison_table`; a word, so that it is not taken for a result.
-COMPARISON_SCHEMA = "comparison 3"
+COMPARISON_SCHEMA = "comparison 4"
 
 #: More frames or targets than this are not listed.
 _MOST_PLACES = 6
@@ -37,7 +36,6 @@ def comparison_text(c: Comparison) -> str:
         _heading(c),
         _answer(c),
         "\n".join(wrap(f"Note: {note}") for note in notes(c)),
-        _parameters(c),
         _places(c),
     )
     return "\n\n".join(part for part in parts if part)
@@ -133,9 +131,6 @@ def notes(c: Comparison) -> tuple[str, ...]:
     every = {
         f"The URDFs name their robots {names}.": c.a.nominal.name != c.b.nominal.name,
         f"The results estimate different errors: {_only(c)}.": (c.only_a or c.only_b) and not c.why,
-        "The results start from different nominal robots, so parameters are not subtracted.": (
-            not c.same_start
-        ),
         "Both take the measurement frame as known: its error looks like a drift of the first joints.": (
             not unknown_frame(c.a) and not unknown_frame(c.b)
         ),
@@ -145,23 +140,6 @@ def notes(c: Comparison) -> tuple[str, ...]:
         f"The verdict on {careful} is 'use with care'; see there.": careful,
     }
     return tuple(text for text, applies in every.items() if applies)
-
-
-def _parameters(c: Comparison) -> str:
-    """The robot's parameters of both; * where one of them is known in combinations only."""
-    if not c.parameters:
-        return ""
-    lines = [f"{'Parameter':<30}{'a':>11}{'b':>11}{'b - a':>10}{'std':>9}{'sigma':>8}"]
-    for p in c.parameters:
-        scale, unit = (1e3, "mm") if p.unit == "m" else (float(np.degrees(1.0)), "deg")
-        a, b, std = (number(scale * v, 4) for v in (p.a, p.b, p.std))
-        difference, sigmas = number(scale * p.difference, 4, "+"), number(p.sigmas, 1, "+")
-        name = textwrap.shorten(p.name, 29, placeholder="...")
-        cells = f"{name:<30}{a:>11}{b:>11}{difference:>10}{std:>9}{sigmas:>8}"
-        lines.append(f"{cells} {unit}{'' if p.alone else ' *'}")
-    if not all(p.alone for p in c.parameters):
-        lines.append("* known in combination with others only; its own value means little")
-    return "\n".join([*lines, "std: of the difference, sqrt(C_a + C_b)."])
 
 
 def _places(c: Comparison) -> str:
@@ -201,7 +179,6 @@ def comparison_table(c: Comparison) -> dict[str, Any]:
             | {"rms_m": m.rms, "max_m": m.max, "noise_rms_m": m.noise, "moved_std_m": m.std}
             for m in c.moves
         ],
-        "parameters": [asdict(p) for p in c.parameters],
         **{name: list(getattr(c, name)) for name in ("untold", "only_a", "only_b")},
         "frames": frames,
         "targets": targets,

@@ -162,9 +162,6 @@ def test_a_joint_that_drifted_by_a_milliradian(arm: Arm, drifted: Comparison):
     wanted = true_move(arm, c, {"theta3": 1e-3})
     assert wanted > 1e-4
     assert c.moves[0].moved == pytest.approx(wanted, abs=3.0 * c.moves[0].std)
-    theta3 = next(p for p in c.parameters if p.name == "theta3")
-    assert theta3.difference == c.b.parameter("theta3").delta - c.a.parameter("theta3").delta
-    assert theta3.sigmas == pytest.approx(theta3.difference / theta3.std)
 
 
 def test_what_the_frame_makes_up_for_is_no_drift_but_with_a_known_frame_it_is(
@@ -190,9 +187,6 @@ def test_other_parameters_of_the_same_robot_predict_the_same(
     assert c.moves[0].rms == pytest.approx(unchanged.moves[0].rms, rel=0.3)
     assert c.only_a == ()
     assert c.only_b == ("beta2", "beta3")  # of two parallel axes dh has no tilt
-    beta = next(p for p in c.parameters if p.name == "beta2")
-    assert np.isnan(beta.a)
-    assert np.isnan(beta.difference)
 
 
 def test_a_model_that_leaves_errors_out_looks_like_a_drift_and_is_not_called_one(
@@ -224,7 +218,6 @@ def test_results_that_began_with_different_urdfs(arm: Arm, before: Calibration):
         again, _, _ = arm.measured(5, change, start=before.robot)
         c = compare(before, again)
         assert c.outcome == outcome
-        assert all(np.isnan(p.difference) for p in c.parameters)
         if change:
             wanted = true_move(arm, c, change)
             assert c.moves[0].moved == pytest.approx(wanted, abs=3.0 * c.moves[0].std)
@@ -269,13 +262,11 @@ def test_text_and_table(drifted: Comparison, unchanged: Comparison, tmp_path: Pa
         lines = c.summary().splitlines()
         assert max(map(len, lines)) <= 100
         assert all(line == line.rstrip() and line.isprintable() for line in lines)
-        assert sum(line.startswith("theta") for line in lines) == 6
     assert "The robot drifted (" in drifted.summary().split("\n\n")[1]
     written = json.loads(drifted.write_json(tmp_path / "c.json").read_text(encoding="utf-8"))
-    assert written["schema"] == "comparison 3"
+    assert written["schema"] == "comparison 4"
     assert written["outcome"] == "drift"
     assert written["moves"][0]["rms_m"] == drifted.moves[0].rms
-    assert [p["name"] for p in written["parameters"]] == [p.name for p in drifted.parameters]
     with pytest.raises(FileError, match="exists"):
         drifted.write_json(tmp_path / "c.json")
 
