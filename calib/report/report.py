@@ -7,27 +7,35 @@ from __future__ import annotations
 
 import base64
 import os
-import re
 from collections import Counter
+from collections.abc import Iterator, Sequence
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
 
-import calib.report.report_tables as tables
 import calib.text.summary as texts
 from calib.data.kinds import get as kind_named
 from calib.errors import FileError
 from calib.estimate.statistics import interval_factor
 from calib.files import write_atomically
+from calib.model.dh import dh_table
+from calib.model.dh_table import DHRow
+from calib.report.figure_base import angles_of, lengths_of
 from calib.result.calibration import Calibration
 from calib.result.calibration_file import versions
 from calib.result.verdict import Why
+from calib.robot.robot import rigid_inverse
+from calib.text.lines import deg, mm, number
 from calib.text.verdict import outside_text, reason_text, robustness_text
 
 if TYPE_CHECKING:
     from calib.report.figures import Drawing
+
+Array = NDArray[np.float64]
 
 #: A drawing with more bytes than this as SVG goes in as PNG.
 _LARGE = 260_000
@@ -35,8 +43,12 @@ _LARGE = 260_000
 #: A longer word in a table is broken anywhere: it would push its table off the page.
 _LONGEST_WORD = 24
 
-#: More targets, set-ups or combinations of parameters than this are counted.
-_MOST = 40
+#: More targets, set-ups, combinations of parameters or flagged rows than this are counted; of more rows for validation
+#: the worst are listed, so many.
+_MOST, _WORST = 40, 20
+
+#: An origin that moved by less has not [m or rad].
+_NOTHING = 1e-9
 
 #: The sign and the class of each verdict: a word and a sign, never a colour alone.
 _VERDICTS = {
@@ -45,6 +57,11 @@ _VERDICTS = {
     "do not use": ("\N{MULTIPLICATION X}", "bad"),
     "none": ("\N{EN DASH}", "none"),
 }
+
+#: Factor and figures after the point of a, alpha, d, theta and beta.
+_DH = tuple(
+    (1e3, 3) if of == "mm" else (180.0 / np.pi, 4) for of in ("mm", "deg", "mm", "deg", "deg")
+)
 
 _PRIORS = {
     "data": "The sizes of the robot's errors (priors) were found from the data.",
@@ -82,16 +99,20 @@ def report_bytes(calibration: Calibration, *, command: str = "") -> bytes:
     from calib.report.figures import drawings
 
     environment = jinja2.Environment(
-        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
+        loader=jinja2.FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
     )
     environment.tests["long"] = lambda text: any(len(w) > _LONGEST_WORD for w in text.split())
-    source = (Path(__file__).parent / "report.html.j2").read_text(encoding="utf-8")
     epoch = os.environ.get("SOURCE_DATE_EPOCH", "")
     now = datetime.now(timezone.utc)
     when = datetime.fromtimestamp(int(epoch), timezone.utc) if epoch.isdecimal() else now
     content = _content(calibration, command, f"{when:%Y-%m-%d %H:%M} UTC")
     content["figures"] = [(one, _picture(one)) for one in drawings(calibration)]
-    return environment.from_string(source).render(**content).encode("utf-8", "replace")
+    page = environment.get_template("report.html.j2").render(**content)
+    return page.encode("utf-8", "replace")
 
 
 def _picture(drawing: Drawing) -> str:
@@ -106,86 +127,300 @@ def _picture(drawing: Drawing) -> str:
 
 def _content(c: Calibration, command: str, date: str) -> dict[str, Any]:
     """What the template is filled with: texts, pairs of texts, and tables."""
-    from markupsafe import Markup
-
-    title = f"Calibration report: robot {c.nominal.name}"
     use = "none" if c.verdict is None else c.verdict.use
-    # Of a text in CSS all but letters, digits and blanks are numbers, so that nothing ends it.
-    footer = re.sub(r"[^A-Za-z0-9 ]", lambda found: f"\\{ord(found[0]):x} ", title[:80])
-    m, v, said = c.measurements, c.cross_validation, texts.facts(c)
-    chain = f"{c.nominal.name}, {c.nominal.base} to {c.nominal.tip}, {len(c.nominal.joints)} joints"
-    estimated, source = f"{m.estimation.sum():,}", m.source or "from memory"
-    without = int(np.sum(c.weights[m.estimation] <= 0.0))
-    # What the measured poses cannot tell apart, and validation rows beyond the joint values that were fitted, where the
-    # verdict does not name them.
+    m, known = c.measurements, texts.facts(c)
+    reasons = c.verdict.reasons if c.verdict else ()
+    # Validation rows beyond the joint values that were fitted, where the verdict does not name them.
+    named = any(reason.why == Why.OUTSIDE for reason in reasons)
     every = [str(one) for one in c.observability.unidentifiable]
-    outside = outside_text(c.outside, np.array(m.rows)[m.validation].tolist())
-    if c.verdict is not None and any(reason.why == Why.OUTSIDE for reason in c.verdict.reasons):
-        outside = ""
-    left_out = "No rows were left out in turn (no cross-validation), so there is no verdict."
+    rows = f"{m.estimation.sum():,} to estimate, {m.validation.sum():,} to validate"
     return {
         "c": c,
-        "reasons": [reason_text(one) for one in (c.verdict.reasons if c.verdict else ())],
-        "robustness_text": robustness_text,
-        "title": title,
-        "footer": Markup(f'"{footer}"'),
+        "texts": texts,
+        "known": known,
         "date": date,
-        "heading": [
-            ("Robot", chain),
-            (
-                "Measurements",
-                f"{source}: {estimated} to estimate, {m.validation.sum():,} to validate",
-            ),
-            ("Date of the report", date),
-        ],
+        "command": command or "not from the command line",
+        "source": m.source or "from memory",
+        "rows_text": rows,
         "verdict": (use, *_VERDICTS[use]),
-        "tables": tables,
-        "estimated": f"{estimated} estimation rows"
-        + f", {without:,} of which have no weight" * bool(without),
+        "reasons": [reason_text(one) for one in reasons],
+        "robustness": robustness_text(c.robustness) if c.robustness else "",
+        "unweighted": int(np.sum(c.weights[m.estimation] <= 0.0)),
         "factor": f"{interval_factor(c.fitted.estimate.freedom):.2f}",
-        "errorless": bool(texts.errorless(c)),
+        "errors": [errors(c), errors(c, turned=True)],
+        "validation_rows": validation_rows(c),
+        "parameters": [parameters(c, "mm"), parameters(c, "deg"), larger(c)],
+        "geometry": [dh(c), origins(c)],
+        "flagged": flagged(c),
+        "candidates": candidates(c),
+        "ranges": ranges(c),
         "places": [*texts.target_sentences(c, _MOST), *texts.frame_sentences(c, _MOST)],
-        "weights": texts.weights_text(c),
-        "rank": f"Rank: {said['Rank']}",
-        "unidentifiable": texts.unidentifiable_text(c),
         "combinations": every[:_MOST] + [f"and {len(every) - _MOST} more"] * (len(every) > _MOST),
-        "known_together": [
-            f"{label}: {said[label]}" for label in (texts.TOGETHER, texts.SIZES) if label in said
-        ],
-        "measured": _measured(c, said),
-        "outside": outside,
-        "method": [
-            f"{texts.solver_text(c)}. {c.solution.message}",
-            f"Outliers {'have no' if c.fitted.task.robust else 'keep their'} weight in the fit.",
-            left_out if v is None else f"Errors of left-out rows: {v.method}, {v.folds} fits.",
-            _PRIORS[c.cell.priors.sizes],
-        ],
-        # What it takes to do it again.
-        "trace": [
-            ("Nominal robot", c.nominal.urdf.source or "from memory"),
-            ("  SHA-256", c.nominal.urdf.sha256),
-            ("Measurements", source),
-            ("  SHA-256", m.sha256.replace(" + ", ", ") or "-"),
-            ("Corrected robot", "as written without a target link"),
-            ("  SHA-256", c.robot.urdf.sha256),
-            ("Software", ", ".join(f"{name} {number}" for name, number in versions().items())),
-            ("Command", command or "not from the command line"),
-            ("Date of the report", date),
-        ],
+        "measured": _measured(c, rows, known),
+        "outside": ""
+        if named
+        else outside_text(c.outside, np.array(m.rows)[m.validation].tolist()),
+        "priors": _PRIORS[c.cell.priors.sizes],
+        "versions": ", ".join(f"{name} {version}" for name, version in versions().items()),
     }
 
 
-def _measured(c: Calibration, said: dict[str, str]) -> list[tuple[str, str]]:
-    """What was measured, and how well."""
-    m = c.measurements
-    rows = f"{m.estimation.sum():,} to estimate, {m.validation.sum():,} to validate (column 'set')"
+def _measured(c: Calibration, rows: str, known: dict[str, str]) -> list[tuple[str, str]]:
+    """What was measured, where and how well."""
+    m, T = c.measurements, c.T_frame_base
     more = f"; {len(m.unmeasured):,} more without a measurement, left out" if m.unmeasured else ""
     kinds = [f"{kind_named(kind).words} ({n:,} rows)" for kind, n in Counter(m.kinds).items()]
+    turned = ", ".join(map(deg, pin.rpy.matrixToRpy(T[:3, :3])))
+    held = [f"{name} at {value:.6g}" for name, value in c.cell.held.items()]
     what = "one standard deviation of the target's position, from the covariance of the parameters"
     return [
-        ("Rows", f"{len(m):,}: {rows}{more}"),
+        ("Rows", f"{len(m):,}: {rows} (column 'set'){more}"),
         ("Each row measures", "; ".join(kinds)),
-        ("Noise of the rows", said["Noise"]),
-        *((label, text) for label, text in said.items() if label == texts.SCATTER),
-        (texts.EXPECTED, f"{said[texts.EXPECTED].removesuffix('.')}; {what}."),
+        (
+            "Measurement frame",
+            f"{c.nominal.base} at ({', '.join(map(mm, T[:3, 3]))}) mm, rpy ({turned}) deg in it",
+        ),
+        *[("Joints held [rad or m]", ", ".join(held))] * bool(held),
+        ("Noise of the rows", known["Noise"]),
+        *((label, text) for label, text in known.items() if label == texts.SCATTER),
+        (texts.EXPECTED, f"{known[texts.EXPECTED].removesuffix('.')}; {what}."),
     ]
+
+
+class Table(NamedTuple):
+    """A table, all of its cells as text; without rows it is not shown.
+
+    ``align`` is ``l`` (text) or ``r`` (numbers) for each column; ``groups`` are labels above the head, each with the
+    number of columns it spans; ``strong`` are the rows that matter most.
+    """
+
+    title: str
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    align: str
+    note: str = ""
+    groups: Sequence[tuple[str, int]] = ()
+    strong: Sequence[int] = ()
+
+
+def _deg(angle: float) -> str:
+    """An angle in degrees with four figures after the point."""
+    return deg(angle, 4)
+
+
+def errors(c: Calibration, *, turned: bool = False) -> Table:
+    """Errors by set of rows: of positions and lengths [mm], or of orientations [deg]."""
+    cells: list[tuple[str, ...]] = []
+    strong, before, every = [], "", texts.error_rows(c)
+    along = not turned and any(np.any(np.isfinite(e.span_axis)) for _, e in every if e.n)
+    for label, e in every:
+        # Each label needs no look at the row above.
+        rest = label.strip().removeprefix("the same ")
+        before = label if rest == label else f"{before}, {rest}"
+        values = (e.max_angle, e.mean_angle, e.rms_angle) if turned else (e.max, e.mean, e.rms)
+        spans = e.span_axis if along else ()
+        if count := e.n_angle if turned else e.n:
+            strong += [len(cells)] * (", calibrated" in before)
+            cells.append((before, f"{count:,}", *map(_deg if turned else mm, (*values, *spans))))
+    notes = [f"{texts.left_out_text(c)}."] * (c.cross_validation is not None)
+    notes += ["Span: largest minus smallest signed error along an axis of the frame."] * along
+    what = "Orientation error by set of rows [deg]"
+    return Table(
+        what if turned else f"{texts.error_title(c.used)} by set of rows [mm]",
+        ("rows, robot", "number", "max", "mean", "rms", *"xyz"[: 3 * along]),
+        cells,
+        "lrrrr" + "rrr" * along,
+        " ".join(notes),
+        [("", 2), ("size of the error", 3), *[("span", 3)] * along],
+        strong,
+    )
+
+
+def validation_rows(c: Calibration) -> Table:
+    """Errors of single validation rows before and after, as in the paper's Table 4."""
+    chosen = np.flatnonzero(c.measurements.validation & np.any(c.used, axis=1))
+    which = f"the {len(chosen):,} validation rows"
+    if len(chosen) > _MOST:
+        size = np.nan_to_num(lengths_of(c.residual_calibrated, c.used)[chosen])
+        which = f"the {_WORST} of {len(chosen):,} validation rows with the largest error after calibration"
+        chosen = chosen[np.sort(np.argsort(-size, kind="stable")[:_WORST])]
+    used = c.used[chosen]
+    names, cells = _places(c, chosen)
+    groups, head = [("", len(names))], list(names)
+    whole = np.all(used[:, :3], axis=1) & (used.shape[1] >= 3)
+    along = bool(np.any(whole))
+    both = ("before: nominal", c.residual_nominal), ("after: calibrated", c.residual_calibrated)
+    for who, residual in both if np.any(used[:, :3]) else ():
+        groups.append((f"{who} [mm]", 4 if along else 1))
+        head += [*("dx", "dy", "dz") * along, "size"]
+        size = lengths_of(residual, c.used)
+        for row, i, axes in zip(cells, chosen, whole, strict=True):
+            row += [mm(v) if axes else "-" for v in residual[i, :3]] * along + [mm(size[i])]
+    if np.any(used[:, 3:]):
+        groups.append(("angle [deg]", 2))
+        head += ["before", "after"]
+        for _, residual in both:
+            for row, angle in zip(cells, angles_of(residual, c.used)[chosen], strict=True):
+                row.append(_deg(angle))
+    note = "dx, dy, dz: measured minus predicted along the axes of the measurement frame."
+    align = "l" * len(names) + "r" * (len(head) - len(names))
+    title = f"Error of {which}, which took no part in the fit"
+    return Table(title, head, cells, align, note * along, groups)
+
+
+def flagged(c: Calibration) -> Table:
+    """The rows flagged, with their errors before and after."""
+    m, every = c.measurements, [*c.outliers, *c.suspects]
+    indices = np.array([m.rows.index(one.row) for one in every[:_MOST]], dtype=np.int_)
+    names, cells = _places(c, indices)
+    sizes = [lengths_of(r, c.used) for r in (c.residual_nominal, c.residual_calibrated)]
+    for one, i, row in zip(every, indices, cells, strict=False):
+        row += [m.sets[i], *(mm(size[i]) for size in sizes)]
+        row += [number(one.score, 1), f"{c.weights[i]:.2f}"]
+    rest = len(every) - len(cells)
+    more = f" {rest} more are in the result file (--json)." if rest else ""
+    return Table(
+        "Rows flagged",
+        (*names, "set", "before [mm]", "after [mm]", "score", "weight"),
+        cells,
+        "l" * len(names) + "lrrrr",
+        "Score: distance from what the other rows predict, in standard deviations. Estimation rows are flagged "
+        f"beyond {c.flag_limit:.1f}.{more}",
+    )
+
+
+def parameters(c: Calibration, unit: str) -> Table:
+    """Nominal value, correction and interval of the parameters in ``"mm"`` or ``"deg"``."""
+    scale, digits = (1e3, 3) if unit == "mm" else (float(np.degrees(1.0)), 4)
+    none, rows = texts.errorless(c), []
+    for p in texts.shown_parameters(c):
+        if (p.unit == "m") == (unit == "mm"):
+            kept = p.name in none
+            half = np.nan if p.at_bound or kept else 0.5 * (p.high - p.low)
+            nominal, change = (p.nominal, p.delta) if p.nominal is not None else (np.nan, np.nan)
+            cells = [number(scale * value, digits) for value in (nominal, p.value)]
+            cells += [number(scale * change, digits, "+"), number(scale * half, digits)]
+            word = "at bound" if p.at_bound else "yes" if p.identifiable else "jointly"
+            rows.append((p.name, *cells, "kept" if kept else word))
+    title = f"{'Lengths' if unit == 'mm' else 'Angles'} [{unit}]"
+    head = ("parameter", "nominal", "calibrated", "correction", "95 % ±", "determined")
+    return Table(title, head, rows, "lrrrrl")
+
+
+def larger(c: Calibration) -> Table:
+    """The parameters that no URDF can hold."""
+    every = texts.larger_parameters(c)
+    return Table(
+        f"Larger model '{c.larger.name if c.larger else ''}': in the result file, not in the URDF",
+        ("parameter", "value", "95 % interval", "unit"),
+        [(name, value, half.strip("()"), unit) for name, value, half, unit in every],
+        "lrrl",
+    )
+
+
+def dh(c: Calibration) -> Table:
+    """The DH rows of the nominal and of the calibrated robot."""
+    before, after = dh_table(c.nominal).rows, dh_table(c.robot, like=c.nominal).rows
+    tilted = any(row.near_parallel for row in (*before, *after))
+    hayati = " Ry(beta), with Hayati's beta between nearly parallel axes, where d is 0" * tilted
+    head = ("joint", "robot", "a [mm]", "alpha [deg]", "d [mm]", "theta [deg]", "beta [deg]")
+    columns = 6 + tilted
+    pairs = zip(before, after, strict=True)
+    return Table(
+        "DH rows before and after",
+        head[:columns],
+        [line[:columns] for pair in pairs for line in _dh_lines(*pair)],
+        "llrrrrr"[:columns],
+        f"Standard convention: Rz(theta + q) Tz(d) Tx(a) Rx(alpha){hayati}. The rows are read off both URDFs; frame 0 "
+        "and the tip after the last row may have moved too, which the next table shows.",
+        strong=range(2, 3 * len(before), 3),
+    )
+
+
+def _dh_lines(before: DHRow, after: DHRow) -> Iterator[tuple[str, ...]]:
+    """The row before, after, and the difference; none where the rows follow different conventions."""
+    b, a = (np.array([r.a, r.alpha, r.d, r.theta, r.beta]) for r in (before, after))
+    change = a - b
+    change[[1, 3, 4]] = np.angle(np.exp(1j * change[[1, 3, 4]]))
+    change *= np.nan if before.near_parallel != after.near_parallel else 1.0
+    for name, who, values, sign in (
+        (before.joint, "nominal", b, "-"),
+        ("", "calibrated", a, "-"),
+        ("", "change", change, "+"),
+    ):
+        yield name, who, *(number(u * v, n, sign) for v, (u, n) in zip(values, _DH, strict=True))
+
+
+def origins(c: Calibration) -> Table:
+    """The displacement of each origin that changed, in its nominal frame."""
+    after, rows = c.robot.origins(), []
+    for joint, T in c.nominal.origins().items():
+        D = rigid_inverse(T) @ after[joint]
+        twist = np.concatenate([D[:3, 3], pin.log3(D[:3, :3])])
+        if np.abs(twist).max() > _NOTHING:  # mrad have as many figures as mm
+            rows.append((joint, *(number(1e3 * v, 3, "+") for v in twist)))
+    return Table(
+        "How far each <origin> of the corrected URDF is from the nominal one",
+        ("joint", "x", "y", "z", "rx", "ry", "rz"),
+        rows,
+        "lrrrrrr",
+        "Along and about the axes of the nominal origin. All else in the URDF is unchanged.",
+        (("", 1), ("shift [mm]", 3), ("rotation vector [mrad]", 3)),
+    )
+
+
+def candidates(c: Calibration) -> Table:
+    """The models that were tried."""
+    head = ("model", "parameters", "evidence", "left-out rms", "chosen for")
+    title = "Models tried; errors on rows left out of the fit"
+    if not c.candidates:
+        return Table(title, head, [], "lrrrl")
+    best = max(one.log_likelihood for one in c.candidates)
+    first = c.candidates[0].cross_validation.errors_without_outliers
+    chosen = {"geometry": "the URDF", "larger": "result file", "": ""}
+    rows = []
+    for one in c.candidates:
+        gain, rms = f"{one.log_likelihood - best:.1f}", texts.candidate_rms(one)
+        rows.append((one.name, str(one.parameters), gain, rms, chosen[one.chosen]))
+    return Table(
+        title,
+        head,
+        rows,
+        "lrrrl",
+        "Evidence: restricted log likelihood, less the best one's (no unit); a step up must gain "
+        f"{c.candidates[0].needed:.1f}. Left-out rms: of the {first.n or first.n_angle:,} estimation rows that had a "
+        "weight when the models were compared, each predicted by a linearised fit without it. The errors in section 2 "
+        "are those of whole fits of the chosen model.",
+    )
+
+
+def ranges(c: Calibration) -> Table:
+    """Joint values of the estimation rows beside the limits."""
+    m = c.measurements
+    q, cells = m.joints_for(c.nominal.joint_names)[m.estimation], []
+    for joint, values in zip(c.nominal.inputs, q.T, strict=True):
+        scale, unit = (1e3, "mm") if joint.type == "prismatic" else (float(np.degrees(1.0)), "deg")
+        ends = [values.min(), values.max(), joint.lower, joint.upper]
+        low, high, lower, upper = (np.nan if value is None else value for value in ends)
+        inside = max(0.0, min(high, upper) - max(low, lower))
+        share = number(100.0 * inside / (upper - lower), 0) if upper > lower else "-"
+        shown = [number(scale * value, 2) for value in (low, high, lower, upper)]
+        cells.append((joint.name, unit, *shown, share))
+    return Table(
+        "Joint values of the estimation rows",
+        ("joint", "unit", "lowest", "highest", "lower", "upper", "used [%]"),
+        cells,
+        "llrrrrr",
+        "Used: share of the range between the limits. Beyond what was measured errors may be larger.",
+        (("", 2), ("measured", 2), ("limit", 2), ("", 1)),
+    )
+
+
+def _places(c: Calibration, chosen: NDArray[np.int_]) -> tuple[list[str], list[list[str]]]:
+    """What tells rows apart, heads and cells: numbers, and kinds, targets and set-ups where there are several."""
+    m = c.measurements
+    columns: list[tuple[str, Sequence[object]]] = [("row", m.rows)]
+    more = (("kind", m.kinds), ("target", m.targets), ("set-up", m.groups))
+    columns += [(name, values) for name, values in more if len(set(values)) > 1]
+    cells = [[str(values[i]) for _, values in columns] for i in chosen]
+    return [name for name, _ in columns], cells
