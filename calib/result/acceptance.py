@@ -23,7 +23,6 @@ from scipy.special import betaincinv
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.errors import CalibError, MeasurementError, choices
-from calib.estimate.statistics import interval_factor
 from calib.result.accuracy import Accuracy, PoseAccuracy, accuracy, fitted_rows
 from calib.result.calibration import Calibration
 from calib.result.evaluation import Evaluation, Moved, evaluate, evaluate_larger, hint, moved
@@ -54,8 +53,6 @@ class Check:
     uncertainty: float  #: Expanded measuring uncertainty as stated; 0 where none was
     #: By how much errors were larger before something was registered to the same rows
     factor: float
-    #: Half the 95 % interval of an AP as far as the repeats tell; NaN without repeats
-    random: float
     seen: bool  #: Whether a calibration was fitted to the rows
 
     @property
@@ -63,7 +60,7 @@ class Check:
         """One of `OUTCOMES`.
 
         Example:
-            >>> Check(0.4e-3, 0.5e-3, 0.2e-3, 1.0, float("nan"), seen=False).outcome
+            >>> Check(0.4e-3, 0.5e-3, 0.2e-3, 1.0, seen=False).outcome
             'undecided'
         """
         if self.figure - self.uncertainty > self.tolerance:
@@ -188,10 +185,8 @@ def acceptance(
             continue
         values = np.array([found.size(pose, angle=k > 0) for pose in one.poses])
         fine &= ~(values > limit)  # a pose without an orientation is judged by its position
-        std, freedom = (one.scatter, one.scatter_angle)[k]
-        half = interval_factor(freedom) * std / np.sqrt(one.repeats[0]) if freedom else np.nan
         figure = float(np.nanmean(values) if criterion == "mean" else np.nanmax(values))
-        checks[k] = Check(figure, limit, sure, one.factor, float(half), one.seen)
+        checks[k] = Check(figure, limit, sure, one.factor, one.seen)
     return Acceptance(one, criterion, checks[0], checks[1], int(np.sum(fine)))
 
 

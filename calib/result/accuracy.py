@@ -80,10 +80,6 @@ class Accuracy:
     registered: tuple[str, ...]
     unknowns: int  #: Number of unknowns of targets and frames that were not given
     numbers: int  #: Number of scalars that they were found from, repeats counted once
-    #: Standard deviation of one component of lengths within repeats [m], of the robot and the instrument together, and
-    #: its degrees of freedom; NaN and 0 without repeats
-    scatter: tuple[float, int]
-    scatter_angle: tuple[float, int]  #: The same of angles [rad]
 
     @property
     def factor(self) -> float:
@@ -168,8 +164,6 @@ def accuracy(evaluation: Evaluation, *, seen: bool | Mask = False) -> Accuracy:
         unknowns=(6 if setup.rotation else 3) * targets
         + sum(len(directions) for directions, given in pairs if not given),
         numbers=int(np.sum(rows.used[found])),
-        scatter=_scatter(groups, residual[:, :3], used[:, :3]),
-        scatter_angle=_scatter(groups, residual[:, 3:], used[:, 3:]),
     )
 
 
@@ -200,17 +194,6 @@ def _of_pose(evaluation: Evaluation, residual: Array, own: NDArray[np.intp]) -> 
         rp_angle=float(np.max(rp_abc)),
         single_angle=float(np.linalg.norm(w, axis=1).max()) if turned else np.nan,
     )
-
-
-def _scatter(groups: list[NDArray[np.intp]], residual: Array, used: Mask) -> tuple[float, int]:
-    """The scatter of one component within repeats, all poses together, and its degrees of freedom."""
-    square, freedom = 0.0, 0
-    for own in groups:
-        if len(own) > 1 and np.any(used[own[0]]):
-            e = residual[own][:, used[own[0]]]
-            square += float(np.sum((e - e.mean(axis=0)) ** 2))
-            freedom += (len(own) - 1) * e.shape[1]
-    return (float(np.sqrt(square / freedom)) if freedom else np.nan), freedom
 
 
 def judged_rows(

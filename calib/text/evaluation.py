@@ -98,7 +98,7 @@ def _reasons(e: Assessment, a: Acceptance, judged: str) -> Iterator[str]:
 
 
 def _check_reasons(a: Acceptance, check: Check, judged: str, *, angle: bool) -> Iterator[str]:
-    """The figure, the sum that decided where it is another, and whether the repeats tell it well enough."""
+    """The figure, and the sum that decided where it is another."""
     unit, size = ("deg", lambda v: deg(v, 4)) if angle else ("mm", mm)
     poses, figure, tolerance = a.accuracy.poses, check.figure, check.tolerance
     worst = np.nanargmax([a.size(pose, angle=angle) for pose in poses])
@@ -118,8 +118,6 @@ def _check_reasons(a: Acceptance, check: Check, judged: str, *, angle: bool) -> 
         sums += guard * (check.uncertainty > 0.0)
         sign = ">" if total > tolerance else "<="
         yield f"{sums} = {size(total)} {unit} {sign} {size(tolerance)} {unit}."
-    if abs(figure - tolerance) < check.random:
-        yield f"By the repeats an AP is known to ± {size(check.random)} {unit} (95 %) only: repeat more often."
 
 
 def _rows_reasons(a: Acceptance) -> Iterator[str]:
@@ -296,7 +294,7 @@ def acceptance_table(a: Acceptance) -> dict[str, Any]:
     table |= {"length": None, "angle": None}
     for check, angle in a.checks:
         unit = "rad" if angle else "m"
-        sizes = ("figure", "tolerance", "uncertainty", "random", "held")
+        sizes = ("figure", "tolerance", "uncertainty", "held")
         table["angle" if angle else "length"] = {
             **{f"{name}_{unit}": getattr(check, name) for name in sizes},
             "factor": check.factor,
