@@ -26,9 +26,8 @@ from calib.compensation.nominal_actual import Arm
 from calib.compensation.program import Program
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.data.ranges import column_limits
 from calib.example import PAPER_TARGET, paper_measurements, paper_urdf
-from calib.robot.readback import random_joint_values
+from calib.robot.readback import column_limits, random_joint_values
 from calib.robot.robot import Robot, read_only
 from calib.simulation.scenario import Scenario
 

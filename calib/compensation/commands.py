@@ -40,11 +40,11 @@ from calib.compensation.nominal_actual import Pair, pair_of
 from calib.compensation.program import CORRECTION, Program
 from calib.compensation.warnings import Attempt, Finding, reasons_of, warnings_of
 from calib.data.checks import to_quaternions
-from calib.data.ranges import column_limits
 from calib.data.table import POINT, QUATERNION, ROLL_PITCH_YAW, ROTATION_VECTOR, STATUS
 from calib.errors import ModelError, choices
 from calib.files import write_atomically
 from calib.result.calibration import Calibration
+from calib.robot.readback import column_limits
 from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.robot.torques import Payload
 

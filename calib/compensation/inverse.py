@@ -23,8 +23,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import qmc
 
 from calib.compensation.nominal_actual import Arm
-from calib.data.ranges import column_limits, full_ranges
 from calib.errors import ModelError, choices, did_you_mean
+from calib.robot.readback import column_limits, full_ranges
 from calib.robot.robot import Robot, read_only
 from calib.units import unit_fault
 

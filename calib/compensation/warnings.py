@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from calib.compensation.inverse import POSE, Matching, Solved
 from calib.compensation.nominal_actual import Pair
 from calib.compensation.program import Program
-from calib.data.ranges import column_limits
+from calib.robot.readback import column_limits
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

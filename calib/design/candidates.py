@@ -13,8 +13,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.data.ranges import column_limits, joint_ranges
 from calib.errors import ModelError
+from calib.robot.readback import column_limits, joint_ranges
 from calib.robot.robot import Robot, read_only
 from calib.units import UNITS
 

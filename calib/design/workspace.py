@@ -14,7 +14,7 @@ the same numbers are another place.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -23,12 +23,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
+from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.data.ranges import joint_ranges
 from calib.data.surroundings import vector
+from calib.data.table import POINT, Table, name_columns
 from calib.errors import CalibError, FileError
 from calib.files import damage, json_bytes, read_json, write_atomically
-from calib.robot.robot import Robot, read_only
+from calib.robot.readback import joint_ranges
+from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.version import __version__
 
 Array = NDArray[np.float64]
@@ -385,3 +387,44 @@ def read_region(
                 "--hold and --target, or make the region again with 'calib workspace'."
             )
     return region
+
+
+def read_rows(
+    path: str | Path,
+    robot: Robot,
+    columns: Mapping[str, str] | None = None,
+    kind: str | None = None,
+) -> Measurements:
+    """A table whose positions may be missing: a list of poses, or a plan that is not filled in.
+
+    Raises:
+        MeasurementError: The table cannot be read, or lacks a joint.
+    """
+    table = Table.read(path)
+    named, _ = name_columns(table, (), columns or {})
+    cells = [table.column(named[name]) for name in POINT if name in named]
+    if kind is None and not (len(cells) == len(POINT) and any(map(any, cells))):
+        kind = "fixed"  # a row of this kind measures nothing but its joint values
+    return Measurements.read(
+        table, robot.joint_names, robot.joint_types, columns=columns, kind=kind
+    )
+
+
+def row_points(robot: Robot, rows: Measurements, cell: Cell, target: Array) -> tuple[Array, Mask]:
+    """Where the target was, shape (N, 3), in the base frame [m], and whether that was measured, shape (N,)."""
+    measured, points = rows.positions.copy(), predicted_points(robot, rows, cell, target).copy()
+    for i in np.flatnonzero(measured):
+        T_frame_base = cell.frames.get(rows.groups[i], cell.T_frame_base)
+        if T_frame_base is None and cell.estimate_frame:
+            measured[i] = False
+            continue
+        T_base_frame = np.eye(4) if T_frame_base is None else rigid_inverse(T_frame_base)
+        points[i] = T_base_frame[:3, :3] @ rows.points[i] + T_base_frame[:3, 3]
+    return read_only(points), measured
+
+
+def predicted_points(robot: Robot, rows: Measurements, cell: Cell, target: Array) -> Array:
+    """Where the nominal robot puts the target of each row, shape (N, 3), in the base frame [m]."""
+    T_base_tip = robot.poses(rows.joints_for(robot.joint_names))
+    at = np.array([cell.targets.get(name, target) for name in rows.targets]).reshape(-1, 3)
+    return read_only(np.einsum("nij,nj->ni", T_base_tip[:, :3, :3], at) + T_base_tip[:, :3, 3])

@@ -20,10 +20,10 @@ import calib.data.kinds as registry
 from calib.data.cell import Cell
 from calib.data.kinds import Kind
 from calib.data.measurements import Measurements
-from calib.data.ranges import joint_ranges
 from calib.data.surroundings import TrackerNoise, vector
 from calib.data.table import SETS
 from calib.errors import CalibError, choices
+from calib.robot.readback import joint_ranges
 from calib.robot.robot import Robot, read_only
 from calib.simulation.truth import (
     TARGET_ERROR,

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.data.ranges import column_limits, range_text
 from calib.model.families import FAMILIES, unit_of
+from calib.robot.readback import column_limits, range_text
 from calib.simulation.scenario import Scenario, Simulated
 from calib.simulation.study import VERIFIED, Study, Trials
 from calib.text.lines import command_text, fill, row_ranges

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.data.ranges import range_text
 from calib.design.workspace import Checked, RegionView
+from calib.robot.readback import range_text
 from calib.text.lines import fill, row_ranges
 
 Array = NDArray[np.float64]

@@ -13,9 +13,8 @@ from calib.compensation.commands import Commands, _poses_to_send, compensate, wr
 from calib.compensation.inverse import Matching, Solved, solve
 from calib.compensation.nominal_actual import Arm, pair_of
 from calib.compensation.program import Program, read_program
-from calib.data.ranges import column_limits
 from calib.errors import ModelError
-from calib.robot.readback import random_joint_values
+from calib.robot.readback import column_limits, random_joint_values
 from calib.robot.robot import Robot
 from tests.compensation.arms import off, turned
 from tests.hard_cases import made, table

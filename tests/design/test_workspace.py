@@ -12,7 +12,6 @@ from hypothesis import given, settings, strategies as st
 
 from calib import example
 from calib.data.measurements import Measurements
-from calib.data.ranges import joint_ranges
 from calib.design.workspace import (
     MOST_VOXELS,
     Density,
@@ -23,6 +22,7 @@ from calib.design.workspace import (
     write_region,
 )
 from calib.errors import CalibError, FileError
+from calib.robot.readback import joint_ranges
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 

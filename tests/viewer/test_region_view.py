@@ -12,8 +12,8 @@ import umsgpack
 
 from calib import example
 from calib.data.measurements import Measurements
-from calib.data.ranges import joint_ranges
 from calib.design.workspace import Checked, Density, RegionView, workspace
+from calib.robot.readback import joint_ranges
 from calib.viewer.design_view import region_page
 
 

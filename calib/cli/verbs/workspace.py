@@ -55,16 +55,19 @@ def workspace(
 
     from calib.cli.setup import check_outputs, parse_amount, parse_columns, read_cell
     from calib.cli.terminal import progress_bar
-    from calib.data.ranges import joint_ranges, predicted_points, read_rows, row_points
     from calib.data.table import Table
     from calib.design.candidates import by_joint
     from calib.design.workspace import (
         Checked,
         Density,
         RegionView,
+        predicted_points,
+        read_rows,
+        row_points,
         workspace as sample,
         write_region,
     )
+    from calib.robot.readback import joint_ranges
     from calib.robot.robot import Robot
     from calib.text.workspace import text
 

@@ -8,7 +8,7 @@ import pytest
 from calib import example
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.data.ranges import predicted_points, read_rows, row_points
+from calib.design.workspace import predicted_points, read_rows, row_points
 from calib.errors import MeasurementError
 from calib.robot.robot import Robot
 

@@ -7,9 +7,8 @@ import pytest
 
 from calib import example
 from calib.data.measurements import Measurements
-from calib.data.ranges import column_limits, full_ranges, joint_ranges
 from calib.errors import CalibError
-from calib.robot.readback import column_ranges
+from calib.robot.readback import column_limits, column_ranges, full_ranges, joint_ranges
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from calib.units import Angle, Length
@@ -97,21 +96,11 @@ def test_ranges_of_the_paper_s_rows(ur3):
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"elbow": (0, 1)}, "for the joint 'elbow', which does not move .* 'lift', 'turn', 'knee'"),
-        ({"ankle": (0, 1)}, "for the joint 'ankle', which does not move"),
-        ({"turn": (1, -1)}, "of 'turn' is 57.2958 to -57.2958 deg, which is empty; give the lower"),
-        ({"lift": (0.2, 0.2)}, r"of 'lift' is 200 to 200 mm, which is empty; .* \(--hold\)"),
-        ({"turn": (0, np.nan)}, "is empty"),
-        (
-            {"lift": (Angle(0.2), Angle(0.3))},
-            "joint 'lift' is an angle, and the joint slides; give a length",
-        ),
-        (
-            {"turn": (Length(0), Length(0.1))},
-            "joint 'turn' is a length, and the joint turns; give an angle",
-        ),
-        ({"lift": (0.2, 0.5)}, "of 'lift' is 200 to 500 mm; its limits .* 100 to 400 mm"),
-        ({"knee": (0, 2)}, "of 'knee' is 0 to 114.592 deg; its limits .* -57.2958 to 57.2958 deg"),
+        ({"ankle": (0, 1)}, "for 'ankle', which is no joint of .* 'lift', 'turn', 'knee'"),
+        ({"turn": (1, -1)}, "of 'turn' is 57.2958 to -57.2958 deg; the lower end"),
+        ({"lift": (Angle(0.2), Angle(0.3))}, "joint 'lift' is an angle, and the joint slides"),
+        ({"turn": (Length(0), Length(0.1))}, "joint 'turn' is a length, and the joint turns"),
+        ({"lift": (0.2, 0.5)}, "of 'lift' is 200 to 500 mm; .* 100 to 400 mm"),
     ],
 )
 def test_ranges_that_cannot_be_are_refused(leg, given, said):
