@@ -20,7 +20,7 @@ def parse_format(name: str) -> str:
 _SOURCE = "result.json, calibration.conf, kinematics.yaml, origins.yaml, a URDF or xacro, or a robot's name."
 _FORMATS = (
     "Format of FILE: urdf, ur-yaml, ur-conf, origins; dh: standard DH rows; modified-dh: Craig's; hayati: standard, "
-    "with beta between near-parallel axes; each as .csv, .json or .md. Default: what its ending says."
+    "with beta between near-parallel axes; each as .csv or .json. Default: what its ending says."
 )
 _ROBOT = "Nominal URDF, xacro or name. Default: the one in a result; a bare arm for --ur-model."
 _HASH = (
@@ -36,7 +36,7 @@ Examples:
   calib convert calibration.conf --ur-model UR5e -o ur5e_calibrated.urdf
   calib convert calibration.conf --ur-model UR5e -o kinematics.yaml
   calib convert result.json --to ur-yaml --hash-from own_kinematics.yaml -o kinematics.yaml
-  calib convert corrected.urdf --robot robot.urdf --to hayati -o rows.md
+  calib convert corrected.urdf --robot robot.urdf --to hayati -o rows.csv
 
 What is written is read back and compared with the robot before it appears; what a format cannot hold is said.
 """)
