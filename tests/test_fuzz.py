@@ -18,7 +18,7 @@ from calib.design.solids import read_solids
 from calib.design.workspace import read_region
 from calib.errors import CalibError
 from calib.example import paper_measurements, paper_urdf
-from calib.formats.sources import Options, read_source
+from calib.formats.convert import KINDS, Options, source_kind
 
 ROOT = Path(__file__).parents[1]
 ARM, DATA = str(paper_urdf()), paper_measurements()
@@ -36,7 +36,9 @@ def read_robot(path: Path) -> None:
 
 
 def convert(path: Path) -> object:
-    return read_source(str(path), Options(robot=ARM, base="base", tip="tool0"))
+    return KINDS[source_kind(str(path))].read(
+        str(path), Options(robot=ARM, base="base", tip="tool0")
+    )
 
 
 def program(path: Path) -> object:

@@ -1,32 +1,56 @@
 """Convert a robot into the formats that controllers and ROS take.
 
-A format is one row of `FORMATS`: what it is, its files' endings and the function that writes it;
-`calib.formats.sources.KINDS` has what can be read.
+What can be read is a row of `KINDS`, what can be written a row of `FORMATS`: files' endings and the function.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from calib.errors import CalibError, ModelError, choices
+from calib.compensation.nominal_actual import is_corrected
+from calib.errors import CalibError, FileError, ModelError, choices
+from calib.files import read_bytes
 from calib.formats.dh_files import ENDINGS, DHTables, write_dh
-from calib.formats.notes import Note, Source
-from calib.formats.origins import write_origins
-from calib.formats.sources import YAML, Options, read_source, source_kind
-from calib.formats.universal_robots import read_ur, write_ur_conf, write_ur_yaml
-from calib.formats.ur_arms import UrModel
-from calib.formats.ur_files import Conf
+from calib.formats.notes import Note
+from calib.formats.origins import origins_of, parse_yaml, read_origins, with_origins, write_origins
+from calib.formats.universal_robots import Conf, Source, read_ur, write_ur_conf, write_ur_yaml
+from calib.formats.ur_arms import UrModel, the_mount, ur_model, ur_robot
+from calib.model.anchoring import check_same_joints
 from calib.model.dh_table import HAYATI, MODIFIED, STANDARD
+from calib.result.calibration_file import read_result
 from calib.robot.readback import TOLERANCE, check_written, random_joint_values
 from calib.robot.robot import Robot
+from calib.robot.xacro_file import is_xacro
 
 Notes = tuple[Note, ...]
+
+_YAML = (".yaml", ".yml")
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What goes with a conversion; all may be left out."""
+
+    to: str | None = None  #: The format, one of `FORMATS`; None: what the file's ending says.
+    robot: str | None = None  #: The nominal robot: URDF, xacro or name.
+    ur_model: str | None = None  #: The name of an arm of Universal Robots.
+    urcontrol: Path | None = None  #: Its file with the nominal rows of a ``calibration.conf``.
+    hash_from: Path | None = None  #: The robot's own, whose hash a new ``kinematics.yaml`` keeps.
+    update: Path | None = None  #: A ``calibration.conf`` whose other lines a new one keeps.
+    base: str | None = None  #: First link of the chain; None: that of the source.
+    tip: str | None = None  #: Last link of the chain.
+    held: Mapping[str, float] | None = None  #: Joints that stay [rad or m].
+    overwrite: bool = False  #: Whether a file that exists is replaced.
+
+    def load(self, source: str) -> Robot:
+        """A robot between the links asked for."""
+        return Robot.load(source, self.base, self.tip, held=self.held)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,14 +61,6 @@ class Conversion:
     format: str
     path: Path
     notes: Notes
-
-
-class Format(NamedTuple):
-    """A format that can be written: what it is, its files' endings, and what writes it."""
-
-    what: str
-    endings: tuple[str, ...]
-    write: Callable[[Source, Path, Options], Notes]
 
 
 def convert(source: str, path: str | Path, options: Options | None = None) -> Conversion:
@@ -68,30 +84,140 @@ def convert(source: str, path: str | Path, options: Options | None = None) -> Co
         ("urcontrol", kind == "ur-conf" or conf),
     ):
         if getattr(options, option) is not None and not used:
-            raise CalibError(
-                f"--{option.replace('_', '-')} has no use in this conversion. Leave it out."
-            )
-    found = read_source(source, options)
-    notes = FORMATS[name].write(found, path, options)
-    return Conversion(found, name, path, notes)
+            raise CalibError(f"--{option.replace('_', '-')} has no use here. Leave it out.")
+    found = KINDS[kind].read(source, options)
+    return Conversion(found, name, path, FORMATS[name].write(found, path, options))
+
+
+def source_kind(source: str) -> str:
+    """Which of `KINDS` a source is: by its ending, and a YAML file by its first key; `FileError` if none."""
+    ending = "" if is_xacro(source) else Path(source).suffix.lower()
+    keys: tuple[str, ...] = ()
+    if ending in _YAML:
+        keys = tuple(map(str, parse_yaml(read_bytes(source, "YAML file"), source, "YAML file")))
+    for name, kind in KINDS.items():
+        if ending in kind.endings and (not kind.key or kind.key in keys):
+            return name
+    raise FileError(
+        f"{source}: neither its ending nor a key says what it is. Give a calibration.conf or a kinematics.yaml of "
+        "Universal Robots, a result (.json), an origins file (.yaml), a URDF, a xacro, or the name of a robot such as "
+        "'ur3'."
+    )
 
 
 def chosen_format(path: Path, asked: str | None, source_kind: str) -> str:
     """The format that a file is written in: the one asked for, or what its ending says; `CalibError` if none."""
     ending = path.suffix.lower()
+    if asked is None and source_kind == "ur-conf" and ending in _YAML:
+        return "ur-yaml"
     fitting = [name for name, one in FORMATS.items() if ending in one.endings]
-    if asked is None:
-        if source_kind == "ur-conf" and ending in YAML:
-            return "ur-yaml"
-        if len(fitting) == 1:
-            return fitting[0]
+    if asked is None and len(fitting) == 1:
+        return fitting[0]
+    if asked is None or asked not in FORMATS:
         said = ", ".join(f"--to {name} ({FORMATS[name].what})" for name in fitting or FORMATS)
-        raise CalibError(
-            f"{path}: '{ending}' does not say which format is wanted. Add one of: {said}."
-        )
-    if asked not in FORMATS:
-        raise CalibError(f"There is no format '{asked}'; --to is one of {choices(FORMATS)}.")
+        what = f"'{ending}' does not say which format is wanted" if asked is None else ""
+        raise CalibError(f"{path}: {what or f'there is no format {asked!r}'}. Give one of: {said}.")
     return asked
+
+
+# What can be read
+
+
+def _universal_robots(source: str, options: Options) -> Source:
+    """A calibration.conf or a kinematics.yaml, on the robot asked for or on a bare one."""
+    given = None if options.robot is None else options.load(options.robot)
+    arm, urcontrol = options.ur_model, options.urcontrol
+    found = read_ur(source, urcontrol=urcontrol, model=arm, robot=given)
+    if given is None and (options.base or options.tip or options.held):
+        bare = found.nominal or found.robot
+        links = options.base or bare.base, options.tip or bare.tip
+        given = Robot.from_urdf(bare.urdf, *links, held=options.held)
+        found = read_ur(source, urcontrol=urcontrol, model=arm, robot=given)
+    return found
+
+
+def _result(source: str, options: Options) -> Source:
+    """A result, on the robot asked for, nominal or corrected, or on the URDF that it holds."""
+    result = read_result(source)
+    nominal, robot = result.nominal, result.robot
+    links = (options.base or nominal.base, options.tip or nominal.tip)
+    if links != (nominal.base, nominal.tip) or (options.held and options.held != nominal.held):
+        raise CalibError(
+            f"{source} holds base, tip and held joints; leave out --base, --tip and --hold."
+        )
+    if options.robot is not None:
+        arm = Robot.load(options.robot, nominal.base, nominal.tip, held=nominal.held)
+        corrected = is_corrected(result, arm)
+        nominal = result.uncorrected(arm) if corrected else arm
+        robot = arm if corrected else result.corrected(arm)
+    notes = () if result.larger is None else (Note("geometry alone", (result.larger.name,)),)
+    return Source("result", robot, nominal, model=_arm(nominal, options), notes=notes)
+
+
+def _origins(source: str, options: Options) -> Source:
+    """An origins file, on the robot asked for."""
+    found = read_origins(source)
+    if options.robot is None:
+        raise CalibError(
+            f"{source} has the origins of joints alone; give the URDF that they belong to as --robot."
+        )
+    nominal = options.load(options.robot)
+    robot = with_origins(nominal, found)
+    missing = [name for name in origins_of(robot) if name not in found]
+    notes = (Note("joints without origin", (choices(missing),)),) if missing else ()
+    return Source("origins", robot, nominal, model=_arm(nominal, options), notes=notes)
+
+
+def _robot(source: str, options: Options) -> Source:
+    """A URDF, a xacro or the name of a robot, beside the nominal one asked for."""
+    robot = options.load(source)
+    nominal = None
+    if options.robot is not None:
+        nominal = replace(options, base=robot.base, tip=robot.tip).load(options.robot)
+        check_same_joints(robot, nominal)
+    elif _known_arm(robot, nominal=True) is not None:
+        nominal = robot  # an arm with the kinematics of the data sheet is its own nominal robot
+    elif options.ur_model is not None:
+        nominal = ur_robot(options.ur_model).rebuilt(base=robot.base, tip=robot.tip)
+    model = None if nominal is None else _arm(nominal, options)
+    return Source("robot", robot, nominal, model=model)
+
+
+def _arm(nominal: Robot, options: Options) -> UrModel | None:
+    """The arm of Universal Robots that a nominal robot is, if it is one; it must be the one asked for."""
+    if options.ur_model is not None:
+        return the_mount(nominal, ur_model(options.ur_model)).model
+    return _known_arm(nominal)
+
+
+def _known_arm(robot: Robot, *, nominal: bool = False) -> UrModel | None:
+    """The arm of Universal Robots that a robot is, with its nominal kinematics if so asked; None of another maker."""
+    try:
+        mounted = the_mount(robot)
+    except ModelError:
+        return None
+    return mounted.model if mounted.nominal or not nominal else None
+
+
+class Kind(NamedTuple):
+    """What a source may be: its files' endings, the first key of one in YAML, and the function that reads it."""
+
+    endings: tuple[str, ...]
+    key: str
+    read: Callable[[str, Options], Source]
+
+
+KINDS = {
+    "ur-conf": Kind((".conf",), "", _universal_robots),
+    "ur-yaml": Kind(_YAML, "kinematics", _universal_robots),
+    "result": Kind((".json",), "", _result),
+    "origins": Kind(_YAML, "origins", _origins),
+    "robot": Kind(("", ".urdf", ".xml"), "", _robot),
+}
+"""What can be read, by name."""
+
+
+# What can be written
 
 
 def _write_urdf(source: Source, path: Path, options: Options) -> Notes:
@@ -128,7 +254,7 @@ def _write_dh(convention: str, source: Source, path: Path, options: Options) -> 
 
 def _write_ur_yaml(source: Source, path: Path, options: Options) -> Notes:
     """A kinematics.yaml with the robot's own hash."""
-    nominal, arm = _arm(source, path)
+    nominal, arm = _nominal_arm(source, path)
     hash, own = source.hash, options.hash_from
     notes: Notes = ()
     if own is not None:
@@ -147,7 +273,7 @@ def _write_ur_yaml(source: Source, path: Path, options: Options) -> Notes:
 
 def _write_ur_conf(source: Source, path: Path, options: Options) -> Notes:
     """The deltas of a calibration.conf."""
-    nominal, arm = _arm(source, path)
+    nominal, arm = _nominal_arm(source, path)
     own, update = source.conf, options.update
     written = write_ur_conf(
         source.robot,
@@ -158,12 +284,11 @@ def _write_ur_conf(source: Source, path: Path, options: Options) -> Notes:
         model=arm,
         overwrite=options.overwrite,
     )
-    if own is None or update is not None or not own.others:
-        return written.notes
-    return (*written.notes, Note("other lines left out", (choices(own.others),)))
+    lost = own.others if own is not None and update is None else ()
+    return written.notes + ((Note("other lines left out", (choices(lost),)),) if lost else ())
 
 
-def _arm(source: Source, path: Path) -> tuple[Robot, UrModel]:
+def _nominal_arm(source: Source, path: Path) -> tuple[Robot, UrModel]:
     """The nominal robot, which must be an arm of Universal Robots, and which arm it is."""
     if source.nominal is None or source.model is None:
         raise ModelError(
@@ -174,18 +299,23 @@ def _arm(source: Source, path: Path) -> tuple[Robot, UrModel]:
     return source.nominal, source.model
 
 
-def _dh(what: str, convention: str) -> Format:
-    """A row for DH rows in a convention."""
-    return Format(f"DH rows{what}", ENDINGS, partial(_write_dh, convention))
+class Format(NamedTuple):
+    """A format that can be written: what it is, its files' endings, and what writes it."""
+
+    what: str
+    endings: tuple[str, ...]
+    write: Callable[[Source, Path, Options], Notes]
 
 
 FORMATS: Mapping[str, Format] = {
     "urdf": Format("the URDF", (".urdf", ".xml"), _write_urdf),
-    "ur-yaml": Format("kinematics.yaml of Universal Robots' ROS driver", YAML, _write_ur_yaml),
+    "ur-yaml": Format("kinematics.yaml of Universal Robots' ROS driver", _YAML, _write_ur_yaml),
     "ur-conf": Format("DH deltas of a Universal Robots controller", (".conf",), _write_ur_conf),
-    "origins": Format("the joints' origins, for a xacro to load", YAML, _write_origins),
-    "dh": _dh(", standard convention", STANDARD),
-    "modified-dh": _dh(", modified (Craig's) convention", MODIFIED),
-    "hayati": _dh(" with Hayati's beta", HAYATI),
+    "origins": Format("the joints' origins, for a xacro to load", _YAML, _write_origins),
+    "dh": Format("DH rows, standard convention", ENDINGS, partial(_write_dh, STANDARD)),
+    "modified-dh": Format(
+        "DH rows, modified (Craig's) convention", ENDINGS, partial(_write_dh, MODIFIED)
+    ),
+    "hayati": Format("DH rows with Hayati's beta", ENDINGS, partial(_write_dh, HAYATI)),
 }
 """The formats by name, as in ``--to``."""

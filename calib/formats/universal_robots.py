@@ -5,52 +5,76 @@
 
 and back, whichever frames the robot's URDF uses, because the arm is found in it. What a file has no place for is
 returned as a note; what is written is read back before it appears.
+
+``calibration.conf`` has the deltas of an arm in ``[mounting]``, ``urcontrol.conf`` its nominal rows in ``[DH]``: lists
+``key = [six numbers]``, lengths in metres and angles in radians. ``kinematics.yaml`` has the six placements that the
+description for ROS takes, and the calibration's hash:
+
+    kinematics:
+      shoulder: {x, y, z, roll, pitch, yaw}      and so on: upper_arm, forearm, wrist_1, wrist_2, wrist_3
+      hash: calib_...
+
+Each is the pose of a link's joint in the link before it, the first in ``base_link_inertia``, which is the controller's
+base; the joints turn about z and ``tool0`` is the frame of the last. R = Rz(yaw) Ry(pitch) Rx(roll).
 """
 
 from __future__ import annotations
 
+import configparser
 import os
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+import pinocchio as pin
+import yaml
 from numpy.typing import NDArray
 
 from calib.errors import FileError, ModelError, choices
-from calib.files import write_atomically
-from calib.formats.notes import Note, Source, displaced
+from calib.files import read_bytes, write_atomically
+from calib.formats.notes import Code, Note
+from calib.formats.origins import parse_yaml
 from calib.formats.ur_arms import (
+    COLUMNS,
+    LINKS,
     MODELS,
-    TOLERANCE,
+    Mount,
     UrModel,
     at_flange,
     chain_of_rows,
     chain_poses,
+    distance_from,
     kinematics_hash,
+    the_mount,
     ur_model,
     ur_robot,
 )
-from calib.formats.ur_files import (
-    Conf,
-    UrYaml,
-    conf_bytes,
-    kinematics_bytes,
-    read_kinematics,
-    read_nominal,
-)
-from calib.formats.ur_mount import SPREAD, Mount, distance_from, the_mount
 from calib.model.anchoring import anchored_placements, check_same_joints
 from calib.model.dh import dh_table
 from calib.model.dh_table import STANDARD
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import Robot, read_only
+from calib.units import NUMBER
 
 Array = NDArray[np.float64]
 PathLike = str | os.PathLike[str]
 
-#: Written rows may differ from the robot by this [m and rad]; and where axes are almost parallel, which is said.
-_EXACT, _LESS_EXACT = 1e-9, 1e-6
+_DELTAS = tuple(f"delta_{name}" for name in COLUMNS)
+
+#: What is too large for a number [m, rad]: no delta in metres and radians, and no place on an arm. d runs away between
+#: axes that are nearly parallel, theta with it.
+_LARGEST_DELTA = dict(zip(_DELTAS, (8.0 * np.pi, 10.0, 1e9, 0.5), strict=True))
+_LARGEST_NOMINAL = dict(zip(COLUMNS, (2.0 * np.pi, 10.0, 10.0, 2.0 * np.pi), strict=True))
+_LARGEST_POSE = dict.fromkeys("xyz", 10.0) | dict.fromkeys(("roll", "pitch", "yaw"), 4.0 * np.pi)
+
+#: What a hash is made of.
+_HASH = re.compile(r"[\w.+-]+")
+
+#: What is written may differ from the robot by this [m and rad]; rows by the second, where axes are almost parallel.
+_EXACT, _EXACT_ROWS = 1e-9, 1e-6
 
 #: A displacement below this is rounding [m and rad].
 _ROUNDING = 1e-12
@@ -58,21 +82,153 @@ _ROUNDING = 1e-12
 #: A number this near to the one that it replaces is that one: theta, a, d, alpha [rad], [m].
 _SAME = np.array([1e-14, 1e-13, 1e-12, 1e-14])
 
-#: A calibration that moves the flange further may be of another arm [m]; none moves it further than the second.
-_SUSPECT, _FARTHEST = 0.01, 0.2
+#: A calibration that moves the flange further may be of another arm [m]; none moves it further than the second. Arms
+#: that differ by less than the third are one.
+_SUSPECT, _FARTHEST, _ALIKE = 0.01, 0.2, 1e-6
+
+
+class Conf(NamedTuple):
+    """A ``calibration.conf``."""
+
+    deltas: Array  #: shape (6, 4), ``delta_theta``, ``delta_a``, ``delta_d`` and ``delta_alpha`` [rad], [m].
+    others: tuple[str, ...]  #: The other keys of ``[mounting]``, such as ``joint_checksum``.
+    status: str  #: Its ``calibration_status``; 2 is linearised.
+    text: str  #: The whole file, a character for each byte.
+
+    @classmethod
+    def read(cls, path: PathLike, data: bytes | None = None) -> Conf:
+        """What a file says, or will say that is to be written; `FileError` where it has not these numbers."""
+        text = (read_bytes(path, "calibration.conf") if data is None else data).decode("latin-1")
+        values = _section(path, text, "mounting")
+        others = tuple(key for key in values if key not in _DELTAS)
+        deltas = _columns(path, values, _LARGEST_DELTA)
+        return cls(deltas, others, values.get("calibration_status", "2"), text)
+
+    def with_deltas(self, deltas: Array) -> bytes:
+        """The file with the lists of other deltas in place of its own, everything else as it was."""
+        text = self.text
+        for key, old, new in zip(_DELTAS, self.deltas.T, deltas.T, strict=True):
+            if (old != new).any():  # else it stays, digit for digit
+                text = re.sub(rf"(?m)^(\s*{key}\s*=\s*)\[[^\]]*\]", rf"\g<1>{_list(new)}", text)
+        return text.encode("latin-1")
+
+
+def conf_bytes(deltas: Array) -> bytes:
+    """A ``calibration.conf`` with nothing but the deltas (6, 4)."""
+    lines = [f"{key} = {_list(values)}" for key, values in zip(_DELTAS, deltas.T, strict=True)]
+    return "\n".join(["[mounting]", *lines, ""]).encode()
+
+
+def _list(values: Array) -> str:
+    """Six numbers that read back exactly."""
+    return "[ " + ", ".join(repr(float(value) + 0.0) for value in values) + "]"
+
+
+def read_nominal(path: PathLike) -> Array:
+    """The nominal rows (6, 4) of a ``urcontrol.conf``: ``a``, ``d``, ``alpha`` of ``[DH]``, and ``theta`` or zeros."""
+    text = read_bytes(path, "urcontrol.conf").decode("latin-1")
+    values = {"theta": "0, 0, 0, 0, 0, 0", **_section(path, text, "DH")}
+    return _columns(path, values, _LARGEST_NOMINAL)
+
+
+def _section(path: PathLike, text: str, name: str) -> dict[str, str]:
+    """The keys of a section, which may come again further down, and their values."""
+    parser = configparser.ConfigParser(
+        strict=False, interpolation=None, inline_comment_prefixes=("#", ";"), default_section=""
+    )
+    try:
+        parser.read_string(text)
+    except configparser.Error as error:
+        reason = " ".join(str(error).split())
+        raise FileError(f"{path} cannot be read as sections of keys: {reason}") from error
+    return dict(parser[name]) if parser.has_section(name) else {}
+
+
+def _columns(path: PathLike, values: dict[str, str], largest: Mapping[str, float]) -> Array:
+    """The six numbers of each of some keys, shape (6, 4)."""
+    columns = []
+    for key, most in largest.items():
+        words = values.get(key, "").strip("[] ").split(",")
+        if len(words) != 6:
+            raise FileError(
+                f"{path}: {key} is no list of six numbers in brackets, one a joint; {choices(largest)} are wanted."
+            )
+        columns.append([_number(f"{path}: {key}", word.strip(), most) for word in words])
+    return read_only(np.transpose(columns))
+
+
+def _number(where: str, word: str, largest: float) -> float:
+    """A number in metres or radians, finite and not too large for what it is."""
+    number = float(word) if NUMBER.fullmatch(word) else np.inf
+    if not abs(number) <= largest:
+        raise FileError(
+            f"{where}: '{word[:40]}' is no number up to {largest:.4g}. Lengths are in metres, angles in radians."
+        )
+    return number
+
+
+def read_kinematics(path: PathLike, data: bytes | None = None) -> tuple[Array, str | None]:
+    """The chain of a ``kinematics.yaml``, or of one to be written, shape (7, 4, 4) [m], and its hash.
+
+    Raises:
+        FileError: It cannot be read, or lacks a link or a number.
+    """
+    what = "kinematics.yaml"
+    top = parse_yaml(read_bytes(path, what) if data is None else data, str(path), what)
+    links = top.get("kinematics")
+    links = links if isinstance(links, dict) else {}
+    chain = np.tile(np.eye(4), (7, 1, 1))
+    for link, T in zip(LINKS, chain, strict=False):
+        values = links.get(link)
+        if not isinstance(values, dict) or not _LARGEST_POSE.keys() <= values.keys():
+            raise FileError(
+                f"{path}: under 'kinematics' there is no '{link}' with {choices(_LARGEST_POSE)}; a "
+                f"kinematics.yaml has {choices(LINKS)}."
+            )
+        numbers = [
+            _number(f"{path}: {key} of '{link}'", str(values[key]), most)
+            for key, most in _LARGEST_POSE.items()
+        ]
+        T[:3, :3], T[:3, 3] = pin.rpy.rpyToMatrix(*numbers[3:]), numbers[:3]
+    hash = links.get("hash")
+    return read_only(chain), _checked_hash(path, hash) if hash else None
+
+
+def kinematics_bytes(chain: Array, hash: str, comment: str = "") -> bytes:
+    """A ``kinematics.yaml`` of the first six of a chain (7, 4, 4) [m]; its numbers read back exactly."""
+    table: dict[str, object] = {}
+    for link, T in zip(LINKS, chain, strict=False):
+        values = np.array([*T[:3, 3], *pin.rpy.matrixToRpy(T[:3, :3])]) + 0.0
+        table[link] = dict(zip(_LARGEST_POSE, values.tolist(), strict=True))
+    table["hash"] = _checked_hash("kinematics.yaml", hash)
+    head = f"# {comment}\n" if comment else ""
+    return f"{head}{yaml.safe_dump({'kinematics': table}, sort_keys=False)}".encode()
+
+
+def _checked_hash(path: PathLike, hash: object) -> str:
+    """A hash that is one word."""
+    if isinstance(hash, str) and _HASH.fullmatch(hash):
+        return hash
+    raise FileError(
+        f"{path}: the hash is {str(hash)[:40]!r}, not one such as 'calib_12788084448423163542'. Take the line from the "
+        "robot's own kinematics.yaml or calibration.conf."
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class UrWritten:
-    """What was written, and displacements of base and flange (4, 4) [m] that the file cannot hold.
+class Source:
+    """A robot read from a file of some kind, and the same chain with nominal kinematics, if these are known.
 
-    With the file's own kinematics K(q) from the controller's base to its flange, the arm is T_base K(q) T_tool.
+    Of Universal Robots' files also the driver's name of the calibration, the arm, and a ``calibration.conf``.
     """
 
-    path: Path
-    T_base: Array
-    T_tool: Array
-    notes: tuple[Note, ...]
+    kind: str
+    robot: Robot
+    nominal: Robot | None
+    hash: str | None = None
+    model: UrModel | None = None
+    conf: Conf | None = None
+    notes: tuple[Note, ...] = ()
 
 
 def read_ur(
@@ -92,43 +248,59 @@ def read_ur(
         ModelError: The model is not known, or is not that of the robot, or is not given.
     """
     conf = Conf.read(path) if Path(path).suffix.lower() == ".conf" else None
-    content = read_kinematics(path) if conf is None else None
+    own, hash = read_kinematics(path) if conf is None else (None, None)
 
     def chain_of(one: UrModel) -> Array:
         """The chain that the file makes of an arm; a yaml has the same for each."""
-        if conf is not None:
-            return chain_of_rows(one.rows + conf.deltas)
-        assert content is not None  # it is one of the two
-        return content.chain
+        return own if conf is None else chain_of_rows(one.rows + conf.deltas)  # type: ignore[return-value]
 
     given = None if model is None else ur_model(model)
     if urcontrol is not None:
         arm = _of_rows(read_nominal(urcontrol), urcontrol, given)
     elif robot is not None:
         arm = the_mount(robot, given).model
+    elif given is not None:
+        arm = given
+    elif conf is None:
+        arm = min(MODELS, key=lambda one: distance_from(chain_of(one), one))
     else:
-        arm = given or _nearest(path, content)
+        raise ModelError(
+            f"{path}: a calibration.conf has only what is added to an arm's nominal rows. Say of which arm it is, as "
+            "in --ur-model UR5e, or give its --urcontrol, or its nominal URDF as --robot."
+        )
     nominal = ur_robot(arm) if robot is None else robot
-    mounted = the_mount(nominal, arm)
     moved = _checked_distance(path, arm, chain_of)
-    placements = mounted.placements_of(chain_of(arm), nominal)
-    notes = list(_name_note(nominal, mounted))
+    placements = the_mount(nominal, arm).placements_of(chain_of(arm), nominal)
+    notes = []
     if conf is not None:
-        hash: str | None = kinematics_hash(arm.rows + conf.deltas)
+        hash = kinematics_hash(arm.rows + conf.deltas)
         placements = anchored_placements(placements, nominal.placements, nominal.joints)
-        notes += _not_certain(path, arm, chain_of, moved) if urcontrol is None else ()
-        notes += [Note("not linearised", (str(path), conf.status))] if conf.status else []
-    else:
-        hash = content.hash if content else None
-        if robot is None and model is None:
-            names = " or ".join(one.name for one in MODELS if one.same(arm.rows))
-            notes.append(Note("arm by kinematics", (str(path), names)))
-        notes += [Note("no hash", (str(path),))] if hash is None else []
+        # Other arms that the deltas fit as well: nothing in them tells these apart.
+        most = max(_SUSPECT, 3.0 * moved)
+        fitting = [one for one in MODELS if distance_from(chain_of(one), one) <= most]
+        apart = max((distance_from(one.chain, arm) for one in fitting), default=0.0)
+        if urcontrol is None and apart > _ALIKE:
+            alike = choices(one.name for one in fitting)
+            notes.append(Note("arm not certain", (str(path), alike, arm.name, apart)))
+        if conf.status != "2":
+            notes.append(Note("not linearised", (str(path), conf.status[:40])))
     if any(one.default_hash == hash for one in MODELS):
         notes.append(Note("nominal hash", (str(path),)))
     kind = "ur-yaml" if conf is None else "ur-conf"
-    calibrated = nominal.with_placements(placements)
-    return Source(kind, calibrated, nominal, hash, arm, conf, tuple(notes))
+    return Source(kind, nominal.with_placements(placements), nominal, hash, arm, conf, tuple(notes))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UrWritten:
+    """What was written, and displacements of base and flange (4, 4) [m] that the file cannot hold.
+
+    With the file's own kinematics K(q) from the controller's base to its flange, the arm is T_base K(q) T_tool.
+    """
+
+    path: Path
+    T_base: Array
+    T_tool: Array
+    notes: tuple[Note, ...]
 
 
 def write_ur_yaml(
@@ -151,15 +323,14 @@ def write_ur_yaml(
     """
     mounted, chain = _chain_of(robot, nominal, model)
     chain = at_flange(chain)
-    T_tool = np.eye(4) if np.abs(chain[6] - np.eye(4)).max() < _ROUNDING else chain[6]
+    T_tool = _rounded(chain[6])
     kind = mounted.model.name if mounted.model.known else "arm"
     comment = f"Kinematics of one Universal Robots {kind}: lengths in m, angles in rad, R = Rz(yaw) Ry(pitch) Rx(roll)."
     data = kinematics_bytes(chain, hash, comment)
-    back = read_kinematics(path, data).chain
+    back, _ = read_kinematics(path, data)
     _check(robot, mounted, path, lambda q: chain_poses(back, q) @ T_tool, _EXACT)
     written = write_atomically(path, data, overwrite=overwrite)
-    notes = (*_name_note(nominal, mounted), *displaced("flange displaced", T_tool))
-    return UrWritten(written, read_only(np.eye(4)), read_only(T_tool), notes)
+    return UrWritten(written, read_only(np.eye(4)), T_tool, _displaced("flange displaced", T_tool))
 
 
 def write_ur_conf(
@@ -189,23 +360,26 @@ def write_ur_conf(
     wished = np.zeros((6, 4)) if like is None else like
     deltas = _in_the_sense_of(found, arm.rows + wished) - arm.rows
     deltas = read_only(np.where(np.abs(deltas - wished) < _SAME, wished, deltas))
-    T_base, T_tool = (
-        np.eye(4) if np.abs(T - np.eye(4)).max() < _ROUNDING else T
-        for T in (table.T_base_0, table.T_n_tip)
-    )
+    T_base, T_tool = _rounded(table.T_base_0), _rounded(table.T_n_tip)
     data = conf_bytes(deltas) if update is None else update.with_deltas(deltas)
     back = chain_of_rows(arm.rows + Conf.read(path, data).deltas)
-    missed = np.abs(T_base @ chain_poses(back, SPREAD) @ T_tool - chain_poses(chain, SPREAD)).max()
-    notes = list(_name_note(nominal, mounted))
-    if missed > _EXACT:
-        notes.append(Note("digits lost", (float(missed),)))
-    exact = _LESS_EXACT if missed > _EXACT else _EXACT
-    _check(robot, mounted, path, lambda q: T_base @ chain_poses(back, q) @ T_tool, exact)
+    _check(robot, mounted, path, lambda q: T_base @ chain_poses(back, q) @ T_tool, _EXACT_ROWS)
     written = write_atomically(path, data, overwrite=overwrite)
-    if update is not None and update.others:
-        notes.append(Note("other lines kept", (", ".join(update.others),)))
-    notes += [*displaced("base displaced", T_base), *displaced("flange displaced", T_tool)]
-    return UrWritten(written, read_only(T_base), read_only(T_tool), tuple(notes))
+    kept = update.others if update is not None else ()
+    notes = [Note("other lines kept", (", ".join(kept),))] if kept else []
+    notes += [*_displaced("base displaced", T_base), *_displaced("flange displaced", T_tool)]
+    return UrWritten(written, T_base, T_tool, tuple(notes))
+
+
+def _rounded(T: Array) -> Array:
+    """A pose, the identity where it is that but for rounding."""
+    return read_only(np.eye(4) if np.abs(T - np.eye(4)).max() < _ROUNDING else T)
+
+
+def _displaced(code: Code, T: Array) -> tuple[Note, ...]:
+    """A displacement T (4, 4) that a file has no place for: three lengths [m] and a rotation vector [rad]."""
+    vector = np.round([*T[:3, 3], *pin.log3(T[:3, :3])], 9) + 0.0
+    return (Note(code, tuple(vector.tolist())),) if np.any(vector) else ()
 
 
 def _in_the_sense_of(rows: Array, wished: Array) -> Array:
@@ -247,29 +421,6 @@ def _check(
         )
 
 
-def _nearest(path: PathLike, content: UrYaml | None) -> UrModel:
-    """The arm that the kinematics of a yaml are nearest to."""
-    if content is None:
-        raise ModelError(
-            f"{path}: a calibration.conf has only what is added to an arm's nominal rows. Say of which arm it is, as "
-            "in --ur-model UR5e, or give its --urcontrol, or its nominal URDF as --robot."
-        )
-    return min(MODELS, key=lambda one: distance_from(content.chain, one))
-
-
-def _not_certain(
-    path: PathLike, arm: UrModel, chain_of: Callable[[UrModel], Array], moved: float
-) -> tuple[Note, ...]:
-    """A note about other arms that deltas fit as well, which nothing in them tells apart."""
-    most = max(_SUSPECT, 3.0 * moved)
-    fitting = [one for one in MODELS if distance_from(chain_of(one), one) <= most]
-    apart = max((distance_from(chain_of_rows(o.rows), arm) for o in fitting), default=0.0)
-    alike = choices(one.name for one in fitting)
-    return (
-        (Note("arm not certain", (str(path), alike, arm.name, apart)),) if apart > TOLERANCE else ()
-    )
-
-
 def _of_rows(rows: Array, path: PathLike, given: UrModel | None) -> UrModel:
     """The arm that has the rows of a urcontrol.conf; it must be the one given."""
     if given is not None and not given.same(rows):
@@ -295,9 +446,3 @@ def _checked_distance(path: PathLike, arm: UrModel, chain_of: Callable[[UrModel]
                 "--ur-model, --urcontrol or URDF, and numbers in metres and radians."
             )
     return moved
-
-
-def _name_note(robot: Robot, mounted: Mount) -> tuple[Note, ...]:
-    """A note about a robot that is not nominal, whose base and flange were found by name."""
-    values = (robot.name, mounted.model.name, mounted.off, mounted.turned)
-    return () if mounted.nominal else (Note("arm by name", values),)

@@ -1,4 +1,4 @@
-"""The Universal Robots arms: their DH rows, a chain of them, a bare URDF of each, a calibration's hash.
+"""The Universal Robots arms: their DH rows, a chain of them, a bare URDF of each, and how a robot is one of them.
 
 Universal Robots writes standard (distal) DH without any row for nearly parallel axes,
 
@@ -8,18 +8,25 @@ so that in a calibrated arm d_2 and d_3 are hundreds of metres. *Rows* are theta
 [m]; a file's deltas are added to nominal ones. A *chain* is the same arm as placements of joints that turn about z,
 shape (7, 4, 4): joint i in joint i - 1, the first in the controller's base, the seventh its flange in joint 6; with the
 nominal rows these are the poses that ``kinematics.yaml`` gives its six links.
+
+The names of the links in Universal Robots' descriptions say where the controller's base and flange are: no axes show an
+error of the first joint's zero and height or of the last one's. The arm is the one with the nearest nominal kinematics.
 """
 
 from __future__ import annotations
 
+import itertools
+import re
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from calib.errors import ModelError, choices
+from calib.errors import ModelError, UrdfError, choices
+from calib.model.dh import zero_poses
 from calib.model.dh_table import screw
 from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.robot.urdf import Urdf
@@ -56,8 +63,18 @@ _LENGTHS = {
     "UR30": (0.2363, -0.637, -0.5037, 0.201, 0.1593, 0.1543),
 }
 
-TOLERANCE = 1e-6
-"""A robot that is an arm of the table may lie this far from it [m and rad]."""
+#: A robot that is a nominal arm may lie this far from it, one that is calibrated already this far [m and rad].
+_SAME, _CALIBRATED = 1e-6, 0.05
+
+#: Links that are the controller's base, and whether they are turned by half a turn about z against it; links that are
+#: its flange: in the old descriptions the last link is not.
+_BASES = (("base_link_inertia", False), ("base", False), ("base_link", True))
+_FLANGES = ("tool0", "wrist_3_link")
+
+_HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
+
+SPREAD = read_only(np.random.default_rng(20170401).uniform(-np.pi, np.pi, (200, 6)))
+"""Joint values within one turn at which arms are compared [rad], the same every time."""
 
 #: Half of pi as the controllers' own files write it [rad].
 _HALF_PI = 1.570796327
@@ -84,13 +101,18 @@ class UrModel:
         return self.name in _LENGTHS
 
     @property
+    def chain(self) -> Array:
+        """The nominal chain, shape (7, 4, 4), [m]."""
+        return chain_of_rows(self.rows)
+
+    @property
     def default_hash(self) -> str:
         """What the ROS driver makes of the nominal rows."""
         return kinematics_hash(self.rows)
 
     def same(self, rows: Array) -> bool:
         """Whether rows are those of this type of arm."""
-        return bool(np.abs(self.rows - rows).max() < TOLERANCE)
+        return bool(np.abs(self.rows - rows).max() < _SAME)
 
 
 def _nominal(d1: float, a2: float, a3: float, d4: float, d5: float, d6: float) -> Array:
@@ -183,13 +205,7 @@ def kinematics_hash(rows: Array) -> str:
         >>> kinematics_hash(np.zeros((6, 4)))
         'calib_8811247710799071897'
     """
-    return (
-        f"calib_{_murmur(''.join(f'{value:g}' for value in rows[:, [0, 2, 1, 3]].flat).encode())}"
-    )
-
-
-def _murmur(data: bytes) -> int:
-    """``std::hash<std::string>`` of GNU's library on a 64-bit machine."""
+    data = "".join(f"{value:g}" for value in rows[:, [0, 2, 1, 3]].flat).encode()
     value = (_SEED ^ (len(data) * _MULTIPLIER)) & _MASK
     whole = len(data) & ~7
     for (word,) in struct.iter_unpack("<Q", data[:whole]):
@@ -197,36 +213,30 @@ def _murmur(data: bytes) -> int:
         mixed = ((mixed ^ (mixed >> 47)) * _MULTIPLIER) & _MASK
         value = ((value ^ mixed) * _MULTIPLIER) & _MASK
     if whole < len(data):
-        rest = int.from_bytes(data[whole:], "little")
-        value = ((value ^ rest) * _MULTIPLIER) & _MASK
+        value = ((value ^ int.from_bytes(data[whole:], "little")) * _MULTIPLIER) & _MASK
     value = ((value ^ (value >> 47)) * _MULTIPLIER) & _MASK
-    return value ^ (value >> 47)
+    return f"calib_{value ^ (value >> 47)}"
 
 
 def _plain(name: str) -> str:
     """A name without capitals, spaces, hyphens and underscores."""
-    return "".join(letter for letter in name.lower() if letter not in " -_")
+    return re.sub("[ _-]", "", name.lower())
 
 
 def _urdf_text(model: UrModel) -> str:
     """The bare URDF; where nothing turns, an <origin> of the nominal rows says so exactly."""
     half, pi = np.pi / 2.0, np.pi
     links = ["base_link_inertia", *(f"{link}_link" for link in LINKS)]
+    chain = [(tuple(T[:3, 3]), tuple(pin.rpy.matrixToRpy(T[:3, :3]))) for T in model.chain]
+    here = (0.0, 0.0, 0.0)
     joints = [
-        ("base_link-base_link_inertia", "base_link", links[0], (0.0, 0.0, 0.0), (0.0, 0.0, pi)),
-        ("base_link-base_fixed_joint", "base_link", "base", (0.0, 0.0, 0.0), (0.0, 0.0, pi)),
+        ("base_link-base_link_inertia", "base_link", links[0], here, (0.0, 0.0, pi)),
+        ("base_link-base_fixed_joint", "base_link", "base", here, (0.0, 0.0, pi)),
+        *((JOINTS[i], links[i], links[i + 1], *chain[i]) for i in range(6)),
+        ("wrist_3_link-ft_frame", links[-1], "ft_frame", here, (pi, 0.0, 0.0)),
+        ("wrist_3-flange", links[-1], "flange", here, (0.0, -half, -half)),
+        ("flange-tool0", "flange", "tool0", here, (half, 0.0, half)),
     ]
-    chain = chain_of_rows(model.rows)
-    for joint, parent, child, T in zip(JOINTS, links, links[1:], chain, strict=False):
-        joints.append(
-            (joint, parent, child, tuple(T[:3, 3]), tuple(pin.rpy.matrixToRpy(T[:3, :3])))
-        )
-    for joint, parent, child, turn in (
-        ("wrist_3_link-ft_frame", links[-1], "ft_frame", (pi, 0.0, 0.0)),
-        ("wrist_3-flange", links[-1], "flange", (0.0, -half, -half)),
-        ("flange-tool0", "flange", "tool0", (half, 0.0, half)),
-    ):
-        joints.append((joint, parent, child, (0.0, 0.0, 0.0), turn))
     lines = [
         '<?xml version="1.0" encoding="utf-8"?>',
         f"<!-- Kinematics of a Universal Robots {model.name}, without bodies, by calib: efforts and speeds are only",
@@ -255,3 +265,105 @@ def _urdf_text(model: UrModel) -> str:
 
 MODELS = tuple(UrModel(name, _nominal(*lengths)) for name, lengths in _LENGTHS.items())
 """The arms that are known."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mount:
+    """How a URDF's frames are fixed to those of an arm: T_base_tip = T_base_arm chain(q) T_flange_tip.
+
+    Attributes:
+        model: Which arm it is.
+        T_base_arm, T_flange_tip: shape (4, 4), [m]: the controller's base in the robot's, the tip in its flange.
+        T_arm_joint: shape (6, 4, 4), [m]: each joint's frame in the arm's frame of that joint, a motion along and about
+            the axis.
+        nominal: Whether the robot has the arm's nominal kinematics.
+    """
+
+    model: UrModel
+    T_base_arm: Array
+    T_flange_tip: Array
+    T_arm_joint: Array
+    nominal: bool
+
+    def chain_of(self, robot: Robot) -> Array:
+        """The placements of a robot mounted so as those of the arm, shape (7, 4, 4), [m]."""
+        at, back = self.T_arm_joint, rigid_inverse(self.T_arm_joint)
+        P = robot.placements
+        first = rigid_inverse(self.T_base_arm) @ rigid_inverse(robot.T_root_base) @ P[0] @ back[0]
+        between = [at[i - 1] @ P[i] @ back[i] for i in range(1, 6)]
+        return read_only([first, *between, at[5] @ P[6] @ rigid_inverse(self.T_flange_tip)])
+
+    def placements_of(self, chain: Array, robot: Robot) -> Array:
+        """The placements of the robot whose arm is this chain: the inverse of `chain_of`."""
+        at, back = self.T_arm_joint, rigid_inverse(self.T_arm_joint)
+        first = robot.T_root_base @ self.T_base_arm @ chain[0] @ at[0]
+        between = [back[i - 1] @ chain[i] @ at[i] for i in range(1, 6)]
+        return read_only([first, *between, back[5] @ chain[6] @ self.T_flange_tip])
+
+
+def the_mount(robot: Robot, model: UrModel | None = None) -> Mount:
+    """How a robot's frames are fixed to those of the arm that it is, or that it must be; `ModelError` if it is not."""
+    wanted = MODELS if model is None else (model,)
+    for T_base_arm, T_flange_tip in _named_frames(robot):
+        arm = rigid_inverse(T_base_arm) @ robot.poses(SPREAD) @ rigid_inverse(T_flange_tip)
+        apart = [float(np.abs((arm - chain_poses(m.chain, SPREAD))[:, :3]).max()) for m in wanted]
+        nearest, off = wanted[int(np.argmin(apart))], min(apart)
+        if off < _CALIBRATED:
+            near = _CALIBRATED if off > _SAME else 0.0
+            frame, on_axes = T_base_arm, []
+            for T, P, joint in zip(zero_poses(robot)[0], nearest.chain, robot.joints, strict=False):
+                frame = frame @ P
+                on_axes.append(_on_axis(rigid_inverse(frame) @ T, joint.axis, near))
+            base, tip, joints = map(read_only, (T_base_arm, T_flange_tip, np.array(on_axes)))
+            return Mount(nearest, base, tip, joints, nominal=off <= _SAME)
+    raise ModelError(
+        f"The robot '{robot.name}' from '{robot.base}' to '{robot.tip}' is no "
+        f"{model.name if model else 'arm of Universal Robots that calib knows'}: that has the joints {choices(JOINTS)} "
+        "between base and tip, the link names of Universal Robots' description, and kinematics near the nominal ones."
+    )
+
+
+def distance_from(chain: Array, arm: UrModel) -> float:
+    """How far the flange of a chain, shape (7, 4, 4), lies from that of the nominal arm, at most [m]."""
+    nominal = chain_poses(arm.chain, SPREAD)
+    moved = chain_poses(chain, SPREAD)[:, :3, 3] - nominal[:, :3, 3]
+    return float(np.linalg.norm(moved, axis=1).max())
+
+
+def _on_axis(T: Array, axis: Array, near: float) -> Array:
+    """The pose Tz(s) Rz(phi) R nearest to T, where R turns the axis into z; no s below ``near``, phi a right angle."""
+    seed = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    x = seed - axis * (axis @ seed)
+    x = x / np.linalg.norm(x)
+    R = np.stack([x, np.cross(axis, x), axis])
+    turned = T[:3, :3] @ R.T
+    phi = np.arctan2(turned[1, 0] - turned[0, 1], turned[0, 0] + turned[1, 1])
+    right = np.round(phi / (np.pi / 2.0)) * np.pi / 2.0
+    phi = right if abs(phi - right) < near else phi
+    result = np.eye(4)
+    result[:3, :3] = pin.rpy.rpyToMatrix(0.0, 0.0, float(phi)) @ R
+    result[2, 3] = T[2, 3] if abs(T[2, 3]) >= near else 0.0
+    return result
+
+
+def _named_frames(robot: Robot) -> Iterator[tuple[Array, Array]]:
+    """T_base_arm and T_flange_tip, every pair that the links' names allow, the robot's own base and tip first."""
+    names = [joint.name for joint in robot.joints]
+    prefix = names[0].removesuffix(JOINTS[0])
+    if names != [prefix + joint for joint in JOINTS] or robot.joint_names != tuple(names):
+        return
+    zero = np.zeros(len(names))
+    here = robot.poses(zero)[0]
+    flanges = sorted(_FLANGES, key=lambda link: prefix + link != robot.tip)
+    bases = sorted(_BASES, key=lambda base: prefix + base[0] != robot.base)
+    for flange, (base, turned) in itertools.product(flanges, bases):
+        try:
+            at_flange = robot.rebuilt(tip=prefix + flange)
+            arm = at_flange.rebuilt(base=prefix + base)
+        except UrdfError:  # no such link, or no joint between them
+            continue
+        if [joint.name for joint in arm.joints] == names and not arm.base_moves:
+            T_base_flange = at_flange.poses(zero)[0]
+            T_base_link = T_base_flange @ rigid_inverse(arm.poses(zero)[0])
+            T_flange_tip = rigid_inverse(T_base_flange) @ here
+            yield T_base_link @ _HALF_TURN if turned else T_base_link, T_flange_tip

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from calib.robot.readback import spread_poses
 from calib.text.lines import fill
 
 if TYPE_CHECKING:
@@ -23,19 +24,14 @@ _DISPLACED = (
 
 #: What each code says; lengths are in mm, angles in mrad.
 _NOTES: dict[Code, str] = {
-    "arm by name": "'{0}' is not the nominal {1}: its flange lies up to {2:.2g} mm and {3:.2g} mrad off. Base and "
-    "flange were found by the names of its links.",
-    "arm by kinematics": "{0} does not say of which arm it is; its kinematics are those of the {1}.",
     "arm not certain": "The deltas in {0} fit {1} alike. Taken for another one than the {2}, the flange is up to "
     "{3:.0f} mm off; the controller's urcontrol.conf (--urcontrol) has the right nominal rows.",
-    "no hash": "{0} has no hash; the ROS driver wants the robot's own.",
     "nominal hash": "{0} has the hash of a nominal arm: it is of no particular robot.",
     "not linearised": "{0} has calibration_status = {1}, not 2 (linearised): the controller may not use these deltas.",
     "base displaced": f"Not in the file: the first axis lies off {_DISPLACED} base (link 'base'). T_base_frame of the "
     "frame of the poses becomes T_base^-1 T_base_frame, where T_base is this displacement.",
     "flange displaced": f"Not in the file: the flange lies off {_DISPLACED} flange (link 'tool0'). T_flange_tcp of the "
     "tool becomes T_tool T_flange_tcp, where T_tool is this displacement.",
-    "digits lost": "The rows hold the robot to {0:.1e} mm: two axes are almost parallel.",
     "other lines kept": "{0} are kept as they were: calib does not know how the controller makes them.",
     "other lines left out": "The file has the deltas alone, without {0}; --update keeps the other lines of a file.",
     "joints without origin": "The file has no origin of {0}: they stay as they are in the URDF.",
@@ -92,14 +88,17 @@ def note_text(note: Note) -> str:
 
 
 def _moved(done: Conversion) -> str:
-    """How far the tip lies from where the nominal robot has it."""
+    """How far the tip lies from where the nominal robot has it, over the joint limits."""
     found = done.source
-    apart = found.distances()
-    if apart is None:
+    if found.nominal is None:
         return "How far it is from its nominal robot is not known; --robot names that."
     if found.robot is found.nominal:
         return "This is a nominal robot: there is no calibration in it."
-    mm, deg = 1e3 * apart[0], np.degrees(apart[1])
+    q = spread_poses(found.nominal)
+    apart = found.robot.poses(q)[:, :3] - found.nominal.poses(q)[:, :3]
+    chord = np.linalg.norm(apart[:, :, :3], axis=(1, 2)) / np.sqrt(8.0)
+    mm = 1e3 * np.linalg.norm(apart[:, :, 3], axis=1)
+    deg = np.degrees(2.0 * np.arcsin(np.clip(chord, 0.0, 1.0)))
     doubt = " Calibrations move it by millimetres: check that both are one robot." * bool(
         mm.max() > _FAR_MM
     )

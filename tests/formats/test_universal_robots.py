@@ -8,9 +8,8 @@ import pinocchio as pin
 import pytest
 
 from calib.errors import FileError, ModelError
-from calib.formats.universal_robots import read_ur, write_ur_conf, write_ur_yaml
+from calib.formats.universal_robots import Conf, read_ur, write_ur_conf, write_ur_yaml
 from calib.formats.ur_arms import chain_of_rows, chain_poses, ur_model, ur_robot
-from calib.formats.ur_files import Conf
 from calib.robot.readback import check_written
 from calib.robot.robot import Robot
 from tests.formats.ur_cases import WITH_DELTAS, rows, write_deltas
@@ -114,7 +113,7 @@ def test_a_robot_that_was_calibrated_in_the_factory_is_corrected_further(conf_of
     factory = read_ur(conf_of(UR3), model="UR3")
     robot = displaced(factory.robot, 1e-4)
     written = write_ur_yaml(robot, factory.robot, tmp_path / "k.yaml", hash=factory.hash)
-    assert codes(written.notes) == ["arm by name", "flange displaced"]
+    assert codes(written.notes) == ["flange displaced"]
     again = read_ur(written.path, robot=factory.nominal).robot
     np.testing.assert_allclose(again.poses(Q) @ written.T_tool, robot.poses(Q), rtol=0, atol=1e-12)
     conf = write_ur_conf(robot, factory.robot, tmp_path / "c.conf")
@@ -127,15 +126,15 @@ def test_a_robot_that_was_calibrated_in_the_factory_is_corrected_further(conf_of
     np.testing.assert_allclose(own.poses(Q), factory.robot.poses(Q), rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize(("angle", "said"), [(2e-8, "digits lost"), (1e-4, "")])
-def test_rows_lose_digits_where_axes_are_almost_parallel(angle, said, tmp_path):
+@pytest.mark.parametrize("angle", [2e-8, 1e-4])
+def test_rows_of_axes_that_are_almost_parallel(angle, tmp_path):
     nominal = ur_robot("UR5e")
     placements = np.array(nominal.placements)
     placements[2] = placements[2] @ pin.exp6(np.array([0, 0, 0, 0, angle, 0])).homogeneous
     placements[2, 1, 3] += 0.01
     robot = nominal.with_placements(placements)
     written = write_ur_conf(robot, nominal, tmp_path / "c.conf")
-    assert codes(written.notes) == [said] * bool(said)
+    assert written.notes == ()
     back = written.T_base @ read_ur(written.path, robot=nominal).robot.poses(Q) @ written.T_tool
     np.testing.assert_allclose(back, robot.poses(Q), rtol=0, atol=1e-7)
 
@@ -145,10 +144,9 @@ def test_what_a_file_says_of_its_arm_and_hash(conf_of, tmp_path):
     path = write_ur_yaml(displaced(robot, 3e-4), robot, tmp_path / "k.yaml", hash=HASH).path
     found = read_ur(path)
     assert (found.model.name, found.hash) == ("UR10e", HASH)
-    assert found.notes == (("arm by kinematics", (str(path), "UR10e or UR12e")),)
-    assert read_ur(path, model="UR12e").notes == ()
+    assert read_ur(path, model="UR12e").model.name == "UR12e"
     path.write_text(path.read_text().replace("hash:", "# hash:"))
-    assert codes(read_ur(path, robot=robot).notes) == ["no hash"]
+    assert read_ur(path, robot=robot).hash is None
     default = ur_model("UR5e").default_hash
     write_ur_yaml(robot, robot, path, hash=default, overwrite=True)
     assert codes(read_ur(path, robot=robot).notes) == ["nominal hash"]

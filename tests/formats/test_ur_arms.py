@@ -9,10 +9,10 @@ from calib.formats.ur_arms import (
     chain_of_rows,
     chain_poses,
     kinematics_hash,
+    the_mount,
     ur_model,
     ur_robot,
 )
-from calib.formats.ur_mount import the_mount
 from tests.formats.ur_cases import CALIBRATIONS, CASES, WITH_DELTAS, rows
 
 Q = np.random.default_rng(6).uniform(-2 * np.pi, 2 * np.pi, (100, 6))

@@ -7,14 +7,14 @@ import pytest
 import yaml
 
 from calib.errors import FileError
-from calib.formats.ur_arms import chain_of_rows, ur_model
-from calib.formats.ur_files import (
+from calib.formats.universal_robots import (
     Conf,
     conf_bytes,
     kinematics_bytes,
     read_kinematics,
     read_nominal,
 )
+from calib.formats.ur_arms import chain_of_rows, ur_model
 from tests.formats.ur_cases import WITH_DELTAS, rows
 
 DELTAS = rows(WITH_DELTAS[0]["delta"])
@@ -76,8 +76,9 @@ def test_an_update_keeps_every_other_byte(conf):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("delta_alpha", "delta_alfa", r"has no delta_alpha \(did you mean 'delta_alfa'\?"),
-        ("[mounting]", "[mount]", r"\[mounting\] has no delta_theta"),
+        ("delta_alpha", "delta_alfa", "delta_alpha is no list of six numbers"),
+        ("[mounting]", "[mount]", "delta_theta is no list of six numbers"),
+        ("[mounting]", "mounting", "cannot be read as sections"),
         ("1.5e-06, 0]", "1.5e-06]", "delta_a is no list of six numbers"),
         ("0.0111", "zero", "delta_a: 'zero' is no number"),
         ("0.0111", "11.1", "delta_a: '11.1' is no number up to 10. Lengths are in metres"),
@@ -90,9 +91,7 @@ def test_damaged_files(old, new, message, conf):
     assert str(conf) in str(error.value)
 
 
-@pytest.mark.parametrize(
-    ("line", "status"), [("status = 2 # 0", ""), ("status = 1 # 0", "1"), ("status=0;", "0")]
-)
+@pytest.mark.parametrize(("line", "status"), [("status = 2 # 0", "2"), ("status = 1 # 0", "1")])
 def test_whether_a_calibration_is_linearised(conf, line, status):
     conf.write_text(CONF.replace("status = 2 # 0", line))
     assert Conf.read(conf).status == status
@@ -113,10 +112,10 @@ def written(tmp_path):
 
 
 def test_what_is_written_reads_back(written):
-    back = read_kinematics(written)
-    np.testing.assert_allclose(back.chain[:6], CHAIN[:6], rtol=0, atol=1e-15)
-    np.testing.assert_array_equal(back.chain[6], np.eye(4))
-    assert back.hash == HASH
+    chain, hash = read_kinematics(written)
+    np.testing.assert_allclose(chain[:6], CHAIN[:6], rtol=0, atol=1e-15)
+    np.testing.assert_array_equal(chain[6], np.eye(4))
+    assert hash == HASH
 
 
 def test_small_numbers_are_numbers_to_every_reader(tmp_path):
@@ -127,14 +126,14 @@ def test_small_numbers_are_numbers_to_every_reader(tmp_path):
     assert yaml.safe_load(path.read_text())["kinematics"]["upper_arm"]["x"] == pytest.approx(1e-5)
     # A file by another program may have them without the point, and is understood.
     path.write_text(path.read_text().replace("1.0e-05", "1e-05"))
-    assert read_kinematics(path).chain[1, 0, 3] == pytest.approx(1e-5)
+    assert read_kinematics(path)[0][1, 0, 3] == pytest.approx(1e-5)
 
 
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("kinematics:", "kinematic:", "kinematics has no shoulder"),
-        ("forearm", "fore_arm", r"no forearm \(did you mean 'fore_arm'\?\)"),
+        ("kinematics:", "kinematic:", "no 'shoulder'"),
+        ("forearm", "fore_arm", "no 'forearm'"),
         ("z: 0.152", "z: true #", "z of 'shoulder': 'True' is no number"),
         ("z: 0.152", "z: 152.2 #", "z of 'shoulder': '152.2' is no number up to 10"),
         ("roll: 1.57", "roll: 90 #", "roll of 'upper_arm': '90' is no number up to 12.57"),
@@ -147,7 +146,8 @@ def test_damaged_yaml_files(old, new, message, written):
         read_kinematics(written)
 
 
-@pytest.mark.parametrize("hash", ["", "a b", "null", "true", "1.5"])
-def test_a_hash_that_is_none(hash):
+def test_a_hash_that_is_none():
     with pytest.raises(FileError, match="the hash is"):
-        kinematics_bytes(CHAIN, hash)
+        kinematics_bytes(CHAIN, "a b")
+    data = kinematics_bytes(CHAIN, "null")
+    assert read_kinematics("k.yaml", data)[1] == "null"

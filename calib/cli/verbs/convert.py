@@ -67,8 +67,7 @@ def convert(
 ) -> None:
     """See the text of `verb`."""
     from calib.cli.setup import check_outputs, parse_held
-    from calib.formats.convert import convert as converted
-    from calib.formats.sources import Options
+    from calib.formats.convert import Options, convert as converted
     from calib.text.convert import text
 
     inputs = [source, *(path for path in (robot, urcontrol, hash_from, update) if path)]
