@@ -39,16 +39,20 @@ def read_manifest(
     read_cell(**asdict(setup))
     table = Table.read(path)
     header = [label.strip().lower() for label in table.header]
-    _check_header(header, path)
+    lacking = [name for name in NEEDED if name not in header]
+    wrong = {n for n in header if n and (n not in (*NEEDED, *OPTIONAL) or header.count(n) > 1)}
+    if lacking or wrong:
+        problem = "is missing" if lacking else "is not known, or there twice"
+        raise CalibError(
+            f"{path.name}: of its columns {choices(lacking or wrong)} {problem}. A manifest has {choices(NEEDED)}, "
+            f"and may have {choices(OPTIONAL)}."
+        )
     robots, names = [], []
     for row in table.rows():
         where = f"{path.name}, line {row.line}"
         cells = {k: v for k, v in zip(header, row.cells, strict=False) if k and v}
-        lacking = [name for name in NEEDED if name not in cells]
-        if lacking:
-            raise CalibError(
-                f"{where}: {choices(lacking)} is empty; each robot has {choices(NEEDED)}."
-            )
+        if not cells.keys() >= set(NEEDED):
+            raise CalibError(f"{where}: a cell is empty; each robot has {choices(NEEDED)}.")
         names.append((cells["name"], where))
         load = _reader(where, cells, path.parent, setup, columns, points_unit)
         robots.append(FleetRobot(cells["name"], load))
@@ -70,26 +74,20 @@ def _reader(
     from calib.fleets.fleet import FleetRobot
 
     def load(urdf_of: Callable[[str], Urdf]) -> FleetInputs:
-        listed = {
-            name: [part.strip() for part in cells[name].split(";") if part.strip()]
-            for name in ("hold", "columns")
-            if name in cells
-        }
         own: dict[str, Any] = {name: cells[name] for name in _SETUP if name in cells}
-        own |= {"hold": listed["hold"]} if "hold" in listed else {}
-        own |= {"cell": folder / cells["cell"]} if "cell" in cells else {}
+        if "hold" in cells:
+            own["hold"] = _listed(cells["hold"])
+        if "cell" in cells:
+            own["cell"] = folder / cells["cell"]
+        renamed = _listed(cells["columns"]) if "columns" in cells else columns
         points = folder / cells["points"] if "points" in cells else None
         try:
-            if points is None and "points_unit" in cells:
-                raise CalibError(  # noqa: TRY301  told with the row
-                    "points_unit is the unit of a list of points; name the list in the column 'points'."
-                )
             return FleetRobot.of_files(
                 cells["name"],
                 _source(cells["robot"], folder),
                 folder / cells["data"],
                 read_cell(**asdict(replace(setup, **own))),
-                columns=parse_columns(listed.get("columns", columns)),
+                columns=parse_columns(renamed),
                 points=points,
                 points_unit=cells.get("points_unit", points_unit) if points else None,
             ).load(urdf_of)
@@ -97,6 +95,11 @@ def _reader(
             raise CalibError(f"{where}: {error}") from error
 
     return load
+
+
+def _listed(cell: str) -> list[str]:
+    """The parts of a cell between semicolons."""
+    return [part.strip() for part in cell.split(";") if part.strip()]
 
 
 def _source(robot: str, folder: Path) -> str:
@@ -107,22 +110,3 @@ def _source(robot: str, folder: Path) -> str:
     if not file or Path(robot).is_absolute() or robot.startswith("~"):
         return robot
     return f"{folder}{os.sep}{robot}"  # as text: what stands behind a xacro is no path
-
-
-def _check_header(header: list[str], path: Path) -> None:
-    """Refuse columns that are missing, unknown or there twice.
-
-    Raises:
-        CalibError: One is.
-    """
-    known = (*NEEDED, *OPTIONAL)
-    for names, problem in (
-        ([name for name in NEEDED if name not in header], "is missing"),
-        ([name for name in header if name and name not in known], "is not known"),
-        (sorted({n for n in header if n and header.count(n) > 1}), "is there more than once"),
-    ):
-        if names:
-            raise CalibError(
-                f"{path.name}: of its columns {choices(names)} {problem}. A manifest has {choices(NEEDED)}, and may "
-                f"have {choices(OPTIONAL)}."
-            )

@@ -14,9 +14,10 @@ import re
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -25,9 +26,9 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.data.table import Table
 from calib.errors import CalibError
-from calib.files import json_bytes, make_folder, write_atomically
+from calib.files import json_bytes, make_folder, plain, write_atomically
 from calib.fleets.outliers import Odd, odd_ones
-from calib.fleets.record import DONE, FAILED, STALE, FleetRow, csv_bytes, fleet_table
+from calib.fleets.record import FAILED, ROWS, FleetRow, csv_bytes
 from calib.jobs import run
 from calib.report.report import write_report
 from calib.robot.robot import Robot
@@ -38,15 +39,11 @@ from calib.version import __version__
 #: The tables of a fleet: for a spreadsheet, and for a program; see docs/fleet.md.
 CSV, JSON = "fleet.csv", "fleet.json"
 
-#: Beside a robot's files, written last.
-MADE, SCHEMA = "made.json", "fleet robot 2"
+#: Beside a robot's files, written last; counted up when the files of a robot change.
+MADE, SCHEMA = "made.json", "fleet robot 3"
 
-#: Counted up when the files of a robot change.
-_LAYOUT = 4
-
-#: A robot's name is that of its folder, on any system.
+#: A robot's name is that of its folder.
 _NAME = re.compile(r"[^\W_](?:[\w .+-]{0,98}[\w+-])?")
-_RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?|fleet\.(csv|json)", re.IGNORECASE)
 
 #: What is read of one robot: the nominal robot, its rows, its set-up.
 FleetInputs = tuple[Robot, Measurements, Cell]
@@ -93,9 +90,9 @@ class FleetRobot:
             arm = Robot.from_urdf(urdf, cell.base, cell.tip, measured=names, held=cell.held)
             rows = Measurements.read(
                 data,
-                joint_names=arm.joint_names,
-                joint_types=arm.joint_types,
-                columns=renamed,
+                arm.joint_names,
+                arm.joint_types,
+                renamed,
                 kind=cell.kind,
                 points=points,
                 points_unit=points_unit,
@@ -123,13 +120,20 @@ class Fleet:
 
     rows: tuple[FleetRow, ...]  #: One for each robot, in their order
     odd: tuple[Odd, ...]  #: What is odd about which of them, see `calib.fleets.outliers`
-    notes: tuple[str, ...]  #: What could not be said, and what else a person should know
+    notes: tuple[str, ...]  #: What could not be said
     kept: int  #: How many of them were taken from an earlier run
 
     @property
     def failed(self) -> tuple[FleetRow, ...]:
         """The robots without a result of these inputs."""
-        return tuple(row for row in self.rows if row.status != DONE)
+        return tuple(row for row in self.rows if row.status == FAILED)
+
+    def table(self) -> dict[str, Any]:
+        """All of it as in ``fleet.json``, SI units, the unit in the keys."""
+        odd = [asdict(one) for one in self.odd]
+        robots = [ROWS.table(row) for row in self.rows]
+        found = {"schema": "fleet 1", "robots": robots, "odd": odd, "notes": self.notes}
+        return {key: plain(value) for key, value in found.items()}
 
 
 def fleet(
@@ -156,74 +160,66 @@ def fleet(
         force: Whether all are calibrated anew.
 
     Raises:
-        CalibError: No robots, names that cannot be those of folders or belong to two, or a worker was killed.
+        CalibError: Names that cannot be those of folders or belong to two, or a worker was killed.
         FileError: The folder cannot be written.
     """
-    if not robots:
-        raise CalibError("There are no robots to calibrate; give one or more.")
     check_names((robot.name, f"Robot {i}") for i, robot in enumerate(robots, 1))
-    path, how = Path(folder), options or FleetOptions()
-    make_folder(path)
+    path, how = make_folder(folder), options or FleetOptions()
     done: dict[str, FleetRow] = {}
     sent: list[tuple[str, str]] = []
     kept: list[str] = []
 
     def settle(name: str, result: FleetRow | str) -> None:
-        """Keep a robot's row, or why there is none; its folder may hold a result of earlier inputs."""
-        if isinstance(result, str):
-            result = FleetRow(name, STALE if (path / name / MADE).exists() else FAILED, result)
-        done[name] = result
+        """Keep a robot's row, or why there is none."""
+        done[name] = FleetRow(name, FAILED, result) if isinstance(result, str) else result
         if progress is not None:
             progress(len(done), len(robots))
 
     def jobs() -> Iterator[tuple[str, FleetInputs]]:
         """The robots that are to be calibrated, read when they are asked for."""
-        urdf_of = urdf_reader()
+        urdf_of = lru_cache(maxsize=8)(read_urdf)
         for robot in robots:
             try:
-                inputs = robot.load(urdf_of)
+                arm, rows, cell = robot.load(urdf_of)
             except Exception as error:  # noqa: BLE001  a fault with one robot must not cost the others
                 settle(robot.name, _told(error))
                 continue
             # By all that the files hang on, the sources' names too, which no comparison counts.
-            arm, rows, cell = inputs
             table = {f: getattr(rows, f) for f in Measurements.__dataclass_fields__}
             own = (robot.name, arm, arm.urdf.source, table, cell)
-            told = fingerprint(*own, replace(how, command=""), __version__, _LAYOUT)
-            row = None if force else finished_row(path / robot.name, told)
+            told = fingerprint(*own, replace(how, command=""), __version__, SCHEMA)
+            row = None if force else _finished(path / robot.name, told)
             if row is None:
                 sent.append((robot.name, told))
-                yield robot.name, inputs
+                yield robot.name, (arm, rows, cell)
             else:
                 kept.append(robot.name)
                 settle(robot.name, row)
 
-    for number, made in run(calibrate_one, how, jobs(), executor):
+    for number, made in run(_calibrated, how, jobs(), executor):
         name, told = sent[number]
-        settle(name, _written(path / name, told, made))
-    rows = tuple(done[robot.name] for robot in robots)
-    odd, notes = odd_ones(rows)
-    # First the one that says whose the other is.
-    write_atomically(path / JSON, json_bytes(fleet_table(rows, odd, notes)), overwrite=True)
-    write_atomically(path / CSV, csv_bytes(rows, odd), overwrite=True)
-    return Fleet(rows, odd, notes, len(kept))
+        try:
+            settle(name, made if isinstance(made, str) else _written(path / name, told, *made))
+        except CalibError as error:
+            settle(name, str(error))
+    every = tuple(done[robot.name] for robot in robots)
+    result = Fleet(every, *odd_ones(every), len(kept))
+    reasons: dict[str, list[str]] = {}
+    for odd in result.odd:
+        reasons.setdefault(odd.name, []).append(odd.text)
+    write_atomically(path / JSON, json_bytes(result.table()), overwrite=True)
+    write_atomically(path / CSV, csv_bytes(every, reasons), overwrite=True)
+    return result
 
 
 def check_names(names: Iterable[tuple[str, str]]) -> None:
-    """Refuse names that cannot be those of folders, or that two robots have.
-
-    Args:
-        names: Each with where it stands, for the message.
-
-    Raises:
-        CalibError: One of them.
-    """
+    """Refuse names, each with where it stands, that cannot be those of folders, or that two robots have."""
     seen: dict[str, str] = {}
     for name, where in names:
-        if not _NAME.fullmatch(name) or _RESERVED.fullmatch(name):
+        if not _NAME.fullmatch(name):
             raise CalibError(
                 f"{where}: the name {name!r} cannot be that of a folder. A name has 1 to 100 letters, digits, and '_', "
-                "'-', '+', '.' or blanks between them, and is none that systems keep for themselves."
+                "'-', '+', '.' or blanks between them."
             )
         if name.casefold() in seen:
             raise CalibError(
@@ -233,26 +229,21 @@ def check_names(names: Iterable[tuple[str, str]]) -> None:
         seen[name.casefold()] = where
 
 
-def calibrate_one(
+def _calibrated(
     options: FleetOptions, job: tuple[str, FleetInputs]
 ) -> tuple[FleetRow, dict[str, bytes]] | str:
     """Calibrate a robot: its row and the bytes of its files by name, or why there are none."""
     name, (robot, rows, cell) = job
+    how = {key: getattr(options, key) for key in ("solver", "robust", "validate")}
     try:
-        result = calibrate(
-            robot,
-            rows,
-            cell=cell,
-            solver=options.solver,
-            robust=options.robust,
-            validate=options.validate,
-        )
+        result = calibrate(robot, rows, cell=cell, **how)
         with tempfile.TemporaryDirectory() as folder:
             there = Path(folder)
             result.write_urdf(there / "corrected.urdf", target_link=options.target_link)
             result.write_json(there / "result.json")
-            text = f"{result.summary()}\n"
-            (there / "summary.txt").write_text(text, encoding="utf-8", errors="backslashreplace")
+            (there / "summary.txt").write_bytes(
+                f"{result.summary()}\n".encode("utf-8", "backslashreplace")
+            )
             if options.reports:
                 command = f"{options.command}  # {name}" if options.command else ""
                 write_report(result, there / "report.html", command=command)
@@ -266,11 +257,6 @@ def _told(error: Exception) -> str:
     if isinstance(error, CalibError):
         return str(error)
     return f"internal error: {type(error).__name__}: {error}. Please report it with this robot's files."
-
-
-def urdf_reader() -> Callable[[str], Urdf]:
-    """`read_urdf` that keeps the last few, for robots that share one."""
-    return lru_cache(maxsize=8)(read_urdf)
 
 
 def fingerprint(*values: object) -> str:
@@ -300,38 +286,28 @@ def fingerprint(*values: object) -> str:
     return hashlib.sha256(json.dumps(values, default=parts).encode()).hexdigest()
 
 
-def finished_row(folder: Path, fingerprint: str) -> FleetRow | None:
+def _finished(folder: Path, fingerprint: str) -> FleetRow | None:
     """The row of a robot whose folder was made of the inputs with this fingerprint, and is finished; else None."""
     try:
         table = json.loads((folder / MADE).read_bytes())
-        if table["schema"] != SCHEMA or table["fingerprint"] != fingerprint:
-            return None
+        same = table["schema"] == SCHEMA and table["fingerprint"] == fingerprint
         whole = all((folder / name).is_file() for name in table["files"])
-        return FleetRow.read(table["row"]) if whole else None
+        row: FleetRow = ROWS.read(FleetRow, table["row"])
     except (OSError, ValueError, KeyError, TypeError):
         return None
+    return row if same and whole else None
 
 
-def _written(
-    folder: Path, fingerprint: str, made: tuple[FleetRow, dict[str, bytes]] | str
-) -> FleetRow | str:
+def _written(folder: Path, fingerprint: str, row: FleetRow, files: dict[str, bytes]) -> FleetRow:
     """Write a robot's files, first that they are a fleet's and not finished, at last that they are."""
-    if isinstance(made, str):
-        return made
-    row, files = made
-    try:
-        make_folder(folder)
-        strange = [name for name in files if (folder / name).exists()]
-        if strange and not (folder / MADE).exists():
-            return (
-                f"{folder / strange[0]} exists already, and no fleet has written it. Move it away."
-            )
-        table = {"schema": SCHEMA, "fingerprint": "", "files": [*files], "row": row.table()}
-        write_atomically(folder / MADE, json_bytes(table), overwrite=True)
-        for name, data in files.items():
-            write_atomically(folder / name, data, overwrite=True)
-        table["fingerprint"] = fingerprint
-        write_atomically(folder / MADE, json_bytes(table), overwrite=True)
-    except CalibError as error:
-        return str(error)
+    make_folder(folder)
+    strange = [name for name in files if (folder / name).exists()]
+    if strange and not (folder / MADE).exists():
+        raise CalibError(
+            f"{folder / strange[0]} exists already, and no fleet has written it. Move it away."
+        )
+    table = {"schema": SCHEMA, "fingerprint": "", "files": [*files], "row": ROWS.table(row)}
+    own = {MADE: json_bytes(table), **files}
+    for name, data in (*own.items(), (MADE, json_bytes(table | {"fingerprint": fingerprint}))):
+        write_atomically(folder / name, data, overwrite=True)
     return row

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from calib.fleets.record import DONE, FleetRow
+from calib.text.fleet import data_text, few_text, figure_text, model_text
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -51,10 +52,10 @@ _FLOORS = {"m": 20e-6, "rad": 20e-6, "1": 20e-6}
 _USUAL, _UNUSUAL = 0.75, 0.05
 
 _FIGURES = {
-    "nominal_rms": "nominal error",
-    "left_out_rms": "cross-validated error",
-    "sigma": "noise",
-    "sigma_angle": "noise of orientations",
+    "nominal_rms": ("nominal error", "m"),
+    "left_out_rms": ("cross-validated error", "m"),
+    "sigma": ("noise", "m"),
+    "sigma_angle": ("noise of orientations", "rad"),
 }
 
 
@@ -76,20 +77,16 @@ class Odd:
 def odd_ones(rows: Sequence[FleetRow]) -> tuple[tuple[Odd, ...], tuple[str, ...]]:
     """The odd ones of a fleet, in the order of the robots and the farthest off first; and what could not be said."""
     done = [row for row in rows if row.status == DONE]
-    found, notes = list(_same_data(done)), []
+    found, notes = [*_same_data(done)], []
     kinds = dict.fromkeys(row.kind for row in done)
     for kind in kinds:
         alike = [row for row in done if row.kind == kind]
         count = int(np.sum(_counted(alike)))
         if count >= FEWEST:
             found += [*_figures(alike), *_models(alike)]
-            continue
-        robots = f"{len(alike)} robot{'s' * (len(alike) > 1)}"
-        robots += f" with the data of {count}" * (count < len(alike))
-        which = f"{robots} of the kind '{kind.split()[0]}'" if len(kinds) > 1 else robots
-        notes.append(
-            f"What is usual cannot be told of {which}; it takes {FEWEST}. Only data given twice are looked for."
-        )
+        else:
+            shown = kind.split()[0] if len(kinds) > 1 else ""
+            notes.append(few_text(len(alike), count, FEWEST, shown))
     place = {row.name: i for i, row in enumerate(rows)}
     found.sort(key=lambda odd: (place[odd.name], -math.inf if odd.z != odd.z else -abs(odd.z)))
     return tuple(found), tuple(notes)
@@ -107,61 +104,41 @@ def limit(robots: int, figures: int, chance: float = CHANCE) -> float:
 
 def _counted(rows: Sequence[FleetRow]) -> Mask:
     """Which robots count in what is usual, shape (n,): of those with the same data the first."""
-    first = {row.measured: k for k, row in reversed([*enumerate(rows)])}
-    return np.array([first[row.measured] == k for k, row in enumerate(rows)], dtype=bool)
+    mask = np.zeros(len(rows), dtype=np.bool_)
+    mask[np.unique([row.measured for row in rows], return_index=True)[1]] = True
+    return mask
 
 
 def _figures(rows: list[FleetRow]) -> Iterator[Odd]:
     """Robots whose errors, noise or parameters are odd."""
-    once = _counted(rows)
-    count = int(np.sum(once))
-    sizes = {name: np.array([getattr(row, name) for row in rows]) for name in _FIGURES}
-    sizes = {name: x for name, x in sizes.items() if np.sum(x[once] > 0.0) >= FEWEST}
-    bound = limit(count, len(sizes), 0.5 * CHANCE) if sizes else math.nan
-    for name, x in sizes.items():
-        log = np.log(x, where=x > 0.0, out=np.full(len(x), math.nan))
-        z = scores(log, np.zeros(len(x)), _LOG_FLOOR, once)
-        usual = float(np.exp(np.nanmedian(log[once])))
-        unit = "rad" if name == "sigma_angle" else "m"
-        yield from _flagged(rows, _FIGURES[name], unit, x, usual, z, bound)
-    known = [{p.name: p for p in row.parameters} for row in rows]
-    told = Counter(
-        name for i in np.flatnonzero(once) for name, p in known[i].items() if p.std == p.std
-    )
-    shared = [name for name, robots in told.items() if robots >= FEWEST]
-    for name in shared:
-        own = [one.get(name) for one in known]
-        unit = next(p.unit for p in own if p is not None)
-        std = np.array([math.nan if p is None else p.std for p in own])
-        x = np.array([math.nan if p is None or p.std != p.std else p.change for p in own])
-        z = scores(x, std, _FLOORS.get(unit, 0.0), once)
-        bound = limit(count, len(shared), 0.5 * CHANCE)
-        yield from _flagged(rows, name, unit, x, float(np.nanmedian(x[once])), z, bound)
+    once, exact = _counted(rows), np.zeros(len(rows))
+    errors: list[tuple[str, str, Array, Array, float]] = []
+    parameters: list[tuple[str, str, Array, Array, float]] = []
+    for name, (figure, unit) in _FIGURES.items():
+        x = np.array([getattr(row, name) for row in rows])
+        errors.append((figure, unit, np.log(np.where(x > 0.0, x, math.nan)), exact, _LOG_FLOOR))
+    named = [{p.name: p for p in row.parameters if p.std == p.std} for row in rows]
+    for figure, unit in {p.name: p.unit for own in named for p in own.values()}.items():
+        own = [of.get(figure) for of in named]
+        x, std = np.array([(p.change, p.std) if p else (math.nan, math.nan) for p in own]).T
+        parameters.append((figure, unit, x, std, _FLOORS.get(unit, 0.0)))
+    for group, size in ((errors, np.exp), (parameters, np.asarray)):
+        shared = [one for one in group if np.sum(np.isfinite(one[2][once])) >= FEWEST]
+        for figure, unit, x, std, floor in shared:
+            bound = limit(int(np.sum(once)), len(shared), 0.5 * CHANCE)
+            z = scores(x, std, floor, once)
+            usual = float(size(np.nanmedian(x[once])))
+            for i in np.flatnonzero(np.abs(z) > bound):
+                found = (figure, unit, float(size(x[i])), usual, float(z[i]), bound)
+                yield Odd(rows[i].name, *found, figure_text(*found))
 
 
-def scores(x: Array, std: Array, floor: float, once: Mask | None = None) -> Array:
-    """How far each value of shape (n,) is from the median, in scales of its std or a floor at least.
-
-    Those that ``once`` says count in median and MAD, all by default.
-    """
-    counted = np.ones(len(x), dtype=bool) if once is None else once
-    away = x - np.nanmedian(x[counted])
-    scale = np.fmax(np.fmax(1.4826 * np.nanmedian(np.abs(away[counted])), floor), std)
+def scores(x: Array, std: Array, floor: float, once: Mask) -> Array:
+    """The z of each value, shape (n,); see the module's text. Those of ``once`` count in median and MAD."""
+    away = x - np.nanmedian(x[once])
+    scale = np.fmax(np.fmax(1.4826 * np.nanmedian(np.abs(away[once])), floor), std)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(away == 0.0, 0.0, away / scale)
-
-
-def _flagged(
-    rows: list[FleetRow], figure: str, unit: str, x: Array, usual: float, z: Array, bound: float
-) -> Iterator[Odd]:
-    """The robots beyond the limit."""
-    scale, shown = {"m": (1e3, "mm"), "rad": (1e3, "mrad")}.get(unit, (1.0, unit))
-    for i in np.flatnonzero(np.abs(z) > bound):
-        text = (
-            f"{figure} {scale * x[i]:.4g} {shown}, usually {scale * usual:.4g} {shown} (|z| {abs(z[i]):.1f}, limit "
-            f"{bound:.1f})"
-        )
-        yield Odd(rows[i].name, figure, unit, float(x[i]), usual, float(z[i]), bound, text)
 
 
 def _models(rows: list[FleetRow]) -> Iterator[Odd]:
@@ -174,8 +151,7 @@ def _models(rows: list[FleetRow]) -> Iterator[Odd]:
         return
     for row, model in zip(rows, models, strict=True):
         if model != usual and counts[model] <= max(1.0, _UNUSUAL * count):
-            text = f"model {model}, {most} of {count} have {usual}"
-            yield Odd(row.name, "model", text=text)
+            yield Odd(row.name, "model", text=model_text(model, usual, most, count))
 
 
 def _same_data(rows: Sequence[FleetRow]) -> Iterator[Odd]:
@@ -187,6 +163,4 @@ def _same_data(rows: Sequence[FleetRow]) -> Iterator[Odd]:
         for row in group:
             others = [other.name for other in group if other is not row]
             if others:
-                more = f" and {len(others) - 3} more" * (len(others) > 3)
-                text = f"the same measurements as {', '.join(others[:3])}{more} ({row.data})"
-                yield Odd(row.name, "data", text=text)
+                yield Odd(row.name, "data", text=data_text(others, row.data))

@@ -7,23 +7,17 @@ import hashlib
 import io
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
 from calib.data.measurements import Measurements
-from calib.files import plain
+from calib.fields import Layout
 from calib.model.parameters import FRAME, TARGET
 from calib.result.calibration import Calibration
 
-SCHEMA = "fleet 1"
-
 #: How it went.
 DONE, FAILED = "done", "failed"
-
-#: It failed, and what an earlier run has made of other inputs, or of these when they could be read, still stands.
-STALE = "failed; the folder holds the result of earlier inputs"
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +36,7 @@ class FleetRow:
     """One robot of a fleet. Numbers that there are not are NaN, words ``""``."""
 
     name: str  #: Its name
-    status: str  #: `DONE`, `FAILED` or `STALE`
+    status: str  #: `DONE` or `FAILED`
     message: str = ""  #: Why it failed
     verdict: str = ""  #: ``"use"``, ``"use with care"`` or ``"do not use"``
     model: str = ""  #: The geometry's parameter set
@@ -101,25 +95,19 @@ class FleetRow:
             ),
         )
 
-    @classmethod
-    def read(cls, table: Mapping[str, Any]) -> FleetRow:
-        """The row of a table as `table` makes it."""
 
-        def filled(part: Mapping[str, Any]) -> dict[str, Any]:
-            return {k: math.nan if v is None else v for k, v in part.items()}
-
-        parameters = tuple(FleetParameter(**filled(p)) for p in table["parameters"])
-        return cls(**{**filled(table), "parameters": parameters})
-
-    def table(self) -> dict[str, Any]:
-        """All of it for a JSON file, numbers that there are not as None."""
-        found: dict[str, Any] = plain(asdict(self))
-        return found
-
-
-#: Numbers, with their units as keys of a file have them.
-_LENGTHS = ("nominal_rms", "calibrated_rms", "unseen_rms", "left_out_rms", "sigma")
-_UNITS = dict.fromkeys(_LENGTHS, "_m") | {"sigma_angle": "_rad"}
+#: How a row stands in a file, with the units in the keys.
+ROWS = Layout(
+    {
+        FleetRow: {
+            **{name: f"{name}_m" for name in ("nominal_rms", "calibrated_rms", "unseen_rms")},
+            "left_out_rms": "left_out_rms_m",
+            "sigma": "sigma_m",
+            "sigma_angle": "sigma_angle_rad",
+        }
+    },
+    {},
+)
 
 #: The columns of the table for a spreadsheet but the last two, with their fields.
 _COLUMNS = {
@@ -140,32 +128,19 @@ _COLUMNS = {
 }
 
 
-def fleet_table(
-    rows: Sequence[FleetRow], odd: Sequence[Any], notes: Sequence[str]
-) -> dict[str, Any]:
-    """A fleet as nested tables of plain values, SI units, the unit in the keys."""
-    robots = [{k + _UNITS.get(k, ""): v for k, v in asdict(row).items()} for row in rows]
-    found = {"schema": SCHEMA, "robots": robots, "odd": [asdict(one) for one in odd]}
-    result: dict[str, Any] = plain({**found, "notes": list(notes)})
-    return result
-
-
-def csv_bytes(rows: Sequence[FleetRow], odd: Sequence[Any]) -> bytes:
-    """The same for a spreadsheet, UTF-8, one line a robot, mm and mrad; what there is not is empty."""
+def csv_bytes(rows: Sequence[FleetRow], reasons: Mapping[str, Sequence[str]]) -> bytes:
+    """A table for a spreadsheet, UTF-8, a line a robot, mm and mrad, with why it is odd; what there is not is empty."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow((*_COLUMNS, "odd", "message"))
     for row in rows:
-        cells: list[object] = []
-        for name in _COLUMNS.values():
-            value = getattr(row, name)
-            if name in _UNITS:
-                value = f"{1e3 * value:.6g}" if value == value else ""
-            elif name in ("rows", "outliers") and not row.rows:
-                value = ""
-            cells.append(value)
-        reasons = "; ".join(one.text for one in odd if one.name == row.name)
-        writer.writerow((*cells, reasons, " ".join(row.message.split())))
+        values = [getattr(row, name) for name in _COLUMNS.values()]
+        if row.status != DONE:
+            values[-2:] = "", ""
+        numbers = [f"{1e3 * v:.6g}" if isinstance(v, float) and v == v else v for v in values]
+        cells = ["" if cell != cell else cell for cell in numbers]
+        odd = "; ".join(reasons.get(row.name, ()))
+        writer.writerow((*cells, odd, " ".join(row.message.split())))
     return text.getvalue().encode("utf-8", "backslashreplace")
 
 

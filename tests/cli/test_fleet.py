@@ -183,7 +183,7 @@ def test_a_row_s_own_words_win(call, arms_shop: Path):
     [
         ("name,robot", ["a,robot.urdf"], "m.csv: of its columns 'data' is missing. A manifest has 'name', 'robot', "),
         ("name,robot,data,color", ["a,b,c,d"], "of its columns 'color' is not known"),
-        ("name,robot,data,data", ["a,b,c,d"], "of its columns 'data' is there more than once"),
+        ("name,robot,data,data", ["a,b,c,d"], "of its columns 'data' is not known, or there twice"),
         ("name,robot,data", [], "m.csv: there are no robots in it, only a header."),
         ("name,robot,data", ["a,robot.urdf"], "the row has 2 cells, the header has 3"),
         ("name,robot,data", ["a,b,c,d"], "the row has 4 cells, the header has 3"),

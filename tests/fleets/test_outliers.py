@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 
@@ -9,8 +10,9 @@ import numpy as np
 import pytest
 
 from calib.data.measurements import Measurements
+from calib.files import json_bytes
 from calib.fleets.outliers import FEWEST, limit, odd_ones, scores
-from calib.fleets.record import FleetParameter, FleetRow, measured_hash
+from calib.fleets.record import ROWS, FleetParameter, FleetRow, measured_hash
 
 
 def row(k: int, rng: np.random.Generator, parameters: int = 10) -> FleetRow:
@@ -103,11 +105,12 @@ def test_robots_are_compared_with_their_own_kind():
 
 def test_scores():
     x = np.array([0.0, 1.0, 2.0, 3.0, 104.0, np.nan])
-    z = scores(x, np.zeros(6), 0.0)
+    z = scores(x, np.zeros(6), 0.0, np.ones(6, dtype=bool))
     assert z[:5] == pytest.approx((x[:5] - 2.0) / 1.4826)
     assert np.isnan(z[5])
-    assert scores(np.ones(4), np.zeros(4), 0.0).tolist() == [0.0] * 4
-    assert scores(np.array([1.0, 1.0, 1.0, 2.0]), np.zeros(4), 0.0)[3] == math.inf
+    every = np.ones(4, dtype=bool)
+    assert scores(np.ones(4), np.zeros(4), 0.0, every).tolist() == [0.0] * 4
+    assert scores(np.array([1.0, 1.0, 1.0, 2.0]), np.zeros(4), 0.0, every)[3] == math.inf
 
 
 def test_the_same_measurements_in_another_order_or_unit_have_the_same_hash(paper_table):
@@ -123,4 +126,4 @@ def test_a_row_survives_its_file():
     one = replace(fleet_of(1)[0], sigma_angle=math.nan)
     parameters = (*one.parameters, FleetParameter("q", "rad", 0.1, math.nan))
     one = replace(one, parameters=parameters)
-    assert repr(FleetRow.read(one.table())) == repr(one)
+    assert repr(ROWS.read(FleetRow, json.loads(json_bytes(ROWS.table(one))))) == repr(one)

@@ -92,10 +92,11 @@ def fleet(
             f"Finished robots are kept in {out}: the same command goes on with the others."
         ) from error
     if not quiet:
-        from calib.fleets.fleet_text import fleet_cells, fleet_text
+        from calib.text.fleet import fleet_cells, fleet_text
 
-        say_table("Errors and noise, rms [mm]", *fleet_cells(found))
-        for paragraph in fleet_text(found):
+        table = found.table()
+        say_table("Errors and noise, rms [mm]", *fleet_cells(table))
+        for paragraph in fleet_text(table, found.kept):
             typer.echo(paragraph)
         for name in (CSV, JSON):
             typer.echo(f"Written: {out / name}")
