@@ -19,8 +19,7 @@ from calib.example import PAPER_TARGET, paper_measurements, paper_urdf
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
 from calib.robot.readback import random_joint_values
-from calib.robot.robot import Robot, read_only
-from calib.robot.torques import GRAVITY, Payload, gravity_load
+from calib.robot.robot import GRAVITY, Payload, Robot, gravity_load, read_only
 
 #: Numbers of kinds in the registry.
 POINT = 0

@@ -32,8 +32,7 @@ from scipy.special import gammaincinv, ndtri
 
 from calib.circle_points.fits import Circle, Plane
 from calib.errors import CalibError, UrdfError
-from calib.model.dh import dh_table, rows_between, zero_poses
-from calib.model.dh_table import DHTable
+from calib.model.dh import DHTable, dh_table, rows_between, zero_poses
 from calib.robot.robot import Robot, read_only, rigid_inverse
 
 Array = NDArray[np.float64]

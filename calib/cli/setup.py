@@ -26,8 +26,7 @@ if TYPE_CHECKING:
     from calib.data.measurements import Measurements
     from calib.data.surroundings import Tracker
     from calib.result.calibration import Calibration
-    from calib.robot.robot import Robot
-    from calib.robot.torques import Payload
+    from calib.robot.robot import Payload, Robot
 
 #: The model that lets the data choose; it takes no families, for it tries them all.
 AUTO = "auto"
@@ -162,7 +161,7 @@ def check_model(text: str, source: str) -> None:
 
 def parse_payload(text: str, given: Payload | None) -> Payload:
     """``--payload``: a mass such as ``5 kg``; its centre is that of the payload already given, or the tip."""
-    from calib.robot.torques import Payload as PayloadClass
+    from calib.robot.robot import Payload as PayloadClass
 
     mass = parse_amount(text, "--payload", "a mass", "5 kg")
     return PayloadClass(mass) if given is None else replace(given, mass=mass)

@@ -45,8 +45,7 @@ from calib.errors import ModelError, choices
 from calib.files import write_atomically
 from calib.result.calibration import Calibration
 from calib.robot.readback import column_limits
-from calib.robot.robot import Robot, read_only, rigid_inverse
-from calib.robot.torques import Payload
+from calib.robot.robot import Payload, Robot, read_only, rigid_inverse
 
 Array = NDArray[np.float64]
 

@@ -24,8 +24,7 @@ from calib.model.parameters import TIP, ErrorModel, Parameter
 from calib.result.calibration import Calibration
 from calib.result.prediction import Larger
 from calib.robot.readback import spread_poses
-from calib.robot.robot import Robot, read_only
-from calib.robot.torques import Payload
+from calib.robot.robot import Payload, Robot, read_only
 
 Array = NDArray[np.float64]
 

@@ -36,8 +36,7 @@ from calib.data.surroundings import (
 )
 from calib.errors import CalibError, choices
 from calib.model.families import family_of
-from calib.robot.robot import read_only
-from calib.robot.torques import Payload
+from calib.robot.robot import Payload, read_only
 from calib.units import is_number
 
 #: The model that lets the data choose.

@@ -20,7 +20,7 @@ from calib.data.surroundings import Box, Reflector, Tracker, TrackerNoise, kept,
 from calib.errors import CalibError, FileError, choices, did_you_mean
 from calib.files import read_bytes
 from calib.model.families import FAMILIES
-from calib.robot.torques import Payload
+from calib.robot.robot import Payload
 from calib.units import (
     ANGLE,
     COMPLIANCE,

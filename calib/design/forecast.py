@@ -38,8 +38,7 @@ from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability, analyse
 from calib.result.prediction import without_rigid_motion
 from calib.robot.readback import spread_between
-from calib.robot.robot import Robot, read_only
-from calib.robot.torques import gravity_load
+from calib.robot.robot import Robot, gravity_load, read_only
 
 Array = NDArray[np.float64]
 

@@ -20,8 +20,7 @@ from calib.model.families import FAMILIES
 from calib.model.kinematics import Samples
 from calib.model.parameters import ErrorModel, Parameter, frame_place, target_place
 from calib.robot.kernel import over_blocks
-from calib.robot.robot import Robot, read_only
-from calib.robot.torques import gravity_load
+from calib.robot.robot import Robot, gravity_load, read_only
 
 #: The noise assumed until the data have told theirs [m], [rad].
 FIRST_SIGMA, FIRST_SIGMA_ANGLE = 1e-4, 1e-3

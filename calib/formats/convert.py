@@ -22,7 +22,7 @@ from calib.formats.origins import origins_of, parse_yaml, read_origins, with_ori
 from calib.formats.universal_robots import Conf, Source, read_ur, write_ur_conf, write_ur_yaml
 from calib.formats.ur_arms import UrModel, the_mount, ur_model, ur_robot
 from calib.model.anchoring import check_same_joints
-from calib.model.dh_table import HAYATI, MODIFIED, STANDARD
+from calib.model.dh import HAYATI, MODIFIED, STANDARD
 from calib.result.calibration_file import read_result
 from calib.robot.readback import TOLERANCE, check_written, random_joint_values
 from calib.robot.robot import Robot

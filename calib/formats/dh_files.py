@@ -19,8 +19,16 @@ from numpy.typing import NDArray
 from calib.errors import FileError, ModelError, choices
 from calib.files import json_bytes, write_atomically
 from calib.formats.notes import Note
-from calib.model.dh import dh_table, near_parallel, taken_as_parallel
-from calib.model.dh_table import EQUATIONS, HAYATI, MODIFIED, STANDARD, DHTable
+from calib.model.dh import (
+    EQUATIONS,
+    HAYATI,
+    MODIFIED,
+    STANDARD,
+    DHTable,
+    dh_table,
+    near_parallel,
+    taken_as_parallel,
+)
 from calib.robot.readback import TOLERANCE, column_ranges, spread_between
 from calib.robot.robot import Robot, rigid_inverse
 
@@ -68,7 +76,7 @@ class DHTables:
 
     @classmethod
     def of(cls, robot: Robot, nominal: Robot | None = None, convention: str = STANDARD) -> DHTables:
-        """The rows in one of `calib.model.dh_table.CONVENTIONS`, compared with the poses of both robots.
+        """The rows in one of `calib.model.dh.CONVENTIONS`, compared with the poses of both robots.
 
         Raises:
             ModelError: No such convention, the robots have other joints, or the rows do not hold the robot.

@@ -53,8 +53,7 @@ from calib.formats.ur_arms import (
     ur_robot,
 )
 from calib.model.anchoring import anchored_placements, check_same_joints
-from calib.model.dh import dh_table
-from calib.model.dh_table import STANDARD
+from calib.model.dh import STANDARD, dh_table
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import Robot, read_only
 from calib.units import NUMBER

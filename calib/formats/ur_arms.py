@@ -26,8 +26,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from calib.errors import ModelError, UrdfError, choices
-from calib.model.dh import zero_poses
-from calib.model.dh_table import screw
+from calib.model.dh import screw, zero_poses
 from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.robot.urdf import Urdf
 

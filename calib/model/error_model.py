@@ -19,8 +19,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib.errors import ModelError, choices
-from calib.model.dh import dh_table, zero_poses
-from calib.model.dh_table import dh_frames, screw
+from calib.model.dh import dh_frames, dh_table, screw, zero_poses
 from calib.model.families import ANGLE, LENGTH, ZERO, family_of, joint_families
 from calib.model.parameters import (
     FRAME,

@@ -16,15 +16,16 @@ from numpy.typing import NDArray
 
 from calib.data.cell import AUTO, Cell
 from calib.data.measurements import Measurements
-from calib.estimate.crossvalidation import (
-    Progress,
-    cross_validation,
-    nominal_cross_validation,
-)
 from calib.estimate.fitting import Fitted, Task, fit
 from calib.estimate.registration import nominal_setup
 from calib.estimate.rows import Rows
-from calib.estimate.selection import Candidate, select
+from calib.estimate.selection import (
+    Candidate,
+    Progress,
+    cross_validation,
+    nominal_cross_validation,
+    select,
+)
 from calib.estimate.setup import known_distances, rows_of
 from calib.estimate.solvers import Solver
 from calib.estimate.statistics import CrossValidation, Limits, Repeats, repeats

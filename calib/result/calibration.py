@@ -27,8 +27,7 @@ from calib.model.parameters import TARGET
 from calib.result.prediction import Larger, Outlier, ParameterEstimate, Solved, tells_place
 from calib.result.support import OutsideRow, Robustness, outside
 from calib.result.verdict import Verdict
-from calib.robot.robot import Robot, read_only, rigid_inverse
-from calib.robot.torques import Payload
+from calib.robot.robot import Payload, Robot, read_only, rigid_inverse
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

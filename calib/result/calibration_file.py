@@ -30,8 +30,7 @@ from calib.result.calibration import Calibration, Source
 from calib.result.prediction import Larger, Outlier, Solved
 from calib.result.support import OutsideRow, Robustness
 from calib.result.verdict import Reason
-from calib.robot.robot import Robot, read_only
-from calib.robot.torques import Payload
+from calib.robot.robot import Payload, Robot, read_only
 from calib.robot.urdf import Urdf
 from calib.version import __version__
 

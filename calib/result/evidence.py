@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.estimate.crossvalidation import only_there
 from calib.estimate.fitting import PAPER, Fitted, fit
 from calib.estimate.likelihood import Priors
 from calib.estimate.problem import Problem
@@ -20,6 +19,7 @@ from calib.estimate.residual_tests import (
     unpredicted,
 )
 from calib.estimate.rows import Rows
+from calib.estimate.selection import only_there
 from calib.estimate.setup import joined_setups
 from calib.estimate.statistics import Array, Errors, Mask, pose_means
 from calib.model.error_model import error_model

@@ -22,8 +22,7 @@ from calib.estimate.statistics import CrossValidation, interval_factor
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability
 from calib.model.parameters import FRAME, TARGET, ErrorModel
-from calib.robot.robot import Robot, read_only
-from calib.robot.torques import Payload, gravity_load
+from calib.robot.robot import Payload, Robot, gravity_load, read_only
 
 Array = NDArray[np.float64]
 

@@ -15,10 +15,10 @@ import numpy as np
 
 from calib.data.cell import Cell
 from calib.errors import MeasurementError
-from calib.estimate.crossvalidation import linear_cross_validation
 from calib.estimate.fitting import Fitted, fit
 from calib.estimate.registration import register
 from calib.estimate.rows import Rows
+from calib.estimate.selection import linear_cross_validation
 from calib.estimate.setup import Setup
 from calib.estimate.statistics import Array, Errors, Mask
 from calib.model.error_model import DIRECTIONS

@@ -30,8 +30,7 @@ from calib.model.kinematics import Samples
 from calib.result.calibrate import calibrate, fit_table
 from calib.result.prediction import without_rigid_motion
 from calib.result.verdict import NO
-from calib.robot.robot import read_only, rigid_inverse
-from calib.robot.torques import gravity_load
+from calib.robot.robot import gravity_load, read_only, rigid_inverse
 from calib.simulation.scenario import DEFAULT_TRACKER, Scenario, Simulated
 from calib.simulation.truth import Truth
 

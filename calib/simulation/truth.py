@@ -29,8 +29,7 @@ from calib.model.error_model import error_model, split_name
 from calib.model.families import FAMILIES, unit_of
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.parameters import ErrorModel
-from calib.robot.robot import Robot, read_only, rigid_inverse
-from calib.robot.torques import Payload, gravity_load
+from calib.robot.robot import Payload, Robot, gravity_load, read_only, rigid_inverse
 
 Array = NDArray[np.float64]
 

@@ -108,8 +108,7 @@ def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from calib.data.measurements import Measurements
     from calib.example import paper_urdf
     from calib.result.calibration_file import write_result
-    from calib.robot.robot import Robot, read_only
-    from calib.robot.torques import Payload, gravity_load
+    from calib.robot.robot import Payload, Robot, gravity_load, read_only
 
     folder = tmp_path_factory.mktemp("large")
     shutil.copy(paper_urdf(), folder / "robot.urdf")

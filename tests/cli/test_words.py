@@ -25,7 +25,7 @@ from calib.data.kinds import DIRECTIONS
 from calib.errors import CalibError
 from calib.model.error_model import MODELS
 from calib.model.families import joint_families
-from calib.robot.torques import Payload
+from calib.robot.robot import Payload
 from calib.units import Angle, Length
 
 

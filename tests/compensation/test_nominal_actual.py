@@ -10,8 +10,7 @@ from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
 from calib.result.prediction import Larger
 from calib.robot.readback import random_joint_values
-from calib.robot.robot import Robot, read_only
-from calib.robot.torques import GRAVITY, Payload, gravity_load
+from calib.robot.robot import GRAVITY, Payload, Robot, gravity_load, read_only
 from tests.compensation.arms import off, turned
 from tests.hard_cases import made
 

@@ -19,7 +19,7 @@ from calib.model.kinematics import Kinematics, Samples
 from calib.result.calibrate import calibrate
 from calib.result.prediction import without_rigid_motion
 from calib.robot.readback import random_joint_values, spread_poses
-from calib.robot.torques import Payload, gravity_load
+from calib.robot.robot import Payload, gravity_load
 
 TARGET = np.array([0.05, -0.06, 0.04])
 SIGMA = 1e-4

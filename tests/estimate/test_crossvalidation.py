@@ -11,16 +11,16 @@ import pytest
 
 from calib.data.cell import Cell, GroupDistance
 from calib.data.measurements import Measurements
-from calib.estimate import crossvalidation
-from calib.estimate.crossvalidation import (
+from calib.estimate import selection
+from calib.estimate.fitting import Fitted, Task, fit
+from calib.estimate.rows import Rows
+from calib.estimate.selection import (
     Folds,
     cross_validation,
     linear_cross_validation,
     nominal_cross_validation,
     only_there,
 )
-from calib.estimate.fitting import Fitted, Task, fit
-from calib.estimate.rows import Rows
 from calib.estimate.setup import known_distances, rows_of
 
 #: Numbers of kinds in the registry.
@@ -150,7 +150,7 @@ def with_outliers(make_scene: Any, **given: Any) -> tuple[Any, Measurements]:
 def both(fitted: Fitted) -> tuple[Any, Any]:
     """Cross-validation on the linearised problem, and by fits from the beginning."""
     linear = cross_validation(fitted, fitted.estimate.outliers)
-    with mock.patch.object(crossvalidation, "_on_the_linearised", return_value={}):
+    with mock.patch.object(selection, "_on_the_linearised", return_value={}):
         return linear, cross_validation(fitted, fitted.estimate.outliers)
 
 

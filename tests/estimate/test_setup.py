@@ -23,8 +23,7 @@ from calib.estimate.setup import (
 from calib.model.error_model import frame_and_target_model
 from calib.model.kinematics import Kinematics
 from calib.model.parameters import ErrorModel
-from calib.robot.robot import Robot
-from calib.robot.torques import Payload, gravity_load
+from calib.robot.robot import Payload, Robot, gravity_load
 
 ALL = ("x", "y", "z", "rx", "ry", "rz")
 UR3 = Robot.load("ur3", base="base", tip="tool0")

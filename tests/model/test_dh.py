@@ -6,12 +6,12 @@ from hypothesis import given, settings, strategies as st
 from scipy.spatial.transform import Rotation
 
 from calib.model.dh import (
+    CONVENTIONS,
     DHTable,
     dh_table,
     near_parallel,
     taken_as_parallel,
 )
-from calib.model.dh_table import CONVENTIONS
 from calib.robot.robot import Robot
 from tests.robot.shared import SOME_AND_SLOWLY_ALL
 

@@ -7,8 +7,7 @@ import pytest
 from calib.errors import ModelError
 from calib.model.error_model import error_model, joint_parameters
 from calib.model.kinematics import Kinematics, Samples, joint_displacements
-from calib.robot.robot import Robot
-from calib.robot.torques import Payload, gravity_load
+from calib.robot.robot import Payload, Robot, gravity_load
 from calib.robot.urdf import Urdf
 from tests.robot.shared import LIMIT, joint, urdf_of
 

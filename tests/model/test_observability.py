@@ -10,8 +10,7 @@ from calib.model.families import ANGLE, LENGTH
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability, analyse, rank_by_gap
 from calib.model.parameters import FRAME, TARGET, TIP, ErrorModel, Parameter
-from calib.robot.robot import Robot
-from calib.robot.torques import Payload, gravity_load
+from calib.robot.robot import Payload, Robot, gravity_load
 
 ON_AXIS_6 = (0.0, 0.0, 0.05)
 

@@ -20,8 +20,7 @@ from calib.model.kinematics import Samples
 from calib.result.calibration_file import read_result
 from calib.result.evaluation import evaluate
 from calib.robot.readback import random_joint_values
-from calib.robot.robot import Robot, rigid_inverse
-from calib.robot.torques import gravity_load
+from calib.robot.robot import Robot, gravity_load, rigid_inverse
 
 # The paper's Table 3: nominal positions of rows 31 to 35 before calibration [mm].
 TABLE_3 = np.array(

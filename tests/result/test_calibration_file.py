@@ -25,8 +25,7 @@ from calib.result.calibration_file import (
 )
 from calib.result.evaluation import evaluate, evaluate_larger
 from calib.robot.readback import random_joint_values
-from calib.robot.robot import Robot
-from calib.robot.torques import Payload
+from calib.robot.robot import Payload, Robot
 from calib.text.evaluation import assessment_table
 from calib.text.summary import summary
 

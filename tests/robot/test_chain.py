@@ -10,8 +10,7 @@ from hypothesis import event, given, settings, strategies as st
 from calib.errors import CalibError, UrdfError
 from calib.model.dh import dh_table
 from calib.robot.readback import check_written
-from calib.robot.robot import Robot
-from calib.robot.torques import Payload, gravity_load
+from calib.robot.robot import Payload, Robot, gravity_load
 from calib.robot.urdf import Urdf, find_urdf
 from tests.robot.shared import (
     LIMIT,

@@ -10,7 +10,7 @@ import pytest
 
 from calib.data.cell import Cell
 from calib.robot.readback import random_joint_values
-from calib.robot.torques import Payload, gravity_load
+from calib.robot.robot import Payload, gravity_load
 from calib.simulation.scenario import Scenario
 from calib.simulation.truth import Encoder, MovedTarget, Outliers, tracker_pose
 from calib.simulation.truth_file import SCHEMA, write_truth

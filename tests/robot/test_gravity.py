@@ -4,8 +4,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib.robot.robot import Robot
-from calib.robot.torques import GRAVITY, Payload, gravity_load
+from calib.robot.robot import GRAVITY, Payload, Robot, gravity_load
 
 STEP = 1e-5
 

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.model.dh_table import CONVENTIONS, DHRow, DHTable
+from calib.model.dh import CONVENTIONS, DHRow, DHTable
 
 QUARTER = np.pi / 2
 
