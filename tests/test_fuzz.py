@@ -14,7 +14,7 @@ import pytest
 import calib
 from calib.compensation.program import read_program
 from calib.data.points_file import read_points
-from calib.design.solids import read_solids
+from calib.design.collision import read_solids
 from calib.design.workspace import read_region
 from calib.errors import CalibError
 from calib.example import paper_measurements, paper_urdf

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,27 @@ _STEPS = 1000
 
 #: Margin to the ends of a sliding joint [m], where that of the others is an angle.
 _SLIDING_MARGIN = 5e-3
+
+
+Code = Literal[
+    "generic_target",  # no target was given: planned for one at a general place, x y z [m]
+    "orientation_noise",  # the noise of an orientation was assumed [rad]
+    "reflector_not_checked",  # a reflector, and no tracker that it must face
+    "collisions_not_checked",
+    "collisions_checked",  # the holder's radius [m], and what stands around
+    "floor_not_checked",
+    "no_geometry",  # links that were not checked, or not all of them
+    "visual_geometry",  # links that were checked by their visuals
+    "always_close",  # pairs that are always closer than the clearance, and refused only where they touch
+    "always_touching",  # pairs that were not checked
+]
+
+
+class Note(NamedTuple):
+    """What a person must know of a plan: a code and its values, of which `calib.text.plan` makes a sentence."""
+
+    code: Code
+    values: tuple[str | float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,13 +108,14 @@ def draw(
     while total < count and drawn < (_MOST * max(count, _BATCH) if total else _NONE_YET):
         q = rounded(robot, low + engine.random(_BATCH) * (high - low), ranges)[: _MOST * count]
         drawn += len(q)
-        for sifted, where in ((workspace, True), (kept, False)):
-            for test in tests:
-                if (test.reason == "region") == where and len(q):
-                    passed = test.passes(q)
-                    refused[test.reason] += int(np.sum(~passed))
-                    q = q[passed]
-            sifted.append(q)
+        inside = q
+        for test in tests:
+            passed = test.passes(q) if len(q) else np.zeros(0, dtype=np.bool_)
+            refused[test.reason] += int(np.sum(~passed))
+            q = q[passed]
+            inside = q if test.reason == "region" else inside
+        workspace.append(inside)
+        kept.append(q)
         total += len(q)
         if progress is not None:
             progress(min(total, count), count)

@@ -1,51 +1,50 @@
 """Collisions of a robot and what it holds, with itself and with what stands around: Pinocchio places, coal compares.
 
-The whole robot is checked, not the chain alone: every link stands where `Robot.urdf_values` puts it. A target and what
-holds it are a capsule, a rod with round ends, from the tip to the target. Below the mounting plane nothing may come,
-and boxes are not touched. What cannot tell poses apart is left out: links that a joint joins, links that never move
-against each other, and what touches wherever the joints stand. Of meshes the surfaces are compared: one that lies
+The whole robot is checked, not the chain alone. A link has the shapes of its ``<collision>``, or else of its
+``<visual>``; a target and what holds it are a capsule from the tip to the target. Below the mounting plane nothing may
+come, and boxes are not touched. What cannot tell poses apart is left out: links that a joint joins, links that never
+move against each other, and what touches wherever the joints stand. Of meshes the surfaces are compared: one that lies
 wholly inside another mesh is not found.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 from pinocchio import hppfcl
 
-from calib.data.surroundings import Box, Reflector, Tracker, checked_boxes
-from calib.design.notes import Code, Note
-from calib.design.solids import (
-    SAMPLES,
-    Kind,
-    Scene,
-    Solid,
-    choose_pairs,
-    clusters,
-    mounting_plane,
-    read_solids,
-    rod,
-)
-from calib.errors import CalibError, choices
+from calib.data.surroundings import Box, checked_boxes
+from calib.design.candidates import Code, Note
+from calib.errors import CalibError, UrdfError, choices
 from calib.robot.chain import full_configurations, full_model, link_frame
+from calib.robot.meshes import LinkShape, find_mesh, link_shapes, load_mesh, mesh_folders
 from calib.robot.readback import spread_poses
 from calib.robot.robot import Robot
+from calib.robot.urdf import Urdf, UrdfJoint
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Names = tuple[tuple[str, str], ...]
 
 #: Largest step of a joint along a path, of one that turns [rad] and one that slides [m].
 TURN_STEP, SLIDE_STEP = math.radians(2.0), 5e-3
 
 #: Thickness of a tracker's beam, and how far in front of the target it ends: the reflector's nest does not count [m].
 BEAM, NEST = 0.010, 0.030
+
+#: Poses over the joints' ranges at which it is found which pairs always touch, and the share of them that is always.
+SAMPLES, ALWAYS = 256, 0.95
+
+#: What stands for all below the mounting plane is a box so thick and twice as wide [m].
+_GROUND = 20.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +65,58 @@ class CollisionCheck:
     package_dirs: tuple[str | Path, ...] = ()
 
 
+class Solid(NamedTuple):
+    """One shape of coal: whose it is, what that is, and where it is fixed, T_link_shape of shape (4, 4) [m]."""
+
+    owner: str
+    kind: Literal["link", "target", "box", "plane"]
+    link: str
+    T_link_shape: Array
+    geometry: Any
+
+
+class _Scene(NamedTuple):
+    """Pairs of shapes to compare, as Pinocchio has them, and the least distance of each [m]."""
+
+    model: pin.Model
+    shapes: pin.GeometryModel
+    margins: Sequence[float] = ()
+
+    def comparing(self, pairs: Iterable[tuple[int, int]], margins: Sequence[float]) -> _Scene:
+        """The scene with these pairs of shapes, in this order."""
+        shapes = self.shapes.copy()
+        shapes.removeAllCollisionPairs()
+        for first, second in pairs:
+            shapes.addCollisionPair(pin.CollisionPair(first, second))
+        return _Scene(self.model, shapes, margins)
+
+    def room(self) -> tuple[pin.Data, pin.GeometryData]:
+        """Room for the results of one caller."""
+        found = self.shapes.createData()
+        for request, margin in zip(found.collisionRequests, self.margins, strict=True):
+            request.security_margin = margin
+            # Without it coal 3.0 misses some simple shapes that are deep in each other, such as a capsule in a box.
+            request.enable_contact = True
+            # How far bounding volumes are followed beyond the margin: 1 mm by default, a third of the time.
+            request.break_distance = 1e-6
+        return self.model.createData(), found
+
+    def touches(self, configurations: Array) -> Iterator[bool]:
+        """Whether any pair is closer than its margin, at one configuration of the model after the other, (N, nq)."""
+        data, found = self.room()
+        for one in configurations:
+            yield bool(pin.computeCollisions(self.model, data, self.shapes, found, one, True))
+
+    def touched(self, configurations: Array) -> Mask:
+        """Which pairs are closer than their margins, shape (N, pairs)."""
+        data, found = self.room()
+        result = np.zeros((len(configurations), len(self.margins)), dtype=np.bool_)
+        for i, one in enumerate(configurations):
+            pin.computeCollisions(self.model, data, self.shapes, found, one, False)
+            result[i] = [answer.isCollision() for answer in found.collisionResults]
+        return result
+
+
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class CollisionModel:
     """A robot and boxes around it, ready to be asked at which joint values they touch.
@@ -79,12 +130,12 @@ class CollisionModel:
     """
 
     robot: Robot
-    pairs: tuple[tuple[str, str], ...]
-    close: tuple[tuple[str, str], ...]
-    touching: tuple[tuple[str, str], ...]
+    pairs: Names
+    close: Names
+    touching: Names
     notes: tuple[Note, ...]
-    _scene: Scene
-    _beam: hppfcl.Capsule
+    _scene: _Scene
+    _beams: _Scene  # the last shape, a beam, with links and boxes
 
     @classmethod
     def of(
@@ -98,34 +149,34 @@ class CollisionModel:
 
         Boxes are in the robot's base; targets are places in the tip by name, shape (3,), [m].
         """
-        boxes, check = checked_boxes(tuple(boxes)), check or CollisionCheck()
-        same = [box.name for box in boxes if box.name in robot.urdf.links]
+        urdf, boxes, check = robot.urdf, checked_boxes(tuple(boxes)), check or CollisionCheck()
+        same = [box.name for box in boxes if box.name in urdf.links]
         if same:
             raise CalibError(
                 f"A box has the name of a link of the robot: {choices(same)}. Give it another one."
             )
-        links, from_visuals, unchecked = read_solids(robot.urdf, check.package_dirs)
-        parts = list(links)
+        parts, from_visuals, unchecked = read_solids(urdf, check.package_dirs)
+        links = list(parts)
         for name, place in (targets or {}).items():
-            T, half = rod(np.zeros(3), np.asarray(place, dtype=np.float64))
+            T, half = _rod(np.zeros(3), np.asarray(place, dtype=np.float64))
             holder = hppfcl.Capsule(check.holder_radius, 2.0 * half)
             owner = f"{name} and its holder"
-            parts.append(Solid(owner, Kind.TARGET, robot.tip, T.homogeneous, holder))
+            parts.append(Solid(owner, "target", robot.tip, T.homogeneous, holder))
         for box in boxes:
-            shape = hppfcl.Box(*box.size)
-            parts.append(Solid(box.name, Kind.BOX, robot.base, box.T_base_box, shape))
+            parts.append(Solid(box.name, "box", robot.base, box.T_base_box, hppfcl.Box(*box.size)))
         values = robot.urdf_values(spread_poses(robot, SAMPLES))
-        configurations = full_configurations(full_model(robot.urdf), values)
+        configurations = full_configurations(full_model(urdf), values)
         moving = {name for name, value in values.items() if np.ptp(value) > 0.0}
-        rigid = clusters(robot.urdf, (j for j in robot.urdf.joints if j.name not in moving))
+        rigid = _clusters(urdf, (j for j in urdf.joints if j.name not in moving))
         if check.floor:
-            parts.append(mounting_plane(robot, links, rigid, configurations[0]))
-        around = [part.owner for part in parts if part.kind in (Kind.BOX, Kind.PLANE)]
-        beam = hppfcl.Capsule(0.5 * BEAM, 1.0)
-        parts.append(Solid("the beam", Kind.BOX, robot.base, np.eye(4), beam))
-        scene, pairs, close, touching = choose_pairs(
-            robot, Scene.of(robot.urdf, parts), rigid, configurations, float(check.clearance)
-        )
+            parts.append(_mounting_plane(robot, links, rigid, configurations[0]))
+        beam = Solid("the beam", "box", robot.base, np.eye(4), hppfcl.Capsule(0.5 * BEAM, 1.0))
+        scene = _scene_of(urdf, [*parts, beam])
+        hit = [k for k, part in enumerate(parts) if part.kind in ("link", "box")]
+        beams = scene.comparing([(k, len(parts)) for k in hit], [0.0] * len(hit))
+        chosen = _chosen_pairs(urdf, scene, parts, rigid, configurations, check.clearance)
+        scene, pairs, close, touching = chosen
+        around = [part.owner for part in parts if part.kind in ("box", "plane")]
         notes = [Note("collisions_checked", (check.holder_radius, *around))]
         notes += [] if check.floor else [Note("floor_not_checked")]
         listed: tuple[tuple[Code, Sequence[str]], ...] = (
@@ -135,12 +186,11 @@ class CollisionModel:
             ("always_touching", [f"{a} and {b}" for a, b in touching]),
         )
         notes += [Note(code, tuple(names)) for code, names in listed if names]
-        return cls(robot, pairs, close, touching, tuple(notes), scene, beam)
+        return cls(robot, pairs, close, touching, tuple(notes), scene, beams)
 
     def free(self, q: ArrayLike) -> Mask:
         """Where the robot keeps clear, shape (N,), of q of shape (N, m) or (m,), [rad] or [m]."""
-        touches = self._scene.touches()
-        return np.array([not touches(one) for one in self._configurations(q)], dtype=np.bool_)
+        return ~np.fromiter(self._scene.touches(self._configurations(q)), dtype=np.bool_)
 
     def path_free(self, q_from: ArrayLike, q_to: ArrayLike) -> bool:
         """Whether the straight way in joint space between two poses of shape (m,) is free, both ends among it.
@@ -157,75 +207,226 @@ class CollisionModel:
         # The lowest bit of an index says how coarse a division it belongs to; index 0 is in the coarsest.
         order = np.argsort(-np.where(index == 0, len(index), index & -index), kind="stable")
         share = (index[order] / (len(index) - 1))[:, None]
-        touches = self._scene.touches()
         way = self._configurations((1.0 - share) * ends[0] + share * ends[1])
-        return not any(touches(one) for one in way)
+        return not any(self._scene.touches(way))
 
-    def crossed(self, q: Array, start: Array, end: Array) -> Mask:
-        """Whether a link or a box stands in the way of a beam with round ends, shape (N,).
+    def beam_free(self, q: Array, points: Array, tracker: Array) -> Mask:
+        """Whether no link and no box is in the beam from the tracker to a point at each pose, shape (N,).
 
-        Targets and the mounting plane, which are assumed and not known, do not count. ``q`` is of shape (N, m); the
-        beams' ends, of shape (N, 3), are in the robot's base [m].
+        The beam is a rod of thickness `BEAM` that ends `NEST` in front of the point. Targets and the mounting plane,
+        which are assumed and not known, do not count. ``q`` is of shape (N, m); the points, shape (N, 3), and the
+        tracker, shape (3,), are in the robot's base [m].
         """
-        *parts, _ = self._scene.parts
-        solid = [k for k, part in enumerate(parts) if part.kind in (Kind.LINK, Kind.BOX)]
-        scene = self._scene.comparing([(k, len(parts)) for k in solid], [0.0] * len(solid))
+        scene, frees = self._beams, np.ones(len(q), dtype=np.bool_)
         data, found = scene.room()
-        base = scene.model.frames[link_frame(scene.model, self.robot.base)]
-        result = np.empty(len(q), dtype=np.bool_)
+        base, last = (
+            scene.model.frames[link_frame(scene.model, self.robot.base)],
+            scene.shapes.ngeoms - 1,
+        )
+        beam = scene.shapes.geometryObjects[last].geometry
+        distance = np.linalg.norm(tracker - points, axis=1)
         for i, configuration in enumerate(self._configurations(q)):
-            pin.updateGeometryPlacements(scene.model, data, scene.shapes, found, configuration)
-            T_base_beam, self._beam.halfLength = rod(start[i], end[i])
-            found.oMg[len(parts)] = data.oMi[base.parentJoint] * base.placement * T_base_beam
-            result[i] = pin.computeCollisions(scene.shapes, found, True)
-        return result
+            if distance[i] > NEST + BEAM:
+                # The rod's round ends lie between the same two planes as the beam's flat ones.
+                away = (tracker - points[i]) / distance[i]
+                T_base_beam, beam.halfLength = _rod(
+                    tracker - 0.5 * BEAM * away, points[i] + (NEST + 0.5 * BEAM) * away
+                )
+                pin.updateGeometryPlacements(scene.model, data, scene.shapes, found, configuration)
+                found.oMg[last] = data.oMi[base.parentJoint] * base.placement * T_base_beam
+                frees[i] = not pin.computeCollisions(scene.shapes, found, True)
+        return frees
 
     def _configurations(self, q: ArrayLike) -> Array:
         """Pinocchio's configurations of the whole robot, shape (N, nq)."""
         return full_configurations(self._scene.model, self.robot.urdf_values(q))
 
 
-class Sight(NamedTuple):
-    """Whether the target is within the tracker's range, faces it, and has nothing in the beam, shape (N,) each.
+def read_solids(
+    urdf: Urdf, package_dirs: Iterable[str | Path] = ()
+) -> tuple[list[Solid], tuple[str, ...], tuple[str, ...]]:
+    """The geometry of every link; each mesh file is read once.
 
-    The beam is not looked at, and True, where range or cone refuse the pose.
+    ``package_dirs`` are the folders in which ``package://`` meshes are looked for before all others.
+
+    Returns:
+        The shapes; the links without collision geometry, whose visual geometry stands for it; and the links that carry
+        a mass but have no geometry that can be used, or not all of it.
     """
+    folders = mesh_folders(urdf, package_dirs)
+    shapes = {tag: list(link_shapes(urdf, tag)) for tag in ("collision", "visual")}
+    # Pinocchio keeps the inertias of joints, not of links.
+    bodies = {
+        link.get("name", "")
+        for link in urdf.elements().findall("link")
+        if any(mass.get("value", "0").strip("0. ") for mass in link.findall("inertial/mass"))
+    }
+    meshes: dict[tuple[str, tuple[float, ...]], Any] = {}
+    solids, from_visuals, unchecked = [], [], []
+    for link in urdf.links:
+        proper, visual = ([one for one in shapes[tag] if one.link == link] for tag in shapes)
+        found = [(one, _geometry(urdf, one, folders, meshes)) for one in proper or visual]
+        usable = [
+            Solid(link, "link", link, one.T_link_shape, g) for one, g in found if g is not None
+        ]
+        if usable and not proper:
+            from_visuals.append(link)
+        if len(usable) < len(found) or (not found and link in bodies):
+            unchecked.append(link)
+        solids += usable
+    if not solids:
+        raise UrdfError(
+            f"{urdf.source}: no link has a <collision> or <visual> with a geometry that can be used. Take a URDF with "
+            "geometry, or plan without collisions (--no-collisions)."
+        )
+    return solids, tuple(from_visuals), tuple(unchecked)
 
-    tracker_range: Mask
-    reflector_cone: Mask
-    beam: Mask
 
+def _rod(start: Array, end: Array) -> tuple[pin.SE3, float]:
+    """The pose of a rod between two points, shape (3,), [m]: z along it, origin in the middle; and half its length.
 
-def in_sight(
-    robot: Robot,
-    q: Array,
-    T_tip_target: Array,
-    tracker: Tracker,
-    reflector: Reflector | None = None,
-    collision: CollisionModel | None = None,
-) -> Sight:
-    """At which poses q, shape (N, m), a tracker sees the target at T_tip_target, shape (4, 4), on the tip.
-
-    The cone: the angle between the reflector's normal and the direction from target to tracker is at most its
-    acceptance; without a reflector it is turned by hand. The beam: a rod of thickness `BEAM` from the tracker to `NEST`
-    in front of the target touches no link and no box; without ``collision`` it is not looked at.
+    One without length points along z.
     """
-    T_base_tip = robot.poses(q)
-    points = (T_base_tip @ T_tip_target)[:, :3, 3]
-    towards = tracker.position - points
-    distance = np.linalg.norm(towards, axis=1)
-    within = (distance >= tracker.nearest) & (distance <= tracker.farthest)
-    faces, clear = np.ones((2, len(points)), dtype=np.bool_)
-    if reflector is not None:
-        normal = T_base_tip[:, :3, :3] @ reflector.normal
-        across = np.linalg.norm(np.cross(normal, towards), axis=1)
-        angle = np.arctan2(across, np.einsum("ni,ni->n", normal, towards))
-        faces = angle <= reflector.acceptance
-    # The rod's round ends lie between the same two planes as the beam's flat ones.
-    asked = within & faces & (distance > NEST + BEAM)
-    if collision is not None and asked.any():
-        away = towards[asked] / distance[asked, None]
-        start = tracker.position - 0.5 * BEAM * away
-        end = points[asked] + (NEST + 0.5 * BEAM) * away
-        clear[asked] = ~collision.crossed(q[asked], start, end)
-    return Sight(within, faces, clear)
+    along, up = end - start, np.array([0.0, 0.0, 1.0])
+    turn = pin.Quaternion(up, along if along.any() else up)
+    return pin.SE3(turn.matrix(), 0.5 * (start + end)), 0.5 * float(np.linalg.norm(along))
+
+
+def _geometry(
+    urdf: Urdf, shape: LinkShape, folders: tuple[Path, ...], meshes: dict[Any, Any]
+) -> Any:  # noqa: ANN401  coal has no types
+    """A shape as coal has it; None for a kind or a size that is none."""
+    if shape.mesh is None:
+        tag = shape.geometry.tag.capitalize()
+        known = shape.sizes is not None and tag in ("Box", "Cylinder", "Capsule", "Sphere")
+        return getattr(hppfcl, tag)(*(shape.sizes or ())) if known else None
+    if shape.mesh not in meshes:
+        name, scale = shape.mesh
+        path = find_mesh(name, folders)
+        if path is None:
+            problem = (
+                f"was not found in {choices(map(str, folders))}. Name its folder by --package-dir"
+            )
+        else:
+            meshes[shape.mesh], problem = load_mesh(path, scale)
+        if problem:
+            raise UrdfError(
+                f"{urdf.source}: link '{shape.link}': the mesh '{path or name}' {problem}; or plan without collisions "
+                "(--no-collisions)."
+            )
+    return meshes[shape.mesh]
+
+
+def _scene_of(urdf: Urdf, parts: Sequence[Solid]) -> _Scene:
+    """All shapes, without pairs."""
+    model, shapes = full_model(urdf), pin.GeometryModel()
+    for k, part in enumerate(parts):
+        frame, T = link_frame(model, part.link), part.T_link_shape
+        parent = model.frames[frame]
+        placement = parent.placement * pin.SE3(T[:3, :3], T[:3, 3])
+        shapes.addGeometryObject(
+            pin.GeometryObject(str(k), parent.parentJoint, frame, placement, part.geometry)
+        )
+    return _Scene(model, shapes)
+
+
+def _clusters(urdf: Urdf, joints: Iterable[UrdfJoint]) -> dict[str, str]:
+    """For each link the one that stands for all that these joints hold together."""
+    up = {joint.child: joint.parent for joint in joints}
+
+    def top(link: str) -> str:
+        return top(up[link]) if link in up else link
+
+    return {link: top(link) for link in urdf.links}
+
+
+def _mounting_plane(
+    robot: Robot, links: Sequence[Solid], rigid: Mapping[str, str], configuration: Array
+) -> Solid:
+    """What the robot stands on: all below z = 0 of its base, or below the lowest link that stands with the base.
+
+    Where joints of the chain move the base, it is the plane of the URDF's root.
+    """
+    base = robot.urdf.root if robot.base_moves else robot.base
+    model = full_model(robot.urdf)
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, configuration)
+    T_base_root = data.oMf[link_frame(model, base)].inverse()
+    ground, height = hppfcl.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0), 0.0
+    for part in links:
+        if rigid[part.link] != rigid[base]:
+            continue
+        T = T_base_root * data.oMf[link_frame(model, part.link)]
+        T = T * pin.SE3(part.T_link_shape[:3, :3], part.T_link_shape[:3, 3])
+        if isinstance(part.geometry, hppfcl.BVHModelBase):
+            low = np.min(part.geometry.vertices() @ T.rotation[2] + T.translation[2])
+        else:
+            asked, answer = hppfcl.DistanceRequest(), hppfcl.DistanceResult()
+            placed = hppfcl.Transform3s(T.rotation, T.translation)
+            unmoved = hppfcl.Transform3s()
+            low = hppfcl.distance(part.geometry, placed, ground, unmoved, asked, answer)
+        height = min(height, float(low))
+    T_base_ground = np.eye(4)
+    T_base_ground[2, 3] = height - 0.5 * _GROUND
+    name = f"the mounting plane (z = {1e3 * height + 0.0:.4g} mm of '{base}')"
+    shape = hppfcl.Box(2.0 * _GROUND, 2.0 * _GROUND, _GROUND)
+    return Solid(name, "plane", base, T_base_ground, shape)
+
+
+def _chosen_pairs(
+    urdf: Urdf,
+    scene: _Scene,
+    parts: Sequence[Solid],
+    rigid: Mapping[str, str],
+    configurations: Array,
+    clearance: float,
+) -> tuple[_Scene, Names, Names, Names]:
+    """The scene with the pairs of shapes that can tell poses apart, those that touch most often first.
+
+    And the names of these, of those always closer than the clearance, and of those left out, for they always touch.
+    ``rigid`` is for each link what stands for all that never moves against it; ``configurations``, shape (SAMPLES, nq),
+    are spread over the joints' ranges.
+    """
+    moving = [joint for joint in urdf.joints if joint.type != "fixed"]
+    welded = _clusters(urdf, (joint for joint in urdf.joints if joint.type == "fixed"))
+    joined = {frozenset((welded[joint.parent], welded[joint.child])) for joint in moving}
+    owned: dict[tuple[str, str], list[tuple[int, int]]] = {}
+    for i, j in itertools.combinations(range(len(parts)), 2):
+        first, second = parts[i], parts[j]
+        # One that stands around comes behind the other.
+        if rigid[first.link] == rigid[second.link] or first.kind in ("box", "plane"):
+            continue
+        if (
+            second.kind != "link"
+            or frozenset((welded[first.link], welded[second.link])) not in joined
+        ):
+            owned.setdefault((first.owner, second.owner), []).append((i, j))
+    flat = [pair for own in owned.values() for pair in own]
+    touched = near = scene.comparing(flat, [0.0] * len(flat)).touched(configurations)
+    if clearance > 0.0:
+        near = scene.comparing(flat, [clearance] * len(flat)).touched(configurations)
+    for part in parts:
+        own = [k for k, (_, j) in enumerate(flat) if parts[j] is part and part.kind == "box"]
+        if own and near[:, own].any(axis=1).all():
+            raise CalibError(
+                f"The box '{part.owner}' touches the robot at all of {SAMPLES} poses over the joints' ranges. Move it, "
+                "make it smaller, or leave it out."
+            )
+    kept: list[tuple[int, tuple[int, int], float]] = []
+    touching, close = [], []
+    columns = iter(range(len(flat)))
+    for names, pairs in owned.items():
+        own = list(itertools.islice(columns, len(pairs)))
+        always = touched[:, own].any(axis=1).mean() >= ALWAYS
+        if always and parts[pairs[0][1]].kind != "box":
+            touching.append(names)
+            continue
+        too_close = not always and near[:, own].any(axis=1).mean() >= ALWAYS
+        if too_close:
+            close.append(names)
+        hits, margin = (touched, 0.0) if too_close else (near, clearance)
+        kept += [(int(hits[:, k].sum()), flat[k], margin) for k in own]
+    kept.sort(key=lambda one: -one[0])
+    checked = dict.fromkeys((parts[i].owner, parts[j].owner) for _, (i, j), _ in kept)
+    scene = scene.comparing([pair for _, pair, _ in kept], [margin for *_, margin in kept])
+    return scene, tuple(checked), tuple(close), tuple(touching)

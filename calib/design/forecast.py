@@ -20,8 +20,7 @@ from calib.data.cell import AUTO, Cell
 from calib.data.measurements import Measurements
 from calib.data.surroundings import Tracker
 from calib.data.table import DEFAULT_TARGET
-from calib.design.candidates import planning_ranges
-from calib.design.notes import Note
+from calib.design.candidates import Note, planning_ranges
 from calib.errors import MeasurementError, ModelError, choices
 from calib.estimate.fitting import Task, model_of
 from calib.estimate.inspection import GENERIC_TARGET, any_measurement

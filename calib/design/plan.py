@@ -6,7 +6,7 @@ the choice under the model that the fit will use; poses to validate with; the or
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 
@@ -14,17 +14,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from calib.data.cell import Cell
-from calib.data.surroundings import check_outside
-from calib.design.candidates import Condition, Reason, draw, planning_ranges
-from calib.design.collision import CollisionCheck, CollisionModel, in_sight
+from calib.data.surroundings import Reflector, Tracker, check_outside
+from calib.design.candidates import Condition, Note, draw, planning_ranges
+from calib.design.collision import CollisionCheck, CollisionModel
 from calib.design.forecast import Forecast, Sensitivity
-from calib.design.notes import Note
 from calib.design.optimal import PlanRequest, choose_poses
 from calib.design.route import Blocked, route
 from calib.design.workspace import Region
 from calib.robot.robot import Robot, read_only
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 Progress = Callable[[str, int, int], None]
 
 #: Poses among which those to drive by are looked for.
@@ -140,7 +140,7 @@ def plan(
     def part(what: str) -> Callable[[int, int], None] | None:
         return None if progress is None else partial(progress, what)
 
-    conditions = _conditions(robot, cell, region, T_tip_target, body)
+    conditions = list(_conditions(robot, cell, region, T_tip_target, body))
     pool = draw(robot, ranges, conditions, request.candidates, request.seed, part("candidates"))
     choice = choose_poses(sensitivity, pool, request, measured, progress=part("choice"))
     notes = [*sensitivity.notes]
@@ -197,30 +197,49 @@ def _conditions(
     region: Region | None,
     T_tip_target: Array,
     body: CollisionModel | None,
-) -> list[Condition]:
-    """What a candidate must pass, the cheap conditions first."""
-    conditions = []
+) -> Iterator[Condition]:
+    """What a candidate must pass, the cheap conditions first; the tracker must see every target."""
+    tracker, reflector = cell.tracker, cell.reflector
     if region is not None:
-
-        def inside(q: Array) -> NDArray[np.bool_]:
-            return region.contains((robot.poses(q) @ T_tip_target[0])[:, :3, 3])
-
-        conditions.append(Condition("region", inside))
-    if (tracker := cell.tracker) is not None:
-
-        def seen(q: Array, what: Reason) -> NDArray[np.bool_]:
-            result = np.ones(len(q), dtype=bool)
+        yield Condition("region", lambda q: region.contains(places(robot, T_tip_target[0], q)))
+    if tracker is not None:
+        for T in T_tip_target:
+            yield Condition("tracker_range", partial(in_range, robot, T, tracker))
+        if reflector is not None:
             for T in T_tip_target:
-                looked = body if what == "beam" else None
-                sight = in_sight(robot, q[result], T, tracker, cell.reflector, looked)
-                result[result] = getattr(sight, what)
-            return result
-
-        looks: list[Reason] = ["tracker_range"]
-        looks += ["reflector_cone"] if cell.reflector is not None else []
-        # A beam is one rod against all links; they among themselves take ten times as long.
-        looks += ["beam"] if body is not None else []
-        conditions += [Condition(what, partial(seen, what=what)) for what in looks]
+                yield Condition("reflector_cone", partial(in_cone, robot, T, tracker, reflector))
     if body is not None:
-        conditions.append(Condition("collision", body.free))
-    return conditions
+        # A beam is one rod against all links; they among themselves take ten times as long.
+        for T in T_tip_target:
+            if tracker is not None:
+                yield Condition("beam", partial(_beam_free, robot, T, tracker, body))
+        yield Condition("collision", body.free)
+
+
+def places(robot: Robot, T_tip_target: Array, q: Array) -> Array:
+    """Where the nominal robot puts a target in the base at q, shape (N, m); shape (N, 3), [m]."""
+    return np.asarray((robot.poses(q) @ T_tip_target)[:, :3, 3])
+
+
+def in_range(robot: Robot, T_tip_target: Array, tracker: Tracker, q: Array) -> Mask:
+    """Whether the target's distance to the tracker is one that it measures, shape (N,)."""
+    distance = np.linalg.norm(tracker.position - places(robot, T_tip_target, q), axis=1)
+    return np.asarray((distance >= tracker.nearest) & (distance <= tracker.farthest))
+
+
+def in_cone(
+    robot: Robot, T_tip_target: Array, tracker: Tracker, reflector: Reflector, q: Array
+) -> Mask:
+    """Whether the angle from the reflector's normal to the tracker is at most its acceptance, shape (N,)."""
+    towards = tracker.position - places(robot, T_tip_target, q)
+    normal = robot.poses(q)[:, :3, :3] @ reflector.normal
+    across = np.linalg.norm(np.cross(normal, towards), axis=1)
+    angle = np.arctan2(across, np.einsum("ni,ni->n", normal, towards))
+    return np.asarray(angle <= reflector.acceptance)
+
+
+def _beam_free(
+    robot: Robot, T_tip_target: Array, tracker: Tracker, body: CollisionModel, q: Array
+) -> Mask:
+    """Whether nothing is in the tracker's beam, shape (N,)."""
+    return body.beam_free(q, places(robot, T_tip_target, q), tracker.position)

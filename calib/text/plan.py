@@ -13,8 +13,8 @@ from calib.text.lines import fill
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from calib.design.candidates import Code, Note
     from calib.design.forecast import Forecast
-    from calib.design.notes import Code, Note
     from calib.design.plan import Plan
     from calib.design.plan_file import Taken
 

@@ -10,8 +10,8 @@ import pytest
 import calib
 from calib.data.cell import Cell, Priors
 from calib.data.surroundings import Box, Reflector, Tracker
+from calib.design.candidates import Note
 from calib.design.collision import CollisionCheck
-from calib.design.notes import Note
 from calib.design.optimal import PlanRequest
 from calib.design.plan import Plan, plan
 from calib.design.workspace import Region

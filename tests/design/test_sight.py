@@ -10,7 +10,8 @@ from hypothesis import assume, given, settings, strategies as st
 
 from calib import example
 from calib.data.surroundings import Reflector, Tracker
-from calib.design.collision import BEAM, NEST, CollisionCheck, CollisionModel, in_sight
+from calib.design.collision import BEAM, NEST, CollisionCheck, CollisionModel
+from calib.design.plan import in_cone, in_range
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from tests.design.fcl_scene import objects, placed, touch
@@ -43,12 +44,8 @@ ZERO = np.zeros((1, 1))
     [(1.0, 2.0, True), (1.0 + 1e-6, 2.0, False), (0.5, 1.0, True), (0.5, 1.0 - 1e-6, False)],
 )
 def test_the_range(nearest, farthest, seen):
-    sight = in_sight(turntable(), ZERO, ORIGIN, Tracker((2.5, 0, 0), nearest, farthest))
-    assert (sight.tracker_range.tolist(), sight.reflector_cone.tolist(), sight.beam.tolist()) == (
-        [seen],
-        [True],
-        [True],
-    )
+    tracker = Tracker((2.5, 0, 0), nearest, farthest)
+    assert in_range(turntable(), ORIGIN, tracker, ZERO).tolist() == [seen]
 
 
 @given(q=st.floats(-3.1, 3.1), half=st.floats(0.05, 3.1))
@@ -59,18 +56,14 @@ def test_the_cone_in_closed_form(q, half):
     way = np.array([3.0, 1.0]) - point
     angle = np.arccos(np.clip(way @ normal / np.linalg.norm(way), -1.0, 1.0))
     assume(abs(angle - half) > 1e-6)
-    sight = in_sight(
-        turntable(), np.array([[q]]), ORIGIN, Tracker((3.0, 1.0, 0.0)), Reflector((1, 0, 0), half)
-    )
-    assert sight.reflector_cone.tolist() == [angle <= half]
+    tracker, reflector = Tracker((3.0, 1.0, 0.0)), Reflector((1, 0, 0), half)
+    assert in_cone(turntable(), ORIGIN, tracker, reflector, np.array([[q]])) == [angle <= half]
 
 
-def beam(y: float, x: float = 0.0, tracker=(-2.0, 0.0, 0.0), boxes=()) -> bool:
+def beam(y: float, tracker=(-2.0, 0.0, 0.0)) -> bool:
     """Whether the beam is free, of a tracker that looks along x at the tip with the ball beside the line."""
-    collision, T = model_of(turntable(y), boxes), np.eye(4)
-    T[0, 3] = x
-    sight = in_sight(turntable(y), ZERO, T, Tracker(tracker), None, collision)
-    return bool(sight.beam[0])
+    model = model_of(turntable(y))
+    return bool(model.beam_free(ZERO, np.array([[1.5, 0.0, 0.0]]), np.array(tracker))[0])
 
 
 def test_a_ball_beside_the_beam():
@@ -96,9 +89,7 @@ def ur3_sight() -> tuple[np.ndarray, np.ndarray]:
     q = np.random.default_rng(8).uniform(-np.pi, np.pi, (150, 6))
     model = model_of(ur3())
     q = q[model.free(q)][:100]
-    T = np.eye(4)
-    T[:3, 3] = TARGET
-    return q, in_sight(ur3(), q, T, Tracker(TRACKER), None, model).beam
+    return q, model.beam_free(q, (ur3().poses(q) @ [*TARGET, 1.0])[:, :3], TRACKER)
 
 
 def test_the_ur3_s_beam_against_fcl():

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calib.data.cell import Cell
-from calib.design.notes import Code, Note
+from calib.design.candidates import Code, Note
 from calib.design.optimal import PlanRequest
 from calib.design.plan import Plan, plan
 from calib.design.route import Blocked
