@@ -110,7 +110,8 @@ _LAYOUT: Layout = Layout(
         Candidate: {"name": "set", "sizes": _SIZES},
         Robustness: {
             "lowered": "weights_lowered",
-            "moved": "moved_m",
+            "moved_rms": "moved_rms_m",
+            "moved_max": "moved_max_m",
             "errors_lowered": "lowered",
             "errors_full": "full",
         },
@@ -201,9 +202,6 @@ def result_table(c: Calibration) -> dict[str, Any]:
     for key, value in _LAYOUT.table(c).items():
         found[key] = found.get(key, {}) | value if isinstance(value, dict) else value
     found["solver"]["iterations"] = c.solution.iterations
-    if c.robustness is not None:
-        moved = {f"{name}_m": getattr(c.robustness, name) for name in ("moved_rms", "moved_max")}
-        found["robustness"] |= moved
     if c.larger is not None:
         found["larger"] |= {"errors": errors["larger"], "model": _model_table(c.larger.model)}
     return found

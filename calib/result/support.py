@@ -20,11 +20,11 @@ from calib.estimate.registration import register
 from calib.estimate.rows import Rows
 from calib.estimate.selection import linear_cross_validation
 from calib.estimate.setup import Setup
-from calib.estimate.statistics import Array, Errors, Mask
+from calib.estimate.statistics import Array, Errors
 from calib.model.error_model import DIRECTIONS
 from calib.result.prediction import without_rigid_motion
 from calib.result.verdict import Reason, Why
-from calib.robot.robot import Robot, read_only
+from calib.robot.robot import Robot
 
 #: A joint value is outside when it is further from the measured range than this share of it; less is none [rad or m].
 _MARGIN, _STILL = 0.05, 1e-3
@@ -111,25 +111,12 @@ class Robustness:
     """The fit with the weights of doubtful rows lowered, beside the one with every row in full."""
 
     lowered: bool  # Whether it is the calibration that has the weights lowered, or the fit that it is compared with
-    flagged: Mask  # (N,), the fitted rows that the calibration flags
-    moved: Array  # (N,), how far the other fit's prediction at each measured pose lies from the calibration's [m]
-    names: tuple[str, ...]  # Names of the parameters
-    change: Array  # (p,), the other fit's parameters minus the calibration's, counted from the same place
-    std: Array  # (p,), standard deviations of the calibration's parameters
+    moved_rms: float  # How far the other fit's predictions at the measured poses lie from the calibration's [m]
+    moved_max: float  # The same at most [m]
     errors_lowered: (
-        Errors  # Of the rows not flagged, left out of a linearised fit, with weights lowered
+        Errors  # Of rows not flagged, left out of a linearised fit, with weights lowered
     )
     errors_full: Errors  # The same with every row in full
-
-    @property
-    def moved_rms(self) -> float:
-        """How far the predictions at the measured poses differ, rms [m]."""
-        return float(np.sqrt(np.mean(self.moved**2)))
-
-    @property
-    def moved_max(self) -> float:
-        """How far they differ at most [m]."""
-        return float(np.max(self.moved))
 
 
 def compare(fitted: Fitted) -> Robustness:
@@ -150,13 +137,11 @@ def compare(fitted: Fitted) -> Robustness:
         lowered, full = (Errors.of(residual, rows.used[~flagged]) for residual in left)
     except MeasurementError:  # rows of a single pose, of which none can be left out
         lowered = full = Errors.of(np.zeros((0, rows.width)))
+    moved = np.linalg.norm(moves[:, :, 0], axis=1)
     return Robustness(
         lowered=fitted.task.robust,
-        flagged=flagged,
-        moved=read_only(np.linalg.norm(moves[:, :, 0], axis=1)),
-        names=fitted.kinematics.model.names,
-        change=read_only(other.estimate.x - estimate.x),
-        std=read_only(np.sqrt(np.diag(estimate.covariance))),
+        moved_rms=float(np.sqrt(np.mean(moved**2))),
+        moved_max=float(np.max(moved)),
         errors_lowered=lowered,
         errors_full=full,
     )
