@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 import calib.report.figure_base as base
 from calib.result.calibration import Calibration
-from calib.result.uncertainty import workspace_uncertainty
 
 Array = NDArray[np.float64]
 
@@ -81,9 +80,12 @@ def points(c: Calibration) -> Figure:
 
 def uncertainty(c: Calibration) -> Figure:
     """The standard deviation of predicted positions: three views, and how often which size occurs."""
-    found = workspace_uncertainty(c, POSES, larger=False)
-    T = c.robot.poses(found.q)
-    places, std = 1e3 * (T[:, :3, :3] @ c.target + T[:, :3, 3]), 1e3 * found.std
+    q = spread_poses(c.nominal, POSES)
+    T = c.robot.poses(q)
+    places, std = (
+        1e3 * (T[:, :3, :3] @ c.target + T[:, :3, 3]),
+        1e3 * c.position_std(q, larger=False),
+    )
     limits = _limits(places)
     measured = 1e3 * measured_places(c)
     measured = measured[:: max(-(-len(measured) // _MOST_RINGS), 1)]

@@ -296,25 +296,6 @@ def _least_cost(fitted: Fitted, k: int, value: float) -> float:
     return 2.0 * levenberg_marquardt(system, start[others], step_size=size).cost
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class WorkspaceUncertainty:
-    """How sure predicted positions are, std (count,) [m], at joint values q (count, m) spread over the joint limits."""
-
-    q: Array
-    std: Array
-
-
-def workspace_uncertainty(
-    calibration: Calibration, count: int = 1000, *, larger: bool = True
-) -> WorkspaceUncertainty:
-    """Standard deviation of predicted positions, sqrt(trace(J C J^T)), over a Sobol sequence in the joint limits.
-
-    It knows nothing of errors that the model lacks. ``larger``: by the larger model, where there is one.
-    """
-    q = spread_poses(calibration.nominal, count)
-    return WorkspaceUncertainty(q, read_only(calibration.position_std(q, larger=larger)))
-
-
 def _check_solver(fitted: Fitted) -> None:
     """Refuse the paper's solver: its fit is not the least cost of its own problem."""
     if fitted.task.solver == "paper":

@@ -7,8 +7,7 @@ import pytest
 
 from calib.report.figure_base import measured_in_base, placed, styled
 from calib.report.figure_space import POSES, measured_places, points, uncertainty
-from calib.result.uncertainty import workspace_uncertainty
-from calib.robot.readback import SPREAD
+from calib.robot.readback import SPREAD, spread_poses
 
 
 @pytest.fixture(autouse=True)
@@ -48,7 +47,7 @@ def test_the_papers_figure_7_shows_every_point_from_three_sides(calibrations):
 def test_cells_show_the_uncertainty_of_their_poses(calibrations, case):
     c = calibrations.made(case)
     figure = uncertainty(c)
-    std = 1e3 * workspace_uncertainty(c, POSES, larger=False).std
+    std = 1e3 * c.position_std(spread_poses(c.nominal, POSES), larger=False)
     for ax in figure.axes[:3]:
         cells = np.asarray(ax.collections[0].get_array())
         assert std.min() <= cells.min() < cells.max() <= std.max()

@@ -24,7 +24,6 @@ from calib.result.uncertainty import (
     bootstrap_indices,
     profile,
     profile_interval,
-    workspace_uncertainty,
 )
 from calib.robot.readback import random_joint_values, spread_poses
 from calib.robot.robot import Robot
@@ -236,19 +235,6 @@ class TestProfile:
             profile_interval(of_target, "d9")
         with pytest.raises(CalibError, match="level of an interval is 1; it must lie between"):
             profile_interval(of_target, "target_x", 1.0)
-
-
-class TestWorkspace:
-    def test_is_the_predicted_uncertainty_over_the_limits(self, of_dh: Calibration):
-        found = workspace_uncertainty(of_dh, 300)
-        assert found.q.shape == (300, 6)
-        assert np.allclose(found.std, of_dh.position_std(found.q), rtol=1e-12)
-        rms = np.sqrt(np.mean(found.std**2))
-        assert rms == pytest.approx(of_dh.expected_everywhere, rel=0.1)
-        limits = np.array([[j.lower, j.upper] for j in of_dh.nominal.inputs])
-        assert np.ptp(found.q, axis=0) == pytest.approx(
-            np.minimum(np.diff(limits)[:, 0], 2 * np.pi), rel=0.02
-        )
 
 
 class TestCorrelations:
