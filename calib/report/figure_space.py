@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 import calib.report.figure_base as base
 from calib.result.calibration import Calibration
+from calib.robot.readback import spread_poses
 
 Array = NDArray[np.float64]
 
