@@ -15,8 +15,7 @@ if TYPE_CHECKING:
 
     from calib.design.candidates import Code, Note
     from calib.design.forecast import Forecast
-    from calib.design.plan import Plan
-    from calib.design.plan_file import Taken
+    from calib.design.plan import Plan, Taken
 
 #: Five more poses that gain less than this part of the error hardly pay.
 _PAYS, _FIVE = 0.05, 5

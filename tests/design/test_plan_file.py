@@ -12,9 +12,9 @@ import pytest
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.design.optimal import PlanRequest
-from calib.design.plan import plan
-from calib.design.plan_file import (
+from calib.design.plan import (
     SCHEMA,
+    plan,
     plan_table,
     read_pose_list,
     read_taken,

@@ -63,8 +63,7 @@ def plan(
     from calib.data.table import Table
     from calib.design.collision import CollisionCheck
     from calib.design.optimal import PlanRequest
-    from calib.design.plan import plan as make_plan
-    from calib.design.plan_file import plan_table, read_taken, write_plan
+    from calib.design.plan import plan as make_plan, plan_table, read_taken, write_plan
     from calib.design.workspace import read_region
     from calib.result.calibration_file import write_table
     from calib.robot.robot import Robot

@@ -81,7 +81,7 @@ def simulate(
     # Workers begin first: they import what they need while robot and scenario are prepared here.
     with executor_of(workers, dask, study) as executor:
         from calib.cli.terminal import progress_bar
-        from calib.design.plan_file import read_pose_list
+        from calib.design.plan import read_pose_list
         from calib.result.calibration_file import write_table
         from calib.simulation import study as studies
         from calib.simulation.scenario import simulate as simulated
