@@ -198,11 +198,6 @@ class Density:
         """Least and greatest corner of the voxels that hold samples, shape (2, 3), [m]."""
         return Region(self.origin, self.voxel, self.counts > 0, 1.0, 1.0).bounds
 
-    @property
-    def error(self) -> float:
-        """Relative statistical error of the smoothed density of a voxel, in the mean."""
-        return float(1.0 / np.sqrt(_rests_on(self.counts)))
-
     def region(self, share: float = 0.95) -> Region:
         """The fewest voxels that hold a share of the samples: those of the highest density first.
 
@@ -238,12 +233,11 @@ class Density:
 
 
 class Checked(NamedTuple):
-    """A table, its points in the base (N, 3), whether they were measured (N,), and where they are predicted."""
+    """A table, its points in the base (N, 3), and whether they were measured (N,)."""
 
     rows: Measurements
     points: Array
-    measured: NDArray[np.bool_]
-    predicted: Array
+    measured: Mask
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -395,11 +389,7 @@ def read_rows(
     columns: Mapping[str, str] | None = None,
     kind: str | None = None,
 ) -> Measurements:
-    """A table whose positions may be missing: a list of poses, or a plan that is not filled in.
-
-    Raises:
-        MeasurementError: The table cannot be read, or lacks a joint.
-    """
+    """A table whose positions may be missing: a list of poses, or a plan that is not filled in."""
     table = Table.read(path)
     named, _ = name_columns(table, (), columns or {})
     cells = [table.column(named[name]) for name in POINT if name in named]
@@ -411,8 +401,14 @@ def read_rows(
 
 
 def row_points(robot: Robot, rows: Measurements, cell: Cell, target: Array) -> tuple[Array, Mask]:
-    """Where the target was, shape (N, 3), in the base frame [m], and whether that was measured, shape (N,)."""
-    measured, points = rows.positions.copy(), predicted_points(robot, rows, cell, target).copy()
+    """Where the target was, shape (N, 3), in the base frame [m], and whether that was measured, shape (N,).
+
+    Else it is where the nominal robot puts it.
+    """
+    T_base_tip = robot.poses(rows.joints_for(robot.joint_names))
+    at = np.array([cell.targets.get(name, target) for name in rows.targets]).reshape(-1, 3)
+    points = np.einsum("nij,nj->ni", T_base_tip[:, :3, :3], at) + T_base_tip[:, :3, 3]
+    measured = rows.positions.copy()
     for i in np.flatnonzero(measured):
         T_frame_base = cell.frames.get(rows.groups[i], cell.T_frame_base)
         if T_frame_base is None and cell.estimate_frame:
@@ -420,11 +416,4 @@ def row_points(robot: Robot, rows: Measurements, cell: Cell, target: Array) -> t
             continue
         T_base_frame = np.eye(4) if T_frame_base is None else rigid_inverse(T_frame_base)
         points[i] = T_base_frame[:3, :3] @ rows.points[i] + T_base_frame[:3, 3]
-    return read_only(points), measured
-
-
-def predicted_points(robot: Robot, rows: Measurements, cell: Cell, target: Array) -> Array:
-    """Where the nominal robot puts the target of each row, shape (N, 3), in the base frame [m]."""
-    T_base_tip = robot.poses(rows.joints_for(robot.joint_names))
-    at = np.array([cell.targets.get(name, target) for name in rows.targets]).reshape(-1, 3)
-    return read_only(np.einsum("nij,nj->ni", T_base_tip[:, :3, :3], at) + T_base_tip[:, :3, 3])
+    return points, measured

@@ -1,21 +1,27 @@
-"""What ``calib plan`` prints: candidates, forecast, how many poses pay, the way."""
+"""What ``calib plan`` and ``calib workspace`` print."""
 
 from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
-from calib.text.lines import fill
+import numpy as np
+
+from calib.robot.readback import range_text
+from calib.text.lines import fill, row_ranges
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from numpy.typing import NDArray
+
     from calib.design.candidates import Code, Note
     from calib.design.forecast import Forecast
-    from calib.design.plan import Plan, Taken
+    from calib.design.plan import Plan
+    from calib.design.workspace import Checked, RegionView
 
 #: Five more poses that gain less than this part of the error hardly pay.
 _PAYS, _FIVE = 0.05, 5
@@ -59,12 +65,7 @@ _NOTES: dict[Code, str] = {
 def plan_text(plan: Plan) -> str:
     """The text of a plan."""
     notes = [f"Note: {note}" for note in (*map(note_text, plan.notes), *_blocked(plan))]
-    paragraphs = (_head(plan), _forecasts(plan), _ladder(plan), _travel(plan), notes)
-    return "\n\n".join(
-        "\n".join(line if line.startswith("  ") else fill(line) for line in lines)
-        for lines in map(list, paragraphs)
-        if lines
-    )
+    return _paragraphs(_head(plan), _forecasts(plan), _ladder(plan), _travel(plan), notes)
 
 
 def note_text(note: Note) -> str:
@@ -76,26 +77,26 @@ def note_text(note: Note) -> str:
     return _NOTES[note.code].format(", ".join(map(str, note.values)))
 
 
-def next_text(plan: Plan, robot: str, output: Path | None, taken: Taken | None) -> str:
+def next_text(plan: Plan, robot: str, output: Path | None, taken: str | None) -> str:
     """What to do next with the robot as it was named, the table of the plan and that of the poses taken."""
     if output is None:
         return "No table was written; add -o plan.csv to write it."
-    fit = [
-        "calib",
-        "calibrate",
-        robot,
-        str(taken.source if taken else output),
-        "-o",
-        "corrected.urdf",
-    ]
+    fit = ["calib", "calibrate", robot, taken or str(output), "-o", "corrected.urdf"]
     fit += ["--base", plan.robot.base, "--tip", plan.robot.tip]
-    steps = [
-        f"Drive the {len(plan.joints)} poses of {output} from top to bottom, and measure at each.",
-        "Write what was measured into the empty columns, or name the points as in the column 'point'"
-        + (f", and add the rows to {taken.source}." if taken else " (--points tracker.txt)."),
-    ]
-    lines = [fill(f"{k}. {step}", "  ", "   ") for k, step in enumerate(steps, 1)]
-    return "\n".join(["Next:", *lines, f"  3. {shlex.join(fit)}"])
+    into = f", and add the rows to {taken}" if taken else ""
+    steps = (
+        f"Next: drive the poses of {output} from top to bottom and fill in what was measured{into}:"
+    )
+    return f"{fill(steps)}\n  {shlex.join(fit)}"
+
+
+def _paragraphs(*paragraphs: Iterable[str]) -> str:
+    """Paragraphs of lines, an empty one between; an indented line stays as it is."""
+    return "\n\n".join(
+        "\n".join(line if line.startswith("  ") else fill(line) for line in lines)
+        for lines in map(list, paragraphs)
+        if lines
+    )
 
 
 def _mm(value: float) -> str:
@@ -113,19 +114,16 @@ def _head(plan: Plan) -> Iterator[str]:
         f"with{taken}, {len(plan.joints) - count} to validate with; targets at each: {', '.join(plan.targets)}."
     )
     auto = ", for 'auto'" if plan.cell.model != plan.model else ""
+    yield f"  criterion      {_CRITERIA[plan.request.criterion]}"
+    yield (
+        f"  error model    {plan.model}{auto}: {f.columns} parameters, rank {f.rank} (whole workspace "
+        f"{f.workspace_rank})"
+    )
     indices = ", ".join(f"{name} {value:.3g}" for name, value in f.indices.items())
+    yield f"  observability  {indices} (1 mm, 1 mrad)"
+    yield f"  candidates     {plan.candidates} of {plan.drawn} drawn"
     refused = ", ".join(f"{n} {_REASONS[why]}" for why, n in plan.refused.items() if n)
-    for label, value in (
-        ("criterion", _CRITERIA[plan.request.criterion]),
-        (
-            "error model",
-            f"{plan.model}{auto}: {f.columns} parameters, rank {f.rank} (whole workspace {f.workspace_rank})",
-        ),
-        ("observability", f"{indices} (1 mm, 1 mrad)"),
-        ("candidates", f"{plan.candidates} of {plan.drawn} drawn"),
-        ("refused", refused or "none"),
-    ):
-        yield f"  {label:<15}{value}"
+    yield f"  refused        {refused or 'none'}"
 
 
 def _forecasts(plan: Plan) -> Iterator[str]:
@@ -183,19 +181,96 @@ def _travel(plan: Plan) -> Iterator[str]:
 
 def _blocked(plan: Plan) -> Iterator[str]:
     """Moves whose straight way collides, each with a pose to drive by, if one was found."""
-    k = len(plan.targets)
-    units = [
-        (1e3, "mm") if j.type == "prismatic" else (180 / math.pi, "deg") for j in plan.robot.inputs
-    ]
-    named = []
+    k, named = len(plan.targets), []
     for one in plan.blocked[:_NAMED]:
-        by = [] if one.by is None else zip(one.by, units, strict=True)
-        drive = ", ".join(f"{scale * v:.1f} {unit}" for v, (scale, unit) in by)
+        by = () if one.by is None else zip(plan.robot.inputs, one.by, strict=True)
+        drive = ", ".join(
+            f"{1e3 * v:.1f} mm" if joint.type == "prismatic" else f"{math.degrees(v):.1f} deg"
+            for joint, v in by
+        )
         start = f"row {k * (one.start - 1) + 1}" if one.start else "the start"
         named.append(
             f"{start} to row {k * (one.end - 1) + 1}" + f" (drive by {drive})" * bool(drive)
         )
     if named:
-        rest = len(plan.blocked) - len(named)
-        more = f" and {rest} more" if rest else ""
+        more = f" and {len(plan.blocked) - _NAMED} more" if len(plan.blocked) > _NAMED else ""
         yield f"The straight way in joint space collides from {', '.join(named)}{more}."
+
+
+# The workspace
+
+
+def workspace_text(
+    view: RegionView, origin: str, seed: int, reach: float, *, every_row: bool
+) -> str:
+    """The text of a region.
+
+    ``origin`` is what the ranges are taken from, empty for the limits; ``reach`` the largest distance of the target
+    from the base's origin [m]; with ``every_row`` each row of the table has a line.
+    """
+    rows = [] if view.checked is None else _row_lines(view, view.checked, every_row=every_row)
+    return _paragraphs(_joints(view, origin), _region(view, seed, reach), rows)
+
+
+def _joints(view: RegionView, origin: str) -> Iterator[str]:
+    """The robot, its target and the ranges of its joints."""
+    robot, at = view.robot, " ".join(f"{1e3 * value:.6g}" for value in view.target)
+    yield (
+        f"Robot '{robot.name}', base '{robot.base}', tip '{robot.tip}', target at {at} mm in the tip."
+    )
+    yield f"  {'joint':<32}range"
+    for name, ends in zip(robot.joint_names, view.ranges, strict=True):
+        yield f"  {name:<31} {range_text(robot, name, ends)}"
+    if origin:
+        yield fill(f"Ranges of {origin}.", "  ")
+
+
+def _region(view: RegionView, seed: int, reach: float) -> Iterator[str]:
+    """Extent, region, voxels."""
+    density, region = view.density, view.region
+    voxels, reached = np.count_nonzero(region.cells), np.count_nonzero(density.counts)
+    yield (
+        f"The smallest region that holds {100 * region.held:.4g} % of the target's positions, in the frame of "
+        f"'{view.robot.base}':"
+    )
+    yield f"  samples     {density.samples:,} (seed {seed})"
+    yield f"  workspace   {_extent(density.extent)}"
+    yield f"  reach       {1e3 * reach:.0f} mm from the base's origin"
+    yield f"  region      {_extent(region.bounds)}"
+    yield (
+        f"  volume      {1e3 * region.volume:,.4g} litres, {voxels:,} of {reached:,} reached voxels"
+    )
+    yield f"  voxel       {1e3 * density.voxel:g} mm"
+
+
+def _extent(ends: NDArray[np.float64]) -> str:
+    """A box in mm."""
+    mm = np.round(1e3 * ends) + 0.0
+    return ", ".join(f"{a} {mm[0, k]:.0f} to {mm[1, k]:.0f}" for k, a in enumerate("xyz")) + " mm"
+
+
+def _row_lines(view: RegionView, checked: Checked, *, every_row: bool) -> Iterator[str]:
+    """Which rows lie inside; a line for each if wanted."""
+    rows, points, measured = checked
+    inside = view.region.contains(points)
+    yield f"Targets of {rows.source}, {sum(measured)} measured, {sum(~measured)} predicted:"
+    if every_row:
+        yield (
+            f"  {'row':>6}  {'set':<10}{'x':>9}{'y':>9}{'z [mm]':>9}   {'region':<9}{'border [mm]':>11}"
+            f"{'within densest':>18}"
+        )
+        depth, needed = view.region.depth(points), view.density.share_of(points)
+        for i, word in enumerate(rows.sets):
+            x, y, z = (f"{1e3 * value:9.1f}" for value in points[i])
+            often = f"{100 * needed[i]:.1f} %" if np.isfinite(needed[i]) else "not reached"
+            yield (
+                f"  {rows.rows[i]:>6}  {word:<10}{x}{y}{z}   {'inside' if inside[i] else 'OUTSIDE':<9}"
+                f"{1e3 * abs(depth[i]):>11.0f}{often:>18}"
+            )
+    for word, chosen in (("estimation", rows.estimation), ("validation", rows.validation)):
+        if chosen.any():
+            outside = row_ranges(rows.rows[i] for i in np.flatnonzero(chosen & ~inside))
+            many = f"{np.count_nonzero(chosen & inside)} of {np.count_nonzero(chosen)} {word} rows"
+            yield fill(
+                f"{many} lie in the region" + f"; outside: {outside}" * bool(outside) + ".", "  "
+            )

@@ -64,7 +64,7 @@ def test_from_plan_to_fit(call, shop: Path):
     assert (done.code, done.err) == (0, "")
     assert "Written: plan.csv\n" in done.out
     assert (
-        "  3. calib calibrate robot.urdf plan.csv -o corrected.urdf --base base --tip tool0"
+        "  calib calibrate robot.urdf plan.csv -o corrected.urdf --base base --tip tool0"
         in done.out
     )
     fill_in(shop / "plan.csv", 14)
@@ -78,7 +78,7 @@ def test_which_five_next(call, shop: Path):
     five = ("--taken", "data.csv", "--count", "5", "--validation", "0")
     done = call(shop, *SMALL, *five, "-o", "next.csv", "--json", "next.json")
     assert (done.code, done.err) == (0, "")
-    assert "add the rows to data.csv." in " ".join(done.out.split())
+    assert "add the rows to data.csv:" in " ".join(done.out.split())
     table = json.loads((shop / "next.json").read_text(encoding="utf-8"))
     assert table["asked"]["taken"] == 30
     assert table["forecast"]["poses"] == 35

@@ -35,7 +35,7 @@ def region(density):
 
 @pytest.fixture(scope="module")
 def view(ur3, rows, density, region):
-    checked = Checked(rows, rows.points, np.ones(len(rows), dtype=bool), rows.points)
+    checked = Checked(rows, rows.points, np.ones(len(rows), dtype=bool))
     return RegionView(ur3, np.zeros(3), np.zeros((6, 2)), density, region, checked)
 
 

@@ -24,7 +24,7 @@ def view(ur3):
     ranges = joint_ranges(ur3, like=q[rows.estimation], margin=np.radians(5.0))
     target = np.array(example.PAPER_TARGET)
     density = Density.of(workspace(ur3, target, ranges, 2**16))
-    checked = Checked(rows, rows.points, np.ones(len(rows), dtype=bool), rows.points)
+    checked = Checked(rows, rows.points, np.ones(len(rows), dtype=bool))
     return RegionView(ur3, target, ranges, density, density.region(0.95), checked)
 
 

@@ -106,5 +106,6 @@ def plan(
         plan_page(made).write(view, overwrite=force)
     if not quiet:
         written = [f"Written: {path}" for path in (output, json, view) if path is not None]
-        following = next_text(made, robot, output, before)
+        source = None if before is None else before.source
+        following = next_text(made, robot, output, source)
         typer.echo("\n".join([plan_text(made), "", *written, following]))

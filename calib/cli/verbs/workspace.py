@@ -61,7 +61,6 @@ def workspace(
         Checked,
         Density,
         RegionView,
-        predicted_points,
         read_rows,
         row_points,
         workspace as sample,
@@ -69,7 +68,7 @@ def workspace(
     )
     from calib.robot.readback import joint_ranges
     from calib.robot.robot import Robot
-    from calib.text.workspace import text
+    from calib.text.plan import workspace_text
 
     tables = [path for path in (like, check) if path is not None]
     inputs: list[str | Path] = [robot, *tables, *filter(None, [setup.cell])]
@@ -94,8 +93,7 @@ def workspace(
         points = sample(arm, point, ends, samples, seed, progress)
     density, checked = Density.of(points, edge), None
     if (path := check or like) is not None:
-        places = row_points(arm, rows[path], cell, point)
-        checked = Checked(rows[path], *places, predicted_points(arm, rows[path], cell, point))
+        checked = Checked(rows[path], *row_points(arm, rows[path], cell, point))
     found = RegionView(arm, point, ends, density, density.region(share), checked)
     if output is not None:
         write_region(found, output, seed, overwrite=force)
@@ -109,7 +107,6 @@ def workspace(
         return
     origin = "" if like is None else f"the estimation rows of {like.name}, {margin} wider"
     reach = float(np.linalg.norm(points, axis=1).max())
-    lines = [text(found, origin, seed, reach, every_row=check is not None), ""]
+    lines = [workspace_text(found, origin, seed, reach, every_row=check is not None), ""]
     lines += [f"Written: {path}" for path in (output, picture, view) if path is not None]
-    region = "-o region.json" if output is None else f"calib plan ... --region {output}"
-    typer.echo("\n".join([*lines, f"Next:  {region}, with the same robot, base, tip and target."]))
+    typer.echo("\n".join(lines))
