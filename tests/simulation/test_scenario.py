@@ -42,5 +42,5 @@ def test_random_poses_lie_inside_the_limits_or_the_cell_s_ranges(ur3):
     assert not np.allclose(scenario.random_poses(20, 1, validation=True), q[:20])
     q = Scenario(ur3, Cell(ranges={"elbow_joint": (0.1, 0.2)})).random_poses(100, 1)
     assert ((q[:, 2] >= 0.1) & (q[:, 2] <= 0.2)).all()
-    with pytest.raises(CalibError, match="joint 'elbow', which does not move the chain"):
+    with pytest.raises(CalibError, match="'elbow'"):
         Scenario(ur3, Cell(ranges={"elbow": (0.1, 0.2)})).random_poses(3, 1)

@@ -8,7 +8,7 @@ import pytest
 from calib.data.cell import Cell
 from calib.data.surroundings import Tracker, TrackerNoise
 from calib.errors import CalibError
-from calib.simulation.scenario_file import (
+from calib.simulation.files import (
     KEYS,
     Words,
     noise_of,

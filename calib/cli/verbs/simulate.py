@@ -84,9 +84,8 @@ def simulate(
         from calib.design.plan import read_pose_list
         from calib.result.calibration_file import write_table
         from calib.simulation import study as studies
+        from calib.simulation.files import Words, read_scenario, write_true_urdf, write_truth
         from calib.simulation.scenario import simulate as simulated
-        from calib.simulation.scenario_file import Words, read_scenario
-        from calib.simulation.truth_file import write_simulated
         from calib.text import simulation as text
 
         cell = read_cell(**asdict(setup))
@@ -98,7 +97,10 @@ def simulate(
         if study is None:
             assert output is not None and truth is not None  # noqa: PT018
             made = simulated(scenario, count, extra, seed, given, sets)
-            written = write_simulated(scenario, made, output, truth, truth_urdf, overwrite=force)
+            made.measurements.write(output, overwrite=force)
+            written = [output, write_truth(scenario, made, truth, overwrite=force)]
+            if truth_urdf is not None:
+                written.append(write_true_urdf(made.truth, truth_urdf, overwrite=force))
             said = text.simulated_text(scenario, made)
         else:
             # The fit knows what a person would tell it, and not what the robot is wrong in.

@@ -11,9 +11,9 @@ import pytest
 from calib.data.cell import Cell
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import Payload, gravity_load
+from calib.simulation.files import SCHEMA, write_truth
 from calib.simulation.scenario import Scenario
 from calib.simulation.truth import Encoder, MovedTarget, Outliers, tracker_pose
-from calib.simulation.truth_file import SCHEMA, write_truth
 
 MANY = "placement+gain+eccentricity+compliance"
 FRAMES = {n: tracker_pose((2, y, 0), np.random.default_rng(1)) for n, y in (("a", 1), ("b", -1))}
