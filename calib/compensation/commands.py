@@ -17,9 +17,9 @@ import csv
 import io
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -38,7 +38,6 @@ from calib.compensation.inverse import (
 )
 from calib.compensation.nominal_actual import Pair, pair_of
 from calib.compensation.program import CORRECTION, Program
-from calib.compensation.warnings import Attempt, Finding, reasons_of, warnings_of
 from calib.data.checks import to_quaternions
 from calib.data.table import POINT, QUATERNION, ROLL_PITCH_YAW, ROTATION_VECTOR, STATUS
 from calib.errors import ModelError, choices
@@ -49,17 +48,39 @@ from calib.robot.robot import Payload, Robot, read_only, rigid_inverse
 
 Array = NDArray[np.float64]
 
-#: A pose that the nominal robot misses by more is matched in part [m].
-_LOST = 1e-6
+Mask = NDArray[np.bool_]
 
-#: Less than this is rounding [m], [rad].
-_EXACT = 1e-9
+Code = Literal[
+    "unreachable",
+    "beyond limit",
+    "other branch",
+    "near singularity",
+    "large pose correction",
+    "large joint correction",
+    "jump",
+    "ambiguous pose",
+    "outside measured range",
+]
+"""The first three are reasons why a row has no command, the others warnings; docs/compensation.md says what to do."""
+
+#: A pose that the nominal robot misses by more is matched in part [m]; it is not reached at all [m], [rad].
+_LOST, _NOMINAL = 1e-6, (1e-6, 1e-6)
+
+#: Less than this is rounding [m], [rad]; below the second there is nothing to correct [m].
+_EXACT, _ENOUGH = 1e-9, 1e-12
 
 #: The nominal robot differs from the actual one by a hundredth at most, so that each time two digits are won.
 _TIMES = 6
 
-#: The length that an angle weighs as with another controller; below the second there is nothing to correct [m].
-_SHORT, _ENOUGH = 0.01, 1e-12
+#: Near a singularity: the smallest singular value of the tool's motion, lengths in units of the arm's reach.
+_NEAR_SINGULAR = 0.01
+
+#: Corrections that are larger than real arms need: of a joint [rad], [m], and of the pose to send [m], [rad].
+_JOINT_LIMIT, _POSE_LIMIT = (np.radians(5.0), 0.02), (0.01, np.radians(2.0))
+
+#: A jump: joints move from row to row by this more than the nominal ones [rad or m] and by this factor, or further than
+#: the third between poses that are nearer than the last to each other (a share of the reach, and [rad]).
+_STEP_MORE, _STEP_FACTOR, _TURNED_OVER, _CLOSE = np.radians(2.0), 1.5, 0.5, (0.1, 0.3)
 
 #: The units of a table: symbol, how many are one in SI units, decimals. Angles are exact to 1e-11 rad, lengths to
 #: 1e-9 m, on any arm far below what a controller resolves.
@@ -72,43 +93,42 @@ _DEG, _RAD, _MM, _PLAIN = (
 )
 
 
+class Finding(NamedTuple):
+    """What to know of a row."""
+
+    code: Code
+    numbers: tuple[float, ...] = ()
+    """"unreachable", "large pose correction", "ambiguous pose": position [m] and angle [rad], NaN where it is not
+    matched; "beyond limit": value and limit; "near singularity": what 1 mm of the tool takes of the joint; else how far
+    the joint moves, or is away [rad or m]."""
+    joint: str = ""  #: The joint that it is about.
+    row: str = ""  #: The other row that it is about.
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Commands:
-    """What to command so that the true robot does what a program wants; rows that cannot be reached are NaN.
+    """What to command so that the true robot does what a program wants; rows that cannot be reached are NaN."""
 
-    Attributes:
-        pair: The robot as its controller has it and the actual one, their tools, and the frame of the poses.
-        program: What was asked for.
-        match: What of the poses is reached, one of `calib.compensation.inverse.MATCHES`.
-        T_wanted: shape (N, 4, 4), pose of the tool that is wanted, in the frame of the poses [m]; where only its
-            position was given, oriented as the nominal robot's is.
-        q_nominal: shape (N, m), joint values that the nominal model has for it [rad] or [m].
-        q: shape (N, m), joint values to command [rad] or [m].
-        T_send: shape (N, 4, 4), pose to send to a controller with the nominal model, in that frame [m].
-        missed: shape (N, 2), how far the true robot would miss at ``q_nominal``, as the calibrated model predicts:
-            position [m], angle [rad]. Of the position alone the angle is NaN.
-        left: shape (N, 2), how far it misses at ``q`` [m], [rad]: what cannot be reached.
-        left_by_pose: shape (N, 2), how far it misses if ``T_send`` is sent, to a controller that stays near
-            ``q_nominal`` [m], [rad].
-        std: shape (N, 2), standard deviation of where the true robot arrives, by the covariance of the geometry:
-            position [m], angle [rad]. NaN where nothing is known, as of two robots without a result.
-        reasons: Why a row has no command; None where it has one.
-        warnings: For each row what to know of its command; mostly nothing.
-    """
-
-    pair: Pair
-    program: Program
-    match: str
+    pair: Pair  #: The robot as its controller has it and the actual one, their tools, the frame of the poses.
+    program: Program  #: What was asked for.
+    match: str  #: What of the poses is reached, one of `calib.compensation.inverse.MATCHES`.
     T_wanted: Array
-    q_nominal: Array
-    q: Array
-    T_send: Array
+    """shape (N, 4, 4), pose of the tool that is wanted, in the frame of the poses [m]; where only its position was
+    given, oriented as the nominal robot's is."""
+    q_nominal: Array  #: shape (N, m), joint values that the nominal model has for it [rad] or [m].
+    q: Array  #: shape (N, m), joint values to command [rad] or [m].
+    T_send: Array  #: shape (N, 4, 4), pose to send to a controller with the nominal model [m].
     missed: Array
-    left: Array
+    """shape (N, 2), how far the true robot would miss at ``q_nominal``, as the calibrated model predicts: position
+    [m], angle [rad]. Of the position alone the angle is NaN."""
+    left: Array  #: shape (N, 2), how far it misses at ``q`` [m], [rad]: what cannot be reached.
     left_by_pose: Array
+    """shape (N, 2), how far it misses if ``T_send`` is sent, to a controller that stays near ``q_nominal``."""
     std: Array
-    reasons: tuple[Finding | None, ...]
-    warnings: tuple[tuple[Finding, ...], ...]
+    """shape (N, 2), standard deviation of where the true robot arrives, by the covariance of the geometry: position
+    [m], angle [rad]; NaN of two robots without a result."""
+    reasons: tuple[Finding | None, ...]  #: Why a row has no command; None where it has one.
+    warnings: tuple[tuple[Finding, ...], ...]  #: For each row what to know of its command.
 
     def __len__(self) -> int:
         """Number of rows."""
@@ -170,10 +190,6 @@ def compensate(
             f"The program has {program.q.shape[1]} joint values in each row; '{robot.name}' has {count} joints from "
             f"'{robot.base}' to '{robot.tip}': {choices(robot.joint_names)}."
         )
-    if not all(size >= 0.0 for size in accept):  # NaN is not, infinity is
-        raise ModelError(
-            f"The accepted error is {accept[0]} m and {accept[1]} rad; give 0 or more."
-        )
     accept = (max(accept[0], _EXACT), max(accept[1], _EXACT))
     usual = POSE if count >= 6 else AXIS if count == 5 else POSITION
     # Where all is reached the length that weighs an angle is one of scale: the arm's own.
@@ -182,11 +198,11 @@ def compensate(
     solved = solve(pair.actual, T_wanted, starts.q, matching, column_limits(robot))
     T_send, left_by_pose = _poses_to_send(pair, T_wanted, starts, solved, matching)
     before = Solved(starts.q, *pair.actual.motion(starts.q))
-    found = Attempt(pair, program, matching, T_wanted, starts, before, solved, left_by_pose)
-    reasons = reasons_of(found, accept)
+    left = matching.misses(solved.T_base_tool, T_wanted)
+    reasons = _reasons(pair, matching, before, solved, ~_within(left, accept), left)
     reached = np.array([reason is None for reason in reasons])
-    nominal_reaches = found.nominal_reaches
-    return Commands(
+    nominal_reaches = _within(matching.misses(starts.T_base_tool, T_wanted), _NOMINAL)
+    commands = Commands(
         pair=pair,
         program=program,
         match=matching.name,
@@ -194,13 +210,19 @@ def compensate(
         q_nominal=_where(nominal_reaches, starts.q),
         q=_where(reached, solved.q),
         T_send=_where(reached, pair.T_frame_base @ T_send),
-        missed=_where(nominal_reaches, found.misses(before)),
-        left=read_only(found.misses(solved)),
+        missed=_where(nominal_reaches, matching.misses(before.T_base_tool, T_wanted)),
+        left=read_only(left),
         left_by_pose=_where(reached, left_by_pose),
         std=_where(reached, pair.std(solved.q)),
         reasons=tuple(reasons),
-        warnings=warnings_of(found, reached, accept),
+        warnings=((),) * len(reasons),
     )
+    return replace(commands, warnings=_warnings(commands, accept))
+
+
+def _within(misses: Array, allowed: tuple[float, float]) -> Mask:
+    """Which misses (N, 2) [m], [rad] are small enough; an angle that is not matched is."""
+    return np.asarray((misses[:, 0] <= allowed[0]) & ~(misses[:, 1] > allowed[1]))
 
 
 def _nominal(pair: Pair, program: Program, matching: Matching) -> tuple[Array, Solved]:
@@ -245,7 +267,7 @@ def _poses_to_send(
 
         T_send <- T_send exp(e),   e: what the actual robot still misses, along the tool's axes
     """
-    controller, another = (Matching(POSE, length) for length in (pair.reach, _SHORT))
+    controller = Matching(POSE, pair.reach)
     limits = column_limits(pair.nominal.robot)
     T_send = pair.nominal.poses(solved.q)
     arrived = np.empty_like(T_send)
@@ -263,15 +285,83 @@ def _poses_to_send(
         twists[:, :3] = error[worth, :3]
         twists[:, 3 : error.shape[1]] = error[worth, 3:] / matching.length
         T_send[rows] = T_send[rows] @ [pin.exp6(twist).homogeneous for twist in twists]
-    # Next to a singularity it is up to the controller where it ends: one that weighs angles otherwise may differ.
-    q = solve(pair.nominal, T_send, starts.q, another, limits).q
-    misses = (matching.misses(T, T_wanted) for T in (arrived, pair.actual.poses(q)))
-    return T_send, read_only(np.maximum(*misses))
+    return T_send, matching.misses(arrived, T_wanted)
 
 
 def _where(there: NDArray[np.bool_], values: Array) -> Array:
     """The values of some rows, the others NaN; read-only."""
     return read_only(np.where(there.reshape(-1, *[1] * (values.ndim - 1)), values, np.nan))
+
+
+def _reasons(
+    pair: Pair, matching: Matching, before: Solved, solved: Solved, far: Mask, left: Array
+) -> list[Finding | None]:
+    """For each row why it has no command: it lies in another branch, beyond a limit, or too ``far`` from its pose."""
+    robot = pair.actual.robot
+    low, high = column_limits(robot).T
+    found: list[Finding | None] = [None] * len(left)
+    if len(robot.joint_names) == matching.rows:
+        # The determinant has turned its sign: a singularity was passed on the way.
+        signs = [np.linalg.slogdet(matching.jacobian(one.twists))[0] for one in (before, solved)]
+        for row in np.flatnonzero(signs[0] * signs[1] < 0):
+            found[row] = Finding("other branch")
+    beyond = np.maximum(low - solved.q, solved.q - high)
+    for row in np.flatnonzero(beyond.max(axis=1) > _EXACT):
+        joint = int(np.argmax(beyond[row]))
+        value = float(solved.q[row, joint])
+        bound = float(low[joint] if value < low[joint] else high[joint])
+        found[row] = Finding("beyond limit", (value, bound), robot.joint_names[joint])
+    for row in np.flatnonzero(far):
+        found[row] = Finding("unreachable", tuple(left[row].tolist()))
+    return found
+
+
+def _warnings(commands: Commands, accept: tuple[float, float]) -> tuple[tuple[Finding, ...], ...]:
+    """For each row that is reached what to know of its command; ``accept``: the error that may be left [m], [rad]."""
+    pair, program, robot = commands.pair, commands.program, commands.nominal
+    rows = np.flatnonzero(commands.reached)
+    q, q_nominal = commands.q[rows], commands.q_nominal[rows]
+    found: list[list[Finding]] = [[] for _ in program.labels]
+    if not len(rows):
+        return tuple(map(tuple, found))
+
+    def say(code: Code, which: Mask, sizes: Array, before: Sequence[str] = ()) -> None:
+        """A warning of some rows: with both numbers of poses (2 columns), else with the joint of the largest."""
+        for i in np.flatnonzero(which).tolist():
+            numbers, name = sizes[i], ""
+            if code not in ("large pose correction", "ambiguous pose"):
+                joint = int(np.argmax(numbers))
+                numbers, name = numbers[[joint]], robot.joint_names[joint]
+            other = before[i] if before else ""
+            found[rows[i]].append(Finding(code, tuple(numbers.tolist()), name, other))
+
+    motion = Matching(commands.match, 1.0).jacobian(pair.actual.motion(q)[1])
+    worst = 1e-3 * np.linalg.norm(np.linalg.pinv(motion, rcond=1e-12)[:, :, :3], axis=2)
+    motion[:, :3] /= pair.reach
+    smallest = np.linalg.svd(motion, compute_uv=False)[:, -1]
+    say("near singularity", smallest < _NEAR_SINGULAR, worst)
+    moved = commands.pose_corrections[rows]
+    say("large pose correction", ~_within(moved, _POSE_LIMIT), moved)
+    changes = np.abs(q - q_nominal)
+    slides = [robot.joint_types[name] == "prismatic" for name in robot.joint_names]
+    allowed = np.where(slides, *_JOINT_LIMIT[::-1])
+    say("large joint correction", np.any(changes > allowed, axis=1), changes)
+    # From the row before that has a command: others are passed over, as the robot does.
+    last = np.maximum(np.arange(len(rows)) - 1, 0)
+    planned, after = np.abs(q_nominal - q_nominal[last]), np.abs(q - q[last])
+    T = commands.T_wanted[rows]
+    close = (_CLOSE[0] * pair.reach, _CLOSE[1])
+    near = _within(Matching(POSE, 1.0).misses(T[last], T), close)
+    most = _STEP_FACTOR * planned.max(axis=1) + _STEP_MORE
+    over = (near & (planned.max(axis=1) > _TURNED_OVER)) | (after.max(axis=1) > most)
+    say("jump", over, after, [program.labels[rows[i]] for i in last])
+    by_pose, left = commands.left_by_pose[rows], commands.left[rows]
+    say("ambiguous pose", ~_within(by_pose - left, accept), by_pose)
+    for outside in [] if pair.result is None else pair.result.outside_of_measured(q):
+        for one in outside.beyond:
+            far = Finding("outside measured range", (float(one.by),), one.joint)
+            found[rows[outside.index]].append(far)
+    return tuple(map(tuple, found))
 
 
 def write_commands(

@@ -15,8 +15,7 @@ from calib.text.lines import fill
 from calib.text.verdict import reason_text
 
 if TYPE_CHECKING:
-    from calib.compensation.commands import Commands
-    from calib.compensation.warnings import Code, Finding
+    from calib.compensation.commands import Code, Commands, Finding
     from calib.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -41,14 +40,10 @@ _TEXTS: dict[Code, str] = {
     "unreachable": "the true robot cannot reach it: {0:.4f} mm, {1:.4f} deg would be left",
     "beyond limit": "'{joint}' would have to be at {0:.4f} {unit}, beyond its limit {1:.4f}",
     "other branch": "next to a singularity: the solution lies in another branch of the arm",
-    "nominal unreachable": "the nominal robot cannot reach the pose itself",
-    "error left": "an error is left: {0:.4f} mm, {1:.4f} deg",
     "near singularity": "near a singularity: 1 mm of the tool may take {0:.1f} {unit} of '{joint}'",
     "large pose correction": "the pose to send is moved by {0:.2f} mm, {1:.2f} deg",
     "large joint correction": "a joint is corrected by {0:.1f} {unit}: '{joint}'",
-    "configuration change": "another configuration: from {row}, close by, '{joint}' moves {0:.1f} {unit}",
     "jump": "a jump: from {row} '{joint}' moves {0:.1f} {unit}, much more than in the program",
-    "far from start": "far from the joint values given: '{joint}' by {0:.1f} {unit}",
     "ambiguous pose": "sent as a pose it may end {0:.3g} mm off: the controller can come to other joint values",
     "outside measured range": "outside the joint range that was measured: '{joint}' by {0:.3g} {unit}",
 }

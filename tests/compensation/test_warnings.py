@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.compensation.commands import Commands, compensate
+from calib.compensation.commands import Commands, Finding, compensate
 from calib.compensation.nominal_actual import Arm
 from calib.compensation.program import Program
-from calib.compensation.warnings import Finding
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from tests.compensation.arms import off
@@ -64,8 +63,6 @@ def test_what_is_left_may_be_accepted(ur3):
     taken = compensate(off(ur3), program, nominal=ur3, accept=(2.0 * refused.left[0, 0], 1.0))
     assert taken.reached.all()
     assert taken.left[0, 0] == refused.left[0, 0]
-    assert warned(taken, "nominal unreachable")[0]
-    assert warned(taken, "error left")[0].numbers[0] == taken.left[0, 0]
     assert np.isnan(taken.q_nominal).all()
     assert np.isfinite(taken.T_send).all()
 
@@ -112,13 +109,11 @@ def test_near_a_singularity_is_said(ur3):
     assert said[2]
     assert not any(said[10:])
     # By differences: where the tool is sent a millimetre further, in the worst direction.
-    arms = (Arm.of(ur3, np.eye(4)), q[2:3]), (Arm.of(off(ur3), np.eye(4)), found.q[2:3])
+    motion = Arm.of(off(ur3), np.eye(4)).motion(found.q[2:3])[1][0]
     directions = np.random.default_rng(0).normal(size=(6, 20000))
     directions[3:] = 0.0
     directions /= np.linalg.norm(directions, axis=0)
-    worst = max(
-        np.abs(np.linalg.solve(arm.motion(at)[1][0], 1e-3 * directions)).max() for arm, at in arms
-    )
+    worst = np.abs(np.linalg.solve(motion, 1e-3 * directions)).max()
     assert said[2].numbers[0] == pytest.approx(worst, rel=0.02)
 
 
@@ -155,7 +150,7 @@ def test_an_arm_that_turns_over_between_poses_is_said(ur3):
     start = dict(zip(ur3.joint_names, GOOD, strict=True))
     program = replace(Program.of_poses(ur3.poses(turns)), start=start)
     found = compensate(off(ur3), program, nominal=ur3)
-    words = warned(found, "configuration change")
+    words = warned(found, "jump")
     steps = np.abs(np.diff(found.q, axis=0)).max(axis=1)
     assert [bool(w) for w in words] == [False, *(steps > 0.5)]
     assert sum(map(bool, words)) == 1
@@ -173,12 +168,3 @@ def test_a_jump_is_said_also_across_rows_without_a_command(ur3):
     moved = np.abs(found.q[42] - found.q[33]).max()
     assert warned(found, "jump")[42] == ("jump", (moved,), "elbow_joint", "row 34")
     assert word.numbers[0] > np.radians(10.0)
-
-
-def test_a_solution_far_from_what_was_given_is_said(ur3):
-    poses = ur3.poses(np.tile(GOOD, (2, 1)))
-    near, far = GOOD + 0.3, GOOD + np.eye(6)[0] * 1.2
-    found = compensate(off(ur3), Program.of_poses(poses, [near, far]), nominal=ur3)
-    nothing, word = warned(found, "far from start")
-    assert nothing is None
-    assert word.joint == "shoulder_pan_joint"

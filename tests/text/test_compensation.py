@@ -7,7 +7,7 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from calib.compensation.warnings import Code, Finding
+from calib.compensation.commands import Code, Finding
 from calib.robot.robot import Robot
 from calib.text.compensation import _TEXTS, finding_text
 
@@ -19,7 +19,6 @@ from calib.text.compensation import _TEXTS, finding_text
         (Finding("unreachable", (1e-3, np.nan)), "cannot reach it: 1.0000 mm would be left"),
         (Finding("beyond limit", (np.radians(370), np.radians(360)), "elbow_joint"),
          "'elbow_joint' would have to be at 370.0000 deg, beyond its limit 360.0000"),
-        (Finding("error left", (1e-6, np.nan)), "an error is left: 0.0010 mm"),
         (Finding("jump", (np.radians(20),), "elbow_joint", "row 4"), "a jump: from row 4 'elbow_joint' moves 20.0 deg"),
     ],
 )  # fmt: skip
