@@ -31,8 +31,9 @@ from calib.data.table import (
     without_unit,
 )
 from calib.data.values import read_values
-from calib.errors import MeasurementError, ModelError, choices, did_you_mean
+from calib.errors import MeasurementError, ModelError, choices
 from calib.robot.robot import Robot, read_only
+from calib.units import Quantity
 
 Array = NDArray[np.float64]
 
@@ -49,55 +50,44 @@ CORRECTION = "correction "
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Program:
-    """N rows that a robot is to run through.
-
-    Attributes:
-        labels: What messages call each row, such as ``"row 3"``.
-        q: shape (N, m), joint values in the order of ``Robot.joint_names`` [rad] or [m]; None where only poses are
-            known. With ``T_wanted`` they are where to start looking for joint values.
-        T_wanted: shape (N, 4, 4), poses of the tool that are wanted [m]; None where they are those that the nominal
-            robot reaches at ``q``.
-        oriented: Whether ``T_wanted`` says the orientation too, or the position alone.
-        match: What of the poses is to be reached, one of `MATCHES`; None: ``"pose"``, ``"axis"`` with five joints,
-            ``"position"`` with fewer or where no orientation is given.
-        start: Joint values by name [rad] or [m] that the first of poses alone starts near; others start in mid range.
-        kept: Other columns of the table, header and cells, that go into the commands unchanged.
-        form: How the file's orientations were given; empty if there are none.
+    """N rows that a robot is to run through: joint values, poses of the tool, or both.
 
     Raises:
-        ModelError: Neither joint values nor poses, no rows, other shapes, or a number that is not finite.
+        ModelError: Neither joint values nor poses, a number or a rotation that is none, or words that do not fit.
     """
 
-    labels: tuple[str, ...]
+    labels: tuple[str, ...]  #: What messages call each row, such as ``"row 3"``.
     q: Array | None = None
+    """shape (N, m), joint values in the order of ``Robot.joint_names`` [rad] or [m]; with ``T_wanted`` those to start
+    looking for joint values at."""
     T_wanted: Array | None = None
-    oriented: bool = True
+    """shape (N, 4, 4), poses of the tool that are wanted [m]; None: those that the nominal robot reaches at ``q``."""
+    oriented: bool = True  #: Whether ``T_wanted`` says the orientation too, or the position alone.
     match: str | None = None
+    """What of the poses is to be reached, one of `MATCHES`; None: ``"pose"``, ``"axis"`` with five joints,
+    ``"position"`` with fewer or where no orientation is given."""
     start: Mapping[str, float] | None = None
-    kept: tuple[tuple[str, tuple[str, ...]], ...] = ()
-    form: str = ""
+    """Joint values by name [rad] or [m] that the first of poses alone starts near; others start in mid range."""
+    kept: tuple[tuple[str, tuple[str, ...]], ...] = ()  #: Other columns: header and cells.
+    form: str = ""  #: How the file's orientations were given; empty if there are none.
 
     def __post_init__(self) -> None:
-        """Copy the arrays and check them."""
+        """Check what a person gets wrong, and make the arrays read-only copies."""
         if not self.labels or (self.q is None and self.T_wanted is None):
             raise ModelError("A program has rows of joint values, of poses, or of both.")
-        if self.match not in (None, *(MATCHES if self.oriented else (POSITION,))):
-            known = (
-                choices(MATCHES) if self.oriented else f"'{POSITION}', as no orientation is given"
+        allowed = MATCHES if self.oriented else (POSITION,)
+        if self.match not in (None, *allowed):
+            raise ModelError(
+                f"'{self.match}' cannot be matched; this program's rows allow {choices(allowed)}."
             )
-            raise ModelError(f"'{self.match}' cannot be matched; choose {known}.")
         if self.start and self.q is not None:
             raise ModelError("Each row has joint values to start at: leave out the start.")
-        for name, rank in (("q", 2), ("T_wanted", 3)):
-            if getattr(self, name) is not None:
-                values = read_only(getattr(self, name))
-                if values.ndim != rank or len(values) != len(self):
-                    raise ModelError(f"{name} has the shape {values.shape}, for {len(self)} rows.")
-                if not np.isfinite(values).all() or (
-                    rank == 3 and no_rotation(values[:, :3, :3]).any()
-                ):
+        for name, values in (("q", self.q), ("T_wanted", self.T_wanted)):
+            if values is not None:
+                turned = values[:, :3, :3] if values.ndim == 3 else np.eye(3)[None]
+                if not np.isfinite(values).all() or no_rotation(turned).any():
                     raise ModelError(f"{name} of a program has a number or a pose that is none.")
-                object.__setattr__(self, name, values)
+                object.__setattr__(self, name, read_only(values))
 
     def __len__(self) -> int:
         """Number of rows."""
@@ -107,25 +97,20 @@ class Program:
     def of_joints(cls, q: ArrayLike) -> Program:
         """A program of joint values made for the nominal robot, shape (N, m) or (m,), [rad] or [m]."""
         values = np.atleast_2d(np.asarray(q, dtype=np.float64))
-        return cls(_counted(len(values)), q=values)
+        return cls(tuple(f"row {i + 1}" for i in range(len(values))), q=values)
 
     @classmethod
     def of_poses(cls, T_wanted: ArrayLike, q: ArrayLike | None = None) -> Program:
         """A program of poses of the tool, shape (N, 4, 4) or (4, 4), [m]; ``q`` (N, m) is where to start looking."""
         poses = np.reshape(np.asarray(T_wanted, dtype=np.float64), (-1, 4, 4))
         starts = None if q is None else np.atleast_2d(np.asarray(q, dtype=np.float64))
-        return cls(_counted(len(poses)), starts, poses)
+        return cls(tuple(f"row {i + 1}" for i in range(len(poses))), starts, poses)
 
     @classmethod
     def of_points(cls, points: ArrayLike, q: ArrayLike | None = None) -> Program:
         """A program of positions of the tool, shape (N, 3) or (3,) [m], orientation left free; ``q`` as of poses."""
-        poses = _unturned(np.reshape(np.asarray(points, dtype=np.float64), (-1, 3)))
-        return replace(cls.of_poses(poses, q), oriented=False)
-
-
-def _counted(count: int) -> tuple[str, ...]:
-    """Labels from 1."""
-    return tuple(f"row {i + 1}" for i in range(count))
+        places = np.reshape(np.asarray(points, dtype=np.float64), (-1, 3))
+        return replace(cls.of_poses(_unturned(places), q), oriented=False)
 
 
 def _unturned(points: Array) -> Array:
@@ -164,12 +149,11 @@ def read_program(
         """The columns of these names, all or none; none if no cell is filled in, as in a plan of poses."""
         own = [named[n] for n in wanted if n in named and (wanted is names or n not in names)]
         if own and len(own) < len(wanted):
-            missing = [n for n in wanted if n not in named]
-            hint = did_you_mean(missing[0], [n for n in named if n not in wanted])
+            missing = choices(n for n in wanted if n not in named)
             raise MeasurementError(
-                f"{table.source}: {choices(missing)} missing beside {choices(c.name for c in own)}{hint}. "
-                f'{list_columns(table)} Map another name with --columns "name in the table={missing[0]}", hold a joint '
-                f'that stands still with --hold, or leave out what is there with --columns "{own[0].name}=-".'
+                f"{table.source}: {missing} missing beside {choices(c.name for c in own)}. {list_columns(table)} Map "
+                'another name with --columns "name in the table=name", hold a joint that stands still with --hold, or '
+                f'leave out what is there with --columns "{own[0].name}=-".'
             )
         return tuple(own) if not rows or {column.index for column in own} & filled else ()
 
@@ -185,17 +169,15 @@ def read_program(
             f"{table.source}: the orientation is there twice, as {' and as '.join(FORMS[f] for f in forms)}. Leave "
             f'one out: --columns "{forms[1][0]}=-" and so on.'
         )
-    meant = {n for form in (POINT, *FORMS) for n in form if n not in names} | {*names, STATUS}
-    used = {column.index for name, column in named.items() if name in meant}
-    # A column without a name is kept if anything stands in it: separators at the end of each line are none.
-    unread = {column.index for column in named.values()} - used
-    unread |= {i for i, label in enumerate(table.header) if not label and i in filled}
     form = forms[0] if forms and points else ()
-    numbered = named.get("row")
-    labels = [] if numbered is None else [row.cells[numbered.index] for row in rows]
-    if not labels or len(set(labels)) < len(labels) or "" in labels:
-        labels = [str(row.ordinal) for row in rows]
     q, T_wanted = _numbers(table, robot, joints, points, tuple(named[name] for name in form))
+    meant = {n for one in (POINT, *FORMS) for n in one if n not in names} | {*names, STATUS}
+    # A column without a name is kept if anything stands in it: separators at the end of each line are none.
+    unread = {column.index for name, column in named.items() if name not in meant}
+    unread |= {i for i, label in enumerate(table.header) if not label and i in filled}
+    labels = table.column(named["row"]) if "row" in named else []
+    if len(set(labels)) < len(rows) or "" in labels:
+        labels = [str(row.ordinal) for row in rows]
     return Program(
         labels=tuple(f"row {label}" for label in labels),
         q=q,
@@ -223,19 +205,18 @@ def _numbers(
     else:
         common = "deg" if by_angles else "rad"
         turns = tuple(with_unit(table, c, "angle", FORMS[form], common) for c in turns)
-    own = []
+    angles: list[Column] = []
     for column in joints:
         kind = robot.joint_types[column.name]
-        quantity = "length" if kind == "prismatic" else "angle"
-        own.append(with_unit(table, column, quantity, f"{kind} joint '{column.name}'"))  # type: ignore[arg-type]
-    blocks = {
-        "joints": (*own, *(turns if by_angles else ())),
+        quantity: Quantity = "length" if kind == "prismatic" else "angle"
+        angles.append(with_unit(table, column, quantity, f"{kind} joint '{column.name}'"))
+    blocks: dict[str, tuple[Column, ...]] = {
+        "joints": (*angles, *(turns if by_angles else ())),
         "points": tuple(with_unit(table, column, "length") for column in points),
         "orientation": () if by_angles else turns,
     }
     kind = "fixed" if not points else "pose" if blocks["orientation"] else "point"
-    empty = dict.fromkeys(("torques", "distance", "sigma", "sigma_angle"), ())
-    values = read_values(table, Layout({}, (), {**empty, **blocks}, (kind,), ()))
+    values = read_values(table, Layout({}, (), blocks, (kind,), ()))
     if values.unmeasured:
         raise MeasurementError(
             f"{table.source}, row {values.unmeasured[0]}: there is no position, all its cells are empty, while other "
@@ -243,8 +224,8 @@ def _numbers(
         )
     poses = _unturned(values.points) if points else None
     if poses is not None and by_angles:
-        angles = values.joints[:, len(joints) :]
-        poses[:, :3, :3] = Rotation.from_euler("xyz", angles).as_matrix()
+        turned = values.joints[:, len(joints) :]
+        poses[:, :3, :3] = Rotation.from_euler("xyz", turned).as_matrix()
     elif poses is not None and values.rotations is not None:
         poses[:, :3, :3] = values.rotations
     return values.joints[:, : len(joints)] if joints else None, poses

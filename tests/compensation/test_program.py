@@ -20,10 +20,9 @@ from calib.robot.robot import Robot
     ("make", "said"),
     [
         (lambda: Program(("row 1",)), "joint values, of poses, or of both"),
-        (lambda: Program(("row 1",), q=np.zeros((2, 2))), r"q has the shape \(2, 2\)"),
         (lambda: Program.of_joints([[0.0, np.nan]]), "q of a program"),
         (lambda: Program.of_poses([np.eye(4), 2.0 * np.eye(4)]), "T_wanted of a program"),
-        (lambda: replace(Program.of_points(np.ones(3)), match="pose"), "no orientation is given"),
+        (lambda: replace(Program.of_points(np.ones(3)), match="pose"), "cannot be matched"),
         (lambda: replace(Program.of_joints([0.0]), start={"a": 0.1}), "leave out the start"),
     ],
 )
@@ -150,7 +149,6 @@ def test_a_plan_s_columns_to_fill_in_are_no_poses(read):
         ([f"{XYZ},qx,qy,qz,qw", "300,200,100,0,0,0,1", "300,200,100,0,0,0,0.9"], "line 3 (row 2), column 'qx'"),
         ([f"{XYZ},note", "300,200,100,", ",,,a"], "row 2: there is no position"),
         ([IN_DEG.replace("elbow_joint", "elbow_jont"), VALUES], "'elbow_joint' missing beside"),
-        ([IN_DEG.replace("elbow_joint", "elbow_jont"), VALUES], "did you mean 'elbow_jont'"),
     ],
 )  # fmt: skip
 def test_tables_that_are_refused(read, lines: list[str], said: str):
