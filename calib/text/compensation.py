@@ -23,9 +23,6 @@ Array = NDArray[np.float64]
 #: One metre and one radian in the units that are printed.
 MM, DEG = 1e3, float(np.degrees(1.0))
 
-#: Rows that are listed with a reason each.
-_REASONS = 50
-
 #: Joint values of a program further from its poses than this ask for a second look [m]: no calibration moves a tool so.
 _ELSEWHERE = 0.02
 
@@ -58,29 +55,21 @@ def text(found: Commands, name: str, written: Path | None) -> str:
             "corrected model would correct twice. Then measure some rows: docs/compensation.md."
         )
     reasons = _reasons(found)
-    parts = [
-        _expected(found, name),
-        _program(found),
-        *_sizes(found),
-        *map(fill, filter(None, _notes(found))),
-        "\n".join([f"Rows without a command: {len(reasons)} of {len(found)}", *reasons])
-        * bool(reasons),
-        _warnings(found),
-        after,
-    ]
-    return "\n\n".join(part for part in parts if part)
+    if reasons:
+        reasons.insert(0, f"Rows without a command: {len(reasons)} of {len(found)}")
+    parts = [_expected(found, name), _program(found), _sizes(found)]
+    parts += [*map(fill, _notes(found)), "\n".join(reasons), _warnings(found), after]
+    return "\n\n".join(filter(None, parts))
 
 
 def no_commands(found: Commands) -> str:
     """The message that names each row without a command and why it has none."""
     rows = _reasons(found)
-    count = len(rows)
-    rows[_REASONS:] = [f"  and {count - _REASONS} more"] if count > _REASONS else []
     advice = _elsewhere(found) or (
         "Check --tool, --poses-in and the units; --accept takes rows of which little is left, --match position those "
         "whose orientation may be free; --skip leaves rows empty."
     )
-    head = f"{count} of {len(found)} rows have no command, and nothing was written:"
+    head = f"{len(rows)} of {len(found)} rows have no command, and nothing was written:"
     return "\n".join([head, *rows, fill(advice)])
 
 
@@ -97,12 +86,12 @@ def finding_text(finding: Finding, robot: Robot) -> str:
     return words.format(*numbers, joint=finding.joint, row=finding.row, unit=unit)
 
 
-def _table(title: str, heads: str, rows: Iterable[tuple[str, Iterable[float], str]]) -> str:
-    """Labelled numbers in columns, "-" where there is none, and words behind them."""
+def _table(title: str, heads: str, rows: Iterable[tuple[str, Iterable[float]]]) -> str:
+    """Labelled numbers in columns, "-" where there is none."""
     lines = [f"{title:<58}{heads}"]
-    for label, values, behind in rows:
-        cells = "".join(f"{value:>10.4f}" if value == value else f"{'-':>10}" for value in values)
-        lines.append(f"{label:<58}{cells}{behind}")
+    for label, values in rows:
+        cells = (f"{value:>10.4f}" if np.isfinite(value) else f"{'-':>10}" for value in values)
+        lines.append(f"{label:<58}{''.join(cells)}")
     return "\n".join(lines)
 
 
@@ -126,7 +115,7 @@ def _expected(found: Commands, name: str) -> str:
         ("validation rows", errors["larger" if larger else "calibrated"]["validation"]),
         *([("left-out rows", crossed.errors_without_outliers)] if crossed is not None else []),
     ]
-    rows = [(label, MM * np.array([e.max, e.mean, e.rms]), "") for label, e in unseen if e.n]
+    rows = [(label, MM * np.array([e.max, e.mean, e.rms])) for label, e in unseen if e.n]
     if rows:
         title = "Position error of the result [mm]"
         lines += ["", _table(title, "       max      mean       rms", rows)]
@@ -154,51 +143,34 @@ def _program(found: Commands) -> str:
     )
 
 
-def _sizes(found: Commands) -> Iterator[str]:
+def _sizes(found: Commands) -> str:
     """How far the robot would have missed, what is left, and how far poses and joints are moved."""
     rows, robot = found.reached, found.nominal
+    slides = np.array([robot.joint_types[name] == "prismatic" for name in robot.joint_names])
+    joints = np.abs(found.joint_corrections[rows])
     table = {
-        "error without compensation": found.missed,
-        "model residual after compensation": found.left,
-        "model residual if sent as a pose": found.left_by_pose,
-        "standard deviation of the prediction (covariance)": found.std,
-        "correction of the pose to send": found.pose_corrections,
+        "error without compensation": found.missed[rows].T,
+        "model residual after compensation": found.left[rows].T,
+        "model residual if sent as a pose": found.left_by_pose[rows].T,
+        "standard deviation of the prediction (covariance)": found.std[rows].T,
+        "correction of the pose to send": found.pose_corrections[rows].T,
+        "correction of a joint": (joints[:, slides], joints[:, ~slides]),
     }
-    yield _table(
-        f"By the calibrated model, rows with commands: {int(rows.sum())}",
-        "    max mm   mean mm   max deg  mean deg",
-        [
-            (label, [*_max_and_mean(MM * own[rows, 0]), *_max_and_mean(DEG * own[rows, 1])], "")
-            for label, own in table.items()
-            if np.isfinite(own[rows]).any()
-        ],
-    )
-    joints = []
-    for name, sizes in zip(robot.joint_names, np.abs(found.joint_corrections).T, strict=True):
-        scale, unit = (MM, "mm") if robot.joint_types[name] == "prismatic" else (DEG, "deg")
-        if np.isfinite(sizes).any():
-            row = found.program.labels[int(np.nanargmax(sizes.round(8)))]
-            joints.append(
-                (f"  {name[:48]} [{unit}]", _max_and_mean(scale * sizes), f"   {row[:16]}")
-            )
-    yield _table("Correction of each joint", "       max      mean   in", joints) if joints else ""
-
-
-def _max_and_mean(values: Array) -> tuple[float, ...]:
-    """Largest and mean of those that there are."""
-    there = values[np.isfinite(values)]
-    return (float(there.max()), float(there.mean())) if there.size else (np.nan, np.nan)
+    lines = []
+    for label, (lengths, angles) in table.items():
+        there = [one[np.isfinite(one)] for one in (MM * lengths, DEG * angles)]
+        numbers = [(one.max(), one.mean()) if one.size else (np.nan, np.nan) for one in there]
+        if any(one.size for one in there):
+            lines.append((label, [*numbers[0], *numbers[1]]))
+    title = f"By the calibrated model, rows with commands: {int(rows.sum())}"
+    return _table(title, "    max mm   mean mm   max deg  mean deg", lines)
 
 
 def _notes(found: Commands) -> Iterator[str]:
-    """What to look at before the commands go to the robot, a note each; empty ones are none."""
-    program, pair, robot = found.program, found.pair, found.nominal
-    if program.T_wanted is not None and not program.oriented and program.kept:
-        yield (
-            "No orientation was read: positions alone are matched. If one of the unread columns is a part of it, name "
-            'it: --columns "A=yaw [deg]".'
-        )
-    yield _elsewhere(found)
+    """What to look at before the commands go to the robot, a note each."""
+    pair, robot = found.pair, found.nominal
+    if elsewhere := _elsewhere(found):
+        yield elsewhere
     if pair.set_up is None and pair.result is not None and pair.result.frame_estimated:
         yield (
             "The measurement frame was estimated with the robot: places in the base are known less well than those in "
@@ -220,7 +192,7 @@ def _place(T: Array) -> str:
     """A pose in words; its rotation vector where it is turned."""
     turn = DEG * Rotation.from_matrix(T[:3, :3]).as_rotvec()
     place, turned = (
-        ", ".join(f"{round(float(v), 4) + 0.0:.4f}" for v in one) for one in (MM * T[:3, 3], turn)
+        ", ".join(f"{v:.4f}" for v in one.round(4) + 0.0) for one in (MM * T[:3, 3], turn)
     )
     return f"({place}) mm" + f", rotation vector ({turned}) deg" * bool(np.abs(turn).max() > 1e-9)
 
@@ -245,9 +217,7 @@ def _reasons(found: Commands) -> list[str]:
     """The rows without a command, and why."""
     rows = zip(found.program.labels, found.reasons, strict=True)
     return [
-        fill(f"{label}: {finding_text(why, found.nominal)}", "  ", "  ")
-        for label, why in rows
-        if why
+        fill(f"{row}: {finding_text(why, found.nominal)}", "  ", "  ") for row, why in rows if why
     ]
 
 
@@ -257,9 +227,9 @@ def _warnings(found: Commands) -> str:
     for label, said in zip(found.program.labels, found.warnings, strict=True):
         for one in said:
             kinds.setdefault(one.code, {}).setdefault(label, finding_text(one, found.nominal))
-    if not kinds:
-        return ""
-    lines = [f"Rows with a warning: {sum(map(bool, found.warnings))} of {len(found)}"]
+    lines = (
+        [f"Rows with a warning: {sum(map(bool, found.warnings))} of {len(found)}"] if kinds else []
+    )
     for rows in kinds.values():
         first, *others = rows
         more = f"; and {len(others)} more" if others else ""

@@ -196,7 +196,6 @@ def test_rows_that_cannot_be_reached(call, folder: Path):
     write(folder / "far.csv", f"{HEADER},x [mm],y [mm],z [mm]", *rows)
     none = call(folder, *words, "--skip", "--force").err
     assert none.startswith("calib: 60 of 60 rows have no command")
-    assert "and 10 more" in none
 
 
 def test_a_result_not_to_be_used_says_so_even_when_quiet(call, folder: Path):
