@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from calib.result.uncertainty import bootstrap as bootstrap
     from calib.robot.robot import Robot as Robot
     from calib.simulation.scenario import Scenario as Scenario, simulate as simulate
-    from calib.viewer.live import view as view
+    from calib.viewer.page import view as view
 
 from calib.version import __version__ as __version__
 
@@ -60,7 +60,7 @@ _NAMES = {
     "calib.result.uncertainty": "bootstrap",
     "calib.robot.robot": "Robot",
     "calib.simulation.scenario": "Scenario simulate",
-    "calib.viewer.live": "view",
+    "calib.viewer.page": "view",
 }
 #: Modules that a user adds a row to.
 _REGISTRIES = {"families": "calib.model.families", "kinds": "calib.data.kinds"}

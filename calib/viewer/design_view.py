@@ -20,16 +20,17 @@ from calib.design.plan import Plan
 from calib.design.workspace import RegionView
 from calib.report.figure_base import BEAM, ESTIMATION, LITTLE_TO_MUCH, NOMINAL, VALIDATION
 from calib.report.figure_region import headings
-from calib.viewer.page import Key, single_page
 from calib.viewer.scene import (
+    Key,
     Page,
     draw_boxes,
     draw_cloud,
     draw_lines,
     draw_points,
+    single_page,
     solid,
-    translation,
 )
+from calib.viewer.view import translation
 
 Array = NDArray[np.float64]
 

@@ -1,36 +1,57 @@
-"""The HTML pages about a scene: heading, legend, controls, and the scripts that may run. Every name is escaped.
+"""The page of robots, as a file or served live.
 
-The page of robots shows the nominal and the calibrated one side by side or overlaid, at every measured pose: its script
-moves them from pose to pose and draws what was measured, with arrows at a stated magnification. Pages open from disk
-and load nothing.
+It shows the nominal and the calibrated one side by side or overlaid, at every measured pose: its script
+moves them from pose to pose and draws what was measured, with arrows at a stated magnification. Every name is escaped;
+pages open from disk and load nothing. A live page is moved by this program, and meshcat draws more on it; a thread
+serves it at 127.0.0.1 only, where meshcat's own server listens on all addresses
+(https://github.com/meshcat-dev/meshcat-python/issues/14).
 """
 
 from __future__ import annotations
 
-import base64
-import hashlib
-import json
+import asyncio
+import os
+import signal
+import socket
+import sys
+import tempfile
+import threading
+import webbrowser
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, Literal, overload
 
 import meshcat
 import numpy as np
+import umsgpack
 from numpy.typing import ArrayLike, NDArray
+from tornado.httpserver import HTTPServer
+from tornado.web import Application, RequestHandler
+from tornado.websocket import WebSocketHandler
 
 import calib.report.figure_base as look
 import calib.viewer.scene as stage
+from calib.errors import CalibError, ModelError, choices
 from calib.result.calibration import Calibration
 from calib.robot.robot import Robot
 from calib.viewer.scene import Page
-from calib.viewer.shapes import Puppet, Visual, packed, read_visuals, stage_poses
-from calib.viewer.view import View, view_of
+from calib.viewer.view import (
+    Puppet,
+    View,
+    Visual,
+    packed,
+    read_visuals,
+    stage_poses,
+    translation,
+    view_of,
+    view_of_robots,
+)
 
 Array = NDArray[np.float64]
-
-#: The colours of robots and of what was measured.
-COLOURS = {"nominal": look.NOMINAL, "calibrated": look.CALIBRATED, "measured": look.INK}
 
 #: What the rows of each kind are called, in colours of their own.
 _ROWS = {
@@ -39,11 +60,8 @@ _ROWS = {
     "flagged": (look.OUTLIER, "measured, flagged"),
 }
 
-#: What a page may talk to that came from a server on this computer.
-_LIVE = "; connect-src 'self' ws://127.0.0.1:* ws://localhost:*"
-
-#: The files of the script of a page of robots, in order.
-_SCRIPTS = ("robots.js", "marks.js", "words.js", "controls.js")
+#: The only address listened on: other computers cannot reach it.
+HOST = "127.0.0.1"
 
 #: Between slider and legend below and the heading above, as a part of the picture, see `look_at`.
 _TEXT = (-0.54, 0.67)
@@ -53,113 +71,6 @@ _BALL, _ARROW = 0.009, 0.12
 
 #: Factors that arrows and the robots' difference can be magnified by.
 FACTORS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
-
-
-@dataclass(frozen=True, slots=True)
-class Key:
-    """A line of the legend that shows and hides nodes below `SCENE`, with blanks between them."""
-
-    text: str
-    colour: str
-    nodes: str
-    kind: str = ""
-    on: bool = True
-
-
-def filled_page(
-    template: str,
-    scene: bytes,
-    *,
-    table: Mapping[str, Any] | None = None,
-    live: bool = False,
-    **content: Any,  # noqa: ANN401  what the template names
-) -> bytes:
-    """The page about a scene's message, UTF-8, by ``"page.html"`` or a template that extends it.
-
-    ``table`` is what the script of a page of robots is told; a ``live`` page listens to the server that it came from.
-    """
-    import jinja2
-    from markupsafe import Markup
-
-    folder, viewer = Path(__file__).parent, Path(meshcat.viewer_assets_path())
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(folder),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
-    )
-
-    def read(path: Path) -> str:
-        """A file whose text cannot end the script that it stands in."""
-        return path.read_text("utf-8").replace("</script", "<\\/script").replace("<!--", "<\\!--")
-
-    texts = [read(viewer / "dist/main.min.js"), read(folder / "page.js")]
-    if table:
-        own = "\n".join(read(folder / name) for name in _SCRIPTS)
-        texts.append(f'"use strict";\n(() => {{\n{own}}})();\n')
-    # No other script runs, whatever a name may hold.
-    digests = [hashlib.sha256(text.encode("utf-8")).digest() for text in texts]
-    hashes = " ".join(f"'sha256-{_base64(digest)}'" for digest in digests)
-    # A block of JSON that no name in it can end.
-    told = json.dumps(table, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
-    # The notices that must go with a copy of the viewer: meshcat's own and those of what it contains.
-    notices = [viewer / "LICENSE", *sorted((viewer / "dist").glob("main.min.js.*LICENSE*"))]
-    page = environment.get_template(template).render(
-        hashes=Markup(hashes + (_LIVE if live else "")),
-        live=live,
-        colours=COLOURS,
-        licences=Markup("\n\n".join(map(read, notices))),
-        scene=_base64(scene),
-        table=Markup(told) if table else "",
-        scripts=[Markup(text) for text in texts],
-        **content,
-    )
-    return page.encode("utf-8", "replace")
-
-
-def _base64(data: bytes) -> str:
-    """Bytes as text that needs no escaping."""
-    return base64.b64encode(data).decode("ascii")
-
-
-def floats(values: ArrayLike) -> str:
-    """Numbers as base64 of little-endian float32."""
-    return _base64(np.ascontiguousarray(values, dtype="<f4").tobytes())
-
-
-def single_page(
-    robot: Robot,
-    q: Array,
-    points: Array,
-    draw: Callable[[meshcat.Visualizer, float], list[Key]],
-    *,
-    title: str,
-    text: str,
-    legend: str,
-) -> Page:
-    """A page of one robot at a pose q of shape (m,), and of what is drawn at points of shape (K, 3) in the base.
-
-    ``draw`` draws below the node given, in the base frame, things about as large as the size given [m], and returns
-    their lines of the legend.
-    """
-    visuals, warnings = read_visuals(robot.urdf)
-    puppet = Puppet.of(robot, q[None], visuals, np.eye(4)[None], np.eye(4))
-    upright = np.eye(4)
-    upright[:3, :3] = stage_poses(robot, q[None])[0, :3, :3]
-    drawn = puppet.outline() @ upright[:3, :3].T
-    everything = np.concatenate([drawn, points @ upright[:3, :3].T])
-    size = stage.span(everything)
-    back = stage.row_direction(puppet.origins[0] @ upright[:3, :3].T)
-    camera, grid = stage.look_at(everything, back), stage.round_length(size / 7.0)
-    window, root = stage.new_scene()
-    stage.draw_stage(root, camera, size=size, floor=float(drawn[:, 2].min()), grid=grid)
-    scene = root[stage.SCENE]
-    scene.set_transform(stage.translation(-camera.centre) @ upright)
-    stage.draw_puppet(scene["nominal"], puppet, 0, look.NOMINAL, 0.0, front=False)
-    keys = [Key(legend, look.NOMINAL, "nominal"), *draw(scene, size)]
-    words: dict[str, Any] = {"title": title, "text": text, "warnings": warnings}
-    return Page(filled_page("page.html", window.scene(), keys=keys, grid=grid, **words), warnings)
 
 
 def write_page(calibration: Calibration, path: str | Path, *, overwrite: bool = False) -> Path:
@@ -190,19 +101,19 @@ def view_page(view: View, *, live: bool = False) -> Page:
     one = np.vstack([outline, foot])
     side = stage.look_at(np.concatenate([one + at for at in offsets.values()]), back, _TEXT)
     over = stage.look_at(one, back, _TEXT)
-    window, root, grid = *stage.new_scene(), stage.round_length(size / 7.0)
-    stage.draw_stage(root, side, size=size, floor=foot[2], grid=grid)
+    window, root, size, grid = stage.new_scene(side, outline, foot[2])
     for who, puppet in shown.items():
         group = root[stage.SCENE][who]
-        group.set_transform(stage.translation(offsets[who] - side.centre))
-        front = who == "calibrated"
-        stage.draw_puppet(group, puppet, view.start, COLOURS[who], _BALL * size, front=front)
+        group.set_transform(translation(offsets[who] - side.centre))
+        material = stage.solid(stage.COLOURS[who], front=who == "calibrated")
+        stage.draw_puppet(group, puppet, view.start, material, _BALL * size)
     names = [name.lower() for name, _ in view.names[: len(shown)]]
-    labels = [
-        (at + foot - side.centre, "side", *view.names[k]) for k, at in enumerate(offsets.values())
-    ]
-    over_text = f"{names[0]} solid, {names[-1]} translucent"
-    labels.append((foot - over.centre, "over", "Overlaid", over_text))
+    labels: list[tuple[Array, str, str, str]] = []
+    if len(shown) > 1:  # of one robot the heading says what it is
+        for at, (name, meaning) in zip(offsets.values(), view.names, strict=False):
+            labels.append((at + foot - side.centre, "side", name, meaning))
+        meaning = f"{names[0]} solid, {names[1]} translucent"
+        labels.append((foot - over.centre, "over", "Overlaid", meaning))
     factor = magnification(view, size)
     table = script_table(view, shown) | {
         "places": {who: (offset - side.centre).tolist() for who, offset in offsets.items()},
@@ -213,7 +124,7 @@ def view_page(view: View, *, live: bool = False) -> Page:
         "ball": _BALL * size,
         "arrows": factor,
     }
-    html = filled_page(
+    html = stage.filled_page(
         "robots.html",
         window.scene(),
         title=view.title or f"{view.nominal.name or 'Robot'}: {' and '.join(names)}",
@@ -224,7 +135,7 @@ def view_page(view: View, *, live: bool = False) -> Page:
         two=len(shown) > 1,
         arrows=factor,
         factors=FACTORS,
-        labels=labels if len(shown) > 1 else [],  # of one robot the heading says what it is
+        labels=labels,
         table=table,
         live=live,
     )
@@ -254,28 +165,26 @@ def magnification(view: View, size: float) -> int:
     return max((factor for factor in FACTORS if factor <= wanted), default=1)
 
 
-def _keys(view: View) -> list[Key]:
+def _keys(view: View) -> list[stage.Key]:
     """What is drawn in which colour; each can be hidden."""
     groups = tuple(view.robots)
     names = [name.lower() for name, _ in view.names[: len(groups)]]
-    kinds = np.array(view.kinds)[np.isfinite(view.measured[:, 0])].tolist()
+    counts = Counter(np.array(view.kinds)[np.isfinite(view.measured[:, 0])].tolist())
 
     def nodes(name: str) -> str:
         return " ".join(f"{group}/{name}" for group in groups)
 
-    keys = [Key(n, f"var(--{w})", f"{w}/robot") for w, n in zip(groups, names, strict=True)]
-    keys += [
-        Key(f"{text} ({kinds.count(kind)})", colour, nodes(kind), "dot")
-        for kind, (colour, text) in _ROWS.items()
-        if kind in kinds
-    ]
+    keys = [stage.Key(n, f"var(--{w})", f"{w}/robot") for w, n in zip(groups, names, strict=True)]
+    for kind, (colour, text) in _ROWS.items():
+        if counts[kind]:
+            keys.append(stage.Key(f"{text} ({counts[kind]})", colour, nodes(kind), "dot"))
     if view.measures:
-        keys.append(Key("error arrows, predicted to measured", "", nodes("arrows"), "arrow"))
-        keys.append(Key("predicted, in the robot's colour", "", nodes("predicted"), "ring"))
+        keys.append(stage.Key("error arrows, predicted to measured", "", nodes("arrows"), "arrow"))
+        keys.append(stage.Key("predicted, in the robot's colour", "", nodes("predicted"), "ring"))
     elif len(groups) > 1:
-        keys.append(Key(f"from {names[0]} to {names[1]}", "", "nominal/arrows", "arrow"))
-    keys.append(Key("frames of base, tip, target", "", nodes("frames"), "frame", on=False))
-    instrument = Key("measurement frame", look.BEAM, f"{groups[-1]}/instrument", on=False)
+        keys.append(stage.Key(f"from {names[0]} to {names[1]}", "", "nominal/arrows", "arrow"))
+    keys.append(stage.Key("frames of base, tip, target", "", nodes("frames"), "frame", on=False))
+    instrument = stage.Key("measurement frame", look.BEAM, f"{groups[-1]}/instrument", on=False)
     return keys + [instrument] * bool(len(view.instruments))
 
 
@@ -292,9 +201,13 @@ def script_table(view: View, shown: Mapping[str, Puppet]) -> dict[str, Any]:
         "labels": list(view.labels),
         "kinds": list(view.kinds),
         "names": [name for name, _ in view.names],
-        "colours": {**COLOURS, **{kind: c for kind, (c, _) in _ROWS.items()}, "beam": look.BEAM},
+        "colours": {
+            **stage.COLOURS,
+            **{kind: c for kind, (c, _) in _ROWS.items()},
+            "beam": look.BEAM,
+        },
         "robots": {who: _robot(puppet, shown["nominal"]) for who, puppet in shown.items()},
-        "measured": floats(measured),
+        "measured": stage.floats(measured),
         "errors": numbers(view.errors),
         "angles": numbers(view.angles),
         "instruments": packed(on_stage[view.start] @ view.instruments).tolist(),
@@ -307,4 +220,231 @@ def _robot(puppet: Puppet, nominal: Puppet) -> dict[str, Any]:
     same = [nominal.links.index(one) if one in nominal.links else -1 for one in puppet.links]
     same += range(others, others + count - len(puppet.links))
     rods = [*map(list, puppet.rods), [count - 2, count - 1]]
-    return {"movers": count, "poses": floats(packed(puppet.poses)), "rods": rods, "same": same}
+    return {
+        "movers": count,
+        "poses": stage.floats(packed(puppet.poses)),
+        "rods": rods,
+        "same": same,
+    }
+
+
+class Viewer:
+    """A view at ``url``, on this computer only, until it is closed or the program ends; port 0 is any that is free.
+
+    ``visualizer`` is meshcat's, to draw more: in the base frame of the calibrated robot, or of the only one [m].
+    ``warnings`` say what could not be drawn as the URDF says.
+
+    Example:
+        with Viewer(view_of(calibration)) as viewer:
+            viewer.open()
+            viewer.display(np.zeros(6))
+            viewer.wait()
+
+    Raises:
+        CalibError: The port is in use.
+    """
+
+    def __init__(self, view: View, *, port: int = 0) -> None:
+        k, places = view.start, ("nominal_target", "calibrated_target", "T_base_nominal")
+        at: dict[str, Any] = {name: getattr(view, name)[k] for name in places}
+        self._one = View(view.nominal, view.calibrated, view.q[k : k + 1], **at)
+        self._visuals = {who: read_visuals(one.urdf)[0] for who, one in view.robots.items()}
+        page = view_page(view, live=True)
+        self.warnings: tuple[str, ...] = page.warnings
+        try:
+            listener = socket.create_server((HOST, port))
+        except OSError as error:
+            raise CalibError(
+                f"Port {port} of {HOST} cannot be used ({error.strerror}); give another number, or 0 for any that is "
+                "free."
+            ) from error
+        self.port: int = listener.getsockname()[1]
+        self.url = f"http://{HOST}:{self.port}/"
+        self._sent: dict[tuple[str, ...], bytes] = {}
+        self._windows: set[WebSocketHandler] = set()
+        self._loop, self._stop = asyncio.new_event_loop(), asyncio.Event()
+        # Not the thread's join: one that Ctrl-C interrupts takes the thread for ended.
+        self._ended = threading.Event()
+        threading.Thread(target=self._run, args=[page.html, listener], daemon=True).start()
+        root = meshcat.Visualizer.view_into(self, meshcat.path.Path())
+        self.visualizer: meshcat.Visualizer = root[stage.SCENE][tuple(view.robots)[-1]]["own"]
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """The joints in the order of `display`."""
+        return self._one.nominal.joint_names
+
+    def display(self, q: ArrayLike, label: str = "") -> None:
+        """Move the robots.
+
+        Args:
+            q: shape (m,), [rad] or [m], in the order of `joint_names`.
+            label: What the pose is called on the page.
+
+        Raises:
+            ModelError: There are not as many finite values as joints.
+            CalibError: The viewer is closed.
+        """
+        values = np.asarray(q, dtype=np.float64)
+        if values.shape != (len(self.joint_names),) or not np.all(np.isfinite(values)):
+            raise ModelError(
+                f"q is {values.tolist()}; give a finite value for each joint, [rad] or [m]: "
+                f"{choices(self.joint_names)}."
+            )
+        shown = puppets(replace(self._one, q=values[None]), self._visuals)
+        robots = {who: stage.floats(packed(puppet.poses)) for who, puppet in shown.items()}
+        # Windows that open later are told of it as they are of a transform.
+        pose = {"label": label, "robots": robots}
+        told = {"type": "set_transform", "path": "/pose", "pose": pose}
+        self.send(SimpleNamespace(lower=lambda: told))
+
+    def send(self, command: Any) -> None:  # noqa: ANN401  a command of meshcat
+        """Draw, move or remove, in all windows, also in those that open later; `CalibError` once it is closed."""
+        if self._ended.is_set():
+            raise CalibError(f"{self.url} was closed, and shows nothing any more; open a new one.")
+        self._loop.call_soon_threadsafe(self._take, command.lower())
+
+    def _take(self, message: dict[str, Any]) -> None:
+        """Keep the last message of each kind about each node, and tell the windows."""
+        path, data = message["path"], umsgpack.packb(message)
+        if message["type"] == "delete":
+            inside = f"{path}/"
+            self._sent = {k: v for k, v in self._sent.items() if not f"{k[0]}/".startswith(inside)}
+        else:
+            key = (path, message["type"], message.get("property", ""))
+            self._sent.pop(key, None)
+            self._sent[key] = data
+        for window in self._windows:
+            window.write_message(data, binary=True)
+
+    def open(self) -> bool:
+        """Open the page in the browser; False if none was found, or one that would take over the terminal."""
+        windows = sys.platform in ("win32", "darwin") or any(
+            os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")
+        )
+        return windows and webbrowser.open(self.url)
+
+    def wait(self) -> None:
+        """Wait for Ctrl-C; the viewer is closed afterwards."""
+        # A wait without end cannot be interrupted on every system.
+        with self, suppress(KeyboardInterrupt):
+            while not self._ended.wait(0.5):
+                pass
+
+    def close(self) -> None:
+        """Free the port; the windows keep their picture. Once closed, it does nothing."""
+        with suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(self._stop.set)
+        self._ended.wait()
+
+    def __enter__(self) -> Viewer:
+        """The viewer, to be closed at the end of the block."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close it."""
+        self.close()
+
+    def _run(self, page: bytes, listener: socket.socket) -> None:
+        """The thread."""
+        self._loop.run_until_complete(self._serve(page, listener))
+        self._loop.close()
+        self._ended.set()
+
+    async def _serve(self, page: bytes, listener: socket.socket) -> None:
+        """Answer until asked to stop, then leave nothing open."""
+        app = Application(log_function=lambda _: None)
+        # A web site may let its own name point to 127.0.0.1: who asks for another host finds nothing.
+        handlers: Any = [("/", _Page, {"page": page}), ("/live", _Window, {"viewer": self})]
+        app.add_handlers(r"127\.0\.0\.1|localhost", handlers)
+        http = HTTPServer(app)
+        listener.setblocking(False)
+        http.add_socket(listener)
+        await self._stop.wait()
+        http.stop()
+        for window in tuple(self._windows):
+            window.close(1001, "closed")
+        await asyncio.sleep(0.05)  # for their farewell
+        await http.close_all_connections()
+
+
+class _Page(RequestHandler):
+    """The page."""
+
+    def initialize(self, page: bytes) -> None:
+        """Keep it; called by tornado."""
+        self._page = page
+
+    def get(self) -> None:
+        """Send it."""
+        self.set_header("Cache-Control", "no-store")
+        self.write(self._page)
+
+
+class _Window(WebSocketHandler):
+    """The connection of a page that is open."""
+
+    def initialize(self, viewer: Viewer) -> None:
+        """Keep it; called by tornado."""
+        self._viewer = viewer
+
+    def open(self) -> None:
+        """Tell it what was drawn."""
+        self._viewer._windows.add(self)
+        for data in self._viewer._sent.values():
+            self.write_message(data, binary=True)
+
+    def on_close(self) -> None:
+        """Forget it."""
+        self._viewer._windows.discard(self)
+
+    def on_message(self, message: object) -> None:
+        """Windows have nothing to tell."""
+
+
+def serve(view: View, *, port: int, browser: bool, say: Callable[[str], object]) -> None:
+    """Show a page until Ctrl-C, or until the process is asked to end; what is said goes to ``say``."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    with Viewer(view, port=port) as viewer, suppress(KeyboardInterrupt):
+        for text in viewer.warnings:
+            say(f"Not drawn as in the URDF: {text}")
+        say(f"The picture is at {viewer.url} on this computer. Ctrl-C stops it.")
+        if browser and not viewer.open():
+            at = viewer.port
+            say(f"No browser was found. From elsewhere: ssh -L {at}:127.0.0.1:{at} THIS_COMPUTER")
+        viewer.wait()
+    say("Stopped.")
+
+
+@overload
+def view(
+    shown: Calibration | Robot, other: Robot | None = None, *, live: Literal[False] = False
+) -> Path: ...
+
+
+@overload
+def view(
+    shown: Calibration | Robot, other: Robot | None = None, *, live: Literal[True]
+) -> Viewer: ...
+
+
+def view(
+    shown: Calibration | Robot, other: Robot | None = None, *, live: bool = False
+) -> Path | Viewer:
+    """Open the picture of a calibration, of a robot or of two robots in the browser.
+
+    A ``live`` page is served by this program, which can move the robots and draw more, until the viewer is closed.
+    Otherwise it is a file in a temporary folder of its own. Two robots must have the same joints.
+    """
+    if isinstance(shown, Calibration):
+        scene = view_of(shown)
+    else:
+        names = (("First", shown.urdf.source), ("Second", (other or shown).urdf.source))
+        scene = view_of_robots(shown, other, names=names)
+    if live:
+        viewer = Viewer(scene)
+        webbrowser.open(viewer.url)
+        return viewer
+    page = view_page(scene).write(Path(tempfile.mkdtemp(prefix="calib-")) / "view.html")
+    webbrowser.open(page.as_uri())
+    return page

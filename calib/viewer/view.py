@@ -1,16 +1,22 @@
-"""What is shown: which robots, at which poses, with what was measured there; values only.
+"""What is shown: which robots, their shapes, at which poses, and what was measured there; values only.
 
 At the rows of a table each row is a pose; of robots alone poses are spread over the joint limits.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+import pinocchio as pin
+import trimesh
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
@@ -19,75 +25,72 @@ from calib.report.figure_base import angles_of, flagged_rows, lengths_of, measur
 from calib.result.calibration import Calibration
 from calib.result.comparison import Comparison
 from calib.result.evaluation import PLACES, Evaluation, evaluate
+from calib.robot.chain import full_configurations, full_model, link_frame
+from calib.robot.meshes import LinkShape, find_mesh, link_shapes, mesh_folders, read_mesh
 from calib.robot.readback import column_ranges, spread_poses
 from calib.robot.robot import Robot, rigid_inverse
+from calib.robot.urdf import Urdf
 from calib.text.comparison import sentence
 from calib.text.verdict import reason_text
-from calib.viewer.scene import translation
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+#: Vertices, shape (V, 3), [m], and faces, shape (F, 3), indices of vertices.
+Mesh = tuple[NDArray[np.floating], NDArray[np.int64]]
+
 #: What two robots are called, and what that means.
 Names = Sequence[tuple[str, str]]
-NAMES: Names = (("Nominal", "the URDF as given"), ("Calibrated", "the corrected URDF"))
 
-#: Poses of two robots of which nothing was measured.
-_POSES = 24
-
-#: At most this many rows are shown.
-MOST_ROWS = 400
+#: Poses of two robots of which nothing was measured, and rows that are shown at most.
+_POSES, MOST_ROWS = 24, 400
 
 #: Frames nearer to the base's than this are the base's own: there is no instrument to show [m, and 1].
 _THE_BASE = 1e-9
+
+#: Faces that meet at less than this angle look like one smooth surface [rad].
+_CREASE = np.deg2rad(35.0)
+
+#: Radius of a stick figure's rods, as a part of the robot's size; poses that are looked at for what the shapes reach.
+_STICK, _REACHED = 0.018, 60
+
+#: The corners of a cube about the origin.
+CORNERS = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
     """What is shown: N poses, one of them at a time, and the marks of all of them. What is left out is filled in.
 
-    Attributes:
-        nominal: The robot before calibration.
-        calibrated: The robot after it, the same chain; None to show one robot alone.
-        q: shape (N, m), [rad] or [m], in the order of ``nominal.joint_names``.
-        labels: What each pose is called, such as ``"row 31"``.
-        kinds: ``"estimation"``, ``"validation"``, ``"flagged"`` or, where nothing was measured, ``"pose"``.
-        nominal_target: shape (N, 4, 4) or (4, 4), T_tip_target of the nominal robot [m].
-        calibrated_target: Likewise of the calibrated one.
-        T_base_nominal: shape (N, 4, 4) or (4, 4), base of the nominal robot in the calibrated one's [m].
-        measured: shape (N, 3), the measured targets in the base [m]; NaN where nothing was measured.
-        errors: shape (2, N), norm of each robot's residual of lengths [m]; NaN where none was measured.
-        angles: shape (2, N), likewise of orientations [rad].
-        instruments: shape (K, 4, 4), poses in the base of what the targets were seen with [m].
-        start: Which pose is shown first.
-        rows: How many rows there are, where those shown are a choice; 0 where all are shown.
-        title: The page's heading.
-        verdict: What a calibration's verdict is.
-        note: A sentence below the heading, such as the verdict's first reason.
-        names: What the two robots are called, and what that means.
-
     Raises:
         ModelError: The robots have different joints.
     """
 
-    nominal: Robot
-    calibrated: Robot | None
-    q: Array
-    labels: tuple[str, ...] = ()
+    nominal: Robot  #: The robot before calibration
+    calibrated: Robot | None  #: The robot after it, the same chain; None to show one robot alone
+    q: Array  #: shape (N, m), [rad] or [m], in the order of ``nominal.joint_names``
+    labels: tuple[str, ...] = ()  #: What each pose is called, such as ``"row 31"``
+    #: ``"estimation"``, ``"validation"``, ``"flagged"`` or, where nothing was measured, ``"pose"``
     kinds: tuple[str, ...] = ()
+    #: shape (N, 4, 4) or (4, 4), T_tip_target of the nominal robot [m]
     nominal_target: Array = field(default_factory=lambda: np.eye(4))
-    calibrated_target: Array = field(default_factory=lambda: np.eye(4))
+    calibrated_target: Array = field(default_factory=lambda: np.eye(4))  #: Of the calibrated one
+    #: shape (N, 4, 4) or (4, 4), base of the nominal robot in the calibrated one's [m]
     T_base_nominal: Array = field(default_factory=lambda: np.eye(4))
+    #: shape (N, 3), the measured targets in the base [m]; NaN where nothing was measured
     measured: Array = field(default_factory=lambda: np.array(np.nan))
+    #: shape (2, N), norm of each robot's residual of lengths [m]; NaN where none was measured
     errors: Array = field(default_factory=lambda: np.array(np.nan))
-    angles: Array = field(default_factory=lambda: np.array(np.nan))
+    angles: Array = field(default_factory=lambda: np.array(np.nan))  #: Of orientations [rad]
+    #: shape (K, 4, 4), poses in the base of what the targets were seen with [m]
     instruments: Array = field(default_factory=lambda: np.zeros((0, 4, 4)))
-    start: int = 0
-    rows: int = 0
-    title: str = ""
-    verdict: str = ""
-    note: str = ""
-    names: Names = NAMES
+    start: int = 0  #: Which pose is shown first
+    rows: int = 0  #: How many rows there are, where those shown are a choice; 0 where all are shown
+    title: str = ""  #: The page's heading
+    verdict: str = ""  #: What a calibration's verdict is
+    note: str = ""  #: A sentence below the heading, such as the verdict's first reason
+    #: What the two robots are called, and what that means
+    names: Names = (("Nominal", "the URDF as given"), ("Calibrated", "the corrected URDF"))
 
     def __post_init__(self) -> None:
         """Fill in what was left out."""
@@ -175,8 +178,8 @@ def view_of_robots(
     calibrated: Robot | None = None,
     table: Measurements | None = None,
     *,
-    cells: Sequence[Cell] | None = None,
-    names: Names | None = None,
+    cells: Sequence[Cell] = (Cell(), Cell()),
+    names: Names = (),
 ) -> View:
     """One or two robots at the rows of a table, with the errors that `calib.evaluate` finds.
 
@@ -184,23 +187,21 @@ def view_of_robots(
     ``cells`` have target and frame of each robot, where they are known; ``names`` what the robots are called, and what
     that means, by default nominal and calibrated, and their files.
     """
-    cells = cells or [Cell()] * 2
     robots = [nominal] if calibrated is None else [nominal, calibrated]
     title = nominal.name if calibrated is None else ""
     words = (title or "Nominal", "Calibrated")
     names = names or [(w, Path(r.urdf.source).name) for w, r in zip(words, robots, strict=False)]
     if table is not None:
         found = [evaluate(one, table, cell) for one, cell in zip(robots, cells, strict=False)]
-        none = np.zeros(len(table), dtype=np.bool_)
-        shown = _at_rows(found[0], found[1] if len(found) > 1 else None, none)
+        shown = _at_rows(found[0], found[1] if calibrated else None, np.zeros(len(table), bool))
         return replace(shown, names=names, title=title)
     if calibrated is None:
         q, labels = _one_joint_after_the_other(nominal)
     else:
         q = spread_poses(nominal, _POSES)
         labels = tuple(f"pose {k + 1} of {len(q)} over the joint limits" for k in range(len(q)))
-    points = [[*cell.targets.values(), cell.target] for cell in cells]
-    targets = [translation((0.0, 0.0, 0.0) if own[0] is None else own[0]) for own in points]
+    points = [next(iter(cell.targets.values()), cell.target) for cell in cells]
+    targets = [translation((0.0, 0.0, 0.0) if p is None else p) for p in points]
     view = View(nominal, calibrated, q, labels, names=names, title=title)
     return replace(view, nominal_target=targets[0], calibrated_target=targets[-1])
 
@@ -211,11 +212,9 @@ def view_of_comparison(comparison: Comparison) -> View:
     The poses are not measured ones: they are spread over the joint limits, and their labels say so.
     """
     c = comparison
-    view = view_of_robots(
-        *c.robots,
-        names=((f"a: {c.names[0]}", "the first result"), (f"b: {c.names[1]}", "the second result")),
-    )
+    names = (f"a: {c.names[0]}", "the first result"), (f"b: {c.names[1]}", "the second result")
     title, target = f"{c.a.nominal.name or 'Robot'}: two calibrations", translation(c.a.target)
+    view = view_of_robots(*c.robots, names=names)
     view = replace(view, nominal_target=target, calibrated_target=target)
     return replace(view, title=title, note=sentence(c))
 
@@ -224,9 +223,8 @@ def _judged(view: View, c: Calibration) -> View:
     """The view with the verdict of a result and its first reason."""
     if c.verdict is None:
         return replace(view, note="No verdict: nothing was cross-validated.")
-    return replace(
-        view, verdict=c.verdict.use, note=" ".join(map(reason_text, c.verdict.reasons[:1]))
-    )
+    note = " ".join(map(reason_text, c.verdict.reasons[:1]))
+    return replace(view, verdict=c.verdict.use, note=note)
 
 
 def _at_rows(first: Evaluation, second: Evaluation | None, flagged: Mask) -> View:
@@ -274,7 +272,7 @@ def _at_rows(first: Evaluation, second: Evaluation | None, flagged: Mask) -> Vie
 def _one_joint_after_the_other(robot: Robot) -> tuple[Array, tuple[str, ...]]:
     """Poses in which each joint in turn goes through its range, and what they are called."""
     ranges = column_ranges(robot)
-    middle = np.clip(0.0, ranges[:, 0], ranges[:, 1])
+    middle = np.clip(0.0, *ranges.T)
     poses, labels = [middle], ["all joints at zero, or as near as they can be"]
     for k, joint in enumerate(robot.inputs):
         scale, unit = (1e3, "mm") if joint.type == "prismatic" else (np.degrees(1.0), "deg")
@@ -282,3 +280,161 @@ def _one_joint_after_the_other(robot: Robot) -> tuple[Array, tuple[str, ...]]:
             poses.append(np.where(np.arange(len(middle)) == k, value, middle))
             labels.append(f"{joint.name} at {scale * value:.4g} {unit}")
     return np.array(poses), tuple(labels)
+
+
+class Visual(NamedTuple):
+    """One shape of one link, at T_link_shape of shape (4, 4), [m]; None where its mesh cannot be found or read."""
+
+    link: str
+    T_link_shape: Array
+    mesh: Mesh | None
+
+
+def read_visuals(urdf: Urdf) -> tuple[tuple[Visual, ...], tuple[str, ...]]:
+    """Every visual of every link, in the file's order, and a sentence for each that is not drawn as the URDF says."""
+    folders = mesh_folders(urdf)
+    visuals: list[Visual] = []
+    warnings: dict[str, None] = {}
+    for one in link_shapes(urdf, "visual"):
+        if one.mesh is None:
+            mesh = _solid(one)
+            what, problem = "a visual", "" if mesh else "has no geometry that can be drawn"
+        else:
+            name, scale = one.mesh
+            path, what = find_mesh(name, folders), f"the mesh '{name}'"
+            mesh, problem = None, "was not found; a simple shape stands for it"
+            if path is not None:
+                mesh, problem = _mesh_file(path, scale, path.stat().st_mtime_ns)
+        visuals.append(Visual(one.link, one.T_link_shape, mesh))
+        warnings |= {f"link '{one.link}': {what} {problem}": None} if problem else {}
+    return tuple(visuals), tuple(warnings)
+
+
+@lru_cache(maxsize=64)
+def _mesh_file(
+    path: Path, scale: tuple[float, float, float], _modified: int
+) -> tuple[Mesh | None, str]:
+    """The triangles of a file that was last changed then, and what is wrong with them."""
+    mesh, problem = read_mesh(path, scale)
+    return (
+        (None, f"{problem}; a simple shape stands for it") if mesh is None else (creased(*mesh), "")
+    )
+
+
+def _solid(shape: LinkShape) -> Mesh | None:
+    """A box, a sphere or a cylinder as triangles; a capsule is drawn as a cylinder."""
+    sizes, make = shape.sizes, trimesh.creation
+    if sizes is None:
+        return None
+    if shape.geometry.tag == "box":
+        solid = make.box(sizes)
+    elif shape.geometry.tag == "sphere":
+        solid = make.icosphere(3, sizes[0])
+    else:
+        solid = make.cylinder(sizes[0], sizes[1])
+    return creased(solid.vertices, solid.faces)
+
+
+def creased(vertices: NDArray[np.floating], faces: NDArray[np.int64]) -> Mesh:
+    """A mesh whose vertices on a crease are doubled, one for each smooth side: three.js smooths at each vertex."""
+    mesh = trimesh.graph.smooth_shade(trimesh.Trimesh(vertices, faces), _CREASE, facet_minarea=None)
+    return np.asarray(mesh.vertices, dtype=np.float32), np.asarray(mesh.faces)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Puppet:
+    """What of one robot is drawn, and where it is at each pose."""
+
+    links: tuple[
+        str, ...
+    ]  #: The links that move; the movers are these, then the frames of base, tip and target
+    parts: tuple[
+        tuple[int, Mesh, Array], ...
+    ]  #: A mover's number, a mesh, and T_mover_shape, (4, 4), [m]
+    rods: tuple[
+        tuple[int, int], ...
+    ]  #: Pairs of movers with a rod from the origin of one to that of the other
+    radius: float  #: Of the rods [m]
+    poses: Array  #: shape (N, L, 4, 4), each mover on the stage at each pose [m]
+    origins: Array  #: shape (N, K, 3), all links of the URDF [m]
+
+    @classmethod
+    def of(
+        cls,
+        robot: Robot,
+        q: Array,
+        visuals: Sequence[Visual],
+        T_stage_base: Array,
+        T_tip_target: Array,
+    ) -> Puppet:
+        """A robot at poses q of shape (N, m), standing at T_stage_base of shape (N, 4, 4), [m].
+
+        Links whose mesh is missing, or all links of a robot without shapes, are rods from one to the next.
+        """
+        in_root = root_poses(robot, q)
+        T_stage_root = T_stage_base @ rigid_inverse(in_root[robot.base])
+        shown = {v.link for v in visuals if v.mesh is not None}
+        sticks = {v.link for v in visuals if v.mesh is None} if shown else set(robot.urdf.links)
+        joints = [joint for joint in robot.urdf.joints if joint.parent in sticks]
+        needed = shown | sticks | {joint.child for joint in joints}
+        links = tuple(link for link in robot.urdf.links if link in needed)
+        # The robot's own forward kinematics put tip and target: those are the points that the tables speak of.
+        T_tip = T_stage_base @ robot.poses(q)
+        moved = [T_stage_root @ in_root[link] for link in links]
+        poses = np.stack([*moved, T_stage_base, T_tip, T_tip @ T_tip_target], axis=1)
+        origins = np.stack([(T_stage_root @ T)[:, :3, 3] for T in in_root.values()], axis=1)
+        radius = _STICK * float(np.linalg.norm(np.ptp(origins[0], axis=0)))
+        parts = tuple(
+            (links.index(v.link), v.mesh, v.T_link_shape) for v in visuals if v.mesh is not None
+        )
+        rods = tuple((links.index(joint.parent), links.index(joint.child)) for joint in joints)
+        return cls(links, parts, rods, radius, poses, origins)
+
+    def outline(self, poses: slice = slice(None)) -> Array:
+        """Points that hold the robot at some poses: origins, and the corners of boxes about parts, (K, 3), [m]."""
+        at = self.poses[poses]
+        at = at[np.linspace(0, len(at) - 1, min(len(at), _REACHED)).round().astype(int)]
+        points = [self.origins[poses].reshape(-1, 3), at[:, :, :3, 3].reshape(-1, 3)]
+        for mover, (vertices, _), T in self.parts:
+            low, high = vertices.min(axis=0), vertices.max(axis=0)
+            box = np.c_[0.5 * (low + high) + CORNERS * (high - low), np.ones(8)]
+            points.append((at[:, mover] @ T @ box.T)[:, :3].swapaxes(1, 2).reshape(-1, 3))
+        return np.concatenate(points)
+
+
+def root_poses(robot: Robot, q: Array) -> dict[str, Array]:
+    """T_root_link of every link of the URDF at poses of shape (N, m), by link, shape (N, 4, 4), [m]."""
+    model = full_model(robot.urdf)
+    data = model.createData()
+    frames = [link_frame(model, link) for link in robot.urdf.links]
+    poses = np.empty((len(q), len(frames), 4, 4))
+    for n, configuration in enumerate(full_configurations(model, robot.urdf_values(q))):
+        pin.framesForwardKinematics(model, data, configuration)
+        poses[n] = [data.oMf[frame].homogeneous for frame in frames]
+    return {link: poses[:, k] for k, link in enumerate(robot.urdf.links)}
+
+
+def stage_poses(robot: Robot, q: Array) -> Array:
+    """Where the base stands on the stage at each pose, shape (N, 4, 4), [m].
+
+    The stage is the robot's base; where joints move the base itself, as they do a camera's, it is the root of the URDF.
+    """
+    if not robot.base_moves:
+        return np.broadcast_to(np.eye(4), (len(q), 4, 4))
+    return root_poses(robot, q)[robot.base]
+
+
+def packed(poses: Array) -> NDArray[np.float32]:
+    """Poses of shape (..., 4, 4), [m], as position and quaternion (x, y, z, w), shape (..., 7)."""
+    flat = poses.reshape(-1, 4, 4)
+    # A copy: SciPy before 1.14 takes no matrix that is read-only.
+    turned = Rotation.from_matrix(flat[:, :3, :3].copy()).as_quat()
+    both = np.concatenate([flat[:, :3, 3], turned], axis=1).astype(np.float32)
+    return both.reshape(*poses.shape[:-2], 7)
+
+
+def translation(offset: ArrayLike) -> Array:
+    """A pose without rotation, shape (4, 4)."""
+    T = np.eye(4)
+    T[:3, 3] = offset
+    return T

@@ -21,9 +21,8 @@ from meshcat import geometry as mc
 import calib
 from calib import example
 from calib.errors import CalibError, ModelError
-from calib.viewer.live import Viewer
-from calib.viewer.scene import translation
-from calib.viewer.view import View
+from calib.viewer.page import Viewer
+from calib.viewer.view import View, translation
 from tests.hard_cases import made
 from tests.listening import listening
 

@@ -14,18 +14,9 @@ import pytest
 import umsgpack
 
 from calib.report.figure_base import CALIBRATED, NOMINAL
-from calib.viewer.page import (
-    FACTORS,
-    Key,
-    filled_page,
-    magnification,
-    puppets,
-    script_table,
-    view_page,
-)
-from calib.viewer.scene import translation
-from calib.viewer.shapes import packed, read_visuals
-from calib.viewer.view import View
+from calib.viewer.page import FACTORS, magnification, puppets, script_table, view_page
+from calib.viewer.scene import Key, filled_page
+from calib.viewer.view import View, packed, read_visuals, translation
 
 NASTY = "</script><script>alert(1)</script> \"'&<!-- é漢字 \udcff"
 

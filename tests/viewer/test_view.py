@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
+from scipy.spatial.transform import Rotation
 
 from calib.calibration import calibrate
 from calib.data.cell import Cell
@@ -13,12 +15,21 @@ from calib.data.measurements import Measurements
 from calib.errors import ModelError
 from calib.example import PAPER_TARGET
 from calib.result.calibration_file import read_result
+from calib.robot.meshes import mesh_folders
 from calib.robot.readback import column_ranges, random_joint_values
+from calib.robot.robot import Robot, rigid_inverse
 from calib.text.verdict import reason_text
-from calib.viewer.scene import translation
+from calib.viewer.page import puppets
 from calib.viewer.view import (
     MOST_ROWS,
+    Puppet,
     View,
+    creased,
+    packed,
+    read_visuals,
+    root_poses,
+    stage_poses,
+    translation,
     view_of,
     view_of_result,
     view_of_robots,
@@ -188,3 +199,193 @@ def test_targets_without_a_table_are_the_result_s_or_the_cell_s(result, stored):
     ):
         np.testing.assert_allclose(view.nominal_target[0, :3, 3], [0.1, 0.2, 0.3])
     assert not view_of_robots(result.nominal).nominal_target[0, :3, 3].any()
+
+
+#: The corners of a unit cube and its twelve triangles.
+CUBE = np.array(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij")).reshape(3, -1).T.astype(float)
+CUBE_FACES = np.array(
+    [
+        [0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
+        [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3],
+    ]
+)  # fmt: skip
+
+
+def obj(vertices, faces) -> str:
+    lines = ["v {:.6f} {:.6f} {:.6f}".format(*v) for v in vertices]
+    return "\n".join(lines + ["f {} {} {}".format(*f) for f in np.asarray(faces) + 1])
+
+
+def sheet(n: int) -> tuple[np.ndarray, np.ndarray]:
+    """A waved sheet of some 2 n^2 triangles."""
+    x, y = (one.ravel() for one in np.meshgrid(np.linspace(0, 1, n), np.linspace(0, 1, n)))
+    i = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).ravel()
+    faces = np.concatenate([np.stack([i, i + n, i + n + 1], 1), np.stack([i, i + n + 1, i + 1], 1)])
+    return np.stack([x, y, 0.1 * np.sin(20 * x) * np.cos(20 * y)], axis=1), faces
+
+
+def test_the_meshes_of_the_ur3_are_found_and_read(ur3):
+    visuals, warnings = read_visuals(ur3.urdf)
+    assert warnings == ()
+    assert [v.link for v in visuals] == [link for link in ur3.urdf.links if link.endswith("_link")][
+        :7
+    ]
+    upper_arm, _ = visuals[2].mesh
+    assert 0.3 < np.ptp(upper_arm, axis=0).max() < 0.4  # a2 is 243.65 mm, joints on both ends
+
+
+def test_meshes_that_are_missing_empty_or_changed(with_mesh, tmp_path):
+    urdf, file = with_mesh("../m.obj"), tmp_path / "m.obj"
+    visuals, (warning,) = read_visuals(urdf)
+    assert warning == "link 'a': the mesh '../m.obj' was not found; a simple shape stands for it"
+    assert visuals[0].mesh is None
+    assert len(visuals[1].mesh[1]) == 12  # a box
+    file.write_text("no mesh")
+    visuals, (warning,) = read_visuals(urdf)
+    assert visuals[0].mesh is None
+    assert warning.endswith("; a simple shape stands for it")
+    for size in (1.0, 3.0):
+        file.write_text(obj(size * CUBE, CUBE_FACES))
+        visuals, warnings = read_visuals(urdf)
+        assert warnings == ()
+        np.testing.assert_array_equal(np.ptp(visuals[0].mesh[0], axis=0), 2 * size)  # the scale
+
+
+def test_simple_shapes_and_their_origins(with_mesh, tmp_path):
+    (tmp_path / "t.obj").write_text(obj(CUBE, CUBE_FACES))
+    more = """
+      <visual><origin xyz="1 2 3" rpy="0 0 1.5707963267948966"/><geometry><sphere radius="0.2"/></geometry></visual>
+      <visual><geometry><cylinder radius="0.2" length="0.5"/></geometry></visual>
+      <visual><geometry><capsule radius="0.2" length="0.5"/></geometry></visual>
+      <visual><geometry><box size="1 0 1"/></geometry></visual>
+      <visual><geometry><cone/></geometry></visual>"""
+    visuals, warnings = read_visuals(with_mesh("../t.obj", more))
+    meshes = [v.mesh for v in visuals[1:]]
+    sizes = [None if mesh is None else np.ptp(mesh[0], axis=0) for mesh in meshes]
+    for size, wanted in zip(sizes[:3], [[0.4] * 3, [0.4, 0.4, 0.5], [0.4, 0.4, 0.5]], strict=True):
+        np.testing.assert_allclose(size, wanted, rtol=1e-3)
+    assert sizes[3:5] == [None, None]
+    assert warnings == ("link 'a': a visual has no geometry that can be drawn",)
+    expected = [[0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]]
+    np.testing.assert_allclose(visuals[1].T_link_shape, expected, atol=1e-15)
+
+
+def test_vertices_are_doubled_on_edges_only():
+    vertices, faces = creased(CUBE, CUBE_FACES)
+    assert len(vertices) == 24  # each corner once for each of its three sides
+    np.testing.assert_array_equal(vertices[faces], CUBE[CUBE_FACES])
+    smooth, again = creased(*sheet(60))
+    assert len(smooth) == 3600  # a wave has no crease
+    assert again.shape == (2 * 59**2, 3)
+
+
+Q = {
+    "ur3": [0.3, -1.2, 0.8, -0.5, 1.1, 2.0],
+    "panda": [0.3, -0.5, 0.2, -2.0, 0.1, 1.8, 0.6],
+    "gantry": [0.4, -0.3, 2.5],
+    "head_and_arm": [0.3, -0.5, 0.2, -1.0, 0.1, 1.8, 0.6, -0.4, 0.7],
+}
+
+
+def link_poses(robot: Robot, q) -> dict[str, np.ndarray]:
+    """T_base_link of every link."""
+    at = root_poses(robot, np.array(q)[None])
+    return {link: rigid_inverse(at[robot.base][0]) @ T[0] for link, T in at.items()}
+
+
+def alone(robot: Robot, q) -> Puppet:
+    """One robot in its base."""
+    q = np.atleast_2d(q)
+    eye = np.broadcast_to(np.eye(4), (len(q), 4, 4))
+    return Puppet.of(robot, q, read_visuals(robot.urdf)[0], eye, np.eye(4))
+
+
+@pytest.mark.parametrize("name", Q)
+def test_the_tip_is_where_the_robot_says(request, disturb, name):
+    robot = request.getfixturevalue(name)
+    other = disturb(robot)
+    tip = link_poses(other, Q[name])[robot.tip]
+    np.testing.assert_allclose(tip, other.poses(Q[name])[0], rtol=0, atol=1e-9)
+    assert np.abs(tip - robot.poses(Q[name])[0]).max() > 1e-4
+
+
+def test_visuals_stand_where_pinocchio_puts_them(panda):
+    text = panda.urdf.data.decode()
+    model = pin.buildModelFromXML(text)
+    folders = [str(folder) for folder in mesh_folders(panda.urdf)]
+    geometry = pin.buildGeomFromUrdfString(
+        model, text, pin.GeometryType.VISUAL, package_dirs=folders
+    )
+    placed = geometry.createData()
+    configuration = pin.neutral(model)
+    configuration[:7] = Q["panda"]
+    pin.updateGeometryPlacements(model, model.createData(), geometry, placed, configuration)
+    puppet = alone(panda, Q["panda"])
+    names = [f"{puppet.links[mover]}_0" for mover, _, _ in puppet.parts]
+    assert names == [o.name for o in geometry.geometryObjects]
+    for (mover, _, T_mover_shape), T in zip(puppet.parts, placed.oMg, strict=True):
+        at = puppet.poses[0, mover] @ T_mover_shape
+        np.testing.assert_allclose(at, T.homogeneous, atol=1e-12)
+
+
+def test_links_without_shapes_are_sticks(gantry, with_mesh):
+    puppet = alone(gantry, [[0.0, 0.0, 0.0], [1.5, 0.0, 0.0]])
+    assert puppet.links == tuple(gantry.urdf.links)
+    joints = {(j.parent, j.child) for j in gantry.urdf.joints}
+    assert {(puppet.links[a], puppet.links[b]) for a, b in puppet.rods} == joints
+    at = [puppet.links.index(link) for link in ("rail", "bridge")]
+    lengths = [np.linalg.norm(np.subtract(*puppet.poses[n, at, :3, 3])) for n in (0, 1)]
+    np.testing.assert_allclose(lengths, [0.5, np.hypot(0.5, 1.5)])
+    puppet = alone(Robot.from_urdf(with_mesh("gone.stl")), [0.0])
+    assert len(puppet.parts) == 1  # the box
+    assert [tuple(puppet.links[k] for k in rod) for rod in puppet.rods] == [("a", "b")]
+
+
+@pytest.mark.parametrize("name", ["gantry", "fingers"])
+def test_every_mover_is_where_the_robot_s_forward_kinematics_put_it(request, disturb, name):
+    robot = request.getfixturevalue(name)
+    other = disturb(robot)
+    q = np.random.default_rng(2).uniform(-0.5, 0.5, (2, len(robot.joint_names)))
+    shift = translation([0.01, -0.02, 0.03])
+    view = View(robot, other, q, T_base_nominal=shift, nominal_target=translation([0, 0.1, 0.2]))
+    shown = puppets(view, {who: read_visuals(one.urdf)[0] for who, one in view.robots.items()})
+    for who, one, T_stage_base in (("nominal", robot, shift), ("calibrated", other, np.eye(4))):
+        puppet = shown[who]
+        for n in range(2):
+            poses, tip = link_poses(one, q[n]), one.poses(q[n])[0]
+            wanted = [T_stage_base @ T for T in (*(poses[k] for k in puppet.links), np.eye(4), tip)]
+            np.testing.assert_allclose(puppet.poses[n, :-1], wanted, atol=1e-12)
+        np.testing.assert_allclose(
+            puppet.poses[:, -1, :3, 3], view.predicted[int(who != "nominal")]
+        )
+
+
+def test_a_robot_whose_base_moves_stands_on_its_root(head_and_arm):
+    """A camera on the head looks at the arm: the picture stands still, and the head moves."""
+    q = np.array([Q["head_and_arm"], [0.4, -0.5, *[0.1] * 7]])
+    on_stage = stage_poses(head_and_arm, q)
+    camera = Robot.load("tiago_no_hand", "base_footprint", head_and_arm.base)
+    for n in range(2):
+        values = dict(zip(head_and_arm.joint_names, q[n], strict=True))
+        at_head = [values.get(name, 0.0) for name in camera.joint_names]
+        np.testing.assert_allclose(on_stage[n], camera.poses(at_head)[0], atol=1e-9)
+
+
+def test_the_outline_holds_every_shape(ur3):
+    puppet = alone(ur3, np.random.default_rng(5).uniform(-2, 2, (5, 6)))
+    outline = puppet.outline()
+    for mover, (vertices, _), T_mover_shape in puppet.parts:
+        for T in puppet.poses[:, mover] @ T_mover_shape:
+            points = vertices @ T[:3, :3].T + T[:3, 3]
+            assert np.all(points.min(axis=0) >= outline.min(axis=0) - 1e-6)
+            assert np.all(points.max(axis=0) <= outline.max(axis=0) + 1e-6)
+
+
+def test_packed_poses_are_the_poses():
+    T = np.tile(np.eye(4), (2, 3, 1, 1))
+    T[..., :3, :3] = Rotation.random(6, random_state=3).as_matrix().reshape(2, 3, 3, 3)
+    T[..., :3, 3] = np.arange(18).reshape(2, 3, 3)
+    values = packed(T)
+    back = Rotation.from_quat(values[..., 3:].reshape(-1, 4)).as_matrix().reshape(2, 3, 3, 3)
+    np.testing.assert_allclose(back, T[..., :3, :3], atol=1e-6)
+    np.testing.assert_array_equal(values[..., :3], T[..., :3, 3])

@@ -67,8 +67,7 @@ def view(
     """See the text of `verb`."""
     import calib.cli.setup as read
     from calib.result.calibration_file import read_result
-    from calib.viewer.live import serve
-    from calib.viewer.page import view_page
+    from calib.viewer.page import serve, view_page
     from calib.viewer.view import view_of_result, view_of_robots
 
     if other is not None and calibration is not None:
