@@ -26,8 +26,7 @@ from rich.progress import track
 from calib.calibration import calibrate
 from calib.circle_points.fits import fit_circle, fit_plane
 from calib.circle_points.frame import BaseFrame, frame_of, nominal_axes, nominal_axes_frame
-from calib.circle_points.survey import base_frame, carried
-from calib.circle_points.sweeps import Sweep, positive
+from calib.circle_points.survey import base_frame, positive
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.data.surroundings import TrackerNoise
@@ -132,10 +131,10 @@ class Case:
 
 
 def frame_table(runs: int, seed: int) -> Iterator[str]:
-    """Errors of the base frame, over the Cramer-Rao bound, and how often the truth is in its region."""
+    """Errors of the base frame, over the Cramer-Rao bound, and how often the truth is in the intervals."""
     yield (
         "| arcs | noise | median error [mm] | [mrad] | rms error [mm] | [mrad] | rms / bound, position | rotation | in "
-        f"the 95 % region | ({runs} runs) |"
+        f"95 % intervals | ({runs} runs) |"
     )
     yield "|---|---|---|---|---|---|---|---|---|---|"
     for case in (
@@ -157,7 +156,7 @@ def frame_table(runs: int, seed: int) -> Iterator[str]:
 
 
 def frame_runs(case: Case, runs: int, seed: int) -> tuple[Array, NDArray[np.bool_], Array]:
-    """Errors of the frame as twists (runs, 6), whether the truth is in the region, bounds (position, rotation)."""
+    """Errors of the frame as twists (runs, 6), whether each is in its interval, bounds (position, rotation)."""
     robot = Robot.load(paper_urdf(), base="base", tip="tool0")
     exact = virtual_sweeps(
         robot,
@@ -172,14 +171,12 @@ def frame_runs(case: Case, runs: int, seed: int) -> tuple[Array, NDArray[np.bool
 
     def frame(noise: Sequence[Array], *, given: bool) -> BaseFrame:
         """The base frame of the sweeps with some noise."""
-        figures = []
-        for sweep, e in zip(exact.sweeps, noise, strict=True):
-            sigma = np.full(len(sweep.points), SIGMA) if given else None
-            points = sweep.points + e
-            figures.append((sweep, points, sigma))
-        plane = fit_plane(figures[0][1], figures[0][2])
+        touched, *swept = exact.sweeps
+        sigmas = [np.full(len(sweep.points), SIGMA) if given else None for sweep in exact.sweeps]
+        plane = fit_plane(touched.points + noise[0], sigmas[0])
         first, second = (
-            positive(_moved(sweep, p), fit_circle(p, sigma)) for sweep, p, sigma in figures[1:]
+            positive(fit_circle(sweep.points + e, sigma), sweep.joints, k, exact.joint_names)
+            for k, (sweep, e, sigma) in enumerate(zip(swept, noise[1:], sigmas[1:], strict=True))
         )
         return frame_of(plane, first, second, T_axes_base=T_axes_base)
 
@@ -187,19 +184,12 @@ def frame_runs(case: Case, runs: int, seed: int) -> tuple[Array, NDArray[np.bool
     covariance = frame(none, given=True).covariance
     bound = np.sqrt([np.trace(covariance[:3, :3]), np.trace(covariance[3:, 3:])])
     rng = np.random.default_rng((seed, int(case.arcs[0]), case.given))
-    xi, inside = np.empty((runs, 6)), np.empty(runs, dtype=np.bool_)
+    xi, inside = np.empty((runs, 6)), np.empty((runs, 6), dtype=np.bool_)
     for i in watched(range(runs), f"base frame, {case.arcs[0]:.0f}, {case.arcs[1]:.0f} deg"):
         found = frame([SIGMA * rng.normal(size=e.shape) for e in none], given=case.given)
         xi[i] = pin.log6(rigid_inverse(found.T_tracker_base) @ T_TRACKER_BASE).vector
-        inside[i] = found.distance(T_TRACKER_BASE) <= found.limit(0.95)
+        inside[i] = np.abs(xi[i]) <= found.within(0.95)
     return xi, inside, bound
-
-
-def _moved(sweep: Sweep, points: Array) -> Sweep:
-    """The sweep with other points."""
-    return Sweep(
-        sweep.joint, sweep.name, read_only(points), None, sweep.joints, sweep.rows, sweep.source
-    )
 
 
 # A calibration behind it
@@ -216,7 +206,7 @@ def robot_table(robots: int, seed: int) -> Iterator[str]:
     for k, label in enumerate(
         (
             "nominal robot, base frame from sweeps",
-            "calibrated, data carried into the base frame from sweeps (270, 180 deg)",
+            "calibrated in the base frame from sweeps (270, 180 deg)",
             "calibrated, the frame estimated with the robot",
         )
     ):
@@ -250,17 +240,14 @@ def one_robot(seed: int) -> tuple[float, float, float]:
         """Of the distance to the truth in the tracker's frame."""
         return float(np.sqrt(np.mean(np.sum((points - truth) ** 2, axis=1))))
 
-    def from_base(points: Array) -> Array:
-        """Points of the measured base as the tracker sees them."""
-        T = frame.T_tracker_base
-        return np.asarray(points @ T[:3, :3].T + T[:3, 3])
-
-    poses = nominal.poses(unseen)
-    in_base = calibrate(nominal, carried(data, frame), model="hayati", validate=False)
+    poses = frame.T_tracker_base @ nominal.poses(unseen)
+    in_base = calibrate(
+        nominal, data, cell=Cell(T_frame_base=frame.T_tracker_base), model="hayati", validate=False
+    )
     free = calibrate(nominal, data, cell=Cell(estimate_frame=True), model="hayati", validate=False)
     return (
-        rms(from_base(poses[:, :3, :3] @ target + poses[:, :3, 3])),
-        rms(from_base(in_base.predict(unseen))),
+        rms(poses[:, :3, :3] @ target + poses[:, :3, 3]),
+        rms(in_base.predict(unseen)),
         rms(free.predict(unseen)),
     )
 

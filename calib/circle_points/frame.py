@@ -9,14 +9,11 @@ Where joint 1 was not at zero while joint 2 was swept, A is turned back about z.
 own base frame, in which the nominal axes 1 and 2 and the plane z = 0 are known:
 T_tracker_base = T_tracker_A T_base_A^-1.
 
-Uncertainty: the covariance of plane and circles through the derivatives of these equations (central differences),
-C = sum_k C_k. The noise is found from the residuals, each figure for itself, so that the frame is off by
+Uncertainty: the covariances C_k of plane and circles through the derivatives of these equations (central differences).
+The noise is found from the residuals, each figure for itself with dof_k degrees of freedom, so that an interval of one
+component is that of Student's t with (B. Welch, 1947; F. Satterthwaite, 1946)
 
-    xi = sum_k C_k^1/2 t_k,     t_k: Student's t in 6 dimensions with the figure's dof_k
-
-(normal where the noise was given; W. Behrens, 1929; R. Fisher, 1935). Quantiles of xi^T C^-1 xi and of each component
-of xi are those of draws, the same every time. A plane of four points has one degree of freedom and circles of 40 have
-74: no single number stands for these, and a region made with one would hold the truth in 87 % of the cases, not 95 %.
+    1 / dof = sum_k (var_k / var)^2 / dof_k,     var = sum_k var_k
 """
 
 from __future__ import annotations
@@ -26,28 +23,21 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
-from scipy.special import gammaincinv, ndtri
+from numpy.typing import NDArray
+from scipy.special import stdtrit
 
 from calib.circle_points.fits import Circle, Plane
 from calib.errors import CalibError, UrdfError
-from calib.model.dh import DHTable, dh_table, rows_between, zero_poses
+from calib.model.dh import zero_poses
 from calib.robot.robot import Robot, read_only, rigid_inverse
 
 Array = NDArray[np.float64]
 
-#: The numbers of a DH row, in the order in which they are given here, and their units.
-NUMBERS = {"a": "m", "alpha": "rad", "d": "m", "theta": "rad", "beta": "rad"}
-
 #: Axis 1 closer than this to the plane does not meet it anywhere near [rad].
 SLANT_RAD = float(np.radians(30.0))
 
-#: Axes closer than this to parallel have their common normal anywhere, and 1 and 2 say nothing of y [rad].
+#: Axes 1 and 2 closer than this to parallel say nothing of y [rad].
 PARALLEL_RAD = float(np.radians(5.0))
-
-#: Draws of the frame's error, for a quantile to about 1 %, and their seed: the same every time.
-_DRAWS, _SEED = 10_000, 19350101
 
 # Of the central differences that uncertainty is propagated with [m, rad]: all of it is smooth over centimetres.
 _STEP = 3e-6
@@ -64,15 +54,8 @@ class Line(NamedTuple):
         return Line(T[:3, :3] @ self.point + T[:3, 3], T[:3, :3] @ self.direction)
 
 
-class Nominal(NamedTuple):
-    """What a URDF says of the axes, in the base at zero: the line of each joint, and the DH rows (Hayati's)."""
-
-    lines: tuple[Line, ...]
-    table: DHTable
-
-
-def nominal_axes(robot: Robot) -> Nominal:
-    """The axes of a robot of which each joint turns and has a column of its own."""
+def nominal_axes(robot: Robot) -> tuple[Line, ...]:
+    """The axes in the base at zero of a robot of which each joint turns and has a column of its own."""
     n = len(robot.joints)
     own = all(j.type != "prismatic" and j.name in robot.joint_names for j in robot.joints)
     free = robot.coupling.shape == (n, n) and np.array_equal(robot.coupling, np.eye(n))
@@ -83,18 +66,7 @@ def nominal_axes(robot: Robot) -> Nominal:
             "lie between them."
         )
     placed = zip(zero_poses(robot)[0], robot.joints, strict=True)
-    lines = (Line(T[:3, 3], T[:3, :3] @ np.asarray(joint.axis)) for T, joint in placed)
-    return Nominal(tuple(lines), dh_table(robot))
-
-
-def axis_rows(lines: Sequence[Line], table: DHTable | None = None) -> Array:
-    """a, alpha, d, theta, beta of the rows from each axis to the next, shape (n - 1, 5) [m, rad].
-
-    The last row of a robot leads to its tip, which no axis says anything of. The n axes are in the base at zero; those
-    of the URDF's table make the choices that the convention leaves open.
-    """
-    rows = rows_between(lines, table)
-    return np.array([[getattr(row, name) for name in NUMBERS] for row in rows]).reshape(-1, 5)
+    return tuple(Line(T[:3, 3], T[:3, :3] @ np.asarray(joint.axis)) for T, joint in placed)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,15 +74,9 @@ class BaseFrame:
     """A base frame and how well it is known."""
 
     T_tracker_base: Array  #: Pose of the base in the tracker's frame, shape (4, 4) [m]
-    #: What plane, circle 1 and circle 2 contribute to the covariance, shape (6, 6) each
-    parts: tuple[Array, ...]
-    #: The degrees of freedom of each part; infinite where the noise was given
-    dofs: tuple[float, ...]
-
-    @property
-    def covariance(self) -> Array:
-        """Of the twist xi (displacement [m], rotation [rad], in the base's axes) in T_tracker_base exp(xi), (6, 6)."""
-        return np.asarray(np.sum(self.parts, axis=0))
+    #: Of the twist xi (displacement [m], rotation [rad], in the base's axes) in T_tracker_base exp(xi), shape (6, 6)
+    covariance: Array
+    dof: Array  #: Degrees of freedom of each component's variance, shape (6,); infinite where the noise was given
 
     @property
     def T_base_tracker(self) -> Array:
@@ -122,46 +88,9 @@ class BaseFrame:
         """Standard deviations of the twist, shape (6,) [m, rad], in the base's axes."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
-    def carry(self, points: ArrayLike) -> Array:
-        """Points of the tracker's frame in the base, shape (N, 3) or (3,) [m]."""
-        T = self.T_base_tracker
-        return np.asarray(np.asarray(points, dtype=np.float64) @ T[:3, :3].T + T[:3, 3])
-
-    def std_at(self, points: Array) -> Array:
-        """What the frame's uncertainty makes of points of the base in all directions together, shape (N,) [m]."""
-        G = np.array([np.hstack([np.eye(3), -pin.skew(p)]) for p in points])
-        return np.asarray(np.sqrt(np.einsum("nij,jk,nik->n", G, self.covariance, G)))
-
-    def distance(self, T_tracker_base: Array) -> float:
-        """Squared distance of another pose of the base in units of the covariance."""
-        xi = pin.log6(rigid_inverse(self.T_tracker_base) @ T_tracker_base).vector
-        return float(xi @ np.linalg.solve(self.covariance, xi))
-
-    def limit(self, share: float = 0.95) -> float:
-        """The squared distance below which the true base lies with this probability."""
-        if np.all(np.isinf(self.dofs)):
-            return 2.0 * float(gammaincinv(3.0, share))
-        xi = self._draws()
-        square = np.einsum("ni,ij,nj->n", xi, np.linalg.inv(self.covariance), xi)
-        return float(np.quantile(square, share))
-
     def within(self, share: float = 0.95) -> Array:
         """To both sides of zero, between which each component of the twist lies with this probability, shape (6,)."""
-        if np.all(np.isinf(self.dofs)):
-            return np.asarray(ndtri(0.5 + 0.5 * share) * self.std)
-        return np.asarray(np.quantile(np.abs(self._draws()), share, axis=0))
-
-    def _draws(self) -> Array:
-        """Errors of the frame that the measurements allow for, shape (draws, 6); see the module's text."""
-        rng = np.random.default_rng(_SEED)
-        xi, std = np.zeros((_DRAWS, 6)), self.std
-        for part, dof in zip(self.parts, self.dofs, strict=True):
-            wider = 1.0 if np.isinf(dof) else np.sqrt(dof / rng.chisquare(dof, size=(_DRAWS, 1)))
-            # In units of the standard deviations: lengths stand beside angles.
-            values, vectors = np.linalg.eigh(part / np.outer(std, std))
-            root = vectors * np.sqrt(np.maximum(values, 0.0))
-            xi += wider * (rng.normal(size=(_DRAWS, 6)) @ root.T)
-        return xi * std
+        return np.asarray(stdtrit(np.minimum(self.dof, 1e9), 0.5 + 0.5 * share) * self.std)
 
 
 def frame_of(
@@ -192,8 +121,12 @@ def frame_of(
         M = rigid_inverse(T) @ axes_frame(*displaced) @ X
         return np.concatenate([M[:3, 3], 0.5 * (M - M.T)[[2, 0, 1], [1, 2, 0]]])
 
-    parts = propagated(moved, lines, figures)
-    return BaseFrame(read_only(T), tuple(map(read_only, parts)), tuple(f.dof for f in figures))
+    parts = np.array(propagated(moved, lines, figures))
+    covariance, own = parts.sum(axis=0), np.diagonal(parts, axis1=1, axis2=2)
+    share = own / np.diag(covariance)
+    with np.errstate(divide="ignore"):
+        dof = 1.0 / np.sum(share**2 / np.array([[figure.dof] for figure in figures]), axis=0)
+    return BaseFrame(read_only(T), read_only(covariance), read_only(dof))
 
 
 def lines_of(plane: Plane, *circles: Circle, plane_offset: float) -> list[Line]:
@@ -255,10 +188,10 @@ def axes_frame(plane: Line, first: Line, second: Line) -> Array:
     return T
 
 
-def nominal_axes_frame(nominal: Nominal) -> Array:
+def nominal_axes_frame(axes: Sequence[Line]) -> Array:
     """T_base_A of a robot's nominal axes 1 and 2 at zero; the mounting plane is z = 0 of the base."""
     try:
-        return axes_frame(Line(np.zeros(3), np.array([0.0, 0.0, 1.0])), *nominal.lines[:2])
+        return axes_frame(Line(np.zeros(3), np.array([0.0, 0.0, 1.0])), *axes[:2])
     except CalibError as error:
         raise CalibError(
             f"In the URDF, with the plane z = 0 of the base, {error}. Choose another base link (--base)."

@@ -1,18 +1,18 @@
-"""Circle-point analysis: every swept joint's axis, the base frame from the first two, and the geometry that follows.
+"""Circle-point analysis: every swept joint's axis, and the base frame from the plane and the first two.
 
-Each joint's axis is that of the circle which its sweep draws. Seen from the base, the axes are a first estimate of the
-robot's DH rows, beside which stand those of the URDF. Where joints above were not at zero during a sweep, and the table
-says so, the axis is turned back about theirs first:
+Each joint's axis is that of the circle which its sweep draws. How far apart two neighbouring axes are, and at what
+angle, is compared with the URDF's. Where joints above were not at zero during a sweep, and the table says so, the axis
+is turned back about theirs first:
 
     axis_k(0) = exp(-S_(k-1) q_(k-1)) ... exp(-S_1 q_1) axis_k(q),   S_j: the screw of axis_j(0)
-
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -22,29 +22,17 @@ from scipy.special import ndtr
 
 from calib.circle_points.fits import LEVEL, Circle, Plane, fit_circle, fit_plane
 from calib.circle_points.frame import (
-    NUMBERS,
     PARALLEL_RAD,
     BaseFrame,
     Line,
-    Nominal,
     axes_frame,
-    axis_rows,
     frame_of,
     lines_of,
     nominal_axes,
     nominal_axes_frame,
     propagated,
 )
-from calib.circle_points.sweeps import (
-    ORDER,
-    Sweep,
-    Sweeps,
-    Turning,
-    check_joint,
-    positive,
-    turning,
-)
-from calib.data.measurements import Measurements
+from calib.circle_points.sweeps import Sweep, Sweeps
 from calib.errors import CalibError, MeasurementError, choices
 from calib.fields import Key, Layout
 from calib.robot.robot import Robot, read_only, rigid_inverse
@@ -54,22 +42,36 @@ Array = NDArray[np.float64]
 #: Of the table for JSON; a number behind it changes with the meaning of a key.
 SCHEMA = "base-frame 2"
 
+#: Beside the joint that turns, no other may by more than the first [rad]; it turns by more than the second.
+STILL_RAD, TURNED_RAD = float(np.radians(0.1)), float(np.radians(1.0))
+
+#: Joint values and points may disagree by this much, rms, before they are of different sweeps [rad].
+_DISAGREE_RAD = float(np.radians(3.0))
+
+#: Of all turning, how much goes one way in a sweep.
+_ONE_WAY = 0.8
+
 #: No robot is built, and mounted, with axes that stand this much otherwise to each other than in its URDF; to the
-#: distance come so many standard deviations of the circles' centres.
+#: distance come so many of its standard deviations.
 ANGLE_RAD, DISTANCE_M, _SIGMAS = float(np.radians(5.0)), 20e-3, 6.0
+
+_ORDER = (
+    "Without joint values the rows of a sweep stand in the order of increasing joint angle: turn their order round, or "
+    "give the joints' values in columns."
+)
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What is not as it should be of a sweep: a code, where, and its numbers [mm, mrad].
+    """What is not as it should be of a sweep.
 
-    Codes are ``downwards`` (axis 1), ``gross``, ``radial`` and ``axial`` (neighbours err alike), ``scatter``, ``gain``
-    and ``eccentricity``.
+    Codes are ``gross`` (the value is its distance [m]), ``radial`` and ``axial`` (neighbours err alike, by this
+    correlation), and ``scatter`` (larger than sigma by this factor).
     """
 
     code: str
     where: str
-    values: dict[str, float] = field(default_factory=dict)
+    value: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,20 +87,19 @@ class JointAxis:
     direction: Array  #: Its normal in the base, shape (3,)
     #: shape (6, 6), of point [m] and direction in the base, the base's own uncertainty included
     covariance: Array
-    turning: Turning | None  #: How well the joint turned; None without joint values
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class AxisRow:
-    """The DH row from one joint's axis to the next: a, alpha, d, theta, beta, as in `calib.model.dh.DHRow`, shape (5,).
+@dataclass(frozen=True, slots=True)
+class AxisPair:
+    """How two neighbouring axes stand to each other; the URDF's numbers are NaN without one."""
 
-    Standard deviations are 0 for what is zero by convention; ``nominal`` is the URDF's row, None without one.
-    """
-
-    joint: str
-    values: Array
-    std: Array
-    nominal: Array | None
+    joints: tuple[str, str]
+    angle: float  #: In [0, pi] [rad]
+    distance: float  #: Their shortest one, positive along the first axis times the second, or parallel [m]
+    angle_std: float  #: [rad]
+    distance_std: float  #: [m]
+    angle_nominal: float  #: [rad]
+    distance_nominal: float  #: [m]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,10 +109,7 @@ class Survey:
     frame: BaseFrame  #: The base frame
     plane: Plane  #: The mounting plane as measured, in the tracker's frame
     joints: tuple[JointAxis, ...]  #: The swept joints, in the order of the chain
-    #: The DH rows of the joints that follow each other from the first one
-    rows: tuple[AxisRow, ...]
-    #: Whether these are at the joints' zero; else at the pose in which the sweeps were measured
-    at_zero: bool
+    pairs: tuple[AxisPair, ...]  #: Of the joints that follow each other from the first one
     findings: tuple[Finding, ...]  #: What is not as it should be
 
     def table(self) -> dict[str, Any]:
@@ -136,8 +134,7 @@ def base_frame(
     """
     nominal = None if robot is None else nominal_axes(robot)
     by_joint = {sweep.joint: sweep for sweep in sweeps.sweeps}
-    missing = [sweeps.label(k) for k in (0, 1) if k not in by_joint]
-    if missing or None not in by_joint:
+    if not by_joint.keys() >= {None, 0, 1}:
         raise MeasurementError(
             f"{sweeps.source}: the sweeps are {choices(s.name for s in sweeps.sweeps)}. A base frame needs points on "
             f"the mounting plane, 'plane', and sweeps of '{sweeps.label(0)}' and '{sweeps.label(1)}'."
@@ -147,11 +144,10 @@ def base_frame(
     with _at(touched.where):
         plane = fit_plane(touched.points, touched.sigma, robust=robust)
     circles = []
-    for _, sweep in swept:
-        check_joint(sweep, sweeps.joint_names)
+    for joint, sweep in swept:
         with _at(sweep.where):
             circle = fit_circle(sweep.points, sweep.sigma, robust=robust)
-        circles.append(positive(sweep, circle))
+            circles.append(positive(circle, sweep.joints, joint, sweeps.joint_names))
     run = next((i for i, (k, _) in enumerate(swept) if i != k), len(swept))
     given = [sweep.joints.mean(axis=0) for _, sweep in swept if sweep.joints is not None]
     values = given if len(given) == len(swept) else None
@@ -163,133 +159,117 @@ def base_frame(
     with _at(f"{sweeps.source}, plane and sweeps of the joints 1 and 2"):
         frame = frame_of(plane, *circles[:2], plane_offset=plane_offset, T_axes_base=X)
         lines = lines_of(plane, *circles, plane_offset=plane_offset)
-    table = None if nominal is None else nominal.table
+        # Above the plane, seen along axis 1, as the URDF's axis is; column z of the base is that of the plane.
+        upright = frame.T_tracker_base[:3, 2] @ (circles[0].point - plane.point)
+        if values is None and upright < 0.0:
+            raise CalibError(f"joint 1 turns the other way round, seen from the plane. {_ORDER}")
 
     def geometry(displaced: Sequence[Line]) -> Array:
-        """Points and directions of all axes in the base, then the DH rows, as one vector."""
+        """Points and directions of all axes in the base, then angles and distances of neighbours, as one vector."""
         T = rigid_inverse(axes_frame(*displaced[:3]) @ X)
-        home = [axis.moved(T) for axis in _at_zero(displaced[1 : run + 1], values)]
         axes = [axis.moved(T) for axis in displaced[1:]]
-        return np.concatenate([np.ravel(axes), axis_rows(home, table).ravel()])
+        neighbours = pairwise(_at_zero(displaced[1 : run + 1], values))
+        return np.concatenate([np.ravel(axes), *(between(*two) for two in neighbours)])
 
-    found = _side(swept[0][1], plane, circles[0], robot)
-    if robot is not None and nominal is not None:
-        _check_pairs(sweeps, robot, nominal, _at_zero(lines[1 : run + 1], values), circles)
     numbers = read_only(geometry(lines))
     covariance = read_only(np.sum(propagated(geometry, lines, [plane, *circles]), axis=0))
-    axes, found = [], [*found, *findings(touched, plane)]
+    axes, found = [], [*findings(touched, plane)]
     for k, ((joint, sweep), circle) in enumerate(zip(swept, circles, strict=True)):
-        place, turned = slice(6 * k, 6 * k + 6), turning(sweep, circle)
+        place = slice(6 * k, 6 * k + 6)
         point, direction = numbers[place].reshape(2, 3)
         name, own = sweeps.label(joint), covariance[place, place]
-        axes.append(JointAxis(joint, name, circle, sweep.rows, point, direction, own, turned))
-        found += findings(sweep, circle, turned)
-    measured = numbers[6 * len(axes) :].reshape(-1, len(NUMBERS))
-    std = read_only(np.sqrt(np.diag(covariance))[6 * len(axes) :].reshape(measured.shape))
-    wanted = None if nominal is None else axis_rows(nominal.lines, nominal.table)
-    rows = tuple(
-        AxisRow(sweeps.label(i), row, std[i], None if wanted is None else wanted[i])
-        for i, row in enumerate(measured)
-    )
-    return Survey(frame, plane, tuple(axes), rows, values is not None, tuple(found))
+        axes.append(JointAxis(joint, name, circle, sweep.rows, point, direction, own))
+        found += findings(sweep, circle)
+    pairs, std = [], np.sqrt(np.diag(covariance))
+    for k in range(run - 1):
+        names, at = (sweeps.label(k), sweeps.label(k + 1)), 6 * len(axes) + 2 * k
+        wanted = (np.nan, np.nan) if nominal is None else between(*nominal[k : k + 2])
+        both = np.ravel([numbers[at : at + 2], std[at : at + 2], wanted])
+        pairs.append(AxisPair(names, *both.tolist()))
+        if robot is not None:
+            _check(pairs[-1], f"the URDF of '{robot.name}' from '{robot.base}' to '{robot.tip}'")
+    return Survey(frame, plane, tuple(axes), tuple(pairs), tuple(found))
 
 
-def carried(measurements: Measurements, frame: BaseFrame) -> Measurements:
-    """Measurements of the tracker's frame in the base: positions and orientations; all else stays.
+def positive(
+    circle: Circle, values: Array | None, joint: int, joint_names: tuple[str, ...]
+) -> Circle:
+    """The circle with its normal so that the joint's positive sense turns about it.
 
-    Raises:
-        MeasurementError: The rows are of several set-ups, of which each has a frame.
+    By the joints' values at all points, shape (N, n) [rad], of which one only may change; else by the points' order.
     """
-    rows = measurements.positions
-    groups = dict.fromkeys(g for g, there in zip(measurements.groups, rows, strict=True) if there)
-    if len(groups) > 1:
-        raise MeasurementError(
-            f"{measurements.source}: the rows are of the set-ups {choices(groups)} (column 'group'), and the sweeps "
-            "tell the base frame of one. Carry each set-up with its own sweeps."
+    angles = circle.angles[circle.used]
+    if values is None:
+        steps = np.angle(np.exp(1j * np.diff(angles)))
+        turned = float(steps.sum())
+        if abs(turned) < _ONE_WAY * float(np.abs(steps).sum()):
+            raise CalibError(
+                f"the points go round both ways, and their order must tell the sense of turning. {_ORDER}"
+            )
+        return circle if turned > 0.0 else circle.turned()
+    ranges = np.ptp(values, axis=0)
+    if ranges[joint] < TURNED_RAD or np.any(np.delete(ranges, joint) > STILL_RAD):
+        turns = zip(joint_names, np.degrees(ranges), strict=True)
+        told = ", ".join(f"'{name}' {angle:.3g} deg" for name, angle in turns)
+        raise CalibError(
+            f"by their columns the joints turn by {told}. In a sweep one joint turns, as far as it can, and all others "
+            "stand still; name the joint that turns, or measure it again"
         )
-    turned = measurements.rotations
-    return replace(
-        measurements,
-        points=frame.carry(measurements.points),
-        rotations=None if turned is None else frame.T_base_tracker[:3, :3] @ turned,
-    )
-
-
-def _side(sweep: Sweep, plane: Plane, first: Circle, robot: Robot | None) -> list[Finding]:
-    """A finding, or a refusal, where axis 1 does not point from the plane towards its circle, as the URDF's does."""
-    height = float((first.point - plane.point) @ plane.normal)
-    height *= float(np.sign(first.normal @ plane.normal))
-    if robot is not None:
-        T = rigid_inverse(robot.T_root_base) @ robot.placements[0]
-        height *= float(np.sign((T[:3, :3] @ np.asarray(robot.joints[0].axis))[2]))
-    if height < 0.0 and robot is not None and sweep.joints is None:
-        raise MeasurementError(
-            f"{sweep.where}: seen from the plane the joint turns the other way than in the URDF. {ORDER}"
+    own = values[circle.used, joint]
+    rest = []
+    for sign in (1.0, -1.0):
+        off = np.exp(1j * (angles - sign * own))
+        rest.append(float(np.angle(off / off.mean()).std()))
+    if min(rest) > _DISAGREE_RAD:
+        raise CalibError(
+            f"the points turn otherwise than the joint's column says, by {np.degrees(min(rest)):.3g} deg rms. Check "
+            "that joint values and points are of the same rows, and the column's unit"
         )
-    return [Finding("downwards", sweep.where)] if height < 0.0 else []
-
-
-def _check_pairs(
-    sweeps: Sweeps,
-    robot: Robot,
-    nominal: Nominal,
-    lines: Sequence[Line],
-    circles: Sequence[Circle],
-) -> None:
-    """Refuse axes at zero, of circles, in any frame, that stand to each other as no two of this robot do."""
-    for k in range(len(lines) - 1):
-        angle, distance = between(*lines[k : k + 2])
-        wanted_angle, wanted_distance = between(*nominal.lines[k : k + 2])
-        vague = sum(float(np.trace(c.covariance[:3, :3])) for c in circles[k : k + 2])
-        far = abs(distance - wanted_distance) > DISTANCE_M + _SIGMAS * np.sqrt(vague)
-        if not far and abs(angle - wanted_angle) <= ANGLE_RAD:
-            continue
-        remedy = (
-            "One of the two sweeps is of another joint, or the robot or its chain is another one: check what was "
-            "turned, and --robot, --base."
-        )
-        if not far and abs(np.pi - angle - wanted_angle) < ANGLE_RAD:
-            remedy = f"One of the two turns the other way round, or its joint's sign is not the URDF's. {ORDER}"
-        raise MeasurementError(
-            f"{sweeps.source}: the axes of '{sweeps.label(k)}' and '{sweeps.label(k + 1)}' are "
-            f"{np.degrees(angle):.1f} deg and {1e3 * distance:.1f} mm apart; in the URDF of '{robot.name}' from "
-            f"'{robot.base}' to '{robot.tip}' they are {np.degrees(wanted_angle):.1f} deg and "
-            f"{1e3 * wanted_distance:.1f} mm. {remedy}"
-        )
+    return circle if rest[0] <= rest[1] else circle.turned()
 
 
 def between(first: Line, second: Line) -> tuple[float, float]:
-    """The angle between two axes, in [0, pi], and their shortest distance [rad, m]."""
+    """The angle between two axes, in [0, pi], and their shortest distance, positive along n_1 x n_2 [rad, m]."""
     cross = np.cross(first.direction, second.direction)
     sine = float(np.linalg.norm(cross))
     angle = float(np.arctan2(sine, first.direction @ second.direction))
     apart = second.point - first.point
     if sine < np.sin(PARALLEL_RAD):
         return angle, float(np.linalg.norm(np.cross(apart, first.direction)))
-    return angle, float(abs(apart @ cross) / sine)
+    return angle, float(apart @ cross) / sine
 
 
-def findings(sweep: Sweep, figure: Plane, turned: Turning | None = None) -> Iterator[Finding]:
-    """Gross rows, neighbours that err alike, noise beyond sigma, a joint's own errors."""
-    used = figure.used
-    off = np.linalg.norm(figure.residuals, axis=1)
-    for i in np.flatnonzero(~used):
+def findings(sweep: Sweep, figure: Plane) -> Iterator[Finding]:
+    """Gross rows, neighbours that err alike, noise beyond sigma."""
+    for i in np.flatnonzero(~figure.used):
         where = f"{sweep.source}, {sweep.counted} {sweep.rows[i]} (sweep '{sweep.name}')"
-        yield Finding("gross", where, {"off_mm": 1e3 * float(off[i])})
-    if isinstance(figure, Circle) and used.sum() >= 10:
-        for e, code in zip(figure.residuals[used].T, ("radial", "axial"), strict=True):
+        yield Finding("gross", where, float(np.linalg.norm(figure.residuals[i])))
+    if isinstance(figure, Circle) and figure.used.sum() >= 10:
+        for e, code in zip(figure.residuals[figure.used].T, ("radial", "axial"), strict=True):
             correlation = float(e[1:] @ e[:-1] / (e @ e)) if np.any(e) else 0.0
             if ndtr(-correlation * np.sqrt(len(e))) < 0.5 * LEVEL:
-                yield Finding(code, sweep.where, {"correlation": correlation})
+                yield Finding(code, sweep.where, correlation)
     if figure.given is not None and np.isfinite(figure.dof):
-        values = {"scatter_mm": 1e3 * figure.noise, "sigma_mm": 1e3 * figure.given}
-        yield Finding("scatter", sweep.where, values)
-    if turned is not None and turned.gain_found:
-        values = {"gain": 1e3 * turned.gain, "std": 1e3 * turned.gain_std}
-        yield Finding("gain", sweep.where, values)
-    if turned is not None and turned.eccentricity_found:
-        values = {"eccentricity": 1e3 * turned.eccentricity, "std": 1e3 * turned.eccentricity_std}
-        yield Finding("eccentricity", sweep.where, values)
+        yield Finding("scatter", sweep.where, figure.noise / figure.given)
+
+
+def _check(pair: AxisPair, wanted: str) -> None:
+    """Refuse axes that stand to each other as no two of this robot do."""
+    off = abs(abs(pair.distance) - abs(pair.distance_nominal))
+    far = off > DISTANCE_M + _SIGMAS * pair.distance_std
+    if not far and abs(pair.angle - pair.angle_nominal) <= ANGLE_RAD:
+        return
+    remedy = (
+        "One of the two sweeps is of another joint, or the robot or its chain is another one: check what was turned, "
+        "and --robot, --base."
+    )
+    if not far and abs(np.pi - pair.angle - pair.angle_nominal) < ANGLE_RAD:
+        remedy = f"One of the two turns the other way round, or its joint's sign is not the URDF's. {_ORDER}"
+    raise MeasurementError(
+        f"The axes of {choices(pair.joints)} are {np.degrees(pair.angle):.1f} deg and {1e3 * pair.distance:.1f} mm "
+        f"apart; in {wanted} they are {np.degrees(pair.angle_nominal):.1f} deg and "
+        f"{1e3 * pair.distance_nominal:.1f} mm. {remedy}"
+    )
 
 
 @contextmanager
@@ -298,15 +278,14 @@ def _at(where: str) -> Iterator[None]:
     try:
         yield
     except CalibError as error:
-        raise MeasurementError(f"{where}: {error}.") from error
+        raise MeasurementError(f"{where}: {str(error).rstrip('.')}.") from error
 
 
 def _at_zero(axes: Sequence[Line], values: Sequence[Array] | None) -> list[Line]:
     """Axes in any frame, turned back to the joints' zero from the values in each one's sweep; see the module's text."""
     result: list[Line] = []
     for k, (point, direction) in enumerate(axes):
-        for j, axis in enumerate(result):
-            q = 0.0 if values is None else values[k][j]
+        for axis, q in zip(result, [] if values is None else values[k], strict=False):
             R = Rotation.from_rotvec(-q * axis.direction).as_matrix()
             point, direction = axis.point + R @ (point - axis.point), R @ direction
         result.append(Line(point, direction))
@@ -318,22 +297,14 @@ def _frame_table(frame: BaseFrame) -> dict[str, Any]:
     return {
         "T_tracker_base": frame.T_tracker_base,
         "covariance": frame.covariance,
-        "region_95": frame.limit(0.95),
+        "dof": frame.dof,
         "std_m": frame.std[:3],
         "std_rad": frame.std[3:],
     }
 
 
-def _named(values: Array | None) -> dict[str, float] | None:
-    """The numbers of a DH row by their names and units."""
-    if values is None:
-        return None
-    return {f"{n}_{u}": float(v) for (n, u), v in zip(NUMBERS.items(), values, strict=True)}
-
-
 _LAYOUT = Layout(
     {
-        Survey: {"at_zero": "rows_at_zero"},
         Plane: {
             "point": "point_m",
             "residuals": "residuals_m",
@@ -346,11 +317,6 @@ _LAYOUT = Layout(
             "point": "base.point_m",
             "direction": "base.direction",
             "covariance": "base.covariance",
-        },
-        AxisRow: {
-            "values": Key("measured", _named),
-            "std": Key("std", _named),
-            "nominal": Key("nominal", _named),
         },
     },
     {BaseFrame: (_frame_table, None)},

@@ -3,13 +3,6 @@
 They stand in a table whose column ``sweep`` says which sweep a row is of, or in a list of points, as laser trackers
 write them, whose names do: ``plane_1``, ``joint1_03``. A sweep is called ``plane``, or by a joint's name, or
 ``joint 1``, ``1``. See docs/base-frame.md.
-
-With the joint's values q the angle of a point about the axis is
-
-    phi = phi_0 + (1 + gain) q + sin sin(q) + cos cos(q) + noise / radius
-
-where gain and the once-per-turn terms are what `families` calls a joint's gain and eccentricity. A circle whose
-centre is not known exactly turns once per turn too: the centre's covariance is part of theirs.
 """
 
 from __future__ import annotations
@@ -21,9 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import fdtrc
 
-from calib.circle_points.fits import LEVEL, Circle
 from calib.data.layout import Layout
 from calib.data.points_file import PARTS, Points, read_points
 from calib.data.table import ORIENTATION, Table, list_columns, name_columns, reserved
@@ -38,23 +29,6 @@ PLANE, _PLANE = "plane", -1
 
 _NUMBERED = re.compile(r"(?:joint|axis|sweep|j|a)?[ _\-.]*0*([1-9][0-9]?)", re.IGNORECASE)
 _POINT_NAME = re.compile(r"(.*?)[ _\-.:]*[0-9]+")
-
-#: Beside the joint that turns, no other may by more than the first [rad]; it turns by more than the second.
-STILL_RAD, TURNED_RAD = float(np.radians(0.1)), float(np.radians(1.0))
-
-#: Joint values and points may disagree by this much, rms, before they are of different sweeps [rad].
-_DISAGREE_RAD = float(np.radians(3.0))
-
-#: Of all turning, how much goes one way in a sweep.
-_ONE_WAY = 0.8
-
-#: A once-per-turn term is told from a gain on longer arcs than this [rad].
-_LONG_RAD = float(np.radians(150.0))
-
-ORDER = (
-    "Without joint values the rows of a sweep stand in the order of increasing joint angle: turn their order round, or "
-    "give the joints' values in columns."
-)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,19 +64,6 @@ class Sweeps:
     def label(self, joint: int) -> str:
         """What to call a joint, from 0: its name, or its number where it has none."""
         return self.joint_names[joint] if joint < len(self.joint_names) else f"joint {joint + 1}"
-
-
-@dataclass(frozen=True, slots=True)
-class Turning:
-    """How a joint turned against its own values, with standard deviations; see the module's text."""
-
-    rms: float  #: Of what gain and once-per-turn terms leave [rad]
-    gain: float  #: Relative error of the gear; positive where the joint turns further than it says
-    gain_std: float
-    gain_found: bool  #: Whether it is no chance
-    eccentricity: float  #: Amplitude once per turn; NaN on an arc too short to tell [rad]
-    eccentricity_std: float
-    eccentricity_found: bool
 
 
 def read_sweeps(
@@ -246,78 +207,3 @@ def _from_table(
         sigma=values.sigma,
         joints=joints,
     )
-
-
-def check_joint(sweep: Sweep, joint_names: tuple[str, ...]) -> None:
-    """Refuse a sweep in which the joint columns show another joint turning."""
-    if sweep.joints is None or sweep.joint is None:
-        return
-    ranges = np.ptp(sweep.joints, axis=0)
-    others = np.delete(ranges, sweep.joint)
-    if ranges[sweep.joint] < TURNED_RAD or np.any(others > STILL_RAD):
-        turns = zip(joint_names, np.degrees(ranges), strict=True)
-        told = ", ".join(f"'{name}' {angle:.3g} deg" for name, angle in turns)
-        raise MeasurementError(
-            f"{sweep.where}: by their columns the joints turn by {told}. In a sweep one joint turns, as far as it can, "
-            "and all others stand still; name the joint that turns, or measure it again."
-        )
-
-
-def positive(sweep: Sweep, circle: Circle) -> Circle:
-    """The circle with its normal so that the joint's positive sense turns about it."""
-    angles = circle.angles[circle.used]
-    if sweep.joints is not None and sweep.joint is not None:
-        values = sweep.joints[circle.used, sweep.joint]
-        rest = [float(_about_mean(angles - sign * values).std()) for sign in (1.0, -1.0)]
-        if min(rest) > _DISAGREE_RAD:
-            raise MeasurementError(
-                f"{sweep.where}: the points turn otherwise than the joint's column says, by {np.degrees(min(rest)):.3g}"
-                " deg rms. Check that joint values and points are of the same rows, and the column's unit."
-            )
-        return circle if rest[0] <= rest[1] else circle.turned()
-    steps = np.angle(np.exp(1j * np.diff(angles)))
-    turned = float(steps.sum())
-    if abs(turned) < _ONE_WAY * float(np.abs(steps).sum()):
-        raise MeasurementError(
-            f"{sweep.where}: the points go round both ways, and their order must tell the sense of turning. {ORDER}"
-        )
-    return circle if turned > 0.0 else circle.turned()
-
-
-def turning(sweep: Sweep, circle: Circle) -> Turning | None:
-    """How well the joint turned about its circle; None without joint values or with too few points."""
-    if sweep.joints is None or sweep.joint is None:
-        return None
-    q, angles = sweep.joints[circle.used, sweep.joint], circle.angles[circle.used]
-    columns = [np.ones_like(q), q - q.mean()]
-    if np.ptp(q) > _LONG_RAD:
-        columns += [np.sin(q), np.cos(q)]
-    X = np.column_stack(columns)
-    freedom = len(q) - X.shape[1]
-    if freedom < 1:
-        return None
-    y = _about_mean(angles - q)
-    inverse = np.linalg.inv(X.T @ X)
-    x = inverse @ (X.T @ y)
-    left = y - X @ x
-    # The centre's displacement moves each angle by its part along the tangent.
-    moved = np.column_stack([np.sin(angles), -np.cos(angles)]) / circle.radius
-    P = inverse @ X.T @ moved
-    covariance = inverse * float(left @ left) / freedom + P @ circle.covariance[:2, :2] @ P.T
-
-    def term(part: slice) -> tuple[float, float, bool]:
-        """The size of a term, its standard deviation, and whether it is no chance, by an F test."""
-        size, C = x[part], covariance[part, part]
-        F = float(size @ np.linalg.solve(C, size)) / len(size)
-        std = float(np.sqrt(np.trace(C) / len(size)))
-        found = fdtrc(len(size), freedom, F) < LEVEL / 2.0
-        return float(size[0] if len(size) == 1 else np.hypot(*size)), std, bool(found)
-
-    once = term(slice(2, 4)) if len(x) == 4 else (np.nan, np.nan, False)
-    return Turning(float(np.sqrt(np.mean(left**2))), *term(slice(1, 2)), *once)
-
-
-def _about_mean(angles: Array) -> Array:
-    """Angles about their mean direction, in [-pi, pi)."""
-    mean = np.angle(np.exp(1j * angles).mean())
-    return np.asarray((angles - mean + np.pi) % (2.0 * np.pi) - np.pi)

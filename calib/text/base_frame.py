@@ -9,38 +9,24 @@ import numpy as np
 import pinocchio as pin
 
 from calib.circle_points.fits import Circle
-from calib.circle_points.frame import NUMBERS, BaseFrame
+from calib.circle_points.frame import BaseFrame
 from calib.circle_points.survey import Survey
-from calib.data.measurements import Measurements
-from calib.errors import choices
 from calib.robot.robot import Robot
-from calib.text.lines import deg, fill, mm, number
+from calib.text.lines import deg, fill, mm
 
 Table = list[tuple[str, ...]]
 
-#: How far from the base's origin the uncertainty of a point is stated [m].
-REACH_M = 0.5
-
-# A number of a DH row that is known better than this was set by the base's own definition [m, rad].
-_BY_DEFINITION = 1e-10
-
 #: The sentence of each finding; its numbers are in mm and mrad.
 _ALIKE = (
-    "{{where}}: neighbouring points err alike {} (correlation {{correlation:.2f}}): that is no noise, so the stated "
+    "{{where}}: neighbouring points err alike {} (correlation {{value:.2f}}): that is no noise, so the stated "
     "uncertainty is too small. Look for a worn bearing, play, bending, drift, or a target or tracker that moved."
 )
 _FINDINGS = {
-    "gross": "{where} is {off_mm:.3g} mm off and was left out: measure it again.",
+    "gross": "{where} is {mm:.3g} mm off and was left out: measure it again.",
     "radial": _ALIKE.format("radially"),
     "axial": _ALIKE.format("axially"),
-    "scatter": "{where}: the points scatter by {scatter_mm:.3g} mm, sigma says {sigma_mm:.3g} mm. The uncertainty is "
-    "that of the scatter.",
-    "gain": "{where}: the joint turns {gain:+.3f} mrad per rad otherwise than its values say (standard deviation "
-    "{std:.3f}): a gear gain (--model dh+gain).",
-    "eccentricity": "{where}: off by {eccentricity:.3f} mrad once per turn (standard deviation {std:.3f}): "
-    "an eccentric encoder (--model dh+eccentricity), or a target that moved in the middle of the sweep.",
-    "downwards": "{where}: the circle lies below the plane, seen along axis 1. If the robot stands on that plane, the "
-    "rows are in the order of decreasing joint angle, or the joint's sign differs from the URDF's.",
+    "scatter": "{where}: the points scatter {value:.3g} times more than sigma says. The uncertainty is that of the "
+    "scatter.",
 }
 
 
@@ -50,13 +36,16 @@ def survey_text(survey: Survey, source: str, robot: Robot | None) -> list[str]:
     if robot is not None:
         what = f"the link '{robot.base}' of {robot.name}"
     lines = [fill(f"Base frame from {source}: {what}."), *_frame_text(survey.frame)]
-    for table in (_sweeps_table(survey), _turning_table(survey), _rows_table(survey)):
+    for table in (_sweeps_table(survey), _pairs_table(survey)):
         if len(table) > 1:
             lines += ["", *_aligned(table)]
     lines.append("")
     if not survey.findings:
         return [*lines, "No findings: the residuals look like noise."]
-    told = (_FINDINGS[one.code].format(where=one.where, **one.values) for one in survey.findings)
+    told = (
+        _FINDINGS[one.code].format(where=one.where, value=one.value, mm=1e3 * one.value)
+        for one in survey.findings
+    )
     return [*lines, "Findings:", *(fill(f"- {text}", "", "  ") for text in told)]
 
 
@@ -87,8 +76,6 @@ def _frame_text(frame: BaseFrame) -> Iterator[str]:
     numbers = zip(axes, frame.std, frame.within(0.95), strict=True)
     rows = [(axis, mm(std, 4), f"+-{mm(within, 4)}") for axis, std, within in numbers]
     yield from _aligned([("Along and about the axes of the base", "std", "95 % within"), *rows])
-    far = mm(frame.std_at(REACH_M * np.vstack([np.eye(3), -np.eye(3)])).max())
-    yield f"A point {mm(REACH_M, 0)} mm from the origin is known to {far} mm through the frame (std, worst direction)."
 
 
 def _sweeps_table(survey: Survey) -> Table:
@@ -106,45 +93,16 @@ def _sweeps_table(survey: Survey) -> Table:
     return table
 
 
-def _turning_table(survey: Survey) -> Table:
-    """How far joints turned against their values."""
-    heads = ("Turned against its own values", "rms [mrad]", "gain [mrad/rad]")
-    table: Table = [(*heads, "once per turn [mrad]")]
-    for joint in survey.joints:
-        if (t := joint.turning) is not None:
-            gain = f"{1e3 * t.gain:+.4f} +-{mm(t.gain_std, 4)}"
-            once = f"{mm(t.eccentricity, 4)} +-{mm(t.eccentricity_std, 4)}"
-            table.append((joint.name, mm(t.rms, 4), gain, once))
+def _pairs_table(survey: Survey) -> Table:
+    """How neighbouring axes stand to each other, beside the URDF's."""
+    heads = ("To the next axis", "angle [deg]", "std", "nominal", "distance [mm]", "std")
+    table: Table = [(*heads, "nominal")]
+    for pair in survey.pairs:
+        angles = (pair.angle, pair.angle_std, pair.angle_nominal)
+        distances = (pair.distance, pair.distance_std, pair.distance_nominal)
+        numbers = [*(deg(value, 4) for value in angles), *(mm(value, 4) for value in distances)]
+        table.append((pair.joints[0], *numbers))
     return table
-
-
-def _rows_table(survey: Survey) -> Table:
-    """The DH rows, of their numbers those that are not zero by convention."""
-    where = "at the joints' zero" if survey.at_zero else "at the pose of the sweeps"
-    table: Table = [(f"DH rows of the axes, {where}", "", "measured", "std", "nominal")]
-    for row in survey.rows:
-        nominal = np.full(len(NUMBERS), np.nan) if row.nominal is None else row.nominal
-        name = row.joint
-        for (key, unit), *found in zip(NUMBERS.items(), row.values, row.std, nominal, strict=True):
-            if found[1] >= _BY_DEFINITION:
-                scale, shown = (1e3, "mm") if unit == "m" else (np.degrees(1.0), "deg")
-                cells = (number(scale * value, 4) for value in found)
-                table.append((name, f"{key} [{shown}]", *cells))
-                name = ""
-    return table
-
-
-def carried_text(table: Measurements, frame: BaseFrame) -> list[str]:
-    """How far carried points are known, and which columns were left behind."""
-    rows = table.positions
-    most = mm(frame.std_at(table.points[rows]).max(initial=0.0))
-    text = (
-        f"Carried {int(rows.sum())} rows of {table.source} into the base frame; it moves them together by {most} mm "
-        "at most (std). 'calib calibrate' takes them with --frame known, the default."
-    )
-    if table.ignored:
-        text += f" Columns left out: {choices(table.ignored)}."
-    return ["", fill(text)]
 
 
 def cell_text(frame: BaseFrame, source: str, **links: str | None) -> str:

@@ -1,4 +1,4 @@
-"""Measurements carried into the base, and the frame as a cell file and as a table."""
+"""The frame as a cell file, and all of a survey as a table."""
 
 import json
 from dataclasses import replace
@@ -7,9 +7,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib.circle_points.survey import Survey, base_frame, carried
+from calib.circle_points.survey import Survey, base_frame
 from calib.data.cell import Cell
-from calib.data.measurements import Measurements
 from calib.text.base_frame import cell_text
 from tests.circle_points.virtual_sweeps import virtual_sweeps
 
@@ -19,26 +18,6 @@ T_TRUE = pin.exp6(np.array([2.0, 1.0, -0.5, 0.3, -0.8, 1.2])).homogeneous
 @pytest.fixture(scope="module")
 def found(ur3) -> Survey:
     return base_frame(virtual_sweeps(ur3, T_TRUE, 33e-6, arcs=np.radians([270.0, 180.0])), ur3)
-
-
-def poses(ur3, frame, count: int = 5) -> tuple[Measurements, np.ndarray]:
-    """Poses as the tracker measures them where the base stands, and as they are in the base."""
-    q = np.random.default_rng(0).uniform(-1.0, 1.0, size=(count, 6))
-    T = ur3.poses(q)
-    seen = frame.T_tracker_base @ T
-    names = ur3.joint_names
-    return Measurements(
-        names, q, seen[:, :3, 3], rotations=seen[:, :3, :3], kinds=("pose",) * count
-    ), T
-
-
-def test_positions_and_orientations_are_carried(ur3, found):
-    table, T = poses(ur3, found.frame)
-    moved = carried(table, found.frame)
-    assert moved.points == pytest.approx(T[:, :3, 3], abs=1e-12)
-    assert moved.rotations == pytest.approx(T[:, :3, :3], abs=1e-12)
-    assert (moved.rows, moved.sets) == (table.rows, table.sets)
-    assert np.array_equal(moved.joints, table.joints)
 
 
 @pytest.mark.parametrize(
@@ -62,7 +41,7 @@ def test_the_table_has_everything(found):
     assert table["schema"] == "base-frame 2"
     assert table["frame"]["T_tracker_base"] is found.frame.T_tracker_base
     assert [joint["joint"] for joint in table["joints"]] == [1, 2]
-    assert table["rows"][0]["nominal"]["d_m"] == pytest.approx(0.1519)
+    assert table["pairs"][0]["angle_nominal"] == pytest.approx(np.pi / 2)
     circle = table["joints"][0]["circle"]
     assert circle["residuals_m"].shape == (40, 2)
     assert circle["basis"] @ table["joints"][0]["circle"]["basis"].T == pytest.approx(np.eye(3))

@@ -51,9 +51,7 @@ def test_the_frame_is_printed_with_how_well_it_is_known(call, bench: Path):
         "Along and about the axes of the base std 95 % within",
         "shoulder_pan_joint 40 300.0",
         "270.0",
-        "Turned against its own values",
-        "alpha [deg] 90.00",
-        "151.9000",
+        "shoulder_pan_joint 90.00",
         "the residuals look like noise",
     ):
         assert said in text
@@ -64,7 +62,7 @@ def test_without_a_robot_from_a_tracker_s_list(call, bench: Path):
     done = call(bench, "base-frame", "--points", "swept.txt", "--plane-offset", "19.05 mm")
     assert (done.code, done.err) == (0, "")
     assert "z along axis 1, y along axis 2, origin where axis 1 meets the plane" in done.out
-    assert "DH rows of the axes, at the pose of the sweeps" in done.out
+    assert "To the next axis" in done.out
     xyz = next(line for line in done.lines if line.startswith("  x y z")).split()[3:6]
     lowered = T_TRUE[:3, 3] - 0.01905 * T_TRUE[:3, 2]
     assert [float(v) for v in xyz] == pytest.approx(1e3 * lowered, abs=0.05)
@@ -81,23 +79,6 @@ def test_the_cell_file_goes_into_fit(call, bench: Path):
     fitted = call(
         bench, "fit", "robot.urdf", "seen.csv", "--cell", "frame.toml", "--model", "frames",
         "--no-validate", "--json", "r.json",
-    )  # fmt: skip
-    assert (fitted.code, fitted.err) == (0, "")
-    result = json.loads((bench / "r.json").read_text(encoding="utf-8"))
-    assert result["errors"]["calibrated"]["estimation"]["rms_m"] < 1e-4
-
-
-def test_carried_data_go_into_fit(call, bench: Path):
-    done = call(
-        bench, "base-frame", "sweeps.csv", *ROBOT, "--carry", "seen.csv", "-o", "in_base.csv"
-    )
-    assert (done.code, done.err) == (0, "")
-    assert (
-        "Carried 30 rows of seen.csv into the base frame; it moves them together by 0.0" in done.out
-    )
-    fitted = call(
-        bench, "fit", "robot.urdf", "in_base.csv", "--base", "base", "--tip", "tool0", "--model",
-        "frames", "--no-validate", "--json", "r.json",
     )  # fmt: skip
     assert (fitted.code, fitted.err) == (0, "")
     result = json.loads((bench / "r.json").read_text(encoding="utf-8"))

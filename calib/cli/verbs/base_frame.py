@@ -18,7 +18,7 @@ _File = Path | None
 \b
 Examples:
   calib base-frame sweeps.csv --robot robot.urdf --base base --cell-out frame.toml
-  calib base-frame --points tracker.txt --carry data.csv -o data_in_base.csv
+  calib base-frame --points tracker.txt --json frame.json
 
 The table has a column 'sweep' with 'plane', 'joint 1', 'joint 2' and so on, and x, y, z with their unit. Without joint
 values the rows of a sweep are in the order of increasing joint angle. See docs/base-frame.md.
@@ -48,11 +48,6 @@ def base_frame(
     plane_offset: Annotated[
         str, typer.Option(help='Probe centre to plane: the radius of the ball, "19.05 mm".')
     ] = "0 mm",
-    carry: Annotated[_File, typer.Option(help="Table to transform into the base frame.")] = None,
-    carry_points: Annotated[_File, typer.Option(help="List of points of that table.")] = None,
-    output: Annotated[
-        _File, typer.Option("--output", "-o", help="Write the transformed table.")
-    ] = None,
     cell_out: Annotated[_File, typer.Option(help="Write the frame as a cell file.")] = None,
     json: Annotated[_File, typer.Option(help="Write all of it as JSON.")] = None,
     robust: Annotated[bool, typer.Option(help="Reject and report outliers.")] = True,
@@ -60,39 +55,26 @@ def base_frame(
     quiet: Quiet = False,
 ) -> None:
     """See the text of `verb`."""
-    from calib.circle_points.survey import base_frame as found_frame, carried
+    from calib.circle_points.survey import base_frame as found_frame
     from calib.circle_points.sweeps import read_sweeps
     from calib.cli.setup import check_outputs, parse_amount, parse_columns
-    from calib.data.measurements import Measurements
     from calib.files import write_atomically
     from calib.result.calibration_file import write_table
     from calib.robot.robot import Robot
-    from calib.text.base_frame import carried_text, cell_text, survey_text
+    from calib.text.base_frame import cell_text, survey_text
 
-    if (carry is None) != (output is None) or (carry_points is not None and carry is None):
-        raise CalibError(
-            "--carry names the table to carry into the base frame and -o the file to write it to: give both, or "
-            "neither; --carry-points is the list of points of the first."
-        )
     if robot is None and (base is not None or tip is not None):
         raise CalibError(
             "--base and --tip are links of a robot; name it with --robot, or leave them out."
         )
-    inputs = [p for p in (data, points, carry, carry_points, robot) if p is not None]
-    check_outputs([output, cell_out, json], inputs, force=force)
+    inputs = [p for p in (data, points, robot) if p is not None]
+    check_outputs([cell_out, json], inputs, force=force)
     arm = None if robot is None else Robot.load(robot, base, tip)
-    names, types = (None, None) if arm is None else (arm.joint_names, arm.joint_types)
+    names = None if arm is None else arm.joint_names
     sweeps = read_sweeps(data, names, parse_columns(columns or []), points, points_unit)
     offset = parse_amount(plane_offset, "--plane-offset", "a length", "19.05 mm", signed=True)
     found = found_frame(sweeps, arm, plane_offset=offset, robust=robust)
     lines, written = survey_text(found, sweeps.source, arm), []
-    if carry is not None and output is not None:
-        unit = points_unit if carry_points is not None else None
-        read = Measurements.read(carry, names, types, points=carry_points, points_unit=unit)
-        moved = carried(read, found.frame)
-        lines += carried_text(moved, found.frame)
-        moved.write(output, overwrite=force)
-        written.append(output)
     if cell_out is not None:
         text = cell_text(found.frame, sweeps.source, base=arm.base if arm else None, tip=tip)
         written.append(write_atomically(cell_out, text.encode(), overwrite=force))
