@@ -66,9 +66,13 @@ def parse_amounts(
         good &= all(math.isfinite(v) and (signed or v >= 0.0) for v in values)
         found[kind] = values
     if not good or not found:
+        one = [
+            kind if n == 1 else f"{n} numbers and a unit of {kind.split()[1]}"
+            for kind, n in wanted.items()
+        ]
         raise CalibError(
-            f'{option} was given as "{text}"; it must be {" or ".join(wanted)}{", not below 0" * (not signed)}, such '
-            f'as "{example}".'
+            f'{option} was given as "{text}"; it must be {" or ".join(one)}{", not below 0" * (not signed)}, such as '
+            f'"{example}".'
         )
     return found
 
@@ -308,18 +312,7 @@ def check_outputs(
             )
         taken[resolved] = "another output"
         check_no_xacro(path)
-        if os.path.isdir(path):  # noqa: PTH112  a name that is too long is no error here
-            raise FileError(f"{path} is a folder; name a file inside it.")
-        if os.path.exists(path) and not force:  # noqa: PTH110
-            raise FileError(f"{path} exists already; add --force or choose another name.")
-        if not path.parent.is_dir():
-            home = " Here '~' does not stand for your home folder; write it out." * (
-                path.parts[0].startswith("~")
-            )
-            raise FileError(
-                f"{path}: the folder '{path.parent}' does not exist; make it first.{home}"
-            )
-        check_writable(path)
+        check_writable(path, overwrite=force)
 
 
 def check_chain(cell: Cell, result: Calibration, name: str) -> None:

@@ -34,7 +34,7 @@ def test_report_and_figures_are_written_and_named(examples):
         (("--report", "-"), "'-': a report is a page; let the name end in .html."),
         (
             ("--report", "none/r.html"),
-            "none/r.html: the folder 'none' does not exist; make it first.",
+            "does not exist; create it",
         ),
         (
             ("--report", "r.html", "--json", "r.html"),

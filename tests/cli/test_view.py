@@ -111,7 +111,7 @@ def test_the_examples_write_pages(examples):
     [
         (("other.urdf", "--calibration", "r.json"), "OTHER and --calibration"),
         (("--columns", "a=b"), "name the table with --data"),
-        (("-o", "there.html"), "there.html exists already"),
+        (("-o", "there.html"), "'there.html' exists already"),
     ],
 )
 def test_what_does_not_fit_is_refused(call, small, words, said):
