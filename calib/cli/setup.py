@@ -149,18 +149,14 @@ def check_model(text: str, source: str) -> None:
     Raises:
         CalibError: No such set or family, or a family twice.
     """
-    from calib.model.error_model import MODELS
-    from calib.model.families import joint_families
+    from calib.model.error_model import split_name
 
     if text == AUTO:
         return
-    base, *families = (part.strip() for part in text.split("+"))
-    known = base in MODELS and set(families) <= set(joint_families())
-    if not known or len(set(families)) < len(families):
-        raise CalibError(
-            f"{source}: there is no model '{text}'. It is '{AUTO}', or one of {choices(MODELS)} and behind it, each "
-            f"with a '+' and once, any of {choices(joint_families())}: 'dh+gain'."
-        )
+    try:
+        split_name(text)
+    except CalibError as error:
+        raise CalibError(f"{source}: {error} '{AUTO}' lets the data choose.") from error
 
 
 def parse_payload(text: str, given: Payload | None) -> Payload:

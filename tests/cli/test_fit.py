@@ -284,7 +284,7 @@ def test_force_overwrites(call, shop):
         (("robot.urdf", "data.csv", "--cell", "no.toml"), "cell file 'no.toml' does not exist"),
         (
             ("robot.urdf", "data.csv", "--model", "best"),
-            "--model: there is no model 'best'. It is 'auto',",
+            "--model: There is no parameter set 'best'",
         ),
         (
             ("robot.urdf", "data.csv", "--hold", "lift=1 m"),

@@ -78,8 +78,8 @@ def test_a_payload_keeps_the_centre_that_was_given():
     [
         (parse_frame, "tracker", "--frame was given as \"tracker\"; it must be 'known', 'estimate' or a list"),
         (parse_frame, "x,yaw", "--frame was given as \"x,yaw\"; it must be"),
-        (lambda t: check_model(t, "--model"), "best", "--model: there is no model 'best'. It is 'auto', or one of "),
-        (lambda t: check_model(t, "--model"), "dh+gain+gain", "each with a '+' and once, any of 'gain', "),
+        (lambda t: check_model(t, "--model"), "best", "--model: There is no parameter set 'best'"),
+        (lambda t: check_model(t, "--model"), "dh+gain+gain", "'dh+gain+gain' adds 'gain'"),
         (lambda t: parse_held([t]), "lift", "--hold was given 'lift'; it must be 'joint=value' with a unit"),
         (lambda t: parse_held([t]), "lift=3", "--hold 'lift=3' is '3'; a joint's value needs a unit of angle or"),
         (lambda t: parse_payload(t, None), "5", "--payload was given as \"5\"; it must be a mass, not below 0, such"),
