@@ -23,9 +23,19 @@ from scipy.special import betaincinv
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.errors import CalibError, MeasurementError, choices
-from calib.result.accuracy import Accuracy, PoseAccuracy, accuracy, fitted_rows
 from calib.result.calibration import Calibration
-from calib.result.evaluation import Evaluation, Moved, evaluate, evaluate_larger, hint, moved
+from calib.result.evaluation import (
+    Accuracy,
+    Evaluation,
+    Moved,
+    PoseAccuracy,
+    accuracy,
+    evaluate,
+    evaluate_larger,
+    fitted_rows,
+    hint,
+    moved,
+)
 from calib.result.support import OutsideRow
 from calib.result.verdict import Reason
 from calib.robot.robot import Robot

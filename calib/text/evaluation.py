@@ -13,9 +13,8 @@ import calib.data.kinds as registry
 from calib.errors import choices
 from calib.estimate.statistics import Errors
 from calib.result.acceptance import Acceptance, Assessment, Check
-from calib.result.accuracy import FEWEST_APART, Accuracy, PoseAccuracy
 from calib.result.calibration_file import error_table, pose_table, versions
-from calib.result.evaluation import Evaluation
+from calib.result.evaluation import FEWEST_APART, Accuracy, Evaluation, PoseAccuracy
 from calib.text.lines import deg, mm, wrap
 from calib.text.summary import ANGLE_HEAD, angle_row, error_head, error_row, error_title
 from calib.text.verdict import outside_text, reason_text
