@@ -87,7 +87,7 @@ class Plane:
 class Circle(Plane):
     """A circle through N points; what the points do along it is not part of the fit.
 
-    Its ``point`` is the centre, u points from there to the middle of the arc. Residuals are radial and axial, shape
+    Its ``point`` is the centre, u points from there to the first point used. Residuals are radial and axial, shape
     (N, 2) [m]; the covariance, shape (6, 6), is of the centre's displacement along u, v, normal [m], of the normal's
     tilt towards u and v [rad], and of the radius [m].
     """
@@ -98,7 +98,8 @@ class Circle(Plane):
     @property
     def arc(self) -> float:
         """The angle that the points cover: a full turn less the largest gap between neighbours [rad]."""
-        return 2.0 * np.pi - _largest_gap(self.angles[self.used])[1]
+        ordered = np.sort(self.angles[self.used])
+        return float(2.0 * np.pi - np.diff(ordered, append=ordered[0] + 2.0 * np.pi).max())
 
     def turned(self) -> Circle:
         """The same circle with the opposite normal."""
@@ -151,8 +152,8 @@ def fit_circle(points: Array, sigma: Array | None = None, *, robust: bool = True
     if not 0.0 <= plane.covariance[5, 5] <= (_VAGUE * radius) ** 2:
         raise CalibError(_TOO_SHORT)
     common: dict[str, Any] = {f.name: getattr(plane, f.name) for f in fields(plane)}
-    angles = read_only(_angles(points, plane.point, plane.basis))
-    return Circle(**common, radius=radius, angles=angles)
+    u, v, _ = ((points - plane.point) @ plane.basis).T
+    return Circle(**common, radius=radius, angles=read_only(np.arctan2(v, u)))
 
 
 def circle_residuals(
@@ -264,20 +265,19 @@ def _circle_fit(points: Array, weights: Array, used: Mask) -> _Fit:
     design = np.column_stack([2.0 * xy, np.ones(len(xy))])
     a, b, c = np.linalg.lstsq(design, (xy**2).sum(axis=1), rcond=None)[0]
     start, size = mean + axes @ [a, b, 0.0], float(np.sqrt(a * a + b * b + c))
-    B = _basis(some, start, axes)
-    local, root = (some - start) / size, np.sqrt(w / w.mean())[:, None]
+    B, root = _frame(axes[:, 2], some[0] - start), np.sqrt(w / w.mean())[:, None]
 
     def at(x: Array) -> tuple[Array, Array, float]:
         """Centre, basis and radius of the circle displaced by x."""
         n = B @ np.array([x[3], x[4], 1.0])
-        return B @ x[:3], _frame(n / np.linalg.norm(n), B[:, 0]), 1.0 + float(x[5])
+        return start + B @ x[:3], _frame(n / np.linalg.norm(n), B[:, 0]), size + float(x[5])
 
     def residuals(x: Array) -> Array:
-        return np.ravel(root * circle_residuals(local, *at(x))[0])
+        return np.ravel(root * circle_residuals(some, *at(x))[0])
 
     def jacobian(x: Array) -> Array:
         """By displacements of the circle at x, which span what those of x do: the minimum is the same."""
-        return np.reshape(root[..., None] * circle_residuals(local, *at(x))[1], (-1, 6))
+        return np.reshape(root[..., None] * circle_residuals(some, *at(x))[1], (-1, 6))
 
     tight = dict.fromkeys(("xtol", "ftol", "gtol"), float(np.finfo(np.float64).eps))
     try:
@@ -286,10 +286,8 @@ def _circle_fit(points: Array, weights: Array, used: Mask) -> _Fit:
         raise CalibError(_TOO_SHORT) from error
     if found.status <= 0:
         raise CalibError(_TOO_SHORT)
-    center, basis, radius = at(found.x)
-    center, radius = start + size * center, size * radius
-    basis = _basis(some, center, basis)
-    return _Fit(*circle_residuals(points, center, basis, radius), center, basis, radius)
+    circle = at(found.x)
+    return _Fit(*circle_residuals(points, *circle), *circle)
 
 
 def _principal_axes(points: Array, weights: Array) -> tuple[Array, Array]:
@@ -308,29 +306,8 @@ def _principal_axes(points: Array, weights: Array) -> tuple[Array, Array]:
     return mean, basis
 
 
-def _basis(points: Array, center: Array, basis: Array) -> Array:
-    """The basis of a circle, about its normal, with u towards the middle of the arc."""
-    start, gap = _largest_gap(_angles(points, center, basis))
-    middle = start + gap + 0.5 * (2.0 * np.pi - gap)  # the arc begins behind the largest gap
-    return _frame(basis[:, 2], basis @ np.array([np.cos(middle), np.sin(middle), 0.0]))
-
-
-def _largest_gap(angles: Array) -> tuple[float, float]:
-    """Where the largest gap between neighbouring angles begins, and how large it is [rad]."""
-    ordered = np.sort(angles)
-    gaps = np.diff(ordered, append=ordered[0] + 2.0 * np.pi)
-    k = int(np.argmax(gaps))
-    return float(ordered[k]), float(gaps[k])
-
-
 def _frame(normal: Array, near: Array) -> Array:
     """A right-handed basis, columns u, v, normal, with u as near as possible to a direction; shape (3, 3)."""
     u = near - normal * (normal @ near)
     u = u / np.linalg.norm(u)
     return np.column_stack([u, np.cross(normal, u), normal])
-
-
-def _angles(points: Array, center: Array, basis: Array) -> Array:
-    """Angles of points about the normal, from u, shape (N,) [rad]."""
-    local = (points - center) @ basis
-    return np.asarray(np.arctan2(local[:, 1], local[:, 0]))

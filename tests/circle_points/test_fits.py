@@ -33,8 +33,8 @@ def disc(count: int = 20, seed: int = 0) -> np.ndarray:
     return CENTER + xy @ B[:, :2].T
 
 
-def local_errors(circle: Circle, basis: np.ndarray = B) -> np.ndarray:
-    """Errors along the true basis, the normal's sense being free: centre, tilt towards u and v, radius."""
+def local_errors(circle: Circle, basis: np.ndarray) -> np.ndarray:
+    """Errors along a basis, the normal's sense being free: centre, tilt towards u and v, radius."""
     normal = circle.normal * np.sign(circle.normal @ basis[:, 2])
     return np.concatenate(
         [basis.T @ (circle.point - CENTER), basis[:, :2].T @ normal, [circle.radius - 0.3]]
@@ -81,17 +81,11 @@ def test_the_jacobian_is_that_of_finite_differences():
 def test_the_covariance_is_the_scatter_of_many_fits(degrees: float):
     rng = np.random.default_rng(2)
     exact = arc(degrees)
-    expected = fit_circle(exact, np.full(40, SIGMA)).covariance
+    own = fit_circle(exact, np.full(40, SIGMA))
     runs = 400
-    errors = np.array(
-        [local_errors(fit_circle(exact + SIGMA * rng.normal(size=(40, 3)))) for _ in range(runs)]
-    )
-    own = fit_circle(exact)
-    flip = np.sign(own.basis[:, 2] @ B[:, 2])
-    # The true basis beside the fitted one: u the same, v and n perhaps opposite.
-    signs = np.array([1.0, flip, flip, flip, 1.0, 1.0])
-    expected = expected * np.outer(signs, signs)
-    L = np.linalg.inv(np.linalg.cholesky(expected))
+    fits = [fit_circle(exact + SIGMA * rng.normal(size=(40, 3))) for _ in range(runs)]
+    errors = np.array([local_errors(circle, own.basis) for circle in fits])
+    L = np.linalg.inv(np.linalg.cholesky(own.covariance))
     whitened = L @ (errors.T @ errors / runs) @ L.T
     assert np.linalg.eigvalsh(whitened) == pytest.approx(np.ones(6), abs=0.35)
 
