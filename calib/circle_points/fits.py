@@ -286,8 +286,8 @@ def _circle_fit(points: Array, weights: Array, used: Mask) -> _Fit:
         raise CalibError(_TOO_SHORT) from error
     if found.status <= 0:
         raise CalibError(_TOO_SHORT)
-    circle = at(found.x)
-    return _Fit(*circle_residuals(points, *circle), *circle)
+    center, basis, radius = at(found.x)
+    return _Fit(*circle_residuals(points, center, basis, radius), center, basis, radius)
 
 
 def _principal_axes(points: Array, weights: Array) -> tuple[Array, Array]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -54,7 +55,7 @@ def read_manifest(
         if not cells.keys() >= set(NEEDED):
             raise CalibError(f"{where}: a cell is empty; each robot has {choices(NEEDED)}.")
         names.append((cells["name"], where))
-        load = _reader(where, cells, path.parent, setup, columns, points_unit)
+        load = partial(_load, where, cells, path.parent, setup, columns, points_unit)
         robots.append(FleetRobot(cells["name"], load))
     if not robots:
         raise CalibError(f"{path.name}: there are no robots in it, only a header.")
@@ -62,44 +63,41 @@ def read_manifest(
     return tuple(robots)
 
 
-def _reader(
+def _load(
     where: str,
     cells: dict[str, str],
     folder: Path,
     setup: FitOptions,
     columns: Sequence[str],
     points_unit: str | None,
-) -> Callable[[Callable[[str], Urdf]], FleetInputs]:
-    """What reads the robot of a row; relative paths begin at the manifest's folder."""
+    urdf_of: Callable[[str], Urdf],
+) -> FleetInputs:
+    """Read the robot of a row; relative paths begin at the manifest's folder."""
     from calib.fleets.fleet import FleetRobot
 
-    def load(urdf_of: Callable[[str], Urdf]) -> FleetInputs:
-        own: dict[str, Any] = {name: cells[name] for name in _SETUP if name in cells}
-        if "hold" in cells:
-            own["hold"] = _listed(cells["hold"])
-        if "cell" in cells:
-            own["cell"] = folder / cells["cell"]
-        renamed = _listed(cells["columns"]) if "columns" in cells else columns
-        points = folder / cells["points"] if "points" in cells else None
-        try:
-            return FleetRobot.of_files(
-                cells["name"],
-                _source(cells["robot"], folder),
-                folder / cells["data"],
-                read_cell(**asdict(replace(setup, **own))),
-                columns=parse_columns(renamed),
-                points=points,
-                points_unit=cells.get("points_unit", points_unit) if points else None,
-            ).load(urdf_of)
-        except CalibError as error:
-            raise CalibError(f"{where}: {error}") from error
-
-    return load
-
-
-def _listed(cell: str) -> list[str]:
-    """The parts of a cell between semicolons."""
-    return [part.strip() for part in cell.split(";") if part.strip()]
+    own: dict[str, Any] = {name: cells[name] for name in _SETUP if name in cells}
+    lists: dict[str, Any] = {
+        name: [part.strip() for part in cells[name].split(";") if part.strip()]
+        for name in ("hold", "columns")
+        if name in cells
+    }
+    renamed = lists.pop("columns", columns)
+    files: dict[str, Any] = {
+        name: folder / cells[name] for name in ("cell", "points") if name in cells
+    }
+    points = files.pop("points", None)
+    try:
+        return FleetRobot.of_files(
+            cells["name"],
+            _source(cells["robot"], folder),
+            folder / cells["data"],
+            read_cell(**asdict(replace(setup, **(own | lists | files)))),
+            columns=parse_columns(renamed),
+            points=points,
+            points_unit=cells.get("points_unit", points_unit) if points else None,
+        ).load(urdf_of)
+    except CalibError as error:
+        raise CalibError(f"{where}: {error}") from error
 
 
 def _source(robot: str, folder: Path) -> str:
@@ -107,6 +105,5 @@ def _source(robot: str, folder: Path) -> str:
     from calib.robot.xacro_file import is_xacro
 
     file = is_xacro(robot) or Path(robot).suffix or (folder / robot).is_file()
-    if not file or Path(robot).is_absolute() or robot.startswith("~"):
-        return robot
-    return f"{folder}{os.sep}{robot}"  # as text: what stands behind a xacro is no path
+    # As text: what stands behind a xacro is no path.
+    return os.path.join(folder, robot) if file and robot[0] != "~" else robot  # noqa: PTH118

@@ -130,10 +130,9 @@ class Fleet:
 
     def table(self) -> dict[str, Any]:
         """All of it as in ``fleet.json``, SI units, the unit in the keys."""
-        odd = [asdict(one) for one in self.odd]
-        robots = [ROWS.table(row) for row in self.rows]
-        found = {"schema": "fleet 1", "robots": robots, "odd": odd, "notes": self.notes}
-        return {key: plain(value) for key, value in found.items()}
+        parts = {"robots": map(ROWS.table, self.rows), "odd": map(asdict, self.odd)}
+        found = {name: plain([*part]) for name, part in parts.items()}
+        return {"schema": "fleet 1", **found, "notes": [*self.notes]}
 
 
 def fleet(
@@ -204,29 +203,23 @@ def fleet(
             settle(name, str(error))
     every = tuple(done[robot.name] for robot in robots)
     result = Fleet(every, *odd_ones(every), len(kept))
-    reasons: dict[str, list[str]] = {}
-    for odd in result.odd:
-        reasons.setdefault(odd.name, []).append(odd.text)
     write_atomically(path / JSON, json_bytes(result.table()), overwrite=True)
-    write_atomically(path / CSV, csv_bytes(every, reasons), overwrite=True)
+    write_atomically(
+        path / CSV, csv_bytes(every, [(odd.name, odd.text) for odd in result.odd]), overwrite=True
+    )
     return result
 
 
 def check_names(names: Iterable[tuple[str, str]]) -> None:
     """Refuse names, each with where it stands, that cannot be those of folders, or that two robots have."""
-    seen: dict[str, str] = {}
+    seen = set()
     for name, where in names:
-        if not _NAME.fullmatch(name):
+        if not _NAME.fullmatch(name) or name.casefold() in seen:
             raise CalibError(
-                f"{where}: the name {name!r} cannot be that of a folder. A name has 1 to 100 letters, digits, and '_', "
-                "'-', '+', '.' or blanks between them."
+                f"{where}: {name!r} cannot be the name of a robot's folder. A name has 1 to 100 letters, digits, and "
+                "'_', '-', '+', '.' or blanks between them, and is no other robot's, capitals aside."
             )
-        if name.casefold() in seen:
-            raise CalibError(
-                f"{where}: the name '{name}' is that of another robot ({seen[name.casefold()]}), capitals aside. "
-                "Give each robot a name of its own."
-            )
-        seen[name.casefold()] = where
+        seen.add(name.casefold())
 
 
 def _calibrated(
@@ -241,9 +234,8 @@ def _calibrated(
             there = Path(folder)
             result.write_urdf(there / "corrected.urdf", target_link=options.target_link)
             result.write_json(there / "result.json")
-            (there / "summary.txt").write_bytes(
-                f"{result.summary()}\n".encode("utf-8", "backslashreplace")
-            )
+            text = f"{result.summary()}\n"
+            (there / "summary.txt").write_bytes(text.encode("utf-8", "backslashreplace"))
             if options.reports:
                 command = f"{options.command}  # {name}" if options.command else ""
                 write_report(result, there / "report.html", command=command)

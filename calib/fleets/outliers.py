@@ -19,7 +19,6 @@ data one counts in n, median and MAD, and all are compared.
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -28,7 +27,7 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from calib.fleets.record import DONE, FleetRow
-from calib.text.fleet import data_text, few_text, figure_text, model_text
+from calib.text.fleet import data_text, few_text, figure_text
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -48,9 +47,6 @@ _LOG_FLOOR = 0.05
 #: Changes of a parameter that differ by less are alike, by unit; joint gains and compliances have their std only.
 _FLOORS = {"m": 20e-6, "rad": 20e-6, "1": 20e-6}
 
-#: A model is usual if this share of the robots has it, and unusual if no more than this, or one robot, has it.
-_USUAL, _UNUSUAL = 0.75, 0.05
-
 _FIGURES = {
     "nominal_rms": ("nominal error", "m"),
     "left_out_rms": ("cross-validated error", "m"),
@@ -64,13 +60,13 @@ class Odd:
     """One reason why a robot is odd."""
 
     name: str  #: The robot
-    #: What is odd about it: a figure's or a parameter's name, ``"data"`` or ``"model"``
+    #: What is odd about it: a figure's or a parameter's name, or ``"data"``
     figure: str
-    unit: str = ""  #: Of value and usual; ``""`` where they are no numbers
-    value: float = math.nan  #: Its value; NaN where it is no number
-    usual: float = math.nan  #: The median of the robots of its kind; NaN likewise
-    z: float = math.nan  #: How far it is off, see the module's text; NaN likewise
-    limit: float = math.nan  #: Beyond which it is flagged; NaN likewise
+    unit: str = ""  #: Of value and usual; ``""`` for data, of which all numbers are NaN
+    value: float = math.nan  #: Its value
+    usual: float = math.nan  #: The median of the robots of its kind
+    z: float = math.nan  #: How far it is off, see the module's text
+    limit: float = math.nan  #: Beyond which it is flagged
     text: str = ""  #: The same in words
 
 
@@ -83,7 +79,7 @@ def odd_ones(rows: Sequence[FleetRow]) -> tuple[tuple[Odd, ...], tuple[str, ...]
         alike = [row for row in done if row.kind == kind]
         count = int(np.sum(_counted(alike)))
         if count >= FEWEST:
-            found += [*_figures(alike), *_models(alike)]
+            found += _figures(alike)
         else:
             shown = kind.split()[0] if len(kinds) > 1 else ""
             notes.append(few_text(len(alike), count, FEWEST, shown))
@@ -139,19 +135,6 @@ def scores(x: Array, std: Array, floor: float, once: Mask) -> Array:
     scale = np.fmax(np.fmax(1.4826 * np.nanmedian(np.abs(away[once])), floor), std)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(away == 0.0, 0.0, away / scale)
-
-
-def _models(rows: list[FleetRow]) -> Iterator[Odd]:
-    """Robots with another model than nearly all others."""
-    models = [" and ".join(filter(None, (row.model, row.larger))) for row in rows]
-    counts = Counter(model for model, one in zip(models, _counted(rows), strict=True) if one)
-    usual, most = counts.most_common(1)[0]
-    count = counts.total()
-    if most < _USUAL * count:
-        return
-    for row, model in zip(rows, models, strict=True):
-        if model != usual and counts[model] <= max(1.0, _UNUSUAL * count):
-            yield Odd(row.name, "model", text=model_text(model, usual, most, count))
 
 
 def _same_data(rows: Sequence[FleetRow]) -> Iterator[Odd]:

@@ -6,7 +6,7 @@ import csv
 import hashlib
 import io
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -128,8 +128,8 @@ _COLUMNS = {
 }
 
 
-def csv_bytes(rows: Sequence[FleetRow], reasons: Mapping[str, Sequence[str]]) -> bytes:
-    """A table for a spreadsheet, UTF-8, a line a robot, mm and mrad, with why it is odd; what there is not is empty."""
+def csv_bytes(rows: Sequence[FleetRow], odd: Sequence[tuple[str, str]]) -> bytes:
+    """A table for a spreadsheet, UTF-8, a line a robot, mm and mrad, and why it is odd; what is not there is empty."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow((*_COLUMNS, "odd", "message"))
@@ -139,8 +139,8 @@ def csv_bytes(rows: Sequence[FleetRow], reasons: Mapping[str, Sequence[str]]) ->
             values[-2:] = "", ""
         numbers = [f"{1e3 * v:.6g}" if isinstance(v, float) and v == v else v for v in values]
         cells = ["" if cell != cell else cell for cell in numbers]
-        odd = "; ".join(reasons.get(row.name, ()))
-        writer.writerow((*cells, odd, " ".join(row.message.split())))
+        reasons = "; ".join(text for name, text in odd if name == row.name)
+        writer.writerow((*cells, reasons, " ".join(row.message.split())))
     return text.getvalue().encode("utf-8", "backslashreplace")
 
 

@@ -22,11 +22,6 @@ def figure_text(figure: str, unit: str, value: float, usual: float, z: float, li
     return f"{figure} {numbers} (|z| {abs(z):.1f}, limit {limit:.1f})"
 
 
-def model_text(model: str, usual: str, most: int, count: int) -> str:
-    """Why a robot is odd, by its model."""
-    return f"model {model}, {most} of {count} have {usual}"
-
-
 def data_text(others: Sequence[str], source: str) -> str:
     """Why a robot is odd, by its data, which are those of others."""
     more = f" and {len(others) - 3} more" * (len(others) > 3)

@@ -187,8 +187,8 @@ def test_a_row_s_own_words_win(call, arms_shop: Path):
         ("name,robot,data", [], "m.csv: there are no robots in it, only a header."),
         ("name,robot,data", ["a,robot.urdf"], "the row has 2 cells, the header has 3"),
         ("name,robot,data", ["a,b,c,d"], "the row has 4 cells, the header has 3"),
-        ("name,robot,data", ["a,b,c", "A,b,c"], "m.csv, line 3: the name 'A' is that of another robot (m.csv, line 2)"),
-        ("name,robot,data", ["../a,b,c"], "m.csv, line 2: the name '../a' cannot be that of a folder."),
+        ("name,robot,data", ["a,b,c", "A,b,c"], "m.csv, line 3: 'A' cannot be the name of a robot's folder"),
+        ("name,robot,data", ["../a,b,c"], "m.csv, line 2: '../a' cannot be the name of a robot's folder"),
     ],
 )  # fmt: skip
 def test_a_manifest_that_is_none_is_refused(call, tmp_path: Path, header, rows, said):

@@ -136,7 +136,7 @@ def test_robots_that_fail_are_named_and_the_others_finished(tmp_path, ur3):
 )  # fmt: skip
 def test_names_that_are_no_folders_are_refused(name, shop, tmp_path):
     robots = [replace(robots_of(shop, 1)[0], name=name)]
-    with pytest.raises(CalibError, match=r"Robot 1: the name .* cannot be that of a folder"):
+    with pytest.raises(CalibError, match=r"Robot 1: .* cannot be the name of a robot's folder"):
         fleet(robots, tmp_path / "out", QUICK)
     assert not (tmp_path / "out").exists()
 
