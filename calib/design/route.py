@@ -9,12 +9,11 @@ one turn, the other side may be reached by turning it 360 deg further; else a po
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from itertools import combinations, pairwise, product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from calib.design.candidates import rounded
 from calib.robot.robot import Robot, read_only
@@ -23,14 +22,11 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 FreePath = Callable[[Array, Array], bool]
 
-#: What stands for the place where the robot begins, in `Tour.blocked`.
-START = -1
-
 #: How many kicks are tried, in all and of one path; the time that a kick takes grows as the square of the poses.
 _KICKS, _KICK_WORK = 200, 1.0e6
 
-#: So many nearest neighbour paths are improved, from first poses spread over all; fewer of many poses.
-_BEGINNINGS, _MANY = 6, 1200
+#: So many nearest neighbour paths are improved, from first poses spread over all.
+_BEGINNINGS = 6
 
 #: Pieces of up to so many poses are put elsewhere; kicks swap stretches among so many neighbours, or shuffle so many.
 _PIECE, _WINDOW, _SHUFFLED = 3, 30, 8
@@ -44,8 +40,7 @@ _MOST_JOINTS, _TRIES, _STOPS = 2, 60, 300
 _TURN = 2.0 * np.pi
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Blocked:
+class Blocked(NamedTuple):
     """A move whose straight way in joint space is not free.
 
     From pose ``start`` to pose ``end``, from 1 in the order to drive (0: where the robot stands before), and joint
@@ -57,8 +52,7 @@ class Blocked:
     by: Array | None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Route:
+class Route(NamedTuple):
     """Poses in the order to drive.
 
     ``joints``, shape (K, m), [rad] or [m]; ``indices``, shape (K,), which of the poses each is; ``length``, the sum of
@@ -86,38 +80,35 @@ def route(
     by.
     """
     tour = order(joints, start, free_path)
-    if free_path is None or not tour.blocked:
-        return Route(read_only(joints[tour.indices]), tour.indices, tour.cost, ())
-    place = {int(i): k for k, i in enumerate(tour.indices, 1)}
-    cuts = sorted(place[b] - 1 for _, b in tour.blocked)
-    stretches = [part for part in np.split(tour.indices, cuts) if len(part)]
-    turned = with_whole_turns(joints, stretches, limits, turning(robot, limits), free_path)
-    turned = rounded(robot, turned)
-    again = order(turned, start, free_path)
-    if len(again.blocked) < len(tour.blocked):
-        joints, tour = turned, again
-    blocked, free = [], np.zeros((0, joints.shape[1]))
-    if tour.blocked and stops is not None:
-        free = stops()
-    place = {int(i): k for k, i in enumerate(tour.indices, 1)} | {START: 0}
-    for a, b in tour.blocked:
-        first = joints[a] if a != START else np.asarray(start, dtype=np.float64)
-        blocked.append(Blocked(place[a], place[b], detour(first, joints[b], free, free_path)))
-    return Route(read_only(joints[tour.indices]), tour.indices, tour.cost, tuple(blocked))
+    if free_path is not None and tour.blocked:
+        cuts = [end - 1 for _, end in tour.blocked]
+        stretches = [part for part in np.split(tour.indices, cuts) if len(part)]
+        turned = with_whole_turns(joints, stretches, limits, turning(robot, limits), free_path)
+        turned = rounded(robot, turned)
+        again = order(turned, start, free_path)
+        if len(again.blocked) < len(tour.blocked):
+            joints, tour = turned, again
+    path, blocked = read_only(joints[tour.indices]), []
+    if free_path is not None and tour.blocked:
+        free = joints[:0] if stops is None else stops()
+        for first, end in tour.blocked:
+            before = path[first - 1] if first or start is None else start
+            blocked.append(Blocked(first, end, detour(before, path[end - 1], free, free_path)))
+    return Route(path, tour.indices, tour.cost, tuple(blocked))
 
 
 # The order
 
 
 class Tour(NamedTuple):
-    """An order of poses, shape (N,), what its moves cost, and the moves (from, to) that are not free, in that order."""
+    """An order of poses, shape (N,), what its moves cost, and the moves that are not free, as in `Blocked`."""
 
     indices: Indices
     cost: float
     blocked: tuple[tuple[int, int], ...] = ()
 
 
-def order(q: Array, start: ArrayLike | None = None, free_path: FreePath | None = None) -> Tour:
+def order(q: Array, start: Array | None = None, free_path: FreePath | None = None) -> Tour:
     """A short open path through all poses, shape (N, m), the same for the same poses.
 
     A joint that can turn without end does not take the short way round, for controllers do not. ``free_path``: whether
@@ -132,47 +123,42 @@ def order(q: Array, start: ArrayLike | None = None, free_path: FreePath | None =
     # The two ends of the path come last, begin and finish: beginning costs the way from the start, nothing without one.
     costs = np.zeros((count + 2, count + 2))
     costs[: len(poses), : len(poses)] = cdist(poses, poses, "chebyshev")
-    several = min(_BEGINNINGS, max(_MANY // count, 1))
-    firsts = sorted({*np.linspace(0, count - 1, several).astype(int).tolist()})
+    firsts = sorted({*np.linspace(0, count - 1, _BEGINNINGS).astype(int).tolist()})
     if costs[count, :count].any():
         firsts = [count]
-    paths = [_improved(_nearest(costs, count, first), costs) for first in firsts]
+    paths = [_improved(_nearest(costs, first), costs) for first in firsts]
     path = _kicked(min(paths, key=lambda one: _length(one, costs)), costs)
     # More than any path costs: one refused move less is worth every detour.
     dear, penalty = costs.copy(), float(costs.max()) * len(costs) + 1.0
-    known: dict[frozenset[int], bool] = {}
+    known: dict[tuple[int, int], bool] = {}
     kicked = True  # the path comes from kicks on the costs as they were
     while free_path is not None:
         fresh = False
         for a, b in pairwise(path.tolist()):
-            pair = frozenset((a, b))
-            if max(a, b) >= len(poses) or pair in known:
-                continue  # begin without a start, and finish, are no moves
-            known[pair] = bool(free_path(poses[a], poses[b]))
-            if not known[pair]:
-                dear[[a, b], [b, a]] += penalty
-                fresh = True
+            # Begin without a start, and finish, are no moves.
+            if max(a, b) < len(poses) and (a, b) not in known:
+                known[a, b] = known[b, a] = bool(free_path(poses[a], poses[b]))
+                if not known[a, b]:
+                    dear[[a, b], [b, a]] += penalty
+                    fresh = True
         if kicked and not fresh:
             break
         # Kicks take longest: only once no move that is asked for is refused any more.
         path, kicked = (_improved(path, dear), False) if fresh else (_kicked(path, dear), True)
-    blocked = tuple(
-        (START if a == count else a, b)
-        for a, b in pairwise(path[:-1].tolist())
-        if not known.get(frozenset((a, b)), True)
-    )
+    moves = enumerate(pairwise(path[:-1].tolist()))
+    blocked = tuple((k, k + 1) for k, move in moves if not known.get(move, True))
     return Tour(path[1:-1], _length(path, costs), blocked)
 
 
-def _nearest(costs: Array, count: int, first: int) -> Indices:
-    """From one pose, or the begin, always on to the nearest pose that is left."""
+def _nearest(costs: Array, first: int) -> Indices:
+    """From one pose, or the begin, always on to the nearest pose that is left; with both ends."""
+    count = len(costs) - 2
     left = np.arange(count) != first
-    path, at = [count] if first == count else [count, first], first
+    path = [count] if first == count else [count, first]
     while left.any():
         free = np.flatnonzero(left)
-        at = int(free[np.argmin(costs[at, free])])
-        path.append(at)
-        left[at] = False
+        path.append(int(free[np.argmin(costs[path[-1], free])]))
+        left[path[-1]] = False
     return np.array([*path, count + 1], dtype=np.intp)
 
 
@@ -276,17 +262,16 @@ def with_whole_turns(
     stay; ``turns``, shape (m,), see `turning`. A stretch to which no turn leads stays as it is.
     """
     result: Array = q.copy()
-    longest = max(range(len(stretches)), key=lambda k: len(stretches[k]))
-    reached = stretches[longest]
-    joints = np.flatnonzero(turns)
+    longest = reached = max(stretches, key=len)
+    joints = np.flatnonzero(turns).tolist()
     shifts = [
-        np.bincount(chosen, signs, len(turns)) if chosen else np.zeros(len(turns))
+        np.bincount([*chosen, 0], [*signs, 0.0], len(turns))
         for count in range(min(_MOST_JOINTS, len(joints)) + 1)
-        for chosen in combinations(joints.tolist(), count)
+        for chosen in combinations(joints, count)
         for signs in product((-_TURN, _TURN), repeat=count)
     ]
-    for k, stretch in enumerate(stretches):
-        for shift in shifts if k != longest else ():
+    for stretch in stretches:
+        for shift in shifts if stretch is not longest else ():
             turned = result[stretch] + shift
             inside = np.all((turned >= ranges[:, 0]) & (turned <= ranges[:, 1]))
             if inside and _joined(result[reached], turned, free_path):

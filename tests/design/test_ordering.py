@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.sparse.csgraph import minimum_spanning_tree
 
-from calib.design.route import START, order
+from calib.design.route import order
 
 
 def moves(q):
@@ -77,8 +77,8 @@ def test_few_poses_have_no_more_blocked_moves_than_needed(seed):
     fewest = blocked.min()
     assert len(tour.blocked) == fewest
     assert tour.cost == pytest.approx(totals[blocked == fewest].min(), rel=1e-9)
-    place = {START: start, **dict(enumerate(q))}
-    assert all(not wall(place[a], place[b]) for a, b in tour.blocked)
+    path = [start, *q[tour.indices]]
+    assert all(not wall(path[a], path[b]) for a, b in tour.blocked)
 
 
 def test_blocked_moves_are_avoided_and_few_are_asked_for():
