@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -131,12 +131,10 @@ def choose_poses(
     ``taken``, shape (T, m), were measured already; they count, and are not planned again. One random start of the
     exchange in place of several ``restarts`` is a few percent worse.
     """
-    taken = np.zeros((0, pool.q.shape[1])) if taken is None else taken
-    again = np.zeros(len(pool.q), dtype=bool)
-    for pose in taken:
-        gap = np.remainder(pool.q - pose + np.pi, 2.0 * np.pi) - np.pi
-        again |= np.all(np.abs(gap) < _SAME, axis=1)
-    q = pool.q[~again]
+    taken = pool.q[:0] if taken is None else taken
+    gaps = (np.remainder(pool.q - pose + np.pi, 2.0 * np.pi) - np.pi for pose in taken)
+    again = [np.all(np.abs(gap) < _SAME, axis=1) for gap in gaps]
+    q = pool.q[~np.any(again, axis=0)] if again else pool.q
     request.check(len(q))
     count, seed = request.count, request.seed
     measured = sensitivity.measured(q)
@@ -158,12 +156,10 @@ def choose_poses(
 
     # The mean over poses and targets of J^T J.
     B = information(workspace.located) / (workspace.located[:, :, 0].size // 3)
-    known = information(sensitivity.measured(taken)) if len(taken) else 0.0 * B
-    weight = {"D": None, "A": np.diag(1.0 / steps(sensitivity.units) ** 2), "V": B}[
-        request.criterion
-    ]
-    mean = information(measured) / len(measured)
-    basis = Basis.of(mean, held(sensitivity.precision), weight, known)
+    weights = {"D": None, "A": np.diag(1.0 / steps(sensitivity.units) ** 2), "V": B}
+    known = np.diag(held(sensitivity.precision))
+    known += information(sensitivity.measured(taken)) if len(taken) else 0.0
+    basis = Basis.of(information(measured) / len(measured), known, weights[request.criterion])
     blocks = measured @ basis.directions
     chosen = choose(blocks, basis, count, seed, restarts if count <= _MANY else 1)
     rng = np.random.default_rng([seed, 1])
@@ -171,10 +167,10 @@ def choose_poses(
     plan = foreseen(chosen)
     found: list[tuple[int, Forecast]] = []
     short = short_list(blocks, basis, max(_LADDER_POOL, *rungs, 0))
-    at = np.zeros(0, dtype=np.int_)
+    few, at = blocks[short], np.zeros(0, dtype=np.int_)
     for number in rungs:
         if number != count:
-            at = grow(blocks[short], basis, at, number)
+            at = exchange(few, basis, at, number)[0]
         found.append((number, plan if number == count else foreseen(short[at])))
         if progress is not None:
             progress(len(found), len(rungs))
@@ -189,8 +185,7 @@ def choose_poses(
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Basis:
+class Basis(NamedTuple):
     """The directions that a pool of candidates can tell apart, scaled so that a mean candidate's information is I.
 
     ``directions``, shape (p, r), are a unit of each coordinate in the parameters; ``known``, shape (r, r), is the
@@ -202,10 +197,8 @@ class Basis:
     target: Array | None
 
     @classmethod
-    def of(
-        cls, mean_information: Array, precision: Array, weight: Array | None, known: Array
-    ) -> Basis:
-        """From the mean A^T A of the pool, the priors' precision, W or B, and the information of poses taken."""
+    def of(cls, mean_information: Array, known: Array, weight: Array | None) -> Basis:
+        """From the mean A^T A of the pool, the information of priors and poses taken, and W or B, shape (p, p)."""
         scale = np.sqrt(np.diag(mean_information))
         # What moves nothing but for rounding is not scaled up: a target on an axis does not tell that joint's angle.
         moves = scale > _ROUNDING * scale.max()
@@ -215,15 +208,12 @@ class Basis:
         seen = values > _UNSEEN * values[-1]
         directions = scale[:, None] * vectors[:, seen] / np.sqrt(values[seen])
         unseen = scale[:, None] * vectors[:, ~seen]
-        K = np.diag(precision) + known
         # What is known ties directions that the pool does not see to those that it sees: they follow.
-        follow = np.linalg.pinv(unseen.T @ K @ unseen, hermitian=True)
-        directions = directions - unseen @ (follow @ (unseen.T @ K @ directions))
-        before = directions.T @ K @ directions
+        follow = np.linalg.pinv(unseen.T @ known @ unseen, hermitian=True)
+        directions = directions - unseen @ (follow @ (unseen.T @ known @ directions))
+        before = directions.T @ known @ directions + _LEASH * np.eye(directions.shape[1])
         return cls(
-            directions=read_only(directions),
-            known=read_only(before + _LEASH * np.eye(before.shape[0])),
-            target=None if weight is None else read_only(directions.T @ weight @ directions),
+            directions, before, None if weight is None else directions.T @ weight @ directions
         )
 
 
@@ -241,37 +231,33 @@ def choose(blocks: Array, basis: Basis, count: int, seed: int, restarts: int = R
         found = rng.choice(len(few), count, replace=False)
         if basis.target is not None and start % 2 == 0:
             # The determinant has fewer local optima: where poses are few, what it likes is the better start, as a rule.
-            found, _ = exchange(few, replace(basis, target=None), found)
+            found, _ = exchange(few, basis._replace(target=None), found)
         found, cost = exchange(few, basis, found)
         if cost < least:
             best, least = found, cost
-    if len(short) == len(blocks):
-        return short[best]
     return exchange(blocks, basis, short[best])[0]
 
 
-def grow(blocks: Array, basis: Basis, start: Indices, count: int) -> Indices:
-    """A design with more poses: the best is added until there are enough, then all are exchanged."""
+def exchange(blocks: Array, basis: Basis, start: Indices, count: int = 0) -> tuple[Indices, float]:
+    """Exchange each pose of a design for the best candidate until nothing gets better; also its cost.
+
+    To fewer poses than ``count`` the best ones are added before.
+    """
+
+    def best(others: list[int]) -> int:
+        C = np.linalg.inv(basis.known + information(blocks[others]))
+        gain = _gains(blocks, C, basis.target)
+        gain[others] = -1.0
+        return int(np.argmax(gain))
+
     chosen = start.tolist()
     while len(chosen) < count:
-        C = np.linalg.inv(basis.known + information(blocks[chosen]))
-        gain = _gains(blocks, C, basis.target)
-        gain[chosen] = -1.0
-        chosen.append(int(np.argmax(gain)))
-    return exchange(blocks, basis, np.array(chosen))[0]
-
-
-def exchange(blocks: Array, basis: Basis, start: Indices) -> tuple[Indices, float]:
-    """Exchange each pose of a design for the best candidate until nothing gets better; also its cost."""
-    chosen = start.tolist()
+        chosen.append(best(chosen))
     least = _cost(basis.known + information(blocks[chosen]), basis)
     k, unchanged = 0, 0
     while unchanged < len(chosen):
         others = chosen[:k] + chosen[k + 1 :]
-        C = np.linalg.inv(basis.known + information(blocks[others]))
-        gain = _gains(blocks, C, basis.target)
-        gain[others] = -1.0
-        trial = [*chosen[:k], int(np.argmax(gain)), *chosen[k + 1 :]]
+        trial = [*chosen[:k], best(others), *chosen[k + 1 :]]
         cost = _cost(basis.known + information(blocks[trial]), basis)
         # By the cost, not the gain: without one of few poses little is known, and rounding would go in circles.
         if cost < least - _LEAST_GAIN * (1.0 if basis.target is None else abs(least)):
@@ -315,21 +301,10 @@ def _gains(blocks: Array, C: NDArray[np.floating[Any]], target: Array | None) ->
     # One product for G and E: their small matrices lie side by side, (n, d, 1 or 2, d).
     Y = (blocks.reshape(-1, r) @ both).reshape(n, -1, r)
     found = np.matmul(Y, blocks.transpose(0, 2, 1)).reshape(n, d, -1, d)
-    G, *rest = np.ascontiguousarray(found.transpose(2, 1, 3, 0))
-    diagonal = np.arange(d), np.arange(d)
-    G[diagonal] += 1.0
-    # I + G = L D L^T of all at once, and E becomes L^-1 E L^-T: NumPy's solver takes twice as long in all.
-    for k in range(d):
-        np.maximum(G[k, k], 1.0, out=G[k, k])  # G is positive semidefinite but for rounding
-        for i in range(k + 1, d):
-            factor = G[i, k] / G[k, k]
-            G[i, k + 1 :] -= factor * G[k, k + 1 :]
-            for E in rest:
-                E[i] -= factor * E[k]
-                E[:, i] -= factor * E[:, k]
+    known = np.eye(d) + found[:, :, 0]
     if target is None:
-        return np.asarray(np.prod(G[diagonal], axis=0))
-    return np.asarray(np.sum(rest[0][diagonal] / G[diagonal], axis=0))
+        return np.asarray(np.linalg.det(known))
+    return np.asarray(np.trace(np.linalg.solve(known, found[:, :, 1]), axis1=1, axis2=2))
 
 
 def _cost(M: Array, basis: Basis) -> float:

@@ -71,12 +71,6 @@ def test_each_criterion_is_the_best_at_its_own(paper, some):
     assert total["A"] < total["D"]
 
 
-# What a choice is made of
-
-
-# The ladder
-
-
 # Poses taken already
 
 

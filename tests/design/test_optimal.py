@@ -31,10 +31,10 @@ def basis_of(
     """The basis of a pool; the criterion V is that of the pool itself."""
     p = A.shape[2]
     precision = np.zeros(p) if precision is None else precision
-    known = np.zeros((p, p)) if known is None else known
+    known = np.diag(precision) + (0.0 if known is None else known)
     if weight is None:
         weight = {"D": None, "A": np.eye(p), "V": information(A) / len(A)}[criterion]
-    return Basis.of(information(A) / len(A), precision, weight, known)
+    return Basis.of(information(A) / len(A), known, weight)
 
 
 def cost(M: np.ndarray, weight: np.ndarray | None) -> float:
@@ -92,12 +92,6 @@ def test_the_best_of_all_designs_is_found(criterion, prior, taken):
         assert costs[tuple(sorted(found.tolist()))] <= best + 1e-9 * abs(best)
 
 
-# What the cost is
-
-
-# Textbook designs: a quadratic on [-1, 1]
-
-
 # Kiefer and Wolfowitz
 
 
@@ -118,22 +112,13 @@ def test_no_design_beats_rank_over_n(seed):
     assert variance.max() < 1.5 * 9 / 60
 
 
-# Growing
-
-
-# The short list
-
-
-# Units
-
-
 def test_a_column_of_rounding_is_no_direction():
     # A target on the last axis moves by 1e-17 m with that joint's angle: scaled up, the choice went on for ever.
     rng = np.random.default_rng(5)
     A = rng.normal(size=(40, 3, 5))
     A[:, :, 4] *= 1e-17
     precision = np.array([0.0, 0.0, 0.0, 0.0, 4444.0])
-    basis = Basis.of(information(A) / 40, precision, np.eye(5), np.zeros((5, 5)))
+    basis = Basis.of(information(A) / 40, np.diag(precision), np.eye(5))
     assert basis.directions.shape[1] == 4
     assert np.linalg.eigvalsh(basis.known).min() > 0.0
     chosen = choose(A @ basis.directions, basis, 6, 0)
