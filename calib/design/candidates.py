@@ -69,18 +69,12 @@ class Condition:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pool:
-    """Candidates.
+    """Candidates."""
 
-    Attributes:
-        q: shape (n, m), the poses that passed all tests, all different, [rad] or [m].
-        workspace: shape (k, m), those in the region, among the first drawn.
-        drawn: How many were drawn.
-        refused: How many each test refused, of those that had passed the tests before it.
-    """
-
-    q: Array
-    workspace: Array
-    drawn: int
+    q: Array  #: shape (n, m), the poses that passed all tests, all different, [rad] or [m].
+    workspace: Array  #: shape (k, m), those in the region, among the first drawn.
+    drawn: int  #: How many were drawn.
+    #: How many each test refused, of those that had passed the tests before it.
     refused: dict[str, int]
 
 

@@ -49,19 +49,15 @@ _GROUND = 20.0
 
 @dataclass(frozen=True, slots=True)
 class CollisionCheck:
-    """What is checked for collisions, and how.
+    """What is checked for collisions, and how."""
 
-    Attributes:
-        clearance: Least distance of all that is checked [m].
-        floor: Whether nothing may come below the mounting plane: z = 0 of the base, or the lowest link that stands with
-            the base where that is lower.
-        holder_radius: A target and what holds it are a rod of this radius from the tip to the target [m].
-        package_dirs: Folders in which ``package://`` meshes are looked for before all others.
-    """
-
-    clearance: float = 0.0
+    clearance: float = 0.0  #: Least distance of all that is checked [m].
+    #: Whether nothing may come below the mounting plane: z = 0 of the base, or the lowest link that stands with the
+    #: base where that is lower.
     floor: bool = True
+    #: A target and what holds it are a rod of this radius from the tip to the target [m].
     holder_radius: float = 0.020  # a 1.5 inch reflector has 19 mm
+    #: Folders in which ``package://`` meshes are looked for before all others.
     package_dirs: tuple[str | Path, ...] = ()
 
 
@@ -119,21 +115,15 @@ class _Scene(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class CollisionModel:
-    """A robot and boxes around it, ready to be asked at which joint values they touch.
+    """A robot and boxes around it, ready to be asked at which joint values they touch."""
 
-    Attributes:
-        robot: The robot.
-        pairs: The names of what is checked (links, targets, boxes, the plane), those that touch most often first.
-        close: Those that are always closer than the clearance; they are refused only where they touch.
-        touching: Those that are not checked, for they always touch.
-        notes: What was checked, and what was not as a person might expect.
-    """
-
-    robot: Robot
+    robot: Robot  #: The robot.
+    #: The names of what is checked (links, targets, boxes, the plane), those that touch most often first.
     pairs: Names
+    #: Those that are always closer than the clearance; they are refused only where they touch.
     close: Names
-    touching: Names
-    notes: tuple[Note, ...]
+    touching: Names  #: Those that are not checked, for they always touch.
+    notes: tuple[Note, ...]  #: What was checked, and what was not as a person might expect.
     _scene: _Scene
     _beams: _Scene  # the last shape, a beam, with links and boxes
 

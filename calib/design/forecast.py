@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,17 +22,12 @@ from calib.data.measurements import Measurements
 from calib.data.surroundings import Tracker
 from calib.data.table import DEFAULT_TARGET
 from calib.design.candidates import Note, planning_ranges
-from calib.errors import MeasurementError, ModelError, choices
+from calib.errors import ModelError, choices
 from calib.estimate.fitting import Task, model_of
 from calib.estimate.inspection import GENERIC_TARGET, any_measurement
 from calib.estimate.registration import register
 from calib.estimate.rows import Rows
-from calib.estimate.setup import (
-    FIRST_SIGMA_ANGLE,
-    Setup,
-    rows_of,
-    setup_of,
-)
+from calib.estimate.setup import FIRST_SIGMA_ANGLE, Setup, rows_of, setup_of
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability, analyse
@@ -59,23 +55,14 @@ _RANGE = 0.90
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sensitivity:
-    """A robot in a cell, as the fit would see it; p is the number of parameters, k that of targets.
-
-    Attributes:
-        cell: The cell.
-        kind: What is measured at each pose.
-        setup: Frames and targets; a target that was not given stands at a general place.
-        kinematics: Of the nominal robot, under the model that the fit will use.
-        precision: shape (p,), 1 / tau^2 of each parameter's prior, its own or its family's; 0 where there is none.
-        notes: What was assumed.
-    """
+    """A robot in a cell, as the fit would see it; p is the number of parameters, k that of targets."""
 
     cell: Cell
-    kind: str
-    setup: Setup
-    kinematics: Kinematics
-    precision: Array
-    notes: tuple[Note, ...]
+    kind: str  #: What is measured at each pose.
+    setup: Setup  #: Frames and targets; a target that was not given stands at a general place.
+    kinematics: Kinematics  #: Of the nominal robot, under the model that the fit will use.
+    precision: Array  #: shape (p,), 1 / tau^2 of each parameter's prior, its own or its family's; 0 without.
+    notes: tuple[Note, ...]  #: What was assumed.
 
     @classmethod
     def of(cls, robot: Robot, cell: Cell) -> Sensitivity:
@@ -91,11 +78,12 @@ class Sensitivity:
             notes.append(Note("generic_target", tuple(GENERIC_TARGET)))
         if kind == "pose" and cell.sigma_angle is None:
             notes.append(Note("orientation_noise", (FIRST_SIGMA_ANGLE,)))
-        model = model_of(Task(robot, cell, setup, planned_model(cell), lenient=cell.model == AUTO))
+        auto = cell.model == AUTO
+        name = PLANNED_FOR_AUTO if auto else cell.model
+        model = model_of(Task(robot, cell, setup, name, lenient=auto))
         model = setup.aligned(model)
-        if cell.model != AUTO:
-            for wanted in (*cell.parameter_priors, *cell.bounds):
-                model.index(wanted)
+        for wanted in () if auto else (*cell.parameter_priors, *cell.bounds):
+            model.index(wanted)
         precision = np.zeros(len(model))
         for k, parameter in enumerate(model.parameters):
             shared = cell.priors.sizes != "off" and parameter.family in FAMILIES
@@ -195,26 +183,19 @@ class Sensitivity:
         return analyse(measured.reshape(len(sigma), -1) * sigma, self.names, self.units)
 
 
-def planned_model(cell: Cell) -> str:
-    """The parameter set that is planned for: the cell's, or what stands for ``"auto"``."""
-    return PLANNED_FOR_AUTO if cell.model == AUTO else cell.model
-
-
 def _checked_kind(cell: Cell) -> str:
     """The kind that is planned for: one whose poses can be chosen freely, in one set-up."""
     name = cell.kind or "point"
-    kind = registry.get(name)
-    free = [one for one in registry.names() if registry.get(one).free]
-    for wrong, why in (
-        (not kind.free, f"its rows cannot be chosen freely; choose one of {choices(free)}"),
-        (len(cell.frames) > 1, "the cell has several set-ups; give one as frame_xyz_mm"),
-        (
-            kind.own_frame and cell.T_frame_base is None and not cell.frames,
-            f"give the base in a frame at the {kind.place.lower()}, frame_xyz_mm in the cell file",
-        ),
-    ):
-        if wrong:
-            raise ModelError(f"Poses cannot be planned for the kind '{name}': {why}.")
+    kind, why = registry.get(name), ""
+    if not kind.free:
+        free = [one for one in registry.names() if registry.get(one).free]
+        why = f"its rows cannot be chosen freely; choose one of {choices(free)}"
+    elif len(cell.frames) > 1:
+        why = "the cell has several set-ups; give one as frame_xyz_mm"
+    elif kind.own_frame and cell.T_frame_base is None and not cell.frames:
+        why = f"give the base in a frame at the {kind.place.lower()}, frame_xyz_mm in the cell file"
+    if why:
+        raise ModelError(f"Poses cannot be planned for the kind '{name}': {why}.")
     return name
 
 
@@ -234,8 +215,7 @@ def _one_pose(robot: Robot, cell: Cell, kind: str) -> Setup:
     return setup_of(cell, table, np.full(count, registry.names().index(kind)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Workspace:
+class Workspace(NamedTuple):
     """The poses over which accuracy is forecast: what `Sensitivity` says of them, and the rank of all of them."""
 
     measured: Array
@@ -253,41 +233,27 @@ class Workspace:
 class Forecast:
     """What a calibration at some poses will reach.
 
-    Attributes:
-        names: The parameters.
-        units: Of each.
-        parameter_std: shape (p,), expected standard deviation after the fit, in the units.
-        identifiable: shape (p,), which parameters these poses tell by themselves, and not in combinations only.
-        poses: Number of poses.
-        rms: Expected rms error of a predicted position over the workspace [m].
-        rms_low, rms_high: Between them lies the rms of 90 % of calibrations [m].
-        max: Largest standard deviation of a predicted position over the workspace [m].
-        quantile_95: What 95 % of the positions do not exceed [m].
-        sigma: Noise of one measured coordinate, rms over the poses [m].
-        rank, columns: How many parameters the poses tell apart, and how many there are.
-        workspace_rank: What the poses of the whole workspace could tell.
-        mean_variance, worst_variance: Of what is measured over the workspace, as the calibrated robot predicts it, in
-            variances of the noise.
-        indices: O1 to O5.
+    The variances are of what is measured over the workspace, as the calibrated robot predicts it, in variances of the
+    noise.
     """
 
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    parameter_std: Array
-    identifiable: NDArray[np.bool_]
-    poses: int
-    rms: float
-    rms_low: float
-    rms_high: float
-    max: float
-    quantile_95: float
-    sigma: float
-    rank: int
-    columns: int
-    workspace_rank: int
+    names: tuple[str, ...]  #: The parameters.
+    units: tuple[str, ...]  #: Of each.
+    parameter_std: Array  #: shape (p,), expected standard deviation after the fit, in the units.
+    identifiable: NDArray[np.bool_]  #: shape (p,), whether these poses tell a parameter by itself.
+    poses: int  #: Number of poses.
+    rms: float  #: Expected rms error of a predicted position over the workspace [m].
+    rms_low: float  #: The rms of 90 % of calibrations lies between this one
+    rms_high: float  #: and this one [m].
+    max: float  #: Largest standard deviation of a predicted position over the workspace [m].
+    quantile_95: float  #: What 95 % of the positions do not exceed [m].
+    sigma: float  #: Noise of one measured coordinate, rms over the poses [m].
+    rank: int  #: How many parameters the poses tell apart.
+    columns: int  #: How many there are.
+    workspace_rank: int  #: What the poses of the whole workspace could tell.
     mean_variance: float
     worst_variance: float
-    indices: dict[str, float]
+    indices: dict[str, float]  #: O1 to O5.
 
     @classmethod
     def of(cls, sensitivity: Sensitivity, workspace: Workspace, q: Array) -> Forecast:
@@ -320,25 +286,15 @@ class Forecast:
             indices=dict(seen.indices),
         )
 
-    @property
-    def efficiency(self) -> float:
-        """(rank / N) / mean variance: about 1 for the best N poses, and more with tight priors; no bound."""
-        return self.workspace_rank / self.poses / self.mean_variance
 
-
-def forecast(robot: Robot, cell: Cell, joints: ArrayLike, margin: float = 0.0) -> Forecast:
+def forecast(robot: Robot, cell: Cell, joints: ArrayLike) -> Forecast:
     """What a calibration measured at these poses will reach, over the joint ranges.
 
-    ``joints`` is of shape (N, m), [rad] or [m]; the model ``"auto"`` is taken as ``"placement"``; ``margin`` [rad] is
-    the distance to the joint limits.
+    ``joints`` is of shape (N, m), [rad] or [m]; the model ``"auto"`` is taken as ``"placement"``.
     """
-    robot.chain_values(joints)
-    q = np.atleast_2d(np.asarray(joints, dtype=np.float64))
-    if not len(q):
-        raise MeasurementError("A forecast needs poses; none was given.")
     sensitivity = Sensitivity.of(robot, cell)
-    everywhere = spread_between(planning_ranges(robot, cell.ranges, margin), _POSES)
-    return Forecast.of(sensitivity, Workspace.of(sensitivity, everywhere), q)
+    everywhere = spread_between(planning_ranges(robot, cell.ranges, 0.0), _POSES)
+    return Forecast.of(sensitivity, Workspace.of(sensitivity, everywhere), np.asarray(joints))
 
 
 def forecast_of_table(robot: Robot, cell: Cell, measurements: Measurements) -> Forecast | None:

@@ -70,28 +70,20 @@ _RUNGS = (0.5, 0.67, 0.83, 1.0, 1.33, 1.67, 2.0, 3.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlanRequest:
-    """Which poses are wanted.
+    """Which poses are wanted."""
 
-    Attributes:
-        count: Poses to fit.
-        validation: Poses to validate with, drawn at random from the same candidates.
-        criterion: ``"V"``: least mean variance of predicted positions; ``"D"``: largest determinant of the information;
-            ``"A"``: least mean variance of the parameters.
-        candidates: Poses among which is chosen.
-        margin: Distance to the joint limits of the URDF [rad].
-        start: shape (m,), where the robot stands before it begins [rad] or [m]; None: it begins at any pose.
-        ladder: Whether other numbers of poses, from half to three times ``count``, are forecast too.
-        seed: The same seed makes the same plan.
-    """
-
-    count: int = 30
-    validation: int = 5
+    count: int = 30  #: Poses to fit.
+    validation: int = 5  #: Poses to validate with, drawn at random from the same candidates.
+    #: ``"V"``: least mean variance of predicted positions; ``"D"``: largest determinant of the information; ``"A"``:
+    #: least mean variance of the parameters.
     criterion: str = "V"
-    candidates: int = 20_000
-    margin: float = math.radians(5.0)
+    candidates: int = 20_000  #: Poses among which is chosen.
+    margin: float = math.radians(5.0)  #: Distance to the joint limits of the URDF [rad].
+    #: shape (m,), where the robot stands before it begins [rad] or [m]; None: it begins at any pose.
     start: ArrayLike | None = None
+    #: Whether other numbers of poses, from half to three times ``count``, are forecast too.
     ladder: bool = True
-    seed: int = 0
+    seed: int = 0  #: The same seed makes the same plan.
 
     def check(self, candidates: int) -> None:
         """Refuse an unknown criterion, and numbers of poses that cannot be."""

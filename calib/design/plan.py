@@ -60,55 +60,35 @@ _USUAL, _USUAL_CHECK = PlanRequest(), CollisionCheck()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
-    """Poses to measure, in the order to drive.
+    """Poses to measure, in the order to drive."""
 
-    Attributes:
-        robot: The robot.
-        cell: What was planned for.
-        request: What was asked for.
-        joints: shape (K, m), [rad] or [m], whole steps of 0.001 deg or mm.
-        sets: ``"estimate"`` or ``"validate"`` for each pose.
-        taken: shape (T, m), poses that were measured already.
-        targets: The targets measured at every pose.
-        T_tip_target: shape (targets, 4, 4), their poses in the tip [m].
-        expected: shape (K, targets, 3), where the nominal robot puts each target, in the measurement frame if that is
-            known, else in the base [m].
-        model: The parameter set planned for.
-        kind: What is measured at each pose.
-        forecast: Of the fit of taken poses and planned ones.
-        before: Of a fit of the poses taken alone; None without.
-        at_random: Of as many poses drawn at random from the same candidates, in place of the planned ones: the median
-            of several draws.
-        ladder: Forecasts for other numbers of planned poses, in rising order, that of the plan among them.
-        drawn: Candidates drawn.
-        candidates: Of these, those that can be measured.
-        refused: How many of those drawn were refused, by reason, see `calib.design.candidates.Reason`.
-        travel: The sum over all moves of the largest move of a joint [rad] or [m].
-        blocked: The moves whose straight way is not free.
-        notes: What the person who measures must know.
-    """
-
-    robot: Robot
-    cell: Cell
-    request: PlanRequest
-    joints: Array
-    sets: tuple[str, ...]
-    taken: Array
-    targets: tuple[str, ...]
-    T_tip_target: Array
+    robot: Robot  #: The robot.
+    cell: Cell  #: What was planned for.
+    request: PlanRequest  #: What was asked for.
+    joints: Array  #: shape (K, m), [rad] or [m], whole steps of 0.001 deg or mm.
+    sets: tuple[str, ...]  #: ``"estimate"`` or ``"validate"`` for each pose.
+    taken: Array  #: shape (T, m), poses that were measured already.
+    targets: tuple[str, ...]  #: The targets measured at every pose.
+    T_tip_target: Array  #: shape (targets, 4, 4), their poses in the tip [m].
+    #: shape (K, targets, 3), where the nominal robot puts each target, in the measurement frame if that is known, else
+    #: in the base [m].
     expected: Array
-    model: str
-    kind: str
-    forecast: Forecast
-    before: Forecast | None
+    model: str  #: The parameter set planned for.
+    kind: str  #: What is measured at each pose.
+    forecast: Forecast  #: Of the fit of taken poses and planned ones.
+    before: Forecast | None  #: Of a fit of the poses taken alone; None without.
+    #: Of as many poses drawn at random from the same candidates, in place of the planned ones: the median of several
+    #: draws.
     at_random: Forecast
+    #: Forecasts for other numbers of planned poses, in rising order, that of the plan among them.
     ladder: tuple[tuple[int, Forecast], ...]
-    drawn: int
-    candidates: int
+    drawn: int  #: Candidates drawn.
+    candidates: int  #: Of these, those that can be measured.
+    #: How many of those drawn were refused, by reason, see `calib.design.candidates.Reason`.
     refused: dict[str, int]
-    travel: float
-    blocked: tuple[Blocked, ...]
-    notes: tuple[Note, ...]
+    travel: float  #: The sum over all moves of the largest move of a joint [rad] or [m].
+    blocked: tuple[Blocked, ...]  #: The moves whose straight way is not free.
+    notes: tuple[Note, ...]  #: What the person who measures must know.
 
     def places(self, q: Array) -> Array:
         """Where the nominal robot puts each target in the base at q, shape (N, m); shape (N, targets, 3), [m]."""
@@ -422,7 +402,7 @@ def plan_table(plan: Plan) -> dict[str, Any]:
 
 def forecast_table(f: Forecast) -> dict[str, Any]:
     """A forecast as nested tables in SI units."""
-    counted = ("poses", "rank", "workspace_rank", "columns", "efficiency")
+    counted = ("poses", "rank", "workspace_rank", "columns")
     lengths = ("rms", "rms_low", "rms_high", "quantile_95", "max", "sigma")
     return {
         **{name: getattr(f, name) for name in counted},

@@ -95,21 +95,13 @@ def workspace(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Region:
-    """The part of space that a robot is measured in: voxels of a grid in the base frame.
+    """The part of space that a robot is measured in: voxels of a grid in the base frame."""
 
-    Attributes:
-        origin: shape (3,), the grid's least corner [m].
-        voxel: Edge of a voxel [m].
-        cells: shape (nx, ny, nz), whether a voxel belongs to the region.
-        share: The share of the probability that was asked for.
-        held: The share of the samples that the voxels hold: not less than ``share``.
-    """
-
-    origin: Array
-    voxel: float
-    cells: Mask
-    share: float
-    held: float
+    origin: Array  #: shape (3,), the grid's least corner [m].
+    voxel: float  #: Edge of a voxel [m].
+    cells: Mask  #: shape (nx, ny, nz), whether a voxel belongs to the region.
+    share: float  #: The share of the probability that was asked for.
+    held: float  #: The share of the samples that the voxels hold: not less than ``share``.
 
     @property
     def volume(self) -> float:
@@ -162,18 +154,12 @@ def _voxel_of(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Density:
-    """How often samples lie in each voxel of a grid in the base frame.
+    """How often samples lie in each voxel of a grid in the base frame."""
 
-    Attributes:
-        origin: shape (3,), the grid's least corner [m].
-        voxel: Edge of a voxel [m].
-        counts: shape (nx, ny, nz), samples in each voxel.
-        smooth: shape (nx, ny, nz), the same smoothed over neighbours, 0 where there is no sample.
-    """
-
-    origin: Array
-    voxel: float
-    counts: NDArray[np.int64]
+    origin: Array  #: shape (3,), the grid's least corner [m].
+    voxel: float  #: Edge of a voxel [m].
+    counts: NDArray[np.int64]  #: shape (nx, ny, nz), samples in each voxel.
+    #: shape (nx, ny, nz), the same smoothed over neighbours, 0 where there is no sample.
     smooth: Array
 
     @classmethod
@@ -242,22 +228,14 @@ class Checked(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RegionView:
-    """A region of a robot's workspace as it is printed and drawn.
+    """A region of a robot's workspace as it is printed and drawn."""
 
-    Attributes:
-        robot: The nominal robot.
-        target: shape (3,), in the tip [m].
-        ranges: shape (m, 2), of the joints [rad] or [m].
-        density: The density.
-        region: A region of it.
-        checked: A table whose rows are compared with the region; None for none.
-    """
-
-    robot: Robot
-    target: Array
-    ranges: Array
-    density: Density
-    region: Region
+    robot: Robot  #: The nominal robot.
+    target: Array  #: shape (3,), in the tip [m].
+    ranges: Array  #: shape (m, 2), of the joints [rad] or [m].
+    density: Density  #: The density.
+    region: Region  #: A region of it.
+    #: A table whose rows are compared with the region; None for none.
     checked: Checked | None = None
 
     @property
