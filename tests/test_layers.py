@@ -18,7 +18,6 @@ ORDER = (
     "errors",
     "units",
     "files",
-    "fields",
     "jobs",
     "example",
     "robot",

@@ -34,7 +34,7 @@ from calib.circle_points.frame import (
 )
 from calib.circle_points.sweeps import Sweep, Sweeps
 from calib.errors import CalibError, MeasurementError, choices
-from calib.fields import Key, Layout
+from calib.files import Key, Layout
 from calib.robot.robot import Robot, read_only, rigid_inverse
 
 Array = NDArray[np.float64]

@@ -19,8 +19,7 @@ from calib.data.checks import no_rotation
 from calib.errors import ModelError, choices
 from calib.model.error_model import axis_twists, error_model
 from calib.model.families import Factor, JointState
-from calib.model.kinematics import Kinematics, Samples
-from calib.model.parameters import TIP, ErrorModel, Parameter
+from calib.model.kinematics import TIP, ErrorModel, Kinematics, Parameter, Samples
 from calib.result.calibration import Calibration
 from calib.result.prediction import Larger
 from calib.robot.readback import spread_poses

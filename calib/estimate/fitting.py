@@ -14,8 +14,7 @@ import numpy as np
 
 from calib.data.cell import Cell, Priors
 from calib.errors import MeasurementError, ModelError, choices
-from calib.estimate.likelihood import Linear, Normal
-from calib.estimate.problem import PART, Problem
+from calib.estimate.problem import PART, Linear, Normal, Problem
 from calib.estimate.registration import register
 from calib.estimate.rows import Rows
 from calib.estimate.setup import KnownDistance, Setup
@@ -23,9 +22,8 @@ from calib.estimate.solvers import SOLVERS, Solution, Solver, paper_levenberg_ma
 from calib.estimate.stages import PriorTerms, Stage, staged
 from calib.estimate.statistics import Array, Limits, Mask, as_of_a_point, deleted_norms, repeats
 from calib.model.error_model import error_model
-from calib.model.kinematics import Kinematics, Samples
+from calib.model.kinematics import FRAME, TARGET, ErrorModel, Kinematics, Parameter, Samples
 from calib.model.observability import steps
-from calib.model.parameters import FRAME, TARGET, ErrorModel, Parameter
 from calib.robot.kernel import one_blas_thread
 from calib.robot.robot import Robot, read_only
 

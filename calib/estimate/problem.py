@@ -3,22 +3,298 @@
     minimise  1/2 sum_i w_i |r_i(x) / sigma_i|^2 + 1/2 sum_k (x_k - m_k)^2 / tau_k^2 + 1/2 sum_c (d_c - d_c(x))^2 /
     s_c^2
 
-with residuals r, normal priors of size tau on the offsets (mean 0, but at a bound) and known distances d.
+with residuals r, normal priors of size tau on the offsets (mean 0, but at a bound) and known distances d. Linearised
+it is y = A x + n. Sizes tau_f of x_k ~ N(0, tau_f^2) and sigma_c of each instrument maximise its restricted marginal
+likelihood (REML: H. D. Patterson, R. Thompson, 1971); frame and target are flat. With posterior covariance C, mean m
+and H_c = A_c^T A_c
+
+    dL/dlog tau_f = sum_k (m_k^2 + C_kk) / tau_f^2 - n_f,
+    dL/dlog sigma_c = |y - A m|_c^2 / sigma_c^2 + tr(H_c C) / sigma_c^2 - N_c
+
+B fits that differ in the weights of their rows are worked on together: they are the first axis of arrays.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eigh
+from scipy.linalg.lapack import dpotrf, dtrtri
 
-from calib.estimate.likelihood import Linear
 from calib.estimate.rows import LENGTHS, Rows
 from calib.estimate.setup import KnownDistance
 from calib.estimate.solvers import triangle
-from calib.estimate.statistics import Array
+from calib.estimate.statistics import Array, Mask, as_of_a_point, deleted_norms
 from calib.model.kinematics import Kinematics
 from calib.robot.kernel import over_blocks
+
+#: How far the logarithm of a size may fall and rise in one step: where nothing supports a size it falls to its bound;
+#: and normal equations that are kept.
+_STEP_DOWN, _STEP_UP, _KEPT = 3.0, 1.0, 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Priors:
+    """What is known of parameters beforehand: x_k ~ N(centre_k, 1 / precision_k)."""
+
+    precision: Array  # (B, p) or (p,); 0 where there is none
+    centre: Array  # (p,)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Normal:
+    """Weighted normal equations of the measurements, and those of known constraints C x = z, whitened."""
+
+    H: Array  # (B, C, p, p), A_c^T W A_c of each instrument
+    g: Array  # (B, C, p), A_c^T W y_c
+    yy: Array  # (B, C), y_c^T W y_c
+    count: Array  # (B, C), number of scalar measurements, by weight
+    known: tuple[Array, Array, float]  # C^T C, C^T z and z^T z
+
+    def posterior(self, noise: Array, priors: Priors) -> tuple[Array, Array]:
+        """Mean (B, p) and covariance (B, p, p) of x, at the sigma of each instrument, (B, C).
+
+        Directions that neither data nor prior determine get no share of either.
+        """
+        scaled, scale = self._scaled(noise, priors)
+        right = (1.0 / np.square(noise)[:, None] @ self.g)[:, 0] + self.known[1]
+        right = right + priors.precision * priors.centre
+        C = np.array([inverse(M) for M in scaled]) * (scale[:, :, None] * scale[:, None])
+        return (C @ right[:, :, None])[:, :, 0], C
+
+    def _scaled(self, noise: Array, priors: Priors) -> tuple[Array, Array]:
+        """The posterior's precision matrix M with a diagonal of ones, and the root of what it was divided by."""
+        B, C, p, _ = self.H.shape
+        weight = 1.0 / np.square(noise)[:, None]
+        M = (weight @ self.H.reshape(B, C, p * p)).reshape(B, p, p) + self.known[0]
+        diagonal(M)[...] += priors.precision
+        scale = 1.0 / np.sqrt(diagonal(M) + 1e-300)
+        return M * (scale[:, :, None] * scale[:, None]), scale
+
+    def residual_square(self, x: Array) -> Array:
+        """|y - A x|^2 of each instrument, weighted, never below 0, shape (B, C)."""
+        x = x[:, None, :, None]
+        square = self.yy + ((self.H @ x - 2.0 * self.g[..., None]) * x)[..., 0].sum(axis=2)
+        return np.asarray(np.maximum(square, 0.0))
+
+    def log_likelihood(self, noise: Array, priors: Priors, own: Array) -> Array:
+        """The restricted log likelihood of noise and sizes, but for a constant of the flat parameters, shape (B,).
+
+        -1/2 [sum_c N_c log sigma_c^2 - sum_k log own_k + log det M + y^T P y], with the posterior's precision M and
+        ``own``, (B, p), the precision of the parameters that are not flat.
+        """
+        scaled, scale = self._scaled(noise, priors)
+        values = np.linalg.eigvalsh(scaled)
+        log_det = np.sum(np.log(np.maximum(values, 1e-300)) - 2.0 * np.log(scale), axis=1)
+        x, _ = self.posterior(noise, priors)
+        H, g, zz = self.known
+        # Of the priors term by term: one that holds a parameter at a bound would drown the rest in its rounding.
+        square = np.sum(priors.precision * (x - priors.centre) ** 2, axis=-1)
+        square += np.maximum(zz - 2.0 * (x @ g) + np.sum((x @ H) * x, axis=-1), 0.0)
+        square += np.sum(self.residual_square(x) / np.square(noise), axis=1)
+        of_priors = np.sum(np.log(np.where(own > 0.0, own, 1.0)), axis=1)
+        of_noise = 2.0 * np.sum(self.count * np.log(noise), axis=1)
+        return np.asarray(-0.5 * (of_noise - of_priors + log_det + square))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Linear:
+    """The problem linearised at x: the residual at x + s is r - A s, in units of each scalar's sigma as given."""
+
+    x: Array  # (p,)
+    columns: Array  # (p + 1, D, N), A and behind it r
+    used: Mask  # (N, D), which scalars there are
+    instruments: NDArray[np.int8]  # (N, D), which noise each has; -1 for none
+    smallest: tuple[float, ...]  # Smallest noise believed of each instrument, in units of its sigma
+    C: Array  # (K, p), of the known distances, whitened
+    z: Array  # (K,), what C x should be
+    # Of each instrument the columns of its scalars and, where not all rows have them, which do, shape (d, N)
+    _parts: tuple[tuple[slice, Array | None], ...] = field(init=False, repr=False)
+    _made: list[tuple[Array, Normal]] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Find the columns of each instrument's scalars."""
+        parts = []
+        for c in range(len(self.smallest)):
+            own = np.equal(self.instruments.T, c)
+            there = np.flatnonzero(own.any(axis=1))
+            at = slice(int(there[0]), int(there[-1]) + 1) if len(there) else slice(0, 0)
+            parts.append((at, None if own[at].all() else own[at].astype(np.float64)))
+        object.__setattr__(self, "_parts", tuple(parts))
+        object.__setattr__(self, "_made", [])
+
+    def __len__(self) -> int:
+        """Number of rows."""
+        return int(self.columns.shape[2])
+
+    @property
+    def A(self) -> Array:
+        """The derivative of the prediction, shape (N, D, p)."""
+        return np.asarray(self.columns[:-1].transpose(2, 1, 0))
+
+    def noise_of(self, noise: Array) -> Array:
+        """The noise of each scalar, shape (B, N, D), of each instrument's, shape (B, C); 1 where there is no scalar."""
+        return np.hstack([noise, np.ones((len(noise), 1))])[:, self.instruments]
+
+    def residual(self, x: Array) -> Array:
+        """What x, shape (B, p) or (p,), leaves over, shape (B, N, D) or (N, D)."""
+        count, D, N = self.columns.shape
+        flat = self.columns.reshape(count, D * N)
+        found = flat[-1] - (x - self.x) @ flat[:-1]
+        return np.asarray(found.reshape(*x.shape[:-1], D, N).swapaxes(-1, -2))
+
+    def select(self, mask: Mask) -> Linear:
+        """The problem of some of the rows; known distances stay."""
+        columns, instruments = self.columns[:, :, mask], self.instruments[mask]
+        return replace(self, columns=columns, used=self.used[mask], instruments=instruments)
+
+    def data(self, weights: Array) -> Normal:
+        """The normal equations with these weights, shape (B, N); the last ones are kept, for stages ask again."""
+        for last, made in self._made:
+            if np.array_equal(last, weights):
+                return made
+        p, (B, N) = len(self.x), weights.shape
+        both = np.zeros((B, len(self._parts), p + 1, p + 1))
+        count, root = np.zeros((B, len(self._parts))), np.sqrt(weights)
+        for c, (at, there) in enumerate(self._parts):
+            factor = root[:, None] if there is None else there * root[:, None]
+
+            def product(own: slice, at: slice = at, factor: Array = factor) -> Array:
+                columns, f = self.columns[:, at, own], factor[:, :, own]
+                parts = ((columns * one).reshape(p + 1, -1) for one in f)
+                return np.array([part @ part.T for part in parts])
+
+            both[:, c] = np.sum(over_blocks(product, N), axis=0)
+            count[:, c] = weights @ (
+                np.full(N, at.stop - at.start) if there is None else there.sum(axis=0)
+            )
+        # [A r] are at hand; what is asked for is [A y] with y = r + A x.
+        H, g, rr = both[..., :p, :p], both[..., :p, p], both[..., p, p]
+        Hx, C, z = H @ self.x, self.C, self.z
+        known = C.T @ C, C.T @ z, float(z @ z)
+        made = Normal(H, g + Hx, rr + (2.0 * g + Hx) @ self.x, count, known)
+        self._made[:] = [(weights.copy(), made), *self._made[: _KEPT - 1]]
+        return made
+
+    def fit(self, weights: Array, noise: Array, priors: Priors) -> tuple[Array, Array, Array]:
+        """The linear fit with weights, noise and priors: x (B, p), covariance (B, p, p), degrees of freedom (B,)."""
+        data = self.data(weights)
+        x, covariance = data.posterior(noise, priors)
+        paid = np.sum(data.H * covariance[:, None], axis=(2, 3)) / np.square(noise)
+        return x, covariance, np.sum(data.count - paid, axis=1)
+
+    def scores(self, x: Array, covariance: Array, weights: Array, noise: Array) -> Array:
+        """How far each row lies from what the others predict, shape (B, N)."""
+        factors = 1.0 / self.noise_of(noise)
+        found = deleted_norms(self.residual(x), self.A, covariance, weights, factors)
+        return as_of_a_point(found, np.sum(self.used, axis=1))
+
+    def norms(self, x: Array, covariance: Array, weights: Array, instrument: int) -> Array:
+        """`deleted_norms` of one instrument's scalars in units of the sigma given, shape (B, N)."""
+        own = (self.instruments == instrument).astype(np.float64)
+        return deleted_norms(self.residual(x), self.A, covariance, weights, own[None])
+
+
+def sizes_by_reml(
+    data: Normal,
+    families: Mask,
+    noise: Array,
+    sizes: Array,
+    priors: Priors,
+    *,
+    smallest_noise: tuple[float, ...],
+    bounds: tuple[tuple[float, float], ...],
+    noise_spread: float = np.inf,
+    iterations: int = 30,
+) -> tuple[Array, Array]:
+    """Noise (B, C) and sizes (B, K) that maximise the likelihood, by damped Fisher scoring on their logarithms.
+
+    families, (K, p), says which parameters belong to each; noise and sizes are where to begin. noise_spread is the
+    standard deviation of a normal prior on log sigma, which decides where rows are too few to tell noise from error;
+    priors stay.
+    """
+    C = noise.shape[1]
+    lowest = np.log(np.array([*smallest_noise, *(low for low, _ in bounds)]))
+    highest = np.tile([high for _, high in bounds], (len(noise), 1))
+    highest = np.log(np.hstack([1e6 * noise, highest]))
+    logs = np.clip(np.log(np.hstack([noise, sizes])), lowest, highest)
+    members = np.asarray(families, dtype=np.float64).reshape(-1, data.g.shape[2])
+    spread = np.where(np.arange(logs.shape[1]) < C, 1.0 / noise_spread**2, 0.0)
+    last, going = np.zeros_like(logs), np.arange(len(logs))
+    precision = np.broadcast_to(priors.precision, (len(logs), members.shape[1]))
+    for _ in range(iterations):
+        at, high = logs[going], highest[going]
+        some = Normal(data.H[going], data.g[going], data.yy[going], data.count[going], data.known)
+        score, information = _score(some, members, Priors(precision[going], priors.centre), at)
+        score -= spread * at
+        pivots = diagonal(information)
+        pivots += spread
+        pivots += 1e-3 * pivots + 1e-9
+        # A family at its lower bound with a score that points below it stays there.
+        held = ((at <= lowest) & (score < 0)) | ((at >= high) & (score > 0))
+        score[held] = 0.0
+        information[held[:, :, None] | held[:, None]] = 0.0
+        pivots[held] = 1.0
+        step = np.linalg.solve(information, score[:, :, None])[:, :, 0]
+        step = np.clip(step, -_STEP_DOWN, _STEP_UP)
+        # The expected information may be too small by half: then full steps overshoot, to and fro.
+        last[going] = step = np.where(step * last[going] < 0.0, 0.5 * step, step)
+        logs[going] = moved = np.clip(at + step, lowest, high)
+        going = going[np.abs(moved - at).max(axis=1) >= 1e-4]
+        if not len(going):
+            break
+    values = np.exp(logs)
+    return values[:, :C], values[:, C:]
+
+
+def _score(data: Normal, members: Array, priors: Priors, logs: Array) -> tuple[Array, Array]:
+    """Gradient of the log likelihood in log sizes, and its expected information."""
+    B, C, p = data.g.shape
+    values = np.exp(logs)
+    noise, sizes = values[:, :C], values[:, C:]
+    own = (1.0 / sizes**2) @ members
+    m, covariance = data.posterior(noise, Priors(priors.precision + own, priors.centre))
+    HC = (data.H @ covariance[:, None]) / np.square(noise)[:, :, None, None]
+    turned = HC.swapaxes(2, 3)
+    trace = np.trace(HC, axis1=2, axis2=3)
+    score, information = np.empty(logs.shape), np.empty((*logs.shape, logs.shape[1]))
+    score[:, :C] = data.residual_square(m) / np.square(noise) + trace - data.count
+    crossed = HC.reshape(B, C, p * p) @ turned.reshape(B, C, p * p).swapaxes(1, 2)
+    information[:, :C, :C] = 2.0 * crossed
+    diagonal(information)[:, :C] += 2.0 * (data.count - 2.0 * trace)
+    if len(members):
+        both = (covariance[:, None] * turned).sum(axis=3)
+        square = (m**2 + diagonal(covariance)) @ members.T
+        score[:, C:] = square / sizes**2 - members.sum(axis=1)
+        information[:, :C, C:] = 2.0 * (both @ members.T) / sizes[:, None] ** 2
+        information[:, C:, :C] = information[:, :C, C:].swapaxes(1, 2)
+        root = np.sqrt(own)  # 1 / tau, 0 for those of no family
+        block = covariance * (-root[:, :, None] * root[:, None])
+        diagonal(block)[...] += root > 0.0
+        information[:, C:, C:] = 2.0 * (members @ block**2 @ members.T)
+    return score, information
+
+
+def inverse(M: Array) -> Array:
+    """The inverse of a positive semidefinite matrix of unit diagonal; its pseudo-inverse where it is singular."""
+    if not len(M):  # LAPACK refuses it
+        return M
+    root, failed = dpotrf(M, lower=1, clean=1)
+    if not failed and root.diagonal().min(initial=1.0) > 1e-6:
+        inverse, _ = dtrtri(root, lower=1)
+        return np.asarray(inverse.T @ inverse)
+    values, vectors = eigh(M, driver="ev")  # divide and conquer does not converge for some of them
+    kept = np.abs(values) > 1e-13 * np.max(np.abs(values), initial=0.0)
+    return np.asarray((vectors[:, kept] / values[kept]) @ vectors[:, kept].T)
+
+
+def diagonal(M: Array) -> Array:
+    """The diagonals of matrices, shape (B, p), to be written to."""
+    found: Array = np.einsum("bii->bi", M)
+    return found
+
 
 #: Below this the noise is no instrument's but rounding [m, rad].
 _SMALLEST_SIGMA = 1e-8

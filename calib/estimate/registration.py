@@ -19,8 +19,8 @@ from calib.estimate.setup import Setup
 from calib.estimate.solvers import levenberg_marquardt
 from calib.estimate.statistics import Array, Mask
 from calib.model.error_model import frame_and_target_model
+from calib.model.kinematics import ErrorModel
 from calib.model.observability import steps
-from calib.model.parameters import ErrorModel
 from calib.robot import kernel
 from calib.robot.robot import Robot
 

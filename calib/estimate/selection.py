@@ -17,14 +17,14 @@ import numpy as np
 from calib.data.kinds import DIRECTIONS
 from calib.errors import MeasurementError, ModelError, choices
 from calib.estimate.fitting import PAPER, Fitted, Task, fit, model_of, prior_terms
-from calib.estimate.likelihood import Linear, Priors
+from calib.estimate.problem import Linear, Priors
 from calib.estimate.registration import ENOUGH, nominal_setup, register_poses
 from calib.estimate.rows import Rows
 from calib.estimate.setup import Setup, joined_setups
 from calib.estimate.stages import FEWEST_FREEDOM, Stage, staged
 from calib.estimate.statistics import Array, CrossValidation, Errors, Integers, Mask
 from calib.model.families import FAMILIES, joint_families
-from calib.model.parameters import frame_place, target_place
+from calib.model.kinematics import frame_place, target_place
 from calib.robot.robot import read_only
 
 #: A fold is fitted from the beginning where the robot differs from the linearised one by this share of the noise, rms,

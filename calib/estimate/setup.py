@@ -17,8 +17,7 @@ from calib.estimate.rows import NONE, Rows, same_poses
 from calib.estimate.statistics import Array, Integers, Mask
 from calib.model.error_model import DIRECTIONS, split_name
 from calib.model.families import FAMILIES
-from calib.model.kinematics import Samples
-from calib.model.parameters import ErrorModel, Parameter, frame_place, target_place
+from calib.model.kinematics import ErrorModel, Parameter, Samples, frame_place, target_place
 from calib.robot.kernel import over_blocks
 from calib.robot.robot import Robot, gravity_load, read_only
 

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.data.cell import Cell
 from calib.errors import ModelError
-from calib.estimate.likelihood import Linear, Priors, sizes_by_reml
+from calib.estimate.problem import Linear, Priors, sizes_by_reml
 from calib.estimate.setup import Setup
 from calib.estimate.statistics import (
     Array,
@@ -27,7 +27,7 @@ from calib.estimate.statistics import (
     repeats,
 )
 from calib.model.families import FAMILIES
-from calib.model.parameters import FRAME, TARGET, ErrorModel, frame_place, target_place
+from calib.model.kinematics import FRAME, TARGET, ErrorModel, frame_place, target_place
 from calib.robot.robot import rigid_inverse
 
 #: The noise may be ten times larger or smaller than the one given or assumed, a standard deviation of its logarithm.
@@ -167,7 +167,7 @@ class Stage:
         return Priors(own + self.prior.precision, self.prior.centre)
 
     def fit(self, linear: Linear) -> tuple[Array, Array, Array]:
-        """See `calib.estimate.likelihood.Linear.fit`."""
+        """See `calib.estimate.problem.Linear.fit`."""
         return linear.fit(self.effective, self.noise, self.priors)
 
     def by_median(self, linear: Linear) -> Stage:

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.data.measurements import Measurements
-from calib.fields import Layout
-from calib.model.parameters import FRAME, TARGET
+from calib.files import Layout
+from calib.model.kinematics import FRAME, TARGET
 from calib.result.calibration import Calibration
 
 #: How it went.

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from calib.errors import ModelError, choices
 from calib.model.dh import dh_frames, dh_table, screw, zero_poses
 from calib.model.families import ANGLE, LENGTH, ZERO, family_of, joint_families
-from calib.model.parameters import (
+from calib.model.kinematics import (
     FRAME,
     TARGET,
     TIP,

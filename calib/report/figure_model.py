@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 import calib.report.figure_base as base
 from calib.model.families import unit_of
-from calib.model.parameters import FRAME, TARGET
+from calib.model.kinematics import FRAME, TARGET
 from calib.report.figure_base import CALIBRATED, INK, NOMINAL, OUTLIER, SOFT
 from calib.result.calibration import Calibration
 from calib.result.prediction import ParameterEstimate

@@ -30,9 +30,8 @@ from calib.estimate.setup import known_distances, rows_of
 from calib.estimate.solvers import Solver
 from calib.estimate.statistics import CrossValidation, Limits, Repeats, repeats
 from calib.model.error_model import split_name
-from calib.model.kinematics import Samples
+from calib.model.kinematics import Parameter, Samples
 from calib.model.observability import Observability, analyse
-from calib.model.parameters import Parameter
 from calib.result.calibration import Calibration, Fit, RowNames, Source
 from calib.result.evidence import evidence_of
 from calib.result.prediction import (

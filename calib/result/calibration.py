@@ -21,9 +21,8 @@ from calib.estimate.selection import Candidate
 from calib.estimate.setup import Setup
 from calib.estimate.solvers import Solution
 from calib.estimate.statistics import CrossValidation, Errors, Repeats
-from calib.model.kinematics import Samples
+from calib.model.kinematics import TARGET, Samples
 from calib.model.observability import Observability
-from calib.model.parameters import TARGET
 from calib.result.prediction import Larger, Outlier, ParameterEstimate, Solved, tells_place
 from calib.result.support import OutsideRow, Robustness, outside
 from calib.result.verdict import Verdict

@@ -20,12 +20,10 @@ from numpy.typing import NDArray
 from calib.errors import CalibError, FileError
 from calib.estimate.selection import Candidate
 from calib.estimate.statistics import CrossValidation, Errors, Repeats
-from calib.fields import Json, Key, Layout, nested
-from calib.files import damage, json_bytes, read_json, write_atomically
+from calib.files import Json, Key, Layout, damage, json_bytes, nested, read_json, write_atomically
 from calib.model.families import FAMILIES, Factor
-from calib.model.kinematics import Kinematics
+from calib.model.kinematics import ErrorModel, Kinematics, Parameter
 from calib.model.observability import Observability
-from calib.model.parameters import ErrorModel, Parameter
 from calib.result.calibration import Calibration, Source
 from calib.result.prediction import Larger, Outlier, Solved
 from calib.result.support import OutsideRow, Robustness

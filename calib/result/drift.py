@@ -33,9 +33,8 @@ from scipy.linalg import block_diag, eigh
 from scipy.spatial.transform import Rotation
 
 from calib.model.error_model import DIRECTIONS
-from calib.model.kinematics import Kinematics
+from calib.model.kinematics import FRAME, TARGET, Kinematics
 from calib.model.observability import steps
-from calib.model.parameters import FRAME, TARGET
 from calib.result.calibration import Calibration
 
 Array = NDArray[np.float64]

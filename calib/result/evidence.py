@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.estimate.fitting import PAPER, Fitted, fit
-from calib.estimate.likelihood import Priors
-from calib.estimate.problem import Problem
+from calib.estimate.problem import Priors, Problem
 from calib.estimate.registration import ENOUGH
 from calib.estimate.residual_tests import (
     Stack,
@@ -23,8 +22,7 @@ from calib.estimate.selection import only_there
 from calib.estimate.setup import joined_setups
 from calib.estimate.statistics import Array, Errors, Mask, pose_means
 from calib.model.error_model import error_model
-from calib.model.kinematics import Kinematics
-from calib.model.parameters import FRAME, TARGET
+from calib.model.kinematics import FRAME, TARGET, Kinematics
 from calib.result.calibration import Calibration
 from calib.result.support import shares_of_ranges, spread_of
 from calib.result.verdict import Evidence, Reason, Why

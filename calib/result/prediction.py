@@ -19,9 +19,8 @@ import calib.data.kinds as registry
 from calib.estimate.fitting import Fitted
 from calib.estimate.setup import Setup
 from calib.estimate.statistics import CrossValidation, interval_factor
-from calib.model.kinematics import Kinematics, Samples
+from calib.model.kinematics import FRAME, TARGET, ErrorModel, Kinematics, Samples
 from calib.model.observability import Observability
-from calib.model.parameters import FRAME, TARGET, ErrorModel
 from calib.robot.robot import Payload, Robot, gravity_load, read_only
 
 Array = NDArray[np.float64]

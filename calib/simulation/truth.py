@@ -27,8 +27,7 @@ from calib.data.table import DEFAULT_TARGET
 from calib.errors import CalibError, ModelError, choices, did_you_mean
 from calib.model.error_model import error_model, split_name
 from calib.model.families import FAMILIES, unit_of
-from calib.model.kinematics import Kinematics, Samples
-from calib.model.parameters import ErrorModel
+from calib.model.kinematics import ErrorModel, Kinematics, Samples
 from calib.robot.robot import Payload, Robot, gravity_load, read_only, rigid_inverse
 
 Array = NDArray[np.float64]

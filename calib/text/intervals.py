@@ -28,7 +28,7 @@ def bootstrap_text(result: Calibration, found: Bootstrap) -> str:
 
     Those of a frame are left out: its parameters count from where registration put it.
     """
-    from calib.model.parameters import FRAME
+    from calib.model.kinematics import FRAME
 
     own = [parameter.family != FRAME for parameter in result.model.parameters]
     ends = found.intervals(LEVEL).tolist()

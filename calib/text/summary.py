@@ -17,7 +17,7 @@ from calib.estimate.selection import Candidate
 from calib.estimate.statistics import Errors
 from calib.model.error_model import placed_name
 from calib.model.families import FAMILIES, unit_of
-from calib.model.parameters import FRAME, TARGET
+from calib.model.kinematics import FRAME, TARGET
 from calib.result.calibration import Calibration
 from calib.result.prediction import Outlier, ParameterEstimate, correlations
 from calib.text.lines import deg, mm, number, wrap

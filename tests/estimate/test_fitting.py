@@ -16,8 +16,7 @@ from calib.estimate.fitting import Task, fit
 from calib.estimate.setup import known_distances, rows_of
 from calib.estimate.solvers import SOLVERS, Solution
 from calib.model.error_model import MODELS, error_model
-from calib.model.kinematics import Kinematics
-from calib.model.parameters import Parameter
+from calib.model.kinematics import Kinematics, Parameter
 from calib.robot.readback import random_joint_values
 
 OFF = Priors(sizes="off")

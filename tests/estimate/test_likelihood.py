@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from calib.estimate.likelihood import Linear, Normal, Priors, _score, sizes_by_reml
+from calib.estimate.problem import Linear, Normal, Priors, _score, sizes_by_reml
 
 P = 14
 FAMILIES = np.arange(P) // 6 == np.arange(2)[:, None]  # the last two parameters are flat

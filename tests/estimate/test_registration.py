@@ -14,7 +14,7 @@ from calib.errors import MeasurementError
 from calib.estimate.registration import _system, register
 from calib.estimate.setup import rows_of
 from calib.model.error_model import frame_and_target_model
-from calib.model.parameters import frame_place
+from calib.model.kinematics import frame_place
 
 FREE = Cell(estimate_frame=True)
 PLANAR = Cell(estimate_frame=True, frame_directions=("x", "y", "rz"))

@@ -21,8 +21,7 @@ from calib.estimate.setup import (
     rows_of,
 )
 from calib.model.error_model import frame_and_target_model
-from calib.model.kinematics import Kinematics
-from calib.model.parameters import ErrorModel
+from calib.model.kinematics import ErrorModel, Kinematics
 from calib.robot.robot import Payload, Robot, gravity_load
 
 ALL = ("x", "y", "z", "rx", "ry", "rz")

@@ -9,14 +9,12 @@ import pytest
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.estimate.likelihood import Priors
-from calib.estimate.problem import Problem
+from calib.estimate.problem import Priors, Problem
 from calib.estimate.setup import rows_of
 from calib.estimate.stages import PriorTerms, Stage
 from calib.model.error_model import error_model
 from calib.model.families import ZERO
-from calib.model.kinematics import Samples
-from calib.model.parameters import FRAME, TARGET
+from calib.model.kinematics import FRAME, TARGET, Samples
 
 #: How far registration moves the target.
 OFF = np.zeros((4, 4))

@@ -9,7 +9,7 @@ from calib.errors import ModelError
 from calib.example import paper_urdf
 from calib.model.error_model import error_model
 from calib.model.families import ANGLE, LENGTH, Factor
-from calib.model.parameters import (
+from calib.model.kinematics import (
     FRAME,
     TARGET,
     TIP,

@@ -12,7 +12,7 @@ from calib.calibration import calibrate
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.model.error_model import error_model
-from calib.model.parameters import FRAME
+from calib.model.kinematics import FRAME
 from calib.result.calibration import Calibration
 from calib.result.prediction import best_motion, without_rigid_motion
 from calib.robot.readback import random_joint_values
