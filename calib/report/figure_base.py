@@ -179,13 +179,12 @@ def few_ticks(count: int, *, whole: bool = False) -> MaxNLocator:
 
 
 def short_names(names: Sequence[str], longest: int = 26) -> list[str]:
-    """Names that fit: long ones lose their middle, and get a number where two became the same."""
-    head = longest // 2
-    texts = [" ".join(name.split()) for name in names]
-    texts = [
-        t if len(t) <= longest else f"{t[:head]}…{t[len(t) - longest + head + 1 :]}" for t in texts
+    """Names that fit: long ones lose their middle."""
+    head, texts = longest // 2, [" ".join(name.split()) for name in names]
+    return [
+        text if len(text) <= longest else f"{text[:head]}…{text[head + 1 - longest :]}"
+        for text in texts
     ]
-    return [f"{text} ({k + 1})" if texts.count(text) > 1 else text for k, text in enumerate(texts)]
 
 
 class Who(NamedTuple):

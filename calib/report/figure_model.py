@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -124,7 +123,7 @@ def correlation_indices(c: Calibration) -> list[int]:
 
 
 def correlations(c: Calibration) -> Figure:
-    """The correlation of each pair of parameters, as squares whose area is its size."""
+    """The correlation of each pair of parameters, as a colour."""
     chosen = correlation_indices(c)
     C = c.covariance[np.ix_(chosen, chosen)]
     R = C / np.sqrt(np.outer(np.diag(C), np.diag(C)))
@@ -132,24 +131,15 @@ def correlations(c: Calibration) -> Figure:
     p = len(chosen)
     text = 8.0 if p <= 30 else 6.0 if p <= 50 else 4.6
     room = 0.009 * text * max(map(len, names)) + 0.25  # for the names [in]
-    size = float(np.clip(0.27 * p, 1.8, base.WIDTH - room))
-    figure = base.new_figure(size + room + 0.35, size + room)
+    size = float(np.clip(0.27 * p, 1.8, base.WIDTH - room - 0.8))
+    figure = base.new_figure(size + room, size + room + 0.8)
     ax = figure.subplots()
-    i, j = np.tril_indices(p, -1)
-    half = 0.5 * np.sqrt(np.abs(R[i, j]))
-    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    squares = np.stack([j, i], axis=1)[:, None, :] + half[:, None, None] * corners
-    looks = (("positive", 1.0, CALIBRATED, CALIBRATED), ("negative", -1.0, "white", NOMINAL))
-    for word, sign, face, edge in looks:
-        part = list(squares[sign * R[i, j] >= 0.02])
-        ax.add_collection(PolyCollection(part, label=word, fc=face, ec=edge, lw=1.0))
-    ax.set_xlim(-0.6, p - 1.4)
-    ax.set_ylim(p - 0.4, 0.4)
-    ax.set_aspect("equal")
+    shown = np.ma.masked_array(R, np.triu(np.ones_like(R, dtype=np.bool_)))[1:, :-1]
+    image = ax.imshow(shown, cmap="PuOr_r", vmin=-1.0, vmax=1.0)
+    figure.colorbar(image, ax=ax, shrink=0.6, label="correlation")
     ax.set_xticks(range(p - 1), names[:-1], rotation=90, size=text)
-    ax.set_yticks(range(1, p), names[1:], size=text)
-    ax.grid(linewidth=0.4)
-    base.legend_above(figure)
+    ax.set_yticks(range(p - 1), names[1:], size=text)
+    ax.grid(visible=False)
     return figure
 
 
@@ -164,12 +154,11 @@ def singular_values(c: Calibration) -> Figure:
     ax = figure.subplots()
     lowest = 0.4 * float(shown.min())
     ax.vlines(at[seen], lowest, shown[seen], color=NOMINAL, lw=1.0, alpha=0.6)
-    for mask, marker, colour, label in (
-        (seen, "o", INK, f"{o.rank} combinations that the poses determine"),
-        (~seen, "x", OUTLIER, f"{o.columns - o.rank} that move nothing measured"),
-    ):
-        if np.any(mask):
-            ax.plot(at[mask], shown[mask], marker, color=colour, ms=5, label=label)
+    label = f"{o.rank} combinations that the poses determine"
+    ax.plot(at[seen], shown[seen], "o", color=INK, ms=5, label=label)
+    if o.rank < o.columns:
+        label = f"{o.columns - o.rank} that move nothing measured"
+        ax.plot(at[~seen], shown[~seen], "x", color=OUTLIER, ms=5, label=label)
     if o.rank and np.isfinite(o.condition):
         label = f"condition number {o.condition:,.0f}"
         ax.axhline(float(values[0] / o.condition), color=SOFT, ls="--", lw=1.0, label=label)

@@ -144,8 +144,7 @@ FIGURES: tuple[Drawing, ...] = (
         "parameters",
         "Correlations of the parameters",
         "Correlation of each pair of the parameters that the measurements determine, from the covariance of the fit "
-        "to the estimation rows. The area of a square is the size of the correlation; it fills its cell at ±1. Pairs "
-        "near ±1 are known together better than apart.",
+        "to the estimation rows. Pairs near ±1 are known together better than apart.",
         model.correlations,
         lambda c: len(model.correlation_indices(c)) > 1,
     ),

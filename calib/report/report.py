@@ -151,7 +151,6 @@ def _content(c: Calibration, command: str, date: str) -> dict[str, Any]:
         "parameters": [parameters(c, "mm"), parameters(c, "deg"), larger(c)],
         "geometry": [dh(c), origins(c)],
         "flagged": flagged(c),
-        "candidates": candidates(c),
         "ranges": ranges(c),
         "places": [*texts.target_sentences(c, _MOST), *texts.frame_sentences(c, _MOST)],
         "combinations": every[:_MOST] + [f"and {len(every) - _MOST} more"] * (len(every) > _MOST),
@@ -365,31 +364,6 @@ def origins(c: Calibration) -> Table:
         "lrrrrrr",
         "Along and about the axes of the nominal origin. All else in the URDF is unchanged.",
         (("", 1), ("shift [mm]", 3), ("rotation vector [mrad]", 3)),
-    )
-
-
-def candidates(c: Calibration) -> Table:
-    """The models that were tried."""
-    head = ("model", "parameters", "evidence", "left-out rms", "chosen for")
-    title = "Models tried; errors on rows left out of the fit"
-    if not c.candidates:
-        return Table(title, head, [], "lrrrl")
-    best = max(one.log_likelihood for one in c.candidates)
-    first = c.candidates[0].cross_validation.errors_without_outliers
-    chosen = {"geometry": "the URDF", "larger": "result file", "": ""}
-    rows = []
-    for one in c.candidates:
-        gain, rms = f"{one.log_likelihood - best:.1f}", texts.candidate_rms(one)
-        rows.append((one.name, str(one.parameters), gain, rms, chosen[one.chosen]))
-    return Table(
-        title,
-        head,
-        rows,
-        "lrrrl",
-        "Evidence: restricted log likelihood, less the best one's (no unit); a step up must gain "
-        f"{c.candidates[0].needed:.1f}. Left-out rms: of the {first.n or first.n_angle:,} estimation rows that had a "
-        "weight when the models were compared, each predicted by a linearised fit without it. The errors in section 2 "
-        "are those of whole fits of the chosen model.",
     )
 
 

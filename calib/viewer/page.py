@@ -87,7 +87,7 @@ def view_page(view: View, *, live: bool = False) -> Page:
     start = np.concatenate([puppet.outline(first) for puppet in shown.values()])
     outline = np.concatenate([start, *(puppet.outline() for puppet in shown.values())])
     size = stage.span(outline)
-    back = stage.row_direction(shown["nominal"].origins[view.start])
+    back = stage.row_direction(shown["nominal"].poses[view.start, :, :3, 3])
     right = np.array([-back[1], back[0], 0.0])
     # Side by side nothing of one robot reaches into the other.
     step = 0.5 * max(np.ptp(outline @ right) + 0.06 * size, 0.4 * size) * right

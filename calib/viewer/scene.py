@@ -19,7 +19,6 @@ import meshcat
 import numpy as np
 import umsgpack
 from meshcat import geometry as mc
-from meshcat.servers.tree import SceneTree, find_node, walk
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
@@ -42,11 +41,8 @@ COLOURS = {"nominal": look.NOMINAL, "calibrated": look.CALIBRATED, "measured": l
 #: The scene's node that holds the robots.
 SCENE = "robots"
 
-#: Radius of the rod to the target, as a part of its ball's.
-_STALK = 0.3
-
-#: More points than these are a cloud of dots.
-_MOST_BALLS = 300
+#: Radius of the rod to the target, as a part of its ball's; more points than these are a cloud of dots.
+_STALK, _MOST_BALLS = 0.3, 300
 
 #: Vertical angle of view [deg]: a long lens, so that robots at the side are not distorted.
 _FOV_DEG = 28.0
@@ -59,33 +55,25 @@ _Y_TO_Z = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 
 
 class SceneWindow:
-    """The scene tree, for ``meshcat.Visualizer(window=...)``.
+    """The commands of a scene, for ``meshcat.Visualizer(window=...)``.
 
     meshcat's identifiers hold the time and this computer's network address; here they follow from the content, so
     that the same scene is the same bytes and a mesh that is drawn four times is stored once.
     """
 
     def __init__(self) -> None:
-        self._tree = SceneTree()
-        self._geometries: dict[str, dict[str, Any]] = {}
+        self._scene: dict[str, Any] = {"geometries": {}, "commands": []}
 
     def send(self, command: Any) -> None:  # noqa: ANN401  a command of meshcat
         """Take a command, as meshcat's server does."""
         message = command.lower()
-        node = find_node(self._tree, [part for part in message["path"].split("/") if part])
         if message["type"] == "set_object":
             self._share(message["object"], message["path"])
-            node.object, node.properties = message, []
-        elif message["type"] == "set_transform":
-            node.transform = message
-        else:
-            node.properties.append(message)
+        self._scene["commands"].append(message)
 
     def scene(self) -> bytes:
         """The whole scene as one message: the geometries by name, and the commands in order."""
-        every = [[n.object, *n.properties, n.transform] for n in walk(self._tree)]
-        commands = [command for of_node in every for command in of_node if command]
-        packed: bytes = umsgpack.packb({"geometries": self._geometries, "commands": commands})
+        packed: bytes = umsgpack.packb(self._scene)
         return packed
 
     def _share(self, lowered: dict[str, Any], path: str) -> None:
@@ -94,7 +82,7 @@ class SceneWindow:
         for geometry in lowered.get("geometries", []):
             del geometry["uuid"]
             name = hashlib.sha256(umsgpack.packb(geometry)).hexdigest()[:32]
-            self._geometries.setdefault(name, {"uuid": name, **geometry})
+            self._scene["geometries"].setdefault(name, {"uuid": name, **geometry})
             names.append(name)
         for material in lowered.get("materials", []):
             material["uuid"] = f"material of {path}"
@@ -121,13 +109,9 @@ class Camera:
 
 
 def row_direction(points: Array) -> Array:
-    """A horizontal direction to look from in which an arm with joints at points spreads out, shape (3,)."""
-    flat = points[:, :2] - points[:, :2].mean(axis=0)
-    _, values, axes = np.linalg.svd(flat, full_matrices=True)
-    spread = axes[0] if values[0] > 0 else np.array([0.0, 1.0])
+    """A horizontal direction to look from at an arm with joints at points, shape (3,)."""
     # The arm reaches to the right of the picture and a little towards the camera.
-    outward = points[-1, :2] - points[0, :2]
-    x, y = spread if spread @ outward >= 0 else -spread
+    x, y = points[-1, :2] - points[0, :2]
     angle = np.arctan2(y, x) - np.deg2rad(68.0)
     return np.array([np.cos(angle), np.sin(angle), 0.0])
 
@@ -391,7 +375,7 @@ def single_page(
     upright[:3, :3] = stage_poses(robot, q[None])[0, :3, :3]
     drawn = puppet.outline() @ upright[:3, :3].T
     everything = np.concatenate([drawn, points @ upright[:3, :3].T])
-    back = row_direction(puppet.origins[0] @ upright[:3, :3].T)
+    back = row_direction(puppet.poses[0, :, :3, 3] @ upright[:3, :3].T)
     camera = look_at(everything, back)
     window, root, size, grid = new_scene(camera, everything, float(drawn[:, 2].min()))
     scene = root[SCENE]

@@ -5,7 +5,6 @@ At the rows of a table each row is a pose; of robots alone poses are spread over
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -55,7 +54,7 @@ _CREASE = np.deg2rad(35.0)
 _STICK, _REACHED = 0.018, 60
 
 #: The corners of a cube about the origin.
-CORNERS = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
+CORNERS = np.indices((2, 2, 2)).reshape(3, -1).T - 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -304,21 +303,19 @@ def read_visuals(urdf: Urdf) -> tuple[tuple[Visual, ...], tuple[str, ...]]:
             path, what = find_mesh(name, folders), f"the mesh '{name}'"
             mesh, problem = None, "was not found; a simple shape stands for it"
             if path is not None:
-                mesh, problem = _mesh_file(path, scale, path.stat().st_mtime_ns)
+                mesh, problem = _mesh_file(path, scale)
         visuals.append(Visual(one.link, one.T_link_shape, mesh))
         warnings |= {f"link '{one.link}': {what} {problem}": None} if problem else {}
     return tuple(visuals), tuple(warnings)
 
 
 @lru_cache(maxsize=64)
-def _mesh_file(
-    path: Path, scale: tuple[float, float, float], _modified: int
-) -> tuple[Mesh | None, str]:
-    """The triangles of a file that was last changed then, and what is wrong with them."""
+def _mesh_file(path: Path, scale: tuple[float, float, float]) -> tuple[Mesh | None, str]:
+    """The triangles of a file, and what is wrong with them."""
     mesh, problem = read_mesh(path, scale)
-    return (
-        (None, f"{problem}; a simple shape stands for it") if mesh is None else (creased(*mesh), "")
-    )
+    if mesh is None:
+        return None, f"{problem}; a simple shape stands for it"
+    return creased(*mesh), ""
 
 
 def _solid(shape: LinkShape) -> Mesh | None:
@@ -341,33 +338,26 @@ def creased(vertices: NDArray[np.floating], faces: NDArray[np.int64]) -> Mesh:
     return np.asarray(mesh.vertices, dtype=np.float32), np.asarray(mesh.faces)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Puppet:
+class Puppet(NamedTuple):
     """What of one robot is drawn, and where it is at each pose."""
 
     links: tuple[
         str, ...
-    ]  #: The links that move; the movers are these, then the frames of base, tip and target
-    parts: tuple[
-        tuple[int, Mesh, Array], ...
+    ]  #: That move; the movers are these, then the frames of base, tip and target
+    parts: list[
+        tuple[int, Mesh, Array]
     ]  #: A mover's number, a mesh, and T_mover_shape, (4, 4), [m]
-    rods: tuple[
-        tuple[int, int], ...
-    ]  #: Pairs of movers with a rod from the origin of one to that of the other
+    rods: list[
+        tuple[int, int]
+    ]  #: Two movers with a rod from the origin of one to that of the other
     radius: float  #: Of the rods [m]
     poses: Array  #: shape (N, L, 4, 4), each mover on the stage at each pose [m]
-    origins: Array  #: shape (N, K, 3), all links of the URDF [m]
 
     @classmethod
     def of(
-        cls,
-        robot: Robot,
-        q: Array,
-        visuals: Sequence[Visual],
-        T_stage_base: Array,
-        T_tip_target: Array,
+        cls, robot: Robot, q: Array, visuals: Sequence[Visual], T_stage_base: Array, target: Array
     ) -> Puppet:
-        """A robot at poses q of shape (N, m), standing at T_stage_base of shape (N, 4, 4), [m].
+        """A robot at poses q, (N, m), standing at T_stage_base, (N, 4, 4), [m]; ``target`` is T_tip_target.
 
         Links whose mesh is missing, or all links of a robot without shapes, are rods from one to the next.
         """
@@ -381,20 +371,20 @@ class Puppet:
         # The robot's own forward kinematics put tip and target: those are the points that the tables speak of.
         T_tip = T_stage_base @ robot.poses(q)
         moved = [T_stage_root @ in_root[link] for link in links]
-        poses = np.stack([*moved, T_stage_base, T_tip, T_tip @ T_tip_target], axis=1)
-        origins = np.stack([(T_stage_root @ T)[:, :3, 3] for T in in_root.values()], axis=1)
-        radius = _STICK * float(np.linalg.norm(np.ptp(origins[0], axis=0)))
-        parts = tuple(
+        poses = np.stack([*moved, T_stage_base, T_tip, T_tip @ target], axis=1)
+        origins = [T[0, :3, 3] for T in in_root.values()]
+        radius = _STICK * float(np.linalg.norm(np.ptp(origins, axis=0)))
+        parts = [
             (links.index(v.link), v.mesh, v.T_link_shape) for v in visuals if v.mesh is not None
-        )
-        rods = tuple((links.index(joint.parent), links.index(joint.child)) for joint in joints)
-        return cls(links, parts, rods, radius, poses, origins)
+        ]
+        rods = [(links.index(joint.parent), links.index(joint.child)) for joint in joints]
+        return cls(links, parts, rods, radius, poses)
 
     def outline(self, poses: slice = slice(None)) -> Array:
         """Points that hold the robot at some poses: origins, and the corners of boxes about parts, (K, 3), [m]."""
         at = self.poses[poses]
         at = at[np.linspace(0, len(at) - 1, min(len(at), _REACHED)).round().astype(int)]
-        points = [self.origins[poses].reshape(-1, 3), at[:, :, :3, 3].reshape(-1, 3)]
+        points = [at[:, :, :3, 3].reshape(-1, 3)]
         for mover, (vertices, _), T in self.parts:
             low, high = vertices.min(axis=0), vertices.max(axis=0)
             box = np.c_[0.5 * (low + high) + CORNERS * (high - low), np.ones(8)]

@@ -63,23 +63,17 @@ def test_frames_and_targets_that_nobody_gave_are_left_out(calibrations):
     assert not [name for name in names if name.startswith(("frame", "target"))]
 
 
-def test_squares_are_as_large_as_the_correlations(calibrations):
+def test_cells_have_the_correlation_of_their_pair(calibrations):
     c = calibrations.made("paper")
     ax = correlations(c).axes[0]
-    positive, negative = ax.collections
-    found = {}
-    for sign, squares in ((1, positive), (-1, negative)):
-        for path in squares.get_paths():
-            low, high = path.vertices.min(axis=0), path.vertices.max(axis=0)
-            j, i = np.round(0.5 * (low + high)).astype(int)
-            found[(j, i)] = sign * (high[0] - low[0]) ** 2
+    shown = ax.images[0].get_array()
     names = [c.parameters[k].name for k in correlation_indices(c)]
     strong = strong_correlations(c, 0.5)
     assert strong
     for first, second, value in strong:
-        at = names.index(first), names.index(second)
-        assert found[at] == pytest.approx(value, abs=1e-9)
-    assert all(j < i for j, i in found)
+        j, i = names.index(first), names.index(second)
+        assert shown[i - 1, j] == pytest.approx(value, abs=1e-9)
+    assert shown.count() == len(names) * (len(names) - 1) / 2
     assert [text.get_text() for text in ax.get_yticklabels()] == names[1:]
 
 

@@ -72,8 +72,7 @@ def every_table(c):
     makers = ("errors", "validation_rows", "larger", "dh", "origins", "flagged")
     made = [getattr(report, maker)(c) for maker in (*makers, "ranges")]
     made += [report.parameters(c, unit) for unit in ("mm", "deg")]
-    made.append(report.errors(c, turned=True))
-    return [*made, *([report.candidates(c)] if c.candidates else [])]
+    return [*made, report.errors(c, turned=True)]
 
 
 @pytest.mark.parametrize("name", CASES)

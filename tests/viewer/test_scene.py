@@ -40,21 +40,6 @@ def test_a_shape_drawn_twice_is_stored_once():
     assert objects[0]["object"]["uuid"] != objects[1]["object"]["uuid"]
 
 
-def test_the_last_object_and_transform_count_and_properties_follow_the_object():
-    def draw(scene):
-        scene["a"].set_object(mc.Box([1, 1, 1]))
-        scene["a"].set_property("visible", False)
-        scene["a"].set_object(mc.Box([2, 2, 2]))
-        scene["a"].set_transform(np.eye(4))
-        scene["a"].set_transform(2 * np.eye(4))
-        scene["a"]["<object>"].set_property("visible", False)
-
-    commands = scene_of(draw)["commands"]
-    assert [c["type"] for c in commands] == ["set_object", "set_transform", "set_property"]
-    assert commands[1]["matrix"][0] == 2
-    assert (commands[2]["path"], commands[2]["value"]) == ("/meshcat/a/<object>", False)
-
-
 @pytest.mark.parametrize(("size", "angle"), [(0.01, 0.3), (1.0, 2.0), (100.0, 5.0)])
 def test_all_points_are_in_view_and_fill_it(size, angle):
     rng = np.random.default_rng(int(size))
