@@ -81,9 +81,9 @@ class Outputs:
         """Write what was asked for, one after the other; ``tables`` go into the result file too."""
         force, kind = self.force, self.figure_format or "png"
         if self.figures is not None and not force:
-            from calib.report.figures import check_free, drawings, figure_files
+            from calib.report.figures import drawings, figure_files
 
-            check_free(figure_files(drawings(result), self.figures, kind))
+            figure_files(drawings(result), self.figures, kind)
         if self.output is not None:
             yield result.write_urdf(self.output, overwrite=force, target_link=self.target_link)
         if self.json is not None:

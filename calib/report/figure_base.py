@@ -10,6 +10,7 @@ import io
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -39,8 +40,8 @@ BEAM = "#a0569a"
 #: From little to much, from pale to dark: how often the target is somewhere, how badly a position is known.
 LITTLE_TO_MUCH = ("#fbe3b0", "#f5b13a", "#d6602a", "#8c2a4f")
 
-#: Text and axes, what stands behind them, and lines of a grid.
-INK, SOFT, GRID = "#16202a", "#5a6875", "#d8dee4"
+#: Text and axes, and what stands behind them.
+INK, SOFT = "#16202a", "#5a6875"
 
 #: Kinds of picture files.
 KINDS = ("png", "svg", "pdf")
@@ -100,27 +101,15 @@ def measured_in_base(m: Measurements, T_frame_base: Array) -> Array:
 def styled() -> Iterator[None]:
     """Matplotlib's defaults and the figures' look, whatever a user's matplotlibrc says, within the context."""
     import matplotlib as mpl
+    from matplotlib import style
     from matplotlib.font_manager import get_font_names
 
-    installed, pale = set(get_font_names()), "#9aa7b4"
-    with mpl.rc_context(), warnings.catch_warnings():
+    look = Path(__file__).parent / "figures.mplstyle"
+    with style.context(["default", look]), warnings.catch_warnings():
         # A name in letters that no font has is drawn as boxes; the terminal is no place to say so.
         warnings.filterwarnings("ignore", message=".*Glyph", category=UserWarning)
-        mpl.rcdefaults()
-        mpl.rc("font", size=8.5, family=["DejaVu Sans", *(f for f in _FALLBACKS if f in installed)])
-        mpl.rc("text", color=INK, parse_math=False)
-        mpl.rc("axes", axisbelow=True, grid=True, edgecolor=pale, linewidth=0.7, labelcolor=INK)
-        mpl.rc("axes", titlecolor=INK, titlelocation="left", titlesize=9.0, titleweight="bold")
-        mpl.rc("axes.formatter", useoffset=False)
-        mpl.rc("axes.spines", right=False, top=False)
-        mpl.rc("grid", color=GRID, linewidth=0.6)
-        mpl.rc("hatch", linewidth=0.7)
-        mpl.rc("legend", fontsize=8.0, frameon=False, handlelength=1.8, handletextpad=0.5)
-        mpl.rc("legend", columnspacing=1.6, borderaxespad=0.2)
-        mpl.rc("xtick", color=pale, labelcolor=SOFT, labelsize=8.0)
-        mpl.rc("ytick", color=pale, labelcolor=SOFT, labelsize=8.0)
-        mpl.rc("pdf", fonttype=42)
-        mpl.rc("svg", fonttype="none", hashsalt="calib")
+        installed = set(get_font_names())
+        mpl.rc("font", family=["DejaVu Sans", *(f for f in _FALLBACKS if f in installed)])
         yield
 
 
@@ -146,7 +135,7 @@ def new_figure(height: float, width: float = WIDTH) -> Figure:
     """An empty figure; sizes in inches."""
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(width, height), layout="constrained")
+    return Figure(figsize=(width, height))
 
 
 def legend_above(figure: Figure, columns: int = 4) -> None:

@@ -49,7 +49,7 @@ _BY_AXIS = (
     "from 5 to 95 %%."
 )
 
-#: The figures, in a report's order. Words in braces in captions are those of `_words`.
+#: The figures, in a report's order. Words in braces are those of `_words`, and the calibration.
 FIGURES: tuple[Drawing, ...] = (
     Drawing(
         "points",
@@ -124,8 +124,9 @@ FIGURES: tuple[Drawing, ...] = (
         "convergence",
         "method",
         "Convergence of the solver",
-        "Cost, length of the step and, where there is one, damping over the {iterations} iterations of the solver "
-        "'{solver}' on the {estimation}, on logarithmic scales. The cost jumps where weights and noise are set anew.",
+        "Cost, length of the step and, where there is one, damping over the {c.solution.iterations} iterations of the "
+        "solver '{c.solver}' on the {estimation}, on logarithmic scales. The cost jumps where weights and noise are "
+        "set anew.",
         model.convergence,
         lambda c: c.solution.history,
     ),
@@ -153,8 +154,9 @@ FIGURES: tuple[Drawing, ...] = (
         "unknown",
         "What the poses determine",
         "Singular values of the Jacobian at the estimation rows: how far all points together move for a step of 1 mm "
-        "and 1 mrad along each of {columns} combinations of parameters, [mm]. Rank {rank}; values too small for the "
-        "scale stand at its foot. The dashed line is the smallest that counts.",
+        "and 1 mrad along each of {c.observability.columns} combinations of parameters, [mm]. Rank "
+        "{c.observability.rank}; values too small for the scale stand at its foot. The dashed line is the smallest "
+        "that counts.",
         model.singular_values,
         lambda c: c.observability.columns,
     ),
@@ -184,7 +186,7 @@ FIGURES: tuple[Drawing, ...] = (
 
 def drawings(calibration: Calibration) -> tuple[Drawing, ...]:
     """The figures that apply to a calibration, in a report's order; none is drawn yet."""
-    words = _words(calibration)
+    words = {"c": calibration, **_words(calibration)}
     return tuple(
         one._replace(caption=one.caption.format(**words), draw=partial(one.draw, calibration))
         for one in FIGURES
@@ -216,9 +218,7 @@ def write_figures(
     """
     check_kind(kind)
     made = drawings(calibration)
-    *paths, captions = figure_files(made, make_folder(folder), kind)
-    if not overwrite:
-        check_free([*paths, captions])
+    *paths, captions = figure_files(made, make_folder(folder), kind, overwrite=overwrite)
     for done, (drawing, path) in enumerate(zip(made, paths, strict=True), start=1):
         write_atomically(path, rendered(drawing, kind), overwrite=overwrite)
         if progress is not None:
@@ -229,37 +229,32 @@ def write_figures(
     return tuple(paths)
 
 
-def figure_files(made: Sequence[Drawing], folder: Path, kind: str) -> tuple[Path, ...]:
-    """The files of figures, in their order, and that of their captions."""
-    return (*(folder / f"{drawing.name}.{kind}" for drawing in made), folder / CAPTIONS)
-
-
-def check_free(paths: Sequence[Path]) -> None:
-    """Refuse to write over figures."""
+def figure_files(
+    made: Sequence[Drawing], folder: Path, kind: str, *, overwrite: bool = False
+) -> tuple[Path, ...]:
+    """The files of figures, in their order, and that of their captions; `FileError` where one exists."""
+    paths = (*(folder / f"{drawing.name}.{kind}" for drawing in made), folder / CAPTIONS)
     for path in paths:
-        if path.exists():
+        if path.exists() and not overwrite:
             raise FileError(f"{path} exists already; add --force or choose another folder.")
+    return paths
 
 
-def _words(c: Calibration) -> dict[str, Any]:
+def _words(c: Calibration) -> dict[str, str]:
     """What captions say of a calibration."""
     m = c.measurements
     estimation = rows_text(m.estimation, "estimation")
-    counted = [rows_text(m.validation, "validation")] * bool(np.any(m.validation))
+    validation = f" and {rows_text(m.validation, 'validation')}" * bool(np.any(m.validation))
     word, mask, _, _ = errors.curve_rows(c)
     kind, seen = {
         "validation": ("validation", "which the fit has not seen"),
         "left-out": ("estimation", "each predicted by fits that have not seen it"),
         "estimation": ("estimation", "which the fit has seen"),
     }[word]
-    words: dict[str, Any] = {
-        "rows": " and ".join([estimation, *counted]),
+    words = {
+        "rows": estimation + validation,
         "estimation": estimation,
         "curve_rows": f"the {rows_text(mask, kind)}, {seen}",
-        "iterations": c.solution.iterations,
-        "solver": c.solver,
-        "columns": c.observability.columns,
-        "rank": c.observability.rank,
     }
     if c.candidates:
         left_out = c.candidates[0].cross_validation.errors_without_outliers

@@ -109,6 +109,8 @@ def report_bytes(calibration: Calibration, *, command: str = "") -> bytes:
     now = datetime.now(timezone.utc)
     when = datetime.fromtimestamp(int(epoch), timezone.utc) if epoch.isdecimal() else now
     content = _content(calibration, command, f"{when:%Y-%m-%d %H:%M} UTC")
+    tables = errors, validation_rows, parameters, larger, dh, origins, flagged, ranges
+    content |= {make.__name__: make for make in tables}
     content["figures"] = [(one, _picture(one)) for one in drawings(calibration)]
     page = environment.get_template("report.html.j2").render(**content)
     return page.encode("utf-8", "replace")
@@ -146,12 +148,6 @@ def _content(c: Calibration, command: str, date: str) -> dict[str, Any]:
         "robustness": robustness_text(c.robustness) if c.robustness else "",
         "unweighted": int(np.sum(c.weights[m.estimation] <= 0.0)),
         "factor": f"{interval_factor(c.fitted.estimate.freedom):.2f}",
-        "errors": [errors(c), errors(c, turned=True)],
-        "validation_rows": validation_rows(c),
-        "parameters": [parameters(c, "mm"), parameters(c, "deg"), larger(c)],
-        "geometry": [dh(c), origins(c)],
-        "flagged": flagged(c),
-        "ranges": ranges(c),
         "places": [*texts.target_sentences(c, _MOST), *texts.frame_sentences(c, _MOST)],
         "combinations": every[:_MOST] + [f"and {len(every) - _MOST} more"] * (len(every) > _MOST),
         "measured": _measured(c, rows, known),

@@ -190,10 +190,6 @@ def _keys(view: View) -> list[stage.Key]:
 
 def script_table(view: View, shown: Mapping[str, Puppet]) -> dict[str, Any]:
     """What the script needs of the poses, as values that JSON can hold; arrays as `floats`."""
-
-    def numbers(rows: Array) -> list[list[float | None]]:
-        return [[float(f"{v:.9g}") if np.isfinite(v) else None for v in row] for row in rows]
-
     on_stage = stage_poses(view.nominal, view.q)
     measured = np.einsum("nij,nj->ni", on_stage[:, :3, :3], view.measured) + on_stage[:, :3, 3]
     return {
@@ -208,8 +204,8 @@ def script_table(view: View, shown: Mapping[str, Puppet]) -> dict[str, Any]:
         },
         "robots": {who: _robot(puppet, shown["nominal"]) for who, puppet in shown.items()},
         "measured": stage.floats(measured),
-        "errors": numbers(view.errors),
-        "angles": numbers(view.angles),
+        "errors": [stage.floats(one) for one in view.errors],
+        "angles": [stage.floats(one) for one in view.angles],
         "instruments": packed(on_stage[view.start] @ view.instruments).tolist(),
     }
 

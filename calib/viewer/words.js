@@ -3,6 +3,8 @@ function mm(length) {
   const value = 1e3 * length;
   return value.toFixed(value < 1 ? 3 : value < 100 ? 2 : 0) + " mm";
 }
+const rowErrors = table.errors.map(floats), rowAngles = table.angles.map(floats);
+const known = (value) => (state.alone || !Number.isFinite(value) ? null : value);
 const degrees = (angle) => ((180 / Math.PI) * angle).toFixed(3) + "\u00b0";
 
 function fill(parent, ...parts) {
@@ -25,7 +27,7 @@ function label() {
 
 // What is said of a row beside the mouse.
 function brief(row) {
-  const values = table.errors.slice(0, names.length).map((errors) => errors[row]).filter((value) => value !== null);
+  const values = rowErrors.slice(0, names.length).map((errors) => errors[row]).filter(Number.isFinite);
   return labelOf(row) + (values.length ? `: ${values.map(mm).join(" \u2192 ")}` : "");
 }
 
@@ -41,8 +43,8 @@ function points() {
 function tell() {
   if (element("which")) element("which").textContent = label();
   const parts = [[label()], ". "];
-  const values = table.errors.map((errors) => (state.alone ? null : errors[state.row]));
-  const turns = table.angles.map((angles) => (state.alone ? null : angles[state.row]));
+  const values = rowErrors.map((errors) => known(errors[state.row]));
+  const turns = rowAngles.map((angles) => known(angles[state.row]));
   const show = (who) => (values[who] === null ? [] : [[mm(values[who])]])
     .concat(turns[who] === null ? [] : [values[who] === null ? "" : " and ", [degrees(turns[who])]]);
   if (values[0] !== null || turns[0] !== null) {
