@@ -16,7 +16,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -93,12 +93,20 @@ _DEG, _RAD, _MM, _PLAIN = (
 )
 
 
+#: The forms of an orientation: names of the columns, their unit, and the numbers of a rotation (3, 3).
+_ORIENTATIONS: dict[str, tuple[Sequence[str], _Unit, Callable[[Array], Array]]] = {
+    "rotation-vector": (ROTATION_VECTOR, _RAD, lambda R: Rotation.from_matrix(R).as_rotvec()),
+    "quaternion": (QUATERNION, _PLAIN, lambda R: to_quaternions(R[None])[0]),
+    "rpy": (ROLL_PITCH_YAW, _DEG, pin.rpy.matrixToRpy),
+}
+
+
 class Finding(NamedTuple):
     """What to know of a row."""
 
     code: Code
     numbers: tuple[float, ...] = ()
-    """"unreachable", "large pose correction", "ambiguous pose": position [m] and angle [rad], NaN where it is not
+    """Of "unreachable", "large pose correction", "ambiguous pose": position [m] and angle [rad], NaN where it is not
     matched; "beyond limit": value and limit; "near singularity": what 1 mm of the tool takes of the joint; else how far
     the joint moves, or is away [rad or m]."""
     joint: str = ""  #: The joint that it is about.
@@ -389,8 +397,11 @@ def write_commands(
     if send != "poses":
         blocks.append((names, of_joints, commands.q))
     if send != "joints":
-        blocks.append((POINT, [_MM] * 3, T_send[:, :3, 3]))
-        blocks.append(_orientations(T_send[:, :3, :3], orientation))
+        form, unit, numbers_of = _ORIENTATIONS[orientation]
+        turned = np.full((len(T_send), len(form)), np.nan)
+        for row in np.flatnonzero(commands.reached):
+            turned[row] = numbers_of(T_send[row, :3, :3])
+        blocks += [(POINT, [_MM] * 3, T_send[:, :3, 3]), (form, [unit] * len(form), turned)]
     if send != "poses":
         blocks.append(([CORRECTION + n for n in names], of_joints, commands.joint_corrections))
     of_pose = (CORRECTION + "position", CORRECTION + "angle")
@@ -398,8 +409,11 @@ def write_commands(
     columns: list[Sequence[str]] = [(label, *cells) for label, cells in commands.program.kept]
     for headers, units, values in blocks:
         for name, (symbol, scale, digits), column in zip(headers, units, values.T, strict=True):
-            label = f"{name} [{symbol}]" if symbol else name
-            columns.append((label, *(_number(v, digits) for v in (scale * column).tolist())))
+            cells = (
+                "" if math.isnan(value) else f"{round(value, digits) + 0.0:.{digits}f}"
+                for value in (scale * column).tolist()
+            )
+            columns.append((f"{name} [{symbol}]" if symbol else name, *cells))
     status = []
     for reason, said in zip(commands.reasons, commands.warnings, strict=True):
         codes = "; ".join(dict.fromkeys(one.code for one in said))
@@ -409,25 +423,3 @@ def write_commands(
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(zip(*columns, strict=True))
     return write_atomically(path, text.getvalue().encode(), overwrite=overwrite)
-
-
-def _orientations(R: Array, form: str) -> tuple[Sequence[str], Sequence[_Unit], Array]:
-    """Rotations (N, 3, 3) in some form: names, units, values; NaN stays NaN."""
-    if form == "quaternion":
-        return QUATERNION, [_PLAIN] * 4, to_quaternions(R)
-    there = np.isfinite(R).all(axis=(1, 2))
-    values = np.full((len(R), 3), np.nan)
-    if form == "rpy":
-        values[there] = np.reshape([pin.rpy.matrixToRpy(matrix) for matrix in R[there]], (-1, 3))
-        return ROLL_PITCH_YAW, [_DEG] * 3, values
-    if there.any():
-        values[there] = Rotation.from_matrix(R[there]).as_rotvec()
-    return ROTATION_VECTOR, [_RAD] * 3, values
-
-
-def _number(value: float, digits: int) -> str:
-    """One number as text, without a sign before zero; empty for NaN."""
-    if not math.isfinite(value):
-        return ""
-    text = f"{value:.{digits}f}"
-    return text.removeprefix("-") if float(text) == 0.0 else text

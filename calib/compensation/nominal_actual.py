@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from calib.data.checks import no_rotation
 from calib.errors import ModelError, choices
+from calib.model.anchoring import check_same_joints
 from calib.model.error_model import axis_twists, error_model
 from calib.model.families import Factor, JointState
 from calib.model.kinematics import TIP, ErrorModel, Kinematics, Parameter, Samples
@@ -127,24 +128,15 @@ class Arm:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pair:
-    """The same tool on the nominal robot and on the actual one; made by `pair_of`.
+    """The same tool on the nominal robot and on the actual one; made by `pair_of`."""
 
-    Attributes:
-        nominal: The robot as its controller has it, with the tool that the controller is to be set to.
-        actual: The calibrated robot, with the tool where it is.
-        T_frame_base: shape (4, 4), the base in the frame that poses are given and sent in [m].
-        target, set_up: Names of the target that the tool is, of the set-up whose frame it is; None where it is none.
-        result: What is known of the actual robot and how far to trust it; None where two robots were given.
-        larger: Whether the actual robot is the result's non-geometric model.
-    """
-
-    nominal: Arm
-    actual: Arm
-    T_frame_base: Array
-    target: str | None = None
-    set_up: str | None = None
-    result: Calibration | None = None
-    larger: bool = False
+    nominal: Arm  #: The robot as its controller has it, with the tool that the controller is to be set to.
+    actual: Arm  #: The calibrated robot, with the tool where it is.
+    T_frame_base: Array  #: shape (4, 4), the base in the frame of the poses [m].
+    target: str | None = None  #: Name of the target that the tool is; None where it is none.
+    set_up: str | None = None  #: Name of the set-up whose frame it is; None where it is none.
+    result: Calibration | None = None  #: What is known of the actual robot; None of two robots.
+    larger: bool = False  #: Whether the actual robot is the result's non-geometric model.
 
     def __post_init__(self) -> None:
         """Refuse two robots that are no calibration of each other."""
@@ -194,13 +186,9 @@ def pair_of(
                 "no payload: it knows no targets, set-ups and compliances."
             )
         actual = calibration.rebuilt(base=nominal.base, tip=nominal.tip)
-        if actual.joint_names != nominal.joint_names:
-            raise ModelError(
-                f"The corrected robot has the joints {choices(actual.joint_names)} between '{actual.base}' and "
-                f"'{actual.tip}', the nominal one {choices(nominal.joint_names)}. Give two URDFs of one robot."
-            )
-        T_tip_tool = _pose(tool, "tool")
-        return Pair(Arm.of(nominal, T_tip_tool), Arm.of(actual, T_tip_tool), _pose(frame, "frame"))
+        check_same_joints(actual, nominal)
+        T_tip_tool, T_frame_base = _pose(tool, "tool"), _pose(frame, "frame")
+        return Pair(Arm.of(nominal, T_tip_tool), Arm.of(actual, T_tip_tool), T_frame_base)
     result, nominal = calibration, nominal or calibration.nominal
     began = result.uncorrected(nominal) if is_corrected(result, nominal) else nominal
     model = result.larger if larger is not False else None
@@ -209,10 +197,9 @@ def pair_of(
     if isinstance(tool, str):
         target = _name(known.targets, tool, "target")
         t = known.targets.index(target)
-        T_actual = T_nominal = known.T_tip_target[t]
-        if known.target_given[t]:
-            # Where it was said to be, and so where the controller has it. One that was found has no such place.
-            T_nominal = result.nominal_setup.T_tip_target[t]
+        # Where it was said to be, and so where the controller has it. One that was found has no such place.
+        stated = result.nominal_setup if known.target_given[t] else known
+        T_actual, T_nominal = known.T_tip_target[t], stated.T_tip_target[t]
     else:
         T_actual = T_nominal = _pose(tool, "tool")
     if isinstance(frame, str):
@@ -230,9 +217,8 @@ def pair_of(
             "A payload is given, but the result has no compliances: its commands would be the same with any. Leave the "
             "payload out; the model 'dh+compliance' estimates compliances."
         )
-    return Pair(
-        Arm.of(began, T_nominal), arm, T_frame_base, target, set_up, result, model is not None
-    )
+    nominal_arm = Arm.of(began, T_nominal)
+    return Pair(nominal_arm, arm, T_frame_base, target, set_up, result, model is not None)
 
 
 def is_corrected(result: Calibration, robot: Robot) -> bool:
@@ -279,9 +265,6 @@ def _pose(given: ArrayLike | str | None, what: str) -> Array:
     if values.shape == (3,):
         T[:3, 3] = values
         values = T
-    if values.shape != (4, 4) or not np.isfinite(values).all() or no_rotation(values[None, :3, :3]):
-        raise ModelError(
-            f"The {what} has the shape {values.shape}; a pose (4, 4) or a position (3,), of finite numbers and with a "
-            "right-handed rotation, is wanted."
-        )
+    if values.shape != (4, 4) or no_rotation(values[None, :3, :3]) or np.isnan(values).any():
+        raise ModelError(f"The {what} is a pose (4, 4) or a position (3,), not {values.tolist()}.")
     return read_only(values)

@@ -19,7 +19,7 @@ from calib.files import read_bytes
 from calib.formats.dh_files import ENDINGS, DHTables, write_dh
 from calib.formats.notes import Note
 from calib.formats.origins import origins_of, parse_yaml, read_origins, with_origins, write_origins
-from calib.formats.universal_robots import Conf, Source, read_ur, write_ur_conf, write_ur_yaml
+from calib.formats.universal_robots import Source, read_ur, write_ur_conf, write_ur_yaml
 from calib.formats.ur_arms import UrModel, the_mount, ur_model, ur_robot
 from calib.model.anchoring import check_same_joints
 from calib.model.dh import HAYATI, MODIFIED, STANDARD
@@ -254,11 +254,10 @@ def _write_dh(convention: str, source: Source, path: Path, options: Options) -> 
 
 def _write_ur_yaml(source: Source, path: Path, options: Options) -> Notes:
     """A kinematics.yaml with the robot's own hash."""
-    nominal, arm = _nominal_arm(source, path)
     hash, own = source.hash, options.hash_from
     notes: Notes = ()
     if own is not None:
-        read = read_ur(own, urcontrol=options.urcontrol, model=arm)
+        read = read_ur(own, urcontrol=options.urcontrol, model=source.model)
         hash, notes = read.hash, read.notes
     if hash is None:
         raise CalibError(
@@ -266,37 +265,12 @@ def _write_ur_yaml(source: Source, path: Path, options: Options) -> Notes:
             "compares with what the controller reports. Give the robot's own kinematics.yaml (from ros2 launch "
             "ur_calibration calibration_correction.launch.py) or its calibration.conf as --hash-from."
         )
-    again = options.overwrite
-    written = write_ur_yaml(source.robot, nominal, path, hash=hash, model=arm, overwrite=again)
-    return notes + written.notes
+    return notes + write_ur_yaml(source, path, hash, overwrite=options.overwrite).notes
 
 
 def _write_ur_conf(source: Source, path: Path, options: Options) -> Notes:
     """The deltas of a calibration.conf."""
-    nominal, arm = _nominal_arm(source, path)
-    own, update = source.conf, options.update
-    written = write_ur_conf(
-        source.robot,
-        nominal,
-        path,
-        update=None if update is None else Conf.read(update),
-        like=None if own is None else own.deltas,
-        model=arm,
-        overwrite=options.overwrite,
-    )
-    lost = own.others if own is not None and update is None else ()
-    return written.notes + ((Note("other lines left out", (choices(lost),)),) if lost else ())
-
-
-def _nominal_arm(source: Source, path: Path) -> tuple[Robot, UrModel]:
-    """The nominal robot, which must be an arm of Universal Robots, and which arm it is."""
-    if source.nominal is None or source.model is None:
-        raise ModelError(
-            f"{path}: this format is for arms of Universal Robots, and the nominal robot is none that is known. "
-            "Name the arm with --ur-model, or give its nominal URDF as --robot; for other robots write 'urdf', "
-            "'origins' or DH rows."
-        )
-    return source.nominal, source.model
+    return write_ur_conf(source, path, options.update, overwrite=options.overwrite).notes
 
 
 class Format(NamedTuple):

@@ -303,71 +303,60 @@ class UrWritten:
 
 
 def write_ur_yaml(
-    robot: Robot,
-    nominal: Robot,
-    path: PathLike,
-    *,
-    hash: str,
-    model: UrModel | str | None = None,
-    overwrite: bool = False,
+    source: Source, path: PathLike, hash: str, *, overwrite: bool = False
 ) -> UrWritten:
     """Write a robot as the ``kinematics.yaml`` that the ROS driver and Universal Robots' description take.
 
-    ``nominal`` is what the robot was corrected from; ``hash`` is that of the robot's own file; ``model`` is the arm,
-    default what the nominal robot is recognised as. The file is read back and compared before it appears.
+    ``hash`` is that of the robot's own file. The file is read back and compared before it appears.
 
     Raises:
         ModelError: No Universal Robots arm, no correction of it, or a file that does not read back.
         FileError: The file cannot be written, or the hash is none.
     """
-    mounted, chain = _chain_of(robot, nominal, model)
+    mounted, chain = _chain_of(source, path)
     chain = at_flange(chain)
     T_tool = _rounded(chain[6])
     kind = mounted.model.name if mounted.model.known else "arm"
     comment = f"Kinematics of one Universal Robots {kind}: lengths in m, angles in rad, R = Rz(yaw) Ry(pitch) Rx(roll)."
     data = kinematics_bytes(chain, hash, comment)
     back, _ = read_kinematics(path, data)
-    _check(robot, mounted, path, lambda q: chain_poses(back, q) @ T_tool, _EXACT)
+    _check(source.robot, mounted, path, lambda q: chain_poses(back, q) @ T_tool, _EXACT)
     written = write_atomically(path, data, overwrite=overwrite)
-    return UrWritten(written, read_only(np.eye(4)), T_tool, _displaced("flange displaced", T_tool))
+    return UrWritten(written, np.eye(4), T_tool, _displaced("flange displaced", T_tool))
 
 
 def write_ur_conf(
-    robot: Robot,
-    nominal: Robot,
-    path: PathLike,
-    *,
-    update: Conf | None = None,
-    like: Array | None = None,
-    model: UrModel | str | None = None,
-    overwrite: bool = False,
+    source: Source, path: PathLike, update: PathLike | None = None, *, overwrite: bool = False
 ) -> UrWritten:
     """Write a robot as the DH deltas of a ``calibration.conf``.
 
-    As `write_ur_yaml`; ``update`` is a file of this arm whose other lines are kept, ``like`` are deltas (6, 4) whose
-    signs and whole turns are kept, so that what did not change is the same number; default: those of ``update``.
+    As `write_ur_yaml`; ``update`` is a file of this arm whose other lines are kept. The deltas have the signs and whole
+    turns of those of ``update``, or else of the source, so that what did not change is the same number.
     """
-    mounted, chain = _chain_of(robot, nominal, model)
-    arm = mounted.model
-    if update is not None:
-        _checked_distance("--update", arm, lambda one: chain_of_rows(one.rows + update.deltas))
-        like = update.deltas
+    mounted, chain = _chain_of(source, path)
+    arm, own = mounted.model, None if update is None else Conf.read(update)
+    like = own or source.conf
+    notes: tuple[Note, ...] = ()
+    if own is not None:
+        _checked_distance("--update", arm, lambda one: chain_of_rows(one.rows + own.deltas))
+        notes = (Note("other lines kept", (", ".join(own.others),)),) if own.others else ()
+    elif like is not None and like.others:
+        notes = (Note("other lines left out", (choices(like.others),)),)
     bare = ur_robot(arm)
     same = bare.with_placements(the_mount(bare, arm).placements_of(chain, bare))
     table = dh_table(same, STANDARD, like=bare)
     found = np.array([[row.theta, row.a, row.d, row.alpha] for row in table.rows])
-    wished = np.zeros((6, 4)) if like is None else like
+    wished = np.zeros((6, 4)) if like is None else like.deltas
     deltas = _in_the_sense_of(found, arm.rows + wished) - arm.rows
-    deltas = read_only(np.where(np.abs(deltas - wished) < _SAME, wished, deltas))
+    deltas = np.where(np.abs(deltas - wished) < _SAME, wished, deltas)
     T_base, T_tool = _rounded(table.T_base_0), _rounded(table.T_n_tip)
-    data = conf_bytes(deltas) if update is None else update.with_deltas(deltas)
+    data = conf_bytes(deltas) if own is None else own.with_deltas(deltas)
     back = chain_of_rows(arm.rows + Conf.read(path, data).deltas)
-    _check(robot, mounted, path, lambda q: T_base @ chain_poses(back, q) @ T_tool, _EXACT_ROWS)
+    made = lambda q: T_base @ chain_poses(back, q) @ T_tool  # noqa: E731
+    _check(source.robot, mounted, path, made, _EXACT_ROWS)
     written = write_atomically(path, data, overwrite=overwrite)
-    kept = update.others if update is not None else ()
-    notes = [Note("other lines kept", (", ".join(kept),))] if kept else []
-    notes += [*_displaced("base displaced", T_base), *_displaced("flange displaced", T_tool)]
-    return UrWritten(written, T_base, T_tool, tuple(notes))
+    notes += _displaced("base displaced", T_base) + _displaced("flange displaced", T_tool)
+    return UrWritten(written, T_base, T_tool, notes)
 
 
 def _rounded(T: Array) -> Array:
@@ -397,12 +386,18 @@ def _in_the_sense_of(rows: Array, wished: Array) -> Array:
     return result
 
 
-def _chain_of(robot: Robot, nominal: Robot, model: UrModel | str | None) -> tuple[Mount, Array]:
+def _chain_of(source: Source, path: PathLike) -> tuple[Mount, Array]:
     """How the arm is mounted, and its placements when calibrated, shape (7, 4, 4), [m]."""
-    mounted = the_mount(nominal, None if model is None else ur_model(model))
-    check_same_joints(robot, nominal)
-    chain = mounted.chain_of(robot)
-    _checked_distance(robot.urdf.source, mounted.model, lambda _: chain)
+    if source.nominal is None or source.model is None:
+        raise ModelError(
+            f"{path}: this format is for arms of Universal Robots, and the nominal robot is none that is known. "
+            "Name the arm with --ur-model, or give its nominal URDF as --robot; for other robots write 'urdf', "
+            "'origins' or DH rows."
+        )
+    mounted = the_mount(source.nominal, source.model)
+    check_same_joints(source.robot, source.nominal)
+    chain = mounted.chain_of(source.robot)
+    _checked_distance(source.robot.urdf.source, mounted.model, lambda _: chain)
     return mounted, chain
 
 

@@ -8,8 +8,8 @@ import pinocchio as pin
 import pytest
 
 from calib.errors import FileError, ModelError
-from calib.formats.universal_robots import Conf, read_ur, write_ur_conf, write_ur_yaml
-from calib.formats.ur_arms import chain_of_rows, chain_poses, ur_model, ur_robot
+from calib.formats.universal_robots import Source, read_ur, write_ur_conf, write_ur_yaml
+from calib.formats.ur_arms import chain_of_rows, chain_poses, the_mount, ur_model, ur_robot
 from calib.robot.readback import check_written
 from calib.robot.robot import Robot
 from tests.formats.ur_cases import WITH_DELTAS, rows, write_deltas
@@ -29,6 +29,11 @@ def conf_of(tmp_path):
 
 def codes(notes) -> list[str]:
     return [note.code for note in notes]
+
+
+def of(robot: Robot, nominal: Robot) -> Source:
+    """A robot and the arm that it was corrected from."""
+    return Source("robot", robot, nominal, model=the_mount(nominal).model)
 
 
 def urcontrol_of(table, path: Path) -> Path:
@@ -62,8 +67,8 @@ def test_a_conf_to_a_urdf_and_back(case, conf_of, tmp_path):
     full = chain_poses(chain_of_rows(rows(case["full_dh"])), Q)
     check_written(source.robot, full[:20], Q[:20])
     path = tmp_path / "again.conf"
-    for update in (None, Conf.read(conf)):
-        written = write_ur_conf(source.robot, source.nominal, path, update=update, overwrite=True)
+    for update in (None, conf):
+        written = write_ur_conf(of(source.robot, source.nominal), path, update, overwrite=True)
         assert written.notes == ()
         again = read_ur(path, model=case["robot"])
         np.testing.assert_allclose(again.robot.poses(Q), full, rtol=0, atol=1e-12)
@@ -95,8 +100,8 @@ def test_what_a_file_has_no_place_for_is_said(tip, ur3, tmp_path):
     flange = nominal.rebuilt(tip="tool0").poses(np.zeros(6))[0]
     T_flange_tip = np.linalg.inv(flange) @ nominal.poses(np.zeros(6))[0]
     T_base_arm = np.diag([-1.0, -1.0, 1.0, 1.0]) if tip == "ee_link" else np.eye(4)
-    yaml = write_ur_yaml(robot, nominal, tmp_path / "k.yaml", hash=HASH)
-    conf = write_ur_conf(robot, nominal, tmp_path / "k.conf")
+    yaml = write_ur_yaml(of(robot, nominal), tmp_path / "k.yaml", HASH)
+    conf = write_ur_conf(of(robot, nominal), tmp_path / "k.conf")
     for written in (yaml, conf):
         # T_base_tip = T_base_arm T_base K(q) T_tool T_flange_tip
         again = read_ur(written.path, robot=nominal).robot.poses(Q)
@@ -112,11 +117,11 @@ def test_what_a_file_has_no_place_for_is_said(tip, ur3, tmp_path):
 def test_a_robot_that_was_calibrated_in_the_factory_is_corrected_further(conf_of, tmp_path):
     factory = read_ur(conf_of(UR3), model="UR3")
     robot = displaced(factory.robot, 1e-4)
-    written = write_ur_yaml(robot, factory.robot, tmp_path / "k.yaml", hash=factory.hash)
+    written = write_ur_yaml(of(robot, factory.robot), tmp_path / "k.yaml", factory.hash)
     assert codes(written.notes) == ["flange displaced"]
     again = read_ur(written.path, robot=factory.nominal).robot
     np.testing.assert_allclose(again.poses(Q) @ written.T_tool, robot.poses(Q), rtol=0, atol=1e-12)
-    conf = write_ur_conf(robot, factory.robot, tmp_path / "c.conf")
+    conf = write_ur_conf(of(robot, factory.robot), tmp_path / "c.conf")
     back = conf.T_base @ read_ur(conf.path, model="UR3").robot.poses(Q) @ conf.T_tool
     np.testing.assert_allclose(back, robot.poses(Q), rtol=0, atol=1e-12)
     # And its URDF takes another file, its own too.
@@ -133,7 +138,7 @@ def test_rows_of_axes_that_are_almost_parallel(angle, tmp_path):
     placements[2] = placements[2] @ pin.exp6(np.array([0, 0, 0, 0, angle, 0])).homogeneous
     placements[2, 1, 3] += 0.01
     robot = nominal.with_placements(placements)
-    written = write_ur_conf(robot, nominal, tmp_path / "c.conf")
+    written = write_ur_conf(of(robot, nominal), tmp_path / "c.conf")
     assert written.notes == ()
     back = written.T_base @ read_ur(written.path, robot=nominal).robot.poses(Q) @ written.T_tool
     np.testing.assert_allclose(back, robot.poses(Q), rtol=0, atol=1e-7)
@@ -141,14 +146,14 @@ def test_rows_of_axes_that_are_almost_parallel(angle, tmp_path):
 
 def test_what_a_file_says_of_its_arm_and_hash(conf_of, tmp_path):
     robot = ur_robot("UR10e")
-    path = write_ur_yaml(displaced(robot, 3e-4), robot, tmp_path / "k.yaml", hash=HASH).path
+    path = write_ur_yaml(of(displaced(robot, 3e-4), robot), tmp_path / "k.yaml", HASH).path
     found = read_ur(path)
     assert (found.model.name, found.hash) == ("UR10e", HASH)
     assert read_ur(path, model="UR12e").model.name == "UR12e"
     path.write_text(path.read_text().replace("hash:", "# hash:"))
     assert read_ur(path, robot=robot).hash is None
     default = ur_model("UR5e").default_hash
-    write_ur_yaml(robot, robot, path, hash=default, overwrite=True)
+    write_ur_yaml(of(robot, robot), path, default, overwrite=True)
     assert codes(read_ur(path, robot=robot).notes) == ["nominal hash"]
     conf = conf_of(UR3)
     conf.write_text(f"{conf.read_text()}calibration_status = 1 # 2 == Linearised\n")
@@ -168,7 +173,7 @@ def test_a_file_of_an_arm_of_another_size(conf_of, tmp_path, model):
         read_ur(conf, model=model)
     robot = ur_robot(model)
     with pytest.raises(FileError, match="moves the flange of a"):
-        write_ur_conf(robot, robot, tmp_path / "new.conf", update=Conf.read(conf))
+        write_ur_conf(of(robot, robot), tmp_path / "new.conf", conf)
 
 
 def test_names_that_do_not_agree(conf_of, tmp_path, ur3, panda):
@@ -184,11 +189,11 @@ def test_names_that_do_not_agree(conf_of, tmp_path, ur3, panda):
             read_ur(conf, **words)
     path = tmp_path / "out"
     with pytest.raises(ModelError, match="The robot 'panda' has the joints"):
-        write_ur_yaml(panda, ur3, path, hash=HASH)
+        write_ur_yaml(of(panda, ur3), path, HASH)
     with pytest.raises(FileError, match="moves the flange of a UR3 by"):
-        write_ur_conf(ur_robot("UR5"), ur_robot("UR3"), path)
+        write_ur_conf(of(ur_robot("UR5"), ur_robot("UR3")), path)
     with pytest.raises(FileError, match="the hash is 'a b'"):
-        write_ur_yaml(ur3, ur3, path, hash="a b")
+        write_ur_yaml(of(ur3, ur3), path, "a b")
     assert not path.exists()
 
 
@@ -223,11 +228,11 @@ def test_the_writers_count_from_the_arm_of_the_source(row, column, change, tmp_p
     arm = source.model
     assert not arm.known
     path = tmp_path / "d.conf"
-    again = write_ur_conf(source.robot, source.nominal, path, like=SMALL, model=arm)
+    again = write_ur_conf(source, path)
     assert again.path.read_bytes() == conf.read_bytes()
     assert again.notes == ()
     path = tmp_path / "k.yaml"
-    written = write_ur_yaml(source.robot, source.nominal, path, hash=source.hash, model=arm)
+    written = write_ur_yaml(source, path, source.hash)
     assert "Kinematics of one Universal Robots arm:" in path.read_text()
     found = read_ur(written.path, model=arm).robot.poses(Q)
     wanted = chain_poses(chain_of_rows(nominal + SMALL), Q)
