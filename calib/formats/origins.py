@@ -6,10 +6,8 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,7 +17,7 @@ import pinocchio as pin
 import yaml
 from numpy.typing import NDArray
 
-from calib.errors import FileError, UrdfError, choices, did_you_mean
+from calib.errors import FileError, UrdfError, choices
 from calib.files import read_bytes, write_atomically
 from calib.robot.robot import Robot
 from calib.units import NUMBER
@@ -29,18 +27,12 @@ _FARTHEST = 1e6
 
 _EXAMPLE = 'elbow_joint: {xyz: "0.0 0.0 0.15", rpy: "0.0 0.0 1e-05"}'
 
-#: Names that YAML takes as text without quotes: all else is quoted, its yes, no, on, off and null too.
-_PLAIN = re.compile(
-    r"(?!(?:y|n|yes|no|on|off|true|false|null)$)[A-Za-z][A-Za-z0-9_]*", re.IGNORECASE
-)
-
 _HEADER = """\
 # Origins of the joints of '{}' between '{}' and '{}', by calib.
 # xyz [m]; rpy [rad] about the fixed axes, R = Rz(yaw) Ry(pitch) Rx(roll), as in the <origin> of a URDF.
 # In a xacro:
 #   <xacro:property name="origins" value="${{xacro.load_yaml('{}')['origins']}}"/>
 #   <origin xyz="${{origins['{}']['xyz']}}" rpy="${{origins['{}']['rpy']}}"/>
-origins:
 """
 
 
@@ -63,9 +55,7 @@ def origins_of(robot: Robot) -> dict[str, JointOrigin]:
     """The origins of the URDF joints that carry the chain's placements, base to tip, with the numbers of the URDF."""
     joints = [robot.urdf.joint(name) for name in robot.carriers if name is not None]
     return {
-        joint.name: JointOrigin(
-            *(tuple(float(v) + 0.0 for v in one) for one in (joint.xyz, joint.rpy))
-        )
+        joint.name: JointOrigin(*(tuple((one + 0.0).tolist()) for one in (joint.xyz, joint.rpy)))
         for joint in joints
     }
 
@@ -76,8 +66,7 @@ def with_origins(robot: Robot, origins: Mapping[str, JointOrigin]) -> Robot:
     for name in origins:
         if name not in names:
             raise UrdfError(
-                f"'{name}' of the origins file is no joint of {robot.urdf.source}{did_you_mean(name, names)}: "
-                f"{choices(names)}. Give the robot that the file was made for."
+                f"'{name}' of the origins file is no joint of {robot.urdf.source}, which has {choices(names)}."
             )
     poses = {name: origin.T_parent_joint for name, origin in origins.items()}
     return robot.rebuilt(robot.urdf.with_origins(poses))
@@ -91,17 +80,21 @@ def write_origins(robot: Robot, path: str | os.PathLike[str], *, overwrite: bool
     """
     origins = origins_of(robot)
     first = next(iter(origins))
+    table = {
+        name: {"xyz": " ".join(map(repr, xyz)), "rpy": " ".join(map(repr, rpy))}
+        for name, (xyz, rpy) in origins.items()
+    }
+    text = yaml.safe_dump(
+        {"origins": table},
+        default_flow_style=None,
+        sort_keys=False,
+        allow_unicode=True,
+        width=math.inf,
+    )
     names = (robot.name, robot.base, robot.tip, Path(path).name, first, first)
-    lines = []
-    for name, origin in origins.items():
-        quoted = json.dumps(name, ensure_ascii=False)
-        # What could end a line, or be no character of YAML, by its number.
-        quoted = "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in quoted)
-        xyz, rpy = (" ".join(map(repr, values)) for values in origin)
-        lines.append(
-            f'  {name if _PLAIN.fullmatch(name) else quoted}: {{xyz: "{xyz}", rpy: "{rpy}"}}\n'
-        )
-    data = (_HEADER.format(*map(one_line, names)) + "".join(lines)).encode()
+    # A name in a comment must not end the line, nor be no character of YAML.
+    plain = ("".join(c if c.isprintable() else "?" for c in name) for name in names)
+    data = (_HEADER.format(*plain) + text).encode()
     if read_origins(path, data) != origins:
         raise FileError(
             f"{path}: the origins of '{robot.name}' do not read back; rename its joints in the URDF."
@@ -125,26 +118,21 @@ def read_origins(path: str | os.PathLike[str], data: bytes | None = None) -> dic
         )
     origins = {}
     for name, value in found.items():
-        if not isinstance(name, str) or not isinstance(value, dict) or set(value) != {"xyz", "rpy"}:
-            raise FileError(f"{path}, joint '{name}': xyz and rpy are wanted, as in {_EXAMPLE}")
-        where = f"{path}, joint '{name}'"
-        origins[name] = JointOrigin(*(_numbers(value[key], key, where) for key in ("xyz", "rpy")))
+        parts = [value.get(key) for key in ("xyz", "rpy")] if isinstance(value, dict) else []
+        # Texts, or lists as other programs write them.
+        words = [one.split() if isinstance(one, str) else one for one in parts]
+        numbers = [
+            tuple(float(word) + 0.0 for word in map(str, one) if NUMBER.fullmatch(word))
+            for one in words
+            if isinstance(one, list) and len(one) == 3
+        ]
+        every = [abs(number) <= _FARTHEST for one in numbers for number in one]
+        if not isinstance(name, str) or len(every) != 6 or not all(every):
+            raise FileError(
+                f"{path}, joint '{name}': xyz and rpy are wanted, three numbers [m] and [rad], as in {_EXAMPLE}"
+            )
+        origins[name] = JointOrigin(*numbers)
     return origins
-
-
-def _numbers(value: object, key: str, where: str) -> tuple[float, ...]:
-    """Three finite numbers of a text, or of a list as other programs write them."""
-    words = value.split() if isinstance(value, str) else value if isinstance(value, list) else []
-    found = [float(word) + 0.0 for word in map(str, words) if NUMBER.fullmatch(word)]
-    if not len(words) == len(found) == 3 or not all(abs(number) <= _FARTHEST for number in found):
-        unit = "m" if key == "xyz" else "rad"
-        raise FileError(f"{where}: {key} is {value!r}; three numbers [{unit}] are wanted.")
-    return tuple(found)
-
-
-def one_line(text: str) -> str:
-    """A name for a comment: what could end the line, or be no character of YAML, is a question mark."""
-    return "".join(character if character.isprintable() else "?" for character in text)
 
 
 # YAML

@@ -78,7 +78,7 @@ def test_a_list_of_numbers_does_too(tmp_path: Path):
     [
         ("", "no section 'origins:'"),
         ('origins:\n  j: {xyz: "0 0 0"}\n', "joint 'j': xyz and rpy are wanted"),
-        ('origins:\n  j: {xyz: "0 0", rpy: "0 0 0"}\n', r"xyz is '0 0'; three numbers \[m\]"),
+        ('origins:\n  j: {xyz: "0 0", rpy: "0 0 0"}\n', r"three numbers \[m\]"),
         ('origins:\n  j: {xyz: "0 0 nan", rpy: "0 0 0"}\n', "three numbers"),
         ("origins: [\n", "cannot be read as YAML"),
     ],
