@@ -14,7 +14,6 @@ H. Hanafusa, Inverse kinematic solutions with singularity robustness, 1986.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -25,7 +24,7 @@ from scipy.stats import qmc
 from calib.compensation.nominal_actual import Arm
 from calib.errors import ModelError, choices
 from calib.robot.readback import column_limits, full_ranges
-from calib.robot.robot import Robot, read_only
+from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.units import unit_fault
 
 Array = NDArray[np.float64]
@@ -35,8 +34,6 @@ POSE, POSITION, AXIS = "pose", "position", "axis"
 
 MATCHES = (POSE, POSITION, AXIS)
 """What is matched: position and orientation; the position alone; position and direction of the tool's z axis."""
-
-_ROWS = {POSE: 6, POSITION: 3, AXIS: 5}
 
 #: No joint moves further than this in one step [rad or m]; a row rests when its next step is shorter than the second or
 #: lowers its squared error by a smaller share than the third.
@@ -55,8 +52,7 @@ _ROUNDING, _RANK = 1e-9, 1e-9
 _SPREAD, _STEPS = 48, 30
 
 
-@dataclass(frozen=True, slots=True)
-class Matching:
+class Matching(NamedTuple):
     """What is matched, one of `MATCHES`, and the length that one radian weighs as [m]."""
 
     name: str
@@ -65,16 +61,15 @@ class Matching:
     @property
     def rows(self) -> int:
         """How many numbers are matched."""
-        return _ROWS[self.name]
+        return {POSE: 6, POSITION: 3, AXIS: 5}[self.name]
 
     def error(self, T_now: Array, T_wanted: Array) -> Array:
         """The error of poses (N, 4, 4), angles times the length, shape (N, rows), [m]."""
-        turned = np.swapaxes(T_now[:, :3, :3], 1, 2)
-        moved = (turned @ (T_wanted[:, :3, 3] - T_now[:, :3, 3])[:, :, None])[:, :, 0]
+        relative = rigid_inverse(T_now) @ T_wanted
+        R, moved = relative[:, :3, :3], relative[:, :3, 3]
         if self.name == POSITION:
-            return np.asarray(moved)
-        relative = turned @ T_wanted[:, :3, :3]
-        angles = _tilt(relative[:, :, 2]) if self.name == AXIS else _turn(relative)
+            return moved
+        angles = _tilt(R[:, :, 2]) if self.name == AXIS else _turn(R)
         return np.concatenate([moved, self.length * angles], axis=1)
 
     def jacobian(self, twists: Array) -> Array:
