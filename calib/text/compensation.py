@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,8 +20,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-#: One metre and one radian in the units that are printed.
-MM, DEG = 1e3, float(np.degrees(1.0))
+_MM, _DEG = 1e3, float(np.degrees(1.0))
 
 #: Joint values of a program further from its poses than this ask for a second look [m]: no calibration moves a tool so.
 _ELSEWHERE = 0.02
@@ -76,23 +75,14 @@ def no_commands(found: Commands) -> str:
 def finding_text(finding: Finding, robot: Robot) -> str:
     """A finding in words, in mm and deg."""
     slides = robot.joint_types.get(finding.joint) == "prismatic"
-    scales, unit = (MM, DEG), ""
+    scales, unit = (_MM, _DEG), ""
     if finding.joint:
-        scales, unit = ((MM, MM), "mm") if slides else ((DEG, DEG), "deg")
+        scales, unit = ((_MM, _MM), "mm") if slides else ((_DEG, _DEG), "deg")
     numbers = [scale * number for scale, number in zip(scales, finding.numbers, strict=False)]
     words = _TEXTS[finding.code]
     if len(numbers) > 1 and np.isnan(numbers[1]):  # of a position alone
         words = words.partition(", {1")[0] + " would be left" * (finding.code == "unreachable")
     return words.format(*numbers, joint=finding.joint, row=finding.row, unit=unit)
-
-
-def _table(title: str, heads: str, rows: Iterable[tuple[str, Iterable[float]]]) -> str:
-    """Labelled numbers in columns, "-" where there is none."""
-    lines = [f"{title:<58}{heads}"]
-    for label, values in rows:
-        cells = (f"{value:>10.4f}" if np.isfinite(value) else f"{'-':>10}" for value in values)
-        lines.append(f"{label:<58}{''.join(cells)}")
-    return "\n".join(lines)
 
 
 def _expected(found: Commands, name: str) -> str:
@@ -109,18 +99,16 @@ def _expected(found: Commands, name: str) -> str:
     lines = [f"Verdict: {verdict.use} ({name}, {own})"]
     if verdict.use != "use":
         lines += [fill(reason_text(reason), "  ") for reason in verdict.reasons]
-    errors, crossed = result.errors, part.cross_validation
-    unseen = [
-        ("validation rows, nominal robot", errors["nominal"]["validation"]),
-        ("validation rows", errors["larger" if larger else "calibrated"]["validation"]),
-        *([("left-out rows", crossed.errors_without_outliers)] if crossed is not None else []),
-    ]
-    rows = [(label, MM * np.array([e.max, e.mean, e.rms])) for label, e in unseen if e.n]
-    if rows:
-        title = "Position error of the result [mm]"
-        lines += ["", _table(title, "       max      mean       rms", rows)]
+    crossed = part.cross_validation
+    unseen = result.errors["larger" if larger else "calibrated"]["validation"]
+    if not unseen.n and crossed is not None:
+        unseen = crossed.errors_without_outliers
+    if unseen.n:
+        size = f"{_MM * unseen.mean:.4f} mm (mean), at most {_MM * unseen.max:.4f} mm"
         other = ", of another tool than the measured target more" * (found.pair.target is None)
-        lines.append(f"Expect errors of this size on the robot{other}.")
+        lines.append(
+            fill(f"Expect position errors of {size}, as on rows left out of the fit{other}.")
+        )
     return "\n".join(lines)
 
 
@@ -129,12 +117,11 @@ def _program(found: Commands) -> str:
     robot, program, pair = found.nominal, found.program, found.pair
     what = "joint values"
     if program.T_wanted is not None:
-        what = "poses" if program.oriented else "positions"
-        what += f" ({program.form})" if program.form else ""
-        what += " with joint values to start at" if program.q is not None else ""
-    frame = f"'{robot.base}'"
-    if pair.set_up is not None:
-        frame = f"the measured frame{f' of {pair.set_up!r}' if pair.set_up else ''}"
+        what = program.form and f"poses ({program.form})"
+        what = what or ("poses" if program.oriented else "positions")
+        what += " with joint values to start at" * (program.q is not None)
+    frame = f"the measured frame{f' of {pair.set_up!r}' * bool(pair.set_up)}"
+    frame = f"'{robot.base}'" if pair.set_up is None else frame
     unread = ", ".join(label for label, _ in program.kept if label)
     unread = f" Passed through unread: {unread}." if unread else ""
     return fill(
@@ -156,14 +143,17 @@ def _sizes(found: Commands) -> str:
         "correction of the pose to send": found.pose_corrections[rows].T,
         "correction of a joint": (joints[:, slides], joints[:, ~slides]),
     }
-    lines = []
-    for label, (lengths, angles) in table.items():
-        there = [one[np.isfinite(one)] for one in (MM * lengths, DEG * angles)]
-        numbers = [(one.max(), one.mean()) if one.size else (np.nan, np.nan) for one in there]
-        if any(one.size for one in there):
-            lines.append((label, [*numbers[0], *numbers[1]]))
     title = f"By the calibrated model, rows with commands: {int(rows.sum())}"
-    return _table(title, "    max mm   mean mm   max deg  mean deg", lines)
+    lines = [f"{title:<58}    max mm   mean mm   max deg  mean deg"]
+    for label, (lengths, angles) in table.items():
+        there = [one[np.isfinite(one)] for one in (_MM * lengths, _DEG * angles)]
+        cells = (
+            f"{one.max():>10.4f}{one.mean():>10.4f}" if one.size else f"{'-':>10}" * 2
+            for one in there
+        )
+        if any(one.size for one in there):
+            lines.append(f"{label:<58}{''.join(cells)}")
+    return "\n".join(lines)
 
 
 def _notes(found: Commands) -> Iterator[str]:
@@ -190,9 +180,9 @@ def _notes(found: Commands) -> Iterator[str]:
 
 def _place(T: Array) -> str:
     """A pose in words; its rotation vector where it is turned."""
-    turn = DEG * Rotation.from_matrix(T[:3, :3]).as_rotvec()
+    turn = _DEG * Rotation.from_matrix(T[:3, :3]).as_rotvec()
     place, turned = (
-        ", ".join(f"{v:.4f}" for v in one.round(4) + 0.0) for one in (MM * T[:3, 3], turn)
+        ", ".join(f"{v:.4f}" for v in one.round(4) + 0.0) for one in (_MM * T[:3, 3], turn)
     )
     return f"({place}) mm" + f", rotation vector ({turned}) deg" * bool(np.abs(turn).max() > 1e-9)
 
@@ -207,7 +197,7 @@ def _elsewhere(found: Commands) -> str:
     if far < _ELSEWHERE:
         return ""
     return (
-        f"At the program's joint values the nominal robot has the tool {MM * far:.0f} mm from the program's positions "
+        f"At the program's joint values the nominal robot has the tool {_MM * far:.0f} mm from the program's positions "
         "(median). Are these of another tool (--tool), in another frame (--poses-in), or measured ones (--columns "
         '"x=-" leaves one out)?'
     )
