@@ -40,7 +40,6 @@ from calib.compensation.nominal_actual import Pair, pair_of
 from calib.compensation.program import CORRECTION, Program
 from calib.data.checks import to_quaternions
 from calib.data.table import POINT, QUATERNION, ROLL_PITCH_YAW, ROTATION_VECTOR, STATUS
-from calib.errors import ModelError, choices
 from calib.files import write_atomically
 from calib.result.calibration import Calibration
 from calib.robot.readback import column_limits
@@ -193,11 +192,6 @@ def compensate(
     pair = pair_of(calibration, nominal, tool=tool, frame=frame, larger=larger)
     robot = pair.nominal.robot
     count = len(robot.joint_names)
-    if program.q is not None and program.q.shape[1] != count:
-        raise ModelError(
-            f"The program has {program.q.shape[1]} joint values in each row; '{robot.name}' has {count} joints from "
-            f"'{robot.base}' to '{robot.tip}': {choices(robot.joint_names)}."
-        )
     accept = (max(accept[0], _EXACT), max(accept[1], _EXACT))
     usual = POSE if count >= 6 else AXIS if count == 5 else POSITION
     # Where all is reached the length that weighs an angle is one of scale: the arm's own.

@@ -126,14 +126,16 @@ def chosen_format(path: Path, asked: str | None, source_kind: str) -> str:
 def _universal_robots(source: str, options: Options) -> Source:
     """A calibration.conf or a kinematics.yaml, on the robot asked for or on a bare one."""
     given = None if options.robot is None else options.load(options.robot)
-    arm, urcontrol = options.ur_model, options.urcontrol
-    found = read_ur(source, urcontrol=urcontrol, model=arm, robot=given)
-    if given is None and (options.base or options.tip or options.held):
-        bare = found.nominal or found.robot
-        links = options.base or bare.base, options.tip or bare.tip
-        given = Robot.from_urdf(bare.urdf, *links, held=options.held)
-        found = read_ur(source, urcontrol=urcontrol, model=arm, robot=given)
-    return found
+    found = read_ur(source, urcontrol=options.urcontrol, model=options.ur_model, robot=given)
+    if given is not None or not (options.base or options.tip or options.held):
+        return found
+    robot, nominal = (
+        Robot.from_urdf(
+            one.urdf, options.base or one.base, options.tip or one.tip, held=options.held
+        )
+        for one in (found.robot, found.nominal or found.robot)
+    )
+    return replace(found, robot=robot, nominal=nominal)
 
 
 def _result(source: str, options: Options) -> Source:

@@ -135,22 +135,10 @@ def read_origins(path: str | os.PathLike[str], data: bytes | None = None) -> dic
     return origins
 
 
-# YAML
-
-
-class _Loader(yaml.SafeLoader):
-    """PyYAML's safe loader with the tags of ROS for angles."""
-
-
-for _tag, _unit in (("!degrees", math.radians(1.0)), ("!radians", 1.0)):
-    _read: Any = lambda loader, node, unit=_unit: unit * float(loader.construct_scalar(node))  # noqa: E731
-    _Loader.add_constructor(_tag, _read)
-
-
 def parse_yaml(data: bytes, source: str, what: str) -> dict[Any, Any]:
     """The outermost table of a YAML file's bytes, empty where it holds none; `FileError` where it is no YAML."""
     try:
-        table = _Loader(data).get_single_data()
+        table = yaml.safe_load(data)
     except (yaml.YAMLError, ValueError, RecursionError, ArithmeticError) as error:
         mark = getattr(error, "problem_mark", None)
         place = "" if mark is None else f", line {mark.line + 1}, column {mark.column + 1}"

@@ -7,15 +7,10 @@ and back, whichever frames the robot's URDF uses, because the arm is found in it
 returned as a note; what is written is read back before it appears.
 
 ``calibration.conf`` has the deltas of an arm in ``[mounting]``, ``urcontrol.conf`` its nominal rows in ``[DH]``: lists
-``key = [six numbers]``, lengths in metres and angles in radians. ``kinematics.yaml`` has the six placements that the
-description for ROS takes, and the calibration's hash:
-
-    kinematics:
-      shoulder: {x, y, z, roll, pitch, yaw}      and so on: upper_arm, forearm, wrist_1, wrist_2, wrist_3
-      hash: calib_...
-
-Each is the pose of a link's joint in the link before it, the first in ``base_link_inertia``, which is the controller's
-base; the joints turn about z and ``tool0`` is the frame of the last. R = Rz(yaw) Ry(pitch) Rx(roll).
+``key = [six numbers]``, in metres and radians. ``kinematics.yaml`` has under ``kinematics`` x, y, z, roll, pitch, yaw
+of six links and the calibration's hash: each the pose of a link's joint in the link before it, the first in the
+controller's base, ``base_link_inertia``; joints turn about z, ``tool0`` is the last one's frame.
+R = Rz(yaw) Ry(pitch) Rx(roll).
 """
 
 from __future__ import annotations

@@ -14,9 +14,6 @@ if TYPE_CHECKING:
     from calib.formats.convert import Conversion
     from calib.formats.notes import Code, Note
 
-#: A calibration that moves the tip further [mm] is most often the comparison of two robots.
-_FAR_MM = 50.0
-
 _DISPLACED = (
     "by ({0:.6f}, {1:.6f}, {2:.6f}) mm and ({3:.6f}, {4:.6f}, {5:.6f}) mrad (rotation vector), in the axes of the "
     "controller's"
@@ -42,15 +39,6 @@ _NOTES: dict[Code, str] = {
     "joints without value": "Joints without a value of their own: {0}.",
 }
 
-#: What to do with a file of each format; DH rows have one.
-_USES = {
-    "urdf": "Use it wherever the nominal URDF was used: only origins of joints differ.",
-    "origins": "A xacro takes them with xacro.load_yaml, as the comment at the head of the file shows.",
-    "ur-yaml": "The driver takes it so:",
-    "ur-conf": "It is for programs that read a calibration.conf; ask Universal Robots whether a controller takes it.",
-    "dh": "Its head says how a row is meant. 'base' goes into the frame of the poses, 'tool' into the tool.",
-}
-
 
 def text(done: Conversion, name: str) -> str:
     """All of it; ``name`` is what was read."""
@@ -59,13 +47,12 @@ def text(done: Conversion, name: str) -> str:
     found, robot = done.source, done.source.robot
     arm = f", {found.model.name}" if found.model else ""
     hash = f", {found.hash}" if found.hash else ""
-    use = _USES.get(done.format, _USES["dh"])
     parts = [
         f"Read: {name}, {found.kind}{arm}{hash}, '{robot.base}' to '{robot.tip}', {len(robot.joints)} joints.",
         _moved(done),
         # Reader and writer may say the same.
         *dict.fromkeys(map(note_text, (*found.notes, *done.notes))),
-        f"Written: {done.path}, {FORMATS[done.format].what}. {use}",
+        f"Written: {done.path}, {FORMATS[done.format].what}.",
     ]
     printed = "\n\n".join(map(fill, parts))
     if done.format == "ur-yaml":
@@ -99,10 +86,7 @@ def _moved(done: Conversion) -> str:
     chord = np.linalg.norm(apart[:, :, :3], axis=(1, 2)) / np.sqrt(8.0)
     mm = 1e3 * np.linalg.norm(apart[:, :, 3], axis=1)
     deg = np.degrees(2.0 * np.arcsin(np.clip(chord, 0.0, 1.0)))
-    doubt = " Calibrations move it by millimetres: check that both are one robot." * bool(
-        mm.max() > _FAR_MM
-    )
     return (
         f"Over the joint limits '{found.robot.tip}' lies {mm.mean():.3f} mm (mean) and at most {mm.max():.3f} mm from "
-        f"where the nominal robot has it, turned by {deg.mean():.3f} deg (mean) and at most {deg.max():.3f} deg.{doubt}"
+        f"where the nominal robot has it, turned by {deg.mean():.3f} deg (mean) and at most {deg.max():.3f} deg."
     )

@@ -46,9 +46,6 @@ def test_what_is_printed(call, folder, tmp_path):
     done = call(folder, "convert", "robot.urdf", "--tip", "tool0", "-o", tmp_path / "copy.urdf")
     assert "This is a nominal robot: there is no calibration in it." in done.out
     assert (tmp_path / "copy.urdf").read_bytes() == (folder / "robot.urdf").read_bytes()
-    chain = ("--base", "base", "--tip", "tool0", "--to", "dh", "-o")
-    done = call(folder, "convert", "corrected.urdf", "--robot", "ur5", *chain, tmp_path / "o.csv")
-    assert "check that both are one robot." in said(done.out)
     words = ("--tip", "tool0", "--hold", "elbow_joint=30 deg", "--to", "dh", "-o")
     assert call(folder, "convert", "robot.urdf", *words, tmp_path / "h.csv").code == 0
     assert ",held at 30 deg," in (tmp_path / "h.csv").read_text()
