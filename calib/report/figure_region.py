@@ -12,21 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.design.workspace import Checked, Density, RegionView
-from calib.errors import FileError, choices
+import calib.report.figure_base as base
+from calib.design.workspace import RegionView
 from calib.files import write_atomically
-from calib.report.figure_base import (
-    ESTIMATION,
-    INK,
-    KINDS,
-    LITTLE_TO_MUCH,
-    VALIDATION,
-    number_points,
-    saved,
-    styled,
-    write_beside,
-)
-from calib.report.figure_space import VIEWS
+from calib.report.figure_space import VIEWS, flat, limits_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,18 +24,11 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-#: Lines and labels beside the pictures.
-_PALE, _GREY = "#9aa7b4", "#4a5866"
-
 
 def check_ending(path: str | Path) -> str:
     """The kind of a picture's file by its name's ending; a FileError where it is none of `KINDS`."""
     kind = Path(path).suffix.lower().removeprefix(".")
-    if kind not in KINDS:
-        endings = choices([f".{one}" for one in KINDS])
-        raise FileError(
-            f"{path}: the ending says what kind of picture is written; choose one of {endings}."
-        )
+    base.check_kind(kind)
     return kind
 
 
@@ -63,153 +45,97 @@ def headings(view: RegionView) -> tuple[str, str]:
 def write_picture(view: RegionView, path: str | Path, *, overwrite: bool = False) -> Path:
     """Write the figure of a region; the file's ending says which of `KINDS`."""
     kind = check_ending(path)
-    with styled():
-        data = saved(draw_region(view), kind, *headings(view), dpi=150)
+    with base.styled():
+        data = base.saved(draw_region(view), kind, *headings(view), dpi=150)
     return write_atomically(Path(path), data, overwrite=overwrite)
 
 
 def draw_region(view: RegionView) -> Figure:
     """The figure of a region; it belongs to no window and no global state."""
-    from matplotlib.figure import Figure
-    from matplotlib.layout_engine import ConstrainedLayoutEngine
-
-    density, region, checked = view.density, view.region, view.checked
-    title, text = headings(view)
-    wide = np.ptp(density.extent, axis=0).max() > 10.0
-    scale, unit = (1.0, "m") if wide else (1e3, "mm")
-    layout = ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.08, rect=(0, 0.01, 1, 0.9))
-    figure = Figure(figsize=(13.0, 9.2), layout=layout)
-    figure.text(0.02, 0.965, title, size=15, weight="bold", va="center")
-    figure.text(0.02, 0.932, text, size=10, color=_GREY, va="center")
+    density, region = view.density, view.region
+    figure = base.new_figure(9.2, 13.0)
+    figure.suptitle("\n".join(headings(view)), x=0.01, ha="left")
     axes = figure.subplots(2, 3)
+    points = np.zeros((0, 3)) if view.checked is None else view.checked.points
+    limits = limits_of(1e3 * np.vstack([density.extent, points]))
+    low, voxel = 1e3 * density.origin, 1e3 * density.voxel
     # The voxel at the mean of the samples.
     index = np.indices(density.counts.shape).reshape(3, -1)
     centre = np.round(index @ density.counts.ravel() / density.samples).astype(np.intp)
-    limits = _limits(density, None if checked is None else checked.points)
     images = {}
     for column, (i, j, name) in enumerate(VIEWS):
-        k = 3 - i - j
-        at = density.origin[k] + (centre[k] + 0.5) * density.voxel
-        shadow: Mask = np.any(region.cells, axis=k)
+        k, pair = 3 - i - j, [i, j]
+        at = low[k] + (centre[k] + 0.5) * voxel
         cut = density.smooth.take(centre[k], axis=k), region.cells.take(centre[k], axis=k)
         for row, values, inside, heading in (
-            (0, density.smooth.sum(axis=k), shadow, f"Seen {name}"),
-            (1, *cut, f"Cut at {'xyz'[k]} = {scale * at:.0f} {unit}"),
+            (0, density.smooth.sum(axis=k), np.any(region.cells, axis=k), f"Seen {name}"),
+            (1, *cut, f"Cut at {'xyz'[k]} = {at:.0f} mm"),
         ):
             ax = axes[row, column]
-            images[row] = _panel(ax, density, (i, j), values, inside)
-            ax.set_title(heading, size=11, weight="normal", loc="center")
-            _dress(ax, limits[:, (i, j)], (i, j), scale, unit)
-    if checked is not None and len(checked.points):
-        _mark(axes[0], checked, region.contains(checked.points), figure)
+            images[row] = _panel(ax, values, inside, low[pair], voxel)
+            ax.set_title(heading)
+            flat(ax, limits, (i, j))
+        _mark(axes[0, column], view, (i, j))
     for row, where in ((0, "along the line of sight"), (1, "in the cut")):
-        bar = figure.colorbar(
-            images[row], ax=list(axes[row]), shrink=0.85, pad=0.015, ticks=[0, 0.5, 1]
-        )
-        bar.set_label(f"how often {where}; 1: most often", size=9, color=_GREY)
-        bar.ax.tick_params(labelsize=9, color=_PALE, labelcolor=_GREY)
-        bar.outline.set_visible(False)
+        bar = figure.colorbar(images[row], ax=list(axes[row]), shrink=0.85, ticks=[0, 0.5, 1])
+        bar.set_label(f"how often {where}; 1: most often")
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     return figure
 
 
-def _panel(ax: Axes, density: Density, pair: tuple[int, int], values: Array, inside: Mask) -> Any:  # noqa: ANN401
-    """Density and outline in the plane of two axes."""
+def _panel(ax: Axes, values: Array, inside: Mask, low: Array, voxel: float) -> Any:  # noqa: ANN401
+    """Density and outline in the plane of two axes, from the grid's least corner ``low`` [mm]."""
     from matplotlib.collections import LineCollection
     from matplotlib.colors import LinearSegmentedColormap
 
-    low = density.origin[list(pair)]
-    high = low + density.voxel * np.array(values.shape)
+    high = low + voxel * np.array(values.shape)
     image = ax.imshow(
         np.ma.masked_where(values.T <= 0.0, values.T / max(float(values.max()), 1e-300)),
         origin="lower",
         extent=(low[0], high[0], low[1], high[1]),
-        cmap=LinearSegmentedColormap.from_list("often", list(LITTLE_TO_MUCH)),
+        cmap=LinearSegmentedColormap.from_list("often", list(base.LITTLE_TO_MUCH)),
         vmin=0.0,
         vmax=1.0,
         interpolation="nearest",
         zorder=1,
     )
-    edges = list(outline(inside, low, density.voxel))
-    lines = LineCollection(edges, colors=INK, linewidths=1.3, capstyle="projecting", zorder=3)
+    # The edges between cells inside and those that are not, shape (K, 2, 2).
+    padded = np.pad(inside, 1)
+    along = np.argwhere(padded[1:, :] != padded[:-1, :])
+    across = np.argwhere(padded[:, 1:] != padded[:, :-1])
+    upright = np.stack([along - [0, 1], along], axis=1)
+    level = np.stack([across - [1, 0], across], axis=1)
+    edges = list(low + voxel * np.concatenate([upright, level]))
+    lines = LineCollection(edges, colors=base.INK, linewidths=1.3, capstyle="projecting", zorder=3)
     lines.set_label("outline of the region")
     ax.add_collection(lines)
     return image
 
 
-def outline(inside: Mask, low: Array, step: float) -> Array:
-    """Start and end, shape (K, 2, 2), of each edge between cells of a plane grid inside and those that are not.
-
-    ``low``, shape (2,), is the grid's least corner, ``step`` the edge of a cell.
-    """
-    padded = np.pad(inside, 1)
-    along = np.argwhere(padded[1:, :] != padded[:-1, :])  # edges in the second direction
-    across = np.argwhere(padded[:, 1:] != padded[:, :-1])
-    upright = np.stack([along - [0, 1], along], axis=1)
-    level = np.stack([across - [1, 0], across], axis=1)
-    return np.asarray(low + step * np.concatenate([upright, level]))
-
-
-def _dress(ax: Axes, limits: Array, pair: tuple[int, int], scale: float, unit: str) -> None:
-    """Limits, scales and labels of a panel, and where the base stands."""
-    from matplotlib.ticker import FuncFormatter, MaxNLocator
-
-    ax.set_aspect("equal")
-    ax.set_xlim(*limits[:, 0])
-    ax.set_ylim(*limits[:, 1])
-    text = FuncFormatter(lambda value, _: f"{scale * value:.4g}")
-    for axis, letter in ((ax.xaxis, "xyz"[pair[0]]), (ax.yaxis, "xyz"[pair[1]])):
-        axis.set_major_formatter(text)
-        axis.set_major_locator(MaxNLocator(5))
-        axis.set_label_text(f"{letter} [{unit}]", size=9, color=_GREY)
-    ax.tick_params(labelsize=9, labelcolor=_GREY)
-    ax.spines[:].set(visible=True, color="#c3ccd5")
-    if np.all((limits[0] <= 0.0) & (limits[1] >= 0.0)):
-        for width, colour in ((3.6, "white"), (1.6, INK)):
-            ax.plot(0.0, 0.0, marker="+", color=colour, ms=10, mew=width, zorder=4)
-        write_beside(ax, "base", np.zeros(2))
-
-
-def _mark(axes: Any, checked: Checked, inside: Mask, figure: Figure) -> None:  # noqa: ANN401
-    """The rows' points in each view, and what they mean."""
-    rows, points = checked.rows, checked.points
-    for chosen_set, colour, shape, size, word in (
-        (rows.estimation, ESTIMATION, "o", 4.5, "estimation"),
-        (rows.validation, VALIDATION, "D", 6.0, "validation"),
+def _mark(ax: Axes, view: RegionView, pair: tuple[int, int]) -> None:
+    """The points of a table's rows in a view: filled inside of the region, hollow and numbered outside."""
+    if view.checked is None:
+        return
+    rows, points = view.checked.rows, view.checked.points
+    inside, places = view.region.contains(points), 1e3 * points[:, pair]
+    for chosen_set, colour, marker, size, word in (
+        (rows.estimation, base.ESTIMATION, "o", 4.5, "estimation"),
+        (rows.validation, base.VALIDATION, "D", 6.0, "validation"),
     ):
-        for within, where in ((True, "inside"), (False, "outside")):
+        for within, where, face, edge in (
+            (True, "inside", colour, "white"),
+            (False, "outside", "white", colour),
+        ):
             chosen = chosen_set & (inside == within)
-            if not chosen.any():
-                continue
-            look: dict[str, Any] = {"ls": "none", "marker": shape, "ms": size}
-            look |= {"mfc": colour if within else "white", "mec": "white" if within else colour}
-            look["mew"] = 0.7 if within else 1.4
-            look["label"] = f"{np.count_nonzero(chosen)} {word} rows {where}"
-            for ax, (i, j, _) in zip(axes, VIEWS, strict=True):
-                ax.plot(points[chosen, i], points[chosen, j], zorder=4, **look)
-    for ax, (i, j, _) in zip(axes, VIEWS, strict=True):
-        places = points[:, [i, j]]
-        number_points(ax, rows.rows, places, rows.validation | ~inside)
-    handles, words = axes[0].get_legend_handles_labels()
-    figure.legend(
-        handles,
-        words,
-        loc="upper right",
-        bbox_to_anchor=(0.985, 0.985),
-        ncols=(len(handles) + 1) // 2,
-        fontsize=9,
-    )
-
-
-def _limits(density: Density, points: Array | None) -> Array:
-    """What the pictures show, shape (2, 3), [m]: the workspace and the points, with some room about them."""
-    low, high = density.extent
-    if points is not None:
-        # A wild point must not make the workspace small.
-        room = 0.5 * float(np.max(high - low))
-        near = np.all((points > low - room) & (points < high + room), axis=1)
-        shown = np.vstack([low, high, points[near]])
-        low, high = shown.min(axis=0), shown.max(axis=0)
-    half, middle = 0.5 * (high - low), 0.5 * (high + low)
-    # A flat workspace gets some height, so that its picture is not a line.
-    half = np.maximum(1.06 * half, 0.25 * half.max())
-    return np.array([middle - half, middle + half])
+            if chosen.any():
+                label = f"{np.count_nonzero(chosen)} {word} rows {where}"
+                look: dict[str, Any] = {
+                    "marker": marker,
+                    "ms": size,
+                    "mfc": face,
+                    "mec": edge,
+                    "label": label,
+                }
+                ax.plot(*places[chosen].T, ls="none", zorder=4, **look)
+    base.number_points(ax, rows.rows, places, rows.validation | ~inside)

@@ -40,7 +40,7 @@ def measured_places(c: Calibration) -> Array:
 def points(c: Calibration) -> Figure:
     """The measured points in the base frame: in space, and from three sides; as the paper's figure 7."""
     places, kinds = 1e3 * measured_places(c), base.row_kinds(c)
-    limits = _limits(places)
+    limits = limits_of(places)
     x, y, z = limits[1] - limits[0]
     scale = min(0.85 * base.WIDTH / (x + max(y, 0.7 * x)), _HIGHEST / (y + z))
     upper = max(scale * y, _LEAST)
@@ -59,7 +59,7 @@ def points(c: Calibration) -> Figure:
         for order, kind in enumerate(kinds, start=2):
             at = places[kind.mask][:, [i, j]].T
             ax.plot(*at, rasterized=pixels, zorder=order, **kind.style(0.85))
-        _flat(ax, limits, (i, j))
+        flat(ax, limits, (i, j))
         base.number_points(ax, c.measurements.rows, places[:, [i, j]], numbered)
     ax = panels["space"]
     for kind in kinds:
@@ -87,7 +87,7 @@ def uncertainty(c: Calibration) -> Figure:
         1e3 * (T[:, :3, :3] @ c.target + T[:, :3, 3]),
         1e3 * c.position_std(q, larger=False),
     )
-    limits = _limits(places)
+    limits = limits_of(places)
     measured = 1e3 * measured_places(c)
     measured = measured[:: max(-(-len(measured) // _MOST_RINGS), 1)]
     ring: dict[str, Any] = {"ls": "none", "marker": "o", "ms": 3.0, "mfc": "white", "mew": 0.6}
@@ -98,7 +98,7 @@ def uncertainty(c: Calibration) -> Figure:
         images.append(_cells(ax, places[:, [i, j]], std, limits[:, [i, j]]))
         ax.plot(*measured[:, [i, j]].T, mec=base.INK, label="measured rows", **ring)
         ax.set_title(f"Seen {name}")
-        _flat(ax, limits, (i, j))
+        flat(ax, limits, (i, j))
     every = np.concatenate([np.asarray(image.get_array()) for image in images])
     low, high = float(every.min()), float(np.quantile(every, 0.98))
     for image in images:  # one scale of colours; one cell must not make all others alike
@@ -110,7 +110,7 @@ def uncertainty(c: Calibration) -> Figure:
     return figure
 
 
-def _flat(ax: Axes, limits: Array, pair: tuple[int, int]) -> None:
+def flat(ax: Axes, limits: Array, pair: tuple[int, int]) -> None:
     """Equal scales, labels, and the base where it lies inside."""
     (i, j), at = pair, limits[:, pair]
     ax.set(aspect="equal", xlim=at[:, 0], ylim=at[:, 1])
@@ -121,7 +121,7 @@ def _flat(ax: Axes, limits: Array, pair: tuple[int, int]) -> None:
         ax.plot(0.0, 0.0, "+", ms=8, mew=1.4, color=base.SOFT, zorder=4, label="base")
 
 
-def _limits(places: Array) -> Array:
+def limits_of(places: Array) -> Array:
     """What the views show, shape (2, 3), [mm]: the points, and the base if it is near; no view is a line."""
     low, high = places.min(axis=0), places.max(axis=0)
     size = max(float(np.max(high - low)), 50.0)

@@ -69,7 +69,7 @@ def test_a_cell_file_gives_ranges_and_target(call, shop):
         (("--share", "0"), "The share is 0; it must be greater than 0 and at most 1"),
         (("--voxel", "1 mm"), "at most 4,000,000 are made"),
         (("--like", "data.csv", "--margin", "5 mm"), "it must be an angle"),
-        (("--picture", "r.gif"), "r.gif: the ending says what kind of picture is written"),
+        (("--picture", "r.gif"), "cannot be written as 'gif'"),
     ],
 )
 def test_errors_are_one_line_and_nothing_is_written(call, shop, words, said):

@@ -42,7 +42,6 @@ def test_ranges_keep_the_margin_to_the_urdfs_limits(mixed):
     [
         ({}, math.pi, "leaves nothing of the range of 'j1'"),
         ({"j2": (2.996, 3.0)}, 5 * DEG, "leaves nothing of the range of 'j2'"),
-        ({"j9": (0.0, 1.0)}, 0.0, "'j9', which does not move the chain"),
     ],
 )
 def test_ranges_of_which_nothing_is_left_are_refused(mixed, given, margin, words):
