@@ -15,7 +15,6 @@ import numpy as np
 from meshcat import geometry as mc
 from numpy.typing import NDArray
 
-from calib.data.surroundings import Box
 from calib.design.plan import Plan
 from calib.design.workspace import RegionView
 from calib.report.figure_base import BEAM, ESTIMATION, LITTLE_TO_MUCH, NOMINAL, VALIDATION
@@ -34,55 +33,62 @@ from calib.viewer.view import translation
 
 Array = NDArray[np.float64]
 
-#: Radius of a ball and length of a line of sight, as a part of the scene's size.
-_BALL, _SIGHT = 0.008, 0.12
-
-#: A tracker farther away than this many sizes of the scene is not in the picture; its direction is.
-_NEAR = 1.0
+#: Radii of a target's ball and of a row's, and length of a line of sight, as a part of the scene's size.
+_BALL, _ROW_BALL, _SIGHT = 0.008, 0.007, 0.12
 
 #: Of what stands around, of poses measured already and of the way.
 _AROUND, _TAKEN, _WAY = "#b9a58c", "#8a94a0", "#5b6775"
 
+#: The bands of a region end at these shares, as far as the region goes.
+_BANDS = (0.5, 0.8)
+
+#: More voxels than this are thinned out, evenly; fewer than the other number get more than one point each.
+_MOST_POINTS, _WANTED_POINTS = 60_000, 15_000
+
+#: Edge of a point, as a part of a voxel; the robot is seen between them.
+_POINT = 0.36
+
 
 def plan_page(plan: Plan) -> Page:
     """A plan about the robot at its first pose."""
-    places = plan.places(plan.joints)
-    taken = plan.places(plan.taken).reshape(-1, 3) if len(plan.taken) else np.zeros((0, 3))
-    boxes = plan.cell.boxes
+    places, taken = plan.places(plan.joints), plan.places(plan.taken).reshape(-1, 3)
+    chosen, tracker, boxes = np.array(plan.sets) == "estimate", plan.cell.tracker, plan.cell.boxes
+
+    def draw(scene: meshcat.Visualizer, size: float) -> list[Key]:
+        sets = (
+            ("estimate", ESTIMATION, f"to estimate from, {chosen.sum()}", places[chosen]),
+            ("validate", VALIDATION, f"to validate with, {(~chosen).sum()}", places[~chosen]),
+            ("taken", _TAKEN, f"measured already, {len(plan.taken)}", taken),
+        )
+        keys = _draw_dots(scene, sets, _BALL * size)
+        draw_lines(scene["way"], np.stack([places[:-1, 0], places[1:, 0]], axis=1), _WAY, 0.55)
+        keys.append(Key("order to drive", _WAY, "way"))
+        if boxes:
+            poses = [box.T_base_box for box in boxes]
+            draw_boxes(scene["around"], [box.size for box in boxes], poses, _AROUND)
+            keys.append(Key(", ".join(box.name for box in boxes), _AROUND, "around"))
+        if tracker is not None:
+            # The last piece of each line of sight.
+            points = places.reshape(-1, 3)
+            towards = tracker.position - points
+            length = np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-9)
+            ends = points + towards / length * np.minimum(length, _SIGHT * size)
+            draw_lines(scene["sight"], np.stack([points, ends], axis=1), BEAM, 0.7)
+            keys.append(Key("towards the tracker", BEAM, "sight"))
+        return keys
+
     f = plan.forecast
+    corners = [box.T_base_box[:3, 3] + sign * 0.5 * box.size for box in boxes for sign in (-1, 1)]
     return single_page(
         plan.robot,
         plan.joints[0],
-        np.concatenate([places.reshape(-1, 3), taken, *map(_corners, boxes)]),
-        lambda scene, size: [
-            *_draw_targets(scene, plan, places, taken, size),
-            *_draw_around(scene, plan, places, size),
-        ],
+        np.concatenate([places.reshape(-1, 3), taken, np.reshape(corners, (-1, 3))]),
+        draw,
         title=f"{plan.robot.name}: {len(plan.joints)} poses to measure",
         text=f"Expected error of a predicted position after the calibration: {1e3 * f.rms:.3f} mm rms over the "
         f"workspace, {1e3 * f.rms_low:.3f} to {1e3 * f.rms_high:.3f} mm in 90 % of calibrations.",
         legend=f"{plan.robot.name} at the first pose",
     )
-
-
-def _draw_targets(
-    scene: meshcat.Visualizer, plan: Plan, places: Array, taken: Array, size: float
-) -> list[Key]:
-    """Where the targets will be, by their set, and the way; the lines of the legend."""
-    chosen, first = np.array(plan.sets) == "estimate", places[:, 0]
-    keys = _draw_dots(
-        scene,
-        (
-            ("estimate", ESTIMATION, f"to estimate from, {chosen.sum()}", places[chosen]),
-            ("validate", VALIDATION, f"to validate with, {(~chosen).sum()}", places[~chosen]),
-            ("taken", _TAKEN, f"measured already, {len(plan.taken)}", taken),
-        ),
-        _BALL * size,
-    )
-    if len(first) > 1:
-        draw_lines(scene["way"], np.stack([first[:-1], first[1:]], axis=1), _WAY, 0.55)
-        keys.append(Key("order to drive", _WAY, "way"))
-    return keys
 
 
 def _draw_dots(
@@ -97,59 +103,28 @@ def _draw_dots(
     return keys
 
 
-def _draw_around(scene: meshcat.Visualizer, plan: Plan, places: Array, size: float) -> list[Key]:
-    """Boxes, and where the tracker looks from; the lines of the legend."""
-    keys, boxes, tracker = [], plan.cell.boxes, plan.cell.tracker
-    if boxes:
-        poses = [box.T_base_box for box in boxes]
-        draw_boxes(scene["around"], [box.size for box in boxes], poses, _AROUND)
-        keys.append(Key(", ".join(box.name for box in boxes), _AROUND, "around"))
-    if tracker is not None:
-        # The last piece of each line of sight.
-        points = places.reshape(-1, 3)
-        towards = tracker.position - points
-        length = np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-9)
-        ends = points + towards / length * np.minimum(length, _SIGHT * size)
-        draw_lines(scene["sight"], np.stack([points, ends], axis=1), BEAM, 0.7)
-        keys.append(Key("towards the tracker", BEAM, "sight"))
-        if np.linalg.norm(tracker.position) < _NEAR * size:
-            draw_points(scene["tracker"], tracker.position[None], BEAM, 2.0 * _BALL * size)
-    return keys
-
-
-def _corners(box: Box) -> Array:
-    """The corners of a box in the base, shape (8, 3), [m]."""
-    T, unit = box.T_base_box, np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
-    return np.asarray(unit * box.size @ T[:3, :3].T + T[:3, 3])
-
-
-#: The bands end at these shares, as far as the region goes.
-_BANDS = (0.5, 0.8)
-
-#: More voxels than this are thinned out, evenly; fewer than the other number get more than one point each.
-_MOST_POINTS, _WANTED_POINTS = 60_000, 15_000
-
-#: Edge of a point, as a part of a voxel; the robot is seen between them.
-_POINT = 0.36
-
-#: Radius of the target's ball and of a row's, as a part of the scene's size.
-_TARGET_BALL, _ROW_BALL = 0.011, 0.007
-
-
 def region_page(view: RegionView) -> Page:
     """A region about the nominal robot, in bands by how often the target is there."""
     q = view.pose
-    T_tip = view.robot.poses(q)[0]
-    target = T_tip[:3, :3] @ view.target + T_tip[:3, 3]
+    target = (view.robot.poses(q)[0] @ np.append(view.target, 1.0))[:3]
     centres = view.region.origin + view.region.voxel * (np.argwhere(view.region.cells) + 0.5)
     title, text = headings(view)
 
     def draw(scene: meshcat.Visualizer, size: float) -> list[Key]:
-        if np.any(view.target):
-            node = scene["nominal"]["target"]
-            node.set_object(mc.Sphere(_TARGET_BALL * size), solid(NOMINAL))
-            node.set_transform(translation(target))
-        return [*_draw_voxels(scene, view, centres), *_draw_rows(scene, view, size)]
+        node = scene["nominal"]["target"]
+        node.set_object(mc.Sphere(_BALL * size), solid(NOMINAL))
+        node.set_transform(translation(target))
+        keys = _draw_voxels(scene, view, centres)
+        if view.checked is not None:
+            rows, points, _ = view.checked
+            # A wild point is not looked for at the end of the world.
+            near = np.linalg.norm(points, axis=1) < 5.0 * size
+            sets = (
+                ("estimation", ESTIMATION, "estimation rows", points[rows.estimation & near]),
+                ("validation", VALIDATION, "validation rows", points[rows.validation & near]),
+            )
+            keys += _draw_dots(scene, sets, _ROW_BALL * size)
+        return keys
 
     return single_page(
         view.robot,
@@ -183,17 +158,3 @@ def _draw_voxels(scene: meshcat.Visualizer, view: RegionView, centres: Array) ->
             words = f"the densest {100 * end:.3g} %" if i == 0 else f"up to {100 * end:.3g} %"
             keys.append(Key(words, colour, f"band{i}"))
     return keys
-
-
-def _draw_rows(scene: meshcat.Visualizer, view: RegionView, size: float) -> list[Key]:
-    """The points of a table, and their lines of the legend."""
-    if view.checked is None:
-        return []
-    rows, points, *_ = view.checked
-    # A wild point is not looked for at the end of the world.
-    near = np.linalg.norm(points, axis=1) < 5.0 * size
-    sets = (
-        ("estimation", ESTIMATION, "estimation rows", points[rows.estimation & near]),
-        ("validation", VALIDATION, "validation rows", points[rows.validation & near]),
-    )
-    return _draw_dots(scene, sets, _ROW_BALL * size)
