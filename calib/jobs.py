@@ -21,28 +21,27 @@ def run(
     *,
     batch: int = 1,
 ) -> Iterator[tuple[int, R]]:
-    """``function(shared, item)`` of every item with the item's number, in any order.
+    """``function(shared, item)`` of every item with the item's number, in any order; without an executor here.
 
     The function is a module's; what it is given and gives back can be pickled. ``batch`` items are sent together, with
-    ``shared``: many for jobs that take less time than they take to send. Without an executor they are done here.
+    ``shared``: many for jobs that take less time than they take to send.
 
     Raises:
         CalibError: A worker was killed, or ran out of memory.
     """
+    every = enumerate(items)
     if executor is None:
-        for number, item in enumerate(items):
-            yield number, function(shared, item)
+        yield from ((number, function(shared, item)) for number, item in every)
         return
-    every = list(enumerate(items))
-    parts = [every[k : k + batch] for k in range(0, len(every), batch)]
+    listed = list(every)
+    parts = [listed[k : k + batch] for k in range(0, len(listed), batch)]
     pending = [executor.submit(_call, function, shared, part) for part in parts]
     try:
         for future in as_completed(pending):
             yield from future.result()
     except BrokenExecutor as error:
         raise CalibError(
-            f"A worker process has ended before its job: it was killed, or ran out of memory ({error}). Try fewer "
-            "--workers."
+            f"A worker process was killed, or ran out of memory ({error}). Try fewer --workers."
         ) from error
     finally:
         for future in pending:

@@ -34,7 +34,7 @@ from calib.circle_points.frame import (
 )
 from calib.circle_points.sweeps import Sweep, Sweeps
 from calib.errors import CalibError, MeasurementError, choices
-from calib.files import Key, Layout
+from calib.files import Layout
 from calib.robot.robot import Robot, read_only, rigid_inverse
 
 Array = NDArray[np.float64]
@@ -78,7 +78,6 @@ class Finding:
 class JointAxis:
     """The axis of a joint as its sweep shows it."""
 
-    joint: int  #: Its number in the chain, from 0
     name: str  #: What to call it
     #: In the tracker's frame, its normal in the joint's positive sense: centre and normal are the axis
     circle: Circle
@@ -108,8 +107,8 @@ class Survey:
 
     frame: BaseFrame  #: The base frame
     plane: Plane  #: The mounting plane as measured, in the tracker's frame
-    joints: tuple[JointAxis, ...]  #: The swept joints, in the order of the chain
-    pairs: tuple[AxisPair, ...]  #: Of the joints that follow each other from the first one
+    joints: tuple[JointAxis, ...]  #: The swept joints, from the first one on
+    pairs: tuple[AxisPair, ...]  #: Of each joint and the next
     findings: tuple[Finding, ...]  #: What is not as it should be
 
     def table(self) -> dict[str, Any]:
@@ -132,63 +131,58 @@ def base_frame(
         MeasurementError: A sweep is missing, is not that of its joint, or no figure fits it.
         UrdfError: The robot's chain is not one of turning joints.
     """
-    nominal = None if robot is None else nominal_axes(robot)
-    by_joint = {sweep.joint: sweep for sweep in sweeps.sweeps}
-    if not by_joint.keys() >= {None, 0, 1}:
+    touched, *swept = sweeps.sweeps
+    if [touched.joint, *(s.joint for s in swept)] != [None, *range(max(2, len(swept)))]:
         raise MeasurementError(
             f"{sweeps.source}: the sweeps are {choices(s.name for s in sweeps.sweeps)}. A base frame needs points on "
-            f"the mounting plane, 'plane', and sweeps of '{sweeps.label(0)}' and '{sweeps.label(1)}'."
+            f"the mounting plane, 'plane', and sweeps of '{sweeps.label(0)}', of '{sweeps.label(1)}', and of more "
+            "joints, if wanted, in their order."
         )
-    touched = by_joint.pop(None)
-    swept = [(joint, sweep) for joint, sweep in by_joint.items() if joint is not None]
     with _at(touched.where):
         plane = fit_plane(touched.points, touched.sigma, robust=robust)
     circles = []
-    for joint, sweep in swept:
+    for joint, sweep in enumerate(swept):
         with _at(sweep.where):
             circle = fit_circle(sweep.points, sweep.sigma, robust=robust)
             circles.append(positive(circle, sweep.joints, joint, sweeps.joint_names))
-    run = next((i for i, (k, _) in enumerate(swept) if i != k), len(swept))
-    given = [sweep.joints.mean(axis=0) for _, sweep in swept if sweep.joints is not None]
-    values = given if len(given) == len(swept) else None
+    nominal = None if robot is None else nominal_axes(robot)
     X = np.eye(4) if nominal is None else rigid_inverse(nominal_axes_frame(nominal))
-    if values is not None:
+    values = [sweep.joints.mean(axis=0) for sweep in swept if sweep.joints is not None]
+    if values:
         back = np.eye(4)
         back[:3, :3] = Rotation.from_rotvec([0.0, 0.0, -values[1][0]]).as_matrix()
         X = back @ X
     with _at(f"{sweeps.source}, plane and sweeps of the joints 1 and 2"):
         frame = frame_of(plane, *circles[:2], plane_offset=plane_offset, T_axes_base=X)
         lines = lines_of(plane, *circles, plane_offset=plane_offset)
-        # Above the plane, seen along axis 1, as the URDF's axis is; column z of the base is that of the plane.
-        upright = frame.T_tracker_base[:3, 2] @ (circles[0].point - plane.point)
-        if values is None and upright < 0.0:
+        if not values and frame.T_tracker_base[:3, 2] @ (circles[0].point - plane.point) < 0.0:
             raise CalibError(f"joint 1 turns the other way round, seen from the plane. {_ORDER}")
 
     def geometry(displaced: Sequence[Line]) -> Array:
         """Points and directions of all axes in the base, then angles and distances of neighbours, as one vector."""
         T = rigid_inverse(axes_frame(*displaced[:3]) @ X)
         axes = [axis.moved(T) for axis in displaced[1:]]
-        neighbours = pairwise(_at_zero(displaced[1 : run + 1], values))
+        neighbours = pairwise(_at_zero(displaced[1:], values))
         return np.concatenate([np.ravel(axes), *(between(*two) for two in neighbours)])
 
     numbers = read_only(geometry(lines))
     covariance = read_only(np.sum(propagated(geometry, lines, [plane, *circles]), axis=0))
-    axes, found = [], [*findings(touched, plane)]
-    for k, ((joint, sweep), circle) in enumerate(zip(swept, circles, strict=True)):
+    joints, found = [], [*findings(touched, plane)]
+    for k, (sweep, circle) in enumerate(zip(swept, circles, strict=True)):
         place = slice(6 * k, 6 * k + 6)
         point, direction = numbers[place].reshape(2, 3)
-        name, own = sweeps.label(joint), covariance[place, place]
-        axes.append(JointAxis(joint, name, circle, sweep.rows, point, direction, own))
+        own = covariance[place, place]
+        joints.append(JointAxis(sweeps.label(k), circle, sweep.rows, point, direction, own))
         found += findings(sweep, circle)
-    pairs, std = [], np.sqrt(np.diag(covariance))
-    for k in range(run - 1):
-        names, at = (sweeps.label(k), sweeps.label(k + 1)), 6 * len(axes) + 2 * k
+    pairs = []
+    rest = np.stack([numbers, np.sqrt(np.diag(covariance))])[:, 6 * len(joints) :]
+    for k in range(len(swept) - 1):
         wanted = (np.nan, np.nan) if nominal is None else between(*nominal[k : k + 2])
-        both = np.ravel([numbers[at : at + 2], std[at : at + 2], wanted])
-        pairs.append(AxisPair(names, *both.tolist()))
+        both = [*rest[:, 2 * k : 2 * k + 2].ravel().tolist(), *wanted]
+        pairs.append(AxisPair((joints[k].name, joints[k + 1].name), *both))
         if robot is not None:
             _check(pairs[-1], f"the URDF of '{robot.name}' from '{robot.base}' to '{robot.tip}'")
-    return Survey(frame, plane, tuple(axes), tuple(pairs), tuple(found))
+    return Survey(frame, plane, tuple(joints), tuple(pairs), tuple(found))
 
 
 def positive(
@@ -281,11 +275,11 @@ def _at(where: str) -> Iterator[None]:
         raise MeasurementError(f"{where}: {str(error).rstrip('.')}.") from error
 
 
-def _at_zero(axes: Sequence[Line], values: Sequence[Array] | None) -> list[Line]:
+def _at_zero(axes: Sequence[Line], values: Sequence[Array]) -> list[Line]:
     """Axes in any frame, turned back to the joints' zero from the values in each one's sweep; see the module's text."""
     result: list[Line] = []
     for k, (point, direction) in enumerate(axes):
-        for axis, q in zip(result, [] if values is None else values[k], strict=False):
+        for axis, q in zip(result, values[k] if values else (), strict=False):
             R = Rotation.from_rotvec(-q * axis.direction).as_matrix()
             point, direction = axis.point + R @ (point - axis.point), R @ direction
         result.append(Line(point, direction))
@@ -313,7 +307,6 @@ _LAYOUT = Layout(
         },
         Circle: {"radius": "radius_m", "angles": "angles_rad"},
         JointAxis: {
-            "joint": Key("joint", lambda joint: joint + 1),
             "point": "base.point_m",
             "direction": "base.direction",
             "covariance": "base.covariance",

@@ -36,11 +36,11 @@ def test_the_cell_file_is_the_frame_to_the_last_digits(tmp_path, found, twist):
     assert (Cell.read(path).base, Cell.read(path).tip) == (None, None)
 
 
-def test_the_table_has_everything(found):
+def test_the_table_has_everything(found, ur3):
     table = found.table()
     assert table["schema"] == "base-frame 2"
     assert table["frame"]["T_tracker_base"] is found.frame.T_tracker_base
-    assert [joint["joint"] for joint in table["joints"]] == [1, 2]
+    assert [joint["name"] for joint in table["joints"]] == [*ur3.joint_names[:2]]
     assert table["pairs"][0]["angle_nominal"] == pytest.approx(np.pi / 2)
     circle = table["joints"][0]["circle"]
     assert circle["residuals_m"].shape == (40, 2)

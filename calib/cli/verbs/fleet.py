@@ -74,9 +74,7 @@ def fleet(
     from calib.fleets.fleet import CSV, JSON, FleetOptions, fleet as calibrate_fleet
 
     if manifest.resolve() == (out / CSV).resolve():
-        raise FileError(
-            f"{manifest} is the manifest, and the table of results would have its name; choose another --out."
-        )
+        raise FileError(f"{manifest} would be the table of results too; choose another --out.")
     robots = read_manifest(manifest, setup, columns or (), points_unit)
     options = FleetOptions(solver, robust, validate, reports, target_link, command_line())
     try:
@@ -88,9 +86,8 @@ def fleet(
                 robots, out, options, executor=executor, progress=progress, force=force
             )
     except KeyboardInterrupt as error:
-        raise KeyboardInterrupt(
-            f"Finished robots are kept in {out}: the same command goes on with the others."
-        ) from error
+        text = f"Finished robots are kept in {out}: the same command goes on with the others."
+        raise KeyboardInterrupt(text) from error
     if not quiet:
         from calib.text.fleet import fleet_cells, fleet_text
 
@@ -101,9 +98,5 @@ def fleet(
         for name in (CSV, JSON):
             typer.echo(f"Written: {out / name}")
     if found.failed:
-        text = f"calib: {len(found.failed)} of {len(found.rows)} robots failed"
-        # What was printed above has the reasons.
-        first = found.failed[0]
-        text += f"; '{first.name}': {' '.join(first.message.split())}" if quiet else "."
-        typer.echo(text, err=True)
+        typer.echo(f"calib: {len(found.failed)} of {len(found.rows)} robots failed.", err=True)
         raise typer.Exit(1)
