@@ -190,9 +190,4 @@ def axes_frame(plane: Line, first: Line, second: Line) -> Array:
 
 def nominal_axes_frame(axes: Sequence[Line]) -> Array:
     """T_base_A of a robot's nominal axes 1 and 2 at zero; the mounting plane is z = 0 of the base."""
-    try:
-        return axes_frame(Line(np.zeros(3), np.array([0.0, 0.0, 1.0])), *axes[:2])
-    except CalibError as error:
-        raise CalibError(
-            f"In the URDF, with the plane z = 0 of the base, {error}. Choose another base link (--base)."
-        ) from error
+    return axes_frame(Line(np.zeros(3), np.array([0.0, 0.0, 1.0])), *axes[:2])

@@ -146,7 +146,8 @@ def base_frame(
             circle = fit_circle(sweep.points, sweep.sigma, robust=robust)
             circles.append(positive(circle, sweep.joints, joint, sweeps.joint_names))
     nominal = None if robot is None else nominal_axes(robot)
-    X = np.eye(4) if nominal is None else rigid_inverse(nominal_axes_frame(nominal))
+    with _at("In the URDF, with the plane z = 0 of the base (--base)"):
+        X = np.eye(4) if nominal is None else rigid_inverse(nominal_axes_frame(nominal))
     values = [sweep.joints.mean(axis=0) for sweep in swept if sweep.joints is not None]
     if values:
         back = np.eye(4)

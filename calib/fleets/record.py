@@ -7,7 +7,7 @@ import hashlib
 import io
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -96,50 +96,28 @@ class FleetRow:
         )
 
 
-#: How a row stands in a file, with the units in the keys.
-ROWS = Layout(
-    {
-        FleetRow: {
-            **{name: f"{name}_m" for name in ("nominal_rms", "calibrated_rms", "unseen_rms")},
-            "left_out_rms": "left_out_rms_m",
-            "sigma": "sigma_m",
-            "sigma_angle": "sigma_angle_rad",
-        }
-    },
-    {},
-)
-
-#: The columns of the table for a spreadsheet but the last two, with their fields.
-_COLUMNS = {
-    "name": "name",
-    "status": "status",
-    "verdict": "verdict",
-    "nominal rms [mm]": "nominal_rms",
-    "calibrated rms [mm]": "calibrated_rms",
-    "unseen rms [mm]": "unseen_rms",
-    "unseen by": "unseen",
-    "cross-validated rms [mm]": "left_out_rms",
-    "noise [mm]": "sigma",
-    "noise [mrad]": "sigma_angle",
-    "model": "model",
-    "larger model": "larger",
-    "rows": "rows",
-    "outliers": "outliers",
+_UNITS = {
+    **dict.fromkeys(("nominal_rms", "calibrated_rms", "unseen_rms", "left_out_rms", "sigma"), "m"),
+    "sigma_angle": "rad",
 }
+
+#: How a row stands in a file, with the units in the keys.
+ROWS = Layout({FleetRow: {name: f"{name}_{unit}" for name, unit in _UNITS.items()}}, {})
 
 
 def csv_bytes(rows: Sequence[FleetRow], odd: Sequence[tuple[str, str]]) -> bytes:
     """A table for a spreadsheet, UTF-8, a line a robot, mm and mrad, and why it is odd; what is not there is empty."""
+    apart = ("message", "kind", "measured", "parameters")
+    names = [f.name for f in fields(FleetRow) if f.name not in apart]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow((*_COLUMNS, "odd", "message"))
+    heads = [f"{name} [m{_UNITS[name]}]" if name in _UNITS else name for name in names]
+    writer.writerow((*heads, "odd", "message"))
     for row in rows:
-        values = [getattr(row, name) for name in _COLUMNS.values()]
-        if row.status != DONE:
-            values[-2:] = "", ""
+        values = [getattr(row, name) for name in names]
         numbers = [f"{1e3 * v:.6g}" if isinstance(v, float) and v == v else v for v in values]
         cells = ["" if cell != cell else cell for cell in numbers]
-        reasons = "; ".join(text for name, text in odd if name == row.name)
+        reasons = "; ".join(reason for name, reason in odd if name == row.name)
         writer.writerow((*cells, reasons, " ".join(row.message.split())))
     return text.getvalue().encode("utf-8", "backslashreplace")
 
