@@ -186,9 +186,8 @@ class Reflector(_Resent):
 
     #: shape (3,), unit vector in the tip: where the reflector's opening faces; it is made one if it is not.
     normal: Array
-    acceptance: float = (
-        ACCEPTANCE  #: Largest angle between it and the direction to the tracker [rad].
-    )
+    # Largest angle between it and the direction to the tracker [rad].
+    acceptance: float = ACCEPTANCE
 
     def __post_init__(self) -> None:
         """Check and keep a read-only unit vector."""

@@ -16,8 +16,7 @@ from calib.data.cell import Cell, Priors
 from calib.errors import MeasurementError, ModelError, choices
 from calib.estimate.problem import PART, Linear, Normal, Problem
 from calib.estimate.registration import register
-from calib.estimate.rows import Rows
-from calib.estimate.setup import KnownDistance, Setup
+from calib.estimate.setup import KnownDistance, Rows, Setup
 from calib.estimate.solvers import SOLVERS, Solution, Solver, paper_levenberg_marquardt
 from calib.estimate.stages import PriorTerms, Stage, staged
 from calib.estimate.statistics import Array, Limits, Mask, as_of_a_point, deleted_norms, repeats

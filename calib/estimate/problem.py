@@ -23,8 +23,7 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh
 from scipy.linalg.lapack import dpotrf, dtrtri
 
-from calib.estimate.rows import LENGTHS, Rows
-from calib.estimate.setup import KnownDistance
+from calib.estimate.setup import LENGTHS, KnownDistance, Rows
 from calib.estimate.solvers import triangle
 from calib.estimate.statistics import Array, Mask, as_of_a_point, deleted_norms
 from calib.model.kinematics import Kinematics

@@ -19,8 +19,7 @@ from calib.errors import MeasurementError, ModelError, choices
 from calib.estimate.fitting import PAPER, Fitted, Task, fit, model_of, prior_terms
 from calib.estimate.problem import Linear, Priors
 from calib.estimate.registration import ENOUGH, nominal_setup, register_poses
-from calib.estimate.rows import Rows
-from calib.estimate.setup import Setup, joined_setups
+from calib.estimate.setup import Rows, Setup, joined_setups
 from calib.estimate.stages import FEWEST_FREEDOM, Stage, staged
 from calib.estimate.statistics import Array, CrossValidation, Errors, Integers, Mask
 from calib.model.families import FAMILIES, joint_families
@@ -271,9 +270,8 @@ class Candidate:
     name: str  # Its set and families
     parameters: int  # Number of parameters
     log_likelihood: float  # Restricted log likelihood
-    cross_validation: (
-        CrossValidation  # On the linearised problem; "outliers" are the rows without weight
-    )
+    # On the linearised problem; "outliers" are the rows without weight
+    cross_validation: CrossValidation
     sizes: dict[str, float]  # Size of the errors of each family
     chosen: str = ""  # ``"geometry"``, ``"larger"`` or ``""``
     needed: float = _STEP  # What it had to gain over a smaller one in log likelihood

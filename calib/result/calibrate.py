@@ -18,7 +18,6 @@ from calib.data.cell import AUTO, Cell
 from calib.data.measurements import Measurements
 from calib.estimate.fitting import Fitted, Task, fit
 from calib.estimate.registration import nominal_setup
-from calib.estimate.rows import Rows
 from calib.estimate.selection import (
     Candidate,
     Progress,
@@ -26,7 +25,7 @@ from calib.estimate.selection import (
     nominal_cross_validation,
     select,
 )
-from calib.estimate.setup import known_distances, rows_of
+from calib.estimate.setup import Rows, known_distances, rows_of
 from calib.estimate.solvers import Solver
 from calib.estimate.statistics import CrossValidation, Limits, Repeats, repeats
 from calib.model.error_model import split_name

@@ -17,9 +17,8 @@ from calib.estimate.residual_tests import (
     prediction_square,
     unpredicted,
 )
-from calib.estimate.rows import Rows
 from calib.estimate.selection import only_there
-from calib.estimate.setup import joined_setups
+from calib.estimate.setup import Rows, joined_setups
 from calib.estimate.statistics import Array, Errors, Mask, pose_means
 from calib.model.error_model import error_model
 from calib.model.kinematics import FRAME, TARGET, Kinematics

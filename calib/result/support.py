@@ -17,9 +17,8 @@ from calib.data.cell import Cell
 from calib.errors import MeasurementError
 from calib.estimate.fitting import Fitted, fit
 from calib.estimate.registration import register
-from calib.estimate.rows import Rows
 from calib.estimate.selection import linear_cross_validation
-from calib.estimate.setup import Setup
+from calib.estimate.setup import Rows, Setup
 from calib.estimate.statistics import Array, Errors
 from calib.model.error_model import DIRECTIONS
 from calib.result.prediction import without_rigid_motion
@@ -113,9 +112,8 @@ class Robustness:
     lowered: bool  # Whether it is the calibration that has the weights lowered, or the fit that it is compared with
     moved_rms: float  # How far the other fit's predictions at the measured poses lie from the calibration's [m]
     moved_max: float  # The same at most [m]
-    errors_lowered: (
-        Errors  # Of rows not flagged, left out of a linearised fit, with weights lowered
-    )
+    # Of rows not flagged, left out of a linearised fit, with weights lowered
+    errors_lowered: Errors
     errors_full: Errors  # The same with every row in full
 
 

@@ -188,7 +188,7 @@ def _fit_sample(fitted: Fitted, drawn: tuple[Array, Array]) -> tuple[Array, bool
         problem,
         weights=problem.weights * count,
         centre=problem.centre + wide * normal[: len(start)],
-        distances=tuple(replace(d, length=d.length + d.sigma * by) for d, by in moved),
+        distances=tuple(d._replace(length=d.length + d.sigma * by) for d, by in moved),
     )
     size = steps(fitted.kinematics.model.units)
     solution = levenberg_marquardt(sample.system, start, step_size=size, step_tolerance=_STEP)

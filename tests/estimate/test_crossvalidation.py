@@ -13,7 +13,6 @@ from calib.data.cell import Cell, GroupDistance
 from calib.data.measurements import Measurements
 from calib.estimate import selection
 from calib.estimate.fitting import Fitted, Task, fit
-from calib.estimate.rows import Rows
 from calib.estimate.selection import (
     Folds,
     cross_validation,
@@ -21,7 +20,7 @@ from calib.estimate.selection import (
     nominal_cross_validation,
     only_there,
 )
-from calib.estimate.setup import known_distances, rows_of
+from calib.estimate.setup import Rows, known_distances, rows_of
 
 #: Numbers of kinds in the registry.
 POSE = 1

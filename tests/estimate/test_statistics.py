@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.estimate.rows import same_poses
 from calib.estimate.selection import Folds
+from calib.estimate.setup import same_poses
 from calib.estimate.statistics import Errors, interval_factor, pose_means, repeats
 
 # The paper's Table 4: errors of rows 31 to 35 before and after calibration [mm].
