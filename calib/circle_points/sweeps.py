@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.data.layout import Layout
+from calib.data.measurements import Measurements
 from calib.data.points_file import PARTS, Points, read_points
 from calib.data.table import ORIENTATION, Table, list_columns, name_columns, reserved
-from calib.data.values import read_values
 from calib.errors import MeasurementError, choices
 from calib.robot.robot import read_only
 
@@ -196,7 +196,7 @@ def _from_table(
         for row in table.cells
     )
     layout = replace(layout, groups=(sweep,))
-    values = read_values(replace(table, cells=cells), layout, points)
+    values = Measurements.of_layout(replace(table, cells=cells), layout, points)
     joints = values.joints if there else None
     return _split(
         values.groups,

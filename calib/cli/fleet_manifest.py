@@ -49,9 +49,9 @@ def read_manifest(
             f"and may have {choices(OPTIONAL)}."
         )
     robots, names = [], []
-    for row in table.rows():
-        where = f"{path.name}, line {row.line}"
-        cells = {k: v for k, v in zip(header, row.cells, strict=False) if k and v}
+    for line, row in zip(table.lines, table.cells, strict=True):
+        where = f"{path.name}, line {line}"
+        cells = {k: v for k, v in zip(header, row, strict=True) if k and v}
         if not cells.keys() >= set(NEEDED):
             raise CalibError(f"{where}: a cell is empty; each robot has {choices(NEEDED)}.")
         names.append((cells["name"], where))

@@ -38,7 +38,7 @@ from calib.compensation.inverse import (
 )
 from calib.compensation.nominal_actual import Pair, pair_of
 from calib.compensation.program import CORRECTION, Program
-from calib.data.checks import to_quaternions
+from calib.data.kinds import to_quaternions
 from calib.data.table import POINT, QUATERNION, ROLL_PITCH_YAW, ROTATION_VECTOR, STATUS
 from calib.files import write_atomically
 from calib.result.calibration import Calibration

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib.data.checks import no_rotation
+from calib.data.kinds import no_rotation
 from calib.errors import ModelError, choices
 from calib.model.anchoring import check_same_joints
 from calib.model.error_model import axis_twists, error_model

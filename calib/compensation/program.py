@@ -1,6 +1,6 @@
 """Program: what a robot is to do, row by row: joint values made for the nominal robot, or poses of its tool.
 
-As a file it is read as a table of measurements is (`calib.data.values`). What is different: poses may also be given by
+As a file it is read as a table of measurements is (`calib.data.layout`). What is different: poses may also be given by
 roll, pitch and yaw, nothing may be missing, and columns that mean nothing here are kept.
 """
 
@@ -15,8 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.compensation.inverse import MATCHES, POSITION
-from calib.data.checks import no_rotation
+from calib.data.kinds import no_rotation
 from calib.data.layout import Layout
+from calib.data.measurements import Measurements
 from calib.data.table import (
     POINT,
     QUATERNION,
@@ -30,7 +31,6 @@ from calib.data.table import (
     with_unit,
     without_unit,
 )
-from calib.data.values import read_values
 from calib.errors import MeasurementError, ModelError, choices
 from calib.robot.robot import Robot, read_only
 from calib.units import Quantity
@@ -136,14 +136,14 @@ def read_program(
         MeasurementError: The table cannot be read; the text names file, row and column.
     """
     table = Table.read(path)
-    rows = list(table.rows())
+    rows = table.cells
     names = robot.joint_names
     named, _ = name_columns(table, names, columns or {})
     if any(name.startswith(CORRECTION) for name in named):
         raise MeasurementError(
             f"{table.source}: these are commands of calib compensate, corrected already. Give the program itself."
         )
-    filled = {i for row in rows for i, cell in enumerate(row.cells) if cell}
+    filled = {i for row in rows for i, cell in enumerate(row) if cell}
 
     def block(wanted: Sequence[str]) -> tuple[Column, ...]:
         """The columns of these names, all or none; none if no cell is filled in, as in a plan of poses."""
@@ -177,7 +177,7 @@ def read_program(
     unread |= {i for i, label in enumerate(table.header) if not label and i in filled}
     labels = table.column(named["row"]) if "row" in named else []
     if len(set(labels)) < len(rows) or "" in labels:
-        labels = [str(row.ordinal) for row in rows]
+        labels = [str(i + 1) for i in range(len(rows))]
     return Program(
         labels=tuple(f"row {label}" for label in labels),
         q=q,
@@ -185,7 +185,7 @@ def read_program(
         oriented=bool(form) or not points,
         match=match,
         start=start,
-        kept=tuple((table.header[i], tuple(row.cells[i] for row in rows)) for i in sorted(unread)),
+        kept=tuple((table.header[i], tuple(row[i] for row in rows)) for i in sorted(unread)),
         form=FORMS.get(form, ""),
     )
 
@@ -216,7 +216,7 @@ def _numbers(
         "orientation": () if by_angles else turns,
     }
     kind = "fixed" if not points else "pose" if blocks["orientation"] else "point"
-    values = read_values(table, Layout({}, (), blocks, (kind,), ()))
+    values = Measurements.of_layout(table, Layout({}, (), blocks, (kind,)))
     if values.unmeasured:
         raise MeasurementError(
             f"{table.source}, row {values.unmeasured[0]}: there is no position, all its cells are empty, while other "

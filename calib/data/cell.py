@@ -19,8 +19,7 @@ from numpy.typing import ArrayLike
 
 import calib.data.kinds as registry
 from calib.data.cell_file import read_cell_file
-from calib.data.checks import FARTHEST, SIGMAS
-from calib.data.kinds import DIRECTIONS
+from calib.data.kinds import DIRECTIONS, FARTHEST, SIGMAS
 from calib.data.surroundings import (
     POSE,
     VECTOR,

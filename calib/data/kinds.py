@@ -33,6 +33,15 @@ DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
 #: A distance below this has no direction [m].
 _TINY = 1e-12
 
+#: No instrument is better or worse than this [m or rad], and squares beyond it leave the range of numbers.
+SIGMAS = (1e-15, 1e6)
+
+#: Beyond this [m or rad] doubles are further apart than what calib computes to, and no robot gets there.
+FARTHEST = 1e6
+
+#: A matrix of seven digits is orthonormal to this.
+_MATRIX_TOLERANCE = 1e-6
+
 
 @dataclass(frozen=True, slots=True)
 class Reading:
@@ -191,6 +200,23 @@ def at(number: int) -> Kind:
 def readings() -> dict[str, Reading]:
     """The readings of all kinds, by their columns' names."""
     return {one.name: one for kind in _KINDS.values() for one in kind.readings}
+
+
+def no_rotation(matrices: Array) -> NDArray[np.bool_]:
+    """True for matrices (N, 3, 3) that are not finite, orthonormal and right-handed, shape (N,)."""
+    product = np.swapaxes(matrices, 1, 2) @ matrices
+    error = np.abs(product - np.eye(3)).max(axis=(1, 2), initial=0.0)
+    good = (error <= _MATRIX_TOLERANCE) & (np.linalg.det(np.nan_to_num(matrices)) > 0.0)
+    return np.asarray(~good, dtype=np.bool_)
+
+
+def to_quaternions(rotations: Array) -> Array:
+    """Unit quaternions (x, y, z, w) with w >= 0, shape (N, 4), of matrices (N, 3, 3). NaN rows stay NaN."""
+    result = np.full((len(rotations), 4), np.nan)
+    there = np.isfinite(rotations).all(axis=(1, 2))
+    if there.any():
+        result[there] = Rotation.from_matrix(rotations[there]).as_quat(canonical=True)
+    return result
 
 
 def unit(v: Array) -> Array:

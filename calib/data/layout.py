@@ -1,24 +1,35 @@
-"""Which column of a table of measurements is what, and the kinds of its rows."""
+"""Which column of a table is what, of what kinds its rows are, and what they hold in SI units."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from itertools import compress
+from typing import Any, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 import calib.data.kinds as registry
 from calib.data.kinds import Kind
+from calib.data.points_file import Points
 from calib.data.table import (
     COMMON,
+    DEFAULT_TARGET,
     EXPECTED,
     ORIENTATION,
     POINT,
     QUATERNION,
     ROTATION_VECTOR,
+    SETS,
     STATUS,
     TORQUE,
     Column,
     Table,
     close_names,
+    implausible,
     list_columns,
     name_columns,
     reserved,
@@ -26,69 +37,38 @@ from calib.data.table import (
     without_unit,
 )
 from calib.errors import MeasurementError, choices
-from calib.units import Quantity, split_header
+from calib.units import Quantity, Unit
 
+Array = NDArray[np.float64]
 Columns = tuple[Column, ...]
+Named = Mapping[str, Column]
+
+#: The words of a row, and what stands for them in a table without the column.
+_DEFAULTS = {"set": SETS[0], "target": DEFAULT_TARGET, "group": "", "pair": "", "point": ""}
+
+#: The blocks of several columns.
+_WIDE = ("joints", "torques", "points", "orientation")
+
+# Half of a column beyond this [rad]: hardly any joint turns so far, and degrees mostly do.
+_TURNS_RAD = 7.0
+
+# A quaternion written with four digits has length one to half of this.
+_LENGTH_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Which column of a table is what.
+    """Which column of a table is what."""
 
-    Attributes:
-        words: the columns ``row``, ``set``, ``kind``, ``target``, ``pair``, ``point`` that are used, by name; and
-            ``status`` of a table of commands.
-        groups: the columns whose words make the group's name, in the order of the table.
-        blocks: the columns of numbers that are used: ``joints`` (in the order asked for, else in that of the
-            table), ``torques``, ``points``, ``orientation`` (three or four), ``sigma``, ``sigma_angle``, and each
-            reading of a kind by its name.
-        kinds: the kinds of the rows; more than one only with a column ``kind``.
-        ignored: the headers of the columns that were not used, but for those that a plan has and a fit does not need.
-        numbers: the columns of numbers, block after block.
-    """
-
-    words: Mapping[str, Column]
-    groups: Columns
+    #: ``row``, ``set``, ``kind``, ``target``, ``pair``, ``point``, ``status`` that are used, by name.
+    words: Named
+    groups: Columns  #: Those whose words make the group's name, in the order of the table.
+    #: The columns of numbers that are used: ``joints`` in the order asked for, ``torques``, ``points``, ``orientation``
+    #: (three or four), ``sigma``, ``sigma_angle``, and each reading of a kind by its name.
     blocks: Mapping[str, Columns]
-    kinds: tuple[str, ...]
-    ignored: tuple[str, ...]
-    numbers: Columns = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        """Put the columns of numbers together once."""
-        every = tuple(column for block in self.blocks.values() for column in block)
-        object.__setattr__(self, "numbers", every)
-
-    @property
-    def joint_names(self) -> tuple[str, ...]:
-        """The names of the joints."""
-        return tuple(column.name for column in self.blocks["joints"])
-
-    @property
-    def prismatic(self) -> tuple[str, ...]:
-        """The names of the joint columns in a unit of length."""
-        joints = self.blocks["joints"]
-        return tuple(c.name for c in joints if c.unit and c.unit.quantity == "length")
-
-    def span(self, name: str) -> list[int]:
-        """Where the columns of a block stand among ``numbers``; nowhere if it is not there."""
-        start = 0
-        for block, columns in self.blocks.items():
-            if block == name:
-                return list(range(start, start + len(columns)))
-            start += len(columns)
-        return []
-
-    def measured_by(self, kind: str) -> list[int]:
-        """Which of ``numbers`` hold what a row of this kind measures; none if that is nothing, or stands elsewhere."""
-        own = registry.get(kind)
-        names = ["points"] * own.position + ["orientation"] * own.orientation
-        return [i for n in (*names, *(one.name for one in own.readings)) for i in self.span(n)]
-
-    def used_by(self, kind: str) -> list[int]:
-        """Which of ``numbers`` a row of this kind uses."""
-        names = ["joints", "torques", "sigma"] + ["sigma_angle"] * (registry.get(kind).angles > 0)
-        return [i for name in names for i in self.span(name)] + self.measured_by(kind)
+    kinds: tuple[str, ...]  #: Of the rows; more than one only with a column ``kind``.
+    #: The headers of the columns that were not used, but for those that a plan has and a fit does not need.
+    ignored: tuple[str, ...] = ()
 
     @classmethod
     def find(
@@ -104,99 +84,93 @@ class Layout:
         """Find the columns, see `Measurements.read`; with ``points_elsewhere`` the rows only name their points.
 
         Raises:
-            MeasurementError: a column is missing, there twice, without a unit or in a wrong one.
+            MeasurementError: A column is missing, there twice, without a unit or in a wrong one.
         """
         named, groups = name_columns(table, joint_names or (), columns or {})
         joints = _joints(table, named, joint_names, joint_types or {})
         kinds = _kinds(table, named, kind, points_elsewhere=points_elsewhere)
         present = [registry.get(name) for name in kinds]
-        blocks = _blocks(table, named, joints, present, points_elsewhere=points_elsewhere)
-        words: dict[str, Column] = {n: named[n] for n in ("row", "set", "target") if n in named}
+        blocks = {
+            "joints": joints,
+            "torques": _torques(table, named, joints),
+            "sigma": tuple(with_unit(table, named[n], "length") for n in ("sigma",) if n in named),
+        }
+        if any(one.position for one in present) and not points_elsewhere:
+            blocks["points"] = tuple(
+                _needed(table, named, name, "length", "measured points") for name in POINT
+            )
+        if any(one.orientation for one in present):
+            blocks["orientation"] = _orientation(table, named)
+        if any(one.angles for one in present) and "sigma_angle" in named:
+            blocks["sigma_angle"] = (with_unit(table, named["sigma_angle"], "angle"),)
+        used = ["row", "set", "target", *["kind"] * (kind is None), *["point"] * points_elsewhere]
         # A table of commands says in its status where a row has none, and its cells are empty.
-        if {"correction position", STATUS} <= named.keys():
-            words[STATUS] = named[STATUS]
-        if points_elsewhere and "point" in named:
-            words["point"] = named["point"]
-        if kind is None and "kind" in named:
-            words["kind"] = named["kind"]
-        for one in (one for one in present if one.paired):
-            what = f"rows of the kind '{one.name}', of which two share a word,"
-            words["pair"] = _needed(table, named, "pair", "pair", what)
+        used += [STATUS] * ("correction position" in named)
+        words = {name: named[name] for name in used if name in named}
+        for one in present:
+            what = f"rows of the kind '{one.name}'"
+            for read in one.readings:
+                blocks[read.name] = (_needed(table, named, read.name, read.quantity, what),)
+            if one.paired:
+                words["pair"] = _needed(table, named, "pair", None, what)
         taken = {c.index for block in (words.values(), groups, *blocks.values()) for c in block}
         taken |= {c.index for n, c in named.items() if n.startswith(EXPECTED) or n == "point"}
-        if points_elsewhere:
-            taken |= _empty(table, [named[n] for n in (*POINT, *ORIENTATION) if n in named])
+        if points_elsewhere:  # a plan leaves them empty in all rows
+            plan = [named[n] for n in (*POINT, *ORIENTATION) if n in named]
+            taken |= {c.index for c in plan if not any(table.column(c))}
         ignored = tuple(label for i, label in enumerate(table.header) if label and i not in taken)
         return cls(words, groups, blocks, kinds, ignored)
 
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """The names of the joints."""
+        return tuple(column.name for column in self.blocks["joints"])
 
-def _blocks(
-    table: Table,
-    named: Mapping[str, Column],
-    joints: Columns,
-    present: Sequence[Kind],
-    *,
-    points_elsewhere: bool,
-) -> dict[str, Columns]:
-    """The columns of numbers, see `Layout`."""
-    blocks: dict[str, Columns] = {
-        "joints": joints,
-        "torques": _torques(table, named, joints),
-        "sigma": _optional(table, named, "sigma", "length"),
-    }
-    if any(one.position for one in present) and not points_elsewhere:
-        blocks["points"] = _points(table, named)
-    if any(one.orientation for one in present):
-        blocks["orientation"] = _orientation(table, named)
-    if any(one.angles for one in present):
-        blocks["sigma_angle"] = _optional(table, named, "sigma_angle", "angle")
-    for one in present:
-        for read in one.readings:
-            header = f"{read.name} [{COMMON[read.quantity]}]"
-            column = _needed(table, named, read.name, header, f"rows of the kind '{one.name}'")
-            blocks[read.name] = (with_unit(table, column, read.quantity),)
-    return blocks
+    @property
+    def prismatic(self) -> tuple[str, ...]:
+        """The names of the joint columns in a unit of length."""
+        return tuple(c.name for c in self.blocks["joints"] if _unit(c).quantity == "length")
+
+    def measured_by(self, kind: Kind) -> list[str]:
+        """The blocks that hold what a row of this kind measures; none if that is nothing, or stands elsewhere."""
+        names = ["points"] * kind.position + ["orientation"] * kind.orientation
+        return [n for n in (*names, *(one.name for one in kind.readings)) if self.blocks.get(n)]
 
 
-def _empty(table: Table, columns: Sequence[Column]) -> set[int]:
-    """Where those of these columns stand that a plan has left empty in all rows."""
-    return {column.index for column in columns if not any(table.column(column))}
+def _unit(column: Column) -> Unit:
+    """The unit of a column of lengths or angles, which was made sure of."""
+    assert column.unit is not None
+    return column.unit
 
 
 def _kinds(
-    table: Table, named: Mapping[str, Column], kind: str | None, *, points_elsewhere: bool
+    table: Table, named: Named, kind: str | None, *, points_elsewhere: bool
 ) -> tuple[str, ...]:
     """The kinds of the rows: as given, else from the column ``kind``, else from the columns there are."""
+    known = registry.names()
     if kind is not None:
         kinds: tuple[str, ...] = (registry.get(kind).name,)
     elif "kind" in named:
-        kinds = _kinds_in(table, named["kind"], named.get("row"))
+        cells = table.column(named["kind"])
+        for i in (i for i, word in enumerate(cells) if word not in known):
+            what = (
+                f"'{cells[i]}' is not a kind of measurement; allowed are {choices(known)}. --columns "
+                f'"{named["kind"].label}=-" leaves the column out.'
+            )
+            table.fail(i, named["kind"], what, named.get("row"))
+        kinds = tuple(one for one in known if one in cells) or ("point",)
     else:
         kinds = ("point",) if points_elsewhere else (_guess_kind(named),)
     wrong = any(registry.get(name).orientation for name in kinds) or "point" not in kinds
     if points_elsewhere and wrong:
         raise MeasurementError(
-            f"{table.source}: with a file of points the rows are of the kind 'point', or some are "
-            f"of others that measure no position; here they are {choices(kinds)}. Leave out the "
-            "file of points (--points), or the kind."
+            f"{table.source}: with a list of points (--points) rows are of the kind 'point', or of kinds that measure "
+            f"no position; here they are {choices(kinds)}. Leave out the list, or the kind."
         )
     return kinds
 
 
-def _kinds_in(table: Table, column: Column, numbers: Column | None) -> tuple[str, ...]:
-    """The kinds that occur in the column ``kind``, in the order of the registry."""
-    known, cells = registry.names(), table.column(column)
-    for i, word in enumerate(cells):
-        if word not in known:
-            raise MeasurementError(
-                f"{table.place(i, numbers, column)}: '{word}' is not a kind of measurement; allowed are "
-                f"{choices(known)}. If the column means something else, "
-                f'--columns "{split_header(column.label)[0]}=-" leaves it out.'
-            )
-    return tuple(kind for kind in known if kind in cells) or ("point",)
-
-
-def _guess_kind(named: Mapping[str, Column]) -> str:
+def _guess_kind(named: Named) -> str:
     """The kind of all rows from the columns that there are."""
     if any(named.keys() >= set(names) for names in (QUATERNION, ROTATION_VECTOR)):
         return "pose"
@@ -207,46 +181,31 @@ def _guess_kind(named: Mapping[str, Column]) -> str:
     return "point"
 
 
-def _needed(
-    table: Table, named: Mapping[str, Column], name: str, header: str, what: str, more: str = ""
-) -> Column:
-    """The column of this name, or an error that says what needs it and what header it has."""
-    if name not in named:
-        raise MeasurementError(
-            f"{table.source}: {what} need a column '{header}', and there is none. {list_columns(table)} "
-            f'Another name is mapped by --columns "name in the table={header}".{more}'
-        )
-    return named[name]
-
-
-def _points(table: Table, named: Mapping[str, Column]) -> Columns:
-    """The columns x, y, z."""
+def _needed(table: Table, named: Named, name: str, quantity: Quantity | None, what: str) -> Column:
+    """The column of this name, in a unit of its quantity (words have none)."""
+    if name in named:
+        return named[name] if quantity is None else with_unit(table, named[name], quantity)
+    header = f"{name} [{COMMON[quantity]}]" if quantity else name
     more = ""
-    if not any(name in named for name in POINT):
+    if not any(one in named for one in POINT) and name in POINT:
         more = (
-            " Rows that measure no position have a column 'distance [mm]', or are read with --kind "
-            "fixed or --kind plane and a column 'group' (or --columns \"name in the table=group\", "
-            "once or more)."
+            " Rows that measure no position have a column 'distance [mm]', or are read with --kind fixed or --kind "
+            "plane and a column 'group' (or --columns \"name in the table=group\", once or more)."
         )
-    found = [_needed(table, named, n, f"{n} [mm]", "measured points", more) for n in POINT]
-    return tuple(with_unit(table, column, "length") for column in found)
+    raise MeasurementError(
+        f"{table.source}: {what} need a column '{header}', and there is none. {list_columns(table)} Another name is "
+        f'mapped by --columns "name in the table={header}".{more}'
+    )
 
 
-def _orientation(table: Table, named: Mapping[str, Column]) -> Columns:
+def _orientation(table: Table, named: Named) -> Columns:
     """The columns of a quaternion or of a rotation vector; of one of them."""
     there = [n for n in (QUATERNION, ROTATION_VECTOR) if all(name in named for name in n)]
-    if not there:
-        parts = [name for name in ORIENTATION if name in named]
-        some = f" There are only {choices(parts)}." if parts else ""
+    if len(there) != 1:
         raise MeasurementError(
-            f"{table.source}: rows of the kind 'pose' need an orientation.{some} "
-            f"{list_columns(table)} Its columns are qx, qy, qz, qw (a quaternion, no unit) or "
-            "'rx [rad]', 'ry [rad]', 'rz [rad]' (a rotation vector). Without one, --kind point."
-        )
-    if len(there) == 2:
-        raise MeasurementError(
-            f"{table.source}: the orientation is there twice, as {choices(QUATERNION)} and as "
-            f'{choices(ROTATION_VECTOR)}. Leave one out: --columns "rx=-" or --columns "qx=-".'
+            f"{table.source}: rows of the kind 'pose' need one orientation: qx, qy, qz, qw (a quaternion, no unit) or "
+            f"'rx [rad]', 'ry [rad]', 'rz [rad]' (a rotation vector). {list_columns(table)} --columns \"rx=-\" leaves "
+            "one out; --kind point reads none."
         )
     if there[0] == ROTATION_VECTOR:
         what = "a rotation vector; --kind point leaves the orientation out"
@@ -254,28 +213,20 @@ def _orientation(table: Table, named: Mapping[str, Column]) -> Columns:
     return tuple(without_unit(table, named[name]) for name in QUATERNION)
 
 
-def _optional(table: Table, named: Mapping[str, Column], name: str, quantity: Quantity) -> Columns:
-    """The column of this name and quantity, if it is there."""
-    return (with_unit(table, named[name], quantity),) if name in named else ()
-
-
-def _torques(table: Table, named: Mapping[str, Column], joints: Columns) -> Columns:
+def _torques(table: Table, named: Named, joints: Columns) -> Columns:
     """The columns of torques, those that there are, in the order of the joints."""
     found = []
     for joint in joints:
         column = named.get(joint.name + TORQUE)
-        if column is not None and column.name not in {other.name for other in joints}:
-            sliding = joint.unit is not None and joint.unit.quantity == "length"
-            what = f"{'prismatic' if sliding else 'revolute'} joint '{joint.name}'"
-            found.append(with_unit(table, column, "force" if sliding else "torque", what))
+        if column is not None and column not in joints:
+            slides = _unit(joint).quantity == "length"
+            what = f"{'prismatic' if slides else 'revolute'} joint '{joint.name}'"
+            found.append(with_unit(table, column, "force" if slides else "torque", what))
     return tuple(found)
 
 
 def _joints(
-    table: Table,
-    named: Mapping[str, Column],
-    joint_names: Sequence[str] | None,
-    types: Mapping[str, str],
+    table: Table, named: Named, joint_names: Sequence[str] | None, types: Mapping[str, str]
 ) -> Columns:
     """The columns of the joints asked for, in that order; else those in angles, and known prismatic ones."""
     free = {n: c for n, c in named.items() if n not in (*reserved(), *ORIENTATION)}
@@ -283,14 +234,14 @@ def _joints(
         joints = [
             c for n, c in free.items() if c.unit and (c.unit.quantity == "angle" or n in types)
         ]
+        if not joints:
+            raise MeasurementError(
+                f"{table.source}: no column of joint angles. {list_columns(table)} The header of such a column is the "
+                "joint's name and a unit of angle, 'elbow_joint [deg]'."
+            )
     else:
-        _check_named(table, named, joint_names, types, free)
+        _check_named(table, named, joint_names, types, [n for n in free if n not in joint_names])
         joints = [named[name] for name in joint_names]
-    if not joints and joint_names is None:
-        raise MeasurementError(
-            f"{table.source}: no column of joint angles. {list_columns(table)} The header of such a "
-            "column is the joint's name and a unit of angle, 'elbow_joint [deg]'."
-        )
     for column in joints:
         kind = types.get(column.name)
         if kind is not None or column.unit is None:
@@ -301,28 +252,227 @@ def _joints(
 
 def _check_named(
     table: Table,
-    named: Mapping[str, Column],
+    named: Named,
     joint_names: Sequence[str],
     types: Mapping[str, str],
-    free: Mapping[str, Column],
+    others: Sequence[str],
 ) -> None:
     """Refuse joints without a column, and those whose name is another column's."""
     clash = [name for name in joint_names if name in reserved()]
     if clash:
         raise MeasurementError(
-            f"{table.source}: a joint cannot be called {choices(clash)}, which is the name of "
-            "another column of the table. Rename the joint in the URDF."
+            f"{table.source}: a joint cannot be called {choices(clash)}, which is the name of another column of the "
+            "table. Rename the joint in the URDF."
         )
     missing = [name for name in joint_names if name not in named]
-    if not missing:
-        return
-    others = [name for name in free if name not in joint_names]
-    # One each where many are missing: the line stays short enough to read.
-    close = {name: close_names(name, others)[: 3 if len(missing) < 3 else 1] for name in missing}
-    hint = "".join(f" Close to '{n}': {choices(names)}." for n, names in close.items() if names)
-    header = f"{missing[0]} [{'mm' if types.get(missing[0]) == 'prismatic' else 'deg'}]"
-    raise MeasurementError(
-        f"{table.source}: no column for the joints {choices(missing)}. {list_columns(table)}{hint} "
-        f"The header of such a column is '{header}'; another name is mapped by "
-        f'--columns "name in the table={header}".'
+    if missing:
+        # One each where many are missing: the line stays short enough to read.
+        most = 3 if len(missing) < 3 else 1
+        close = {name: close_names(name, others)[:most] for name in missing}
+        hint = "".join(f" Close to '{n}': {choices(names)}." for n, names in close.items() if names)
+        header = f"{missing[0]} [{'mm' if types.get(missing[0]) == 'prismatic' else 'deg'}]"
+        raise MeasurementError(
+            f"{table.source}: no column for the joints {choices(missing)}. {list_columns(table)}{hint} The header of "
+            f"such a column is '{header}'; another name is mapped by --columns \"name in the table={header}\"."
+        )
+
+
+# Values
+
+
+def read_values(table: Table, layout: Layout, elsewhere: Points | None = None) -> dict[str, Any]:
+    """What the rows hold, but for those in which all cells of the measurement are empty: arguments of `Measurements`.
+
+    The points of the rows may stand ``elsewhere``: the rows name them (those of others are left out), or are in its
+    order.
+
+    Raises:
+        MeasurementError: A cell or a column's values cannot be used, a point is not there or is that of another row,
+            or nothing is measured.
+    """
+    columns = {name: block for name, block in layout.blocks.items() if block}
+    written = table.numbers([column for block in columns.values() for column in block])
+    grid, end = {}, 0
+    for name, block in columns.items():
+        grid[name] = written[:, end : end + len(block)]
+        end += len(block)
+    count = len(table.cells)
+    kinds = np.full(count, layout.kinds[0])
+    if "kind" in layout.words:
+        kinds = np.array(table.column(layout.words["kind"]), dtype=np.str_)
+    measured = _measured(table, layout, grid, kinds)
+    if not measured.any():
+        raise MeasurementError(_no_rows(table, layout))
+    present = [registry.get(name) for name in layout.kinds]
+    paired = np.isin(kinds, [kind.name for kind in present if kind.paired])
+    placed = np.isin(kinds, [kind.name for kind in present if kind.position])
+    words = {name: _words(table, layout, name) for name in _DEFAULTS}
+    told = {"target": measured, "pair": measured & paired, "point": measured & placed}
+    for name in told.keys() & layout.words.keys():
+        for i in (i for i in np.flatnonzero(told[name]).tolist() if not words[name][i]):
+            what = "the cell is empty. Fill it in, or remove the row."
+            table.fail(i, layout.words[name], what, layout.words.get("row"))
+    every = _row_numbers(table, layout)
+    if elsewhere is not None:
+        at = np.flatnonzero(measured & placed)
+        names = [words["point"][i] for i in at] if "point" in layout.words else None
+        points = np.full((count, 3), np.nan)
+        found = elsewhere.of_rows(table.source, [every[i] for i in at], names)
+        points[at] = elsewhere.points[found]
+        measured[at] = np.array(found, dtype=np.intp) >= 0
+    rows = list(compress(every, measured))
+    words = {name: list(compress(found, measured)) for name, found in words.items()}
+    _check_units(
+        table, layout, {n: np.where(measured[:, None], v, np.nan) for n, v in grid.items()}
     )
+    si = {
+        name: values[measured] * [column.to_si for column in columns[name]]
+        for name, values in grid.items()
+    }
+    if elsewhere is not None:
+        si["points"] = points[measured]
+    torques = None
+    if "torques" in si:
+        torques = np.full((len(rows), len(layout.joint_names)), np.nan)
+        driven = [c.name.removesuffix(TORQUE) for c in layout.blocks["torques"]]
+        torques[:, [layout.joint_names.index(name) for name in driven]] = si["torques"]
+    single = {name: block[:, 0] for name, block in si.items() if name not in _WIDE}
+    readings = {name: single[name] for name in registry.readings() if name in single}
+    return {
+        "joints": si.get("joints", np.empty((len(rows), 0))),
+        "points": si.get("points", np.full((len(rows), 3), np.nan)),
+        "sets": words["set"],
+        "sigma": single.get("sigma"),
+        "targets": words["target"],
+        "groups": words["group"],
+        "rows": rows,
+        "kinds": kinds[measured].tolist(),
+        "rotations": _matrices(si["orientation"]) if "orientation" in si else None,
+        "distances": readings.pop("distance", None),
+        "readings": readings,
+        "sigma_angle": single.get("sigma_angle"),
+        "pairs": words["pair"],
+        "torques": torques,
+        "unmeasured": list(compress(every, ~measured)),
+    }
+
+
+def _no_rows(table: Table, layout: Layout) -> str:
+    """What to say of a table without rows, or without any that is measured."""
+    if not table.cells:
+        return f"{table.source}: the table has a header and no rows below it"
+    own = [n for kind in layout.kinds for n in layout.measured_by(registry.get(kind))]
+    columns = [c.label for name in dict.fromkeys(own) for c in layout.blocks[name]]
+    listed = ", or give the instrument's list of points with --points" * ("point" in layout.kinds)
+    return (
+        f"{table.source}: nothing is measured yet; {choices(columns)} are empty in all {len(table.cells)} rows. Fill "
+        f"in what was measured at each pose{listed}."
+    )
+
+
+def _measured(
+    table: Table, layout: Layout, grid: dict[str, Array], kinds: NDArray[np.str_]
+) -> NDArray[np.bool_]:
+    """Whether anything is measured in each row; in ``grid`` NaN replaces what a row's kind lacks."""
+    measured = np.ones(len(table.cells), dtype=np.bool_)
+    if STATUS in layout.words:
+        status = table.column(layout.words[STATUS])
+        measured &= [not word.startswith("no command: ") for word in status]
+    for kind in map(registry.get, layout.kinds):
+        of_kind, own = kinds == kind.name, layout.measured_by(kind)
+        if own and not kind.paired:  # one row of a pair has the measurement of both
+            measured &= ~(of_kind & np.isnan(np.hstack([grid[n] for n in own])).all(axis=1))
+        used = {"joints", "torques", "sigma", *["sigma_angle"] * (kind.angles > 0), *own}
+        for name, values in grid.items():
+            if name not in used:
+                values[of_kind] = np.nan
+                continue
+            bad = ~np.isfinite(values) & (of_kind & measured)[:, None]
+            if kind.paired and name in own:
+                bad &= ~np.isnan(values)
+            if bad.any():
+                i, k = map(int, np.argwhere(bad)[0])
+                _no_number(table, layout, i, layout.blocks[name][k])
+    return measured
+
+
+def _no_number(table: Table, layout: Layout, row: int, column: Column) -> NoReturn:
+    """Refuse a cell in which a finite number should stand."""
+    text = table.cells[row][column.index][:80]
+    what = f"{text!r} is not a finite number. Write it as 123.45; the unit is in the header."
+    if not text:
+        what = "the cell is empty. Fill in the number, or remove the row."
+    elif "," in text and table.separator == ",":
+        what = (
+            f"'{text}' has a decimal comma. Write a decimal point, or separate the columns by semicolons: then decimal "
+            "commas are read."
+        )
+    table.fail(row, column, what, layout.words.get("row"))
+
+
+def _row_numbers(table: Table, layout: Layout) -> list[int]:
+    """The numbers of the rows that a person sees."""
+    column = layout.words.get("row")
+    if column is None:
+        return list(range(1, len(table.cells) + 1))
+    found = table.column(column)
+    for i, text in enumerate(found):
+        if not re.fullmatch(r"[+-]?[0-9]{1,18}", text):
+            table.fail(i, column, f"'{text}' is not a whole number. Number the rows.", column)
+    return list(map(int, found))
+
+
+def _words(table: Table, layout: Layout, name: str) -> list[str]:
+    """The words of all rows: those of a column, or what stands for them without it."""
+    if name == "group" and layout.groups:
+        return ["/".join(row[c.index] for c in layout.groups) for row in table.cells]
+    if name in layout.words:
+        return table.column(layout.words[name])
+    return [_DEFAULTS[name]] * len(table.cells)
+
+
+def _matrices(values: Array) -> Array:
+    """Rotation matrices, (N, 3, 3), of quaternions (N, 4) or of vectors (N, 3) [rad]; NaN rows stay NaN."""
+    result = np.full((len(values), 3, 3), np.nan)
+    there = np.isfinite(values).all(axis=1)
+    if there.any():
+        make = Rotation.from_quat if values.shape[1] == 4 else Rotation.from_rotvec
+        result[there] = make(values[there]).as_matrix()
+    return result
+
+
+@np.errstate(over="ignore")  # what is infinite is too large as well
+def _check_units(table: Table, layout: Layout, grid: Mapping[str, Array]) -> None:
+    """Refuse metres read as millimetres, degrees as radians, in the numbers as written, NaN where a row has none."""
+    lengths = {
+        n: one.positive for n, one in registry.readings().items() if one.quantity == "length"
+    }
+    for name, numbers in grid.items():
+        columns = layout.blocks[name]
+        # A place or an orientation is told by all of its columns, a joint by its own.
+        single = [([column], numbers[:, [k]]) for k, column in enumerate(columns)]
+        for own, values in single if name == "joints" else [(list(columns), numbers)]:
+            there = np.isfinite(values).all(axis=1)
+            units = [column.unit for column in own if column.unit]
+            if not there.any():
+                continue
+            size, fault = np.linalg.norm(values, axis=1), None
+            if name == "orientation" and not units:
+                wrong = np.flatnonzero(np.abs(size - 1.0) > _LENGTH_TOLERANCE)
+                if wrong.size:
+                    what = f"the quaternion has the length {size[wrong[0]]:.6g}; that of an orientation is 1."
+                    fault = int(wrong[0]), 0, what
+            elif name in ("orientation", "joints") and {unit.symbol for unit in units} == {"rad"}:
+                if np.median(size[there]) > _TURNS_RAD:
+                    raise MeasurementError(
+                        f"{table.source}, column '{own[0].label}': half of the values are beyond "
+                        f"{np.median(size[there]):.4g} rad, more than a turn; they look like degrees. If they are, "
+                        f"write '{own[0].name} [deg]' into the header."
+                    )
+            elif name in ("points", *lengths) or (
+                name == "joints" and units[0].quantity == "length"
+            ):
+                near = name == "points" or lengths.get(name, False)
+                fault = implausible(values, units, near=near)
+            if fault is not None:
+                table.fail(fault[0], own[fault[1]], fault[2], layout.words.get("row"))

@@ -18,10 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import calib.data.kinds as registry
-from calib.data import checks
-from calib.data.kinds import Kind
-from calib.data.layout import Layout
-from calib.data.points_file import read_points
+from calib.data.kinds import FARTHEST, SIGMAS, Kind, no_rotation, to_quaternions
+from calib.data.layout import Layout, read_values
+from calib.data.points_file import Points, read_points
 from calib.data.table import (
     COMMON,
     DEFAULT_TARGET,
@@ -32,12 +31,12 @@ from calib.data.table import (
     Table,
     reserved,
 )
-from calib.data.values import read_values
 from calib.errors import MeasurementError, choices
 from calib.files import write_atomically
 from calib.units import UNITS, Quantity
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 # Two rows that share a distance have it to all digits of a table [m].
 _AGREE_M = 1e-9
@@ -58,9 +57,8 @@ class Measurements:
     joint_names: tuple[str, ...]  #: The order of the columns of ``joints``.
     joints: Array  #: Joint values, shape (N, n), [rad] or, for ``prismatic`` joints, [m].
     points: Array  #: Measured positions of the targets in the measurement frame, shape (N, 3), [m].
-    sets: tuple[
-        str, ...
-    ] = ()  #: ``"estimate"`` or ``"validate"``; all ``"estimate"`` when not given.
+    #: ``"estimate"`` or ``"validate"``; all ``"estimate"`` when not given.
+    sets: tuple[str, ...] = ()
     sigma: Array | None = None  #: Standard deviation of one coordinate or length, shape (N,), [m].
     targets: tuple[str, ...] = ()  #: The target's name; ``"target"`` when not given.
     groups: tuple[str, ...] = ()  #: The set-up's name; ``""`` when not given.
@@ -88,44 +86,44 @@ class Measurements:
         fill("rows", tuple(self.rows) or tuple(range(1, count + 1)))
         for name, word in _WORDS.items():
             fill(name, tuple(getattr(self, name)) or (word,) * count)
-        self._check_words()
+        self._check_words(count)
         if any(self.pairs):
             told = zip(self.paired.tolist(), self.pairs, strict=True)
             fill("pairs", tuple(word if paired else "" for paired, word in told))
         n, every = len(self.joint_names), np.ones(count, dtype=np.bool_)
-        turned, angles = (
-            self.where(test) for test in (lambda k: k.orientation, lambda k: k.angles > 0)
-        )
-        readings = self._checked_readings()
-        rotations = self._numbers("rotations", self.rotations, (3, 3), turned, needed=True)
-        if rotations is not None:
-            for i in np.flatnonzero(turned)[checks.no_rotation(rotations[turned])]:
+        turned, angled = self.where(lambda k: k.orientation), self.where(lambda k: k.angles > 0)
+        reach, readings = (-FARTHEST, FARTHEST), self._checked_readings()
+        for name, tail, told_by, limits in (
+            ("joints", (n,), every, reach),
+            ("points", (3,), self.positions, reach),
+            ("rotations", (3, 3), turned, reach),
+            ("sigma", (), every, SIGMAS),
+            ("sigma_angle", (), angled, SIGMAS),
+        ):
+            array = self._numbers(name, getattr(self, name), tail, told_by, limits)
+            if array is None and name in ("joints", "points"):
+                array = _read_only(np.full((count, *tail), np.nan))
+            fill(name, array)
+        if self.rotations is not None:
+            for i in np.flatnonzero(turned)[no_rotation(self.rotations[turned])]:
                 what = "'rotations' holds no rotation; each is orthonormal with determinant 1"
                 self._fail(int(i), what)
-        arrays = {
-            "joints": self._numbers("joints", self.joints, (n,), every),
-            "points": self._numbers("points", self.points, (3,), self.positions),
-            "rotations": rotations,
-            "sigma": self._numbers("sigma", self.sigma, (), every, checks.SIGMAS),
-            "sigma_angle": self._numbers(
-                "sigma_angle", self.sigma_angle, (), angles, checks.SIGMAS
-            ),
-            "torques": self._checked_torques(),
-            "distances": readings.pop("distance", None),
-        }
-        for name, width in (("joints", n), ("points", 3)):
-            if arrays[name] is None:
-                arrays[name] = _read_only(np.full((count, width), np.nan))
-        for name, array in {**arrays, "readings": MappingProxyType(readings)}.items():
-            fill(name, array)
+        if self.torques is not None:
+            fill("torques", _read_only(self.torques))
+            there = np.isfinite(self.torques)
+            for i, k in np.argwhere(~there & there.any(axis=0)):
+                what = "has no torque here and has one in other rows; give all of them, or none"
+                self._fail(int(i), f"joint '{self.joint_names[k]}' {what}")
+        fill("distances", readings.pop("distance", None))
+        fill("readings", MappingProxyType(readings))
 
     def _fail(self, row: int, what: str) -> NoReturn:
         """Refuse a row, from 0."""
         raise MeasurementError(f"{self.source or 'Measurements'}, row {self.rows[row]}: {what}")
 
-    def _check_words(self) -> None:
+    def _check_words(self, count: int) -> None:
         """Refuse words that are not allowed, row numbers and names of joints that are not unique."""
-        source, count = self.source or "Measurements", len(self.points)
+        source = self.source or "Measurements"
         for name in (*_WORDS, "rows"):
             number = len(getattr(self, name))
             if number != count:
@@ -134,21 +132,18 @@ class Measurements:
                 )
         for name, allowed in (("sets", SETS), ("kinds", registry.names())):
             words = getattr(self, name)
-            wrong = set(words) - set(allowed)
-            if wrong:
-                i = next(i for i, word in enumerate(words) if word in wrong)
-                what = f"{words[i]!r} in '{name}' is not allowed; it is one of {choices(allowed)}"
-                self._fail(i, what)
+            for word in set(words) - set(allowed):
+                what = f"{word!r} in '{name}' is not allowed; it is one of {choices(allowed)}"
+                self._fail(words.index(word), what)
         if len(set(self.rows)) < count:
             twice = Counter(self.rows).most_common(1)[0][0]
             raise MeasurementError(
                 f"{source}: the row number {twice} stands there twice; each row has its own"
             )
         taken = [n for n, k in Counter(self.joint_names).items() if k > 1 or n in reserved()]
-        if taken or not self.joint_names:
+        if taken:
             raise MeasurementError(
-                f"{source}: joint names are unique and no other column's; given were "
-                f"{choices(taken or ['no names at all'])}"
+                f"{source}: joint names are unique and no other column's; given were {choices(taken)}"
             )
 
     def _numbers(
@@ -156,13 +151,11 @@ class Measurements:
         name: str,
         values: ArrayLike | None,
         tail: tuple[int, ...],
-        told: NDArray[np.bool_],
-        limits: tuple[float, float] = checks.REACH,
-        *,
-        needed: bool = False,
+        told: Mask,
+        limits: tuple[float, float],
     ) -> Array | None:
         """A read-only copy of an array (N, *tail), NaN in rows that do not measure it; None if none is left."""
-        if not told.any() or (values is None and not needed):
+        if not told.any() or (values is None and name.startswith("sigma")):
             return None
         if values is None:
             i = int(np.argmax(told))
@@ -173,23 +166,20 @@ class Measurements:
                 f"Measurements: '{name}' has shape {array.shape} and should have {(len(told), *tail)}"
             )
         good = (array >= limits[0]) & (array <= limits[1])
-        wrong = np.argwhere(~good & told.reshape(-1, *(1 for _ in tail)))
-        if len(wrong):
-            at = tuple(int(i) for i in wrong[0])
+        for at in np.argwhere(~good & told.reshape(-1, *(1 for _ in tail)))[:1].tolist():
+            what = self.joint_names[at[1]] if name == "joints" else name
             self._fail(
                 at[0],
-                f"'{self.joint_names[at[1]] if name == 'joints' else name}' is {array[at]:g}; in a row of the kind "
-                f"'{self.kinds[at[0]]}' it is a number from {limits[0]:g} to {limits[1]:g}, in SI units. Correct it, "
-                "or its unit.",
+                f"'{what}' is {array[tuple(at)]:g}; in a row of the kind '{self.kinds[at[0]]}' it is a number from "
+                f"{limits[0]:g} to {limits[1]:g}, in SI units. Correct it, or its unit.",
             )
         array[~told] = np.nan
-        array.setflags(write=False)
-        return array
+        return _read_only(array)
 
     def _checked_readings(self) -> dict[str, Array]:
         """What kinds read in columns of their own, by the column's name; of a pair both rows have it."""
         given, read = {"distance": self.distances, **self.readings}, registry.readings()
-        strange = [name for name in given if name not in read]
+        strange = given.keys() - read.keys()
         if strange:
             raise MeasurementError(
                 f"No kind of measurement reads {choices(strange)}; register it first (calib.data.kinds.register)."
@@ -205,56 +195,42 @@ class Measurements:
                         what = f"its pair has {first:.10g} m here and {second:.10g} m in row {self.rows[pair[1]]}"
                         self._fail(int(pair[0]), f"{what}; give it once, or the same")
                     values[pair] = second if np.isnan(first) else first
+            least = SIGMAS[0] if one.positive else -FARTHEST
             own = self.of_kind(*(k for k in registry.names() if one in registry.get(k).readings))
-            least = checks.SIGMAS[0] if one.positive else -checks.FARTHEST
-            array = self._numbers(name, values, (), own, (least, checks.FARTHEST), needed=True)
+            array = self._numbers(name, values, (), own, (least, FARTHEST))
             if array is not None:
                 found[name] = array
         return found
 
-    def _checked_torques(self) -> Array | None:
-        """A read-only copy of the torques; of each joint there are all, or none (NaN)."""
-        if self.torques is None:
-            return None
-        torques = _read_only(self.torques)
-        for name, there in zip(self.joint_names, np.isfinite(torques).T, strict=True):
-            if there.any() and not there.all():
-                what = f"joint '{name}' has no torque here and has one in other rows; give all of them, or none"
-                self._fail(int(np.argmin(there)), what)
-        return torques
-
     def _check_whole(self) -> None:
         """Refuse, in a table as it was read, pairs of other than two rows and groups with too few rows."""
 
-        def named(at: Sequence[int]) -> str:
-            """These rows, from 0, by their numbers."""
-            numbers = ", ".join(str(self.rows[i]) for i in at[:8])
-            return f"row {numbers} only" if len(at) == 1 else f"rows {numbers}"
+        def refuse(what: str, at: Sequence[int], fix: str) -> NoReturn:
+            """Name the rows, from 0, that do not make a whole."""
+            rows = ", ".join(str(self.rows[i]) for i in at[:8])
+            many = "s" * (len(at) > 1)
+            raise MeasurementError(f"{self.source}: {what} stands in row{many} {rows}; {fix}")
 
         for word, at in self._by_word(self.pairs, self.paired).items():
             if len(at) != 2 or self.sets[at[0]] != self.sets[at[1]]:
-                raise MeasurementError(
-                    f"{self.source}: the pair '{word}' stands in {named(at)}; a distance is between two rows of one "
-                    "set. Give each pair a word of its own."
-                )
+                fix = "a distance is between two rows of one set. Give each pair a word of its own."
+                refuse(f"the pair '{word}'", at, fix)
         for kind in set(self.kinds):
             fewest = registry.get(kind).fewest
             for group, at in self._by_word(self.groups, self.of_kind(kind)).items():
                 if len(at) < fewest:
-                    raise MeasurementError(
-                        f"{self.source}: the group '{group}' of the kind '{kind}' stands in {named(at)}; it takes "
-                        f"{fewest} rows or more. Measure more, or correct the group's name."
-                    )
+                    fix = f"it takes {fewest} rows or more. Measure more, or correct the group's name."
+                    refuse(f"the group '{group}' of the kind '{kind}'", at, fix)
 
     @staticmethod
-    def _by_word(words: Sequence[str], chosen: NDArray[np.bool_]) -> dict[str, list[int]]:
+    def _by_word(words: Sequence[str], chosen: Mask) -> dict[str, list[int]]:
         """The chosen rows, from 0, by a word of theirs."""
         found: dict[str, list[int]] = {}
         for i in np.flatnonzero(chosen).tolist():
             found.setdefault(words[i], []).append(i)
         return found
 
-    def where(self, test: Callable[[Kind], bool]) -> NDArray[np.bool_]:
+    def where(self, test: Callable[[Kind], bool]) -> Mask:
         """True for the rows of kinds that pass a test, shape (N,), read-only."""
         return _mask(self.kinds, *(n for n in registry.names() if test(registry.get(n))))
 
@@ -299,20 +275,32 @@ class Measurements:
         layout = Layout.find(
             table, joint_names, joint_types, columns, kind, points_elsewhere=elsewhere is not None
         )
-        values = read_values(table, layout, elsewhere)
+        measurements = cls.of_layout(table, layout, elsewhere)
+        measurements._check_whole()
+        return measurements
+
+    @classmethod
+    def of_layout(
+        cls, table: Table, layout: Layout, elsewhere: Points | None = None
+    ) -> Measurements:
+        """What a table holds whose columns were found; its pairs and groups may lack rows."""
         source, sha256 = table.source, table.sha256
         if elsewhere is not None:
             source, sha256 = f"{source} + {elsewhere.source}", f"{sha256} + {elsewhere.sha256}"
-        measurements = cls(
-            **values._asdict(),
+        found = cls(
+            **read_values(table, layout, elsewhere),
             joint_names=layout.joint_names,
             source=source,
             sha256=sha256,
             ignored=layout.ignored,
             prismatic=layout.prismatic,
         )
-        measurements._check_whole()
-        return measurements
+        if not found.estimation.any():
+            raise MeasurementError(
+                f"{table.source}, column 'set': no measured row is 'estimate', all {len(found)} are 'validate'. Mark "
+                "those to estimate from, or remove the column."
+            )
+        return found
 
     def __repr__(self) -> str:
         """In one line, such as ``Measurements(35 rows of 6 joints from ur3_leica.csv)``."""
@@ -324,16 +312,16 @@ class Measurements:
         return len(self.points)
 
     @property
-    def estimation(self) -> NDArray[np.bool_]:
+    def estimation(self) -> Mask:
         """True for the rows to estimate from, shape (N,), read-only."""
         return _mask(self.sets, "estimate")
 
     @property
-    def validation(self) -> NDArray[np.bool_]:
+    def validation(self) -> Mask:
         """True for the rows held back to validate with, shape (N,), read-only."""
         return _mask(self.sets, "validate")
 
-    def of_kind(self, *kinds: str) -> NDArray[np.bool_]:
+    def of_kind(self, *kinds: str) -> Mask:
         """True for the rows of these kinds, shape (N,), read-only."""
         return _mask(self.kinds, *kinds)
 
@@ -343,12 +331,12 @@ class Measurements:
         return np.full(len(self), np.nan) if found is None else found
 
     @property
-    def paired(self) -> NDArray[np.bool_]:
+    def paired(self) -> Mask:
         """True for the rows of which two give one measurement, shape (N,), read-only."""
         return self.where(lambda kind: kind.paired)
 
     @property
-    def positions(self) -> NDArray[np.bool_]:
+    def positions(self) -> Mask:
         """True for the rows that measure a position, shape (N,), read-only."""
         return self.where(lambda kind: kind.position)
 
@@ -396,7 +384,7 @@ class Measurements:
         left["readings"] = {name: values[chosen] for name, values in self.readings.items()}
         return replace(self, **left)
 
-    def joints_for(self, names: Sequence[str]) -> NDArray[np.float64]:
+    def joints_for(self, names: Sequence[str]) -> Array:
         """The values of these joints in this order, shape (N, len(names)), [rad] or [m], read-only.
 
         Raises:
@@ -411,18 +399,6 @@ class Measurements:
             )
         return _read_only(self.joints[:, [where[name] for name in names]])
 
-    def _word_columns(self) -> dict[str, Sequence[object]]:
-        """The columns of words of a table, those that say anything."""
-        kinds = [registry.get(kind) for kind in set(self.kinds)]
-        unclear = any(not k.size or (k.position and k.readings) for k in kinds)
-        return {
-            "row": self.rows,
-            "set": self.sets,
-            **({"kind": self.kinds} if len(kinds) > 1 or unclear else {}),
-            **({"target": self.targets} if set(self.targets) - {DEFAULT_TARGET} else {}),
-            **{n: w for n, w in (("group", self.groups), ("pair", self.pairs)) if any(w)},
-        }
-
     def write(self, path: str | Path, *, overwrite: bool = False) -> None:
         """Write a CSV table in degrees and millimetres that `read` gives back.
 
@@ -432,7 +408,15 @@ class Measurements:
         Raises:
             FileError: the file exists and ``overwrite`` is False, or it cannot be written.
         """
-        columns = self._word_columns()
+        kinds = [registry.get(kind) for kind in set(self.kinds)]
+        unclear = any(not k.size or (k.position and k.readings) for k in kinds)
+        columns: dict[str, Sequence[object]] = {
+            "row": self.rows,
+            "set": self.sets,
+            **({"kind": self.kinds} if len(kinds) > 1 or unclear else {}),
+            **({"target": self.targets} if set(self.targets) - {DEFAULT_TARGET} else {}),
+            **{n: w for n, w in (("group", self.groups), ("pair", self.pairs)) if any(w)},
+        }
 
         def add(name: str, quantity: Quantity | None, values: Array | None) -> None:
             """Add a column of numbers if there are any; its cells are empty where nothing was measured."""
@@ -451,7 +435,7 @@ class Measurements:
         for i, name in enumerate(POINT):
             add(name, "length", self.points[:, i])
         if self.rotations is not None:
-            for name, part in zip(QUATERNION, checks.to_quaternions(self.rotations).T, strict=True):
+            for name, part in zip(QUATERNION, to_quaternions(self.rotations).T, strict=True):
                 add(name, None, part)
         for one in registry.readings().values():
             add(one.name, one.quantity, self.reading(one.name) if len(self) else None)
@@ -482,14 +466,14 @@ _WORDS = {"sets": SETS[0], "targets": DEFAULT_TARGET, "groups": "", "kinds": "po
 _ARRAYS = ("joints", "points", "sigma", "rotations", "distances", "sigma_angle", "torques")
 
 
-def _read_only(values: ArrayLike) -> NDArray[np.float64]:
+def _read_only(values: ArrayLike) -> Array:
     """A read-only float64 copy."""
     array_ = np.array(values, dtype=np.float64)
     array_.setflags(write=False)
     return array_
 
 
-def _mask(words: Sequence[str], *wanted: str) -> NDArray[np.bool_]:
+def _mask(words: Sequence[str], *wanted: str) -> Mask:
     """True where a word is one of those wanted, read-only."""
     there = set(words)  # mostly one
     if there <= set(wanted) or there.isdisjoint(wanted):

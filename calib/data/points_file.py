@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import codecs
 import csv
-import hashlib
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.data.checks import better_unit, check_signs, implausible
-from calib.data.table import close_names
-from calib.errors import FileError, MeasurementError, choices
-from calib.files import read_bytes
+from calib.data.table import POINT, Column, Table, close_names, implausible, read_text
+from calib.errors import MeasurementError, choices
 from calib.units import UNITS, Unit, symbols
 
 #: Between collection, group and point.
@@ -31,14 +27,10 @@ _RULE = re.compile(r"[-=_*+\s]+")
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?")
 _WORDS = re.compile(r"[^\W\d_]+")
 
-# Behind the name of a column.
-_UNIT = re.compile(r"\s*[\[(].*")
-
 # What the column of names is called in a header; the first two stand before the point's own.
 _NAMES = (
-    ("collection", "coll"),
-    ("group", "pointgroup", "point group", "group name"),
-    ("point", "name", "pointname", "point name", "point id", "pointid", "id", "label", "target"),
+    *("collection", "coll", "group", "pointgroup", "point group", "group name"),
+    *("point", "name", "pointname", "point name", "point id", "pointid", "id", "label", "target"),
 )
 
 # "in" is also a word, so it only counts where no other unit stands.
@@ -54,55 +46,65 @@ _UNIT_WORDS = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Points:
-    """N measured points of a file.
+    """N measured points of a file."""
 
-    Attributes:
-        names: with collection and group before them, ``"A::Main::P1"``, if the file has them; empty without.
-        points: positions, shape (N, 3), [m], read-only.
-        lines: of the file, for each point.
-        source: the file's name, for messages.
-        sha256: of the file's bytes.
-    """
-
+    #: With collection and group before them, ``"A::Main::P1"``, if the file has them; empty without.
     names: tuple[str, ...]
-    points: NDArray[np.float64]
-    lines: tuple[int, ...]
-    source: str
-    sha256: str
+    points: NDArray[np.float64]  #: Positions, shape (N, 3), [m], read-only.
+    lines: tuple[int, ...]  #: Of the file, for each point.
+    source: str  #: The file's name, for messages.
+    sha256: str  #: Of the file's bytes.
 
-    def __len__(self) -> int:
-        """The number of points, N."""
-        return len(self.points)
+    def of_rows(self, source: str, rows: Sequence[int], names: Sequence[str] | None) -> list[int]:
+        """Which point, from 0, each row of a table has, by its name, or in their order where names are None.
 
-    def index(self) -> dict[str, list[int]]:
-        """Which points, from 0, have a name: the whole of it, or its last part."""
-        found: dict[str, list[int]] = {}
-        for name in (_last, str):
-            own: dict[str, list[int]] = {}
-            for i, whole in enumerate(self.names):
-                own.setdefault(name(whole), []).append(i)
-            found |= own  # a whole name wins
-        return found
-
-    def find(self, names: Sequence[str]) -> list[int | None]:
-        """Which point has each of these names, from 0; None where none has.
+        -1 for rows whose point was not measured yet: none if the list has points that nobody names, for then a name is
+        more likely misspelt.
 
         Raises:
-            MeasurementError: several have.
+            MeasurementError: A row's point is not there, is several, or is that of another row; or the counts differ.
         """
-        at = self.index()
-        for name in names:
-            hits = at.get(name, [])
-            if len(hits) > 1:
-                whole = [self.names[i] for i in hits]
-                lines = ", ".join(str(self.lines[i]) for i in hits[:8])
-                fix = "Give each point a name of its own."
-                if len(set(whole)) == len(whole):
-                    fix = f"Write the whole name: {choices(whole)}."
+        if names is None:
+            if len(self.points) != len(rows):
                 raise MeasurementError(
-                    f"{self.source}: several points are called '{name}', in lines {lines}. {fix}"
+                    f"{self.source} has {len(self.points)} points and {source} {len(rows)} rows to match them with, in "
+                    "their order. Add a column 'point' with the points' names, or remove what has no counterpart."
                 )
-        return [at[name][0] if name in at else None for name in names]
+            return list(range(len(rows)))
+        at: dict[str, list[int]] = {}
+        for part in (_last, str):  # a whole name wins
+            own: dict[str, list[int]] = {}
+            for i, whole in enumerate(self.names):
+                own.setdefault(part(whole), []).append(i)
+            at |= own
+        found = [at.get(name, []) for name in names]
+        complete = {i for hits in found for i in hits} == {*range(len(self.points))}
+        taken: dict[int, int] = {}  # point: row
+        for row, name, hits in zip(rows, names, found, strict=True):
+            fault = ""
+            if len(hits) > 1:
+                lines = ", ".join(str(self.lines[i]) for i in hits[:8])
+                whole = choices(dict.fromkeys(self.names[i] for i in hits))
+                fault = f"several points are called '{name}', in lines {lines}; write the whole name: {whole}"
+            elif not hits and not complete:
+                close = close_names(name, [*self.names, *map(_last, self.names)])
+                has = f"Close to it: {choices(close)}" if close else f"It has {choices(self.names)}"
+                fault = f"there is no point '{name}'. {has}"
+            elif hits and taken.setdefault(hits[0], row) != row:
+                fault = (
+                    f"row {taken[hits[0]]} names the point '{name}' too, which was measured once"
+                )
+            if fault:
+                raise MeasurementError(
+                    f"{source}, row {row}: in {self.source} {fault}. Correct the name or remove the row; where the "
+                    'points are in the order of the rows, --columns "point=-" does without names.'
+                )
+        return [hits[0] if hits else -1 for hits in found]
+
+
+def _last(name: str) -> str:
+    """The point's own name, without collection and group."""
+    return name.rpartition(PARTS)[2].strip()
 
 
 def read_points(path: str | Path, unit: str | None = None) -> Points:
@@ -113,127 +115,56 @@ def read_points(path: str | Path, unit: str | None = None) -> Points:
     numbers behind the name count. The unit comes from a remark (``Units: mm``), from the header (``x [mm]``) or from
     ``unit``.
 
-    Args:
-        path: a text file.
-        unit: a unit of length, where the file names none.
-
     Raises:
-        MeasurementError: no such file, no points in it, no unit or two; the text names the file and the line.
+        MeasurementError: No such file, no points in it, no unit or two; the text names the file and the line.
     """
-    source = Path(path).name or str(path)
-    try:
-        data = read_bytes(path, "The list of points")
-    except FileError as error:
-        raise MeasurementError(str(error)) from error
-    remarks, headings, separator, lines = _take_apart(_decode(data, source), source)
-    named, at = _columns(headings, separator, lines, source)
-    metres = _metres(lines, at, _find_unit(remarks, unit, source), source)
-    sign = " " if separator == " " else PARTS
-    names = tuple(sign.join(line.cells[i] for i in named) for line in lines) if named else ()
-    where = tuple(line.number for line in lines)
-    return Points(names, metres, where, source, hashlib.sha256(data).hexdigest())
-
-
-def match_points(
-    points: Points, source: str, rows: Sequence[int], names: Sequence[str] | None
-) -> NDArray[np.float64]:
-    """The point of each of M rows of a table, shape (M, 3), [m], by their names; by their order where names are None.
-
-    Raises:
-        MeasurementError: a row's point is not there, or is that of another row; or the counts differ.
-    """
-    if names is None:
-        if len(points) != len(rows):
-            raise MeasurementError(
-                f"{points.source} has {len(points)} points and {source} {len(rows)} rows to match "
-                "them with, in their order. Add a column 'point' with the points' names to the "
-                "table, or remove what has no counterpart."
-            )
-        return points.points
-    if not points.names:
-        raise MeasurementError(
-            f"{points.source}: the points have no names, and {source} has a column 'point' to match "
-            'them by. Add names to the points, or leave the column out: --columns "point=-".'
-        )
-    taken: dict[int, int] = {}  # point: row
-    for row, name, i in zip(rows, names, points.find(names), strict=True):
-        if i is None:
-            close = close_names(name, [*points.names, *map(_last, points.names)])
-            hint = f"Close to it: {choices(close)}" if close else f"It has {choices(points.names)}"
-            raise MeasurementError(
-                f"{source}, row {row}: {points.source} has no point '{name}'. {hint}. Correct the "
-                "name, or remove the row; where the points are in the order of the rows, --columns "
-                '"point=-" does without names.'
-            )
-        if i in taken:
-            raise MeasurementError(
-                f"{source}: the rows {taken[i]} and {row} both name the point '{name}'. What was "
-                "measured once counts once: remove one of the rows."
-            )
-        taken[i] = row
-    return points.points[list(taken)]
-
-
-def unmeasured_points(points: Points, names: Sequence[str]) -> tuple[int, ...]:
-    """Which of these names, from 0, are of points that were not measured yet.
-
-    None if the file has points that nobody names: then the names are more likely misspelt.
-    """
-    found = points.find(names)
-    used = set(found) - {None}
-    if len(used) < len(points):
-        return ()
-    return tuple(i for i, at in enumerate(found) if at is None)
-
-
-def _last(name: str) -> str:
-    """The point's own name, without collection and group."""
-    return name.rpartition(PARTS)[2].strip()
-
-
-class _Line(NamedTuple):
-    """A line of points: its number in the file and its stripped cells."""
-
-    number: int
-    cells: tuple[str, ...]
-
-
-def _decode(data: bytes, source: str) -> str:
-    """Text of bytes as measuring programs write them: UTF-8, UTF-16 with its mark, else Windows' own."""
-    utf16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
-    try:
-        text = data.decode("utf-16" if utf16 else "utf-8-sig")
-    except UnicodeDecodeError:
-        text = data.decode("cp1252", errors="replace")
-    if "\0" in text:
-        raise MeasurementError(
-            f"{source}: this is not a text file. Export the points as text (ASCII)."
-        )
-    return text
-
-
-def _take_apart(text: str, source: str) -> tuple[list[str], list[str], str, list[_Line]]:
-    """Remarks and headers without the sign of a comment, those above the first point, the separator, and the points."""
+    source, sha256, text = read_text(path, "The list of points")
     remarks: list[str] = []
-    headings: list[str] = []
+    headings: list[str] = []  # the remarks above the first point
     separator = ""
-    lines: list[_Line] = []
-    for number, line in enumerate(text.splitlines(), 1):
+    lines: list[int] = []
+    cells: list[list[str]] = []
+    for number, line in enumerate(text.split("\n"), 1):
         remark = _remark(line)
         if remark is None and not lines:
-            separator = _separator(line)
+            separator = next((s for s in _SEPARATORS if _first_point(_split(line, s))), "")
             remark = None if separator else line.strip()
         if remark is None:
-            lines.append(_Line(number, _split(line, separator)))
+            lines.append(number)
+            cells.append(_split(line, separator))
         elif remark:
             remarks.append(remark)
             headings += [] if lines else [remark]
     if not lines:
         raise MeasurementError(
-            f"{source}: no line of it holds three numbers. A list of points has lines such as "
-            "'P1 100.0 200.0 300.0', separated by blanks, tabs, commas or semicolons."
+            f"{source}: no line of it holds three numbers. A list of points has lines such as 'P1 100.0 200.0 300.0', "
+            "separated by blanks, tabs, commas or semicolons."
         )
-    return remarks, headings, separator, lines
+    width = max(map(len, cells))
+    padded = tuple([*row, *[""] * (width - len(row))] for row in cells)
+    table = Table(source, sha256, separator, (), tuple(lines), padded)
+    named, at = _columns(table, _heading(headings, separator, cells))
+    length = _find_unit(remarks, unit, source)
+    columns = [Column(i, axis, axis, length) for i, axis in zip(at, POINT, strict=True)]
+    values = table.numbers(columns)
+    for i in np.flatnonzero(~np.isfinite(values).all(axis=1)):
+        _refuse(table, int(i))
+    fault = implausible(values, [length] * 3)
+    if fault is not None:
+        raise MeasurementError(f"{source}, line {lines[fault[0]]}: {fault[2]}")
+    metres = values * length.to_si
+    metres.setflags(write=False)
+    sign = " " if separator == " " else PARTS
+    names = tuple(sign.join(row[i] for i in named) for row in padded) if named else ()
+    return Points(names, metres, table.lines, source, sha256)
+
+
+def _refuse(table: Table, row: int) -> NoReturn:
+    """Refuse a line that does not fit the others."""
+    raise MeasurementError(
+        f"{table.source}, line {table.lines[row]}: '{' '.join(table.cells[row]).strip()[:80]}' has not its three "
+        "numbers where the other lines have theirs. Correct or remove the line, or make it a comment with #."
+    )
 
 
 def _remark(line: str) -> str | None:
@@ -244,28 +175,17 @@ def _remark(line: str) -> str | None:
     return plain.lstrip("".join(_COMMENT)).strip() if plain.startswith(_COMMENT) else None
 
 
-def _separator(line: str) -> str:
-    """The sign that leaves three numbers side by side; "" when none does."""
-    if len(re.findall(r"\d+", line)) < 3:  # most lines above the points
-        return ""
-    for separator in _SEPARATORS:
-        cells = _split(line, separator)
-        if any(_has_point(cells, i) for i in range(len(cells) - 2)):
-            return separator
-    return ""
-
-
-def _split(line: str, separator: str) -> tuple[str, ...]:
+def _split(line: str, separator: str) -> list[str]:
     """The stripped cells of a line, without the empty ones at its end."""
     plain = line.replace("\t", " ") if separator == " " else line
     reader = csv.reader([plain.strip(" \r\n")], delimiter=separator, skipinitialspace=True)
     try:
         cells = [cell.strip() for row in reader for cell in row]
     except csv.Error:  # a cell longer than the csv module reads: no number in any case
-        return ()
+        return []
     while cells and not cells[-1]:
         cells.pop()
-    return tuple(cells)
+    return cells
 
 
 def _has_point(cells: Sequence[str], start: int) -> bool:
@@ -274,111 +194,57 @@ def _has_point(cells: Sequence[str], start: int) -> bool:
     return len(three) == 3 and all(map(_NUMBER.fullmatch, three))
 
 
-def _columns(
-    headings: Sequence[str], separator: str, lines: Sequence[_Line], source: str
-) -> tuple[list[int], list[int]]:
+def _first_point(cells: Sequence[str]) -> bool:
+    """Whether three numbers stand side by side."""
+    return any(_has_point(cells, i) for i in range(len(cells) - 2))
+
+
+def _heading(headings: Sequence[str], separator: str, cells: Sequence[Sequence[str]]) -> list[str]:
+    """The names of the columns, small, from the last header with x, y and z; none without one."""
+    widths = {len(row) for row in cells}
+    for remark in reversed(headings):
+        found = [re.sub(r"\s*[\[(].*", "", cell).casefold() for cell in _split(remark, separator)]
+        # Between blanks a column's name may be of two words: then the header says nothing of places.
+        fits = max(widths) <= len(found) and (separator != " " or widths == {len(found)})
+        if fits and all(found.count(axis) == 1 for axis in POINT):
+            return found
+    return []
+
+
+def _columns(table: Table, heading: list[str]) -> tuple[list[int], list[int]]:
     """The columns of the names, none when there are none, and those of x, y, z."""
-    heading = _heading(headings, separator, lines)
+    cells = table.cells
     if heading:
-        at = [heading.index(axis) for axis in "xyz"]
-        named = [heading.index(n) for part in _NAMES for n in part if heading.count(n) == 1]
-        named = named or list(range(min(at)))
-        short = next((line for line in lines if len(line.cells) <= max(*named, *at)), None)
-        if short is not None:
-            raise MeasurementError(_no_point(short, source))
-        return named, at
-    start = _first_number(lines, source)
+        at = [heading.index(axis) for axis in POINT]
+        named = [heading.index(name) for name in _NAMES if heading.count(name) == 1]
+        return named or list(range(min(at))), at
+    first = next(i for i in range(len(cells[0])) if _has_point(cells[0], i))
+    here = (i for i in range(len(cells[0]) - 2) if all(_has_point(row, i) for row in cells))
+    start = next(here, None)
+    if start is None:
+        _refuse(table, next((i for i, row in enumerate(cells) if not _has_point(row, first)), -1))
     # Whole numbers there, and three more behind, name the points, unless the names before do.
-    counted = all(
-        line.cells[start].isdigit() and _has_point(line.cells, start + 1) for line in lines
-    )
-    if counted and len({line.cells[:start] for line in lines}) < len(lines):
-        rest = [cell for line in lines for cell in line.cells[start + 1 : start + 4]]
+    counted = all(row[start].isdigit() and _has_point(row, start + 1) for row in cells)
+    if counted and len({tuple(row[:start]) for row in cells}) < len(cells):
+        rest = [cell for row in cells for cell in row[start + 1 : start + 4]]
         if all(cell.lstrip("+-").isdigit() for cell in rest):
             raise MeasurementError(
-                f"{source}, line {lines[0].number}: all are whole numbers, so the point's number "
-                "cannot be told from x. Write a header line above the points, 'name x y z'."
+                f"{table.source}, line {table.lines[0]}: all are whole numbers, so the point's number cannot be told "
+                "from x. Write a header line above the points, 'name x y z'."
             )
         start += 1
     return list(range(start)), [start, start + 1, start + 2]
 
 
-def _heading(headings: Sequence[str], separator: str, lines: Sequence[_Line]) -> list[str]:
-    """The names of the columns, small, from the last header with x, y and z; none without one."""
-    widths = [len(line.cells) for line in lines]
-    for remark in reversed(headings):
-        cells = [_UNIT.sub("", cell).casefold() for cell in _split(remark, separator)]
-        # Between blanks a column's name may be of two words: then the header says nothing of places.
-        fits = max(widths) <= len(cells) and (separator != " " or min(widths) == len(cells))
-        if fits and all(cells.count(axis) == 1 for axis in "xyz"):
-            return cells
-    return []
-
-
-def _first_number(lines: Sequence[_Line], source: str) -> int:
-    """The first column from which on every line has three numbers."""
-    for start in range(min(len(line.cells) for line in lines) - 2):
-        if all(_has_point(line.cells, start) for line in lines):
-            return start
-    cells = lines[0].cells
-    start = next(i for i in range(len(cells)) if _has_point(cells, i))
-    bad = next((line for line in lines if not _has_point(line.cells, start)), lines[-1])
-    raise MeasurementError(_no_point(bad, source))
-
-
-def _no_point(line: _Line, source: str) -> str:
-    """What to say of a line that does not fit the others."""
-    return (
-        f"{source}, line {line.number}: '{' '.join(line.cells)[:80]}' has not its three numbers where "
-        "the other lines have theirs. Correct or remove the line, or make it a comment with #."
-    )
-
-
-def _metres(
-    lines: Sequence[_Line], at: Sequence[int], unit: Unit, source: str
-) -> NDArray[np.float64]:
-    """The coordinates, shape (N, 3), [m], read-only; refused when they cannot be in this unit."""
-    signs: dict[str, int] = {}  # decimal sign: the first line that has it
-    values = np.empty((len(lines), 3))
-    for i, line in enumerate(lines):
-        cells = [line.cells[j] if j < len(line.cells) else "" for j in at]
-        if not _has_point(cells, 0):
-            raise MeasurementError(_no_point(line, source))
-        for sign in (sign for sign in ".," if any(sign in cell for cell in cells)):
-            signs.setdefault(sign, line.number)
-        values[i] = [float(cell.replace(",", ".")) for cell in cells]
-    check_signs(source, signs)
-    metres = values * unit.to_si
-    row, what = implausible(metres, unit)
-    if what:
-        value = float(values[row][np.argmax(np.abs(values[row]))])
-        better = better_unit(value, unit)
-        fix = f"If it is in {better}, say so: '# Units: {better}'." if better else "Correct it."
-        raise MeasurementError(
-            f"{source}, line {lines[row].number}: {value:.10g} was read as "
-            f"{value * unit.to_si:.6g} m, {what}. {fix}"
-        )
-    metres.setflags(write=False)
-    return metres
-
-
 def _find_unit(remarks: Sequence[str], given: str | None, source: str) -> Unit:
     """The unit of the coordinates, from the file or as given; both agree."""
-    named = list(dict.fromkeys(filter(None, map(_unit_of, remarks))))
-    allowed = f"allowed are {choices(symbols('length'))}"
-    units = [*named, *([given] if given and given not in named else [])]
-    if not units:
+    named = dict.fromkeys(filter(None, [*map(_unit_of, remarks), given]))
+    if len(named) != 1 or not {*named} <= {*symbols("length")}:
         raise MeasurementError(
-            f"{source}: the unit of the points is not in it. Write a first line '# Units: mm', or give it "
-            f"(--points-unit mm); {allowed}."
+            f"{source}: the points need one unit of length, and {choices(named) if named else 'none'} is named. Write "
+            f"a first line '# Units: mm', or give it (--points-unit mm); allowed are {choices(symbols('length'))}."
         )
-    if len(units) > 1:
-        raise MeasurementError(
-            f"{source}: several units of length are named, {choices(units)}. Leave one, as in '# Units: mm'."
-        )
-    if units[0] not in symbols("length"):
-        raise MeasurementError(f"{source}: '{units[0]}' is not a unit of length; {allowed}")
-    return UNITS[units[0]]
+    return UNITS[next(iter(named))]
 
 
 def _unit_of(remark: str) -> str:
@@ -386,7 +252,7 @@ def _unit_of(remark: str) -> str:
     plain = remark.casefold()
     behind = re.search(r"\bunits?\b(.*)", plain) or re.search(r"\bunit[^\W\d_]*\b(.*)", plain)
     bracket = re.search(r"\bx\s*[\[(]\s*([^\W\d_]+)\s*[\])]", plain)
-    words = _WORDS.findall(behind[1]) if behind else _WORDS.findall(plain)
+    words = _WORDS.findall(behind[1] if behind else plain)
     if bracket:
         words = [bracket[1]]
     elif not behind and len(words) != 1:

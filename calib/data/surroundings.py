@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib.data.checks import FARTHEST, no_rotation
+from calib.data.kinds import FARTHEST, no_rotation
 from calib.errors import CalibError, choices
 from calib.robot.robot import read_only
 from calib.units import LENGTH, parse_quantity, symbols

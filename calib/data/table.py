@@ -11,15 +11,29 @@ import csv
 import difflib
 import hashlib
 import io
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
 
 import calib.data.kinds as registry
 from calib.errors import CalibError, FileError, MeasurementError, choices
 from calib.files import read_bytes
-from calib.units import NUMBER, Quantity, Unit, find_unit, parse_header, split_header, symbols
+from calib.units import (
+    NUMBER,
+    UNITS,
+    Quantity,
+    Unit,
+    find_unit,
+    parse_header,
+    split_header,
+    symbols,
+)
+
+Array = NDArray[np.float64]
 
 SEPARATORS = (",", ";", "\t")
 
@@ -46,37 +60,23 @@ IGNORE = "-"
 #: What stands before the name of a column that says what to expect there, for a person to compare: see plan_file.
 EXPECTED = "expected "
 
+#: The points of a robot cell lie between these distances from the origin of any frame in use [m].
+_FAR_M, _NEAR_M = 100.0, 5e-3
+
 #: The unit that headers are proposed in, and tables written in.
 COMMON: Mapping[Quantity, str] = {"length": "mm", "angle": "deg", "torque": "Nm", "force": "N"}
 
 _EXAMPLE = "such as: set,joint_1 [deg],joint_2 [deg],x [mm],y [mm],z [mm]"
 
 
-class Row(NamedTuple):
-    """One data row: its line in the file, its number among the data rows (from 1), its cells."""
-
-    line: int
-    ordinal: int
-    cells: list[str]
-
-
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column: where it stands, its header as written, its name and its unit.
+    """One column: where it stands, its header as written, and the name and unit that calib takes it by."""
 
-    Attributes:
-        index: from 0.
-        label: the header cell as written, for messages.
-        name: the name calib uses, after ``columns`` was applied.
-        unit: None without brackets or when the unit is unknown.
-        fault: why the unit is unknown; "" otherwise.
-    """
-
-    index: int
-    label: str
-    name: str
-    unit: Unit | None
-    fault: str = ""
+    index: int  #: From 0.
+    label: str  #: The header cell as written, for messages.
+    name: str  #: After ``--columns`` was applied.
+    unit: Unit | None  #: None without brackets, or when the unit is unknown.
 
     @property
     def to_si(self) -> float:
@@ -86,45 +86,31 @@ class Column:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Table:
-    """A text table: comma, semicolon or tab separated, one header line, blank and # lines skipped.
+    """A text table: comma, semicolon or tab separated, one header line, blank and # lines skipped."""
 
-    Attributes:
-        source: the file's name, for messages.
-        sha256: of the file's bytes.
-        separator: one of `SEPARATORS`.
-        header: the header's cells.
-        lines: where each row ends in the file.
-        cells: the stripped cells of each row, as many as the header has.
-    """
-
-    source: str
-    sha256: str
-    separator: str
-    header: tuple[str, ...]
-    lines: tuple[int, ...]
-    cells: tuple[list[str], ...]
+    source: str  #: The file's name, for messages.
+    sha256: str  #: Of the file's bytes.
+    separator: str  #: One of `SEPARATORS`.
+    header: tuple[str, ...]  #: The header's cells.
+    lines: tuple[int, ...]  #: Where each row ends in the file.
+    cells: tuple[list[str], ...]  #: The stripped cells of each row, as many as the header has.
 
     @classmethod
     def read(cls, path: str | Path) -> Table:
         """Read a file.
 
         Raises:
-            MeasurementError: there is no such file, it is no text, has no header, or a row with other cells than it.
+            MeasurementError: There is no such file, it is no text, has no header, or a row with other cells than it.
         """
-        source = Path(path).name or str(path)
-        try:
-            data = read_bytes(path, "The table")
-        except FileError as error:
-            raise MeasurementError(str(error)) from error
+        source, sha256, text = read_text(path, "The table")
         kept = [
             (at, line)
-            for at, line in enumerate(io.StringIO(_decode(data, source)), 1)
+            for at, line in enumerate(io.StringIO(text), 1)
             if line.strip(" \t,;\n") and not line.lstrip().startswith(("#", '"#'))
         ]
         if not kept:
-            raise MeasurementError(
-                f"{path}: the file is empty. A table begins with a header line, {_EXAMPLE}"
-            )
+            message = f"{path}: the file is empty. A table begins with a header line, {_EXAMPLE}"
+            raise MeasurementError(message)
         separator = max(SEPARATORS, key=kept[0][1].count)  # in a tie, the first: the comma
         reader = csv.reader(
             (line for _, line in kept), delimiter=separator, skipinitialspace=True, strict=True
@@ -142,57 +128,86 @@ class Table:
         header = tuple(cells[0])
         if all(NUMBER.fullmatch(cell) for cell in header):
             raise MeasurementError(
-                f"{source}: the first line holds numbers where the header should stand (a line "
-                f"that begins with # is a comment). A table begins with a header line, {_EXAMPLE}"
+                f"{source}: the first line holds numbers where the header should stand, {_EXAMPLE}"
             )
         for n, (line, row) in enumerate(zip(lines, cells, strict=True)):
             if len(row) != len(header):
-                fix = "Fill in what is missing."
-                if len(row) > len(header):
-                    fix = "Remove what is too much."
-                    if separator == ",":
-                        fix += " If the numbers have a decimal comma, separate the columns by semicolons."
+                comma = " A decimal comma needs semicolons between the columns." * (
+                    separator == "," and len(row) > len(header)
+                )
                 raise MeasurementError(
                     f"{source}, line {line} (row {n}): the row has {len(row)} cells, the header has {len(header)}. "
-                    f"{fix}"
+                    f"Make them as many.{comma}"
                 )
-        sha256 = hashlib.sha256(data).hexdigest()
         return cls(source, sha256, separator, header, tuple(lines[1:]), tuple(cells[1:]))
 
     def names(self, columns: Mapping[str, str]) -> set[str]:
         """The names of the columns without their units, and those that ``--columns`` gives them."""
         return {split_header(label)[0] for label in (*self.header, *columns.values())}
 
-    def rows(self) -> Iterator[Row]:
-        """The data rows, in order."""
-        for number, (line, cells) in enumerate(zip(self.lines, self.cells, strict=True), 1):
-            yield Row(line, number, cells)
-
     def column(self, column: Column) -> list[str]:
         """The cells of a column."""
         return [row[column.index] for row in self.cells]
 
-    def place(self, row: int, numbers: Column | None = None, column: Column | None = None) -> str:
-        """Where a row, from 0, or a cell stands as a person sees it: file, line, row number, column."""
+    def numbers(self, columns: Sequence[Column]) -> Array:
+        """The numbers of columns as written, shape (rows, columns): NaN where empty, infinite where there is none.
+
+        Raises:
+            MeasurementError: There are decimal points beside decimal commas, one of which may separate thousands.
+        """
+        found = np.empty((len(self.cells), len(columns)))
+        signs: dict[str, int] = {}  # the line of the first of each
+        for k, column in enumerate(columns):
+            texts = self.column(column)
+            if self.separator != ",":
+                for sign in ".,":
+                    at = next((i for i, text in enumerate(texts) if sign in text), None)
+                    if at is not None:
+                        signs.setdefault(sign, self.lines[at])
+                texts = [text.replace(",", ".") for text in texts]
+            try:  # the usual column at once: ten times as fast
+                found[:, k] = list(map(float, texts))
+                usual = np.isfinite(found[:, k]).all() and not any("_" in text for text in texts)
+            except ValueError:
+                usual = False
+            if not usual:
+                found[:, k] = list(map(_number, texts))
+        if len(signs) == 2:
+            raise MeasurementError(
+                f"{self.source}: numbers have a decimal point in line {signs['.']} and a decimal comma in line "
+                f"{signs[',']}. Write all in one way, without a sign between thousands."
+            )
+        return found
+
+    def fail(self, row: int, column: Column, what: str, numbers: Column | None = None) -> NoReturn:
+        """Refuse the cell of a row, from 0, for what it is; ``numbers`` is the column of the rows' own numbers."""
         number = (self.cells[row][numbers.index] if numbers else "") or str(row + 1)
-        text = f"{self.source}, line {self.lines[row]} (row {number})"
-        return text if column is None else f"{text}, column '{column.label}'"
-
-
-def _decode(data: bytes, source: str) -> str:
-    r"""Text of UTF-8 bytes, with or without a byte order mark, or of UTF-16 with one; lines end in ``\n``."""
-    try:
-        # UTF-16 is what Excel calls "Unicode text".
-        utf16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
-        text = data.decode("utf-16" if utf16 else "utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = data.count(b"\n", 0, error.start) + 1
         raise MeasurementError(
-            f"{source}, line {line}: this is not UTF-8 text. Save the table as CSV (UTF-8)."
-        ) from error
+            f"{self.source}, line {self.lines[row]} (row {number}), column '{column.label}': {what}"
+        )
+
+
+def read_text(path: str | Path, what: str) -> tuple[str, str, str]:
+    r"""The name of a file for messages, its SHA-256, and its text, whose lines end in ``\n``.
+
+    UTF-8 with or without its mark, UTF-16 with one (Excel's "Unicode text"), else Windows' own encoding.
+
+    Raises:
+        MeasurementError: There is no such file, or it is no text.
+    """
+    source = Path(path).name or str(path)
+    try:
+        data = read_bytes(path, what)
+    except FileError as error:
+        raise MeasurementError(str(error)) from error
+    utf16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    try:
+        text = data.decode("utf-16" if utf16 else "utf-8-sig")
+    except UnicodeDecodeError:
+        text = data.decode("cp1252", errors="replace")
     if "\0" in text:
-        raise MeasurementError(f"{source}: this is not a text file. Save the table as CSV (UTF-8).")
-    return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
+        raise MeasurementError(f"{source}: this is not a text file. Save it as text (CSV, UTF-8).")
+    return source, hashlib.sha256(data).hexdigest(), text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 # Columns
@@ -220,89 +235,64 @@ def name_columns(
     """The columns by the name calib uses, each once, ``joint_names`` as they are; and all that are called ``group``.
 
     Raises:
-        MeasurementError: a name of ``columns`` is not there, or two columns have one name.
+        MeasurementError: A name of ``columns`` is not there, or two columns have one name.
     """
-    found, mapped = _map_columns(table, columns)
-    meant = (*reserved(), *ORIENTATION, *ROLL_PITCH_YAW, STATUS)
+    written = {i: split_header(label)[0] for i, label in enumerate(table.header) if label}
+    given: dict[int, str] = {}
+    for key, wanted in columns.items():
+        # By the names as written: two columns may swap theirs.
+        hits = [i for i, name in written.items() if key.strip() in (name, table.header[i])]
+        if not hits:
+            close = close_names(key, list(written.values()))
+            hint = f" Close to it: {choices(close)}." if close else ""
+            raise MeasurementError(
+                f"{table.source}: there is no column '{key}', which --columns maps to '{wanted}'.{hint} "
+                f"{list_columns(table)}"
+            )
+        given |= dict.fromkeys(hits, wanted)
+    meant = {*reserved(), *ORIENTATION, *ROLL_PITCH_YAW, STATUS}
     named: dict[str, Column] = {}
     groups: list[Column] = []
-    for column in found:
-        if column.name == IGNORE and column.index in mapped:
+    for i in written:
+        column = _column(table, i, given.get(i))
+        if column.name == IGNORE and i in given:
             continue
-        plain = column.name.casefold()
-        name = plain if plain in meant and column.name not in joint_names else column.name
-        if name == "group":
+        if column.name.casefold() in meant and column.name not in joint_names:
+            column = replace(column, name=column.name.casefold())
+        if column.name == "group":
             groups.append(column)
-        if name in named:
-            # Columns that only happen to be called 'group' were hardly meant to be joined.
-            if name == "group" and any(c.index in mapped for c in groups):
-                continue
-            first = named[name]
-            leave = ""
-            if first.label != column.label:
-                leave = f', or leave one out: --columns "{column.label}=-"'
+        # Columns that only happen to be called 'group' were hardly meant to be joined.
+        joined = column.name == "group" and any(one.index in given for one in groups)
+        if column.name in named and not joined:
+            first = named[column.name]
             raise MeasurementError(
-                f"{table.source}: two columns are called '{name}': number {first.index + 1} "
-                f"('{first.label}') and number {column.index + 1} ('{column.label}'). "
-                f"Remove or rename one{leave}."
+                f"{table.source}: two columns are called '{column.name}': number {first.index + 1} ('{first.label}') "
+                f"and number {i + 1} ('{column.label}'). Rename one, or leave one out: --columns \"{column.label}=-\"."
             )
-        named[name] = replace(column, name=name)
+        named.setdefault(column.name, column)
     return named, tuple(groups)
 
 
-def _map_columns(
-    table: Table, columns: Mapping[str, str]
-) -> tuple[list[Column], Mapping[int, str]]:
-    """All columns under the names that ``columns`` gives them, and which of them it names, by their index."""
-    written = [_column(index, label) for index, label in enumerate(table.header) if label]
-    found = list(written)
-    mapped: dict[int, str] = {}  # index: key
-    for key, wanted in columns.items():
-        # By the names as written: two columns may swap theirs.
-        hits = [i for i, column in enumerate(written) if key.strip() in (column.name, column.label)]
-        if not hits:
-            close = close_names(key, [column.name for column in written])
-            hint = f" Close to it: {choices(close)}." if close else ""
-            raise MeasurementError(
-                f"{table.source}: there is no column '{key}', which --columns maps to '{wanted}'."
-                f"{hint} {list_columns(table)}"
-            )
-        for i in hits:
-            other = mapped.setdefault(found[i].index, key)
-            if other != key:
-                raise MeasurementError(
-                    f"{table.source}: --columns maps the column '{found[i].label}' twice, as '{other}' "
-                    f"and as '{key}'. Leave one out."
-                )
-            found[i] = _renamed(table, found[i], wanted)
-    return found, mapped
-
-
-def _column(index: int, label: str) -> Column:
-    """The column of a header cell; an unknown unit is kept as a fault, for it may not matter."""
+def _column(table: Table, index: int, wanted: str | None) -> Column:
+    """A column by its header, and by the name and unit that ``--columns`` wants for it."""
+    label = table.header[index]
     name, symbol = split_header(label)
     try:
-        return Column(index, label, name, None if symbol is None else find_unit(symbol))
-    except CalibError as error:
-        return Column(index, label, name, None, str(error))
-
-
-def _renamed(table: Table, column: Column, wanted: str) -> Column:
-    """The column under the name, and with the unit, that ``columns`` gives it."""
+        unit = None if symbol is None else find_unit(symbol)
+    except CalibError:
+        unit = None  # it may not matter
+    if wanted is None:
+        return Column(index, label, name, unit)
     try:
-        name, unit = parse_header(wanted)
+        name, given = parse_header(wanted)
     except CalibError as error:
+        message = f"{table.source}: --columns maps '{label}' to '{wanted}': {error}"
+        raise MeasurementError(message) from error
+    if None not in (unit, given) and unit != given:
         raise MeasurementError(
-            f"{table.source}: --columns maps '{column.label}' to '{wanted}': {error}"
-        ) from error
-    if unit is None:
-        return replace(column, name=name)
-    if column.unit not in (None, unit):
-        raise MeasurementError(
-            f"{table.source}: column '{column.label}' has its unit in the header, and --columns "
-            f"gives it another, '{wanted}'. Leave the unit out of --columns, or correct the header."
+            f"{table.source}, column '{label}': --columns gives it another unit, '{wanted}'. Correct one of them."
         )
-    return replace(column, name=name, unit=unit, fault="")
+    return Column(index, label, name, given or unit)
 
 
 def with_unit(
@@ -311,35 +301,69 @@ def with_unit(
     """The column, which must be in a unit of this quantity; ``what`` it is, and the ``common`` unit to propose.
 
     Raises:
-        MeasurementError: it has no unit, or one of another quantity.
+        MeasurementError: It has no unit, or one of another quantity.
     """
     if column.unit is not None and column.unit.quantity == quantity:
         return column
     common = common or COMMON[quantity]
-    where = f"{table.source}, column '{column.label}'" + (f" ({what})" if what else "")
-    written = split_header(column.label)[0]
-    if column.unit is not None:
-        what_is = f"'{column.unit.symbol}' is not a unit of {quantity}"
-        fix = f"Correct the header to '{written} [{common}]'"
-    else:
-        what_is = column.fault or "the column has no unit"
-        fix = (
-            f"Write the unit into the header, '{written} [{common}]', or give it with "
-            f'--columns "{written}={column.name} [{common}]"'
-        )
-    raise MeasurementError(f"{where}: {what_is}. {fix}; allowed are {choices(symbols(quantity))}.")
+    written, symbol = split_header(column.label)
+    found = symbol if column.unit is None else column.unit.symbol
+    fault = "the column has no unit" if found is None else f"'{found}' is not a unit of {quantity}"
+    raise MeasurementError(
+        f"{table.source}, column '{column.label}'{f' ({what})' * bool(what)}: {fault}. Write the header "
+        f"'{written} [{common}]', or --columns \"{written}={column.name} [{common}]\"; allowed are "
+        f"{choices(symbols(quantity))}."
+    )
 
 
 def without_unit(table: Table, column: Column) -> Column:
     """The column of a quaternion's number, which has no unit.
 
     Raises:
-        MeasurementError: it has one.
+        MeasurementError: It has one.
     """
     unit = column.unit.symbol if column.unit else split_header(column.label)[1]
     if unit not in (None, "", "-", "1"):
         raise MeasurementError(
-            f"{table.source}, column '{column.label}': '{unit}' cannot be; a quaternion has no "
-            f"unit. Correct the header to '{column.name}'; for angles, to 'rx [deg]' and so on."
+            f"{table.source}, column '{column.label}': '{unit}' cannot be; a quaternion has no unit. Correct the "
+            f"header to '{column.name}'; for angles, to 'rx [deg]' and so on."
         )
     return replace(column, unit=None)
+
+
+# Numbers
+
+
+def _number(text: str) -> float:
+    """The number in a cell; NaN if it is empty, infinite if there is none."""
+    if not text:
+        return np.nan
+    try:
+        value = float(text)
+    except ValueError:
+        return np.inf
+    return np.inf if np.isnan(value) or "_" in text else value
+
+
+def implausible(
+    values: Array, units: Sequence[Unit], *, near: bool = True
+) -> tuple[int, int, str] | None:
+    """The row and column of a length, of places (N, k) as written, that cannot be in this unit, and why; else None.
+
+    The place furthest from the origin is further than a cell is wide, or, if ``near``, all are at the origin.
+    """
+    metres = np.nan_to_num(values) * [unit.to_si for unit in units]
+    distance = np.hypot.reduce(metres, axis=1)  # does not square: a huge number stays one
+    row = int(np.argmax(distance))
+    if not distance[row] <= _FAR_M:
+        what = f"further from the origin than {_FAR_M:g} m"
+    elif near and distance[row] < _NEAR_M and units[0].symbol != "m":
+        what = f"and none is further from the origin than {_NEAR_M * 1e3:g} mm"
+    else:
+        return None
+    k = int(np.argmax(np.abs(metres[row])))
+    fits = [u for u in ("mm", "m", "um") if 0.01 <= abs(values[row, k]) * UNITS[u].to_si <= 20.0]
+    fix = "Correct the value."
+    if fits and fits[0] != units[k].symbol:
+        fix = f"If it is in {fits[0]}, say so in the header: [{fits[0]}]."
+    return row, k, f"{values[row, k]:.10g} was read as {metres[row, k]:.6g} m, {what}. {fix}"

@@ -26,9 +26,9 @@ from numpy.typing import ArrayLike, NDArray
 import calib.data.kinds as registry
 from calib.data.cell import Cell
 from calib.data.layout import Layout
+from calib.data.measurements import Measurements
 from calib.data.surroundings import Reflector, Tracker, check_outside
 from calib.data.table import DEFAULT_TARGET, EXPECTED, POINT, QUATERNION, Table, name_columns
-from calib.data.values import Values, read_values
 from calib.design.candidates import Condition, Note, draw, planning_ranges
 from calib.design.collision import CollisionCheck, CollisionModel
 from calib.design.forecast import Forecast, Sensitivity
@@ -315,9 +315,11 @@ def read_taken(path: str | Path, robot: Robot) -> Taken:
     at = [named[name].index for name in (*POINT, "distance", "pair") if name in named]
     # By the cells alone; a row that measures nothing, of a socket or a plane, counts.
     kind = [named["kind"].index] if "kind" in named else []
-    words = [row.cells for row in table.rows()]
     measured = np.array(
-        [any(c[i] for i in at) or any(c[i] in ("fixed", "plane") for i in kind) for c in words]
+        [
+            any(c[i] for i in at) or any(c[i] in ("fixed", "plane") for i in kind)
+            for c in table.cells
+        ]
     )
     measured |= not measured.any()
     chosen = np.flatnonzero(measured & (np.array(rows.sets) == "estimate"))
@@ -336,13 +338,13 @@ def read_pose_list(path: str | Path, robot: Robot) -> tuple[Array, tuple[str, ..
     return read_only(rows.joints[kept]), tuple(rows.sets[i] for i in kept)
 
 
-def _joint_rows(table: Table, robot: Robot) -> Values:
+def _joint_rows(table: Table, robot: Robot) -> Measurements:
     """What a table says but for what was measured: a row of the kind ``fixed`` has its joint values alone."""
     layout = Layout.find(table, robot.joint_names, robot.joint_types, None, "fixed")
-    return read_values(table, layout)
+    return Measurements.of_layout(table, layout)
 
 
-def _poses(table: Values, rows: Iterable[int]) -> list[int]:
+def _poses(table: Measurements, rows: Iterable[int]) -> list[int]:
     """One row for each pose: of rows with the same joint values, as many as measure the same target."""
     most: Counter[bytes] = Counter()
     seen: Counter[tuple[bytes, str]] = Counter()
