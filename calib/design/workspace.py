@@ -240,14 +240,10 @@ class RegionView:
 
     @property
     def pose(self) -> Array:
-        """Joint values to draw the robot at, shape (m,): the first row's, or some where the target is often."""
+        """Joint values to draw the robot at, shape (m,): the first row's, or the middle of the ranges."""
         if self.checked is not None and len(self.checked.rows):
             return np.asarray(self.checked.rows.joints_for(self.robot.joint_names)[0])
-        low, high = self.ranges.T
-        q = low + np.random.default_rng(0).uniform(size=(200, len(low))) * (high - low)
-        poses = self.robot.poses(q)
-        needed = self.density.share_of(poses[:, :3, :3] @ self.target + poses[:, :3, 3])
-        return np.asarray(q[np.argmin(needed)])
+        return np.asarray(self.ranges.mean(axis=1))
 
 
 def _counted(points: Array, voxel: float) -> tuple[Array, NDArray[np.int64]]:

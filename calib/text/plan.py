@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Iterable, Iterator
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,15 +21,6 @@ if TYPE_CHECKING:
     from calib.design.forecast import Forecast
     from calib.design.plan import Plan
     from calib.design.workspace import Checked, RegionView
-
-#: Five more poses that gain less than this part of the error hardly pay.
-_PAYS, _FIVE = 0.05, 5
-
-#: A joint's speed for the time that is printed [rad/s]: slow enough for any arm with a reflector on it.
-_SPEED = math.radians(30.0)
-
-#: So many moves that collide are named.
-_NAMED = 10
 
 _CRITERIA = {
     "V": "least mean error over the workspace (V-optimal)",
@@ -65,7 +55,7 @@ _NOTES: dict[Code, str] = {
 def plan_text(plan: Plan) -> str:
     """The text of a plan."""
     notes = [f"Note: {note}" for note in (*map(note_text, plan.notes), *_blocked(plan))]
-    return _paragraphs(_head(plan), _forecasts(plan), _ladder(plan), _travel(plan), notes)
+    return _paragraphs(_head(plan), _forecasts(plan), _ladder(plan), notes)
 
 
 def note_text(note: Note) -> str:
@@ -106,7 +96,7 @@ def _mm(value: float) -> str:
 
 
 def _head(plan: Plan) -> Iterator[str]:
-    """How many poses of which robot, out of which candidates, and what is to be estimated."""
+    """How many poses of which robot, out of which candidates, what is to be estimated, and how long the way is."""
     robot, f, count = plan.robot, plan.forecast, len(plan.estimation)
     taken = f", beside {len(plan.taken)} measured already" if len(plan.taken) else ""
     yield (
@@ -124,6 +114,8 @@ def _head(plan: Plan) -> Iterator[str]:
     yield f"  candidates     {plan.candidates} of {plan.drawn} drawn"
     refused = ", ".join(f"{n} {_REASONS[why]}" for why, n in plan.refused.items() if n)
     yield f"  refused        {refused or 'none'}"
+    if "prismatic" not in robot.joint_types.values():
+        yield f"  way            {math.degrees(plan.travel):.0f} deg of joint travel in the order to drive"
 
 
 def _forecasts(plan: Plan) -> Iterator[str]:
@@ -160,29 +152,12 @@ def _ladder(plan: Plan) -> Iterator[str]:
     for number, f in plan.ladder:
         mark = "  <- this plan" if number == len(plan.estimation) else ""
         yield f"  {number:>6} poses{_mm(f.rms):>13}{_span(f)}{mark}"
-    gains = [
-        1.0 - (after.rms / before.rms) ** (_FIVE / (more - fewer))
-        for (fewer, before), (more, after) in pairwise(plan.ladder)
-    ]
-    # From the first step on behind which no step gains more.
-    little = next((k for k in range(len(gains)) if max(gains[k:]) < _PAYS), None)
-    if little is not None:
-        yield f"Beyond {plan.ladder[little][0]} poses, {_FIVE} more lower the error by less than {100 * _PAYS:.0f} %."
-
-
-def _travel(plan: Plan) -> Iterator[str]:
-    """How long the way is."""
-    if "prismatic" not in plan.robot.joint_types.values():
-        yield (
-            f"Order to drive: {math.degrees(plan.travel):.0f} deg of joint travel in all, "
-            f"{plan.travel / _SPEED / 60.0:.1f} min at {math.degrees(_SPEED):.0f} deg/s without stops."
-        )
 
 
 def _blocked(plan: Plan) -> Iterator[str]:
     """Moves whose straight way collides, each with a pose to drive by, if one was found."""
     k, named = len(plan.targets), []
-    for one in plan.blocked[:_NAMED]:
+    for one in plan.blocked:
         by = () if one.by is None else zip(plan.robot.inputs, one.by, strict=True)
         drive = ", ".join(
             f"{1e3 * v:.1f} mm" if joint.type == "prismatic" else f"{math.degrees(v):.1f} deg"
@@ -193,23 +168,20 @@ def _blocked(plan: Plan) -> Iterator[str]:
             f"{start} to row {k * (one.end - 1) + 1}" + f" (drive by {drive})" * bool(drive)
         )
     if named:
-        more = f" and {len(plan.blocked) - _NAMED} more" if len(plan.blocked) > _NAMED else ""
-        yield f"The straight way in joint space collides from {', '.join(named)}{more}."
+        yield f"The straight way in joint space collides from {', '.join(named)}."
 
 
 # The workspace
 
 
-def workspace_text(
-    view: RegionView, origin: str, seed: int, reach: float, *, every_row: bool
-) -> str:
+def workspace_text(view: RegionView, origin: str, seed: int, *, every_row: bool) -> str:
     """The text of a region.
 
-    ``origin`` is what the ranges are taken from, empty for the limits; ``reach`` the largest distance of the target
-    from the base's origin [m]; with ``every_row`` each row of the table has a line.
+    ``origin`` is what the ranges are taken from, empty for the limits; with ``every_row`` each row of the table has a
+    line.
     """
     rows = [] if view.checked is None else _row_lines(view, view.checked, every_row=every_row)
-    return _paragraphs(_joints(view, origin), _region(view, seed, reach), rows)
+    return _paragraphs(_joints(view, origin), _region(view, seed), rows)
 
 
 def _joints(view: RegionView, origin: str) -> Iterator[str]:
@@ -225,7 +197,7 @@ def _joints(view: RegionView, origin: str) -> Iterator[str]:
         yield fill(f"Ranges of {origin}.", "  ")
 
 
-def _region(view: RegionView, seed: int, reach: float) -> Iterator[str]:
+def _region(view: RegionView, seed: int) -> Iterator[str]:
     """Extent, region, voxels."""
     density, region = view.density, view.region
     voxels, reached = np.count_nonzero(region.cells), np.count_nonzero(density.counts)
@@ -235,7 +207,6 @@ def _region(view: RegionView, seed: int, reach: float) -> Iterator[str]:
     )
     yield f"  samples     {density.samples:,} (seed {seed})"
     yield f"  workspace   {_extent(density.extent)}"
-    yield f"  reach       {1e3 * reach:.0f} mm from the base's origin"
     yield f"  region      {_extent(region.bounds)}"
     yield (
         f"  volume      {1e3 * region.volume:,.4g} litres, {voxels:,} of {reached:,} reached voxels"

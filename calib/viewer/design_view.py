@@ -42,8 +42,8 @@ _AROUND, _TAKEN, _WAY = "#b9a58c", "#8a94a0", "#5b6775"
 #: The bands of a region end at these shares, as far as the region goes.
 _BANDS = (0.5, 0.8)
 
-#: More voxels than this are thinned out, evenly; fewer than the other number get more than one point each.
-_MOST_POINTS, _WANTED_POINTS = 60_000, 15_000
+#: More voxels than this are thinned out, evenly.
+_MOST_POINTS = 60_000
 
 #: Edge of a point, as a part of a voxel; the robot is seen between them.
 _POINT = 0.36
@@ -142,9 +142,7 @@ def _draw_voxels(scene: meshcat.Visualizer, view: RegionView, centres: Array) ->
     needed = view.density.share_of(centres)
     rng = np.random.default_rng(0)
     chosen = np.sort(rng.permutation(len(centres))[:_MOST_POINTS])
-    copies = max(1, _WANTED_POINTS // len(centres))
-    centres, needed = (np.repeat(one[chosen], copies, axis=0) for one in (centres, needed))
-    edge = _POINT * view.region.voxel / np.cbrt(copies)
+    centres, needed, edge = centres[chosen], needed[chosen], _POINT * view.region.voxel
     # Anywhere in its voxel: points in rows would make patterns of their own.
     centres = centres + view.region.voxel * rng.uniform(-0.5, 0.5, centres.shape)
     share = view.region.share

@@ -106,7 +106,6 @@ def workspace(
     if quiet:
         return
     origin = "" if like is None else f"the estimation rows of {like.name}, {margin} wider"
-    reach = float(np.linalg.norm(points, axis=1).max())
-    lines = [workspace_text(found, origin, seed, reach, every_row=check is not None), ""]
+    lines = [workspace_text(found, origin, seed, every_row=check is not None), ""]
     lines += [f"Written: {path}" for path in (output, picture, view) if path is not None]
     typer.echo("\n".join(lines))
