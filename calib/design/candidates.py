@@ -7,7 +7,6 @@ in the measurement region, whatever else is wrong with them, are kept too: they 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -43,7 +42,6 @@ Code = Literal[
     "collisions_checked",  # the holder's radius [m], and what stands around
     "floor_not_checked",
     "no_geometry",  # links that were not checked, or not all of them
-    "visual_geometry",  # links that were checked by their visuals
     "always_close",  # pairs that are always closer than the clearance, and refused only where they touch
     "always_touching",  # pairs that were not checked
 ]
@@ -56,8 +54,7 @@ class Note(NamedTuple):
     values: tuple[str | float, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class Condition:
+class Condition(NamedTuple):
     """What a pose must pass, q of shape (n, m) to shape (n,), and what it is refused for otherwise.
 
     That of the region says where accuracy is wanted, the others what can be measured.
@@ -67,15 +64,15 @@ class Condition:
     passes: Callable[[Array], NDArray[np.bool_]]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Pool:
+class Pool(NamedTuple):
     """Candidates."""
 
     q: Array  #: shape (n, m), the poses that passed all tests, all different, [rad] or [m].
     workspace: Array  #: shape (k, m), those in the region, among the first drawn.
     drawn: int  #: How many were drawn.
-    #: How many each test refused, of those that had passed the tests before it.
-    refused: dict[str, int]
+    refused: dict[
+        str, int
+    ]  #: How many each test refused, of those that had passed the ones before it.
 
 
 def draw(
@@ -93,12 +90,9 @@ def draw(
     # Not above: SciPy's distributions take as long to import as the rest of calib.
     from scipy.stats import qmc
 
-    engine = qmc.Sobol(len(ranges), scramble=True, seed=seed)
-    low, high = ranges.T
-    kept: list[Array] = []
-    workspace: list[Array] = []
-    refused: dict[str, int] = {test.reason: 0 for test in tests}
-    drawn = total = 0
+    engine, (low, high) = qmc.Sobol(len(ranges), scramble=True, seed=seed), ranges.T
+    kept, workspace, drawn, total = [], [], 0, 0
+    refused: dict[str, int] = dict.fromkeys((test.reason for test in tests), 0)
     while total < count and drawn < (_MOST * max(count, _BATCH) if total else _NONE_YET):
         q = rounded(robot, low + engine.random(_BATCH) * (high - low), ranges)[: _MOST * count]
         drawn += len(q)
@@ -114,9 +108,9 @@ def draw(
         if progress is not None:
             progress(min(total, count), count)
     if total == 0:
-        parts = [f"{number} by {reason}" for reason, number in refused.items() if number]
+        parts = ", ".join(f"{number} by {reason}" for reason, number in refused.items() if number)
         raise ModelError(
-            f"None of {drawn} poses drawn can be measured; refused: {', '.join(parts)}. Widen the region or the joint "
+            f"None of {drawn} poses drawn can be measured; refused: {parts}. Widen the region or the joint "
             "ranges, move the tracker, or drop a condition."
         )
     # Each once, in the order drawn: narrow ranges have few values of whole steps.

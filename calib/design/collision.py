@@ -23,7 +23,7 @@ from pinocchio import hppfcl
 
 from calib.data.surroundings import Box, checked_boxes
 from calib.design.candidates import Code, Note
-from calib.errors import CalibError, UrdfError, choices
+from calib.errors import CalibError, UrdfError
 from calib.robot.chain import full_configurations, full_model, link_frame
 from calib.robot.meshes import LinkShape, find_mesh, link_shapes, load_mesh, mesh_folders
 from calib.robot.readback import spread_poses
@@ -140,12 +140,10 @@ class CollisionModel:
         Boxes are in the robot's base; targets are places in the tip by name, shape (3,), [m].
         """
         urdf, boxes, check = robot.urdf, checked_boxes(tuple(boxes)), check or CollisionCheck()
-        same = [box.name for box in boxes if box.name in urdf.links]
-        if same:
-            raise CalibError(
-                f"A box has the name of a link of the robot: {choices(same)}. Give it another one."
-            )
-        parts, from_visuals, unchecked = read_solids(urdf, check.package_dirs)
+        for box in boxes:
+            if box.name in urdf.links:
+                raise CalibError(f"The box '{box.name}' has the name of a link of the robot.")
+        parts, unchecked = read_solids(urdf, check.package_dirs)
         links = list(parts)
         for name, place in (targets or {}).items():
             T, half = _rod(np.zeros(3), np.asarray(place, dtype=np.float64))
@@ -171,7 +169,6 @@ class CollisionModel:
         notes += [] if check.floor else [Note("floor_not_checked")]
         listed: tuple[tuple[Code, Sequence[str]], ...] = (
             ("no_geometry", unchecked),
-            ("visual_geometry", from_visuals),
             ("always_close", [f"{a} and {b}" for a, b in close]),
             ("always_touching", [f"{a} and {b}" for a, b in touching]),
         )
@@ -193,10 +190,10 @@ class CollisionModel:
             abs(float(value[1] - value[0])) / (SLIDE_STEP if name in sliding else TURN_STEP)
             for name, value in self.robot.urdf_values(ends).items()
         )
-        index = np.arange(max(1 + math.ceil(max(steps)), 2))
+        count = max(math.ceil(max(steps)), 1)
         # The lowest bit of an index says how coarse a division it belongs to; index 0 is in the coarsest.
-        order = np.argsort(-np.where(index == 0, len(index), index & -index), kind="stable")
-        share = (index[order] / (len(index) - 1))[:, None]
+        order = sorted(range(count + 1), key=lambda i: -(i & -i or count + 1))
+        share = np.array(order)[:, None] / count
         way = self._configurations((1.0 - share) * ends[0] + share * ends[1])
         return not any(self._scene.touches(way))
 
@@ -234,14 +231,10 @@ class CollisionModel:
 
 def read_solids(
     urdf: Urdf, package_dirs: Iterable[str | Path] = ()
-) -> tuple[list[Solid], tuple[str, ...], tuple[str, ...]]:
-    """The geometry of every link; each mesh file is read once.
+) -> tuple[list[Solid], list[str]]:
+    """The shapes of all links, and the links of which not all can be used, or that carry a mass and have none.
 
-    ``package_dirs`` are the folders in which ``package://`` meshes are looked for before all others.
-
-    Returns:
-        The shapes; the links without collision geometry, whose visual geometry stands for it; and the links that carry
-        a mass but have no geometry that can be used, or not all of it.
+    Each mesh file is read once; ``package_dirs`` are where ``package://`` meshes are looked for before all others.
     """
     folders = mesh_folders(urdf, package_dirs)
     shapes = {tag: list(link_shapes(urdf, tag)) for tag in ("collision", "visual")}
@@ -252,15 +245,13 @@ def read_solids(
         if any(mass.get("value", "0").strip("0. ") for mass in link.findall("inertial/mass"))
     }
     meshes: dict[tuple[str, tuple[float, ...]], Any] = {}
-    solids, from_visuals, unchecked = [], [], []
+    solids, unchecked = [], []
     for link in urdf.links:
         proper, visual = ([one for one in shapes[tag] if one.link == link] for tag in shapes)
         found = [(one, _geometry(urdf, one, folders, meshes)) for one in proper or visual]
         usable = [
             Solid(link, "link", link, one.T_link_shape, g) for one, g in found if g is not None
         ]
-        if usable and not proper:
-            from_visuals.append(link)
         if len(usable) < len(found) or (not found and link in bodies):
             unchecked.append(link)
         solids += usable
@@ -269,7 +260,7 @@ def read_solids(
             f"{urdf.source}: no link has a <collision> or <visual> with a geometry that can be used. Take a URDF with "
             "geometry, or plan without collisions (--no-collisions)."
         )
-    return solids, tuple(from_visuals), tuple(unchecked)
+    return solids, unchecked
 
 
 def _rod(start: Array, end: Array) -> tuple[pin.SE3, float]:
@@ -293,11 +284,8 @@ def _geometry(
     if shape.mesh not in meshes:
         name, scale = shape.mesh
         path = find_mesh(name, folders)
-        if path is None:
-            problem = (
-                f"was not found in {choices(map(str, folders))}. Name its folder by --package-dir"
-            )
-        else:
+        problem = "was not found; name its folder by --package-dir"
+        if path is not None:
             meshes[shape.mesh], problem = load_mesh(path, scale)
         if problem:
             raise UrdfError(
@@ -311,12 +299,11 @@ def _scene_of(urdf: Urdf, parts: Sequence[Solid]) -> _Scene:
     """All shapes, without pairs."""
     model, shapes = full_model(urdf), pin.GeometryModel()
     for k, part in enumerate(parts):
-        frame, T = link_frame(model, part.link), part.T_link_shape
+        frame = link_frame(model, part.link)
         parent = model.frames[frame]
-        placement = parent.placement * pin.SE3(T[:3, :3], T[:3, 3])
-        shapes.addGeometryObject(
-            pin.GeometryObject(str(k), parent.parentJoint, frame, placement, part.geometry)
-        )
+        placement = parent.placement * pin.SE3(part.T_link_shape)
+        shape = pin.GeometryObject(str(k), parent.parentJoint, frame, placement, part.geometry)
+        shapes.addGeometryObject(shape)
     return _Scene(model, shapes)
 
 
@@ -346,8 +333,7 @@ def _mounting_plane(
     for part in links:
         if rigid[part.link] != rigid[base]:
             continue
-        T = T_base_root * data.oMf[link_frame(model, part.link)]
-        T = T * pin.SE3(part.T_link_shape[:3, :3], part.T_link_shape[:3, 3])
+        T = T_base_root * data.oMf[link_frame(model, part.link)] * pin.SE3(part.T_link_shape)
         if isinstance(part.geometry, hppfcl.BVHModelBase):
             low = np.min(part.geometry.vertices() @ T.rotation[2] + T.translation[2])
         else:

@@ -46,7 +46,6 @@ _NOTES: dict[Code, str] = {
     "instrument, people. Drive the first round slowly.",
     "floor_not_checked": "The floor was not checked.",
     "no_geometry": "Not checked for collisions, without geometry in the URDF: {0}.",
-    "visual_geometry": "Checked by their visual geometry, for want of another: {0}.",
     "always_close": "Always closer than the clearance, refused only where they touch: {0}.",
     "always_touching": "Not checked against each other, for they touch at (nearly) all poses: {0}.",
 }

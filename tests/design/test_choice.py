@@ -88,7 +88,7 @@ def test_poses_taken_lower_what_is_planned(paper, some, planned):
 
 @pytest.mark.parametrize("criterion", ["V"])
 def test_poses_taken_are_not_planned_again(paper, some, criterion):
-    few = replace(some, q=some.q[:60])
+    few = some._replace(q=some.q[:60])
     taken = choose_poses(paper, few, PlanRequest(30, 0, criterion=criterion, ladder=False)).planned
     # A controller's values are not quite those that it was told.
     taken = taken + np.radians(0.01)

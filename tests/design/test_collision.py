@@ -104,10 +104,7 @@ def test_visual_geometry_stands_in_and_bodies_without_any_are_named():
       <joint name="h" type="fixed"><parent link="hand"/><child link="frame"/></joint>
       <joint name="i" type="fixed"><parent link="hand"/><child link="odd"/></joint>"""
     model = model_of(robot_of(balls("visual", more)))
-    assert model.notes[2:] == (
-        ("no_geometry", ("ghost", "odd")),
-        ("visual_geometry", ("base", "upper", "fore", "hand")),
-    )
+    assert model.notes[2:] == (("no_geometry", ("ghost", "odd")),)
     q = spread_poses(model.robot, 200)
     np.testing.assert_array_equal(model.free(q), ball_model().free(q))
 
@@ -155,7 +152,7 @@ def test_a_rod_through_the_middle_of_a_box(shape):
     ("box", "said"),
     [
         (Box("hall", (5.0, 5.0, 5.0), np.eye(4)), "The box 'hall' touches the robot at all of 256"),
-        (Box("hand", (1, 1, 1), np.eye(4)), "has the name of a link of the robot: 'hand'"),
+        (Box("hand", (1, 1, 1), np.eye(4)), "'hand' has the name of a link"),
     ],
 )
 def test_boxes_that_cannot_be_meant(box, said):
@@ -363,7 +360,7 @@ def test_simple_shapes(tmp_path):
         '<sphere radius="-1"/>',
     ]
     more = "".join(f"<collision><geometry>{kind}</geometry></collision>" for kind in kinds)
-    solids, _, unchecked = read_solids(urdf_with(tmp_path, "../t.obj", more))
+    solids, unchecked = read_solids(urdf_with(tmp_path, "../t.obj", more))
     tops = []
     for solid in solids[1:]:
         solid.geometry.computeLocalAABB()
@@ -371,4 +368,4 @@ def test_simple_shapes(tmp_path):
     np.testing.assert_allclose(
         tops, [[0.1, 0.2, 0.3], [0.1, 0.1, 0.3], [0.1, 0.1, 0.4], [0.3, 0.3, 0.3]]
     )
-    assert unchecked == ("a",)  # not all of it
+    assert unchecked == ["a"]  # not all of it
