@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.errors import CalibError, choices
 
-Quantity = Literal["length", "angle", "torque", "force"]
+Quantity = Literal["length", "angle", "torque", "force", "mass"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +21,7 @@ class Unit:
     """A unit of one quantity: ``value_si = value * to_si``."""
 
     symbol: str  #: as written in a header, ``"mm"``.
-    quantity: Quantity  #: ``"length"`` (SI unit m), ``"angle"`` (rad), ``"torque"`` (Nm) or ``"force"`` (N).
+    quantity: Quantity  #: of the SI units m, rad, Nm, N and kg.
     to_si: float  #: what one of this unit is, in the SI unit.
 
 
@@ -36,6 +36,8 @@ _ROWS: tuple[tuple[str, Quantity, float], ...] = (
     ("mrad", "angle", 1e-3),
     ("Nm", "torque", 1.0),
     ("N", "force", 1.0),
+    ("kg", "mass", 1.0),
+    ("g", "mass", 1e-3),
 )
 UNITS: Mapping[str, Unit] = MappingProxyType({row[0]: Unit(*row) for row in _ROWS})
 
@@ -106,7 +108,8 @@ def parse_header(text: str) -> tuple[str, Unit | None]:
 # Numbers with their unit beside them, as cell files and command lines give them
 
 #: The quantities that a text can be, as a message says them.
-LENGTH, ANGLE, COMPLIANCE, PLAIN = "a length", "an angle", "a compliance", "a number"
+LENGTH, ANGLE, MASS, COMPLIANCE = "a length", "an angle", "a mass", "a compliance"
+PLAIN = "a number"
 
 
 def is_number(value: object) -> TypeGuard[float]:
@@ -143,6 +146,68 @@ def parse_quantity(text: object) -> tuple[float, str]:
         return number * UNITS[top].to_si, COMPLIANCE
     unit = find_unit(match[2])
     return number * unit.to_si, ANGLE if unit.quantity == "angle" else f"a {unit.quantity}"
+
+
+#: Numbers, and the unit that stands behind them: ``70 -70 22.5 mm``.
+_GROUP = re.compile(rf"((?:{NUMBER.pattern}[\s,]*)+?)([A-Za-zµμ]+(?:/[A-Za-z]+)?|$)[\s,]*")
+
+
+def parse_quantities(
+    text: str, option: str, wanted: Mapping[str, int], example: str, *, signed: bool = True
+) -> dict[str, list[float]]:
+    """Numbers with units, such as ``10 mm 2 deg``, in SI units by what they are; 0 alone needs no unit.
+
+    Args:
+        text: As it was written.
+        option: To which it was given.
+        wanted: What may be there, such as `LENGTH`, once each, and of how many numbers it is.
+        example: Of how to write it.
+        signed: Whether numbers may be below 0.
+
+    Raises:
+        CalibError: Anything else.
+    """
+    if text.strip() == "0":
+        return {kind: [0.0] * count for kind, count in wanted.items()}
+    found: dict[str, list[float]] = {}
+    good = not _GROUP.sub("", text).strip()
+    for numbers, symbol in _GROUP.findall(text) if good else ():
+        try:
+            read = [
+                parse_quantity(f"{one} {symbol}")
+                for one in re.split(r"[\s,]+", numbers.strip(", "))
+            ]
+        except CalibError:
+            good = False
+            break
+        kind, values = read[0][1], [value for value, _ in read]
+        good &= wanted.get(kind) == len(values) and kind not in found
+        good &= signed or min(values) >= 0.0
+        found[kind] = values
+    if not good or not found:
+        must = [
+            k if n == 1 else f"{n} numbers and a unit of {k.split()[1]}" for k, n in wanted.items()
+        ]
+        below = "" if signed else ", not below 0"
+        raise CalibError(
+            f'{option} was given as "{text}"; it must be {" or ".join(must)}{below}, such as "{example}".'
+        )
+    return found
+
+
+def parse_amount(
+    text: str, option: str, wanted: str, example: str, *, signed: bool = False
+) -> float:
+    """A number with its unit, such as ``0.5 mm``, of what is wanted, such as `LENGTH`, in SI units."""
+    return parse_quantities(text, option, {wanted: 1}, example, signed=signed)[wanted][0]
+
+
+def parse_noise(text: str, option: str) -> tuple[float, float]:
+    """``15 um + 6 um/m``, or ``0.05 mm``: a length [m], and one for each metre of distance [m/m]."""
+    match = re.fullmatch(r"(.+?[A-Za-zµμ])\s*(?:\+(.+)/\s*m\s*)?", text)
+    parts = [part for part in match.groups() if part] if match else [text]
+    constant, *per_length = (parse_amount(part, option, LENGTH, "15 um + 6 um/m") for part in parts)
+    return constant, sum(per_length)
 
 
 def parse_joint_value(value: object, where: str) -> float:

@@ -27,9 +27,8 @@ from calib.calibration import calibrate
 from calib.circle_points.fits import fit_circle, fit_plane
 from calib.circle_points.frame import BaseFrame, frame_of, nominal_axes, nominal_axes_frame
 from calib.circle_points.survey import base_frame, positive
-from calib.data.cell import Cell
+from calib.data.cell import Cell, TrackerNoise
 from calib.data.measurements import Measurements
-from calib.data.surroundings import TrackerNoise
 from calib.errors import CalibError
 from calib.example import paper_urdf
 from calib.model.error_model import error_model

@@ -23,9 +23,8 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
-from calib.data.cell import Cell
+from calib.data.cell import Box, Cell, Reflector, Tracker
 from calib.data.measurements import Measurements
-from calib.data.surroundings import Box, Reflector, Tracker
 from calib.design.candidates import draw, planning_ranges
 from calib.design.forecast import Forecast, Sensitivity, Workspace
 from calib.design.optimal import PlanRequest

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import os
-import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -22,88 +20,23 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from calib.data.cell import Cell
+    from calib.data.cell import Cell, Tracker
     from calib.data.measurements import Measurements
-    from calib.data.surroundings import Tracker
     from calib.result.calibration import Calibration
     from calib.robot.robot import Payload, Robot
 
-#: The model that lets the data choose; it takes no families, for it tries them all.
-AUTO = "auto"
 
-
-#: Numbers, and the unit that stands behind them: ``70 -70 22.5 mm``.
-_GROUP = re.compile(
-    r"((?:[-+]?[\d.]+(?:e[-+]?\d+)?[\s,]*)+?)([A-Za-z\u00b5\u03bc]+)[\s,]*", re.IGNORECASE
-)
-
-#: Units of mass, of which the command line alone has one.
-_MASSES = {"kg": 1.0, "g": 1e-3}
-
-
-def parse_amounts(
-    text: str, option: str, wanted: Mapping[str, int], example: str, *, signed: bool = True
-) -> dict[str, list[float]]:
-    """Numbers with units, such as ``10 mm 2 deg``, in SI units by what they are, ``a length``; 0 alone needs no unit.
-
-    Args:
-        text: As it was written.
-        option: To which it was given.
-        wanted: What may be there, once each, and of how many numbers it is.
-        example: Of how to write it.
-        signed: Whether numbers may be below 0.
-
-    Raises:
-        CalibError: Anything else.
-    """
-    if text.strip() == "0":
-        return {kind: [0.0] * count for kind, count in wanted.items()}
-    found: dict[str, list[float]] = {}
-    good = not _GROUP.sub("", text).strip()
-    for numbers, symbol in _GROUP.findall(text) if good else ():
-        values, kind = _si_values(numbers, symbol)
-        good &= wanted.get(kind) == len(values) and kind not in found
-        good &= all(math.isfinite(v) and (signed or v >= 0.0) for v in values)
-        found[kind] = values
-    if not good or not found:
-        one = [
-            kind if n == 1 else f"{n} numbers and a unit of {kind.split()[1]}"
-            for kind, n in wanted.items()
-        ]
-        raise CalibError(
-            f'{option} was given as "{text}"; it must be {" or ".join(one)}{", not below 0" * (not signed)}, such as '
-            f'"{example}".'
-        )
-    return found
-
-
-def _si_values(numbers: str, symbol: str) -> tuple[list[float], str]:
-    """Numbers in a unit as SI values, and what they are; nothing for what are no numbers, or no unit."""
-    from calib.units import UNITS
-
-    unit = UNITS.get("um" if symbol in ("\u00b5m", "\u03bcm") else symbol)
-    kind, factor = "a mass", _MASSES.get(symbol)
-    if unit is not None:
-        kind, factor = f"a{'n' * (unit.quantity == 'angle')} {unit.quantity}", unit.to_si
-    try:
-        return [
-            (factor or math.nan) * float(word) for word in numbers.replace(",", " ").split()
-        ], kind
-    except ValueError:
-        return [], kind
-
-
-def parse_point(text: str, option: str, example: str = "70 -70 22.5 mm") -> NDArray[np.float64]:
+def parse_point(text: str, option: str) -> NDArray[np.float64]:
     """Three numbers and a unit of length, such as ``70 -70 22.5 mm``, as a point [m], shape (3,)."""
     from calib.robot.robot import read_only
+    from calib.units import LENGTH, parse_quantities
 
-    (point,) = parse_amounts(text, option, {"a length": 3}, example).values()
-    return read_only(point)
+    return read_only(parse_quantities(text, option, {LENGTH: 3}, "70 -70 22.5 mm")[LENGTH])
 
 
 def parse_tracker(text: str | None, given: Tracker | None) -> Tracker | None:
     """``--tracker``: a position in the robot's base, such as ``2500 0 500 mm``; the rest is the given one's."""
-    from calib.data.surroundings import Tracker
+    from calib.data.cell import Tracker
 
     if text is None:
         return given
@@ -111,59 +44,20 @@ def parse_tracker(text: str | None, given: Tracker | None) -> Tracker | None:
     return Tracker(position) if given is None else replace(given, position=position)
 
 
-def parse_frame(text: str) -> tuple[bool, tuple[str, ...]]:
-    """``--frame``: whether the measurement frame is estimated, and which of its directions are.
-
-    Raises:
-        CalibError: Neither ``known`` nor ``estimate`` nor a list of directions such as ``x,y,rz``.
-    """
-    from calib.data.kinds import DIRECTIONS
-
-    if text in ("known", "estimate"):
-        return text == "estimate", DIRECTIONS
-    words = tuple(text.replace(",", " ").split())
-    if not words or not set(words) <= set(DIRECTIONS) or len(set(words)) < len(words):
-        raise CalibError(
-            f"--frame was given as \"{text}\"; it must be 'known', 'estimate' or a list of what is estimated of the "
-            f'frame, such as "x,y,rz", each once of {choices(DIRECTIONS)}.'
-        )
-    return True, words
-
-
 def parse_pair(text: str, option: str, example: str) -> tuple[float | None, float | None]:
     """A length [m], an angle [rad], or both, ``10 mm 2 deg``; None for what is not named."""
-    found = parse_amounts(text, option, {"a length": 1, "an angle": 1}, example, signed=False)
-    return found.get("a length", [None])[0], found.get("an angle", [None])[0]
+    from calib.units import ANGLE, LENGTH, parse_quantities
 
-
-def parse_amount(
-    text: str, option: str, wanted: str, example: str, *, signed: bool = False
-) -> float:
-    """A number with its unit, such as ``0.5 mm``, of what is wanted, ``a length``, in SI units."""
-    return parse_amounts(text, option, {wanted: 1}, example, signed=signed)[wanted][0]
-
-
-def check_model(text: str, source: str) -> None:
-    """Refuse a model, such as ``dh+gain``, that does not exist; ``source`` is where it was given.
-
-    Raises:
-        CalibError: No such set or family, or a family twice.
-    """
-    from calib.model.error_model import split_name
-
-    if text == AUTO:
-        return
-    try:
-        split_name(text)
-    except CalibError as error:
-        raise CalibError(f"{source}: {error} '{AUTO}' lets the data choose.") from error
+    found = parse_quantities(text, option, {LENGTH: 1, ANGLE: 1}, example, signed=False)
+    return found.get(LENGTH, [None])[0], found.get(ANGLE, [None])[0]
 
 
 def parse_payload(text: str, given: Payload | None) -> Payload:
     """``--payload``: a mass such as ``5 kg``; its centre is that of the payload already given, or the tip."""
     from calib.robot.robot import Payload as PayloadClass
+    from calib.units import MASS, parse_amount
 
-    mass = parse_amount(text, "--payload", "a mass", "5 kg")
+    mass = parse_amount(text, "--payload", MASS, "5 kg")
     return PayloadClass(mass) if given is None else replace(given, mass=mass)
 
 
@@ -180,28 +74,17 @@ def _pairs(pairs: Iterable[str], option: str, wanted: str) -> dict[str, str]:
 
 
 def parse_held(pairs: Iterable[str], option: str = "--hold") -> dict[str, float]:
-    """``--hold``, or another option of its form, as the values of joints by name [rad or m].
-
-    Raises:
-        CalibError: A pair without an equals sign, a name twice, or a value without a unit.
-    """
+    """``--hold``, or another option of its form, as the values of joints by name [rad or m]."""
     from calib.units import parse_joint_value
 
-    wanted = "'joint=value' with a unit of angle or length, such as 'torso_lift_joint=0.3 m', and each joint once"
+    wanted = "'joint=value' with a unit, such as 'torso_lift_joint=0.3 m', and each joint once"
     found = _pairs(pairs, option, wanted)
     return {name: parse_joint_value(v, f"{option} '{name}={v}'") for name, v in found.items()}
 
 
 def parse_columns(pairs: Iterable[str]) -> dict[str, str]:
-    """``--columns`` as a mapping from the table's names to calib's.
-
-    Raises:
-        CalibError: A pair without an equals sign, or a name twice.
-    """
-    wanted = (
-        "'name in the table=name in the URDF', with a unit in brackets behind it if the table has none, and each name "
-        "once"
-    )
+    """``--columns`` as a mapping from the table's names to calib's."""
+    wanted = "'name in the table=name in the URDF', with a unit in brackets if the table has none, each name once"
     return _pairs(pairs, "--columns", wanted)
 
 
@@ -226,6 +109,7 @@ def read_cell(
     The arguments are options as they are written; ``asdict`` of `calib.cli.options.CellOptions` has them.
     """
     from calib.data.cell import Cell
+    from calib.data.cell_file import frame as frame_of
 
     found = Cell() if cell is None else Cell.read(cell)
     said: dict[str, Any] = {
@@ -242,10 +126,8 @@ def read_cell(
         "priors": None if priors is None else found.priors.with_sizes(priors),
     }
     if frame is not None:
-        said["estimate_frame"], said["frame_directions"] = parse_frame(frame)
-    found = replace(found, **{name: value for name, value in said.items() if value is not None})
-    check_model(found.model, "--model" if model is not None else str(cell))
-    return found
+        said |= frame_of(frame)
+    return replace(found, **{name: value for name, value in said.items() if value is not None})
 
 
 def load(robot: str, cell: Cell) -> Robot:
@@ -346,11 +228,10 @@ def say_ignored(measurements: Measurements, robot: Robot) -> None:
     """Name the rows and columns that were not used; a joint among these hints at a wrong base or tip."""
     from calib.units import split_header
 
-    if measurements.unmeasured:
-        left_out, many = measurements.unmeasured, len(measurements.unmeasured) > 1
+    if left_out := measurements.unmeasured:
+        total = len(measurements) + len(left_out)
         text = (
-            f"{len(left_out)} of {len(measurements) + len(left_out)} rows {'are' if many else 'is'} not measured, and "
-            f"{'are' if many else 'is'} left out: {'rows' if many else 'row'} {row_ranges(left_out)}."
+            f"{len(left_out)} of {total} rows not measured, and left out: {row_ranges(left_out)}."
         )
         typer.echo(fill(text) + "\n")
     if not measurements.ignored:
@@ -359,11 +240,9 @@ def say_ignored(measurements: Measurements, robot: Robot) -> None:
     moving = {joint.name for joint in robot.urdf.joints if joint.type != "fixed"}
     # A held joint and one that follows another have columns that are not needed: nothing is wrong with the chain.
     moving -= {*robot.held, *(joint.name for joint in robot.joints)}
-    outside = [n for n, _ in map(split_header, measurements.ignored) if n in moving]
-    if outside:
+    if outside := [n for n, _ in map(split_header, measurements.ignored) if n in moving]:
         text += (
-            f" Of the robot's joints, {choices(outside)} {'is' if len(outside) == 1 else 'are'} not between "
-            f"'{robot.base}' and '{robot.tip}' (--base, --tip)."
+            f" Not between '{robot.base}' and '{robot.tip}' (--base, --tip): {choices(outside)}."
         )
     typer.echo(fill(text) + "\n")
 
@@ -380,22 +259,18 @@ def executor_of(
     if count is None:
         yield None
         return
+    if dask is not None and workers is not None:
+        raise CalibError("--workers are processes of this machine; leave them out, or --dask.")
     if dask is not None:
-        if workers is not None:
-            raise CalibError(
-                "--workers are processes of this machine, and --dask has its own workers; leave one of them out."
-            )
         try:
             from distributed import Client
 
             client = Client(dask, timeout="10s", set_as_default=False)  # type: ignore[no-untyped-call]
         except ImportError as error:
-            raise CalibError(
-                'Dask is not installed: run pip install ".[dask]" in calib\'s folder, or use --workers.'
-            ) from error
+            raise CalibError('Dask is not installed: run pip install "calib[dask]".') from error
         except (OSError, ValueError) as error:
             raise CalibError(
-                f'--dask "{dask}": no Dask scheduler answers there: {error or "timed out"}.'
+                f'--dask "{dask}": no Dask scheduler answers there: {error}.'
             ) from error
         with client, client.get_executor() as executor:  # type: ignore[no-untyped-call]
             yield executor

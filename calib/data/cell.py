@@ -1,71 +1,87 @@
 """Cell: what stands around the robot while it is measured, and what of it is known.
 
-The measurement frames, the targets on the tip, the instrument's noise, how large errors are expected to be, what the
-tip carries, and which parameters are estimated. All of it can stand in a TOML file, ``--cell cell.toml``; see
-docs/cell.md.
+The measurement frames, the targets on the tip, the instrument and its noise, what must not be touched, how large errors
+are expected to be, what the tip carries, and which parameters are estimated. All of it can stand in a TOML file,
+``--cell cell.toml``; see docs/cell.md.
 """
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 import calib.data.kinds as registry
-from calib.data.cell_file import read_cell_file
-from calib.data.kinds import DIRECTIONS, FARTHEST, SIGMAS
-from calib.data.surroundings import (
-    POSE,
-    VECTOR,
-    Array,
-    Box,
-    Reflector,
-    Tracker,
-    as_pose,
-    as_rotation,
-    as_vector,
-    checked_boxes,
-    kept,
-)
-from calib.errors import CalibError, choices
+from calib.data.cell_file import kept, pose, read_cell_file
+from calib.data.kinds import DIRECTIONS, FARTHEST, SIGMAS, no_rotation
+from calib.errors import CalibError, FileError, choices
 from calib.model.families import family_of
-from calib.robot.robot import Payload, read_only
+from calib.robot.robot import GRAVITY, Payload, read_only
 from calib.units import is_number
+
+Array = NDArray[np.float64]
+Distance = TypeVar("Distance", float, Array)
 
 #: The model that lets the data choose.
 AUTO = "auto"
 
-#: What `Cell.repeats` may be.
-REPEATS = ("weighted", "average", "independent")
-
-#: What `Priors.sizes` may be.
-PRIOR_SIZES = ("data", "given", "off")
+#: What `Cell.repeats` and `Priors.sizes` may be.
+REPEATS, PRIOR_SIZES = ("weighted", "average", "independent"), ("data", "given", "off")
 
 #: A prior outside of these says nothing, or is a constraint; their squares would leave the range of numbers.
 PRIORS = (1e-15, 1e6)
+
+_POSE = "a 4 x 4 pose with a right-handed rotation [m]"
+
+
+def vector(value: ArrayLike, what: str) -> Array:
+    """Three numbers, none so large that its digits no longer tell a position, shape (3,), read-only.
+
+    Raises:
+        CalibError: Anything else.
+    """
+    array = np.asarray(value, dtype=np.float64)
+    if array.shape != (3,) or not (np.abs(array) <= FARTHEST).all():
+        raise CalibError(
+            f"The {what} is {array.tolist()}; it must be three finite numbers x, y, z, none beyond {FARTHEST:g}."
+        )
+    return read_only(array)
+
+
+def _rotation(value: ArrayLike) -> Array | None:
+    """An orthonormal right-handed rotation, shape (3, 3); None for anything else."""
+    R = np.asarray(value, dtype=np.float64)
+    return read_only(R) if R.shape == (3, 3) and not no_rotation(R[None]).any() else None
+
+
+def _pose(value: ArrayLike) -> Array | None:
+    """A pose, shape (4, 4): such a rotation and such a vector; None for anything else."""
+    T = np.asarray(value, dtype=np.float64)
+    good = T.shape == (4, 4) and T[3].tolist() == [0, 0, 0, 1] and _rotation(T[:3, :3]) is not None
+    return read_only(T) if good and (np.abs(T) <= FARTHEST).all() else None
 
 
 @dataclass(frozen=True, slots=True, init=False)
 class Priors:
     """How large a robot's errors are expected to be: zero-mean normal distributions, a size for each family.
 
-    Attributes:
-        sizes: ``"data"``: the sizes are found from the measurements, starting at those given; ``"given"``: they are
-            those given; ``"off"``: none, plain least squares, but for a leash on what no measurement determines.
-        given: Standard deviations by family that are other than its row of the registry has, in the family's unit.
-
     Example:
         >>> Priors("given", length=1e-3).of("length")
         0.001
     """
 
+    #: ``"data"``: the sizes are found from the measurements, starting at those given; ``"given"``: they are those
+    #: given; ``"off"``: none, plain least squares, but for a leash on what no measurement determines.
     sizes: str
+    #: Standard deviations by family that are other than its row of the registry has, in the family's unit.
     given: tuple[tuple[str, float], ...]
 
     def __init__(self, sizes: str = "data", **given: float) -> None:
@@ -85,8 +101,8 @@ class Priors:
                     f"and {PRIORS[1]:g}. Use sizes 'off' for none."
                 )
         object.__setattr__(self, "sizes", sizes)
-        others = {name: value for name, value in given.items() if value != family_of(name).prior}
-        object.__setattr__(self, "given", tuple(sorted(others.items())))
+        others = [(name, v) for name, v in given.items() if v != family_of(name).prior]
+        object.__setattr__(self, "given", tuple(sorted(others)))
 
     def with_sizes(self, sizes: str) -> Priors:
         """The same standard deviations, used otherwise: ``"data"``, ``"given"`` or ``"off"``."""
@@ -101,130 +117,207 @@ class Priors:
 class GroupDistance:
     """A known distance between the fixed points of two groups, such as two sockets on one plate.
 
-    Attributes:
-        first: Name of a group. It may hold one ``*``, which then stands for any text.
-        second: Name of another one; its ``*`` stands for the same text.
-        length: [m].
-        sigma: Standard deviation of the length [m].
-
     Example:
         >>> plate = GroupDistance("*/left", "*/right", length=0.2, sigma=1e-5)
         >>> plate.pairs(["1/left", "1/right", "2/left", "2/right"])
         (('1/left', '1/right'), ('2/left', '2/right'))
     """
 
-    first: str
-    second: str
-    length: float
-    sigma: float
+    first: str  #: Name of a group. It may hold one ``*``, which then stands for any text.
+    second: str  #: Name of another one; its ``*`` stands for the same text.
+    length: float  #: [m].
+    sigma: float  #: Standard deviation of the length [m].
 
     def __post_init__(self) -> None:
         """Refuse names that cannot be matched and lengths that are none."""
-        said = f"The distance between the groups {self.first!r} and {self.second!r}"
-        if (self.first.count("*"), self.second.count("*")) not in ((0, 0), (1, 1)):
+        stars = self.first.count("*"), self.second.count("*")
+        if (
+            stars not in ((0, 0), (1, 1))
+            or self.first == self.second
+            or min(self.length, self.sigma) <= 0.0
+        ):
             raise CalibError(
-                f"{said}: '*' stands for the same text in both; write it once in each name, or in neither."
-            )
-        if self.first == self.second:
-            raise CalibError(f"{said}: a group has one fixed point; name two different groups.")
-        if not (self.length > 0.0 and self.sigma > 0.0):
-            raise CalibError(
-                f"{said} is {self.length!r} m, its sigma {self.sigma!r} m; both are greater than 0."
+                f"A distance is {self.length:g} m, its sigma {self.sigma:g} m, between the groups '{self.first}' and "
+                f"'{self.second}'; it must be between two groups, with '*' once in both names or in neither, and "
+                "length and sigma above 0."
             )
 
     def pairs(self, groups: Iterable[str]) -> tuple[tuple[str, str], ...]:
         """The pairs of these groups that the distance is between, each once, in the groups' order."""
-        present = tuple(dict.fromkeys(groups))
-        if "*" not in self.first:
-            both = self.first in present and self.second in present
-            return ((self.first, self.second),) if both else ()
-        before, _, after = self.first.partition("*")
+        present = dict.fromkeys(groups)
+        pattern = re.escape(self.first).replace(r"\*", "(.*)")
         found = []
-        for group in present:
-            middle = group[len(before) : len(group) - len(after)]
-            # Compared as a whole: the parts before and behind the star may not overlap.
-            other = self.second.replace("*", middle)
-            if group == f"{before}{middle}{after}" and other in present and other != group:
-                found.append((group, other))
+        for match in filter(None, (re.fullmatch(pattern, group, re.DOTALL) for group in present)):
+            other = self.second.replace("*", "".join(match.groups()))
+            if other in present and other != match[0]:
+                found.append((match[0], other))
         return tuple(found)
 
 
-def _between(low: float, high: float) -> Callable[[Any], float | None]:
+@dataclass(frozen=True, slots=True)
+class TrackerNoise:
+    """The noise of a laser tracker and of the robot that it looks at: the standard deviation of one coordinate.
+
+    At a distance d sigma^2 = (constant + per_length d)^2 + repeatability^2. Data sheets print largest errors; what
+    follows from them here is on the safe side. The default is a Leica AT901's 15 um + 6 um/m and a robot's 0.02 mm (the
+    paper, section 2).
+    """
+
+    constant: float = 15e-6  #: [m].
+    per_length: float = 6e-6  #: [m/m].
+    repeatability: float = 20e-6  #: Of the robot, [m].
+
+    def __post_init__(self) -> None:
+        """Refuse what is no standard deviation, and three zeros."""
+        values = (self.constant, self.per_length, self.repeatability)
+        if not min(values) >= 0.0 or not any(values):
+            raise CalibError(f"A noise is {values} m; none may be below 0, and not all 0.")
+
+    def std(self, distance: Distance) -> Distance:
+        """Standard deviation of one coordinate at a distance from the instrument, a float or an array [m]."""
+        return (  # type: ignore[no-any-return]
+            (self.constant + self.per_length * distance) ** 2 + self.repeatability**2
+        ) ** 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Box:
+    """A box that the robot must not touch and the beam must not cross."""
+
+    name: str  #: For messages; each box of a cell has its own.
+    size: Array  #: shape (3,), lengths of the edges along x, y, z of the box [m].
+    T_base_box: Array  #: shape (4, 4), pose of the box's centre in the robot's base [m].
+
+    def __post_init__(self) -> None:
+        """Check and keep read-only copies."""
+        size = vector(self.size, f"size of the box '{self.name}'")
+        if not (size > 0.0).all():
+            raise CalibError(
+                f"The box '{self.name}' has the edges {size.tolist()} m; each must be longer than 0."
+            )
+        T = kept(self.T_base_box, f"The pose of the box '{self.name}'", _POSE, _pose)
+        object.__setattr__(self, "size", size)
+        object.__setattr__(self, "T_base_box", T)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tracker:
+    """A laser tracker: where it stands, how far it sees, how well it measures."""
+
+    position: Array  #: shape (3,), the point that its beam turns about, in the robot's base [m].
+    nearest: float = 0.0  #: Least distance that it measures [m].
+    farthest: float = 80.0  #: Largest distance that it measures [m].
+    #: Standard deviation of a coordinate, by distance.
+    noise: TrackerNoise = field(default_factory=TrackerNoise)
+
+    def __post_init__(self) -> None:
+        """Check and keep a read-only copy."""
+        object.__setattr__(self, "position", vector(self.position, "tracker's position"))
+        if not 0.0 <= self.nearest < self.farthest:
+            raise CalibError(
+                f"The tracker measures from {self.nearest:g} m to {self.farthest:g} m; give a range from 0 or more."
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reflector:
+    """A reflector that is fixed to the tip and is seen from within a cone only."""
+
+    #: shape (3,), unit vector in the tip: where the reflector's opening faces; it is made one if it is not.
+    normal: Array
+    #: Largest angle between it and the direction to the tracker [rad]; a corner cube's, if nothing else is said.
+    acceptance: float = math.radians(30.0)
+
+    def __post_init__(self) -> None:
+        """Check and keep a read-only unit vector."""
+        normal = vector(self.normal, "reflector's normal")
+        length = float(np.linalg.norm(normal))
+        if not (length > 1e-100 and 0.0 < self.acceptance <= math.pi):
+            raise CalibError(
+                f"The reflector's normal is {normal.tolist()}, its acceptance {np.degrees(self.acceptance):g} deg; "
+                "give a direction, such as [0, 0, 1], and a half angle above 0 and at most 180 deg."
+            )
+        object.__setattr__(self, "normal", read_only(normal / length))
+
+
+def check_boxes(boxes: Iterable[Box], tracker: Tracker | None = None) -> None:
+    """Refuse boxes of one name, and a tracker inside a box, from where it sees nothing.
+
+    Raises:
+        CalibError: One of them is; the text says which.
+    """
+    names = [box.name for box in boxes]
+    if twice := dict.fromkeys(name for name in names if names.count(name) > 1):
+        raise CalibError(
+            f"Each box needs a name of its own; given more than once: {choices(twice)}."
+        )
+    if tracker is None:
+        return
+    for box in boxes:
+        inside = box.T_base_box[:3, :3].T @ (tracker.position - box.T_base_box[:3, 3])
+        if (np.abs(inside) <= 0.5 * box.size).all():
+            raise CalibError(
+                f"The tracker stands inside the box '{box.name}', and sees nothing from there. Move one of the two, or "
+                "leave out a box that is the tracker's own stand."
+            )
+
+
+def _within(low: float, high: float, unit: str) -> tuple[str, Callable[[Any], float | None]]:
     """A number in a range; one that knows its unit keeps it."""
 
     def convert(value: Any) -> float | None:  # noqa: ANN401
         """The number, or None."""
-        if not is_number(value) or not low <= value <= high:
-            return None
-        return value if isinstance(value, float) else float(value)
+        return value if is_number(value) and low <= value <= high else None
 
-    return convert
+    return f"a number from {low:g} to {high:g} {unit}", convert
 
 
-def _directions(value: Any) -> tuple[str, ...] | None:  # noqa: ANN401
+def _directions(value: Iterable[str]) -> tuple[str, ...] | None:
     """Some of the directions of a frame, in their order."""
-    good = value and set(value) <= set(DIRECTIONS) and len(set(value)) == len(value)
-    return tuple(d for d in DIRECTIONS if d in value) if good else None
+    found = tuple(d for d in DIRECTIONS if d in value)
+    return found if found and sorted(found) == sorted(value) else None
 
 
-def _tie(value: Any) -> tuple[str, float] | None:  # noqa: ANN401
+def _tie(value: tuple[str, float]) -> tuple[str, float] | None:
     """Another parameter and a factor."""
     name, factor = value
     return (name, float(factor)) if is_number(factor) and factor else None
 
 
-def _bounds(value: Any) -> tuple[float, float] | None:  # noqa: ANN401
+def _interval(value: tuple[float, float]) -> tuple[float, float] | None:
+    """Two numbers, the first less than the second; those that know their unit keep it."""
+    low, high = value
+    return (low, high) if low < high else None
+
+
+def _bounds(value: tuple[float, float]) -> tuple[float, float] | None:
     """The least and the largest change; an infinite one is none."""
-    low, high = (float(one) for one in value)
-    return (low, high) if low <= 0.0 <= high and low != high else None
+    found = _interval(value)
+    return found if found and found[0] <= 0.0 <= found[1] else None
 
 
-def _range(value: Any) -> tuple[float, float] | None:  # noqa: ANN401
-    """The least and the largest value of a joint; numbers that know their unit keep it."""
-    low, high = (one if isinstance(one, float) else float(one) for one in value)
-    return (low, high) if is_number(low) and is_number(high) and low < high else None
+_CHANGES = "the least and the largest change from the nominal value with 0 between them, such as (-0.001, 0.001)"
 
-
-_SIGMA = "a positive number, from {:g} to {:g} {}; without it, it is found from the data"
-
-#: What an attribute of a cell must be, and what gives the value that is kept.
+#: What an attribute of a cell must be, and what gives the value that is kept, or None.
 _FIELDS: Mapping[str, tuple[str, Callable[[Any], Any]]] = {
-    "target": (f"{VECTOR} [m], none beyond {FARTHEST:g}", as_vector),
-    "T_frame_base": (POSE, as_pose),
-    "sigma": (_SIGMA.format(*SIGMAS, "m"), _between(*SIGMAS)),
-    "sigma_angle": (_SIGMA.format(*SIGMAS, "rad"), _between(*SIGMAS)),
-    "frozen": ("a tuple of names", tuple),
-    "target_rotation": ("a 3 x 3 right-handed rotation", as_rotation),
+    "T_frame_base": (_POSE, _pose),
+    "sigma": _within(*SIGMAS, "m"),
+    "sigma_angle": _within(*SIGMAS, "rad"),
+    "target_rotation": ("a 3 x 3 right-handed rotation", _rotation),
     "frame_directions": (f"some of {choices(DIRECTIONS)}, each once", _directions),
-    "gravity": (f"{VECTOR} [m/s^2]", as_vector),
-    "kind": ("a kind of measurement", lambda value: registry.get(value).name),
+    "frozen": ("names", tuple),
     "repeats": (f"one of {choices(REPEATS)}", lambda v: v if v in REPEATS else None),
-    "boxes": ("a tuple of Box", checked_boxes),
 }
 
 #: The same of each value of the attributes that are mappings from names.
 _NAMED: Mapping[str, tuple[str, Callable[[Any], Any]]] = {
-    "targets": _FIELDS["target"],
+    "targets": ("three numbers [m]", lambda value: vector(value, "target")),
     "frames": _FIELDS["T_frame_base"],
     "ties": ("another parameter and a factor that is not zero, such as ('a2', 1.0)", _tie),
-    "bounds": (
-        "the least and the largest change from the nominal value, such as (-0.001, 0.001), with 0 between them. To "
-        "keep a parameter at its nominal value, freeze it",
-        _bounds,
-    ),
-    "parameter_priors": (
-        f"a positive number, from {PRIORS[0]:g} to {PRIORS[1]:g}. Freeze a parameter to keep it",
-        _between(*PRIORS),
-    ),
-    "held": (
-        f"a number [rad] or [m], not beyond {FARTHEST:g}",
-        _between(-FARTHEST, FARTHEST),
-    ),
-    "ranges": (
-        "the least and the largest value [rad or m], the first less than the second. To keep a joint where it is, hold "
-        "it (--hold)",
-        _range,
-    ),
+    "bounds": (_CHANGES, _bounds),
+    "parameter_priors": _within(*PRIORS, "of the parameter's unit"),
+    "held": _within(-FARTHEST, FARTHEST, "rad or m"),
+    "ranges": ("the least and the largest value [rad or m]", _interval),
 }
 
 
@@ -279,7 +372,7 @@ class Cell:
     parameter_priors: Mapping[str, float] = field(default_factory=_none)
     payload: Payload | None = None  #: What the tip carries; None: nothing.
     #: shape (3,), acceleration of gravity in the URDF's root frame [m/s^2].
-    gravity: Array = field(default_factory=lambda: read_only((0.0, 0.0, -9.81)))
+    gravity: Array = field(default_factory=lambda: read_only(GRAVITY))
     distances: tuple[
         GroupDistance, ...
     ] = ()  #: Known distances between the fixed points of groups.
@@ -303,27 +396,27 @@ class Cell:
             value = getattr(self, name)
             if value is not None:
                 object.__setattr__(self, name, kept(value, f"A cell's {name}", *must))
+        for name in ("target", "gravity"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, vector(getattr(self, name), name))
         for name, must in _NAMED.items():
             given = getattr(self, name).items()
             found = {k: kept(v, f"'{k}' in a cell's {name}", *must) for k, v in given}
             object.__setattr__(self, name, MappingProxyType(found))
+        if self.kind is not None:
+            registry.get(self.kind)
+        check_boxes(self.boxes)
         if self.target is None and not self.targets and not self.estimate_target:
             raise CalibError(
                 'The target is said to be known but is not given. Give it (--target "x y z mm", or target_mm in the '
                 "cell file) or let it be estimated."
             )
         for name, (other, _) in self.ties.items():
-            if other == name or other in self.ties:
+            if other in self.ties or name in {*self.frozen, *self.bounds, *self.parameter_priors}:
                 raise CalibError(
-                    f"'{name}' is tied to '{other}', which is tied itself; tie both to one that is not."
+                    f"'{name}' is tied to '{other}': it must not be frozen, have bounds or a prior as well, nor "
+                    f"'{other}' be tied itself."
                 )
-            if name in self.frozen:
-                raise CalibError(f"'{name}' is both frozen and tied to '{other}'; choose one.")
-            for what, given in (("bounds", self.bounds), ("a prior", self.parameter_priors)):
-                if name in given:
-                    raise CalibError(
-                        f"'{name}' has {what} and is tied to '{other}'; give {what} to that one."
-                    )
 
     def __reduce__(self) -> tuple[Any, ...]:
         """To another process and back: read-only mappings travel as dicts, and are checked again there."""
@@ -341,11 +434,28 @@ class Cell:
             FileError: The file cannot be read.
             CalibError: It is not TOML, has an unknown key, or a value of the wrong kind.
         """
-        values = read_cell_file(path)
         try:
-            sizes, given = values.pop("priors")
-            found = tuple(GroupDistance(**one) for one in values.pop("distances", ()))
-            return cls(**values, priors=Priors(sizes, **given), distances=found)
+            values = read_cell_file(path)
+            values["priors"] = Priors(**values["priors"])
+            if "tracker" in values:
+                tracker, usual = values["tracker"], TrackerNoise()
+                noise = tracker.pop("noise", (usual.constant, usual.per_length))
+                repeated = tracker.pop("repeatability", usual.repeatability)
+                values["tracker"] = Tracker(
+                    **tracker, noise=TrackerNoise(noise[0], noise[1], repeated)
+                )
+            boxes = (
+                Box(one["name"], one["size"], pose(one["xyz"], one.get("rotation")))
+                for one in values.get("boxes", ())
+            )
+            values["boxes"] = tuple(boxes)
+            values["distances"] = tuple(GroupDistance(**d) for d in values.get("distances", ()))
+            for name, one in (("payload", Payload), ("reflector", Reflector)):
+                if name in values:
+                    values[name] = one(**values[name])
+            return cls(**values)
+        except FileError:
+            raise
         except CalibError as error:
             raise CalibError(f"{path}: {error}") from error
 

@@ -21,7 +21,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 from pinocchio import hppfcl
 
-from calib.data.surroundings import Box, checked_boxes
+from calib.data.cell import Box
 from calib.design.candidates import Code, Note
 from calib.errors import CalibError, UrdfError
 from calib.robot.chain import full_configurations, full_model, link_frame
@@ -139,7 +139,7 @@ class CollisionModel:
 
         Boxes are in the robot's base; targets are places in the tip by name, shape (3,), [m].
         """
-        urdf, boxes, check = robot.urdf, checked_boxes(tuple(boxes)), check or CollisionCheck()
+        urdf, boxes, check = robot.urdf, tuple(boxes), check or CollisionCheck()
         for box in boxes:
             if box.name in urdf.links:
                 raise CalibError(f"The box '{box.name}' has the name of a link of the robot.")

@@ -17,9 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
 
 import calib.data.kinds as registry
-from calib.data.cell import AUTO, Cell
+from calib.data.cell import AUTO, Cell, Tracker
 from calib.data.measurements import Measurements
-from calib.data.surroundings import Tracker
 from calib.data.table import DEFAULT_TARGET
 from calib.design.candidates import Note, planning_ranges
 from calib.errors import ModelError, choices

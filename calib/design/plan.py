@@ -24,10 +24,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import calib.data.kinds as registry
-from calib.data.cell import Cell
+from calib.data.cell import Cell, Reflector, Tracker, check_boxes
 from calib.data.layout import Layout
 from calib.data.measurements import Measurements
-from calib.data.surroundings import Reflector, Tracker, check_outside
 from calib.data.table import DEFAULT_TARGET, EXPECTED, POINT, QUATERNION, Table, name_columns
 from calib.design.candidates import Condition, Note, draw, planning_ranges
 from calib.design.collision import CollisionCheck, CollisionModel
@@ -142,7 +141,7 @@ def plan(
         targets = dict(zip(names, T_tip_target[:, :3, 3], strict=True))
         body = CollisionModel.of(robot, cell.boxes, targets, collisions)
         if cell.tracker is not None:
-            check_outside(cell.tracker, cell.boxes)
+            check_boxes(cell.boxes, cell.tracker)
 
     def part(what: str) -> Callable[[int, int], None] | None:
         return None if progress is None else partial(progress, what)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +17,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib.data.cell import Cell
-from calib.data.surroundings import TrackerNoise, parse_noise
+from calib.data.cell import Cell, TrackerNoise
 from calib.errors import CalibError, choices, did_you_mean
 from calib.files import json_bytes, read_bytes, write_atomically
 from calib.model.error_model import error_model
@@ -27,7 +26,7 @@ from calib.robot.readback import check_written, random_joint_values
 from calib.robot.robot import Robot
 from calib.simulation.scenario import DEFAULT_MODEL, Scenario, Simulated
 from calib.simulation.truth import TARGET_ERROR, Encoder, MovedTarget, Outliers, Truth
-from calib.units import is_number, parse_quantity
+from calib.units import is_number, parse_noise, parse_quantity
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -174,9 +173,8 @@ def noise_of(cell: Cell, text: str | None) -> TrackerNoise | None:
     if text is not None:
         if text.strip() in (_NONE, "0"):
             return None
-        # Read beside a repeatability, so that a noise of "0 mm" is not refused as such.
-        read = parse_noise(text, "--noise", repeatability=1.0)
-        return replace(read, repeatability=0.0) if read.constant or read.per_length else None
+        read = parse_noise(text, "--noise")
+        return TrackerNoise(*read, 0.0) if any(read) else None
     found = TrackerNoise() if cell.tracker is None else cell.tracker.noise
     return found if cell.sigma is None else TrackerNoise(cell.sigma, 0.0, 0.0)
 

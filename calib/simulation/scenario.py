@@ -17,10 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 import calib.data.kinds as registry
-from calib.data.cell import Cell
+from calib.data.cell import Cell, TrackerNoise, vector
 from calib.data.kinds import Kind
 from calib.data.measurements import Measurements
-from calib.data.surroundings import TrackerNoise, vector
 from calib.data.table import SETS
 from calib.errors import CalibError, choices
 from calib.robot.readback import joint_ranges

@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtri
 
-from calib.data.cell import Cell
-from calib.data.surroundings import Tracker
+from calib.data.cell import Cell, Tracker
 from calib.design.candidates import draw, planning_ranges
 from calib.design.forecast import Forecast, Sensitivity, Workspace
 from calib.design.optimal import PlanRequest, choose_poses

@@ -21,8 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 import calib.data.kinds as registry
-from calib.data.cell import Cell
-from calib.data.surroundings import vector
+from calib.data.cell import Cell, vector
 from calib.data.table import DEFAULT_TARGET
 from calib.errors import CalibError, ModelError, choices, did_you_mean
 from calib.model.error_model import error_model, split_name

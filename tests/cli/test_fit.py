@@ -284,7 +284,7 @@ def test_force_overwrites(call, shop):
         (("robot.urdf", "data.csv", "--cell", "no.toml"), "cell file 'no.toml' does not exist"),
         (
             ("robot.urdf", "data.csv", "--model", "best"),
-            "--model: There is no parameter set 'best'",
+            "There is no parameter set 'best'",
         ),
         (
             ("robot.urdf", "data.csv", "--hold", "lift=1 m"),
@@ -360,7 +360,7 @@ def test_an_unused_column_that_is_a_joint_hints_at_base_and_tip(call, shop):
     assert done.code == 0
     text = " ".join(done.out.split("\n\n")[0].split())
     assert text == (
-        "Columns not used: 'wrist_3_joint [deg]'. Of the robot's joints, 'wrist_3_joint' is not between "
-        "'base' and 'wrist_2_link' (--base, --tip)."
+        "Columns not used: 'wrist_3_joint [deg]'. Not between 'base' and 'wrist_2_link' (--base, --tip): "
+        "'wrist_3_joint'."
     )
     assert max(map(len, done.out.splitlines())) <= 100

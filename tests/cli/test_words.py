@@ -11,9 +11,7 @@ import numpy as np
 import pytest
 
 from calib.cli.setup import (
-    check_model,
     load_with_data,
-    parse_frame,
     parse_held,
     parse_pair,
     parse_payload,
@@ -23,8 +21,6 @@ from calib.cli.setup import (
 from calib.data.cell import Cell
 from calib.data.kinds import DIRECTIONS
 from calib.errors import CalibError
-from calib.model.error_model import MODELS
-from calib.model.families import joint_families
 from calib.robot.robot import Payload
 from calib.units import Angle, Length
 
@@ -32,29 +28,6 @@ from calib.units import Angle, Length
 @pytest.mark.parametrize("text", ["1 2 3 mm", "1,2,3 mm", " 1, 2, 3mm", "0.1 0.2 0.3 cm"])
 def test_points(text: str):
     np.testing.assert_allclose(parse_point(text, "--target"), [1e-3, 2e-3, 3e-3], rtol=1e-15)
-
-
-@pytest.mark.parametrize(
-    ("text", "frame"),
-    [
-        ("known", (False, DIRECTIONS)),
-        ("estimate", (True, DIRECTIONS)),
-        ("x,y,rz", (True, ("x", "y", "rz"))),
-        ("rx, z", (True, ("rx", "z"))),
-        ("z", (True, ("z",))),
-    ],
-)
-def test_frames(text: str, frame: tuple[bool, tuple[str, ...]]):
-    assert parse_frame(text) == frame
-
-
-def test_every_model_is_known():
-    check_model("auto", "here")
-    for base in MODELS:
-        check_model(base, "here")
-        for family in joint_families():
-            check_model(f"{base}+{family}", "here")
-    check_model(" dh + gain + compliance ", "here")
 
 
 def test_held_joints():
@@ -76,10 +49,6 @@ def test_a_payload_keeps_the_centre_that_was_given():
 @pytest.mark.parametrize(
     ("parse", "text", "said"),
     [
-        (parse_frame, "tracker", "--frame was given as \"tracker\"; it must be 'known', 'estimate' or a list"),
-        (parse_frame, "x,yaw", "--frame was given as \"x,yaw\"; it must be"),
-        (lambda t: check_model(t, "--model"), "best", "--model: There is no parameter set 'best'"),
-        (lambda t: check_model(t, "--model"), "dh+gain+gain", "'dh+gain+gain' adds 'gain'"),
         (lambda t: parse_held([t]), "lift", "--hold was given 'lift'; it must be 'joint=value' with a unit"),
         (lambda t: parse_held([t]), "lift=3", "--hold 'lift=3' is '3'; a joint's value needs a unit of angle or"),
         (lambda t: parse_payload(t, None), "5", "--payload was given as \"5\"; it must be a mass, not below 0, such"),

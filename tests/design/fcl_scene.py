@@ -9,7 +9,7 @@ import fcl
 import numpy as np
 import trimesh
 
-from calib.data.surroundings import Box
+from calib.data.cell import Box
 from calib.robot.meshes import find_mesh, link_shapes, mesh_folders
 from calib.robot.robot import Robot
 from calib.viewer.view import root_poses

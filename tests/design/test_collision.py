@@ -10,7 +10,7 @@ from hypothesis import assume, given, settings, strategies as st
 from scipy.spatial.transform import Rotation
 
 from calib import example
-from calib.data.surroundings import Box
+from calib.data.cell import Box
 from calib.design.collision import CollisionCheck, CollisionModel, read_solids
 from calib.errors import CalibError, UrdfError
 from calib.robot.readback import spread_poses

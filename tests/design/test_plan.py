@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.data.cell import Cell, Priors
-from calib.data.surroundings import Box, Reflector, Tracker
+from calib.data.cell import Box, Cell, Priors, Reflector, Tracker
 from calib.design.candidates import Note
 from calib.design.collision import CollisionCheck
 from calib.design.optimal import PlanRequest

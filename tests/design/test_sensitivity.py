@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.data.cell import Cell, Priors
+from calib.data.cell import Cell, Priors, Tracker, TrackerNoise
 from calib.data.measurements import Measurements
-from calib.data.surroundings import Tracker, TrackerNoise
 from calib.design.forecast import Sensitivity, forecast
 from calib.errors import ModelError
 from calib.estimate.inspection import inspect

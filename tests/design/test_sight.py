@@ -9,7 +9,7 @@ import trimesh
 from hypothesis import assume, given, settings, strategies as st
 
 from calib import example
-from calib.data.surroundings import Reflector, Tracker
+from calib.data.cell import Reflector, Tracker
 from calib.design.collision import BEAM, NEST, CollisionCheck, CollisionModel
 from calib.design.plan import in_cone, in_range
 from calib.robot.robot import Robot

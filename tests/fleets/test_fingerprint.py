@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.data.cell import Cell
-from calib.data.surroundings import Tracker
+from calib.data.cell import Cell, Tracker
 from calib.fleets.fleet import fingerprint
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from calib.data.cell import Cell
-from calib.data.surroundings import Tracker
+from calib.data.cell import Cell, Tracker
 from calib.simulation.scenario import Scenario, VirtualCell
 from calib.simulation.truth import Truth
 

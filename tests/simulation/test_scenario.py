@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.data.cell import Cell
-from calib.data.surroundings import Tracker, TrackerNoise
+from calib.data.cell import Cell, Tracker, TrackerNoise
 from calib.errors import CalibError
 from calib.robot.readback import column_ranges
 from calib.simulation.scenario import DEFAULT_TRACKER, Scenario

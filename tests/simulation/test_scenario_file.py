@@ -5,8 +5,7 @@ from dataclasses import astuple
 import numpy as np
 import pytest
 
-from calib.data.cell import Cell
-from calib.data.surroundings import Tracker, TrackerNoise
+from calib.data.cell import Cell, Tracker, TrackerNoise
 from calib.errors import CalibError
 from calib.simulation.files import (
     KEYS,

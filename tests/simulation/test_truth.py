@@ -6,8 +6,7 @@ import pytest
 from hypothesis import given, strategies as st
 from scipy.spatial.transform import Rotation
 
-from calib.data.cell import Cell
-from calib.data.surroundings import Tracker
+from calib.data.cell import Cell, Tracker
 from calib.model.error_model import error_model
 from calib.model.families import FAMILIES
 from calib.robot.readback import random_joint_values

@@ -10,8 +10,7 @@ import pytest
 import umsgpack
 
 from calib import example
-from calib.data.cell import Cell
-from calib.data.surroundings import Box, Tracker
+from calib.data.cell import Box, Cell, Tracker
 from calib.design.optimal import PlanRequest
 from calib.design.plan import plan
 from calib.robot.readback import random_joint_values

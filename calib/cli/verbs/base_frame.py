@@ -57,11 +57,12 @@ def base_frame(
     """See the text of `verb`."""
     from calib.circle_points.survey import base_frame as found_frame
     from calib.circle_points.sweeps import read_sweeps
-    from calib.cli.setup import check_outputs, parse_amount, parse_columns
+    from calib.cli.setup import check_outputs, parse_columns
     from calib.files import write_atomically
     from calib.result.calibration_file import write_table
     from calib.robot.robot import Robot
     from calib.text.base_frame import cell_text, survey_text
+    from calib.units import LENGTH, parse_amount
 
     if robot is None and (base is not None or tip is not None):
         raise CalibError(
@@ -72,7 +73,7 @@ def base_frame(
     arm = None if robot is None else Robot.load(robot, base, tip)
     names = None if arm is None else arm.joint_names
     sweeps = read_sweeps(data, names, parse_columns(columns or []), points, points_unit)
-    offset = parse_amount(plane_offset, "--plane-offset", "a length", "19.05 mm", signed=True)
+    offset = parse_amount(plane_offset, "--plane-offset", LENGTH, "19.05 mm", signed=True)
     found = found_frame(sweeps, arm, plane_offset=offset, robust=robust)
     lines, written = survey_text(found, sweeps.source, arm), []
     if cell_out is not None:

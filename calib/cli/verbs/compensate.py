@@ -107,14 +107,14 @@ def parse_tool(text: str) -> list[list[float]] | str:
     import numpy as np
     from scipy.spatial.transform import Rotation
 
-    from calib.cli.setup import parse_amounts
+    from calib.units import ANGLE, LENGTH, parse_quantities
 
     word, _, name = text.strip().partition(":")
     if word == "target":
         return name.strip()
-    parts = {"a length": 3, "an angle": 3}
-    found = parse_amounts(text, "--tool", parts, "0 0 100 mm 0 0 90 deg")
+    parts = {LENGTH: 3, ANGLE: 3}
+    found = parse_quantities(text, "--tool", parts, "0 0 100 mm 0 0 90 deg")
     T = np.eye(4)
-    T[:3, 3] = found.get("a length", [0.0] * 3)
-    T[:3, :3] = Rotation.from_rotvec(found.get("an angle", [0.0] * 3)).as_matrix()
+    T[:3, 3] = found.get(LENGTH, [0.0] * 3)
+    T[:3, :3] = Rotation.from_rotvec(found.get(ANGLE, [0.0] * 3)).as_matrix()
     return list(T.tolist())

@@ -68,11 +68,12 @@ def plan(
     from calib.result.calibration_file import write_table
     from calib.robot.robot import Robot
     from calib.text.plan import next_text, plan_text
+    from calib.units import ANGLE, LENGTH, parse_amount
 
     inputs: list[str | Path] = [robot, *filter(None, (setup.cell, region, taken))]
     line.check_outputs([output, json, view], inputs, force=force)
-    gap = line.parse_amount(margin, "--margin", "an angle", "5 deg")
-    clear = line.parse_amount(clearance, "--clearance", "a length", "1 mm")
+    gap = parse_amount(margin, "--margin", ANGLE, "5 deg")
+    clear = parse_amount(clearance, "--clearance", LENGTH, "1 mm")
     cell = line.read_cell(**asdict(setup))
     cell = replace(cell, tracker=line.parse_tracker(tracker, cell.tracker))
     names = None if taken is None else Table.read(taken).names({})

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from calib.cli.options import Dask, Force, ModelOptions, Quiet, RobotFile, Workers, verb
-from calib.cli.setup import AUTO, check_model, check_outputs, executor_of, load, read_cell
+from calib.cli.setup import check_outputs, executor_of, load, read_cell
 from calib.errors import CalibError, choices
 
 _Text = str | None
@@ -77,7 +77,6 @@ def simulate(
     truth = truth or (output and output.with_name(f"{output.stem}_truth.json"))
     inputs = [robot, *(str(path) for path in (poses, setup.cell, truth_robot) if path)]
     check_outputs([output, truth, truth_urdf, json], inputs, force=force)
-    check_model(fit_model or AUTO, "--fit-model")
     # Workers begin first: they import what they need while robot and scenario are prepared here.
     with executor_of(workers, dask, study) as executor:
         from calib.cli.terminal import progress_bar
@@ -104,7 +103,7 @@ def simulate(
             said = text.simulated_text(scenario, made)
         else:
             # The fit knows what a person would tell it, and not what the robot is wrong in.
-            told = replace(cell, model=fit_model or AUTO)
+            told = replace(cell, model=fit_model or "auto")
             trials = studies.Trials(scenario, told, given, sets, count, extra, planned)
             with progress_bar("trials", quiet=quiet) as progress:
                 found = studies.study(trials, study, seed, executor, progress)

@@ -53,7 +53,7 @@ def workspace(
     """See the text of `verb`."""
     import numpy as np
 
-    from calib.cli.setup import check_outputs, parse_amount, parse_columns, read_cell
+    from calib.cli.setup import check_outputs, parse_columns, read_cell
     from calib.cli.terminal import progress_bar
     from calib.data.table import Table
     from calib.design.candidates import by_joint
@@ -69,6 +69,7 @@ def workspace(
     from calib.robot.readback import joint_ranges
     from calib.robot.robot import Robot
     from calib.text.plan import workspace_text
+    from calib.units import ANGLE, LENGTH, parse_amount
 
     tables = [path for path in (like, check) if path is not None]
     inputs: list[str | Path] = [robot, *tables, *filter(None, [setup.cell])]
@@ -77,8 +78,8 @@ def workspace(
         from calib.report.figure_region import check_ending, write_picture  # with matplotlib
 
         check_ending(picture)
-    wider = parse_amount(margin, "--margin", "an angle", "5 deg")
-    edge = None if voxel is None else parse_amount(voxel, "--voxel", "a length", "20 mm")
+    wider = parse_amount(margin, "--margin", ANGLE, "5 deg")
+    edge = None if voxel is None else parse_amount(voxel, "--voxel", LENGTH, "20 mm")
     cell, renamed = read_cell(**asdict(setup)), parse_columns(columns or [])
     known = [Table.read(path).names(renamed) for path in tables]
     joints = set.intersection(*known) if known else None
