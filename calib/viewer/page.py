@@ -45,7 +45,6 @@ from calib.viewer.view import (
     Visual,
     packed,
     read_visuals,
-    stage_poses,
     translation,
     view_of,
     view_of_robots,
@@ -80,10 +79,10 @@ def write_page(calibration: Calibration, path: str | Path, *, overwrite: bool = 
 
 def view_page(view: View, *, live: bool = False) -> Page:
     """Draw a view; a ``live`` page listens to the server that it came from."""
-    visuals = {who: read_visuals(robot.urdf) for who, robot in view.robots.items()}
-    warnings = tuple(dict.fromkeys(text for _, texts in visuals.values() for text in texts))
-    shown = puppets(view, {who: found for who, (found, _) in visuals.items()})
-    first = slice(view.start, view.start + 1)
+    found = {who: read_visuals(robot.urdf) for who, robot in view.robots.items()}
+    warnings = tuple(dict.fromkeys(text for _, texts in found.values() for text in texts))
+    shown = puppets(view, {who: visuals for who, (visuals, _) in found.items()})
+    first, two = slice(view.start, view.start + 1), len(shown) > 1
     start = np.concatenate([puppet.outline(first) for puppet in shown.values()])
     outline = np.concatenate([start, *(puppet.outline() for puppet in shown.values())])
     size = stage.span(outline)
@@ -91,7 +90,7 @@ def view_page(view: View, *, live: bool = False) -> Page:
     right = np.array([-back[1], back[0], 0.0])
     # Side by side nothing of one robot reaches into the other.
     step = 0.5 * max(np.ptp(outline @ right) + 0.06 * size, 0.4 * size) * right
-    offsets = dict(zip(shown, (-step, step) if len(shown) > 1 else (0 * step,), strict=True))
+    offsets = {"nominal": -step, "calibrated": step} if two else {"nominal": 0.0 * step}
     # Labels stand at the foot, below the middle of a robot.
     across = start @ right
     foot = 0.5 * (across.min() + across.max()) * right
@@ -101,7 +100,7 @@ def view_page(view: View, *, live: bool = False) -> Page:
     one = np.vstack([outline, foot])
     side = stage.look_at(np.concatenate([one + at for at in offsets.values()]), back, _TEXT)
     over = stage.look_at(one, back, _TEXT)
-    window, root, size, grid = stage.new_scene(side, outline, foot[2])
+    window, root, grid = stage.new_scene(side, size, foot[2])
     for who, puppet in shown.items():
         group = root[stage.SCENE][who]
         group.set_transform(translation(offsets[who] - side.centre))
@@ -109,8 +108,8 @@ def view_page(view: View, *, live: bool = False) -> Page:
         stage.draw_puppet(group, puppet, view.start, material, _BALL * size)
     names = [name.lower() for name, _ in view.names[: len(shown)]]
     labels: list[tuple[Array, str, str, str]] = []
-    if len(shown) > 1:  # of one robot the heading says what it is
-        for at, (name, meaning) in zip(offsets.values(), view.names, strict=False):
+    if two:  # of one robot the heading says what it is
+        for at, (name, meaning) in zip(offsets.values(), view.names, strict=True):
             labels.append((at + foot - side.centre, "side", name, meaning))
         meaning = f"{names[0]} solid, {names[1]} translucent"
         labels.append((foot - over.centre, "over", "Overlaid", meaning))
@@ -132,26 +131,23 @@ def view_page(view: View, *, live: bool = False) -> Page:
         grid=grid,
         keys=_keys(view),
         view=view,
-        two=len(shown) > 1,
-        arrows=factor,
+        two=two,
         factors=FACTORS,
         labels=labels,
         table=table,
+        arrows=factor,
         live=live,
     )
     return Page(html, warnings)
 
 
 def puppets(view: View, visuals: Mapping[str, Sequence[Visual]]) -> dict[str, Puppet]:
-    """The robots of a view by ``"nominal"`` and ``"calibrated"``, upright on the stage."""
-    T_stage_base = stage_poses(view.nominal, view.q)
-    places = (
-        (T_stage_base @ view.T_base_nominal, view.nominal_target),
-        (T_stage_base, view.calibrated_target),
-    )
+    """The robots of a view by ``"nominal"`` and ``"calibrated"``, in the base of the calibrated one."""
+    bases = view.T_base_nominal, np.broadcast_to(np.eye(4), (len(view.q), 4, 4))
+    targets = view.nominal_target, view.calibrated_target
     return {
         who: Puppet.of(robot, view.q, visuals[who], *place)
-        for (who, robot), place in zip(view.robots.items(), places, strict=False)
+        for (who, robot), *place in zip(view.robots.items(), bases, targets, strict=False)
     }
 
 
@@ -159,10 +155,9 @@ def magnification(view: View, size: float) -> int:
     """The factor of `FACTORS` that makes the typical arrow of the nominal robot well visible, of rows not flagged."""
     nominal, calibrated = view.predicted
     apart = np.linalg.norm((view.measured if view.measures else calibrated) - nominal, axis=1)
-    good = np.isfinite(apart) & (np.array(view.kinds) != "flagged")
-    typical = float(np.median(apart[good])) if np.any(good) else 0.0
-    wanted = _ARROW * size / typical if typical > 0 else 1.0
-    return max((factor for factor in FACTORS if factor <= wanted), default=1)
+    apart = apart[np.isfinite(apart) & (np.array(view.kinds) != "flagged")]
+    typical = float(np.median(apart)) if np.any(apart) else np.inf
+    return max((factor for factor in FACTORS if factor * typical <= _ARROW * size), default=1)
 
 
 def _keys(view: View) -> list[stage.Key]:
@@ -190,37 +185,29 @@ def _keys(view: View) -> list[stage.Key]:
 
 def script_table(view: View, shown: Mapping[str, Puppet]) -> dict[str, Any]:
     """What the script needs of the poses, as values that JSON can hold; arrays as `floats`."""
-    on_stage = stage_poses(view.nominal, view.q)
-    measured = np.einsum("nij,nj->ni", on_stage[:, :3, :3], view.measured) + on_stage[:, :3, 3]
+    robots, links = {}, shown["nominal"].links
+    colours = {kind: colour for kind, (colour, _) in _ROWS.items()}
+    for who, puppet in shown.items():
+        count = puppet.poses.shape[1]
+        # Which mover of the nominal robot is the same; the last three are the frames of base, tip and target.
+        same = [links.index(one) if one in links else -1 for one in puppet.links]
+        robots[who] = {
+            "movers": count,
+            "poses": stage.floats(packed(puppet.poses)),
+            "rods": [*map(list, puppet.rods), [count - 2, count - 1]],
+            "same": [*same, *range(len(links), len(links) + 3)],
+        }
     return {
         "start": view.start,
         "labels": list(view.labels),
         "kinds": list(view.kinds),
         "names": [name for name, _ in view.names],
-        "colours": {
-            **stage.COLOURS,
-            **{kind: c for kind, (c, _) in _ROWS.items()},
-            "beam": look.BEAM,
-        },
-        "robots": {who: _robot(puppet, shown["nominal"]) for who, puppet in shown.items()},
-        "measured": stage.floats(measured),
+        "colours": {**stage.COLOURS, **colours, "beam": look.BEAM},
+        "robots": robots,
+        "measured": stage.floats(view.measured),
         "errors": [stage.floats(one) for one in view.errors],
         "angles": [stage.floats(one) for one in view.angles],
-        "instruments": packed(on_stage[view.start] @ view.instruments).tolist(),
-    }
-
-
-def _robot(puppet: Puppet, nominal: Puppet) -> dict[str, Any]:
-    """One robot: its movers at each pose, its rods, and which mover of the nominal robot is the same."""
-    count, others = puppet.poses.shape[1], len(nominal.links)
-    same = [nominal.links.index(one) if one in nominal.links else -1 for one in puppet.links]
-    same += range(others, others + count - len(puppet.links))
-    rods = [*map(list, puppet.rods), [count - 2, count - 1]]
-    return {
-        "movers": count,
-        "poses": stage.floats(packed(puppet.poses)),
-        "rods": rods,
-        "same": same,
+        "instruments": packed(view.instruments).tolist(),
     }
 
 

@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 import calib.report.figure_base as look
 from calib.files import write_atomically
 from calib.robot.robot import Robot
-from calib.viewer.view import Puppet, read_visuals, stage_poses, translation
+from calib.viewer.view import Puppet, read_visuals, translation
 
 Array = NDArray[np.float64]
 
@@ -140,16 +140,15 @@ def look_at(points: Array, back: Array, between: tuple[float, float] = (-0.69, 0
 
 
 def new_scene(
-    camera: Camera, points: Array, floor: float
-) -> tuple[SceneWindow, meshcat.Visualizer, float, float]:
+    camera: Camera, size: float, floor: float
+) -> tuple[SceneWindow, meshcat.Visualizer, float]:
     """A scene with a camera, lights, background and floor, whose origin is what the camera looks at.
 
-    ``points``, (N, 3), are what is drawn, ``floor`` the height of the floor [m]. It comes with meshcat's visualizer of
-    all of it, the size of what is drawn and the edge of a square of the floor [m].
+    ``size`` is that of what is drawn, ``floor`` the height of the floor [m]. It comes with meshcat's visualizer of all
+    of it and the edge of a square of the floor [m].
     """
     window = SceneWindow()
     root = meshcat.Visualizer.view_into(window, meshcat.path.Path())
-    size = span(points)
     lens = mc.PerspectiveCamera(fov=_FOV_DEG, aspect=16 / 9, near=0.02 * size, far=100 * size)
     root["/Cameras/default/rotated"].set_object(lens)
     light = camera.axes[2] - 0.6 * camera.axes[0] + 1.1 * np.array([0.0, 0.0, 1.0])
@@ -171,7 +170,7 @@ def new_scene(
     floor_lines = np.concatenate([ends, ends[..., [1, 0, 2]]])
     draw_lines(root["/Floor/grid"], floor_lines, "#9aa7b4", 0.42)
     root["/Floor/grid"].set_transform(translation([0, 0, floor - camera.centre[2]]))
-    return window, root, size, grid
+    return window, root, grid
 
 
 def draw_puppet(
@@ -371,15 +370,12 @@ def single_page(
     """
     visuals, warnings = read_visuals(robot.urdf)
     puppet = Puppet.of(robot, q[None], visuals, np.eye(4)[None], np.eye(4))
-    upright = np.eye(4)
-    upright[:3, :3] = stage_poses(robot, q[None])[0, :3, :3]
-    drawn = puppet.outline() @ upright[:3, :3].T
-    everything = np.concatenate([drawn, points @ upright[:3, :3].T])
-    back = row_direction(puppet.poses[0, :, :3, 3] @ upright[:3, :3].T)
-    camera = look_at(everything, back)
-    window, root, size, grid = new_scene(camera, everything, float(drawn[:, 2].min()))
+    drawn = puppet.outline()
+    everything = np.concatenate([drawn, points])
+    camera, size = look_at(everything, row_direction(puppet.poses[0, :, :3, 3])), span(everything)
+    window, root, grid = new_scene(camera, size, float(drawn[:, 2].min()))
     scene = root[SCENE]
-    scene.set_transform(translation(-camera.centre) @ upright)
+    scene.set_transform(translation(-camera.centre))
     draw_puppet(scene["nominal"], puppet, 0, solid(look.NOMINAL))
     keys = [Key(legend, look.NOMINAL, "nominal"), *draw(scene, size)]
     words: dict[str, Any] = {"title": title, "text": text, "warnings": warnings}

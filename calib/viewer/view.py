@@ -351,27 +351,27 @@ class Puppet(NamedTuple):
         tuple[int, int]
     ]  #: Two movers with a rod from the origin of one to that of the other
     radius: float  #: Of the rods [m]
-    poses: Array  #: shape (N, L, 4, 4), each mover on the stage at each pose [m]
+    poses: Array  #: shape (N, L, 4, 4), each mover in the scene at each pose [m]
 
     @classmethod
     def of(
-        cls, robot: Robot, q: Array, visuals: Sequence[Visual], T_stage_base: Array, target: Array
+        cls, robot: Robot, q: Array, visuals: Sequence[Visual], T_scene_base: Array, target: Array
     ) -> Puppet:
-        """A robot at poses q, (N, m), standing at T_stage_base, (N, 4, 4), [m]; ``target`` is T_tip_target.
+        """A robot at poses q, (N, m), standing at T_scene_base, (N, 4, 4), [m]; ``target`` is T_tip_target.
 
         Links whose mesh is missing, or all links of a robot without shapes, are rods from one to the next.
         """
         in_root = root_poses(robot, q)
-        T_stage_root = T_stage_base @ rigid_inverse(in_root[robot.base])
+        T_scene_root = T_scene_base @ rigid_inverse(in_root[robot.base])
         shown = {v.link for v in visuals if v.mesh is not None}
         sticks = {v.link for v in visuals if v.mesh is None} if shown else set(robot.urdf.links)
         joints = [joint for joint in robot.urdf.joints if joint.parent in sticks]
         needed = shown | sticks | {joint.child for joint in joints}
         links = tuple(link for link in robot.urdf.links if link in needed)
         # The robot's own forward kinematics put tip and target: those are the points that the tables speak of.
-        T_tip = T_stage_base @ robot.poses(q)
-        moved = [T_stage_root @ in_root[link] for link in links]
-        poses = np.stack([*moved, T_stage_base, T_tip, T_tip @ target], axis=1)
+        T_tip = T_scene_base @ robot.poses(q)
+        moved = [T_scene_root @ in_root[link] for link in links]
+        poses = np.stack([*moved, T_scene_base, T_tip, T_tip @ target], axis=1)
         origins = [T[0, :3, 3] for T in in_root.values()]
         radius = _STICK * float(np.linalg.norm(np.ptp(origins, axis=0)))
         parts = [
@@ -402,16 +402,6 @@ def root_poses(robot: Robot, q: Array) -> dict[str, Array]:
         pin.framesForwardKinematics(model, data, configuration)
         poses[n] = [data.oMf[frame].homogeneous for frame in frames]
     return {link: poses[:, k] for k, link in enumerate(robot.urdf.links)}
-
-
-def stage_poses(robot: Robot, q: Array) -> Array:
-    """Where the base stands on the stage at each pose, shape (N, 4, 4), [m].
-
-    The stage is the robot's base; where joints move the base itself, as they do a camera's, it is the root of the URDF.
-    """
-    if not robot.base_moves:
-        return np.broadcast_to(np.eye(4), (len(q), 4, 4))
-    return root_poses(robot, q)[robot.base]
 
 
 def packed(poses: Array) -> NDArray[np.float32]:

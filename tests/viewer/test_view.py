@@ -28,7 +28,6 @@ from calib.viewer.view import (
     packed,
     read_visuals,
     root_poses,
-    stage_poses,
     translation,
     view_of,
     view_of_result,
@@ -349,26 +348,15 @@ def test_every_mover_is_where_the_robot_s_forward_kinematics_put_it(request, dis
     shift = translation([0.01, -0.02, 0.03])
     view = View(robot, other, q, T_base_nominal=shift, nominal_target=translation([0, 0.1, 0.2]))
     shown = puppets(view, {who: read_visuals(one.urdf)[0] for who, one in view.robots.items()})
-    for who, one, T_stage_base in (("nominal", robot, shift), ("calibrated", other, np.eye(4))):
+    for who, one, T_scene_base in (("nominal", robot, shift), ("calibrated", other, np.eye(4))):
         puppet = shown[who]
         for n in range(2):
             poses, tip = link_poses(one, q[n]), one.poses(q[n])[0]
-            wanted = [T_stage_base @ T for T in (*(poses[k] for k in puppet.links), np.eye(4), tip)]
+            wanted = [T_scene_base @ T for T in (*(poses[k] for k in puppet.links), np.eye(4), tip)]
             np.testing.assert_allclose(puppet.poses[n, :-1], wanted, atol=1e-12)
         np.testing.assert_allclose(
             puppet.poses[:, -1, :3, 3], view.predicted[int(who != "nominal")]
         )
-
-
-def test_a_robot_whose_base_moves_stands_on_its_root(head_and_arm):
-    """A camera on the head looks at the arm: the picture stands still, and the head moves."""
-    q = np.array([Q["head_and_arm"], [0.4, -0.5, *[0.1] * 7]])
-    on_stage = stage_poses(head_and_arm, q)
-    camera = Robot.load("tiago_no_hand", "base_footprint", head_and_arm.base)
-    for n in range(2):
-        values = dict(zip(head_and_arm.joint_names, q[n], strict=True))
-        at_head = [values.get(name, 0.0) for name in camera.joint_names]
-        np.testing.assert_allclose(on_stage[n], camera.poses(at_head)[0], atol=1e-9)
 
 
 def test_the_outline_holds_every_shape(ur3):
