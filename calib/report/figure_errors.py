@@ -64,16 +64,14 @@ def curve_rows(c: Calibration) -> tuple[str, Mask, Array, Array]:
     m, measured = c.measurements, np.any(c.used[:, :3], axis=1)
     if np.any(m.validation & measured):
         return "validation", m.validation & measured, c.residual_nominal, c.residual_calibrated
-    before, after = _left_out(c, c.nominal_cross_validation), _left_out(c, c.cross_validation)
+    before, after = c.nominal_cross_validation, c.cross_validation
     if before is not None and after is not None:
-        return "left-out", m.estimation & measured, before, after
+        return "left-out", m.estimation & measured, _left_out(c, before), _left_out(c, after)
     return "estimation", m.estimation & measured, c.residual_nominal, c.residual_calibrated
 
 
-def _left_out(c: Calibration, found: CrossValidation | None) -> Array | None:
-    """Measured minus predicted by fits that had not seen the row, shape (N, D), NaN for validation rows; or None."""
-    if found is None:
-        return None
+def _left_out(c: Calibration, found: CrossValidation) -> Array:
+    """Measured minus predicted by fits that had not seen the row, shape (N, D), NaN for validation rows."""
     residual = np.full(c.residual_calibrated.shape, np.nan)
     residual[c.measurements.estimation] = found.residual
     return residual
@@ -82,29 +80,26 @@ def _left_out(c: Calibration, found: CrossValidation | None) -> Array | None:
 def curves(c: Calibration) -> Figure:
     """As the paper's figure 8. Lengths have one panel: their errors with their signs."""
     word, mask, before, after = curve_rows(c)
-    axes_too = has_axes(c, mask)
-    whole = np.all(c.used[mask, :3], axis=1) if axes_too else c.used[mask, 0]
-    rows = np.array(c.measurements.rows)[mask]
+    axes_too, rows = has_axes(c, mask), np.array(c.measurements.rows)[mask]
     figure = base.new_figure(4.9 if axes_too else 2.8)
     panels = figure.subplots(*((2, 2) if axes_too else (1, 1)), sharex=True, squeeze=False)
-    *signed, last = panels.ravel()
+    titles = ["Δx", "Δy", "Δz", "Size of the error"] if axes_too else ["Error of the length"]
     for who, residual in ((base.BEFORE, before), (base.AFTER, after)):
-        for k, ax in enumerate(signed or [last]):
-            _curve(ax, rows, np.where(whole, 1e3 * residual[mask, k], np.nan), who)
-            ax.set_title(f"Δ{'xyz'[k]}" if axes_too else "Error of the length")
+        values = np.where(c.used, residual, np.nan)[mask][:, : 3 if axes_too else 1]
         if axes_too:
-            _curve(last, rows, 1e3 * base.lengths_of(residual, c.used)[mask], who)
-    if axes_too:
-        last.set_title("Size of the error")
-        last.set_ylim(bottom=0.0)
-        # One scale for the three, so that they can be compared.
-        reach = max(float(np.max(np.abs(ax.get_ylim()))) for ax in signed)
-        for ax in signed:
-            ax.set_ylim(-reach, reach)
-    for ax in panels.ravel():
+            values = np.c_[values, base.lengths_of(residual, c.used)[mask]]
+            values[np.isnan(values).any(axis=1), :3] = np.nan
+        for ax, one in zip(panels.ravel(), 1e3 * values.T, strict=True):
+            _curve(ax, rows, one, who)
+    for ax, title in zip(panels.ravel(), titles, strict=True):
         ax.axhline(0.0, color=base.INK, lw=0.7, zorder=1.5)
         ax.xaxis.set_major_locator(base.few_ticks(6 if axes_too else 10, whole=True))
-        ax.set_ylabel("error [mm]")
+        ax.set(title=title, ylabel="error [mm]")
+    if axes_too:  # one scale for the three, so that they can be compared
+        reach = float(np.max(np.abs([ax.get_ylim() for ax in panels.ravel()[:3]])))
+        for ax in panels.ravel()[:3]:
+            ax.set_ylim(-reach, reach)
+        panels[1, 1].set_ylim(bottom=0.0)
     for ax in panels[-1]:
         ax.set_xlabel(f"{word} row")
     base.legend_above(figure)
@@ -121,12 +116,12 @@ def by_row(c: Calibration, what: What = LENGTH) -> Figure:
     _curve(top, rows, after, base.AFTER)
     kinds = [kind for kind in base.row_kinds(c) if np.any(np.isfinite(after[kind.mask]))]
     reach = float(np.nanmax(after[others], initial=1e-3))
-    unseen = _left_out(c, c.cross_validation)
     if len(rows) > _MOST_LINES:
         _curve(below, rows, np.where(others, after, np.nan), base.AFTER)
         kinds = [kind for kind in kinds if kind.word == "outlier"]
-    elif unseen is not None:
-        dashes = np.where(others, what.scale * what.size(unseen, c.used), np.nan)
+    elif c.cross_validation is not None:
+        unseen = what.size(_left_out(c, c.cross_validation), c.used)
+        dashes = np.where(others, what.scale * unseen, np.nan)
         reach = float(np.nanmax(dashes, initial=reach))
         look = {"ls": "none", "marker": "_", "ms": 7, "mew": 1.1, "color": base.SOFT}
         below.plot(rows, dashes, label="left out of the fit", **look)

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import yaml
 from matplotlib.figure import Figure
 
 import calib.report.figure_errors as errors
@@ -34,163 +35,43 @@ class Drawing(NamedTuple):
     section: str
     title: str
     caption: str
-    draw: Callable[..., Figure]
-    applies: Callable[[Calibration], Any] = lambda _: True
+    draw: Callable[[], Figure]
 
 
-_EDGE = "Outliers beyond the scale stand at its edge."
-_BY_ROW = (
-    "{rows}, in the order of the table, [%s]: before and after calibration above, after it alone below. Dashes: rows "
-    f"predicted by fits that have not seen them. {_EDGE}"
-)
-_BY_AXIS = (
-    "the axes of the measurement frame, measured minus predicted, [%s], of {rows}. Above, both robots; below, the "
-    "calibrated one alone, without outliers. Boxes hold the middle half of the rows and their median; whiskers reach "
-    "from 5 to 95 %%."
-)
-
-#: The figures, in a report's order. Words in braces are those of `_words`, and the calibration.
-FIGURES: tuple[Drawing, ...] = (
-    Drawing(
-        "points",
-        "errors",
-        "Points of the target",
-        "Where the target was at the {rows}, in the base frame, [mm]: in space, and seen from three sides. Rows that "
-        "measure no position are where the calibrated robot predicts them.",
-        space.points,
-    ),
-    Drawing(
-        "error-curves",
-        "errors",
-        "Errors before and after calibration",
-        "Errors along x, y and z and their size, or the error of the length where a row measures one, measured minus "
-        "predicted, [mm], on {curve_rows}: by the nominal robot (dashed) and by the calibrated one (solid).",
-        errors.curves,
-        lambda c: np.any(c.used[:, :3]),
-    ),
-    Drawing(
-        "errors-by-pose",
-        "errors",
-        "Error by row",
-        "Size of the error of the position, or of the length, of all rows, " + _BY_ROW % "mm",
-        errors.by_row,
-        lambda c: np.any(c.used[:, :3]),
-    ),
-    Drawing(
-        "orientation-errors-by-pose",
-        "errors",
-        "Orientation error by row",
-        "Angle between measured and predicted orientation of all rows, " + _BY_ROW % "deg",
+#: What draws each figure, in a report's order, and of which calibrations; ``captions.yaml`` says what it shows.
+FIGURES: dict[str, tuple[Callable[[Calibration], Figure], Callable[[Calibration], Any]]] = {
+    "points": (space.points, lambda _: True),
+    "error-curves": (errors.curves, lambda c: np.any(c.used[:, :3])),
+    "errors-by-pose": (errors.by_row, lambda c: np.any(c.used[:, :3])),
+    "orientation-errors-by-pose": (
         partial(errors.by_row, what=errors.ANGLE),
         lambda c: np.any(c.used[:, 3:]),
     ),
-    Drawing(
-        "errors-by-axis",
-        "errors",
-        "Position error by axis",
-        "Errors along " + _BY_AXIS % "mm",
-        errors.by_axis,
-        errors.has_axes,
-    ),
-    Drawing(
-        "orientation-errors-by-axis",
-        "errors",
-        "Orientation error by axis",
-        "Errors about " + _BY_AXIS % "deg",
+    "errors-by-axis": (errors.by_axis, errors.has_axes),
+    "orientation-errors-by-axis": (
         partial(errors.by_axis, what=errors.ANGLE),
         lambda c: np.any(c.used[:, 3:]),
     ),
-    Drawing(
-        "histograms",
-        "errors",
-        "How often which error occurs",
-        "Left: size of the error of all rows, {rows}, before and after, on a logarithmic scale. Right: each number "
-        "that was measured in the estimation rows, less what the calibrated robot predicts, over its estimated noise; "
-        "if the model is complete, it follows the normal distribution.",
-        errors.histograms,
-    ),
-    Drawing(
-        "residual-by-joint",
-        "errors",
-        "Residuals against each joint's value",
-        "The part of each row's error after calibration that lies along the joint's motion of the target, [mm], "
-        "against the joint's value, [deg] or [mm], of {rows}. Line and band: mean of the estimation rows without "
-        f"outliers over runs of neighbouring joint values, ± 2 standard errors. {_EDGE} A slope or a wave is an error "
-        "of that joint that the model lacks, such as of its gear.",
-        errors.joints,
-        lambda c: np.any(errors.tells_of_joints(c)),
-    ),
-    Drawing(
-        "convergence",
-        "method",
-        "Convergence of the solver",
-        "Cost, length of the step and, where there is one, damping over the {c.solution.iterations} iterations of the "
-        "solver '{c.solver}' on the {estimation}, on logarithmic scales. The cost jumps where weights and noise are "
-        "set anew.",
-        model.convergence,
-        lambda c: c.solution.history,
-    ),
-    Drawing(
-        "parameter-changes",
-        "parameters",
-        "Changes of the parameters",
-        "Change of each parameter from its nominal value with its 95 % interval, estimated from {estimation}. An "
-        "interval that does not reach the dashed line is a change that the data show. Parameters of kinds of which no "
-        "errors were found stayed nominal and are not shown.",
-        model.changes,
-        model.shown_parameters,
-    ),
-    Drawing(
-        "correlations",
-        "parameters",
-        "Correlations of the parameters",
-        "Correlation of each pair of the parameters that the measurements determine, from the covariance of the fit "
-        "to the estimation rows. Pairs near ±1 are known together better than apart.",
-        model.correlations,
-        lambda c: len(model.correlation_indices(c)) > 1,
-    ),
-    Drawing(
-        "singular-values",
-        "unknown",
-        "What the poses determine",
-        "Singular values of the Jacobian at the estimation rows: how far all points together move for a step of 1 mm "
-        "and 1 mrad along each of {c.observability.columns} combinations of parameters, [mm]. Rank "
-        "{c.observability.rank}; values too small for the scale stand at its foot. The dashed line is the smallest "
-        "that counts.",
-        model.singular_values,
-        lambda c: c.observability.columns,
-    ),
-    Drawing(
-        "candidates",
-        "candidates",
-        "Models tried",
-        "Each model that was tried, with its number of parameters. Left: rms of the error of the {compared} "
-        "estimation rows that had a weight when the models were compared, each predicted by a linearised fit without "
-        "it; errors elsewhere are those of whole fits. Right: restricted log likelihood, less that of the best; a "
-        "larger model must gain {needed} over a smaller one to be chosen.",
-        model.candidates,
-        lambda c: c.candidates,
-    ),
-    Drawing(
-        "workspace-uncertainty",
-        "unknown",
-        "Uncertainty over the workspace",
-        "Standard deviation of the predicted position of the corrected URDF over "
-        f"{space.POSES:,} poses spread over the joint limits, from the covariance of the parameters, [mm]: root mean "
-        "square of the poses in each cell, in the base frame seen from three sides. The rms over the joint limits is "
-        f"that of the first {SPREAD} of these poses. It knows nothing of errors that the model lacks.",
-        space.uncertainty,
-    ),
-)
+    "histograms": (errors.histograms, lambda _: True),
+    "residual-by-joint": (errors.joints, lambda c: np.any(errors.tells_of_joints(c))),
+    "convergence": (model.convergence, lambda c: c.solution.history),
+    "parameter-changes": (model.changes, model.shown_parameters),
+    "correlations": (model.correlations, lambda c: len(model.correlation_indices(c)) > 1),
+    "singular-values": (model.singular_values, lambda c: c.observability.columns),
+    "candidates": (model.candidates, lambda c: c.candidates),
+    "workspace-uncertainty": (space.uncertainty, lambda _: True),
+}
 
 
 def drawings(calibration: Calibration) -> tuple[Drawing, ...]:
     """The figures that apply to a calibration, in a report's order; none is drawn yet."""
+    texts = yaml.safe_load((Path(__file__).parent / "captions.yaml").read_text("utf-8"))
     words = {"c": calibration, **_words(calibration)}
     return tuple(
-        one._replace(caption=one.caption.format(**words), draw=partial(one.draw, calibration))
-        for one in FIGURES
-        if one.applies(calibration)
+        Drawing(name, section, title, caption.format(**words), partial(draw, calibration))
+        for name, (draw, applies) in FIGURES.items()
+        if applies(calibration)
+        for section, title, caption in [texts[name].values()]
     )
 
 
@@ -254,6 +135,8 @@ def _words(c: Calibration) -> dict[str, str]:
     words = {
         "rows": estimation + validation,
         "estimation": estimation,
+        "poses": f"{space.POSES:,}",
+        "spread": str(SPREAD),
         "curve_rows": f"the {rows_text(mask, kind)}, {seen}",
     }
     if c.candidates:
