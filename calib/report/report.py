@@ -49,24 +49,10 @@ _MOST, _WORST = 40, 20
 #: An origin that moved by less has not [m or rad].
 _NOTHING = 1e-9
 
-#: The sign and the class of each verdict: a word and a sign, never a colour alone.
-_VERDICTS = {
-    "use": ("\N{CHECK MARK}", "good"),
-    "use with care": ("!", "care"),
-    "do not use": ("\N{MULTIPLICATION X}", "bad"),
-    "none": ("\N{EN DASH}", "none"),
-}
-
 #: Factor and figures after the point of a, alpha, d, theta and beta.
 _DH = tuple(
     (1e3, 3) if of == "mm" else (180.0 / np.pi, 4) for of in ("mm", "deg", "mm", "deg", "deg")
 )
-
-_PRIORS = {
-    "data": "The sizes of the robot's errors (priors) were found from the data.",
-    "given": "The sizes of the robot's errors (priors) were given.",
-    "off": "No priors on the robot's errors.",
-}
 
 
 def write_report(
@@ -109,8 +95,6 @@ def report_bytes(calibration: Calibration, *, command: str = "") -> bytes:
     now = datetime.now(timezone.utc)
     when = datetime.fromtimestamp(int(epoch), timezone.utc) if epoch.isdecimal() else now
     content = _content(calibration, command, f"{when:%Y-%m-%d %H:%M} UTC")
-    tables = errors, validation_rows, parameters, larger, dh, origins, flagged, ranges
-    content |= {make.__name__: make for make in tables}
     content["figures"] = [(one, _picture(one)) for one in drawings(calibration)]
     page = environment.get_template("report.html.j2").render(**content)
     return page.encode("utf-8", "replace")
@@ -127,58 +111,39 @@ def _picture(drawing: Drawing) -> str:
 
 
 def _content(c: Calibration, command: str, date: str) -> dict[str, Any]:
-    """What the template is filled with: texts, pairs of texts, and tables."""
-    use = "none" if c.verdict is None else c.verdict.use
-    m, known = c.measurements, texts.facts(c)
+    """What the template is filled with: texts, pairs of texts, and what makes its tables."""
+    m, T = c.measurements, c.T_frame_base
     reasons = c.verdict.reasons if c.verdict else ()
     # Validation rows beyond the joint values that were fitted, where the verdict does not name them.
     named = any(reason.why == Why.OUTSIDE for reason in reasons)
     every = [str(one) for one in c.observability.unidentifiable]
-    rows = f"{m.estimation.sum():,} to estimate, {m.validation.sum():,} to validate"
+    tables = errors, validation_rows, parameters, larger, dh, origins, flagged, ranges
     return {
         "c": c,
         "texts": texts,
-        "known": known,
+        "known": texts.facts(c),
         "date": date,
         "command": command or "not from the command line",
         "source": m.source or "from memory",
-        "rows_text": rows,
-        "verdict": (use, *_VERDICTS[use]),
+        "rows_text": f"{m.estimation.sum():,} to estimate, {m.validation.sum():,} to validate",
         "reasons": [reason_text(one) for one in reasons],
         "robustness": robustness_text(c.robustness) if c.robustness else "",
         "unweighted": int(np.sum(c.weights[m.estimation] <= 0.0)),
         "factor": f"{interval_factor(c.fitted.estimate.freedom):.2f}",
+        **{make.__name__: make for make in tables},
         "places": [*texts.target_sentences(c, _MOST), *texts.frame_sentences(c, _MOST)],
         "combinations": every[:_MOST] + [f"and {len(every) - _MOST} more"] * (len(every) > _MOST),
-        "measured": _measured(c, rows, known),
+        "kinds": "; ".join(
+            f"{kind_named(k).words} ({n:,} rows)" for k, n in Counter(m.kinds).items()
+        ),
+        "at": ", ".join(map(mm, T[:3, 3])),
+        "rpy": ", ".join(map(deg, pin.rpy.matrixToRpy(T[:3, :3]))),
+        "held": ", ".join(f"{name} at {value:.6g}" for name, value in c.cell.held.items()),
         "outside": ""
         if named
         else outside_text(c.outside, np.array(m.rows)[m.validation].tolist()),
-        "priors": _PRIORS[c.cell.priors.sizes],
         "versions": ", ".join(f"{name} {version}" for name, version in versions().items()),
     }
-
-
-def _measured(c: Calibration, rows: str, known: dict[str, str]) -> list[tuple[str, str]]:
-    """What was measured, where and how well."""
-    m, T = c.measurements, c.T_frame_base
-    more = f"; {len(m.unmeasured):,} more without a measurement, left out" if m.unmeasured else ""
-    kinds = [f"{kind_named(kind).words} ({n:,} rows)" for kind, n in Counter(m.kinds).items()]
-    turned = ", ".join(map(deg, pin.rpy.matrixToRpy(T[:3, :3])))
-    held = [f"{name} at {value:.6g}" for name, value in c.cell.held.items()]
-    what = "one standard deviation of the target's position, from the covariance of the parameters"
-    return [
-        ("Rows", f"{len(m):,}: {rows} (column 'set'){more}"),
-        ("Each row measures", "; ".join(kinds)),
-        (
-            "Measurement frame",
-            f"{c.nominal.base} at ({', '.join(map(mm, T[:3, 3]))}) mm, rpy ({turned}) deg in it",
-        ),
-        *[("Joints held [rad or m]", ", ".join(held))] * bool(held),
-        ("Noise of the rows", known["Noise"]),
-        *((label, text) for label, text in known.items() if label == texts.SCATTER),
-        (texts.EXPECTED, f"{known[texts.EXPECTED].removesuffix('.')}; {what}."),
-    ]
 
 
 class Table(NamedTuple):

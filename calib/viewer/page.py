@@ -114,6 +114,7 @@ def view_page(view: View, *, live: bool = False) -> Page:
         meaning = f"{names[0]} solid, {names[1]} translucent"
         labels.append((foot - over.centre, "over", "Overlaid", meaning))
     factor = magnification(view, size)
+    kinds = Counter(np.array(view.kinds)[np.isfinite(view.measured[:, 0])].tolist())
     table = script_table(view, shown) | {
         "places": {who: (offset - side.centre).tolist() for who, offset in offsets.items()},
         "over": (-over.centre).tolist(),
@@ -129,7 +130,14 @@ def view_page(view: View, *, live: bool = False) -> Page:
         title=view.title or f"{view.nominal.name or 'Robot'}: {' and '.join(names)}",
         warnings=warnings,
         grid=grid,
-        keys=_keys(view),
+        legend=[
+            (f"{text} ({kinds[kind]})", colour, kind)
+            for kind, (colour, text) in _ROWS.items()
+            if kinds[kind]
+        ],
+        names=names,
+        beam=look.BEAM,
+        groups=list(shown),
         view=view,
         two=two,
         factors=FACTORS,
@@ -158,29 +166,6 @@ def magnification(view: View, size: float) -> int:
     apart = apart[np.isfinite(apart) & (np.array(view.kinds) != "flagged")]
     typical = float(np.median(apart)) if np.any(apart) else np.inf
     return max((factor for factor in FACTORS if factor * typical <= _ARROW * size), default=1)
-
-
-def _keys(view: View) -> list[stage.Key]:
-    """What is drawn in which colour; each can be hidden."""
-    groups = tuple(view.robots)
-    names = [name.lower() for name, _ in view.names[: len(groups)]]
-    counts = Counter(np.array(view.kinds)[np.isfinite(view.measured[:, 0])].tolist())
-
-    def nodes(name: str) -> str:
-        return " ".join(f"{group}/{name}" for group in groups)
-
-    keys = [stage.Key(n, f"var(--{w})", f"{w}/robot") for w, n in zip(groups, names, strict=True)]
-    for kind, (colour, text) in _ROWS.items():
-        if counts[kind]:
-            keys.append(stage.Key(f"{text} ({counts[kind]})", colour, nodes(kind), "dot"))
-    if view.measures:
-        keys.append(stage.Key("error arrows, predicted to measured", "", nodes("arrows"), "arrow"))
-        keys.append(stage.Key("predicted, in the robot's colour", "", nodes("predicted"), "ring"))
-    elif len(groups) > 1:
-        keys.append(stage.Key(f"from {names[0]} to {names[1]}", "", "nominal/arrows", "arrow"))
-    keys.append(stage.Key("frames of base, tip, target", "", nodes("frames"), "frame", on=False))
-    instrument = stage.Key("measurement frame", look.BEAM, f"{groups[-1]}/instrument", on=False)
-    return keys + [instrument] * bool(len(view.instruments))
 
 
 def script_table(view: View, shown: Mapping[str, Puppet]) -> dict[str, Any]:

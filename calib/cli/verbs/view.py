@@ -77,23 +77,21 @@ def view(
     files = (other, data, setup.cell, calibration, table.points)
     read.check_outputs([output], [robot, *(path for path in files if path)], force=force)
     cell = read.read_cell(**asdict(setup))
-    result = None if calibration is None else read_result(calibration)
-    if result is not None:
+    if calibration is not None:
+        result = read_result(calibration)
         read.check_chain(cell, result, str(calibration))
         own = result.nominal
         cell = replace(cell, base=own.base, tip=own.tip, held={**own.held, **cell.held})
     arm, rows = read.load(robot, cell), None
     if data is not None:
         arm, rows = read.load_with_data(robot, cell, data, **asdict(table))
-    if result is not None and calibration is not None:
+    if calibration is not None:
         known = [name for name in ("frame", "target") if getattr(setup, name) is None]
         shown = view_of_result(result, arm, rows, cell, known=known, source=calibration.name)
     else:
-        second = (
-            None if other is None else read.load(other, replace(cell, base=arm.base, tip=arm.tip))
-        )
-        both = [arm] if second is None else [arm, second]
+        second = read.load(other, replace(cell, base=arm.base, tip=arm.tip)) if other else None
         given = cell.target is not None or cell.targets
+        both = (arm, second or arm)
         cells = [cell if given else read.with_target_link(one, cell) for one in both]
         shown = view_of_robots(arm, second, rows, cells=cells)
     say: Callable[[str], None] = (lambda _: None) if quiet else partial(print, flush=True)
@@ -102,8 +100,6 @@ def view(
         return
     page = view_page(shown)
     page.write(output, overwrite=force)
-    say(
-        "\n".join(
-            [*(f"Not drawn as in the URDF: {text}" for text in page.warnings), f"Written: {output}"]
-        )
-    )
+    for text in page.warnings:
+        say(f"Not drawn as in the URDF: {text}")
+    say(f"Written: {output}")
