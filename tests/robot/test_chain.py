@@ -11,13 +11,12 @@ from calib.errors import CalibError, UrdfError
 from calib.model.dh import dh_table
 from calib.robot.readback import check_written
 from calib.robot.robot import Payload, Robot, gravity_load
-from calib.robot.urdf import Urdf, find_urdf
+from calib.robot.urdf import Urdf
 from tests.robot.shared import (
     LIMIT,
     SOME_AND_SLOWLY_ALL,
     by_pinocchio,
     displaced,
-    joint,
     random_q,
     urdf_of,
 )
@@ -35,23 +34,6 @@ TWO_BRANCHES = {
     "kinova turned round": ("kinova", "j2s6s200_end_effector", "j2s6s200_link_base", 6),
     "quadruped's legs": ("a1", "FL_foot", "RR_foot", 6),
 }
-
-
-@pytest.fixture(scope="module")
-def fork() -> Urdf:
-    """A fork with an arm of three and a head of two joints, a fixed link at each end, one turning at every kind."""
-    return urdf_of(
-        "root fork a1 a2 a3 hand h1 h2 camera lens",
-        joint("mast", "root", "fork"),
-        joint("shoulder", "fork", "a1", axis="0 1 0.3"),
-        joint("slide", "a1", "a2", "prismatic", "1 2 -1"),
-        joint("wrist", "a2", "a3", "continuous", "0.2 0 -1"),
-        joint("grip", "a3", "hand", "fixed"),
-        joint("pan", "fork", "h1"),
-        joint("tilt", "h1", "h2", "continuous", "0 -3 0"),
-        joint("mount", "h2", "camera", "fixed"),
-        joint("glass", "camera", "lens", "fixed"),
-    )
 
 
 def assert_serial(robot: Robot, q: np.ndarray) -> None:
@@ -101,32 +83,6 @@ def test_chains_of_two_branches(case):
     assert_round_trip(robot, q, yourdf=True)
 
 
-@pytest.mark.parametrize(
-    ("base", "tip", "carriers", "joints"),
-    [
-        ("lens", "hand", ("mount", "tilt", "shoulder", "slide", "wrist", "grip"), 5),
-        ("hand", "lens", ("grip", "wrist", "slide", "pan", "tilt", "mount"), 5),
-        ("h2", "a3", (None, "tilt", "shoulder", "slide", "wrist", None), 5),
-        ("lens", "fork", ("mount", "tilt", "pan"), 2),
-        ("fork", "lens", ("pan", "tilt", "mount"), 2),
-        ("lens", "root", ("mount", "tilt", "pan", "mast"), 3),
-        ("lens", "h1", ("mount", "tilt"), 1),
-        ("h1", "lens", ("tilt", "mount"), 1),
-        ("h2", "h1", (None, "tilt"), 1),
-        ("hand", "a2", ("grip", "wrist"), 1),
-        ("a2", "h1", (None, "slide", "pan", None), 3),
-    ],
-)
-def test_every_kind_of_path(fork, base, tip, carriers, joints):
-    robot = Robot.from_urdf(fork, base, tip)
-    assert len(robot.joints) == joints
-    assert robot.carriers == carriers
-    q = random_q(robot)
-    np.testing.assert_allclose(robot.poses(q), by_pinocchio(robot, q), rtol=0, atol=1e-13)
-    assert_serial(robot, q)
-    assert_round_trip(robot, q, yourdf=True)
-
-
 # Every robot
 
 
@@ -151,9 +107,6 @@ def test_any_two_links_of_every_robot(path):
         assert_serial(robot, q)
         assert_round_trip(robot, q)
     assert found > 0
-
-
-# The whole model
 
 
 # Any tree
@@ -222,14 +175,3 @@ def test_any_tree_between_any_two_links(case):
     np.testing.assert_allclose(again.placements, new.placements, rtol=0, atol=1e-12)
     load = gravity_load(robot, q, Payload(2.0, (0.1, 0.2, 0.3)))
     assert load.shape == (3, len(robot.joints))
-
-
-# What a tip below the base is, is tested in test_robot.py.
-
-
-@pytest.fixture(scope="module")
-def tiago() -> Urdf:
-    return Urdf.read(find_urdf("tiago_no_hand"))
-
-
-ARM = [f"arm_{i}_joint" for i in range(1, 8)]

@@ -139,9 +139,3 @@ def test_one_thread_within_and_as_before_after():
             assert threads() == {1}
         assert threads() == {1}
     assert threads() == {2}
-
-
-def test_what_was_before_comes_back_after_an_error():
-    with pytest.raises(ZeroDivisionError), one_blas_thread():
-        _ = 1 / 0
-    assert threads() == {2}

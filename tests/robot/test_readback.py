@@ -62,32 +62,6 @@ def test_an_origin_that_was_tampered_with_is_refused(ur3, joint, twist):
         check_written(tampered, ur3.poses(q), q)
 
 
-def limits(kind: str, limit: str) -> Robot:
-    text = (
-        '<robot name="r"><link name="a"/><link name="b"/>'
-        f'<joint name="j" type="{kind}"><parent link="a"/><child link="b"/>{limit}</joint></robot>'
-    )
-    return Robot.from_urdf(Urdf.from_bytes(text.encode(), "r.urdf"))
-
-
-@pytest.mark.parametrize(
-    ("kind", "limit", "low", "high"),
-    [
-        ("revolute", '<limit lower="-0.5" upper="1.5" effort="1" velocity="1"/>', -0.5, 1.5),
-        ("revolute", '<limit lower="-6.3" upper="6.3" effort="1" velocity="1"/>', -np.pi, np.pi),
-        ("revolute", '<limit effort="1" velocity="1"/>', -np.pi, np.pi),
-        ("continuous", "", -np.pi, np.pi),
-        ("prismatic", '<limit lower="-0.1" upper="5" effort="1" velocity="1"/>', -0.1, 1.0),
-        ("prismatic", '<limit lower="-9" upper="9" effort="1" velocity="1"/>', -1.0, 1.0),
-    ],
-)
-def test_random_joint_values_fill_the_limits(kind, limit, low, high):
-    q = random_joint_values(limits(kind, limit), 500)
-    assert q.shape == (500, 1)
-    assert low <= q.min() < low + 0.05 * (high - low)
-    assert high - 0.05 * (high - low) < q.max() <= high
-
-
 # Columns that move several joints
 
 

@@ -43,11 +43,6 @@ def test_an_unknown_name_lists_the_known():
 # Base and tip
 
 
-def test_the_default_tip_has_the_most_moving_joints():
-    robot = load("a b c d", joint("1", "a", "b"), joint("2", "a", "c"), joint("3", "c", "d"))
-    assert (robot.base, robot.tip, robot.joint_names) == ("a", "d", ("2", "3"))
-
-
 def test_measured_joints_restrict_the_default_tip():
     arm = [f"panda_joint{i}" for i in range(1, 8)]
     assert len(Robot.load("panda").joints) == 8  # a finger is one more
@@ -156,49 +151,6 @@ def test_mimic_joints_move_as_pinocchio_s_own(name, base, tip, columns, joints):
     np.testing.assert_allclose(
         robot.poses(q), by_pinocchio(robot, q, mimic=True), rtol=0, atol=1e-12
     )
-
-
-def test_multiplier_and_offset():
-    robot = load(
-        "a b c",
-        joint("1", "a", "b"),
-        joint("2", "b", "c", "prismatic", mimic='joint="1" multiplier="-0.5" offset="0.25"'),
-        tip="c",
-    )
-    assert robot.joint_names == ("1",)
-    np.testing.assert_array_equal(robot.coupling, [[1.0], [-0.5]])
-    np.testing.assert_allclose(robot.chain_values([[0.0], [2.0]]), [[0, 0.25], [2, -0.75]])
-    np.testing.assert_allclose(robot.chain_values([2.0]), [[2, -0.75]])
-    values = robot.urdf_values([[0.0], [2.0]])
-    np.testing.assert_allclose(values["2"], [0.25, -0.75])
-
-
-def test_one_column_for_two_followers_in_the_order_of_first_use():
-    robot = load(
-        "r a b c d e",
-        joint("driver", "r", "e"),
-        joint("1", "r", "a", mimic='joint="driver" multiplier="2"'),
-        joint("free", "a", "b"),
-        joint("2", "b", "c", mimic='joint="driver"'),
-        joint("3", "c", "d", mimic='joint="free" offset="1"'),
-        tip="d",
-    )
-    assert robot.joint_names == ("driver", "free")
-    np.testing.assert_array_equal(robot.coupling, [[2, 0], [0, 1], [1, 0], [0, 1]])
-    np.testing.assert_allclose(robot.chain_values([0.1, 0.2]), [[0.2, 0.2, 0.1, 1.2]])
-
-
-def test_a_mimic_of_a_fixed_joint_or_by_zero_stands_still():
-    robot = load(
-        "a b c d e",
-        joint("1", "a", "b"),
-        joint("welded", "b", "c", kind="fixed"),
-        joint("2", "c", "d", mimic='joint="welded" offset="0.3"'),
-        joint("3", "d", "e", mimic='joint="1" multiplier="0" offset="0.4"'),
-        tip="e",
-    )
-    assert robot.joint_names == ("1",)
-    np.testing.assert_allclose(robot.chain_values([0.2]), [[0.2, 0.3, 0.4]])
 
 
 ARM = Robot.load("ur3").joint_names
