@@ -344,9 +344,8 @@ class Cell:
     estimate_frame: bool = False  #: Whether the measurement frames are estimated.
     #: Standard deviation of one measured coordinate or length [m]; None: found from the data.
     sigma: float | None = None
-    priors: Priors = field(
-        default_factory=Priors
-    )  #: How large the robot's errors are expected to be.
+    #: How large the robot's errors are expected to be.
+    priors: Priors = field(default_factory=Priors)
     #: What is estimated of the robot: ``"auto"``, as much as the measurements support, or a parameter set such as
     #: ``"dh"``, and families of errors behind it, ``"dh+gain+compliance"``.
     model: str = AUTO

@@ -43,7 +43,7 @@ class ParameterEstimate:
     high: float
     #: Whether the measurements determine it; otherwise they know it in combinations only
     identifiable: bool
-    # Whether it was stopped by a bound; std and interval are then not to be told, NaN
+    #: Whether it was stopped by a bound; std and interval are then not to be told, NaN
     at_bound: bool = False
     #: Standard deviation of the prior on its change that the fit ended with; NaN where there was none
     prior_std: float = np.nan

@@ -69,19 +69,15 @@ class Urdf:
     """A URDF: its bytes and the kinematic tree they state. Two are equal when their bytes are."""
 
     data: bytes = field(repr=False)  #: The file, byte for byte.
-    source: str = field(
-        compare=False
-    )  #: Name of the file, for messages; a xacro's with its arguments.
-    path: Path | None = field(
-        compare=False
-    )  #: Where it, or the xacro that it was flattened from, was read; or None.
+    #: Name of the file, for messages; a xacro's with its arguments.
+    source: str = field(compare=False)
+    #: Where it, or the xacro that it was flattened from, was read; or None.
+    path: Path | None = field(compare=False)
     name: str = field(compare=False)  #: Name of the robot; empty if it has none.
-    joints: tuple[UrdfJoint, ...] = field(
-        repr=False, compare=False
-    )  #: The joints in the file's order.
-    links: tuple[str, ...] = field(
-        repr=False, compare=False
-    )  #: Names of the links in the file's order.
+    #: The joints in the file's order.
+    joints: tuple[UrdfJoint, ...] = field(repr=False, compare=False)
+    #: Names of the links in the file's order.
+    links: tuple[str, ...] = field(repr=False, compare=False)
     _document: Document = field(repr=False, compare=False)
 
     @classmethod
