@@ -104,10 +104,10 @@ class Finding(NamedTuple):
     """What to know of a row."""
 
     code: Code
+    #: Of "unreachable", "large pose correction", "ambiguous pose": position [m] and angle [rad], NaN where it is not
+    #: matched; "beyond limit": value and limit; "near singularity": what 1 mm of the tool takes of the joint; else how
+    #: far the joint moves, or is away [rad or m].
     numbers: tuple[float, ...] = ()
-    """Of "unreachable", "large pose correction", "ambiguous pose": position [m] and angle [rad], NaN where it is not
-    matched; "beyond limit": value and limit; "near singularity": what 1 mm of the tool takes of the joint; else how far
-    the joint moves, or is away [rad or m]."""
     joint: str = ""  #: The joint that it is about.
     row: str = ""  #: The other row that it is about.
 
@@ -119,21 +119,21 @@ class Commands:
     pair: Pair  #: The robot as its controller has it and the actual one, their tools, the frame of the poses.
     program: Program  #: What was asked for.
     match: str  #: What of the poses is reached, one of `calib.compensation.inverse.MATCHES`.
+    #: shape (N, 4, 4), pose of the tool that is wanted, in the frame of the poses [m]; where only its position was
+    #: given, oriented as the nominal robot's is.
     T_wanted: Array
-    """shape (N, 4, 4), pose of the tool that is wanted, in the frame of the poses [m]; where only its position was
-    given, oriented as the nominal robot's is."""
     q_nominal: Array  #: shape (N, m), joint values that the nominal model has for it [rad] or [m].
     q: Array  #: shape (N, m), joint values to command [rad] or [m].
     T_send: Array  #: shape (N, 4, 4), pose to send to a controller with the nominal model [m].
+    #: shape (N, 2), how far the true robot would miss at ``q_nominal``, as the calibrated model predicts: position
+    #: [m], angle [rad]. Of the position alone the angle is NaN.
     missed: Array
-    """shape (N, 2), how far the true robot would miss at ``q_nominal``, as the calibrated model predicts: position
-    [m], angle [rad]. Of the position alone the angle is NaN."""
     left: Array  #: shape (N, 2), how far it misses at ``q`` [m], [rad]: what cannot be reached.
+    #: shape (N, 2), how far it misses if ``T_send`` is sent, to a controller that stays near ``q_nominal``.
     left_by_pose: Array
-    """shape (N, 2), how far it misses if ``T_send`` is sent, to a controller that stays near ``q_nominal``."""
+    #: shape (N, 2), standard deviation of where the true robot arrives, by the covariance of the geometry: position
+    #: [m], angle [rad]; NaN of two robots without a result.
     std: Array
-    """shape (N, 2), standard deviation of where the true robot arrives, by the covariance of the geometry: position
-    [m], angle [rad]; NaN of two robots without a result."""
     reasons: tuple[Finding | None, ...]  #: Why a row has no command; None where it has one.
     warnings: tuple[tuple[Finding, ...], ...]  #: For each row what to know of its command.
 

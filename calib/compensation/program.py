@@ -57,17 +57,17 @@ class Program:
     """
 
     labels: tuple[str, ...]  #: What messages call each row, such as ``"row 3"``.
+    #: shape (N, m), joint values in the order of ``Robot.joint_names`` [rad] or [m]; with ``T_wanted`` those to start
+    #: looking for joint values at.
     q: Array | None = None
-    """shape (N, m), joint values in the order of ``Robot.joint_names`` [rad] or [m]; with ``T_wanted`` those to start
-    looking for joint values at."""
+    #: shape (N, 4, 4), poses of the tool that are wanted [m]; None: those that the nominal robot reaches at ``q``.
     T_wanted: Array | None = None
-    """shape (N, 4, 4), poses of the tool that are wanted [m]; None: those that the nominal robot reaches at ``q``."""
     oriented: bool = True  #: Whether ``T_wanted`` says the orientation too, or the position alone.
+    #: What of the poses is to be reached, one of `MATCHES`; None: ``"pose"``, ``"axis"`` with five joints,
+    #: ``"position"`` with fewer or where no orientation is given.
     match: str | None = None
-    """What of the poses is to be reached, one of `MATCHES`; None: ``"pose"``, ``"axis"`` with five joints,
-    ``"position"`` with fewer or where no orientation is given."""
+    #: Joint values by name [rad] or [m] that the first of poses alone starts near; others start in mid range.
     start: Mapping[str, float] | None = None
-    """Joint values by name [rad] or [m] that the first of poses alone starts near; others start in mid range."""
     kept: tuple[tuple[str, tuple[str, ...]], ...] = ()  #: Other columns: header and cells.
     form: str = ""  #: How the file's orientations were given; empty if there are none.
 

@@ -372,9 +372,8 @@ class Cell:
     payload: Payload | None = None  #: What the tip carries; None: nothing.
     #: shape (3,), acceleration of gravity in the URDF's root frame [m/s^2].
     gravity: Array = field(default_factory=lambda: read_only(GRAVITY))
-    distances: tuple[
-        GroupDistance, ...
-    ] = ()  #: Known distances between the fixed points of groups.
+    #: Known distances between the fixed points of groups.
+    distances: tuple[GroupDistance, ...] = ()
     #: How rows of one pose count: ``"weighted"``: as the noise between them and the one they share say; ``"average"``:
     #: as one row; ``"independent"``: each for itself.
     repeats: str = "weighted"
