@@ -1,5 +1,6 @@
 """Circle-point analysis of a whole robot, and everything that a sweep may not be."""
 
+import json
 from dataclasses import replace
 from itertools import pairwise
 
@@ -11,6 +12,7 @@ from calib.circle_points.frame import nominal_axes
 from calib.circle_points.survey import base_frame, between
 from calib.circle_points.sweeps import Sweep, Sweeps
 from calib.errors import MeasurementError
+from calib.files import json_bytes
 from calib.robot.robot import Robot, rigid_inverse
 from tests.circle_points.virtual_sweeps import virtual_sweeps
 
@@ -105,6 +107,19 @@ def test_true_offsets_are_found(ur3):
     for pair, two in zip(pairs, pairwise(nominal_axes(true)), strict=True):
         assert (pair.angle, pair.distance) == pytest.approx(between(*two), abs=5e-5)
     assert abs(pairs[1].distance - pairs[1].distance_nominal) > 5e-4
+
+
+def test_the_table_has_everything(ur3, with_values):
+    found = base_frame(with_values, ur3)
+    table = json.loads(json_bytes(found.table()))
+    assert table["schema"] == "base-frame 2"
+    assert np.array_equal(table["frame"]["T_tracker_base"], found.frame.T_tracker_base)
+    joint = table["joints"][1]
+    assert joint["name"] == ur3.joint_names[1]
+    assert joint["base"]["point_m"] == found.joints[1].point.tolist()
+    assert np.shape(joint["circle"]["residuals_m"]) == (40, 2)
+    assert table["pairs"][0]["angle_nominal"] == pytest.approx(np.pi / 2)
+    assert table["findings"] == []
 
 
 def test_the_offset_lowers_the_origin(ur3, with_values):

@@ -9,9 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.circle_points.frame import nominal_axes
 from calib.circle_points.sweeps import PLANE, Sweep, Sweeps
-from calib.files import write_atomically
 from calib.robot.robot import Robot, read_only, rigid_inverse
 
 Array = NDArray[np.float64]
@@ -31,29 +29,12 @@ def virtual_sweeps(
     values: bool = True,
     seed: int = 0,
 ) -> Sweeps:
-    """Sweeps of the first joints of a robot as a tracker would measure them.
+    """Sweeps of the joints 1 to len(arcs) of a robot as a tracker would measure them.
 
     The plane is z = 0 of the base, its points scattered evenly over a disc. Each target is fixed to its joint's
     link, at the joint's frame and ``radius`` off the axis; the joint turns evenly over its arc, half to each side of
-    its home.
-
-    Args:
-        robot: The true one.
-        T_tracker_base: Pose of its base in the tracker's frame, shape (4, 4) [m].
-        sigma: Standard deviation of one coordinate [m].
-        arcs: Of the joints 1 to len(arcs) [rad].
-        count: Points of each sweep.
-        radius: [m].
-        plane_count: Points on the plane.
-        plane_radius: Of the disc [m].
-        home: Where the joints stand that do not turn, shape (n,) [rad]; None: at zero.
-        values: Whether the joints' values are part of the sweeps.
-        seed: Of the noise and of the points on the plane.
-
-    Raises:
-        UrdfError: The chain is not one of joints that turn.
+    its home (default: zero), where the others stand. Each coordinate has noise of ``sigma``; lengths are in m.
     """
-    nominal_axes(robot)  # refuses what cannot be swept
     rng = np.random.default_rng(seed)
     rest = np.zeros(len(robot.joints)) if home is None else np.asarray(home, dtype=np.float64)
 
@@ -105,27 +86,18 @@ def _target(robot: Robot, joint: int, q: Array, radius: float) -> Array:
     return np.asarray(T[:3, :3] @ (radius * across / np.linalg.norm(across)) + T[:3, 3])
 
 
-def write_sweeps(sweeps: Sweeps, path: str | Path, *, overwrite: bool = False) -> Path:
-    """Write sweeps as a table in millimetres and degrees, with all digits.
-
-    Raises:
-        FileError: The file exists, or cannot be written.
-    """
+def write_sweeps(sweeps: Sweeps, path: Path) -> None:
+    """Write sweeps as a table in millimetres and degrees, with all digits."""
     with_joints = any(sweep.joints is not None for sweep in sweeps.sweeps)
-    with_sigma = any(sweep.sigma is not None for sweep in sweeps.sweeps)
     header = ["sweep", "x [mm]", "y [mm]", "z [mm]"]
-    header += ["sigma [mm]"] if with_sigma else []
     header += [f"{name} [deg]" for name in sweeps.joint_names] if with_joints else []
     lines = [",".join(header)]
     for sweep in sweeps.sweeps:
         for i, point in enumerate(sweep.points):
             cells = [sweep.name, *(repr(float(v)) for v in 1e3 * point)]
-            if with_sigma:
-                cells.append("" if sweep.sigma is None else repr(float(1e3 * sweep.sigma[i])))
-            if with_joints:
-                q = None if sweep.joints is None else np.degrees(sweep.joints[i])
-                cells += (
-                    [""] * len(sweeps.joint_names) if q is None else [repr(float(v)) for v in q]
-                )
+            if sweep.joints is not None:
+                cells += [repr(float(v)) for v in np.degrees(sweep.joints[i])]
+            elif with_joints:
+                cells += [""] * len(sweeps.joint_names)
             lines.append(",".join(cells))
-    return write_atomically(path, ("\n".join(lines) + "\n").encode(), overwrite=overwrite)
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -25,7 +25,7 @@ def bench(shop: Path) -> Path:
     """Sweeps in a tracker's frame, the same as a tracker's list, and measurements of the same tracker."""
     robot = Robot.load(paper_urdf(), base="base", tip="tool0")
     sweeps = virtual_sweeps(robot, T_TRUE, 33e-6, arcs=np.radians([270.0, 180.0]))
-    write_sweeps(sweeps, shop / "sweeps.csv", overwrite=True)
+    write_sweeps(sweeps, shop / "sweeps.csv")
     lines = ["# Units: mm"]
     for sweep, name in zip(sweeps.sweeps, ("plane", "joint1", "joint2"), strict=True):
         for i, point in enumerate(1e3 * sweep.points, 1):
