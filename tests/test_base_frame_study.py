@@ -24,14 +24,6 @@ def study() -> ModuleType:
     return module
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("sigma", [33e-6, 3e-4])
-def test_the_bias_on_30_deg(study, sigma: float):
-    mean, error, std = study.center_bias(30, sigma, 60, 0)
-    assert abs(mean) < 5.0 * error
-    assert error < 0.02 * std
-
-
 def test_an_arc_too_short_for_its_noise_has_no_line_of_numbers(study):
     assert study.center_bias(20, 1e-2, 5, 0) is None
 

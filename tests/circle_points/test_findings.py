@@ -17,18 +17,16 @@ def sweep(
     *,
     move: np.ndarray | None = None,
     seed: int = 0,
-    count: int = N,
     sigma: float | None = None,
 ) -> Sweep:
-    """A sweep about z, radius 0.3 m, with something added to its points along (radius, tangent, z)."""
-    t = np.radians(np.linspace(-arc / 2, arc / 2, count))
+    """A sweep about z, radius 0.3 m, with something added to its points along (radius, z)."""
+    t = np.radians(np.linspace(-arc / 2, arc / 2, N))
     e = np.column_stack([np.cos(t), np.sin(t), 0 * t])
-    around = np.column_stack([-np.sin(t), np.cos(t), 0 * t])
-    points = 0.3 * e + SIGMA * np.random.default_rng(seed).normal(size=(count, 3))
+    points = 0.3 * e + SIGMA * np.random.default_rng(seed).normal(size=(N, 3))
     if move is not None:
-        points = points + move[:, :1] * e + move[:, 1:2] * around + move[:, 2:] * [0.0, 0.0, 1.0]
-    given = None if sigma is None else np.full(count, sigma)
-    return Sweep(0, "pan", points, given, None, tuple(range(21, 21 + count)), "s.csv")
+        points = points + move[:, :1] * e + move[:, 1:] * [0.0, 0.0, 1.0]
+    given = None if sigma is None else np.full(N, sigma)
+    return Sweep(0, "pan", points, given, None, tuple(range(21, 21 + N)), "s.csv")
 
 
 def found(swept: Sweep) -> tuple[Finding, ...]:
@@ -49,16 +47,16 @@ def test_noise_is_noise(arc: float):
 @pytest.mark.parametrize("lobes", [2, 3])
 @pytest.mark.parametrize("axial", [False, True])
 def test_lobes_of_a_bearing_make_neighbours_err_alike(lobes: int, axial: bool):
-    move = np.zeros((N, 3))
-    move[:, 2 if axial else 0] = 1e-4 * np.cos(lobes * angles(330.0))
+    move = np.zeros((N, 2))
+    move[:, int(axial)] = 1e-4 * np.cos(lobes * angles(330.0))
     (said,) = found(sweep(330.0, move=move))
     assert said.code == ("axial" if axial else "radial")
     assert said.value > 0.5
 
 
 def test_a_gross_row_is_named_left_out_or_not():
-    move = np.zeros((N, 3))
-    move[7] = [1e-3, 0.0, 0.0]
+    move = np.zeros((N, 2))
+    move[7] = [1e-3, 0.0]
     swept = sweep(200.0, move=move)
     (said,) = found(swept)
     assert (said.code, said.where) == ("gross", "s.csv, row 28 (sweep 'pan')")
