@@ -147,7 +147,7 @@ def fit_circle(points: Array, sigma: Array | None = None, *, robust: bool = True
     """
     try:
         plane, radius = _judged(_circle_fit, points, sigma, robust=robust)
-    except np.linalg.LinAlgError as error:  # the radius has no effect that the centre has not
+    except ValueError as error:  # no size, or the radius has no effect that the centre has not
         raise CalibError(_TOO_SHORT) from error
     if not 0.0 <= plane.covariance[5, 5] <= (_VAGUE * radius) ** 2:
         raise CalibError(_TOO_SHORT)
@@ -280,10 +280,7 @@ def _circle_fit(points: Array, weights: Array, used: Mask) -> _Fit:
         return np.reshape(root[..., None] * circle_residuals(some, *at(x))[1], (-1, 6))
 
     tight = dict.fromkeys(("xtol", "ftol", "gtol"), float(np.finfo(np.float64).eps))
-    try:
-        found = least_squares(residuals, np.zeros(6), jacobian, method="lm", **tight)
-    except ValueError as error:  # on its way to a circle of no size
-        raise CalibError(_TOO_SHORT) from error
+    found = least_squares(residuals, np.zeros(6), jacobian, method="lm", **tight)
     if found.status <= 0:
         raise CalibError(_TOO_SHORT)
     center, basis, radius = at(found.x)

@@ -287,17 +287,6 @@ def _at_zero(axes: Sequence[Line], values: Sequence[Array]) -> list[Line]:
     return result
 
 
-def _frame_table(frame: BaseFrame) -> dict[str, Any]:
-    """The base frame for the file."""
-    return {
-        "T_tracker_base": frame.T_tracker_base,
-        "covariance": frame.covariance,
-        "dof": frame.dof,
-        "std_m": frame.std[:3],
-        "std_rad": frame.std[3:],
-    }
-
-
 _LAYOUT = Layout(
     {
         Plane: {
@@ -313,5 +302,5 @@ _LAYOUT = Layout(
             "covariance": "base.covariance",
         },
     },
-    {BaseFrame: (_frame_table, None)},
+    {},
 )

@@ -197,13 +197,6 @@ def _from_table(
     )
     layout = replace(layout, groups=(sweep,))
     values = Measurements.of_layout(replace(table, cells=cells), layout, points)
+    found = (values.groups, values.points, values.rows)
     joints = values.joints if there else None
-    return _split(
-        values.groups,
-        values.points,
-        values.rows,
-        table.source,
-        names,
-        sigma=values.sigma,
-        joints=joints,
-    )
+    return _split(*found, table.source, names, sigma=values.sigma, joints=joints)

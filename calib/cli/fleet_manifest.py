@@ -27,12 +27,7 @@ OPTIONAL = (*_SETUP, "points", "points_unit", "columns")
 def read_manifest(
     path: Path, setup: FitOptions, columns: Sequence[str], points_unit: str | None
 ) -> tuple[FleetRobot, ...]:
-    """The robots of a manifest, none of them read yet; a row's own cells win over what the command line says of all.
-
-    Raises:
-        CalibError: It cannot be read, a column is missing, unknown or there twice, a row has no name, robot or data, or
-            names are those of no folder or of two robots; or the command line is wrong whatever the robots are.
-    """
+    """The robots of a manifest, none of them read yet; a row's own cells win over what the command line says of all."""
     from calib.data.table import Table
     from calib.fleets.fleet import FleetRobot, check_names
 

@@ -70,17 +70,7 @@ class FleetRobot:
         points: str | Path | None = None,
         points_unit: str | None = None,
     ) -> FleetRobot:
-        """A robot from its files.
-
-        Args:
-            name: Its name.
-            robot: URDF or xacro file, or a name such as ``"ur3"``.
-            data: Table of its measurements.
-            cell: Its set-up, with base and tip.
-            columns: New names of the table's columns, see `Measurements.read`.
-            points: The measured points, where they stand in a list of their own.
-            points_unit: The unit of that list, if it names none.
-        """
+        """A robot from its files: a URDF or xacro, or a name such as ``"ur3"``; a table, see `Measurements.read`."""
         cell, renamed = cell or Cell(), dict(columns or {})
 
         def load(urdf_of: Callable[[str], Urdf]) -> FleetInputs:
@@ -253,9 +243,6 @@ def _told(error: Exception) -> str:
 
 def fingerprint(*values: object) -> str:
     """The SHA-256 of some values: of dataclasses by the fields that count in a comparison, of arrays by every bit.
-
-    Raises:
-        TypeError: A value is of a kind that has none.
 
     Example:
         >>> fingerprint("a", 1.0) == fingerprint("a", 1.0), fingerprint("a", 1.0) == fingerprint("a1.0")

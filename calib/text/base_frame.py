@@ -1,4 +1,4 @@
-"""What ``calib base-frame`` prints and writes as text: the frame, the sweeps, DH rows, findings, a cell file."""
+"""What ``calib base-frame`` prints and writes as text: the frame, the axes and sweeps, findings, a cell file."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _FINDINGS = {
 
 
 def survey_text(survey: Survey, source: str, robot: Robot | None) -> list[str]:
-    """All that is printed of a survey of a file: the frame, the robot's or the axes', sweeps, DH rows, findings."""
+    """All that is printed of a survey of a file: the frame, sweeps, axes, findings."""
     what = "z along axis 1, y along axis 2, origin where axis 1 meets the plane"
     if robot is not None:
         what = f"the link '{robot.base}' of {robot.name}"
@@ -68,11 +68,7 @@ def _frame_text(frame: BaseFrame) -> Iterator[str]:
     yield "Origin of the tracker's frame in the base:"
     yield f"  x y z           {'  '.join(mm(v, 1) for v in frame.T_base_tracker[:3, 3])} mm"
     yield ""
-    axes = [
-        f"{place}{axis} [{unit}]"
-        for place, unit in (("", "mm"), ("about ", "mrad"))
-        for axis in "xyz"
-    ]
+    axes = [*(f"{axis} [mm]" for axis in "xyz"), *(f"about {axis} [mrad]" for axis in "xyz")]
     numbers = zip(axes, frame.std, frame.within(0.95), strict=True)
     rows = [(axis, mm(std, 4), f"+-{mm(within, 4)}") for axis, std, within in numbers]
     yield from _aligned([("Along and about the axes of the base", "std", "95 % within"), *rows])

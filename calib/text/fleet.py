@@ -14,6 +14,13 @@ from calib.text.lines import fill
 #: More robots than this are counted, and those are listed that need somebody to look at them.
 LISTED = 40
 
+_SIZES = {
+    "nominal": "nominal_rms_m",
+    "calibrated": "calibrated_rms_m",
+    "unseen": "unseen_rms_m",
+    "noise": "sigma_m",
+}
+
 
 def figure_text(figure: str, unit: str, value: float, usual: float, z: float, limit: float) -> str:
     """Why a robot is odd, by a figure."""
@@ -42,19 +49,14 @@ def fleet_cells(fleet: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     if len(shown) > LISTED:
         odd = {one["name"] for one in fleet["odd"]}
         shown = [r for r in shown if r["name"] in odd or r["verdict"] not in ("use", "")]
-    sizes = {"nominal": "nominal_rms_m", "calibrated": "calibrated_rms_m", "unseen": "unseen_rms_m"}
-    # Behind "unseen" where that is of validation rows: what robots are compared by.
-    if any(r["unseen"] == "validation" and r["left_out_rms_m"] is not None for r in shown):
-        sizes["cross-val."] = "left_out_rms_m"
-    sizes["noise"] = "sigma_m"
     rows = []
     for robot in shown:
         model = robot["model"] + f" ({robot['larger']})" * bool(robot["larger"])
-        numbers = (robot[key] for key in sizes.values())
+        numbers = (robot[key] for key in _SIZES.values())
         cells = ["" if value is None else f"{1e3 * value:.3f}" for value in numbers]
         counts = [str(robot["rows"]), str(robot["outliers"])]
         rows.append([robot["name"], robot["verdict"] or "-", model, *cells, *counts])
-    return ["robot", "verdict", "model", *sizes, "rows", "out"], rows
+    return ["robot", "verdict", "model", *_SIZES, "rows", "out"], rows
 
 
 def fleet_text(fleet: Mapping[str, Any], kept: int) -> Iterator[str]:

@@ -64,10 +64,8 @@ def base_frame(
     from calib.text.base_frame import cell_text, survey_text
     from calib.units import LENGTH, parse_amount
 
-    if robot is None and (base is not None or tip is not None):
-        raise CalibError(
-            "--base and --tip are links of a robot; name it with --robot, or leave them out."
-        )
+    if robot is None and (base or tip):
+        raise CalibError("--base and --tip are links of a robot; name it with --robot.")
     inputs = [p for p in (data, points, robot) if p is not None]
     check_outputs([cell_out, json], inputs, force=force)
     arm = None if robot is None else Robot.load(robot, base, tip)
