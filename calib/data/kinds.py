@@ -45,17 +45,11 @@ _MATRIX_TOLERANCE = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """A column of the table with a number that rows of a kind measure.
+    """A column of the table with a number that rows of a kind measure."""
 
-    Attributes:
-        name: Of the column, as in ``"distance [mm]"``.
-        quantity: What it measures: ``"length"`` or ``"angle"``.
-        positive: Whether it is greater than zero, as a distance is.
-    """
-
-    name: str
-    quantity: Quantity = "length"
-    positive: bool = False
+    name: str  #: Of the column, as in ``"distance [mm]"``.
+    quantity: Quantity = "length"  #: What it measures: ``"length"`` or ``"angle"``.
+    positive: bool = False  #: Whether it is greater than zero, as a distance is.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,60 +61,49 @@ class Kind:
     T_frame_target, shape (n, 4, 4) [m]; of a ``paired`` kind those of both rows, shape (n, 2, 4, 4). Twists are the
     derivatives of these poses by p parameters: of the origin, then (where any row of the table measures an
     orientation) the rotation, along the frame's axes, shape (n, 3 or 6, p); of a paired kind (n, 2, 3 or 6, p).
-
-    Attributes:
-        name: Of the kind, as in the column ``kind``.
-        words: What a row measures, for texts: ``"position of the target"``.
-        units: Of each of the s residual scalars, lengths first: ``"m"`` or ``"rad"``.
-        derivative: Of the prediction, minus that of the residual: from what was measured, poses and twists to
-            shape (n, s, p).
-        measure: What a perfect instrument reads at some poses, shape (n, k), to simulate and to predict with; None
-            where poses are not free, because the target is held somewhere.
-        residual: Measured minus predicted, from what was measured and poses to shape (n, s); None where that is the
-            difference to what ``measure`` gives.
-        position: Whether the columns x, y, z are measured.
-        orientation: Whether an orientation is.
-        readings: The other columns that are measured.
-        paired: Whether two rows, which share a word in the column ``pair``, give one measurement.
-        directions: The directions of the set-up's frame that such rows tell, of `DIRECTIONS`.
-        own_frame: Whether the frame is that of what is measured against, unknown unless the cell gives it, such as
-            a socket; else it is the instrument's.
-        own_axes: Whether the directions are along that frame's own axes; else along those of the base.
-        fewest: With fewer rows in a group what is unknown of its frame fits whatever the robot does.
-        locate: Where the frame stands, T_frame_base, for the target's places in the base, shape (n, 3), what was
-            measured, and a first guess; None: as a measured position's.
-        settle: The frame with the directions that no row tells put somewhere definite; None: as they come.
-        place: What the frame stands for, in a text: ``"Socket"``.
     """
 
-    name: str
-    words: str
-    units: tuple[str, ...]
+    name: str  #: Of the kind, as in the column ``kind``.
+    words: str  #: What a row measures, for texts: ``"position of the target"``.
+    units: tuple[
+        str, ...
+    ]  #: Of each of the s residual scalars, lengths first: ``"m"`` or ``"rad"``.
+    #: Of the prediction, minus that of the residual: from what was measured, poses and twists to shape (n, s, p).
     derivative: Callable[[Array, Array, Array], Array]
+    #: What a perfect instrument reads at some poses, shape (n, k), to simulate and to predict with; None where poses
+    #: are not free, because the target is held somewhere.
     measure: Callable[[Array], Array] | None = None
+    #: Measured minus predicted, from what was measured and poses to shape (n, s); None where that is the difference to
+    #: what ``measure`` gives.
     residual: Callable[[Array, Array], Array] | None = None
-    position: bool = False
-    orientation: bool = False
-    readings: tuple[Reading, ...] = ()
+    position: bool = False  #: Whether the columns x, y, z are measured.
+    orientation: bool = False  #: Whether an orientation is.
+    readings: tuple[Reading, ...] = ()  #: The other columns that are measured.
+    #: Whether two rows, which share a word in the column ``pair``, give one measurement.
     paired: bool = False
+    #: The directions of the set-up's frame that such rows tell, of `DIRECTIONS`.
     directions: tuple[str, ...] = DIRECTIONS
+    #: Whether the frame is that of what is measured against, unknown unless the cell gives it, such as a socket; else
+    #: it is the instrument's.
     own_frame: bool = False
+    #: Whether the directions are along that frame's own axes; else along those of the base.
     own_axes: bool = False
-    fewest: int = 1
+    fewest: int = (
+        1  #: With fewer rows in a group what is unknown of its frame fits whatever the robot does.
+    )
+    #: Where the frame stands, T_frame_base, for the target's places in the base, shape (n, 3), what was measured, and a
+    #: first guess; None: as a measured position's.
     locate: Callable[[Array, Array, Array], Array] | None = None
+    #: The frame with the directions that no row tells put somewhere definite; None: as they come.
     settle: Callable[[Array], Array] | None = None
-    place: str = "Measurement frame"
+    place: str = "Measurement frame"  #: What the frame stands for, in a text: ``"Socket"``.
 
     def __post_init__(self) -> None:
         """Refuse a kind that does not say what is left over, or in what unit."""
-        if not self.units or self.units != ("m",) * self.lengths + ("rad",) * self.angles:
+        ordered = self.units == ("m",) * self.lengths + ("rad",) * self.angles
+        if not (self.units and ordered) or (self.residual is None and self.measure is None):
             raise CalibError(
-                f"The kind '{self.name}' has residuals in {self.units}; each is in 'm' or in 'rad', and lengths come "
-                "first."
-            )
-        if self.residual is None and self.measure is None:
-            raise CalibError(
-                f"The kind '{self.name}' has neither 'residual' nor 'measure'; give one of them, or both."
+                f"The kind '{self.name}' needs 'residual' or 'measure', and 'units' of 'm' and 'rad', lengths first."
             )
 
     @property
@@ -164,13 +147,10 @@ def register(kind: Kind) -> None:
     Raises:
         CalibError: There is a kind, or a column, of this name.
     """
-    if kind.name in _KINDS:
-        raise CalibError(f"There is a kind '{kind.name}' already; give yours another name.")
-    for one in kind.readings:
-        if readings().get(one.name, one) != one:
-            raise CalibError(
-                f"Another kind reads '{one.name}' otherwise than '{kind.name}' does; rename your column."
-            )
+    taken = any(readings().get(one.name, one) != one for one in kind.readings)
+    if kind.name in _KINDS or taken:
+        message = f"There is a kind '{kind.name}', or a column of its name, already; rename yours."
+        raise CalibError(message)
     _KINDS[kind.name] = kind
 
 
@@ -186,9 +166,8 @@ def get(name: str) -> Kind:
         MeasurementError: There is none; the text names those there are.
     """
     if name not in _KINDS:
-        raise MeasurementError(
-            f"'{name}' is not a kind of measurement; allowed are {choices(_KINDS)}"
-        )
+        message = f"'{name}' is not a kind of measurement; allowed are {choices(_KINDS)}"
+        raise MeasurementError(message)
     return _KINDS[name]
 
 
@@ -219,7 +198,7 @@ def to_quaternions(rotations: Array) -> Array:
     return result
 
 
-def unit(v: Array) -> Array:
+def _unit(v: Array) -> Array:
     """Unit vectors, shape (..., 3)."""
     return np.asarray(v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), _TINY))
 
@@ -240,16 +219,10 @@ def _turned(measured: Array, T: Array) -> Rotation:
     return Rotation.from_matrix(M @ T[:, :3, :3].transpose(0, 2, 1))
 
 
-def _pose_residual(measured: Array, T: Array) -> Array:
-    """What is left over of position and orientation."""
-    return np.hstack([measured[:, :3] - _place(T), _turned(measured, T).as_rotvec()])
-
-
 def _pose_derivative(measured: Array, T: Array, twists: Array) -> Array:
     """The derivative of position and orientation."""
-    return np.concatenate(
-        [twists[:, :3], _log_derivative(_turned(measured, T)) @ twists[:, 3:]], axis=1
-    )
+    turned = _log_derivative(_turned(measured, T)) @ twists[:, 3:]
+    return np.concatenate([twists[:, :3], turned], axis=1)
 
 
 def _log_derivative(rotation: Rotation) -> Array:
@@ -270,15 +243,10 @@ def _log_derivative(rotation: Rotation) -> Array:
     return result
 
 
-def _distance_derivative(_measured: Array, T: Array, twists: Array) -> Array:
-    """The derivative of a distance."""
-    return np.asarray(np.einsum("ni,nip->np", unit(_place(T)), twists[:, :3])[:, None])
-
-
 def _between_derivative(_measured: Array, T: Array, twists: Array) -> Array:
     """The derivative of a distance between two rows."""
     p = _place(T)
-    along, apart = unit(p[:, 0] - p[:, 1]), twists[:, 0, :3] - twists[:, 1, :3]
+    along, apart = _unit(p[:, 0] - p[:, 1]), twists[:, 0, :3] - twists[:, 1, :3]
     return np.asarray(np.einsum("ni,nip->np", along, apart)[:, None])
 
 
@@ -312,17 +280,12 @@ def _plane_frame(normal: Array, distance: float) -> Array:
     Which side its z points to is arbitrary: to that where the largest component of the normal is positive.
     """
     sign = float(np.sign(normal[np.argmax(np.abs(normal))]))
-    normal, distance = sign * normal, sign * distance
-    axis = np.cross(normal, [0.0, 0.0, 1.0])
-    s, c = float(np.linalg.norm(axis)), float(normal[2])
-    T = np.eye(4)
-    if s > 1e-12:
-        K = np.zeros((3, 3))
-        x, y, z = axis / s
-        K[0, 1], K[0, 2], K[1, 2] = -z, y, -x
-        K = K - K.T
-        T[:3, :3] = np.eye(3) + s * K + (1.0 - c) * K @ K
-    T[2, 3] = -distance
+    axis = np.cross(sign * normal, [0.0, 0.0, 1.0])
+    sine, T = float(np.linalg.norm(axis)), np.eye(4)
+    if sine > _TINY:
+        turn = np.arctan2(sine, sign * normal[2]) / sine
+        T[:3, :3] = Rotation.from_rotvec(turn * axis).as_matrix()
+    T[2, 3] = -sign * distance
     return T
 
 
@@ -343,7 +306,9 @@ for _kind in (
         words="position and orientation of the target",
         units=("m",) * 3 + ("rad",) * 3,
         measure=lambda T: np.hstack([_place(T), T[:, :3, :3].reshape(-1, 9)]),
-        residual=_pose_residual,
+        residual=lambda measured, T: np.hstack(
+            [measured[:, :3] - _place(T), _turned(measured, T).as_rotvec()]
+        ),
         derivative=_pose_derivative,
         position=True,
         orientation=True,
@@ -353,7 +318,9 @@ for _kind in (
         words="distance from the target to an anchor",
         units=("m",),
         measure=lambda T: np.linalg.norm(_place(T), axis=1, keepdims=True),
-        derivative=_distance_derivative,
+        derivative=lambda _, T, twists: np.asarray(
+            np.einsum("ni,nip->np", _unit(_place(T)), twists[:, :3])[:, None]
+        ),
         readings=_LENGTH,
         directions=("x", "y", "z"),
         own_frame=True,

@@ -115,15 +115,13 @@ def test_derivatives_against_differences_and_what_is_measured_has_no_residual(na
 @pytest.mark.usefixtures("own")
 def test_a_name_is_given_once():
     before = names()
-    with pytest.raises(CalibError, match="There is a kind 'line' already"):
-        register(LINE)
-    with pytest.raises(CalibError, match="reads 'line_distance' otherwise"):
-        register(replace(LINE, name="wire", readings=(Reading("line_distance", "angle"),)))
+    for kind in (LINE, replace(LINE, name="wire", readings=(Reading("line_distance", "angle"),))):
+        with pytest.raises(CalibError, match=f"There is a kind '{kind.name}', or a column"):
+            register(kind)
     assert names() == before
-    with pytest.raises(CalibError, match="lengths come first"):
-        replace(LINE, units=("rad", "m"))
-    with pytest.raises(CalibError, match="neither 'residual' nor 'measure'"):
-        replace(LINE, measure=None)
+    for change in ({"units": ("rad", "m")}, {"measure": None}):
+        with pytest.raises(CalibError, match="needs 'residual' or 'measure', and 'units' of"):
+            replace(LINE, **change)
     with pytest.raises(MeasurementError, match=r"'lines' is not a kind .* 'line', 'tilt'"):
         get("lines")
 
