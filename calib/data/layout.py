@@ -40,11 +40,14 @@ from calib.errors import MeasurementError, choices
 from calib.units import Quantity, Unit
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 Columns = tuple[Column, ...]
 Named = Mapping[str, Column]
 
 #: The words of a row, and what stands for them in a table without the column.
 _DEFAULTS = {"set": SETS[0], "target": DEFAULT_TARGET, "group": "", "pair": "", "point": ""}
+
+_WHOLE = re.compile(r"[+-]?[0-9]{1,18}")
 
 #: The blocks of several columns.
 _WIDE = ("joints", "torques", "points", "orientation")
@@ -147,38 +150,32 @@ def _kinds(
     table: Table, named: Named, kind: str | None, *, points_elsewhere: bool
 ) -> tuple[str, ...]:
     """The kinds of the rows: as given, else from the column ``kind``, else from the columns there are."""
-    known = registry.names()
+    kinds: tuple[str, ...] = ("point",)
     if kind is not None:
-        kinds: tuple[str, ...] = (registry.get(kind).name,)
+        kinds = (registry.get(kind).name,)
     elif "kind" in named:
-        cells = table.column(named["kind"])
+        known, cells = registry.names(), table.column(named["kind"])
         for i in (i for i, word in enumerate(cells) if word not in known):
             what = (
                 f"'{cells[i]}' is not a kind of measurement; allowed are {choices(known)}. --columns "
                 f'"{named["kind"].label}=-" leaves the column out.'
             )
             table.fail(i, named["kind"], what, named.get("row"))
-        kinds = tuple(one for one in known if one in cells) or ("point",)
-    else:
-        kinds = ("point",) if points_elsewhere else (_guess_kind(named),)
-    wrong = any(registry.get(name).orientation for name in kinds) or "point" not in kinds
-    if points_elsewhere and wrong:
+        kinds = tuple(one for one in known if one in cells) or kinds
+    elif not points_elsewhere:
+        every = [registry.get(name) for name in registry.names()]
+        read = [k for k in every if k.readings and all(one.name in named for one in k.readings)]
+        if any(named.keys() >= set(names) for names in (QUATERNION, ROTATION_VECTOR)):
+            kinds = ("pose",)
+        elif read and not any(name in named for name in POINT):
+            kinds = (max(read, key=lambda one: one.paired == ("pair" in named)).name,)
+    turned = any(registry.get(name).orientation for name in kinds)
+    if points_elsewhere and (turned or "point" not in kinds):
         raise MeasurementError(
             f"{table.source}: with a list of points (--points) rows are of the kind 'point', or of kinds that measure "
             f"no position; here they are {choices(kinds)}. Leave out the list, or the kind."
         )
     return kinds
-
-
-def _guess_kind(named: Named) -> str:
-    """The kind of all rows from the columns that there are."""
-    if any(named.keys() >= set(names) for names in (QUATERNION, ROTATION_VECTOR)):
-        return "pose"
-    every = [registry.get(name) for name in registry.names()]
-    fitting = [k for k in every if k.readings and all(one.name in named for one in k.readings)]
-    if fitting and not any(name in named for name in POINT):
-        return max(fitting, key=lambda kind: kind.paired == ("pair" in named)).name
-    return "point"
 
 
 def _needed(table: Table, named: Named, name: str, quantity: Quantity | None, what: str) -> Column:
@@ -231,41 +228,16 @@ def _joints(
     """The columns of the joints asked for, in that order; else those in angles, and known prismatic ones."""
     free = {n: c for n, c in named.items() if n not in (*reserved(), *ORIENTATION)}
     if joint_names is None:
-        joints = [
-            c for n, c in free.items() if c.unit and (c.unit.quantity == "angle" or n in types)
-        ]
-        if not joints:
+        told = {n: c.unit for n, c in free.items() if c.unit}
+        joint_names = [n for n, unit in told.items() if unit.quantity == "angle" or n in types]
+        if not joint_names:
             raise MeasurementError(
                 f"{table.source}: no column of joint angles. {list_columns(table)} The header of such a column is the "
                 "joint's name and a unit of angle, 'elbow_joint [deg]'."
             )
-    else:
-        _check_named(table, named, joint_names, types, [n for n in free if n not in joint_names])
-        joints = [named[name] for name in joint_names]
-    for column in joints:
-        kind = types.get(column.name)
-        if kind is not None or column.unit is None:
-            quantity: Quantity = "length" if kind == "prismatic" else "angle"
-            with_unit(table, column, quantity, f"{kind or 'revolute'} joint '{column.name}'")
-    return tuple(joints)
-
-
-def _check_named(
-    table: Table,
-    named: Named,
-    joint_names: Sequence[str],
-    types: Mapping[str, str],
-    others: Sequence[str],
-) -> None:
-    """Refuse joints without a column, and those whose name is another column's."""
-    clash = [name for name in joint_names if name in reserved()]
-    if clash:
-        raise MeasurementError(
-            f"{table.source}: a joint cannot be called {choices(clash)}, which is the name of another column of the "
-            "table. Rename the joint in the URDF."
-        )
     missing = [name for name in joint_names if name not in named]
     if missing:
+        others = [name for name in free if name not in joint_names]
         # One each where many are missing: the line stays short enough to read.
         most = 3 if len(missing) < 3 else 1
         close = {name: close_names(name, others)[:most] for name in missing}
@@ -275,6 +247,13 @@ def _check_named(
             f"{table.source}: no column for the joints {choices(missing)}. {list_columns(table)}{hint} The header of "
             f"such a column is '{header}'; another name is mapped by --columns \"name in the table={header}\"."
         )
+    joints = tuple(named[name] for name in joint_names)
+    for column in joints:
+        kind = types.get(column.name)
+        if kind is not None or column.unit is None:
+            quantity: Quantity = "length" if kind == "prismatic" else "angle"
+            with_unit(table, column, quantity, f"{kind or 'revolute'} joint '{column.name}'")
+    return joints
 
 
 # Values
@@ -302,17 +281,17 @@ def read_values(table: Table, layout: Layout, elsewhere: Points | None = None) -
         kinds = np.array(table.column(layout.words["kind"]), dtype=np.str_)
     measured = _measured(table, layout, grid, kinds)
     if not measured.any():
-        raise MeasurementError(_no_rows(table, layout))
+        listed = ", or give the instrument's list of points (--points)" * ("point" in layout.kinds)
+        raise MeasurementError(
+            f"{table.source}: nothing is measured yet in its {count} rows. Fill in what was measured at each "
+            f"pose{listed}."
+        )
     present = [registry.get(name) for name in layout.kinds]
     paired = np.isin(kinds, [kind.name for kind in present if kind.paired])
     placed = np.isin(kinds, [kind.name for kind in present if kind.position])
-    words = {name: _words(table, layout, name) for name in _DEFAULTS}
     told = {"target": measured, "pair": measured & paired, "point": measured & placed}
-    for name in told.keys() & layout.words.keys():
-        for i in (i for i in np.flatnonzero(told[name]).tolist() if not words[name][i]):
-            what = "the cell is empty. Fill it in, or remove the row."
-            table.fail(i, layout.words[name], what, layout.words.get("row"))
-    every = _row_numbers(table, layout)
+    words = _words(table, layout, told)
+    every = list(map(int, words["row"]))
     if elsewhere is not None:
         at = np.flatnonzero(measured & placed)
         names = [words["point"][i] for i in at] if "point" in layout.words else None
@@ -320,7 +299,6 @@ def read_values(table: Table, layout: Layout, elsewhere: Points | None = None) -
         found = elsewhere.of_rows(table.source, [every[i] for i in at], names)
         points[at] = elsewhere.points[found]
         measured[at] = np.array(found, dtype=np.intp) >= 0
-    rows = list(compress(every, measured))
     words = {name: list(compress(found, measured)) for name, found in words.items()}
     _check_units(
         table, layout, {n: np.where(measured[:, None], v, np.nan) for n, v in grid.items()}
@@ -333,19 +311,19 @@ def read_values(table: Table, layout: Layout, elsewhere: Points | None = None) -
         si["points"] = points[measured]
     torques = None
     if "torques" in si:
-        torques = np.full((len(rows), len(layout.joint_names)), np.nan)
+        torques = np.full((measured.sum(), len(layout.joint_names)), np.nan)
         driven = [c.name.removesuffix(TORQUE) for c in layout.blocks["torques"]]
         torques[:, [layout.joint_names.index(name) for name in driven]] = si["torques"]
     single = {name: block[:, 0] for name, block in si.items() if name not in _WIDE}
     readings = {name: single[name] for name in registry.readings() if name in single}
     return {
-        "joints": si.get("joints", np.empty((len(rows), 0))),
-        "points": si.get("points", np.full((len(rows), 3), np.nan)),
+        "joints": si.get("joints", np.empty((measured.sum(), 0))),
+        "points": si.get("points", np.full((measured.sum(), 3), np.nan)),
         "sets": words["set"],
         "sigma": single.get("sigma"),
         "targets": words["target"],
         "groups": words["group"],
-        "rows": rows,
+        "rows": list(compress(every, measured)),
         "kinds": kinds[measured].tolist(),
         "rotations": _matrices(si["orientation"]) if "orientation" in si else None,
         "distances": readings.pop("distance", None),
@@ -357,22 +335,26 @@ def read_values(table: Table, layout: Layout, elsewhere: Points | None = None) -
     }
 
 
-def _no_rows(table: Table, layout: Layout) -> str:
-    """What to say of a table without rows, or without any that is measured."""
-    if not table.cells:
-        return f"{table.source}: the table has a header and no rows below it"
-    own = [n for kind in layout.kinds for n in layout.measured_by(registry.get(kind))]
-    columns = [c.label for name in dict.fromkeys(own) for c in layout.blocks[name]]
-    listed = ", or give the instrument's list of points with --points" * ("point" in layout.kinds)
-    return (
-        f"{table.source}: nothing is measured yet; {choices(columns)} are empty in all {len(table.cells)} rows. Fill "
-        f"in what was measured at each pose{listed}."
-    )
+def _words(table: Table, layout: Layout, told: Mapping[str, Mask]) -> dict[str, list[str]]:
+    """The words of all rows, or what stands for them without a column; none is empty where a row must have it."""
+    words = {name: [default] * len(table.cells) for name, default in _DEFAULTS.items()}
+    words["row"] = [str(i + 1) for i in range(len(table.cells))]
+    words |= {name: table.column(column) for name, column in layout.words.items()}
+    if layout.groups:
+        words["group"] = ["/".join(row[c.index] for c in layout.groups) for row in table.cells]
+    for i in (i for i, text in enumerate(words["row"]) if not _WHOLE.fullmatch(text)):
+        what = f"'{words['row'][i]}' is not a whole number. Number the rows."
+        table.fail(i, layout.words["row"], what)
+    for name in told.keys() & layout.words.keys():
+        for i in (i for i in np.flatnonzero(told[name]).tolist() if not words[name][i]):
+            what = "the cell is empty. Fill it in, or remove the row."
+            table.fail(i, layout.words[name], what, layout.words.get("row"))
+    return words
 
 
 def _measured(
     table: Table, layout: Layout, grid: dict[str, Array], kinds: NDArray[np.str_]
-) -> NDArray[np.bool_]:
+) -> Mask:
     """Whether anything is measured in each row; in ``grid`` NaN replaces what a row's kind lacks."""
     measured = np.ones(len(table.cells), dtype=np.bool_)
     if STATUS in layout.words:
@@ -408,27 +390,6 @@ def _no_number(table: Table, layout: Layout, row: int, column: Column) -> NoRetu
             "commas are read."
         )
     table.fail(row, column, what, layout.words.get("row"))
-
-
-def _row_numbers(table: Table, layout: Layout) -> list[int]:
-    """The numbers of the rows that a person sees."""
-    column = layout.words.get("row")
-    if column is None:
-        return list(range(1, len(table.cells) + 1))
-    found = table.column(column)
-    for i, text in enumerate(found):
-        if not re.fullmatch(r"[+-]?[0-9]{1,18}", text):
-            table.fail(i, column, f"'{text}' is not a whole number. Number the rows.", column)
-    return list(map(int, found))
-
-
-def _words(table: Table, layout: Layout, name: str) -> list[str]:
-    """The words of all rows: those of a column, or what stands for them without it."""
-    if name == "group" and layout.groups:
-        return ["/".join(row[c.index] for c in layout.groups) for row in table.cells]
-    if name in layout.words:
-        return table.column(layout.words[name])
-    return [_DEFAULTS[name]] * len(table.cells)
 
 
 def _matrices(values: Array) -> Array:

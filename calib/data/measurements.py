@@ -38,6 +38,12 @@ from calib.units import UNITS, Quantity
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+#: The words of a row, by the attribute, and what stands for them where they are not given.
+_WORDS = {"sets": SETS[0], "targets": DEFAULT_TARGET, "groups": "", "kinds": "point", "pairs": ""}
+
+#: The arrays with an entry a row.
+_ARRAYS = ("joints", "points", "sigma", "rotations", "distances", "sigma_angle", "torques")
+
 # Two rows that share a distance have it to all digits of a table [m].
 _AGREE_M = 1e-9
 
@@ -361,19 +367,8 @@ class Measurements:
         return {**found, "distances": read.pop("distance", None), "readings": read}
 
     def select(self, mask: ArrayLike) -> Measurements:
-        """The rows where ``mask``, of shape (N,) and bool, is True; they keep their row numbers.
-
-        A pair may lose one of its rows.
-
-        Raises:
-            MeasurementError: the mask has another shape or type.
-        """
-        chosen = np.asarray(mask)
-        if chosen.dtype != np.bool_ or chosen.shape != (len(self),):
-            raise MeasurementError(
-                f"select was given an array of shape {chosen.shape} and type {chosen.dtype}; it "
-                f"takes one bool for each of the {len(self)} rows, shape ({len(self)},)"
-            )
+        """The rows where ``mask``, shape (N,), is True, with their numbers; a pair may lose one of its rows."""
+        chosen = np.asarray(mask, dtype=np.bool_)
         here = chosen.tolist()
         left: dict[str, Any] = {
             name: tuple(compress(getattr(self, name), here)) for name in (*_WORDS, "rows")
@@ -456,14 +451,6 @@ def _in_unit(values: Array, to_si: float) -> Array:
         better = (found * to_si != values) & (beside * to_si == values)
         found = np.where(better, beside, found)
     return found
-
-
-#: The words of a row, by the attribute, and what stands for them where they are not given.
-_WORDS = {"sets": SETS[0], "targets": DEFAULT_TARGET, "groups": "", "kinds": "point", "pairs": ""}
-
-
-#: The arrays with an entry a row.
-_ARRAYS = ("joints", "points", "sigma", "rotations", "distances", "sigma_angle", "torques")
 
 
 def _read_only(values: ArrayLike) -> Array:

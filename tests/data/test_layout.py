@@ -104,17 +104,9 @@ def test_half_a_row_is_refused(table, row, says):
 
 
 def test_a_plan_of_which_nothing_is_measured(table):
-    says = (
-        "plan.csv: nothing is measured yet; 'x [mm]', 'y [mm]', 'z [mm]' are empty in all 2 rows. Fill in what was "
-        "measured at each pose, or give the instrument's list of points with --points."
-    )
-    refused(table(HEADER, ROWS[1], ROWS[3]), says)
-    distances = table("a [deg],distance [mm]", "1,", "2,")
-    refused(
-        distances,
-        "'distance [mm]' are empty in all 2 rows. Fill in what was measured at each pose.",
-    )
-    refused(table(HEADER), "the table has a header and no rows below it")
+    says = "plan.csv: nothing is measured yet in its 2 rows. Fill in what was measured at each pose"
+    refused(table(HEADER, ROWS[1], ROWS[3]), f"{says}, or give the instrument's list of points")
+    refused(table("a [deg],distance [mm]", "1,", "2,"), f"{says}.")
 
 
 def test_a_list_of_points_that_is_not_complete_yet(table, listed):
