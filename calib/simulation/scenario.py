@@ -2,37 +2,47 @@
 
     measured = T_frame_target(q) + drift + robot's repeatability + instrument's noise + outliers
 
-A `Scenario` says what cells are to be like; a seed draws a `VirtualCell`, with errors of its own, out of it; and
-`VirtualCell.measure` is a function of poses and a seed. Each disturbance has random numbers of its own, so that one can
-be changed and the others stay. See docs/simulation.md.
+A `Scenario`, from Python or from words, says what cells are to be like; a seed draws a `VirtualCell` out of it, which
+measures any poses. See docs/simulation.md.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import astuple, dataclass, field
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 import calib.data.kinds as registry
-from calib.data.cell import Cell, TrackerNoise, vector
+from calib.data.cell import Cell, TrackerNoise
+from calib.data.cell_file import DEGREES, MM, POINT, TEXT, Field, numbers, read_table, read_toml
 from calib.data.kinds import Kind
 from calib.data.measurements import Measurements
 from calib.data.table import SETS
 from calib.errors import CalibError, choices
+from calib.files import json_bytes, write_atomically
+from calib.model.error_model import error_model
+from calib.model.families import unit_of
+from calib.model.kinematics import ErrorModel
 from calib.robot.readback import joint_ranges
 from calib.robot.robot import Robot, read_only
 from calib.simulation.truth import (
+    NONE,
     TARGET_ERROR,
     Encoder,
     MovedTarget,
     Outliers,
     Truth,
     draw_truth,
+    sizes_of,
     stream,
 )
+from calib.units import LENGTH, parse_amount, parse_noise
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int_]
@@ -75,10 +85,9 @@ class Scenario:
         if self.kind.measure is None:
             free = [name for name in registry.names() if registry.get(name).measure is not None]
             raise CalibError(
-                f"Measurements of the kind '{self.kind.name}' cannot be simulated: their poses would have to hold the "
-                f"target in a socket or on a plane. Choose one of {choices(free)}."
+                f"Measurements of the kind '{self.kind.name}' cannot be simulated; choose one of {choices(free)}."
             )
-        object.__setattr__(self, "drift", vector(self.drift, "drift"))
+        object.__setattr__(self, "drift", read_only(self.drift))
 
     @property
     def kind(self) -> Kind:
@@ -98,11 +107,7 @@ class Scenario:
         return None if elsewhere else DEFAULT_TRACKER
 
     def draw(self, seed: int) -> VirtualCell:
-        """A virtual cell with the errors of this seed.
-
-        Raises:
-            CalibError: What the scenario says does not fit the robot.
-        """
+        """A virtual cell with the errors of this seed."""
         truth = draw_truth(
             self.robot,
             self.model,
@@ -120,9 +125,6 @@ class Scenario:
 
         More of them are those of fewer and others; those to validate with are others for the same seed. Collisions are
         not looked at.
-
-        Raises:
-            CalibError: The cell has a range of no such joint, or outside its limits.
         """
         low, high = joint_ranges(self.robot, self.cell.ranges).T
         rng = stream(seed, "validation poses" if validation else "poses")
@@ -138,12 +140,8 @@ class Scenario:
     ) -> tuple[Array, tuple[str, ...]]:
         """Where the robot is measured, shape (N, m), [rad] or [m], and the set of each pose.
 
-        Args:
-            seed: Of random poses.
-            count: How many of them, where none are given.
-            validation: How many random ones besides, to validate with.
-            given: shape (n, m), poses in place of random ones.
-            sets: Of these, ``"estimate"`` or ``"validate"``; () for all to estimate from.
+        ``count`` random poses, or those ``given``, shape (n, m), of these ``sets``, () for all to estimate from; and
+        random ones besides, to validate with.
         """
         q = self.random_poses(count, seed) if given is None else given
         extra = self.random_poses(validation, seed, validation=True)
@@ -187,31 +185,20 @@ class VirtualCell:
     truth: Truth  #: The robot, the targets and the frames
 
     def measure(self, q: ArrayLike, seed: int = 0, sets: Sequence[str] | None = None) -> Simulated:
-        """Measure every target at every pose.
+        """Measure every target at every pose q, shape (N, m), [rad] or [m], that the robot is sent to.
 
-        The poses are dealt out among the set-ups in turn; with several visits the whole tour is made again.
-
-        Args:
-            q: shape (N, m), joint values that the robot is sent to [rad] or [m], in the order of its ``joint_names``.
-            seed: Of the random numbers.
-            sets: For each pose ``"estimate"`` or ``"validate"``; default all to estimate from.
+        The poses are dealt out among the set-ups in turn; with several visits the whole tour is made again. ``sets``
+        has for each pose ``"estimate"`` or ``"validate"``; default all to estimate from.
 
         Raises:
             ModelError: q has another number of columns, or a number that is not finite.
-            CalibError: No poses, or what does not fit them: a row, a number of outliers, an odd pose of pairs.
+            CalibError: What does not fit the poses: a row, a number of outliers, an odd pose of pairs.
         """
         scenario, truth, robot = self.scenario, self.truth, self.truth.nominal
         kind, noise = scenario.kind, scenario.noise
         q = np.atleast_2d(np.asarray(q, dtype=np.float64))
-        if not q.size:
-            raise CalibError("There are no poses to measure at; give one or more.")
         robot.chain_values(q)  # refuses what are no values of these joints
         sets = (SETS[0],) * len(q) if sets is None else tuple(sets)
-        if len(sets) != len(q):
-            raise CalibError(
-                f"There are {len(q)} poses and {len(sets)} words that say their sets; give one of {choices(SETS)} for "
-                "each pose."
-            )
         # All targets at each stop, one tour of the poses after the other: what each row is of.
         route, number = np.tile(np.arange(len(q)), scenario.visits), len(truth.targets)
         stop = np.repeat(np.arange(len(route)), number)
@@ -226,7 +213,6 @@ class VirtualCell:
         if scenario.moved is not None:
             moved = scenario.moved.rows(names)
             placed[moved, :3, 3] += scenario.moved.by
-        moved.setflags(write=False)
         T = truth.T_frame_base[group] @ truth.tip_poses(stood)[stop] @ placed
         drift = np.linspace(0.0, 1.0, len(stop))[:, None] * scenario.drift
         repeatability = 0.0 if noise is None else noise.repeatability
@@ -332,19 +318,12 @@ def simulate(
 
 
 def _partners(sets: Sequence[str], pose: Rows, targets: int) -> Rows:
-    """The other row of each row's pair, shape (R,): consecutive poses of one set, the same target, the same tour.
-
-    Raises:
-        CalibError: A set has an odd number of poses.
-    """
+    """The other row of each row's pair, shape (R,): consecutive poses of one set, the same target, the same tour."""
     other = np.arange(len(sets))
     for name in SETS:
         chosen = [i for i, word in enumerate(sets) if word == name]
         if len(chosen) % 2:
-            raise CalibError(
-                f"Distances between the targets of two poses need an even number of poses; {len(chosen)} are to "
-                f"'{name}'."
-            )
+            raise CalibError(f"Pairs need an even number of poses; {len(chosen)} are to '{name}'.")
         other[chosen[::2]], other[chosen[1::2]] = chosen[1::2], chosen[::2]
     return np.asarray(np.arange(len(pose)) + (other[pose] - pose) * targets)
 
@@ -352,3 +331,169 @@ def _partners(sets: Sequence[str], pose: Rows, targets: int) -> Rows:
 def _seen(T: Array, partner: Rows | None) -> Array:
     """Poses as a kind looks at them, shape (R, 4, 4), of a paired kind (R, 2, 4, 4)."""
     return T if partner is None else np.stack([T, T[partner]], axis=1)
+
+
+#: The keys of ``[simulation]`` in a cell file.
+FIELDS: Mapping[str, Field] = {
+    "visits": Field("visits", numbers(1)),
+    "encoder_deg": Field("angle", DEGREES),
+    "encoder_mm": Field("length", MM),
+    "outlier_size_mm": Field("size", MM),
+    "drift_mm": Field("drift", POINT),
+    "moved_row": Field("row", numbers(1)),
+    "moved_mm": Field("by", POINT),
+    "moved_target": Field("target", TEXT),
+}
+
+#: Noise of an orientation about each axis, of a tracker's 6D probe [rad].
+_PROBE = float(np.radians(0.01))
+
+
+def read_scenario(
+    robot: Robot,
+    cell: Cell,
+    path: Path | None = None,
+    *,
+    sizes: str | None = None,
+    error: Iterable[str] = (),
+    noise: str | None = None,
+    outliers: str | None = None,
+    truth_robot: Path | None = None,
+    target_error: str | None = None,
+) -> Scenario:
+    """The scenario of a robot and a cell, with what the command line and ``[simulation]`` in the cell file add."""
+    more: dict[str, Any] = {}
+    if path is not None:
+        table = read_toml(path).get("simulation", {})
+        more = read_table(table, FIELDS, f"[simulation] of {path}")
+    model = DEFAULT_MODEL if cell.model == "auto" else cell.model
+    errors = tuple(_named_errors(error, error_model(robot, model, target=False)))
+    moved = None
+    if "row" in more or "by" in more:
+        by = more.get("by", np.zeros(3))
+        moved = MovedTarget(int(more.get("row", 1)), by, more.get("target"))
+    true_robot = None
+    if truth_robot is not None:
+        true_robot = Robot.load(truth_robot, robot.base, robot.tip, held=robot.held)
+    found, sigma_angle = noise_of(cell, noise), cell.sigma_angle
+    return Scenario(
+        robot=robot,
+        cell=cell,
+        model=model,
+        sizes=sizes_of(cell, sizes, named=bool(errors)),
+        errors=errors,
+        true_robot=true_robot,
+        target_error=TARGET_ERROR
+        if target_error is None
+        else parse_amount(target_error, "--target-error", LENGTH, "1 mm"),
+        noise=found,
+        sigma_angle=0.0 if found is None else _PROBE if sigma_angle is None else sigma_angle,
+        encoder=Encoder(more.get("angle", 0.0), more.get("length", 0.0)),
+        outliers=None
+        if outliers is None
+        else Outliers.parse(outliers, more.get("size", Outliers().size)),
+        moved=moved,
+        drift=more.get("drift", np.zeros(3)),
+        visits=int(more.get("visits", 1)),
+    )
+
+
+def _named_errors(pairs: Iterable[str], model: ErrorModel) -> Iterator[tuple[str, float]]:
+    """Single errors, ``elbow_joint.rx=2 mrad`` each, in the units of the parameters."""
+    for pair in dict.fromkeys(pairs):
+        name, _, value = (part.strip() for part in pair.rpartition("="))
+        unit = unit_of(model.parameters[model.index(name)].unit)
+        yield name, parse_amount(value, "--error", unit.quantity, unit.example, signed=True)
+
+
+def noise_of(cell: Cell, text: str | None) -> TrackerNoise | None:
+    """The noise as said, ``15 um + 6 um/m``, ``0.05 mm`` or ``none``, else the cell's; None: none at all."""
+    if text is not None:
+        constant, per_length = (0.0, 0.0) if text == NONE else parse_noise(text, "--noise")
+        return TrackerNoise(constant, per_length, 0.0) if constant or per_length else None
+    found = TrackerNoise() if cell.tracker is None else cell.tracker.noise
+    return found if cell.sigma is None else TrackerNoise(cell.sigma, 0.0, 0.0)
+
+
+#: The truth file's kind and version.
+SCHEMA = "truth 1"
+
+#: The keys of a noise and of a row in it.
+_NOISE = ("constant_m", "per_length_m_per_m", "repeatability_m")
+_ROW = ("row", "target", "group", "joints", "xyz_m", "sigma_m")
+
+
+def write_truth(
+    scenario: Scenario, made: Simulated, path: str | Path, *, overwrite: bool = False
+) -> Path:
+    """Write what was true of a simulated table, as JSON in SI units; docs/simulation.md describes the keys.
+
+    It is complete: with the nominal URDF alone, true positions follow from it.
+    """
+    truth, table, robot = made.truth, made.measurements, made.truth.nominal
+    model, noise, moved = truth.model, scenario.noise, scenario.moved
+    targets = zip(truth.targets, truth.T_tip_target, truth.said_T_tip_target, strict=True)
+    set_ups = zip(truth.groups, truth.T_frame_base, strict=True)
+    parameters = zip(model.parameters, truth.x, strict=True)
+    terms = list(zip(model.terms, model.values(truth.x), model.mixing, strict=True))
+    rows = zip(
+        table.rows, table.targets, table.groups, made.q, made.points, made.sigma, strict=True
+    )
+    content = {
+        "schema": SCHEMA,
+        "seed": made.seed,
+        "robot": {
+            "name": robot.name,
+            "urdf_sha256": robot.urdf.sha256,
+            "base": robot.base,
+            "tip": robot.tip,
+            "joints": robot.joint_names,
+            "held": [{"joint": name, "value": value} for name, value in sorted(robot.held.items())],
+        },
+        "model": {
+            "set": model.name,
+            "ties": [
+                {"name": term.name, "other": model.names[leader], "factor": row[leader]}
+                for term, _, row in terms
+                if term.name not in model.names
+                for leader in [int(np.argmax(np.abs(row)))]
+            ],
+        },
+        "parameters": [{"name": p.name, "unit": p.unit, "value": x} for p, x in parameters],
+        "displacements": [
+            {"name": t.name, "place": t.place, "twist": t.direction, "value": value}
+            | {"times": t.factor.name if t.factor else ""}
+            for t, value, _ in terms
+        ],
+        "origins": [{"joint": n, **_place(T)} for n, T in sorted(truth.robot.origins().items())],
+        "targets": [{"target": n, **_place(T), **_place(said, "said_")} for n, T, said in targets],
+        "set_ups": [{"group": n, **_place(T, "frame_base_")} for n, T in set_ups],
+        "payload": truth.payload and {"mass_kg": truth.payload.mass, "com_m": truth.payload.com},
+        "gravity_m_s2": truth.gravity,
+        "instrument": {
+            "kind": scenario.kind.name,
+            "noise": noise and dict(zip(_NOISE, astuple(noise), strict=True)),
+            "sigma_angle_rad": scenario.sigma_angle,
+            "tracker_base_xyz_m": scenario.tracker,
+            "encoder_step_rad": scenario.encoder.angle,
+            "encoder_step_m": scenario.encoder.length,
+            "visits": scenario.visits,
+        },
+        "events": {
+            "outliers": [
+                {"row": table.rows[i], "displacement_m": made.outliers[i]}
+                for i in np.flatnonzero(made.outliers.any(axis=1))
+            ],
+            "moved_target": moved
+            and {"from_row": moved.row, "target": moved.target, "displacement_m": moved.by},
+            "drift_m": scenario.drift,
+        },
+        "rows": [dict(zip(_ROW, row, strict=True)) for row in rows],
+    }
+    return write_atomically(path, json_bytes(content), overwrite=overwrite)
+
+
+def _place(T: NDArray[np.float64], prefix: str = "") -> dict[str, Any]:
+    """A pose, [m], and roll, pitch, yaw about fixed axes x, y, z [rad]."""
+    rpy = pin.rpy.matrixToRpy(np.ascontiguousarray(T[:3, :3]))
+    return {f"{prefix}xyz_m": T[:3, 3], f"{prefix}rpy_rad": rpy}

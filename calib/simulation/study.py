@@ -1,8 +1,7 @@
 """study: plan, measure, fit and verify many times, each time on a robot with errors of its own.
 
-One trial draws a true robot, sends it to the poses, measures it there with noise, calibrates the nominal robot with
-these measurements alone, and asks both robots for the target's position at poses that were not measured: the error
-there is known, because the truth is. Trials are independent and can run in any executor of `concurrent.futures`.
+One trial draws a true robot, measures it with noise, calibrates the nominal robot with these measurements alone, and
+asks both for the target's position at poses that were not measured: the error there is known, because the truth is.
 """
 
 from __future__ import annotations
@@ -11,7 +10,6 @@ from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -29,7 +27,7 @@ from calib.model.kinematics import Samples
 from calib.result.calibrate import calibrate, fit_table
 from calib.result.prediction import without_rigid_motion
 from calib.result.verdict import NO
-from calib.robot.robot import gravity_load, read_only, rigid_inverse
+from calib.robot.robot import gravity_load, rigid_inverse
 from calib.simulation.scenario import DEFAULT_TRACKER, Scenario, Simulated
 from calib.simulation.truth import Truth
 
@@ -162,25 +160,15 @@ def study(
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> Study:
-    """Do the trials.
+    """Do so many trials, 2 or more, for a spread; trial i has the seed ``seed + i``, in any executor.
 
-    Args:
-        trials: What is done each time.
-        count: How many; 2 or more, for a spread.
-        seed: Trial i has the seed ``seed + i``: the same seed makes the same study, in any executor.
-        executor: Where to run them; None: here, one after the other. Any of `concurrent.futures`, or Dask's
-            ``Client.get_executor()``.
-        progress: Called after each trial.
+    The executor is one of `concurrent.futures`, or Dask's ``Client.get_executor()``; None: here, one after the other.
 
     Raises:
-        CalibError: Fewer than two trials, a seed below 0, all of them failed (with the first one's reason), or a worker
-            was killed.
+        CalibError: Fewer than two trials, all of them failed (with the first one's reason), or a worker was killed.
     """
-    if count < 2 or seed < 0:
-        raise CalibError(
-            f"A study of {count} trials with seed {seed} was asked for; it takes 2 trials or more, 200 for figures to "
-            "two digits, and a seed of 0 or more."
-        )
+    if count < 2:
+        raise CalibError(f"A study of {count} trials was asked for; it takes 2 or more.")
     done: dict[int, Trial | str] = {}
     seeds = range(seed, seed + count)
     for number, result in run(_guarded, trials, seeds, executor, batch=batch_size(count)):
@@ -220,11 +208,7 @@ def study_table(found: Study, trials: Trials, seed: int) -> dict[str, Any]:
 
 
 def one_trial(trials: Trials, seed: int) -> Trial:
-    """Plan, measure, fit and verify once, everything that is drawn with one seed.
-
-    Raises:
-        CalibError: The poses, the scenario or the cell do not fit the robot, or the fit has no result.
-    """
+    """Plan, measure, fit and verify once, everything that is drawn with one seed."""
     virtual = trials.scenario.draw(seed)
     q, sets = trials.poses_of(seed)
     made = virtual.measure(q, seed, sets)
@@ -270,25 +254,16 @@ def _calibrated(trials: Trials, made: Simulated) -> tuple[Fitted, str, frozenset
     return fits.larger or fits.fitted, NO if fits.hint else "", flagged
 
 
-@lru_cache(maxsize=4)
 def verification_poses(scenario: Scenario) -> Array:
     """The poses at which every trial is verified, shape (500, m), [rad] or [m]: random ones over the joint ranges."""
-    return read_only(scenario.random_poses(VERIFIED, _VERIFY_SEED))
-
-
-@lru_cache(maxsize=4)
-def _nominal_there(scenario: Scenario) -> Array:
-    """Where the nominal robot puts its tip at these, shape (500, 4, 4), [m]."""
-    return read_only(scenario.robot.poses(verification_poses(scenario)))
+    return scenario.random_poses(VERIFIED, _VERIFY_SEED)
 
 
 def _verified(trials: Trials, truth: Truth, fitted: Fitted) -> dict[str, float]:
     """A calibration against the truth at poses that it has not seen: fields of `Trial`."""
     scenario, cell, estimate = trials.scenario, trials.cell, fitted.estimate
     q = verification_poses(scenario)
-    T_base_tip, T_tip_target = truth.tip_poses(q), truth.T_tip_target[0]
-    T_base_target = T_base_tip @ T_tip_target
-    nominal = ((T_base_tip - _nominal_there(scenario)) @ T_tip_target)[:, :3, 3]
+    T_base_target = truth.tip_poses(q) @ truth.T_tip_target[0]
     load = None
     if any(term.factor and term.factor.loaded for term in fitted.kinematics.model.terms):
         load = gravity_load(scenario.robot, q, cell.payload, cell.gravity)
@@ -306,7 +281,7 @@ def _verified(trials: Trials, truth: Truth, fitted: Fitted) -> dict[str, float]:
     square = np.sum(error * np.linalg.solve(stated, error[:, :, None])[:, :, 0], axis=1)
     inside = square <= 3.0 * fdtri(3, max(estimate.freedom, 1.0), _LEVEL)
     return {
-        "nominal_rms": _rms(np.linalg.norm(nominal, axis=1)),
+        "nominal_rms": _rms(truth.nominal_errors(q)),
         "rms": _rms(length),
         "max": float(np.max(length)),
         "stated_rms": float(np.sqrt(np.mean(np.trace(stated, axis1=1, axis2=2)))),

@@ -11,8 +11,10 @@ rest stays: outliers leave the noise of other rows as it was.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
@@ -21,13 +23,15 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 import calib.data.kinds as registry
-from calib.data.cell import Cell, vector
+from calib.data.cell import Cell
 from calib.data.table import DEFAULT_TARGET
-from calib.errors import CalibError, ModelError, choices, did_you_mean
+from calib.errors import CalibError, ModelError, choices
 from calib.model.error_model import error_model, split_name
 from calib.model.families import FAMILIES, unit_of
 from calib.model.kinematics import ErrorModel, Kinematics, Samples
+from calib.robot.readback import check_written, random_joint_values
 from calib.robot.robot import Payload, Robot, gravity_load, read_only, rigid_inverse
+from calib.units import parse_amount
 
 Array = NDArray[np.float64]
 
@@ -40,9 +44,8 @@ TARGET_ERROR, TARGET_TURN = 1e-3, 10e-3
 #: Of a drawn set-up: distance of the tracker from the base, heights between which it stands [m], tilt [rad].
 _AWAY, _HEIGHTS, _TILT = 3.0, (-0.5, 1.0), 0.01
 
-#: Unit vectors that differ by no more are the same axis.
-_SAME_AXIS = 1e-9
-
+#: What says that there is nothing of something.
+NONE = "none"
 
 #: The purposes of random numbers. A new one goes to the end: the numbers of the others then stay.
 STREAMS = (
@@ -95,6 +98,13 @@ class Truth:
         """The robot with its true placements, made anew each time; errors of the joints' state are no part of it."""
         return self.model.apply(self.nominal, self.x) if self.given is None else self.given
 
+    def write_urdf(self, path: str | Path, *, overwrite: bool = False) -> Path:
+        """Write the URDF of the true geometry, after reading it back with Pinocchio and yourdfpy."""
+        robot = self.robot
+        q = random_joint_values(robot)
+        check_written(robot, robot.poses(q), q)
+        return robot.urdf.write(path, overwrite=overwrite)
+
     def value(self, name: str) -> float:
         """The value of one error, in its unit; a `ModelError` if there is none of this name."""
         return float(self.x[self.model.index(name)])
@@ -111,16 +121,7 @@ class Truth:
         return kinematics.poses(x, Samples.at(q, load))
 
     def poses(self, q: ArrayLike, target: str | None = None, group: str | None = None) -> Array:
-        """T_frame_target, shape (N, 4, 4), [m].
-
-        Args:
-            q: Joint values that are read, shape (N, m) or (m,), [rad] or [m].
-            target: Name of the target; default the first.
-            group: Name of the set-up; default the first.
-
-        Raises:
-            ValueError: There is no such target or set-up.
-        """
+        """T_frame_target, shape (N, 4, 4), [m], of a target and a set-up by name, the first ones by default."""
         t = 0 if target is None else self.targets.index(target)
         g = 0 if group is None else self.groups.index(group)
         T: Array = self.T_frame_base[g] @ self.tip_poses(q) @ self.T_tip_target[t]
@@ -154,7 +155,7 @@ def draw_truth(
 
     Args:
         robot: The nominal robot.
-        model: In which errors the robot is wrong: a parameter set, and families behind it, ``"placement+gain"``.
+        model: In which errors it is wrong: a parameter set, and families behind it, ``"placement+gain"``.
         sizes: Standard deviations of the errors by family, in its unit; a family that is missing is wrong by what is
             typical of it. None: no errors are drawn.
         seed: Of the random numbers.
@@ -174,12 +175,8 @@ def draw_truth(
     whole = error_model(robot, model, target=False)
     free = {p.name for p in whole.parameters if true_robot is None or p.factor}
     if true_robot is not None:
-        fixed = [name for name in given if name in whole.names and name not in free]
-        if fixed:
-            raise ModelError(
-                f"The errors {choices(fixed)} are of the geometry, which the true robot states already. Give one or "
-                "the other."
-            )
+        if fixed := [name for name in given if name in whole.names and name not in free]:
+            raise ModelError(f"The true robot states the errors {choices(fixed)} already.")
         true_robot = _as_nominal(robot, true_robot)
         given |= _geometry_of(robot, true_robot)
     # A cell may be made for a fit of another model: what that alone has counts for nothing here.
@@ -202,6 +199,25 @@ def draw_truth(
     )
 
 
+def sizes_of(cell: Cell, text: str | None, *, named: bool) -> Mapping[str, float] | None:
+    """``length 0.5 mm, angle 3 mrad`` or ``none``; by default none beside named errors, else the cell's, or typical."""
+    if text is None and not named:
+        return {f: cell.priors.of(f) for f in FAMILIES} if cell.priors.sizes == "given" else {}
+    if text is None or text.strip() == NONE:
+        return None
+    found: dict[str, float] = {}
+    for part in text.split(","):
+        name, _, value = part.strip().partition(" ")
+        if name not in FAMILIES:
+            raise CalibError(
+                f"--sizes was given as \"{text}\"; it must be '{NONE}', or sizes with commas between them such as "
+                f'"length 0.5 mm, angle 3 mrad", of {choices(FAMILIES)}.'
+            )
+        unit = FAMILIES[name].unit
+        found[name] = parse_amount(value, f"--sizes, {name}", unit.quantity, unit.example)
+    return found
+
+
 def tracker_pose(position: ArrayLike, rng: np.random.Generator) -> Array:
     """T_frame_base of a tracker that stands at a point of the base [m], levelled to about 10 mrad, turned anyhow."""
     T_base_frame = np.eye(4)
@@ -221,11 +237,7 @@ def _errors(
 ) -> Array:
     """Errors as given, else drawn with the size of their family, or their own in the cell, inside its bounds, (p,)."""
     for name in given:
-        if name not in model.names:
-            raise ModelError(
-                f"There is no error '{name}' in the model '{model.name}'{did_you_mean(name, model.names)}; it has "
-                f"{choices(model.names)}."
-            )
+        model.index(name)  # refuses one that it has not
     x = np.zeros(len(model))
     unit = stream(seed, "errors").standard_normal(len(model))
     for k, p in enumerate(model.parameters):
@@ -248,23 +260,16 @@ def _errors(
 
 
 def _as_nominal(nominal: Robot, true: Robot) -> Robot:
-    """The nominal robot with the placements of a true one, whose URDF may differ in more than that.
-
-    Raises:
-        ModelError: Other joints, types or axes.
-    """
-    ours, theirs = ([joint.name for joint in robot.joints] for robot in (nominal, true))
+    """The nominal robot with the placements of a true one, whose URDF may differ in more than that."""
+    ours, theirs = (
+        [(joint.name, joint.type, *np.round(joint.axis, 9)) for joint in robot.joints]
+        for robot in (nominal, true)
+    )
     if true.joint_names != nominal.joint_names or ours != theirs:
         raise ModelError(
-            f"The true robot '{true.urdf.source}' has the joints {choices(theirs)} between '{true.base}' and "
-            f"'{true.tip}', the nominal robot {choices(ours)}; they must be the same."
+            f"The true robot '{true.urdf.source}' has other joints, types or axes between '{true.base}' and "
+            f"'{true.tip}' than the nominal robot; they must be the same."
         )
-    for own, other in zip(nominal.joints, true.joints, strict=True):
-        if own.type != other.type or np.abs(own.axis - other.axis).max() > _SAME_AXIS:
-            raise ModelError(
-                f"The joint '{own.name}' of the true robot '{true.urdf.source}' has another type or <axis> than the "
-                "nominal robot's. Leave both as they are, and turn its <origin>."
-            )
     placements = true.placements.copy()
     placements[0] = nominal.T_root_base @ rigid_inverse(true.T_root_base) @ placements[0]
     return nominal.with_placements(placements)
@@ -332,6 +337,22 @@ class Outliers:
     count: int | None = None
     size: float = 5e-3
 
+    @classmethod
+    def parse(cls, text: str, size: float) -> Outliers:
+        """A number of rows, ``3``, or a share of them, ``5 %``.
+
+        Raises:
+            CalibError: Neither.
+        """
+        number = re.fullmatch(r"\s*(\d{1,9}|\d*\.?\d+(?=\s*%))\s*(%?)\s*", text)
+        if number is None:
+            raise CalibError(
+                f'--outliers was given as "{text}"; it must be a number of rows, "3", or a share of them, "5 %".'
+            )
+        if number[2]:
+            return cls(share=float(number[1]) / 100.0, size=size)
+        return cls(count=int(number[1]), size=size)
+
     def choose(self, candidates: Sequence[int], seed: int) -> list[int]:
         """Which of some rows are outliers, in order; more of them are those of fewer and others.
 
@@ -364,7 +385,7 @@ class MovedTarget:
 
     def __post_init__(self) -> None:
         """Keep a read-only copy of the displacement."""
-        object.__setattr__(self, "by", vector(self.by, "displacement of the moved target"))
+        object.__setattr__(self, "by", read_only(self.by))
 
     def rows(self, targets: Sequence[str]) -> NDArray[np.bool_]:
         """Which rows, given by their targets' names, find the target moved.
@@ -372,15 +393,10 @@ class MovedTarget:
         Raises:
             CalibError: The table has no such row, or no such target.
         """
-        if not 1 <= self.row <= len(targets):
+        if not 1 <= self.row <= len(targets) or self.target not in (None, *targets):
             raise CalibError(
-                f"The target is to move before row {self.row}; the table has the rows 1 to {len(targets)}. Name one of "
-                "these."
-            )
-        if self.target not in (None, *targets):
-            raise CalibError(
-                f"The target '{self.target}' is to move; there are {choices(dict.fromkeys(targets))}. Name one of "
-                "these."
+                f"The target '{self.target or 'of all'}' is to move before row {self.row}; there are the rows 1 to "
+                f"{len(targets)} and the targets {choices(dict.fromkeys(targets))}."
             )
         mask = np.array([self.target in (None, name) for name in targets])
         mask[: self.row - 1] = False

@@ -57,13 +57,3 @@ def mm(value: float, digits: int = 3) -> str:
 def deg(value: float, digits: int = 3) -> str:
     """An angle [rad] in degrees, without its unit."""
     return number(float(math.degrees(value)), digits)
-
-
-def command_text(parts: Iterable[str], indent: int) -> str:
-    """A command, of parts that are not to be broken, in lines that a shell joins again."""
-    lines = [""]
-    for part in parts:
-        if lines[-1] and len(lines[-1]) + len(part) > 87:
-            lines.append("")
-        lines[-1] += f" {part}" if lines[-1] else part
-    return (" \\\n" + " " * indent).join(lines)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import shlex
-from collections.abc import Iterator, Mapping
-from pathlib import Path
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +11,7 @@ from calib.model.families import FAMILIES, unit_of
 from calib.robot.readback import column_limits, range_text
 from calib.simulation.scenario import Scenario, Simulated
 from calib.simulation.study import VERIFIED, Study, Trials
-from calib.text.lines import command_text, fill, row_ranges
+from calib.text.lines import fill, row_ranges
 
 Array = NDArray[np.float64]
 
@@ -194,13 +192,3 @@ def _mm(value: float) -> str:
 def _point(values: Array) -> str:
     """Three lengths in mm."""
     return "(" + ", ".join(f"{1e3 * v + 0.0:.3f}".rstrip("0").rstrip(".") for v in values) + ")"
-
-
-def next_command(robot: str, table: Path, options: Mapping[str, object]) -> str:
-    """The command that calibrates with what was simulated, in lines that a shell joins again."""
-    parts = [shlex.join(["calib", "calibrate", robot, str(table)])]
-    for name, value in options.items():
-        if value is not None and name != "model":
-            values = value if isinstance(value, list) else [value]
-            parts += [shlex.join([f"--{name}", str(one)]) for one in values]
-    return command_text([*parts, "-o corrected.urdf"], 9)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shlex
 from pathlib import Path
 
 import numpy as np
@@ -59,18 +58,6 @@ def test_a_table_and_the_truth_beside_it(simulate, shop: Path):
         "Written: true.urdf",
     ):
         assert word in done.out
-
-
-def test_the_next_command_works_as_it_is_printed(simulate, call, shop: Path):
-    words = ("--frame", "estimate", "--kind", "point", "--target", "50 50 50 mm")
-    done = simulate("-o", "my table.csv", *words)
-    assert done.code == 0
-    line = done.out.split("Next:")[1].replace("\\\n", " ")
-    program, *rest = shlex.split(line)
-    assert program == "calib"
-    fitted = call(shop, *rest, "--no-validate")
-    assert (fitted.code, fitted.err) == (0, "")
-    assert (shop / "corrected.urdf").is_file()
 
 
 def test_poses_of_a_table_keep_their_sets(simulate, shop: Path, paper_table):

@@ -83,14 +83,26 @@ def simulate(
         from calib.design.plan import read_pose_list
         from calib.result.calibration_file import write_table
         from calib.simulation import study as studies
-        from calib.simulation.files import Words, read_scenario, write_true_urdf, write_truth
-        from calib.simulation.scenario import simulate as simulated
+        from calib.simulation.scenario import (
+            read_scenario,
+            simulate as simulated,
+            write_truth,
+        )
         from calib.text import simulation as text
 
         cell = read_cell(**asdict(setup))
         arm = load(robot, cell)
-        words = Words(sizes, tuple(error or ()), noise, outliers, truth_robot, target_error)
-        scenario = read_scenario(arm, cell, words, setup.cell)
+        scenario = read_scenario(
+            arm,
+            cell,
+            setup.cell,
+            sizes=sizes,
+            error=error or (),
+            noise=noise,
+            outliers=outliers,
+            truth_robot=truth_robot,
+            target_error=target_error,
+        )
         given, sets = (None, ()) if poses is None else read_pose_list(poses, arm)
         extra = (10 if given is None else 0) if validation is None else validation
         if study is None:
@@ -99,7 +111,7 @@ def simulate(
             made.measurements.write(output, overwrite=force)
             written = [output, write_truth(scenario, made, truth, overwrite=force)]
             if truth_urdf is not None:
-                written.append(write_true_urdf(made.truth, truth_urdf, overwrite=force))
+                written.append(made.truth.write_urdf(truth_urdf, overwrite=force))
             said = text.simulated_text(scenario, made)
         else:
             # The fit knows what a person would tell it, and not what the robot is wrong in.
@@ -112,5 +124,3 @@ def simulate(
             said = text.study_text(found, trials)
     if not quiet:
         typer.echo("\n".join([f"{said}\n", *(f"Written: {path}" for path in written)]))
-        if output is not None:
-            typer.echo(f"\nNext:  {text.next_command(robot, output, asdict(setup))}")

@@ -11,8 +11,7 @@ import pytest
 from calib.data.cell import Cell
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import Payload, gravity_load
-from calib.simulation.files import SCHEMA, write_truth
-from calib.simulation.scenario import Scenario
+from calib.simulation.scenario import SCHEMA, Scenario, write_truth
 from calib.simulation.truth import Encoder, MovedTarget, Outliers, tracker_pose
 
 MANY = "placement+gain+eccentricity+compliance"
