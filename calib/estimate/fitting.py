@@ -35,8 +35,9 @@ _ROUGH, _FINE = 0.1, 1e-9
 #: A stage's solution within this is looked for by the linearised problem first, in steps of 1 mm and 1 mrad.
 _CLOSE = 5.0
 
-#: A change below this is none: weak priors leave traces of that size on what takes part with the target [m, rad].
-_NOTHING = 1e-8
+#: A change below this is none: weak priors leave traces of that size on what takes part with the target [m, rad]. A
+#: parameter at its bound is let go where that lowers the squares by more than this.
+_NOTHING, _TELLING = 1e-8, 1e-6
 
 #: Covariance of the minimum of summed fourth powers over that of summed squares, for normal noise in 3-D.
 _FOURTH_POWERS = 1.4
@@ -209,12 +210,23 @@ def model_of(task: Task) -> ErrorModel:
 
 
 def _estimate(problem: Problem, task: Task, prior: PriorTerms, weights: Array | None) -> Estimate:
-    """The parameters of a registered problem; those that would leave their bounds are held there, and others again."""
+    """The parameters of a registered problem; those that would leave their bounds are held there.
+
+    Active set: the others are estimated again; what then is no longer pushed against its bound is let go, once.
+    """
     low, high = prior.limits.T
     fixed: dict[int, float] = {}
+    released: set[int] = set()
     result = _within(problem, task, prior, weights)
-    while beyond := np.flatnonzero((result.x < low) | (result.x > high)).tolist():
+    for _ in range(3 * problem.size):
+        beyond = np.flatnonzero((result.x < low) | (result.x > high)).tolist()
+        loose = [] if beyond else _pushed_inside(result, prior, fixed)
+        loose = [k for k in loose if k not in released]
+        if not beyond and not loose:
+            break
         fixed |= {k: float(np.clip(result.x[k], low[k], high[k])) for k in beyond}
+        released |= set(loose)
+        fixed = {k: value for k, value in fixed.items() if k not in loose}
         result = _within(problem, task, prior.at_bounds(fixed), weights)
     return result
 
@@ -275,6 +287,22 @@ def _problem_of(problem: Problem, stage: Stage) -> Problem:
         precision=priors.precision[0],
         centre=priors.centre,
     )
+
+
+def _pushed_inside(result: Estimate, prior: PriorTerms, fixed: Mapping[int, float]) -> list[int]:
+    """Parameters at a bound that measurements and priors would have inside of it."""
+    known = {} if prior.off else result.sizes
+    sizes = np.array([known.get(f, size) for f, size in zip(prior.names, prior.start, strict=True)])
+    precision = prior.precision + (1.0 / sizes**2) @ prior.families
+    free = replace(result.problem, precision=precision, centre=prior.centre)
+    residual, jacobian = free.system(result.x)
+    slope, bend = jacobian.T @ residual, np.sum(jacobian**2, axis=0)
+    loose = []
+    for k, value in fixed.items():
+        inwards = -slope[k] if value <= prior.limits[k, 0] else slope[k]
+        if inwards > 0.0 and inwards**2 > _TELLING * bend[k]:
+            loose.append(k)
+    return loose
 
 
 def _by_the_paper(problem: Problem, task: Task, started: Setup) -> Estimate:
