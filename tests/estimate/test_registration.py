@@ -10,7 +10,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.data.cell import Cell
-from calib.errors import MeasurementError
 from calib.estimate.registration import _system, register
 from calib.estimate.setup import rows_of
 from calib.model.error_model import frame_and_target_model
@@ -162,23 +161,6 @@ def test_the_right_robot_is_registered_exactly(make_scene, join, case):
     assert rms(scene, found, rows) < 1e-9
     if case != "pairs":  # they are blind to where the frame stands
         assert off(scene, found)[0] < 1e-7
-
-
-@pytest.mark.parametrize(
-    ("cell", "count", "message"),
-    [
-        (FREE, 2, "2 rows with 6 numbers for 9 unknowns"),
-        (
-            Cell(target=np.zeros(3), estimate_target=False, estimate_frame=True),
-            2,
-            "2 rows with 6 numbers for 6 unknowns",
-        ),
-    ],
-)
-def test_too_few_rows_are_refused_with_the_numbers(make_scene, cell, count, message):
-    scene = make_scene(9)
-    with pytest.raises(MeasurementError, match=message):
-        registered(scene, scene.points(count), cell)
 
 
 def test_the_derivative_in_every_frame_and_target_against_differences(make_scene, join):

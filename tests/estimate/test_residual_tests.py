@@ -216,15 +216,3 @@ def test_alike_set_ups_raise_no_alarms_and_the_one_that_differs_is_named_first()
         (number, ratio), *_ = judged(rng, changed=1.0)[0]
         assert number == 2
         assert ratio > 1.5
-
-
-def test_the_square_is_that_of_the_whole_covariance():
-    rng = np.random.default_rng(4)
-    A, nuisance, r = rng.normal(size=(50, 7)), rng.normal(size=(50, 3)), rng.normal(size=50)
-    root = rng.normal(size=(7, 5))  # a covariance that is singular
-    whole = np.eye(50) + A @ root @ root.T @ A.T
-    white = np.linalg.solve(np.linalg.cholesky(whole), np.column_stack([r, nuisance]))
-    left = white[:, 0] - white[:, 1:] @ np.linalg.lstsq(white[:, 1:], white[:, 0], rcond=None)[0]
-    square, degrees = prediction_square(r, A, root @ root.T, nuisance)
-    assert square == pytest.approx(float(left @ left), rel=1e-10)
-    assert degrees == 47

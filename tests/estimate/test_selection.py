@@ -54,20 +54,6 @@ def test_tilts_that_no_dh_table_has_need_the_placements(make_scene):
     assert chosen(scene_of(make_scene, 110, "placement")).geometry == "placement"
 
 
-def test_the_ladder_names_what_it_tried_and_marks_what_it_chose(make_scene):
-    found = chosen(scene_of(make_scene, 111, "dh+eccentricity", other={"eccentricity": 1e-3}))
-    names = [c.name for c in found.candidates]
-    assert names[:5] == list(LADDER)
-    assert len(set(names)) == len(names)
-    marks = {c.chosen: c.name for c in found.candidates if c.chosen}
-    assert marks == {"geometry": found.geometry, "larger": found.larger}
-    assert found.larger.endswith("+eccentricity")
-    for one in found.candidates:
-        assert np.isfinite(one.log_likelihood)
-        assert one.cross_validation.errors.n == 80
-        assert one.parameters >= 3
-
-
 def test_a_larger_geometry_that_bending_hid_is_found_with_it(make_scene):
     """What the joints' compliance leaves over covers the tilts of parallel axes."""
     scene = scene_of(

@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 
 from calib.data.cell import Cell, GroupDistance
 from calib.data.measurements import Measurements
-from calib.errors import ModelError
 from calib.estimate.setup import (
     FIRST_SIGMA,
     FIRST_SIGMA_ANGLE,
@@ -74,22 +73,6 @@ def test_each_group_has_the_unknowns_of_its_kinds(scene, join):
     assert setup.groups == ("0", "1", "2")
     assert setup.frame_unknowns == {"0": ("x", "rz"), "1": ("z", "rx", "ry"), "2": ("x", "y", "z")}
     assert setup.count == 3 + 2 + 3 + 3
-
-
-@pytest.mark.parametrize(
-    ("cell", "message"),
-    [
-        (Cell(frames={"9": np.eye(4)}), "frames for '9'; the table's column 'group' has '0'"),
-        (Cell(targets={"ball": np.zeros(3)}), "targets for 'ball'.*column 'target' has 't0'"),
-        (
-            Cell(distances=(GroupDistance("0", "left", 1.0, 1e-5),)),
-            "distances between 'left'; the table's column 'group' has '0'",
-        ),
-    ],
-)
-def test_names_that_the_table_lacks_are_refused(scene, cell, message):
-    with pytest.raises(ModelError, match=message):
-        setup_of(scene.points(3), cell)
 
 
 @pytest.mark.parametrize("axis", ["x", "y", "z"])

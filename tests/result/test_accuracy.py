@@ -101,20 +101,6 @@ def test_orientations_by_hand(ur3: Robot):
     assert found.of("single_angle") == pytest.approx([pose.single_angle])
 
 
-def test_repeats_are_found_in_any_order_and_by_target_and_set_up(ur3: Robot):
-    m = with_errors(ur3, 1e-3 * np.tile(CROSS, (3, 1)), 6)
-    order = np.array([0, 6, 1, 7, 2, 8, 3, 9, 4, 10, 5, 11])
-    rows = tuple(range(11, 23))
-    mixed = Measurements(ur3.joint_names, m.joints[order], m.points[order], rows=rows)
-    found = of(ur3, mixed)
-    assert [pose.rows for pose in found.poses] == [rows[::2], rows[1::2]]
-    apart = of(ur3, replace(m, targets=("a", "b") * 6, groups=("g", "g", "h") * 4))
-    assert len(apart.poses) == 8
-    assert {(p.target, p.group) for p in apart.poses} == {
-        (t, g) for t in ("a", "b") for g in ("g", "h")
-    }
-
-
 def test_lengths_have_the_standards_distance_accuracy(ur3: Robot):
     m = with_errors(ur3, np.zeros((6, 3)), 3)
     lengths = np.linalg.norm(m.points, axis=1)

@@ -121,22 +121,6 @@ def test_sockets_without_a_known_distance_tell_no_length(calibrated):
     assert unknown.verdict.use == "use with care"
 
 
-def test_validation_rows_outside_of_the_measured_range(make_scene):
-    scene = arm(make_scene, 65)
-    rng = np.random.default_rng(5)
-    q = rng.uniform(-1.5, 1.5, (80, 6))
-    q[70:] = rng.uniform(-1.4, 1.4, (10, 6))
-    q[75, 3] = 2.5
-    sets = ("estimate",) * 70 + ("validate",) * 10
-    result = calibrate(
-        scene.robot, replace(table_of(scene, q, rng), sets=sets), model="dh", validate=True
-    )
-    assert [one.index for one in result.outside] == [5]
-    told = reasons(result)[Why.OUTSIDE]
-    assert (told["rows"], told["row"], told["joint"]) == (1, 76, "wrist_1_joint")
-    assert told["by_rad"] == pytest.approx(1.0, abs=0.05)
-
-
 def test_a_model_that_lacks_what_placements_have(make_scene):
     scene = arm(make_scene, 67, model="placement")
     q = random_joint_values(scene.robot, 70, 7)

@@ -14,7 +14,6 @@ from calib.data.measurements import Measurements
 from calib.model.error_model import error_model
 from calib.model.kinematics import FRAME
 from calib.result.calibration import Calibration
-from calib.result.prediction import best_motion, without_rigid_motion
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import Robot
 from tests.hard_cases import made
@@ -80,19 +79,6 @@ def test_of_lengths_it_is_the_error_as_one_body(ur3: Robot, model: str, size: fl
     assert size == 0.0 or np.sqrt(np.mean(in_base)) > 2.0
 
 
-def test_of_lengths_one_pose_is_as_sure_as_among_others_and_as_the_summary_says(ur3: Robot):
-    found = by_lengths(ur3, ur3, np.random.default_rng(1), "zeros")
-    assert found.base_motion is not None
-    q = found.measurements.joints
-    std = found.position_std(q)
-    alone = [found.position_std(one)[0] for one in q[:5]]
-    np.testing.assert_allclose(alone, std[:5], rtol=1e-9)
-    assert np.sqrt(np.mean(std**2)) == pytest.approx(found.expected_measured, rel=1e-12)
-    # In the anchor's own frame the length counts, and the anchor's place with it.
-    group = found.setup.groups[0]
-    assert np.all(found.position_std(q, group=group) > 0.0)
-
-
 @pytest.mark.parametrize("case", ["paper", "poses", "mixed", "prismatic", "two_joints"])
 def test_a_target_as_a_tool_is_as_sure_as_the_target(case: str):
     found = made(case)
@@ -153,29 +139,3 @@ def test_a_turned_target_has_its_interval_and_prior_along_the_tips_axes(make_sce
     assert found.parameter("target_x").std == pytest.approx(1e-7, rel=0.01)
     assert abs(found.parameter("target_y").delta) > 5e-4
     assert found.parameter("target_y").std > 1e-5
-
-
-def test_what_is_left_is_the_least_that_a_rigid_motion_leaves():
-    rng = np.random.default_rng(5)
-    points, moves = rng.normal(1.0, 2.0, size=(15, 3)), rng.normal(size=(15, 3, 4))
-    left = without_rigid_motion(points, moves)
-    columns = [np.tile(e, (15, 1)) for e in np.eye(3)] + [np.cross(e, points) for e in np.eye(3)]
-    motions = np.stack([c.ravel() for c in columns], axis=1)
-    for k in range(4):
-        move = moves[:, :, k].ravel()
-        best = np.linalg.lstsq(motions, move, rcond=None)[0]
-        np.testing.assert_allclose(left[:, :, k].ravel(), move - motions @ best, atol=1e-12)
-        np.testing.assert_allclose(best_motion(points, moves)[:, k], best, atol=1e-12)
-    np.testing.assert_allclose(without_rigid_motion(points, left), left, atol=1e-12)
-
-
-def test_points_on_a_line_keep_what_no_rigid_motion_does():
-    """A stretch of the line is none; a turn about it cannot be told and is left alone."""
-    line = np.outer([0.0, 1.0], [0.3, 0.4, 0.0])
-    stretch = (line - line.mean(axis=0))[:, :, None]
-    np.testing.assert_allclose(without_rigid_motion(line, stretch), stretch, atol=1e-14)
-    off = np.array([[0.0, 0.0, 1.0]])
-    turned = np.cross([0.6, 0.8, 0.0], off)[:, :, None]
-    np.testing.assert_allclose(
-        without_rigid_motion(off, turned, (line, np.zeros((2, 3, 1)))), turned
-    )
