@@ -226,12 +226,19 @@ def following(arm: Arm, T_wanted: Array, start: Array, matching: Matching) -> So
 
 def _nearest(arm: Arm, T: Array, seeds: Array, matching: Matching) -> tuple[Array, bool]:
     """Of the solutions that are found from seeds the one nearest to the first of these; or the best there is."""
-    limits = column_limits(arm.robot)
+    robot, limits, turn = arm.robot, column_limits(arm.robot), 2.0 * np.pi
+    low, high = limits[:, 0] - _ROUNDING, limits[:, 1] + _ROUNDING
     wanted = np.tile(T, (len(seeds), 1, 1))
     solved = solve(arm, wanted, seeds, matching, limits, steps=_STEPS)
-    q = _turned_to(arm.robot, solved.q, seeds[0], limits)
+    # Each turning joint by whole turns as near to the first seed as its limits allow.
+    free = [
+        robot.joint_types[name] != "prismatic" and set(np.abs(column)) <= {0.0, 1.0}
+        for name, column in zip(robot.joint_names, robot.coupling.T, strict=True)
+    ]
+    q = solved.q - turn * np.round((solved.q - seeds[0]) / turn)
+    q = np.where(free, q - turn * (q > high) + turn * (q < low), solved.q)
     missed = np.linalg.norm(matching.error(solved.T_base_tool, wanted), axis=1)
-    inside = ((q >= limits[:, 0] - _ROUNDING) & (q <= limits[:, 1] + _ROUNDING)).all(axis=1)
+    inside = ((q >= low) & (q <= high)).all(axis=1)
     good = (missed <= 10.0 * _REACHED) & inside
     cost = np.linalg.norm(q - seeds[0], axis=1)
     best = int(np.argmin(np.where(good, cost, np.inf) if good.any() else missed))
@@ -255,16 +262,3 @@ def start_values(
             raise ModelError(f"The value of '{name}' to start at {fault}.")
         values[robot.joint_names.index(name)] = value
     return read_only(values)
-
-
-def _turned_to(robot: Robot, q: Array, reference: Array, limits: Array) -> Array:
-    """The same poses with each turning joint by whole turns as near to the reference as its limits allow."""
-    turn, (low, high) = 2.0 * np.pi, limits.T
-    free = [
-        robot.joint_types[name] != "prismatic" and set(np.abs(column)) <= {0.0, 1.0}
-        for name, column in zip(robot.joint_names, robot.coupling.T, strict=True)
-    ]
-    values = q - turn * np.round((q - reference) / turn)
-    values = np.where(values > high + _ROUNDING, values - turn, values)
-    values = np.where(values < low - _ROUNDING, values + turn, values)
-    return np.where(free, values, q)

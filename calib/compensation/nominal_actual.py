@@ -228,23 +228,16 @@ def is_corrected(result: Calibration, robot: Robot) -> bool:
         raise ModelError(
             f"The result is for --base {own.base} --tip {own.tip}, not for '{robot.base}' to '{robot.tip}'."
         )
-    if _differing_joint(robot, result.corrected(robot)) is None:
-        return True
-    joint = _differing_joint(robot, result.uncorrected(robot))
-    if joint is not None:
-        raise ModelError(
-            f"{robot.urdf.source}: the origin of '{joint}' is neither the one that the calibration began with nor its "
-            "corrected one. Give the URDF that the result was made with. If the controller has a model of its own, "
-            "such as a factory calibration, give that and the corrected URDF in place of the result."
-        )
-    return False
-
-
-def _differing_joint(a: Robot, b: Robot) -> str | None:
-    """A joint whose origin is not the same in two robots of the same joints, up to rounding; None without one."""
-    others = b.origins()
-    far = (name for name, T in a.origins().items() if np.abs(T - others[name]).max() > _SAME)
-    return next(far, None)
+    for other, corrected in ((result.corrected(robot), True), (result.uncorrected(robot), False)):
+        theirs = other.origins()
+        far = [n for n, T in robot.origins().items() if np.abs(T - theirs[n]).max() > _SAME]
+        if not far:
+            return corrected
+    raise ModelError(
+        f"{robot.urdf.source}: the origin of '{far[0]}' is neither the one that the calibration began with nor its "
+        "corrected one. Give the URDF that the result was made with. If the controller has a model of its own, "
+        "such as a factory calibration, give that and the corrected URDF in place of the result."
+    )
 
 
 def _name(names: Sequence[str], name: str, what: str) -> str:

@@ -7,15 +7,7 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.options import Base, Force, Hold, Quiet, one_of, verb
-
-
-def parse_format(name: str) -> str:
-    """The name of a format, for ``--to``."""
-    from calib.formats.convert import FORMATS
-
-    return one_of(name, FORMATS)
-
+from calib.cli.options import Base, Force, Hold, Quiet, verb
 
 _SOURCE = "result.json, calibration.conf, kinematics.yaml, origins.yaml, a URDF or xacro, or a robot's name."
 _FORMATS = (
@@ -43,9 +35,7 @@ What is written is read back and compared with the robot before it appears; what
 def convert(
     source: Annotated[str, typer.Argument(metavar="SOURCE", help=_SOURCE)],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="File to write.")],
-    to: Annotated[
-        str | None, typer.Option(parser=parse_format, metavar="FORMAT", help=_FORMATS)
-    ] = None,
+    to: Annotated[str | None, typer.Option(metavar="FORMAT", help=_FORMATS)] = None,
     robot: Annotated[str | None, typer.Option(metavar="ROBOT", help=_ROBOT)] = None,
     ur_model: Annotated[
         str | None, typer.Option(metavar="NAME", help="Arm of Universal Robots, such as 'UR5e'.")
