@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -53,23 +53,24 @@ def text(found: Commands, name: str, written: Path | None) -> str:
             "Send the joint values, or the poses to a controller that keeps its nominal model: one that has the "
             "corrected model would correct twice. Then measure some rows: docs/compensation.md."
         )
-    reasons = _reasons(found)
-    if reasons:
-        reasons.insert(0, f"Rows without a command: {len(reasons)} of {len(found)}")
-    parts = [_expected(found, name), _program(found), _sizes(found)]
-    parts += [*map(fill, _notes(found)), "\n".join(reasons), _warnings(found), after]
-    return "\n\n".join(filter(None, parts))
+    parts = [_expected(found, name), _program(found), _sizes(found), *map(fill, _notes(found))]
+    reasons = [(one,) if one else () for one in found.reasons]
+    for what, rows in (("without a command", reasons), ("with a warning", found.warnings)):
+        if any(rows):
+            head = f"Rows {what}: {sum(map(bool, rows))} of {len(found)}"
+            parts.append("\n".join([head, *_findings(found, rows)]))
+    return "\n\n".join([*parts, after])
 
 
 def no_commands(found: Commands) -> str:
-    """The message that names each row without a command and why it has none."""
-    rows = _reasons(found)
+    """The message about rows without a command: why they have none."""
+    lines = _findings(found, [(one,) if one else () for one in found.reasons])
     advice = _elsewhere(found) or (
         "Check --tool, --poses-in and the units; --accept takes rows of which little is left, --match position those "
-        "whose orientation may be free; --skip leaves rows empty."
+        "whose orientation may be free; --skip leaves rows empty, but for the reason."
     )
-    head = f"{len(rows)} of {len(found)} rows have no command, and nothing was written:"
-    return "\n".join([head, *rows, fill(advice)])
+    head = f"{sum(~found.reached)} of {len(found)} rows have no command, and nothing was written:"
+    return "\n".join([head, *lines, fill(advice)])
 
 
 def finding_text(finding: Finding, robot: Robot) -> str:
@@ -174,8 +175,6 @@ def _notes(found: Commands) -> Iterator[str]:
     if pair.set_up is not None:
         place = _place(rigid_inverse(pair.T_frame_base))
         yield f"Set the controller's work object to {place} in '{robot.base}': the poses to send are in it."
-    elif robot.base != "base" and "base" in robot.urdf.links:
-        yield "The controllers of Universal Robots count in the link 'base': check the base link (--base)."
 
 
 def _place(T: Array) -> str:
@@ -203,25 +202,16 @@ def _elsewhere(found: Commands) -> str:
     )
 
 
-def _reasons(found: Commands) -> list[str]:
-    """The rows without a command, and why."""
-    rows = zip(found.program.labels, found.reasons, strict=True)
-    return [
-        fill(f"{row}: {finding_text(why, found.nominal)}", "  ", "  ") for row, why in rows if why
-    ]
-
-
-def _warnings(found: Commands) -> str:
-    """The warnings of all rows, one line for each code, the first of its rows as the example."""
-    kinds: dict[str, dict[str, str]] = {}
-    for label, said in zip(found.program.labels, found.warnings, strict=True):
+def _findings(found: Commands, rows: Sequence[Sequence[Finding]]) -> list[str]:
+    """What was found of the rows, one line for each code, the first of its rows as the example."""
+    kinds: dict[str, dict[str, Finding]] = {}
+    for label, said in zip(found.program.labels, rows, strict=True):
         for one in said:
-            kinds.setdefault(one.code, {}).setdefault(label, finding_text(one, found.nominal))
-    lines = (
-        [f"Rows with a warning: {sum(map(bool, found.warnings))} of {len(found)}"] if kinds else []
-    )
-    for rows in kinds.values():
-        first, *others = rows
+            kinds.setdefault(one.code, {}).setdefault(label, one)
+    lines = []
+    for labels in kinds.values():
+        first, *others = labels
         more = f"; and {len(others)} more" if others else ""
-        lines.append(fill(f"{first}: {rows[first]}{more}", "  ", "  "))
-    return "\n".join(lines)
+        words = finding_text(labels[first], found.nominal)
+        lines.append(fill(f"{first}: {words}{more}", "  ", "  "))
+    return lines

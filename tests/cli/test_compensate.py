@@ -176,7 +176,6 @@ def test_a_corrected_urdf_in_place_of_a_result(call, folder: Path):
     # The root is not the frame that the controller counts in.
     text = said(call(folder, *words, *names[:2], "--tip", "tool0"))
     assert "Poses are in 'world'." in text
-    assert "check the base link (--base)" in text
 
 
 def test_rows_that_cannot_be_reached(call, folder: Path):
