@@ -72,19 +72,11 @@ def convert(source: str, path: str | Path, options: Options | None = None) -> Co
         FileError: A file cannot be read or written.
         UrdfError: A URDF cannot be read, or, read back, is not the robot.
         ModelError: The robot has no form in this format, or things do not fit each other.
-        CalibError: Something that the format needs was not given, or something given has no use.
+        CalibError: Something that the format needs was not given.
     """
     options, path = options or Options(), Path(path)
     kind = source_kind(source)
     name = chosen_format(path, options.to, kind)
-    conf = options.hash_from is not None and options.hash_from.suffix.lower() == ".conf"
-    for option, used in (
-        ("hash_from", name == "ur-yaml"),
-        ("update", name == "ur-conf"),
-        ("urcontrol", kind == "ur-conf" or conf),
-    ):
-        if getattr(options, option) is not None and not used:
-            raise CalibError(f"--{option.replace('_', '-')} has no use here. Leave it out.")
     found = KINDS[kind].read(source, options)
     return Conversion(found, name, path, FORMATS[name].write(found, path, options))
 

@@ -99,27 +99,23 @@ class DHTables:
                 )
         return cls(robot, nominal, after, before)
 
-    def drivers(self) -> list[tuple[str | None, float, float]]:
-        """What is added to each row: the joint (None: held), times a factor, plus an offset [rad or m]."""
-        robot = self.robot
-        at_zero = robot.chain_values(np.zeros(len(robot.joint_names)))[0]
-        found: list[tuple[str | None, float, float]] = []
-        for row, offset in zip(robot.coupling, at_zero, strict=True):
-            k = int(np.argmax(row != 0.0)) if row.any() else None
-            name, factor = (None, 0.0) if k is None else (robot.joint_names[k], float(row[k]))
-            found.append((name, factor, float(offset) + 0.0))
-        return found
+    def added(self) -> list[tuple[str | None, float, float, str]]:
+        """What is added to each row: a joint (None: held), times a factor, plus an offset [rad or m]; as a formula too.
 
-    def added(self) -> list[str]:
-        """The same as formulas, such as ``"-2 * arm + 5 deg"``; of most joints the joint's own name."""
-        texts = []
-        for (driver, factor, offset), row in zip(self.drivers(), self.after.rows, strict=True):
+        The formula is such as ``"-2 * arm + 5 deg"``; of most joints the joint's own name.
+        """
+        robot, found = self.robot, []
+        at_zero = robot.chain_values(np.zeros(len(robot.joint_names)))[0].tolist()
+        for coupled, offset, row in zip(robot.coupling, at_zero, self.after.rows, strict=True):
+            driver = next((n for n, c in zip(robot.joint_names, coupled, strict=True) if c), None)
+            factor = float(coupled.sum())
             degrees = np.degrees(offset)
             shown = f"{1e3 * offset:+.12g} mm" if row.prismatic else f"{degrees:+.12g} deg"
             name = driver if factor == 1.0 else f"{factor:.12g} * {driver}"
-            constant = f" {shown[0]} {shown[1:]}" if offset else ""
-            texts.append(f"{name}{constant}" if driver else f"held at {shown.removeprefix('+')}")
-        return texts
+            formula = f"{name} {shown[0]} {shown[1:]}" if offset else f"{name}"
+            formula = formula if driver else f"held at {shown.removeprefix('+')}"
+            found.append((driver, factor, offset + 0.0, formula))
+        return found
 
     @property
     def notes(self) -> tuple[Note, ...]:
@@ -130,7 +126,7 @@ class DHTables:
             named = ", ".join(f"'{a}' and '{b}'" for a, b in pairs)
             notes.append(Note("nearly parallel axes", (named, max(abs(row.d) for row in rows))))
         added = zip(rows, self.added(), strict=True)
-        others = [f"'{row.joint}' ({text})" for row, text in added if text != row.joint]
+        others = [f"'{row.joint}' ({text})" for row, (*_, text) in added if text != row.joint]
         if others:
             notes.append(Note("joints without value", (", ".join(others),)))
         return tuple(notes)
@@ -187,10 +183,10 @@ def _csv(tables: DHTables) -> bytes:
             for T in (table.T_base_0, table.T_n_tip)
         ]
         writer.writerow([name, "base", *[""] * (3 + len(heads)), *poses[0]])
-        for i, (row, value) in enumerate(zip(table.rows, added, strict=True), start=1):
+        for i, (row, (*_, formula)) in enumerate(zip(table.rows, added, strict=True), start=1):
             numbers = (_number(getattr(row, field), head) for head, field in heads.items())
             to = "d" if row.prismatic else "theta"
-            writer.writerow([name, i, row.joint, to, value, *numbers, *[""] * len(_POSE)])
+            writer.writerow([name, i, row.joint, to, formula, *numbers, *[""] * len(_POSE)])
         writer.writerow([name, "tool", *[""] * (3 + len(heads)), *poses[1]])
     return text.getvalue().encode()
 
@@ -233,7 +229,7 @@ def _json(tables: DHTables) -> bytes:
             "factor": factor,
             "offset_m" if row.prismatic else "offset_rad": offset,
         }
-        for row, (driver, factor, offset) in zip(tables.after.rows, tables.drivers(), strict=True)
+        for row, (driver, factor, offset, _) in zip(tables.after.rows, tables.added(), strict=True)
     ]
     content = {
         "schema": "dh 1",

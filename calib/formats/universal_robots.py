@@ -64,9 +64,6 @@ _LARGEST_DELTA = dict(zip(_DELTAS, (8.0 * np.pi, 10.0, 1e9, 0.5), strict=True))
 _LARGEST_NOMINAL = dict(zip(COLUMNS, (2.0 * np.pi, 10.0, 10.0, 2.0 * np.pi), strict=True))
 _LARGEST_POSE = dict.fromkeys("xyz", 10.0) | dict.fromkeys(("roll", "pitch", "yaw"), 4.0 * np.pi)
 
-#: What a hash is made of.
-_HASH = re.compile(r"[\w.+-]+")
-
 #: What is written may differ from the robot by this [m and rad]; rows by the second, where axes are almost parallel.
 _EXACT, _EXACT_ROWS = 1e-9, 1e-6
 
@@ -185,28 +182,23 @@ def read_kinematics(path: PathLike, data: bytes | None = None) -> tuple[Array, s
         ]
         T[:3, :3], T[:3, 3] = pin.rpy.rpyToMatrix(*numbers[3:]), numbers[:3]
     hash = links.get("hash")
-    return read_only(chain), _checked_hash(path, hash) if hash else None
+    return read_only(chain), str(hash) if hash else None
 
 
 def kinematics_bytes(chain: Array, hash: str, comment: str = "") -> bytes:
     """A ``kinematics.yaml`` of the first six of a chain (7, 4, 4) [m]; its numbers read back exactly."""
+    if not re.fullmatch(r"[\w.+-]+", hash):
+        raise FileError(
+            f"The hash is '{hash[:40]}', not one such as 'calib_12788084448423163542'. Take the line from the robot's "
+            "own kinematics.yaml or calibration.conf."
+        )
     table: dict[str, object] = {}
     for link, T in zip(LINKS, chain, strict=False):
         values = np.array([*T[:3, 3], *pin.rpy.matrixToRpy(T[:3, :3])]) + 0.0
         table[link] = dict(zip(_LARGEST_POSE, values.tolist(), strict=True))
-    table["hash"] = _checked_hash("kinematics.yaml", hash)
+    table["hash"] = hash
     head = f"# {comment}\n" if comment else ""
     return f"{head}{yaml.safe_dump({'kinematics': table}, sort_keys=False)}".encode()
-
-
-def _checked_hash(path: PathLike, hash: object) -> str:
-    """A hash that is one word."""
-    if isinstance(hash, str) and _HASH.fullmatch(hash):
-        return hash
-    raise FileError(
-        f"{path}: the hash is {str(hash)[:40]!r}, not one such as 'calib_12788084448423163542'. Take the line from the "
-        "robot's own kinematics.yaml or calibration.conf."
-    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -271,8 +271,6 @@ def test_the_format_of_a_file(name, asked, kind, format):
         ("o.yaml", {}, r"'.yaml' does not say which format .*: --to ur-yaml \(kinem.*origins"),
         ("o.urdf", {"to": "excel"}, "no format 'excel'. Give one of: --to urdf"),
         ("o.txt", {"to": "dh"}, "a DH table is written as"),
-        ("o.urdf", {"update": Path("u.conf")}, "--update has no use"),
-        ("o.urdf", {"urcontrol": Path("u.conf")}, "--urcontrol has no use"),
         ("o.yaml", {"to": "ur-yaml"}, "compares with what the controller reports"),
     ],
 )

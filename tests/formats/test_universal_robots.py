@@ -192,7 +192,7 @@ def test_names_that_do_not_agree(conf_of, tmp_path, ur3, panda):
         write_ur_yaml(of(panda, ur3), path, HASH)
     with pytest.raises(FileError, match="moves the flange of a UR3 by"):
         write_ur_conf(of(ur_robot("UR5"), ur_robot("UR3")), path)
-    with pytest.raises(FileError, match="the hash is 'a b'"):
+    with pytest.raises(FileError, match="The hash is 'a b'"):
         write_ur_yaml(of(ur3, ur3), path, "a b")
     assert not path.exists()
 

@@ -137,7 +137,6 @@ def test_small_numbers_are_numbers_to_every_reader(tmp_path):
         ("z: 0.152", "z: true #", "z of 'shoulder': 'True' is no number"),
         ("z: 0.152", "z: 152.2 #", "z of 'shoulder': '152.2' is no number up to 10"),
         ("roll: 1.57", "roll: 90 #", "roll of 'upper_arm': '90' is no number up to 12.57"),
-        (HASH, "a b", "the hash is 'a b'"),
     ],
 )
 def test_damaged_yaml_files(old, new, message, written):
@@ -147,7 +146,7 @@ def test_damaged_yaml_files(old, new, message, written):
 
 
 def test_a_hash_that_is_none():
-    with pytest.raises(FileError, match="the hash is"):
+    with pytest.raises(FileError, match="The hash is"):
         kinematics_bytes(CHAIN, "a b")
     data = kinematics_bytes(CHAIN, "null")
     assert read_kinematics("k.yaml", data)[1] == "null"
