@@ -65,12 +65,11 @@ _LENGTHS = {
 #: A robot that is a nominal arm may lie this far from it, one that is calibrated already this far [m and rad].
 _SAME, _CALIBRATED = 1e-6, 0.05
 
-#: Links that are the controller's base, and whether they are turned by half a turn about z against it; links that are
-#: its flange: in the old descriptions the last link is not.
-_BASES = (("base_link_inertia", False), ("base", False), ("base_link", True))
-_FLANGES = ("tool0", "wrist_3_link")
-
+#: Links that are the controller's base, or turned against it; links that are its flange: in the old descriptions the
+#: last link is not.
 _HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
+_BASES = (("base_link_inertia", np.eye(4)), ("base", np.eye(4)), ("base_link", _HALF_TURN))
+_FLANGES = ("tool0", "wrist_3_link")
 
 SPREAD = read_only(np.random.default_rng(20170401).uniform(-np.pi, np.pi, (200, 6)))
 """Joint values within one turn at which arms are compared [rad], the same every time."""
@@ -100,6 +99,11 @@ class UrModel:
         return self.name in _LENGTHS
 
     @property
+    def plain(self) -> str:
+        """The name without capitals and spaces."""
+        return self.name.lower().replace(" ", "")
+
+    @property
     def chain(self) -> Array:
         """The nominal chain, shape (7, 4, 4), [m]."""
         return chain_of_rows(self.rows)
@@ -114,18 +118,19 @@ class UrModel:
         return bool(np.abs(self.rows - rows).max() < _SAME)
 
 
-def _nominal(d1: float, a2: float, a3: float, d4: float, d5: float, d6: float) -> Array:
-    """The rows of an arm with these lengths."""
+def _known(name: str, d1: float, a2: float, a3: float, d4: float, d5: float, d6: float) -> UrModel:
+    """An arm with these lengths."""
     a, d = (0.0, a2, a3, 0.0, 0.0, 0.0), (d1, 0.0, 0.0, d4, d5, d6)
     alpha = (_HALF_PI, 0.0, 0.0, _HALF_PI, -_HALF_PI, 0.0)
-    return read_only(np.transpose([np.zeros(6), a, d, alpha]))
+    return UrModel(name, read_only(np.transpose([np.zeros(6), a, d, alpha])))
+
+
+MODELS = tuple(_known(name, *lengths) for name, lengths in _LENGTHS.items())
+"""The arms that are known."""
 
 
 def ur_model(name: str | UrModel) -> UrModel:
     """The arm of that name, whatever its capitals, spaces and underscores; an arm itself is returned.
-
-    Raises:
-        ModelError: There is none.
 
     Example:
         >>> ur_model("ur5e").rows[:, 1].tolist()
@@ -134,7 +139,7 @@ def ur_model(name: str | UrModel) -> UrModel:
     if isinstance(name, UrModel):
         return name
     for model in MODELS:
-        if _plain(model.name) == _plain(name):
+        if model.plain == re.sub("[ _-]", "", name.lower()):
             return model
     raise ModelError(
         f"'{name}' is not an arm of Universal Robots that calib knows: {choices(_LENGTHS, limit=40)}. For another one "
@@ -146,13 +151,6 @@ def ur_robot(model: UrModel | str) -> Robot:
     """A bare URDF of an arm with its nominal kinematics, from ``base``, the controller's, to ``tool0``, its flange.
 
     Links, joints and origins are those of Universal Robots' description for ROS 2, without bodies.
-
-    Raises:
-        ModelError: No arm has that name.
-
-    Example:
-        >>> ur_robot("ur5e")
-        Robot('ur5e', base to tool0, 6 joints)
     """
     model = ur_model(model)
     urdf = Urdf.from_bytes(_urdf_text(model).encode(), f"the nominal {model.name}")
@@ -217,11 +215,6 @@ def kinematics_hash(rows: Array) -> str:
     return f"calib_{value ^ (value >> 47)}"
 
 
-def _plain(name: str) -> str:
-    """A name without capitals, spaces, hyphens and underscores."""
-    return re.sub("[ _-]", "", name.lower())
-
-
 def _urdf_text(model: UrModel) -> str:
     """The bare URDF; where nothing turns, an <origin> of the nominal rows says so exactly."""
     half, pi = np.pi / 2.0, np.pi
@@ -240,7 +233,7 @@ def _urdf_text(model: UrModel) -> str:
         '<?xml version="1.0" encoding="utf-8"?>',
         f"<!-- Kinematics of a Universal Robots {model.name}, without bodies, by calib: efforts and speeds are only",
         "     there because a URDF must have them. -->",
-        f'<robot name="{_plain(model.name)}">',
+        f'<robot name="{model.plain}">',
         '  <link name="base_link"/>',
     ]
     for joint, parent, child, *origin in joints:
@@ -260,10 +253,6 @@ def _urdf_text(model: UrModel) -> str:
             ]
         lines.append("  </joint>")
     return "\n".join([*lines, "</robot>", ""])
-
-
-MODELS = tuple(UrModel(name, _nominal(*lengths)) for name, lengths in _LENGTHS.items())
-"""The arms that are known."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -355,7 +344,7 @@ def _named_frames(robot: Robot) -> Iterator[tuple[Array, Array]]:
     here = robot.poses(zero)[0]
     flanges = sorted(_FLANGES, key=lambda link: prefix + link != robot.tip)
     bases = sorted(_BASES, key=lambda base: prefix + base[0] != robot.base)
-    for flange, (base, turned) in itertools.product(flanges, bases):
+    for flange, (base, turn) in itertools.product(flanges, bases):
         try:
             at_flange = robot.rebuilt(tip=prefix + flange)
             arm = at_flange.rebuilt(base=prefix + base)
@@ -364,5 +353,4 @@ def _named_frames(robot: Robot) -> Iterator[tuple[Array, Array]]:
         if [joint.name for joint in arm.joints] == names and not arm.base_moves:
             T_base_flange = at_flange.poses(zero)[0]
             T_base_link = T_base_flange @ rigid_inverse(arm.poses(zero)[0])
-            T_flange_tip = rigid_inverse(T_base_flange) @ here
-            yield T_base_link @ _HALF_TURN if turned else T_base_link, T_flange_tip
+            yield T_base_link @ turn, rigid_inverse(T_base_flange) @ here

@@ -58,7 +58,7 @@ def text(done: Conversion, name: str) -> str:
     if done.format == "ur-yaml":
         kind = "TYPE"
         if found.model is not None and found.model.known:
-            kind = found.model.name.lower().replace(" ", "")
+            kind = found.model.plain
         here = "" if done.path.is_absolute() else '"$PWD"/'
         # On lines of its own, to be copied.
         printed += (
