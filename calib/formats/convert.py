@@ -11,8 +11,6 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
 from calib.compensation.nominal_actual import is_corrected
 from calib.errors import CalibError, FileError, ModelError, choices
 from calib.files import read_bytes
@@ -20,11 +18,11 @@ from calib.formats.dh_files import ENDINGS, DHTables, write_dh
 from calib.formats.notes import Note
 from calib.formats.origins import origins_of, parse_yaml, read_origins, with_origins, write_origins
 from calib.formats.universal_robots import Source, read_ur, write_ur_conf, write_ur_yaml
-from calib.formats.ur_arms import UrModel, the_mount, ur_model, ur_robot
+from calib.formats.ur_arms import Mount, UrModel, the_mount, ur_model, ur_robot
 from calib.model.anchoring import check_same_joints
 from calib.model.dh import HAYATI, MODIFIED, STANDARD
 from calib.result.calibration_file import read_result
-from calib.robot.readback import TOLERANCE, check_written, random_joint_values
+from calib.robot.readback import check_written, random_joint_values
 from calib.robot.robot import Robot
 from calib.robot.xacro_file import is_xacro
 
@@ -169,7 +167,7 @@ def _robot(source: str, options: Options) -> Source:
     if options.robot is not None:
         nominal = replace(options, base=robot.base, tip=robot.tip).load(options.robot)
         check_same_joints(robot, nominal)
-    elif _known_arm(robot, nominal=True) is not None:
+    elif (mounted := _mount(robot)) is not None and mounted.nominal:
         nominal = robot  # an arm with the kinematics of the data sheet is its own nominal robot
     elif options.ur_model is not None:
         nominal = ur_robot(options.ur_model).rebuilt(base=robot.base, tip=robot.tip)
@@ -181,16 +179,16 @@ def _arm(nominal: Robot, options: Options) -> UrModel | None:
     """The arm of Universal Robots that a nominal robot is, if it is one; it must be the one asked for."""
     if options.ur_model is not None:
         return the_mount(nominal, ur_model(options.ur_model)).model
-    return _known_arm(nominal)
+    mounted = _mount(nominal)
+    return None if mounted is None else mounted.model
 
 
-def _known_arm(robot: Robot, *, nominal: bool = False) -> UrModel | None:
-    """The arm of Universal Robots that a robot is, with its nominal kinematics if so asked; None of another maker."""
+def _mount(robot: Robot) -> Mount | None:
+    """How a robot is mounted as an arm of Universal Robots; None of another maker."""
     try:
-        mounted = the_mount(robot)
+        return the_mount(robot)
     except ModelError:
         return None
-    return mounted.model if mounted.nominal or not nominal else None
 
 
 class Kind(NamedTuple):
@@ -218,17 +216,11 @@ def _write_urdf(source: Source, path: Path, options: Options) -> Notes:
     """The URDF, read back by Pinocchio and yourdfpy."""
     robot = source.robot
     q = random_joint_values(robot)
-    poses = robot.poses(q)
+    written = robot
     if source.kind == "robot" and source.nominal is not None:
-        robot = source.nominal.with_placements(robot.placements)
-        if not np.abs(robot.poses(q) - poses).max() <= TOLERANCE:
-            raise ModelError(
-                f"{source.robot.urdf.source} and {source.nominal.urdf.source} differ in more than the origins of "
-                "their joints, so that one cannot be written on the other. Leave out --robot, or give the URDF that "
-                "the other was made from."
-            )
-    check_written(robot, poses, q)
-    robot.urdf.write(path, overwrite=options.overwrite)
+        written = source.nominal.with_placements(robot.placements)
+    check_written(written, robot.poses(q), q)
+    written.urdf.write(path, overwrite=options.overwrite)
     return ()
 
 

@@ -31,16 +31,16 @@ _MATCHED = {
     "axis": "position and direction of the tool's z axis",
 }
 
-#: What each code says: {0} and {1} are its numbers, in mm and deg, {joint} and {row} what it is about.
+#: What each code says: {0} and {1} are its numbers in {unit}, or both as {miss}; {joint}, {row} what it is about.
 _TEXTS: dict[Code, str] = {
-    "unreachable": "the true robot cannot reach it: {0:.4f} mm, {1:.4f} deg would be left",
+    "unreachable": "the true robot cannot reach it: {miss} would be left",
     "beyond limit": "'{joint}' would have to be at {0:.4f} {unit}, beyond its limit {1:.4f}",
     "other branch": "next to a singularity: the solution lies in another branch of the arm",
     "near singularity": "near a singularity: 1 mm of the tool may take {0:.1f} {unit} of '{joint}'",
-    "large pose correction": "the pose to send is moved by {0:.2f} mm, {1:.2f} deg",
+    "large pose correction": "the pose to send is moved by {miss}",
     "large joint correction": "a joint is corrected by {0:.1f} {unit}: '{joint}'",
     "jump": "a jump: from {row} '{joint}' moves {0:.1f} {unit}, much more than in the program",
-    "ambiguous pose": "sent as a pose it may end {0:.3g} mm off: the controller can come to other joint values",
+    "ambiguous pose": "sent as a pose it may end {miss} off: the controller can come to other joint values",
     "outside measured range": "outside the joint range that was measured: '{joint}' by {0:.3g} {unit}",
 }
 
@@ -75,15 +75,15 @@ def no_commands(found: Commands) -> str:
 
 def finding_text(finding: Finding, robot: Robot) -> str:
     """A finding in words, in mm and deg."""
-    slides = robot.joint_types.get(finding.joint) == "prismatic"
-    scales, unit = (_MM, _DEG), ""
-    if finding.joint:
-        scales, unit = ((_MM, _MM), "mm") if slides else ((_DEG, _DEG), "deg")
-    numbers = [scale * number for scale, number in zip(scales, finding.numbers, strict=False)]
-    words = _TEXTS[finding.code]
-    if len(numbers) > 1 and np.isnan(numbers[1]):  # of a position alone
-        words = words.partition(", {1")[0] + " would be left" * (finding.code == "unreachable")
-    return words.format(*numbers, joint=finding.joint, row=finding.row, unit=unit)
+    numbers, scale, unit, miss = finding.numbers, _DEG, "deg", ""
+    if robot.joint_types.get(finding.joint) == "prismatic":
+        scale, unit = _MM, "mm"
+    if not finding.joint and numbers:
+        angle = "" if np.isnan(numbers[1]) else f", {_DEG * numbers[1]:.4f} deg"
+        miss = f"{_MM * numbers[0]:.4f} mm{angle}"
+    scaled = (scale * number for number in numbers)
+    words = {"joint": finding.joint, "row": finding.row, "unit": unit, "miss": miss}
+    return _TEXTS[finding.code].format(*scaled, **words)
 
 
 def _expected(found: Commands, name: str) -> str:
