@@ -140,8 +140,6 @@ def parse_yaml(data: bytes, source: str, what: str) -> dict[Any, Any]:
     try:
         table = yaml.safe_load(data)
     except (yaml.YAMLError, ValueError, RecursionError, ArithmeticError) as error:
-        mark = getattr(error, "problem_mark", None)
-        place = "" if mark is None else f", line {mark.line + 1}, column {mark.column + 1}"
-        reason = getattr(error, "problem", None) or str(error).partition("\n")[0]
-        raise FileError(f"{source}{place}: this {what} cannot be read as YAML: {reason}") from error
+        reason = " ".join(str(error).split())  # with line and column
+        raise FileError(f"{source}: this {what} cannot be read as YAML: {reason}") from error
     return table if isinstance(table, dict) else {}

@@ -185,7 +185,7 @@ def read_kinematics(path: PathLike, data: bytes | None = None) -> tuple[Array, s
     return read_only(chain), str(hash) if hash else None
 
 
-def kinematics_bytes(chain: Array, hash: str, comment: str = "") -> bytes:
+def kinematics_bytes(chain: Array, hash: str) -> bytes:
     """A ``kinematics.yaml`` of the first six of a chain (7, 4, 4) [m]; its numbers read back exactly."""
     if not re.fullmatch(r"[\w.+-]+", hash):
         raise FileError(
@@ -197,8 +197,8 @@ def kinematics_bytes(chain: Array, hash: str, comment: str = "") -> bytes:
         values = np.array([*T[:3, 3], *pin.rpy.matrixToRpy(T[:3, :3])]) + 0.0
         table[link] = dict(zip(_LARGEST_POSE, values.tolist(), strict=True))
     table["hash"] = hash
-    head = f"# {comment}\n" if comment else ""
-    return f"{head}{yaml.safe_dump({'kinematics': table}, sort_keys=False)}".encode()
+    text = yaml.safe_dump({"kinematics": table}, sort_keys=False)
+    return f"# Lengths in m, angles in rad, R = Rz(yaw) Ry(pitch) Rx(roll).\n{text}".encode()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -303,11 +303,9 @@ def write_ur_yaml(
     mounted, chain = _chain_of(source, path)
     chain = at_flange(chain)
     T_tool = _rounded(chain[6])
-    kind = mounted.model.name if mounted.model.known else "arm"
-    comment = f"Kinematics of one Universal Robots {kind}: lengths in m, angles in rad, R = Rz(yaw) Ry(pitch) Rx(roll)."
-    data = kinematics_bytes(chain, hash, comment)
+    data = kinematics_bytes(chain, hash)
     back, _ = read_kinematics(path, data)
-    _check(source.robot, mounted, path, lambda q: chain_poses(back, q) @ T_tool, _EXACT)
+    _check(source.robot, mounted, path, [np.eye(4), back, T_tool], _EXACT)
     written = write_atomically(path, data, overwrite=overwrite)
     return UrWritten(written, np.eye(4), T_tool, _displaced("flange displaced", T_tool))
 
@@ -339,8 +337,7 @@ def write_ur_conf(
     T_base, T_tool = _rounded(table.T_base_0), _rounded(table.T_n_tip)
     data = conf_bytes(deltas) if own is None else own.with_deltas(deltas)
     back = chain_of_rows(arm.rows + Conf.read(path, data).deltas)
-    made = lambda q: T_base @ chain_poses(back, q) @ T_tool  # noqa: E731
-    _check(source.robot, mounted, path, made, _EXACT_ROWS)
+    _check(source.robot, mounted, path, [T_base, back, T_tool], _EXACT_ROWS)
     written = write_atomically(path, data, overwrite=overwrite)
     notes += _displaced("base displaced", T_base) + _displaced("flange displaced", T_tool)
     return UrWritten(written, T_base, T_tool, notes)
@@ -388,13 +385,13 @@ def _chain_of(source: Source, path: PathLike) -> tuple[Mount, Array]:
     return mounted, chain
 
 
-def _check(
-    robot: Robot, mounted: Mount, path: PathLike, flange: Callable[[Array], Array], exact: float
-) -> None:
-    """Compare a file that was read back, what it has no place for put back, with the robot."""
+def _check(robot: Robot, mounted: Mount, path: PathLike, made: list[Array], exact: float) -> None:
+    """Compare a file that was read back, between displacements that it has no place for, with the robot."""
+    T_base, chain, T_tool = made
     q = random_joint_values(robot)
-    made = mounted.T_base_arm @ flange(q) @ mounted.T_flange_tip
-    off = float(np.abs(made - robot.poses(q)).max())
+    flange = T_base @ chain_poses(chain, q) @ T_tool
+    poses = mounted.T_base_arm @ flange @ mounted.T_flange_tip
+    off = float(np.abs(poses - robot.poses(q)).max())
     if not off <= exact:
         raise ModelError(
             f"{Path(path).name}: read back, it puts the tip of '{robot.name}' {off:.1e} m or rad off; {exact:g} is "

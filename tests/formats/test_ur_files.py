@@ -107,7 +107,7 @@ HASH = "calib_4455573973530731233"
 @pytest.fixture
 def written(tmp_path):
     path = tmp_path / "kinematics.yaml"
-    path.write_bytes(kinematics_bytes(CHAIN, HASH, "One arm."))
+    path.write_bytes(kinematics_bytes(CHAIN, HASH))
     return path
 
 
