@@ -239,10 +239,7 @@ def joints(c: Calibration) -> Figure:
                 at = np.clip(parts[kind.mask, j], -reach, reach)
                 look = {"rasterized": len(q) > base.MOST_SHAPES, "zorder": 2}
                 ax.plot(scale * q[kind.mask, j], at, **look, **kind.style(0.8))
-        if np.all(np.isnan(parts[:, j])):
-            word = "does not move the target"
-            ax.text(0.5, 0.7, word, transform=ax.transAxes, ha="center", color=base.SOFT)
-        elif np.count_nonzero(fitted) >= _FEWEST_ROWS:
+        if np.count_nonzero(np.isfinite(parts[fitted, j])) >= _FEWEST_ROWS:
             _mean(ax, scale * q[fitted, j], parts[fitted, j])
         ax.set_ylim(-1.08 * reach, 1.08 * reach)
         ax.set_title(names[j], size=8.5)

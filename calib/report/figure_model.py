@@ -9,12 +9,11 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 import calib.report.figure_base as base
+import calib.text.summary as texts
 from calib.model.families import unit_of
-from calib.model.kinematics import FRAME, TARGET
 from calib.report.figure_base import CALIBRATED, INK, NOMINAL, OUTLIER, SOFT
 from calib.result.calibration import Calibration
 from calib.result.prediction import ParameterEstimate
-from calib.text.summary import errorless
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -69,23 +68,16 @@ def convergence(c: Calibration) -> Figure:
     return figure
 
 
-def shown_parameters(c: Calibration) -> tuple[ParameterEstimate, ...]:
+def shown_parameters(c: Calibration) -> list[ParameterEstimate]:
     """The robot's parameters and targets that were given, the larger model's own behind them.
 
-    Frames, targets' orientations and targets that were not given count from where registration put them, which says
-    nothing of the robot. Parameters of a kind of which no errors were found have no interval; see
-    `calib.text.summary.errorless`.
+    What was not given counts from where registration put it, which says nothing of the robot. Parameters of a kind of
+    which no errors were found have no interval; see `calib.text.summary.errorless`.
     """
-    none = errorless(c)
-    own = [
-        p
-        for p, m in zip(c.parameters, c.model.parameters, strict=True)
-        if m.family != FRAME
-        and not (m.family == TARGET and (m.unit == "rad" or p.nominal is None))
-        and p.name not in none
-    ]
+    none = texts.errorless(c)
+    own = [p for p in texts.shown_parameters(c) if p.nominal is not None and p.name not in none]
     more = () if c.larger is None else c.larger.parameters
-    return (*own, *(p for p in more if p.name not in c.model.names))
+    return [*own, *(p for p in more if p.name not in c.model.names)]
 
 
 def changes(c: Calibration) -> Figure:

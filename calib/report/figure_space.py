@@ -21,8 +21,8 @@ VIEWS = ((0, 1, "from above"), (0, 2, "from the front"), (1, 2, "from the side")
 #: The height of the upper views [in] at least, and of all at most.
 _LEAST, _HIGHEST = 2.2, 5.8
 
-#: More rows than this stand on no lines down to the floor, and more are not drawn over the uncertainty.
-_MOST_STILTS, _MOST_RINGS = 100, 150
+#: More rows than this are not drawn over the uncertainty.
+_MOST_RINGS = 150
 
 #: Joint values over which the uncertainty is drawn, and cells across a view.
 POSES, _CELLS = 4000, 22
@@ -64,9 +64,6 @@ def points(c: Calibration) -> Figure:
     ax = panels["space"]
     for kind in kinds:
         ax.plot(*places[kind.mask].T, rasterized=pixels, **kind.style())
-        if len(places) <= _MOST_STILTS:
-            for p in places[kind.mask]:
-                ax.plot(*np.array([[*p[:2], limits[0, 2]], p]).T, color=kind.colour, lw=0.3)
     ax.set_box_aspect(limits[1] - limits[0], zoom=0.85)
     ax.set(xlim=limits[:, 0], ylim=limits[:, 1], zlim=limits[:, 2], title="In space, base frame")
     for letter, axis in zip("xyz", (ax.xaxis, ax.yaxis, ax.zaxis), strict=True):

@@ -10,6 +10,7 @@ import os
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from datetime import datetime, timezone
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -48,6 +49,9 @@ _MOST, _WORST = 40, 20
 
 #: An origin that moved by less has not [m or rad].
 _NOTHING = 1e-9
+
+#: An angle with four figures after the point.
+_deg = partial(deg, digits=4)
 
 #: Factor and figures after the point of a, alpha, d, theta and beta.
 _DH = tuple(
@@ -160,11 +164,6 @@ class Table(NamedTuple):
     note: str = ""
     groups: Sequence[tuple[str, int]] = ()
     strong: Sequence[int] = ()
-
-
-def _deg(angle: float) -> str:
-    """An angle in degrees with four figures after the point."""
-    return deg(angle, 4)
 
 
 def errors(c: Calibration, *, turned: bool = False) -> Table:

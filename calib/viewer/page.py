@@ -19,7 +19,7 @@ import threading
 import webbrowser
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -196,11 +196,11 @@ def script_table(view: View, shown: Mapping[str, Puppet]) -> dict[str, Any]:
     }
 
 
-class Viewer:
+class Viewer(AbstractContextManager["Viewer"]):
     """A view at ``url``, on this computer only, until it is closed or the program ends; port 0 is any that is free.
 
     ``visualizer`` is meshcat's, to draw more: in the base frame of the calibrated robot, or of the only one [m].
-    ``warnings`` say what could not be drawn as the URDF says.
+    ``warnings`` say what could not be drawn as the URDF says; ``joint_names`` are those of `display`, in order.
 
     Example:
         with Viewer(view_of(calibration)) as viewer:
@@ -216,6 +216,7 @@ class Viewer:
         k, places = view.start, ("nominal_target", "calibrated_target", "T_base_nominal")
         at: dict[str, Any] = {name: getattr(view, name)[k] for name in places}
         self._one = View(view.nominal, view.calibrated, view.q[k : k + 1], **at)
+        self.joint_names: tuple[str, ...] = view.nominal.joint_names
         self._visuals = {who: read_visuals(one.urdf)[0] for who, one in view.robots.items()}
         page = view_page(view, live=True)
         self.warnings: tuple[str, ...] = page.warnings
@@ -236,11 +237,6 @@ class Viewer:
         threading.Thread(target=self._run, args=[page.html, listener], daemon=True).start()
         root = meshcat.Visualizer.view_into(self, meshcat.path.Path())
         self.visualizer: meshcat.Visualizer = root[stage.SCENE][tuple(view.robots)[-1]]["own"]
-
-    @property
-    def joint_names(self) -> tuple[str, ...]:
-        """The joints in the order of `display`."""
-        return self._one.nominal.joint_names
 
     def display(self, q: ArrayLike, label: str = "") -> None:
         """Move the robots.
@@ -305,10 +301,6 @@ class Viewer:
             self._loop.call_soon_threadsafe(self._stop.set)
         self._ended.wait()
 
-    def __enter__(self) -> Viewer:
-        """The viewer, to be closed at the end of the block."""
-        return self
-
     def __exit__(self, *_: object) -> None:
         """Close it."""
         self.close()
@@ -345,7 +337,6 @@ class _Page(RequestHandler):
 
     def get(self) -> None:
         """Send it."""
-        self.set_header("Cache-Control", "no-store")
         self.write(self._page)
 
 

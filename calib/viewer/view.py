@@ -128,12 +128,10 @@ class View:
 
 def view_of(calibration: Calibration) -> View:
     """The view of a calibration: every row a pose."""
-    c, m, tracker = calibration, calibration.measurements, calibration.cell.tracker
+    c, m = calibration, calibration.measurements
     before = Evaluation(c.nominal, m, c.nominal_setup, (), c.residual_nominal, c.used)
     after = Evaluation(c.robot, m, c.setup, (), c.residual_calibrated, c.used)
     shown = _at_rows(before, after, flagged_rows(c))
-    if tracker is not None and not len(shown.instruments):  # points measured in the base itself
-        shown = replace(shown, instruments=translation(tracker.position)[None])
     return _judged(replace(shown, title=f"{c.nominal.name or 'Robot'}: nominal and calibrated"), c)
 
 

@@ -10,15 +10,7 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.options import (
-    CellOptions,
-    Force,
-    Quiet,
-    ResultTarget,
-    RobotFile,
-    TableOptions,
-    verb,
-)
+from calib.cli.options import CellOptions, Force, Quiet, ResultTarget, RobotFile, TableOptions, verb
 from calib.errors import CalibError
 
 
