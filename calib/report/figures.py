@@ -97,7 +97,6 @@ def write_figures(
     Raises:
         FileError: Another kind, or a file exists or cannot be written; what exists is found before anything is drawn.
     """
-    check_kind(kind)
     made = drawings(calibration)
     *paths, captions = figure_files(made, make_folder(folder), kind, overwrite=overwrite)
     for done, (drawing, path) in enumerate(zip(made, paths, strict=True), start=1):

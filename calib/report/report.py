@@ -202,18 +202,17 @@ def validation_rows(c: Calibration) -> Table:
         size = np.nan_to_num(lengths_of(c.residual_calibrated, c.used)[chosen])
         which = f"the {_WORST} of {len(chosen):,} validation rows with the largest error after calibration"
         chosen = chosen[np.sort(np.argsort(-size, kind="stable")[:_WORST])]
-    used = c.used[chosen]
     names, cells = _places(c, chosen)
-    groups, head = [("", len(names))], list(names)
-    whole = np.all(used[:, :3], axis=1) & (used.shape[1] >= 3)
-    along = bool(np.any(whole))
+    used, groups, head = c.used[chosen], [("", len(names))], list(names)
+    whole = np.all(used[:, :3], axis=1, keepdims=True) & (used.shape[1] >= 3)
+    axes = ("dx", "dy", "dz") if np.any(whole) else ()
     both = ("before: nominal", c.residual_nominal), ("after: calibrated", c.residual_calibrated)
     for who, residual in both if np.any(used[:, :3]) else ():
-        groups.append((f"{who} [mm]", 4 if along else 1))
-        head += [*("dx", "dy", "dz") * along, "size"]
-        size = lengths_of(residual, c.used)
-        for row, i, axes in zip(cells, chosen, whole, strict=True):
-            row += [mm(v) if axes else "-" for v in residual[i, :3]] * along + [mm(size[i])]
+        groups.append((f"{who} [mm]", len(axes) + 1))
+        head += [*axes, "size"]
+        parts = np.where(whole, residual[chosen, :3], np.nan)[:, : len(axes)]
+        for row, part, size in zip(cells, parts, lengths_of(residual, c.used)[chosen], strict=True):
+            row += map(mm, (*part, size))
     if np.any(used[:, 3:]):
         groups.append(("angle [deg]", 2))
         head += ["before", "after"]
@@ -223,7 +222,7 @@ def validation_rows(c: Calibration) -> Table:
     note = "dx, dy, dz: measured minus predicted along the axes of the measurement frame."
     align = "l" * len(names) + "r" * (len(head) - len(names))
     title = f"Error of {which}, which took no part in the fit"
-    return Table(title, head, cells, align, note * along, groups)
+    return Table(title, head, cells, align, note if axes else "", groups)
 
 
 def flagged(c: Calibration) -> Table:

@@ -11,7 +11,6 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -93,8 +92,7 @@ class SceneWindow:
             lowered["object"]["material"] = lowered["materials"][0]["uuid"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Camera:
+class Camera(NamedTuple):
     """A camera at a distance of a centre [m]; the rows of ``axes``, (3, 3), point right, up and towards the camera."""
 
     centre: Array
@@ -269,11 +267,10 @@ def span(points: Array) -> float:
     return max(float(np.linalg.norm(np.ptp(points, axis=0))), 1e-3)
 
 
-@dataclass(frozen=True, slots=True)
-class Page:
+class Page(NamedTuple):
     """A complete HTML page, UTF-8, and what could not be drawn as the URDF says, a sentence each."""
 
-    html: bytes = field(repr=False)
+    html: bytes
     warnings: tuple[str, ...]
 
     def write(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
