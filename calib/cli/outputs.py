@@ -140,7 +140,7 @@ class Intervals:
     ) -> tuple[list[str], dict[str, Any]]:
         """Bootstrap and profiles, as far as they are asked for: texts to print, and tables for the result file."""
         from calib.result.uncertainty import bootstrap, profile_interval
-        from calib.text.intervals import LEVEL, bootstrap_table, bootstrap_text, profile_text
+        from calib.text.summary import LEVEL, bootstrap_table, bootstrap_text, profile_text
 
         texts: list[str] = []
         tables: dict[str, Any] = {}
