@@ -197,14 +197,15 @@ class CollisionModel:
         way = self._configurations((1.0 - share) * ends[0] + share * ends[1])
         return not any(self._scene.touches(way))
 
-    def beam_free(self, q: Array, points: Array, tracker: Array) -> Mask:
-        """Whether no link and no box is in the beam from the tracker to a point at each pose, shape (N,).
+    def beam_free(self, T_tip_target: Array, tracker: Array, q: Array) -> Mask:
+        """Whether no link and no box is in the beam from a tracker to the target at poses q of shape (N, m), (N,).
 
-        The beam is a rod of thickness `BEAM` that ends `NEST` in front of the point. Targets and the mounting plane,
-        which are assumed and not known, do not count. ``q`` is of shape (N, m); the points, shape (N, 3), and the
-        tracker, shape (3,), are in the robot's base [m].
+        The beam is a rod of thickness `BEAM` that ends `NEST` in front of the target. Targets and the mounting plane,
+        which are assumed and not known, do not count. ``T_tip_target`` is of shape (4, 4); the tracker, shape (3,), is
+        in the robot's base [m].
         """
         scene, frees = self._beams, np.ones(len(q), dtype=np.bool_)
+        points = (self.robot.poses(q) @ T_tip_target)[:, :3, 3]
         data, found = scene.room()
         base, last = (
             scene.model.frames[link_frame(scene.model, self.robot.base)],

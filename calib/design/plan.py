@@ -14,7 +14,7 @@ import csv
 import io
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -212,7 +212,7 @@ def _conditions(
         # A beam is one rod against all links; they among themselves take ten times as long.
         for T in T_tip_target:
             if tracker is not None:
-                yield Condition("beam", partial(_beam_free, robot, T, tracker, body))
+                yield Condition("beam", partial(body.beam_free, T, tracker.position))
         yield Condition("collision", body.free)
 
 
@@ -238,13 +238,6 @@ def in_cone(
     return np.asarray(angle <= reflector.acceptance)
 
 
-def _beam_free(
-    robot: Robot, T_tip_target: Array, tracker: Tracker, body: CollisionModel, q: Array
-) -> Mask:
-    """Whether nothing is in the tracker's beam, shape (N,)."""
-    return body.beam_free(q, places(robot, T_tip_target, q), tracker.position)
-
-
 # The table
 
 
@@ -266,95 +259,80 @@ def write_plan(
 
 def _rows(plan: Plan, number: int) -> Iterator[dict[str, str]]:
     """The cells of each target at each pose, by their columns."""
-    types, kind = plan.robot.joint_types, registry.get(plan.kind)
-    units = [
-        _WRITTEN["length" if types[n] == "prismatic" else "angle"] for n in plan.robot.joint_names
-    ]
-    lengths = [f"{axis} [mm]" for axis in POINT] if kind.position else []
-    written = [_WRITTEN[one.quantity] for one in kind.readings]
-    readings = [f"{r.name} [{unit}]" for r, (unit, _) in zip(kind.readings, written, strict=True)]
-    empty = [*lengths, *(QUATERNION if kind.orientation else ()), *readings]
-    for q, word, places in zip(plan.joints, plan.sets, plan.expected, strict=True):
-        for target, place in zip(plan.targets, places, strict=True):
+
+    def column(name: str, quantity: str) -> tuple[str, float]:
+        unit, scale = _WRITTEN[quantity]
+        return f"{name} [{unit}]", scale
+
+    def cells(columns: list[tuple[str, float]], values: Array) -> dict[str, str]:
+        found = zip(columns, values, strict=True)
+        return {name: f"{scale * value + 0.0:.{_DIGITS}f}" for (name, scale), value in found}
+
+    kind, slides = registry.get(plan.kind), plan.robot.joint_types
+    joints = [column(n, "length" if slides[n] == "prismatic" else "angle") for n in slides]
+    lengths = [column(axis, "length") for axis in POINT] if kind.position else []
+    readings = [column(one.name, one.quantity) for one in kind.readings]
+    measured = [*range(len(lengths)), *range(kind.size - len(readings), kind.size)]
+    empty = [name for name, _ in lengths] + [*QUATERNION] * kind.orientation
+    empty += [name for name, _ in readings]
+    told = [(EXPECTED + name, scale) for name, scale in (*lengths, *readings)]
+    for q, word, seen in zip(plan.joints, plan.sets, plan.expected, strict=True):
+        for target, place in zip(plan.targets, seen, strict=True):
             row = {"row": str(number), "set": word, "point": f"P{number}"}
             if plan.targets != (DEFAULT_TARGET,):
                 row["target"] = target
-            for name, (unit, scale), value in zip(plan.robot.joint_names, units, q, strict=True):
-                row[f"{name} [{unit}]"] = f"{scale * value + 0.0:.{_DIGITS}f}"
-            row |= dict.fromkeys(empty, "")
-            seen = (1e3 * np.asarray(place)).tolist() if kind.position else []
-            if kind.readings and kind.measure is not None:
+            row |= cells(joints, q) | dict.fromkeys(empty, "")
+            if kind.measure is not None:
                 T = np.eye(4)
                 T[:3, 3] = place
-                read = kind.measure(T[None])[0, kind.size - len(kind.readings) :]
-                seen += (read * [factor for _, factor in written]).tolist()
-            for column, value in zip((*lengths, *readings), seen, strict=True):
-                row[EXPECTED + column] = f"{value + 0.0:.{_DIGITS}f}"
+                row |= cells(told, kind.measure(T[None])[0, measured])
             yield row
             number += 1
 
 
-class Taken(NamedTuple):
-    """Poses measured already, shape (T, m), [rad] or [m], the largest number of a row, and the table's name."""
+class Poses(NamedTuple):
+    """Poses of a table, shape (N, m), [rad] or [m], the set of each, and the largest number of a row."""
 
     joints: Array
+    sets: tuple[str, ...]
     last_row: int
-    source: str
 
 
-def read_taken(path: str | Path, robot: Robot) -> Taken:
-    """The poses of a table that a fit would estimate from: those measured, of the set ``estimate``.
+def read_poses(path: str | Path, robot: Robot, *, taken: bool = False) -> Poses:
+    """The poses of a table, in which what was measured may be missing; several targets at one pose are one pose.
 
-    A table in which nothing is measured, such as a plan that is still to be driven, counts whole. Rows that measure
-    several targets at one pose are one pose.
+    ``taken``: those alone that a fit would estimate from, measured and of the set ``estimate``; a table in which
+    nothing is measured, such as a plan that is still to be driven, counts whole.
     """
     table = Table.read(path)
-    rows = _joint_rows(table, robot)
-    named, _ = name_columns(table, robot.joint_names, {})
-    at = [named[name].index for name in (*POINT, "distance", "pair") if name in named]
-    # By the cells alone; a row that measures nothing, of a socket or a plane, counts.
-    kind = [named["kind"].index] if "kind" in named else []
-    measured = np.array(
-        [
-            any(c[i] for i in at) or any(c[i] in ("fixed", "plane") for i in kind)
-            for c in table.cells
-        ]
-    )
-    measured |= not measured.any()
-    chosen = np.flatnonzero(measured & (np.array(rows.sets) == "estimate"))
-    if not len(chosen):
-        raise MeasurementError(
-            f"{table.source}: no row that is measured is 'estimate', so that no pose counts as taken. Leave out "
-            "--taken, or correct the column 'set'."
-        )
-    return Taken(read_only(rows.joints[_poses(rows, chosen)]), max(rows.rows), table.source)
-
-
-def read_pose_list(path: str | Path, robot: Robot) -> tuple[Array, tuple[str, ...]]:
-    """The poses of a table, shape (N, m), [rad] or [m], and the set of each; what was measured may be missing."""
-    rows = _joint_rows(Table.read(path), robot)
-    kept = _poses(rows, range(len(rows.rows)))
-    return read_only(rows.joints[kept]), tuple(rows.sets[i] for i in kept)
-
-
-def _joint_rows(table: Table, robot: Robot) -> Measurements:
-    """What a table says but for what was measured: a row of the kind ``fixed`` has its joint values alone."""
+    # A row of the kind ``fixed`` has its joint values alone.
     layout = Layout.find(table, robot.joint_names, robot.joint_types, None, "fixed")
-    return Measurements.of_layout(table, layout)
-
-
-def _poses(table: Measurements, rows: Iterable[int]) -> list[int]:
-    """One row for each pose: of rows with the same joint values, as many as measure the same target."""
+    rows = Measurements.of_layout(table, layout)
+    wanted = np.ones(len(rows), dtype=np.bool_)
+    if taken:
+        named, _ = name_columns(table, robot.joint_names, {})
+        at = [named[name].index for name in (*POINT, "distance", "pair") if name in named]
+        # By the cells alone; a row that measures nothing, of a socket or a plane, counts.
+        kinds = table.column(named["kind"]) if "kind" in named else [""] * len(rows)
+        measured = [
+            any(cells[i] for i in at) or kind in ("fixed", "plane")
+            for cells, kind in zip(table.cells, kinds, strict=True)
+        ]
+        wanted = rows.estimation & (np.array(measured) | (not any(measured)))
+        if not wanted.any():
+            raise MeasurementError(f"{table.source}: no row that is measured is 'estimate'.")
+    # Of rows with the same joint values as many as measure the same target.
     most: Counter[bytes] = Counter()
     seen: Counter[tuple[bytes, str]] = Counter()
     kept = []
-    for i in rows:
-        pose = table.joints[i].tobytes()
-        seen[pose, table.targets[i]] += 1
-        if seen[pose, table.targets[i]] > most[pose]:
+    for i in np.flatnonzero(wanted):
+        pose = rows.joints[i].tobytes()
+        seen[pose, rows.targets[i]] += 1
+        if seen[pose, rows.targets[i]] > most[pose]:
             most[pose] += 1
             kept.append(i)
-    return kept
+    sets = tuple(rows.sets[i] for i in kept)
+    return Poses(read_only(rows.joints[kept]), sets, max(rows.rows))
 
 
 # The forecast

@@ -66,11 +66,11 @@ def note_text(note: Note) -> str:
     return _NOTES[note.code].format(", ".join(map(str, note.values)))
 
 
-def next_text(plan: Plan, robot: str, output: Path | None, taken: str | None) -> str:
+def next_text(plan: Plan, robot: str, output: Path | None, taken: Path | None) -> str:
     """What to do next with the robot as it was named, the table of the plan and that of the poses taken."""
     if output is None:
         return "No table was written; add -o plan.csv to write it."
-    fit = ["calib", "calibrate", robot, taken or str(output), "-o", "corrected.urdf"]
+    fit = ["calib", "calibrate", robot, str(taken or output), "-o", "corrected.urdf"]
     fit += ["--base", plan.robot.base, "--tip", plan.robot.tip]
     into = f", and add the rows to {taken}" if taken else ""
     steps = (

@@ -16,8 +16,7 @@ from calib.design.plan import (
     SCHEMA,
     plan,
     plan_table,
-    read_pose_list,
-    read_taken,
+    read_poses,
     write_plan,
 )
 from calib.design.route import Blocked
@@ -87,7 +86,7 @@ def test_several_targets_have_a_row_each(ur3, tmp_path):
     assert [row[2] for row in rows] == [f"P{k}" for k in range(101, 129)]
     assert rows[0][4:10] == rows[1][4:10]
     assert rows[0][13:] != rows[1][13:]
-    taken = read_taken(path, ur3)
+    taken = read_poses(path, ur3, taken=True)
     np.testing.assert_allclose(taken.joints, made.estimation, rtol=1e-15)
     assert taken.last_row == 128
 
@@ -97,15 +96,15 @@ def test_several_targets_have_a_row_each(ur3, tmp_path):
 
 def test_what_is_measured_counts_as_taken(planned, ur3, paper_table, tmp_path):
     path = write_plan(planned, tmp_path / "plan.csv")
-    still = read_taken(path, ur3)  # still to be driven: all of it counts
+    still = read_poses(path, ur3, taken=True)  # still to be driven: all of it counts
     np.testing.assert_allclose(still.joints, planned.estimation, rtol=1e-15)
     assert still.last_row == 18
     fill_in(path, planned.expected[:7, 0])
-    half = read_taken(path, ur3)
+    half = read_poses(path, ur3, taken=True)
     fitted = [i for i in range(7) if planned.sets[i] == "estimate"]
     np.testing.assert_allclose(half.joints, planned.joints[fitted], rtol=1e-15)
     paper_table.write(tmp_path / "paper.csv")
-    paper = read_taken(tmp_path / "paper.csv", ur3)
+    paper = read_poses(tmp_path / "paper.csv", ur3, taken=True)
     np.testing.assert_allclose(paper.joints, paper_table.joints[:30], rtol=1e-14)
     assert paper.last_row == 35
 
@@ -133,14 +132,14 @@ def degrees(taken):
 
 def test_tables_of_every_kind_count(table, arm):
     bare = table("j1 [deg]", "1")
-    assert degrees(read_taken(bare, arm)) == [1.0]
+    assert degrees(read_poses(bare, arm, taken=True)) == [1.0]
     pairs = table("j1 [deg],distance [mm],pair", "1,,p", "2,500,p", "3,,q", "4,501,q")
-    assert degrees(read_taken(pairs, arm)) == [1.0, 2.0, 3.0, 4.0]
+    assert degrees(read_poses(pairs, arm, taken=True)) == [1.0, 2.0, 3.0, 4.0]
     mixed = table(
         "kind,j1 [deg],x [mm],y [mm],z [mm],group", "fixed,1,,,,A", "fixed,2,,,,A", "point,3,,,,",
         "point,4,1,2,300,",
     )  # fmt: skip
-    taken = read_taken(mixed, arm)
+    taken = read_poses(mixed, arm, taken=True)
     assert degrees(taken) == [1.0, 2.0, 4.0]
 
 
@@ -199,6 +198,6 @@ def test_targets_of_one_pose_are_one_pose_and_repeats_are_several(ur3, tmp_path)
     one, other = "1,2,3,4,5,6,9,9,9", "1,2,3,4,5,7,9,9,9"
     lines = [f"estimate,a,{one}", f"estimate,b,{one}", f"estimate,a,{one}", f"validate,b,{other}"]
     path.write_text("\n".join([HEADER, *lines, ""]))
-    q, sets = read_pose_list(path, ur3)
+    q, sets, _ = read_poses(path, ur3)
     assert len(q) == 3
     assert sets == ("estimate", "estimate", "validate")

@@ -63,7 +63,7 @@ def test_the_cone_in_closed_form(q, half):
 def beam(y: float, tracker=(-2.0, 0.0, 0.0)) -> bool:
     """Whether the beam is free, of a tracker that looks along x at the tip with the ball beside the line."""
     model = model_of(turntable(y))
-    return bool(model.beam_free(ZERO, np.array([[1.5, 0.0, 0.0]]), np.array(tracker))[0])
+    return bool(model.beam_free(ORIGIN, np.array(tracker), ZERO)[0])
 
 
 def test_a_ball_beside_the_beam():
@@ -89,7 +89,9 @@ def ur3_sight() -> tuple[np.ndarray, np.ndarray]:
     q = np.random.default_rng(8).uniform(-np.pi, np.pi, (150, 6))
     model = model_of(ur3())
     q = q[model.free(q)][:100]
-    return q, model.beam_free(q, (ur3().poses(q) @ [*TARGET, 1.0])[:, :3], TRACKER)
+    T = np.eye(4)
+    T[:3, 3] = TARGET
+    return q, model.beam_free(T, TRACKER, q)
 
 
 def test_the_ur3_s_beam_against_fcl():

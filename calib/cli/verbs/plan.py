@@ -63,7 +63,7 @@ def plan(
     from calib.data.table import Table
     from calib.design.collision import CollisionCheck
     from calib.design.optimal import PlanRequest
-    from calib.design.plan import plan as make_plan, plan_table, read_taken, write_plan
+    from calib.design.plan import plan as make_plan, plan_table, read_poses, write_plan
     from calib.design.workspace import read_region
     from calib.result.calibration_file import write_table
     from calib.robot.robot import Robot
@@ -80,7 +80,7 @@ def plan(
     arm = Robot.load(robot, cell.base, cell.tip, measured=names, held=cell.held)
     point = next(iter(cell.targets.values()), cell.target)
     place = None if region is None else read_region(region, arm, point)
-    before = None if taken is None else read_taken(taken, arm)
+    before = None if taken is None else read_poses(taken, arm, taken=True)
     check = CollisionCheck(clear, floor, package_dirs=tuple(package_dir or ()))
     request = PlanRequest(count, validation, criterion, candidates, gap, seed=seed)
     if start:
@@ -107,6 +107,5 @@ def plan(
         plan_page(made).write(view, overwrite=force)
     if not quiet:
         written = [f"Written: {path}" for path in (output, json, view) if path is not None]
-        source = None if before is None else before.source
-        following = next_text(made, robot, output, source)
+        following = next_text(made, robot, output, taken)
         typer.echo("\n".join([plan_text(made), "", *written, following]))

@@ -80,7 +80,7 @@ def simulate(
     # Workers begin first: they import what they need while robot and scenario are prepared here.
     with executor_of(workers, dask, study) as executor:
         from calib.cli.terminal import progress_bar
-        from calib.design.plan import read_pose_list
+        from calib.design.plan import read_poses
         from calib.result.calibration_file import write_table
         from calib.simulation import study as studies
         from calib.simulation.scenario import (
@@ -103,7 +103,7 @@ def simulate(
             truth_robot=truth_robot,
             target_error=target_error,
         )
-        given, sets = (None, ()) if poses is None else read_pose_list(poses, arm)
+        given, sets = (None, ()) if poses is None else read_poses(poses, arm)[:2]
         extra = (10 if given is None else 0) if validation is None else validation
         if study is None:
             assert output is not None and truth is not None  # noqa: PT018
