@@ -158,20 +158,21 @@ class Density:
     origin: Array  #: shape (3,), the grid's least corner [m].
     voxel: float  #: Edge of a voxel [m].
     counts: NDArray[np.int64]  #: shape (nx, ny, nz), samples in each voxel.
-    #: shape (nx, ny, nz), the same smoothed over neighbours, 0 where there is no sample.
-    smooth: Array
+    smooth: (
+        Array  #: shape (nx, ny, nz), the same smoothed over neighbours, 0 where there is no sample.
+    )
+    needed: Array  #: shape (nx, ny, nz), the smallest share whose region has a voxel, infinite likewise.
 
     @classmethod
     def of(cls, points: ArrayLike, voxel: float | None = None) -> Density:
-        """Count points of shape (N, 3), in the base frame [m]; None: a voxel of a size that suits them.
-
-        Raises:
-            CalibError: A voxel that makes no grid, or one of more than `MOST_VOXELS`.
-        """
+        """Count points of shape (N, 3), in the base frame [m]; None: a voxel of a size that suits them."""
         values = np.asarray(points, dtype=np.float64)
         edge = _chosen_voxel(values) if voxel is None else float(voxel)
         origin, counts = _counted(values, edge)
-        return cls(origin, edge, counts, _smoothed(counts)[0])
+        smooth, needed = _smoothed(counts)[0], np.full(counts.size, np.inf)
+        order = np.argsort(-smooth.ravel(), kind="stable")[: np.count_nonzero(counts)]
+        needed[order] = np.cumsum(counts.ravel()[order]) / len(values)
+        return cls(origin, edge, counts, smooth, needed.reshape(counts.shape))
 
     @property
     def samples(self) -> int:
@@ -184,37 +185,22 @@ class Density:
         return Region(self.origin, self.voxel, self.counts > 0, 1.0, 1.0).bounds
 
     def region(self, share: float = 0.95) -> Region:
-        """The fewest voxels that hold a share of the samples: those of the highest density first.
-
-        Raises:
-            CalibError: The share is not greater than 0 and at most 1.
-        """
+        """The fewest voxels that hold a share of the samples: those of the highest density first."""
         if not 0.0 < share <= 1.0:
             raise CalibError(
                 f"The share is {share:g}; it must be greater than 0 and at most 1, such as 0.95."
             )
-        order, held = self._by_density()
         # Sums of counts are exact, so that 0.95 of 100 samples is 95 of them.
-        last = int(np.searchsorted(held, share * (1.0 - 1e-12)))
-        cells = np.isin(np.arange(self.counts.size), order[: last + 1]).reshape(self.counts.shape)
-        return Region(self.origin, self.voxel, cells, float(share), float(held[last]))
+        held = float(self.needed[self.needed >= share * (1.0 - 1e-12)].min())
+        return Region(self.origin, self.voxel, self.needed <= held, float(share), held)
 
     def share_of(self, points: ArrayLike) -> Array:
         """The smallest share whose region holds each of the points, shape (N, 3), in the base frame [m].
 
         shape (N,): near 0 where the target is most often, 1 at the rim of the workspace, infinite where no sample came.
         """
-        order, held = self._by_density()
-        needed = np.full(self.counts.size, np.inf)
-        needed[order] = held
         index, known = _voxel_of(np.asarray(points), self.origin, self.voxel, self.counts.shape)
-        return np.where(known, needed.reshape(self.counts.shape)[tuple(index.T)], np.inf)
-
-    def _by_density(self) -> tuple[NDArray[np.intp], Array]:
-        """The voxels with samples, densest first, and the share that those up to each hold."""
-        order = np.argsort(-self.smooth.ravel(), kind="stable")[: np.count_nonzero(self.counts)]
-        held = np.cumsum(self.counts.ravel()[order]) / self.samples
-        return order, held
+        return np.where(known, self.needed[tuple(index.T)], np.inf)
 
 
 class Checked(NamedTuple):
@@ -229,20 +215,12 @@ class Checked(NamedTuple):
 class RegionView:
     """A region of a robot's workspace as it is printed and drawn."""
 
-    robot: Robot  #: The nominal robot.
+    robot: Robot
     target: Array  #: shape (3,), in the tip [m].
     ranges: Array  #: shape (m, 2), of the joints [rad] or [m].
-    density: Density  #: The density.
-    region: Region  #: A region of it.
-    #: A table whose rows are compared with the region; None for none.
-    checked: Checked | None = None
-
-    @property
-    def pose(self) -> Array:
-        """Joint values to draw the robot at, shape (m,): the first row's, or the middle of the ranges."""
-        if self.checked is not None and len(self.checked.rows):
-            return np.asarray(self.checked.rows.joints_for(self.robot.joint_names)[0])
-        return np.asarray(self.ranges.mean(axis=1))
+    density: Density
+    region: Region
+    checked: Checked | None = None  #: A table whose rows are compared with the region.
 
 
 def _counted(points: Array, voxel: float) -> tuple[Array, NDArray[np.int64]]:
@@ -299,10 +277,11 @@ def _chosen_voxel(points: Array) -> float:
 def write_region(view: RegionView, path: str | Path, seed: int, *, overwrite: bool = False) -> Path:
     """Write a region and what it was made from as JSON; ``seed`` is that of the samples."""
     robot, region, flat = view.robot, view.region, view.region.cells.ravel()
-    joints = []
-    for joint, (low, high) in zip(robot.inputs, view.ranges.tolist(), strict=True):
-        unit = "m" if joint.type == "prismatic" else "rad"
-        joints.append({"name": joint.name, f"low_{unit}": low, f"high_{unit}": high})
+    units = ["m" if joint.type == "prismatic" else "rad" for joint in robot.inputs]
+    joints = [
+        {"name": name, f"low_{unit}": low, f"high_{unit}": high}
+        for name, unit, (low, high) in zip(robot.joint_names, units, view.ranges, strict=True)
+    ]
     runs = np.diff([0, *np.flatnonzero(np.diff(flat)) + 1, flat.size]).tolist()
     table = {
         "schema": SCHEMA,

@@ -105,7 +105,7 @@ def _draw_dots(
 
 def region_page(view: RegionView) -> Page:
     """A region about the nominal robot, in bands by how often the target is there."""
-    q = view.pose
+    q = view.ranges.mean(axis=1)
     target = (view.robot.poses(q)[0] @ np.append(view.target, 1.0))[:3]
     centres = view.region.origin + view.region.voxel * (np.argwhere(view.region.cells) + 0.5)
     title, text = headings(view)
