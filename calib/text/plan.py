@@ -143,7 +143,7 @@ def _span(f: Forecast) -> str:
 
 
 def _ladder(plan: Plan) -> Iterator[str]:
-    """Forecasts for other numbers of poses, and from which on five more of them gain little."""
+    """Forecasts for other numbers of poses."""
     if not plan.ladder:
         return
     more = f" beside the {len(plan.taken)} taken" if len(plan.taken) else ""

@@ -315,39 +315,9 @@ def urdf_with(folder, filename: str, more: str = "") -> Urdf:
     return Urdf.read(path)
 
 
-@pytest.mark.parametrize(
-    ("filename", "place", "folders"),
-    [
-        ("t.obj", "robot/t.obj", ()),
-        ("package://mine/meshes/t.obj", "elsewhere/mine/meshes/t.obj", ("elsewhere",)),
-        ("file://{tmp}/there/t.obj", "there/t.obj", ()),
-    ],
-)
-def test_where_a_mesh_may_lie(tmp_path, filename, place, folders):
-    (tmp_path / place).parent.mkdir(parents=True, exist_ok=True)
-    (tmp_path / place).write_text(TETRAHEDRON)
-    urdf = urdf_with(tmp_path, filename.format(tmp=tmp_path))
-    ((solid,), *_) = read_solids(urdf, [tmp_path / folder for folder in folders])
-    assert solid.link == "a"
-    np.testing.assert_array_equal(solid.T_link_shape[:3, 3], [1, 0, 0])
-    solid.geometry.computeLocalAABB()
-    np.testing.assert_allclose(np.ravel(solid.geometry.aabb_local.max_), [2, 2, 2])  # the scale
-
-
 def test_a_mesh_that_is_missing_is_named(tmp_path):
     with pytest.raises(UrdfError, match=r"link 'a': the mesh 'package://nowhere/t\.stl' was not"):
         read_solids(urdf_with(tmp_path, "package://nowhere/t.stl"), [tmp_path / "mine"])
-
-
-@pytest.mark.parametrize(
-    ("content", "said"), [(b"no mesh", "is empty"), (b"", "cannot be read|is empty")]
-)
-def test_a_mesh_that_cannot_be_read_is_named(tmp_path, content, said):
-    (tmp_path / "bad.stl").write_bytes(content)
-    with pytest.raises(
-        UrdfError, match=rf"link 'a': the mesh '.*bad\.stl' ({said}); or plan without"
-    ):
-        read_solids(urdf_with(tmp_path, "../bad.stl"))
 
 
 def test_simple_shapes(tmp_path):

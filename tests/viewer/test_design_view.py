@@ -1,0 +1,143 @@
+"""The pages of a plan and a region: targets, way, boxes, lines of sight, voxels and rows where they are."""
+
+from __future__ import annotations
+
+import base64
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import umsgpack
+
+from calib import example
+from calib.data.cell import Cell
+from calib.data.measurements import Measurements
+from calib.data.surroundings import Box, Tracker
+from calib.design.optimal import PlanRequest
+from calib.design.plan import plan
+from calib.design.workspace import Checked, Density, RegionView, workspace
+from calib.robot.readback import joint_ranges, random_joint_values
+from calib.viewer.design_view import plan_page, region_page
+
+TARGET = np.array(example.PAPER_TARGET)
+
+
+def scene_of(page) -> dict:
+    text = re.search(rb'id="scene">([^<]*)<', page.html).group(1)
+    return umsgpack.unpackb(base64.b64decode(text))
+
+
+def moved(scene: dict, pattern: str) -> np.ndarray:
+    """The transforms of some nodes, shape (N, 4, 4)."""
+    found = [
+        np.array(c["matrix"]).reshape(4, 4).T
+        for c in scene["commands"]
+        if c["type"] == "set_transform" and re.fullmatch(f"/robots/{pattern}", c["path"])
+    ]
+    return np.array(found)
+
+
+def positions(scene: dict, node: str) -> np.ndarray:
+    """The points of a cloud or of lines, shape (N, 3)."""
+    (command,) = [
+        c for c in scene["commands"] if c["type"] == "set_object" and c["path"] == f"/robots/{node}"
+    ]
+    (name,) = command["object"]["geometries"]
+    packed = scene["geometries"][name]["data"]["attributes"]["position"]["array"]
+    return np.frombuffer(packed.data, dtype="<f4").reshape(-1, 3).astype(float)
+
+
+# A plan
+
+
+@pytest.fixture(scope="module")
+def planned(ur3):
+    T_base_table = np.eye(4)
+    T_base_table[:3, 3] = (0.1, 0.0, -0.03)
+    cell = Cell(
+        target=TARGET,
+        model="zeros",
+        tracker=Tracker(np.array([2.5, 1.0, 0.8])),
+        boxes=(Box("the <table>", np.array([1.2, 0.8, 0.04]), T_base_table),),
+    )
+    request = PlanRequest(6, 2, candidates=200, ladder=False)
+    return plan(ur3, cell, request, taken=random_joint_values(ur3, 3), collisions=None)
+
+
+def test_targets_way_sight_and_boxes_of_a_plan(planned):
+    scene, sets = scene_of(plan_page(planned)), np.array(planned.sets)
+    for word in ("estimate", "validate"):
+        # The measurement frame is the base: what to expect is the same place.
+        expected = planned.expected[sets == word][:, 0]
+        np.testing.assert_allclose(moved(scene, rf"{word}/\d+")[:, :3, 3], expected, atol=1e-12)
+    taken = moved(scene, r"taken/\d+")[:, :3, 3]
+    np.testing.assert_allclose(taken, planned.places(planned.taken)[:, 0], atol=1e-12)
+    places = planned.places(planned.joints)[:, 0]
+    way = positions(scene, "way").reshape(-1, 2, 3)
+    np.testing.assert_allclose(way, np.stack([places[:-1], places[1:]], axis=1), atol=1e-6)
+    beams = positions(scene, "sight").reshape(-1, 2, 3)
+    np.testing.assert_allclose(beams[:, 0], places, atol=1e-6)
+    towards, along = planned.cell.tracker.position - places, beams[:, 1] - beams[:, 0]
+    size = np.linalg.norm(along, axis=1) * np.linalg.norm(towards, axis=1)
+    np.testing.assert_allclose(np.sum(along * towards, axis=1), size, rtol=1e-6)
+    (table,) = moved(scene, r"around/\d+")
+    np.testing.assert_allclose(table, planned.cell.boxes[0].T_base_box, atol=1e-12)
+
+
+# A region
+
+
+@pytest.fixture(scope="module")
+def view(ur3):
+    rows = Measurements.read(example.paper_measurements(), ur3.joint_names, ur3.joint_types)
+    q = rows.joints_for(ur3.joint_names)
+    ranges = joint_ranges(ur3, like=q[rows.estimation], margin=np.radians(5.0))
+    density = Density.of(workspace(ur3, TARGET, ranges, 2**16))
+    checked = Checked(rows, rows.points, np.ones(len(rows), dtype=bool))
+    return RegionView(ur3, TARGET, ranges, density, density.region(0.95), checked)
+
+
+def test_bands_rows_and_target_of_a_region(view):
+    page = region_page(view)
+    scene = scene_of(page)
+    clouds = [positions(scene, f"band{i}") for i in range(3)]
+    assert sum(map(len, clouds)) == np.count_nonzero(view.region.cells)
+    for cloud, (low, high) in zip(clouds, ((0, 0.5), (0.5, 0.8), (0.8, 0.951)), strict=True):
+        needed = view.density.share_of(cloud)
+        # A point rounded to 32 bits may fall into the next voxel.
+        assert np.mean((needed > low) & (needed <= high + 1e-3)) > 0.999
+    assert b"the densest 50 %" in page.html
+    assert b"up to 95 %" in page.html
+    rows = view.checked
+    for node, row in (("estimation/003", 3), ("validation/004", 34)):
+        np.testing.assert_allclose(moved(scene, node)[0, :3, 3], rows.points[row], atol=1e-12)
+    T = view.robot.poses(view.ranges.mean(axis=1))[0]
+    target = moved(scene, "nominal/target")[0, :3, 3]
+    np.testing.assert_allclose(target, T[:3, :3] @ view.target + T[:3, 3], atol=1e-12)
+    assert page.warnings == ()
+
+
+def test_many_voxels_are_thinned_out_and_a_share_has_its_bands(view, ur3):
+    small = region_page(replace(view, region=view.density.region(0.3)))
+    assert b"the densest 30 %" in small.html
+    assert b"band1" not in small.html
+    density = Density.of(workspace(ur3, count=2**18), 0.02)
+    big = replace(view, density=density, region=density.region(1.0), checked=None)
+    assert np.count_nonzero(big.region.cells) > 70_000
+    scene = scene_of(region_page(big))
+    assert sum(len(positions(scene, f"band{i}")) for i in range(3)) == 60_000
+
+
+@pytest.mark.slow
+def test_chromium_shows_robot_bands_and_rows_and_calls_nobody(browser, view, tmp_path):
+    path = region_page(view).write(tmp_path / "view.html")
+    with browser.open(path.as_uri()) as tab:
+        picture = tab.screenshot().astype(int)
+        assert tab.console == []
+        assert tab.elsewhere == []
+    red, green, blue = np.moveaxis(picture[80:640, 200:1080], -1, 0)
+    assert ((red > 210) & (green > 140) & (blue < 120)).sum() > 100  # seldom
+    assert (
+        (red > 100) & (red - green > 70) & (red - blue > 30) & (green < 100)
+    ).sum() > 100  # often
