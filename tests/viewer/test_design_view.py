@@ -11,9 +11,8 @@ import pytest
 import umsgpack
 
 from calib import example
-from calib.data.cell import Cell
+from calib.data.cell import Box, Cell, Tracker
 from calib.data.measurements import Measurements
-from calib.data.surroundings import Box, Tracker
 from calib.design.optimal import PlanRequest
 from calib.design.plan import plan
 from calib.design.workspace import Checked, Density, RegionView, workspace
