@@ -11,7 +11,6 @@ import pytest
 from calib.errors import FileError
 from calib.files import (
     check_writable,
-    json_bytes,
     read_bytes,
     read_json,
     write_atomically,
@@ -45,18 +44,6 @@ def test_a_pipe_can_be_asked_for_twice(tmp_path: Path):
     writer.join()
 
 
-def test_writes_a_new_file_with_the_permissions_of_the_umask(tmp_path: Path):
-    path = tmp_path / "new.urdf"
-    before = os.umask(0o027)
-    try:
-        assert write_atomically(path, b"abc", overwrite=False) == path
-    finally:
-        os.umask(before)
-    assert path.read_bytes() == b"abc"
-    assert stat.S_IMODE(path.stat().st_mode) == 0o640
-    assert names(tmp_path) == ["new.urdf"]
-
-
 def test_an_existing_file_stays_unless_asked_and_keeps_its_permissions(tmp_path: Path):
     path = tmp_path / "a.urdf"
     path.write_bytes(b"old")
@@ -68,18 +55,6 @@ def test_an_existing_file_stays_unless_asked_and_keeps_its_permissions(tmp_path:
     assert path.read_bytes() == b"new"
     assert stat.S_IMODE(path.stat().st_mode) == 0o604
     assert names(tmp_path) == ["a.urdf"]
-
-
-def test_follows_symbolic_links(tmp_path: Path):
-    (tmp_path / "elsewhere").mkdir()
-    target, link = tmp_path / "elsewhere" / "target", tmp_path / "link"
-    link.symlink_to(target)
-    write_atomically(link, b"old", overwrite=False)
-    with pytest.raises(FileError, match="exists already"):
-        write_atomically(link, b"new", overwrite=False)
-    write_atomically(link, b"new", overwrite=True)
-    assert link.is_symlink()
-    assert target.read_bytes() == b"new"
 
 
 @pytest.mark.parametrize("overwrite", [False, True])
@@ -145,14 +120,3 @@ def test_what_is_none_is_refused(tmp_path, text, said):
     with pytest.raises(FileError, match=r"t\.json") as raised:
         read(path)
     assert said in str(raised.value)
-
-
-def test_names_that_utf_8_lacks_are_read_as_they_were(tmp_path):
-    table = {
-        "schema": "thing 1",
-        "name": "data\udcff é 関.csv",
-    }  # as Python reads the byte 0xff in a file name
-    path = tmp_path / "t.json"
-    path.write_bytes(json_bytes(table))
-    assert read(path) == table
-    assert "é 関" in path.read_text(encoding="utf-8")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, strategies as st
+from hypothesis import strategies as st
 
 import calib
 from calib.data.measurements import Measurements
@@ -155,32 +155,6 @@ def test_joints_for_another_order():
     assert "'wrist_3_joint'" in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
-        ({"points": np.ones((2, 2))}, "'points' has shape (2, 2) and should have (2, 3)"),
-        ({"joints": np.ones((3, 1))}, "should have (2, 1)"),
-        ({"sets": ("estimate",)}, "'sets' has 1 entries"),
-        ({"sets": ("estimate", "test")}, "row 2: 'test' in 'sets'"),
-        ({"rows": (7, 7)}, "row number 7"),
-        ({"points": [[0, 0, 1], [0, np.nan, 0]]}, "row 2: 'points' is nan"),
-        ({"joints": [[np.inf], [0]]}, "row 1: 'a' is inf"),
-        ({"joints": [[0], [2e6]]}, "row 2: 'a' is 2e+06"),
-        ({"sigma": [1e-4, 0.0]}, "row 2: 'sigma' is 0;"),
-        ({"sigma": [1e300, 1e-4]}, "row 1: 'sigma' is 1e+300"),
-        ({"joint_names": ("x",)}, "joint names are unique"),
-        ({"joint_names": ("a", "a"), "joints": np.ones((2, 2))}, "given were 'a'"),
-        ({"readings": {"angle": np.ones(2)}}, "No kind of measurement reads 'angle'"),
-    ],
-)
-def test_what_does_not_fit_together_is_refused(change, says):
-    good = {"joint_names": ("a",), "joints": np.ones((2, 1)), "points": np.ones((2, 3))}
-    Measurements(**good)
-    with pytest.raises(MeasurementError) as caught:
-        Measurements(**(good | change))
-    assert says in str(caught.value)
-
-
 # Reading
 
 
@@ -227,36 +201,6 @@ names = st.text(alphabet="abJ_ 0[].,;'\"#é", min_size=1, max_size=8).filter(
     lambda text: text == text.strip()
 )
 values = st.floats(-3, 3).filter(lambda value: value == 0 or abs(value) > 1e-300)
-
-
-@given(st.data())
-def test_what_is_written_reads_back(tmp_path_factory, data):
-    joint_names = tuple(data.draw(st.lists(names, min_size=1, max_size=3, unique=True)))
-    count = data.draw(st.integers(1, 4))
-
-    def array(elements, width):
-        row = st.lists(elements, min_size=width, max_size=width)
-        return np.array(data.draw(st.lists(row, min_size=count, max_size=count)))
-
-    def tuples(elements, **more):
-        return tuple(data.draw(st.lists(elements, min_size=count, max_size=count, **more)))
-
-    m = Measurements(
-        joint_names,
-        array(values, len(joint_names)),
-        np.add(array(values, 3), [0, 0, 4]),
-        sets=("estimate", *tuples(st.sampled_from(["estimate", "validate"]))[1:]),
-        sigma=data.draw(st.none() | st.just(np.full(count, 1.3e-4))),
-        targets=tuples(names),
-        groups=tuples(names | st.just("")),
-        rows=tuples(st.integers(-(10**6), 10**6), unique=True),
-        prismatic=tuple(data.draw(st.sets(st.sampled_from(joint_names)))),
-    )
-    path = tmp_path_factory.mktemp("written") / "data.csv"
-    m.write(path)
-    again = Measurements.read(path, joint_names)
-    assert_same(again, replace(m, prismatic=again.prismatic))
-    assert set(again.prismatic) == set(m.prismatic)
 
 
 # Refusals: the file
@@ -430,22 +374,3 @@ def lines_of(count, sign=","):
         numbers = [f"{v:.4f}".replace(".", "," if sign == ";" else ".") for v in values]
         set_ = ("estimate", "validate")[i % 2]
         yield sign.join([str(i + 1), set_, *numbers, "ball", f"day {i % 3}", "am"])
-
-
-def test_a_fault_far_down_is_named_by_line_and_column(tmp_path):
-    lines = list(lines_of(9000))
-    path = tmp_path / "data.csv"
-    for at, old, new, says in (
-        (8000, "ball", "", "line 8001 (row 8000), column 'target': the cell is empty"),
-        (7000, "7000,", "7,", "the row number 7 stands there twice"),
-        (6000, "estimate", '"estimate', "double quotes"),
-    ):
-        wrong = [*lines[:at], lines[at].replace(old, new, 1), *lines[at + 1 :]]
-        if new.startswith('"'):
-            wrong[at] = wrong[at].replace("validate", '"validate')
-        path.write_text("\n".join(wrong))
-        refused(path, says=says)
-    lines = list(lines_of(9000, ";"))
-    lines[8000] = lines[8000].replace(",", ".", 1)
-    path.write_text("\n".join(lines))
-    refused(path, says="a decimal point in line 8001 and a decimal comma in line 2")
