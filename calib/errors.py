@@ -60,6 +60,7 @@ def choices(names: Iterable[str], limit: int = 12) -> str:
 
 
 def did_you_mean(name: str, names: Iterable[str]) -> str:
-    """The names most like the one given, as the end of a message; empty if none is like it."""
-    close = difflib.get_close_matches(name, names, n=3)
-    return f" (did you mean {' or '.join(repr(match) for match in close)}?)" if close else ""
+    """The names most like the one given, in any case, as the end of a message; empty if none is like it."""
+    plain = {one.casefold(): one for one in names}
+    close = [plain[match] for match in difflib.get_close_matches(name.casefold(), plain, n=3)]
+    return f" (did you mean {' or '.join(map(repr, close))}?)" if close else ""

@@ -29,7 +29,6 @@ from calib.data.table import (
     list_columns,
     name_columns,
     with_unit,
-    without_unit,
 )
 from calib.errors import MeasurementError, ModelError, choices
 from calib.robot.robot import Robot, read_only
@@ -201,7 +200,7 @@ def _numbers(
     form = tuple(column.name for column in turns)
     by_angles = form == ROLL_PITCH_YAW
     if form == QUATERNION:
-        turns = tuple(without_unit(table, column) for column in turns)
+        turns = tuple(with_unit(table, column, None, FORMS[form]) for column in turns)
     else:
         common = "deg" if by_angles else "rad"
         turns = tuple(with_unit(table, c, "angle", FORMS[form], common) for c in turns)

@@ -28,15 +28,13 @@ from calib.data.table import (
     TORQUE,
     Column,
     Table,
-    close_names,
     implausible,
     list_columns,
     name_columns,
     reserved,
     with_unit,
-    without_unit,
 )
-from calib.errors import MeasurementError, choices
+from calib.errors import MeasurementError, choices, did_you_mean
 from calib.units import Quantity, Unit
 
 Array = NDArray[np.float64]
@@ -207,7 +205,7 @@ def _orientation(table: Table, named: Named) -> Columns:
     if there[0] == ROTATION_VECTOR:
         what = "a rotation vector; --kind point leaves the orientation out"
         return tuple(with_unit(table, named[n], "angle", what, "rad") for n in ROTATION_VECTOR)
-    return tuple(without_unit(table, named[name]) for name in QUATERNION)
+    return tuple(with_unit(table, named[name], None, "a quaternion") for name in QUATERNION)
 
 
 def _torques(table: Table, named: Named, joints: Columns) -> Columns:
@@ -238,13 +236,10 @@ def _joints(
     missing = [name for name in joint_names if name not in named]
     if missing:
         others = [name for name in free if name not in joint_names]
-        # One each where many are missing: the line stays short enough to read.
-        most = 3 if len(missing) < 3 else 1
-        close = {name: close_names(name, others)[:most] for name in missing}
-        hint = "".join(f" Close to '{n}': {choices(names)}." for n, names in close.items() if names)
+        listed = ", ".join(f"'{name}'{did_you_mean(name, others)}" for name in missing[:12])
         header = f"{missing[0]} [{'mm' if types.get(missing[0]) == 'prismatic' else 'deg'}]"
         raise MeasurementError(
-            f"{table.source}: no column for the joints {choices(missing)}. {list_columns(table)}{hint} The header of "
+            f"{table.source}: no column for the joints {listed}. {list_columns(table)} The header of "
             f"such a column is '{header}'; another name is mapped by --columns \"name in the table={header}\"."
         )
     joints = tuple(named[name] for name in joint_names)

@@ -12,8 +12,8 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.data.table import POINT, Column, Table, close_names, implausible, read_text
-from calib.errors import MeasurementError, choices
+from calib.data.table import POINT, Column, Table, implausible, read_text
+from calib.errors import MeasurementError, choices, did_you_mean
 from calib.units import UNITS, Unit, symbols
 
 #: Between collection, group and point.
@@ -87,9 +87,8 @@ class Points:
                 whole = choices(dict.fromkeys(self.names[i] for i in hits))
                 fault = f"several points are called '{name}', in lines {lines}; write the whole name: {whole}"
             elif not hits and not complete:
-                close = close_names(name, [*self.names, *map(_last, self.names)])
-                has = f"Close to it: {choices(close)}" if close else f"It has {choices(self.names)}"
-                fault = f"there is no point '{name}'. {has}"
+                near = did_you_mean(name, [*self.names, *map(_last, self.names)][:1000])
+                fault = f"there is no point '{name}'{near}; it has {choices(self.names)}"
             elif hits and taken.setdefault(hits[0], row) != row:
                 fault = (
                     f"row {taken[hits[0]]} names the point '{name}' too, which was measured once"
@@ -145,7 +144,7 @@ def read_points(path: str | Path, unit: str | None = None) -> Points:
     table = Table(source, sha256, separator, (), tuple(lines), padded)
     named, at = _columns(table, _heading(headings, separator, cells))
     length = _find_unit(remarks, unit, source)
-    columns = [Column(i, axis, axis, length) for i, axis in zip(at, POINT, strict=True)]
+    columns = [Column(i, axis, axis, length.symbol) for i, axis in zip(at, POINT, strict=True)]
     values = table.numbers(columns)
     for i in np.flatnonzero(~np.isfinite(values).all(axis=1)):
         _refuse(table, int(i))

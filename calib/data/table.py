@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import codecs
 import csv
-import difflib
 import hashlib
 import io
 from collections.abc import Mapping, Sequence
@@ -20,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import calib.data.kinds as registry
-from calib.errors import CalibError, FileError, MeasurementError, choices
+from calib.errors import CalibError, FileError, MeasurementError, choices, did_you_mean
 from calib.files import read_bytes
 from calib.units import (
     NUMBER,
@@ -28,7 +27,6 @@ from calib.units import (
     Quantity,
     Unit,
     find_unit,
-    parse_header,
     split_header,
     symbols,
 )
@@ -76,12 +74,21 @@ class Column:
     index: int  #: From 0.
     label: str  #: The header cell as written, for messages.
     name: str  #: After ``--columns`` was applied.
-    unit: Unit | None  #: None without brackets, or when the unit is unknown.
+    symbol: str | None  #: Of the unit; None without brackets.
+
+    @property
+    def unit(self) -> Unit | None:
+        """The unit; None without one, and for one that is unknown: it may not matter."""
+        try:
+            return None if self.symbol is None else find_unit(self.symbol)
+        except CalibError:
+            return None
 
     @property
     def to_si(self) -> float:
         """What a value is multiplied by; 1 for numbers without a unit, those of a quaternion."""
-        return 1.0 if self.unit is None else self.unit.to_si
+        unit = self.unit
+        return 1.0 if unit is None else unit.to_si
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -223,12 +230,6 @@ def list_columns(table: Table) -> str:
     return f"The columns found: {choices((label for label in table.header if label), limit=30)}."
 
 
-def close_names(name: str, candidates: Sequence[str]) -> list[str]:
-    """The candidates, of the first 500, that are spelt most like a name, small and capital letters alike."""
-    plain = {candidate.casefold(): candidate for candidate in candidates[:500]}
-    return [plain[hit] for hit in difflib.get_close_matches(name.casefold(), plain, n=3)]
-
-
 def name_columns(
     table: Table, joint_names: Sequence[str], columns: Mapping[str, str]
 ) -> tuple[dict[str, Column], tuple[Column, ...]]:
@@ -243,20 +244,25 @@ def name_columns(
         # By the names as written: two columns may swap theirs.
         hits = [i for i, name in written.items() if key.strip() in (name, table.header[i])]
         if not hits:
-            close = close_names(key, list(written.values()))
-            hint = f" Close to it: {choices(close)}." if close else ""
             raise MeasurementError(
-                f"{table.source}: there is no column '{key}', which --columns maps to '{wanted}'.{hint} "
-                f"{list_columns(table)}"
+                f"{table.source}: there is no column '{key}', which --columns maps to '{wanted}'"
+                f"{did_you_mean(key, written.values())}. {list_columns(table)}"
             )
         given |= dict.fromkeys(hits, wanted)
     meant = {*reserved(), *ORIENTATION, *ROLL_PITCH_YAW, STATUS}
     named: dict[str, Column] = {}
     groups: list[Column] = []
     for i in written:
-        column = _column(table, i, given.get(i))
-        if column.name == IGNORE and i in given:
+        label = table.header[i]
+        name, symbol = split_header(given.get(i, label))
+        if name == IGNORE and i in given:
             continue
+        own = split_header(label)[1]
+        if None not in (symbol, own) and symbol != own:
+            raise MeasurementError(
+                f"{table.source}, column '{label}': --columns gives it another unit, '{given[i]}'. Correct one of them."
+            )
+        column = Column(i, label, name, symbol or own)
         if column.name.casefold() in meant and column.name not in joint_names:
             column = replace(column, name=column.name.casefold())
         if column.name == "group":
@@ -273,62 +279,27 @@ def name_columns(
     return named, tuple(groups)
 
 
-def _column(table: Table, index: int, wanted: str | None) -> Column:
-    """A column by its header, and by the name and unit that ``--columns`` wants for it."""
-    label = table.header[index]
-    name, symbol = split_header(label)
-    try:
-        unit = None if symbol is None else find_unit(symbol)
-    except CalibError:
-        unit = None  # it may not matter
-    if wanted is None:
-        return Column(index, label, name, unit)
-    try:
-        name, given = parse_header(wanted)
-    except CalibError as error:
-        message = f"{table.source}: --columns maps '{label}' to '{wanted}': {error}"
-        raise MeasurementError(message) from error
-    if None not in (unit, given) and unit != given:
-        raise MeasurementError(
-            f"{table.source}, column '{label}': --columns gives it another unit, '{wanted}'. Correct one of them."
-        )
-    return Column(index, label, name, given or unit)
-
-
 def with_unit(
-    table: Table, column: Column, quantity: Quantity, what: str = "", common: str = ""
+    table: Table, column: Column, quantity: Quantity | None, what: str = "", common: str = ""
 ) -> Column:
-    """The column, which must be in a unit of this quantity; ``what`` it is, and the ``common`` unit to propose.
+    """The column, which must be in a unit of this quantity, or have none; ``what`` it is, and a unit to propose.
 
     Raises:
         MeasurementError: It has no unit, or one of another quantity.
     """
-    if column.unit is not None and column.unit.quantity == quantity:
+    unit, where = column.unit, f"{table.source}, column '{column.label}'{f' ({what})' * bool(what)}"
+    if quantity is None:
+        if column.symbol not in (None, "", "-", "1"):
+            raise MeasurementError(f"{where}: '{column.symbol}' cannot be; there is no unit here.")
         return column
-    common = common or COMMON[quantity]
-    written, symbol = split_header(column.label)
-    found = symbol if column.unit is None else column.unit.symbol
-    fault = "the column has no unit" if found is None else f"'{found}' is not a unit of {quantity}"
+    if unit is not None and unit.quantity == quantity:
+        return column
+    header = f"{split_header(column.label)[0]} [{common or COMMON[quantity]}]"
+    fault = f"'{column.symbol}' is not a unit of {quantity}"
     raise MeasurementError(
-        f"{table.source}, column '{column.label}'{f' ({what})' * bool(what)}: {fault}. Write the header "
-        f"'{written} [{common}]', or --columns \"{written}={column.name} [{common}]\"; allowed are "
-        f"{choices(symbols(quantity))}."
+        f"{where}: {fault if column.symbol else 'the column has no unit'}. Write the header '{header}', or --columns "
+        f'"{header.replace(" [", f"={column.name} [")}"; allowed are {choices(symbols(quantity))}.'
     )
-
-
-def without_unit(table: Table, column: Column) -> Column:
-    """The column of a quaternion's number, which has no unit.
-
-    Raises:
-        MeasurementError: It has one.
-    """
-    unit = column.unit.symbol if column.unit else split_header(column.label)[1]
-    if unit not in (None, "", "-", "1"):
-        raise MeasurementError(
-            f"{table.source}, column '{column.label}': '{unit}' cannot be; a quaternion has no unit. Correct the "
-            f"header to '{column.name}'; for angles, to 'rx [deg]' and so on."
-        )
-    return replace(column, unit=None)
 
 
 # Numbers

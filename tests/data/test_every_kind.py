@@ -85,7 +85,7 @@ POSE = "a [deg],x [mm],y [mm],z [mm],"
     ("header", "row", "says"),
     [
         ("qx,qy,qz,qw", "0,0,0,0.9", ["line 2 (row 1)", "length 0.9", "is 1"]),
-        ("qx,qy,qz,qw [rad]", "0,0,0,1", ["column 'qw [rad]'", "'rad' cannot be", "'rx [deg]'"]),
+        ("qx,qy,qz,qw [rad]", "0,0,0,1", ["column 'qw [rad]'", "'rad' cannot be"]),
         ("rx,ry,rz,b", "0,0,1,1", ["column 'rx' (a rotation vector", "no unit", "'rx [rad]'"]),
         ("rx [mm],ry [rad],rz [rad],b", "0,0,1,1", ["'mm' is not a unit of angle"]),
         ("rx [rad],ry [rad],rz [rad],b", "0,0,90,1", ["'rx [rad]'", "look like degrees"]),

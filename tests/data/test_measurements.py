@@ -243,12 +243,9 @@ def test_headers_that_are_refused(table, header, joint_names, says):
 
 def test_missing_joints_are_named_with_what_is_close(table):
     path = table("Elbow [deg],sholder_pan_joint [deg],x [mm],y [mm],z [mm]", "1,2,3,4,5")
-    text = refused(
-        path, joint_names=["shoulder_pan_joint", "elbow", "tool"], says="'shoulder_pan_joint', "
-    )
-    assert "Close to 'shoulder_pan_joint': 'sholder_pan_joint'" in text
-    assert "Close to 'elbow': 'Elbow'" in text
-    assert "Close to 'tool'" not in text
+    text = refused(path, joint_names=["shoulder_pan_joint", "elbow", "tool"], says="data.csv: ")
+    assert "'shoulder_pan_joint' (did you mean 'sholder_pan_joint'?)" in text
+    assert "'elbow' (did you mean 'Elbow'?), 'tool'." in text
     assert "The columns found: 'Elbow [deg]', " in text
     assert '--columns "name in the table=shoulder_pan_joint [deg]"' in text
 

@@ -207,9 +207,9 @@ def test_points_are_matched_in_order(listed, table):
         (
             ("a [deg],point", "1,P1", "2,P22"),
             {},
-            "row 2: in tracker.txt there is no point 'P22'. Close to it: 'P2'.",
+            "row 2: in tracker.txt there is no point 'P22' (did you mean 'P2'",
         ),
-        (("a [deg],point", "1,P1", "2,Q"), {}, "It has 'A::M::P1', 'A::M::P2'."),
+        (("a [deg],point", "1,P1", "2,Q"), {}, "it has 'A::M::P1', 'A::M::P2'."),
         (
             ("a [deg],point", "1,P1", "2,A::M::P1"),
             {},
