@@ -35,7 +35,7 @@ from calib.data.table import (
     with_unit,
 )
 from calib.errors import MeasurementError, choices, did_you_mean
-from calib.units import Quantity, Unit
+from calib.units import Quantity
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -122,26 +122,15 @@ class Layout:
         ignored = tuple(label for i, label in enumerate(table.header) if label and i not in taken)
         return cls(words, groups, blocks, kinds, ignored)
 
-    @property
-    def joint_names(self) -> tuple[str, ...]:
-        """The names of the joints."""
-        return tuple(column.name for column in self.blocks["joints"])
-
-    @property
-    def prismatic(self) -> tuple[str, ...]:
-        """The names of the joint columns in a unit of length."""
-        return tuple(c.name for c in self.blocks["joints"] if _unit(c).quantity == "length")
-
     def measured_by(self, kind: Kind) -> list[str]:
         """The blocks that hold what a row of this kind measures; none if that is nothing, or stands elsewhere."""
         names = ["points"] * kind.position + ["orientation"] * kind.orientation
         return [n for n in (*names, *(one.name for one in kind.readings)) if self.blocks.get(n)]
 
 
-def _unit(column: Column) -> Unit:
-    """The unit of a column of lengths or angles, which was made sure of."""
-    assert column.unit is not None
-    return column.unit
+def _slides(joint: Column) -> bool:
+    """Whether a joint's column is in a unit of length."""
+    return joint.unit is not None and joint.unit.quantity == "length"
 
 
 def _kinds(
@@ -178,34 +167,30 @@ def _kinds(
 
 def _needed(table: Table, named: Named, name: str, quantity: Quantity | None, what: str) -> Column:
     """The column of this name, in a unit of its quantity (words have none)."""
-    if name in named:
-        return named[name] if quantity is None else with_unit(table, named[name], quantity)
-    header = f"{name} [{COMMON[quantity]}]" if quantity else name
-    more = ""
-    if not any(one in named for one in POINT) and name in POINT:
-        more = (
-            " Rows that measure no position have a column 'distance [mm]', or are read with --kind fixed or --kind "
-            "plane and a column 'group' (or --columns \"name in the table=group\", once or more)."
+    if name not in named:
+        header = f"{name} [{COMMON[quantity]}]" if quantity else name
+        kinds = " --kind fixed and --kind plane need no position." * (name in POINT)
+        raise MeasurementError(
+            f"{table.source}: {what} need a column '{header}', and there is none. {list_columns(table)} Another name "
+            f'is mapped by --columns "name in the table={header}".{kinds}'
         )
-    raise MeasurementError(
-        f"{table.source}: {what} need a column '{header}', and there is none. {list_columns(table)} Another name is "
-        f'mapped by --columns "name in the table={header}".{more}'
-    )
+    return named[name] if quantity is None else with_unit(table, named[name], quantity)
 
 
 def _orientation(table: Table, named: Named) -> Columns:
     """The columns of a quaternion or of a rotation vector; of one of them."""
-    there = [n for n in (QUATERNION, ROTATION_VECTOR) if all(name in named for name in n)]
+    there = [n for n in (QUATERNION, ROTATION_VECTOR) if named.keys() >= set(n)]
     if len(there) != 1:
         raise MeasurementError(
             f"{table.source}: rows of the kind 'pose' need one orientation: qx, qy, qz, qw (a quaternion, no unit) or "
             f"'rx [rad]', 'ry [rad]', 'rz [rad]' (a rotation vector). {list_columns(table)} --columns \"rx=-\" leaves "
             "one out; --kind point reads none."
         )
-    if there[0] == ROTATION_VECTOR:
-        what = "a rotation vector; --kind point leaves the orientation out"
-        return tuple(with_unit(table, named[n], "angle", what, "rad") for n in ROTATION_VECTOR)
-    return tuple(with_unit(table, named[name], None, "a quaternion") for name in QUATERNION)
+    if there[0] == QUATERNION:
+        return tuple(with_unit(table, named[n], None, "a quaternion") for n in QUATERNION)
+    return tuple(
+        with_unit(table, named[n], "angle", "a rotation vector", "rad") for n in ROTATION_VECTOR
+    )
 
 
 def _torques(table: Table, named: Named, joints: Columns) -> Columns:
@@ -214,9 +199,8 @@ def _torques(table: Table, named: Named, joints: Columns) -> Columns:
     for joint in joints:
         column = named.get(joint.name + TORQUE)
         if column is not None and column not in joints:
-            slides = _unit(joint).quantity == "length"
-            what = f"{'prismatic' if slides else 'revolute'} joint '{joint.name}'"
-            found.append(with_unit(table, column, "force" if slides else "torque", what))
+            what = f"{'prismatic' if _slides(joint) else 'revolute'} joint '{joint.name}'"
+            found.append(with_unit(table, column, "force" if _slides(joint) else "torque", what))
     return tuple(found)
 
 
@@ -304,14 +288,20 @@ def read_values(table: Table, layout: Layout, elsewhere: Points | None = None) -
     }
     if elsewhere is not None:
         si["points"] = points[measured]
-    torques = None
+    joints, torques = {c.name: _slides(c) for c in layout.blocks["joints"]}, None
     if "torques" in si:
-        torques = np.full((measured.sum(), len(layout.joint_names)), np.nan)
+        torques = np.full((measured.sum(), len(joints)), np.nan)
         driven = [c.name.removesuffix(TORQUE) for c in layout.blocks["torques"]]
-        torques[:, [layout.joint_names.index(name) for name in driven]] = si["torques"]
+        torques[:, [[*joints].index(name) for name in driven]] = si["torques"]
     single = {name: block[:, 0] for name, block in si.items() if name not in _WIDE}
     readings = {name: single[name] for name in registry.readings() if name in single}
+    files = [one for one in (table, elsewhere) if one is not None]
     return {
+        "source": " + ".join(one.source for one in files),
+        "sha256": " + ".join(one.sha256 for one in files),
+        "ignored": layout.ignored,
+        "joint_names": [*joints],
+        "prismatic": [name for name, slides in joints.items() if slides],
         "joints": si.get("joints", np.empty((measured.sum(), 0))),
         "points": si.get("points", np.full((measured.sum(), 3), np.nan)),
         "sets": words["set"],
@@ -376,13 +366,12 @@ def _measured(
 def _no_number(table: Table, layout: Layout, row: int, column: Column) -> NoReturn:
     """Refuse a cell in which a finite number should stand."""
     text = table.cells[row][column.index][:80]
-    what = f"{text!r} is not a finite number. Write it as 123.45; the unit is in the header."
+    what = f"'{text}' is not a finite number. Write it as 123.45; the unit is in the header."
     if not text:
         what = "the cell is empty. Fill in the number, or remove the row."
-    elif "," in text and table.separator == ",":
+    elif "," in text:
         what = (
-            f"'{text}' has a decimal comma. Write a decimal point, or separate the columns by semicolons: then decimal "
-            "commas are read."
+            f"'{text}' has a decimal comma. Write a point, or put semicolons between the columns."
         )
     table.fail(row, column, what, layout.words.get("row"))
 

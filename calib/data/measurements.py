@@ -290,17 +290,7 @@ class Measurements:
         cls, table: Table, layout: Layout, elsewhere: Points | None = None
     ) -> Measurements:
         """What a table holds whose columns were found; its pairs and groups may lack rows."""
-        source, sha256 = table.source, table.sha256
-        if elsewhere is not None:
-            source, sha256 = f"{source} + {elsewhere.source}", f"{sha256} + {elsewhere.sha256}"
-        found = cls(
-            **read_values(table, layout, elsewhere),
-            joint_names=layout.joint_names,
-            source=source,
-            sha256=sha256,
-            ignored=layout.ignored,
-            prismatic=layout.prismatic,
-        )
+        found = cls(**read_values(table, layout, elsewhere))
         if not found.estimation.any():
             raise MeasurementError(
                 f"{table.source}, column 'set': no measured row is 'estimate', all {len(found)} are 'validate'. Mark "
