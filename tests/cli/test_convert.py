@@ -60,7 +60,6 @@ def test_every_note_has_words():
     [
         (("result.json", "-o", "o.json"), "'.json' does not say which format is wanted"),
         (("result.json", "-o", "result.json", "--to", "dh", "--force"), "is also an input"),
-        (("panda", "-o", "o.conf"), "this format is for arms of Universal Robots"),
     ],
 )
 def test_what_is_refused(call, folder, words, said):

@@ -233,12 +233,7 @@ def test_origins_of_some_of_the_joints(shop, tmp_path):
     [
         ("result.json", Options(tip="wrist_3_link"), CalibError, "leave out --base, --tip"),
         ("result.json", Options(robot="ur5"), ModelError, "the origin of '.*' is neither"),
-        ("result.json", Options(robot="panda"), UrdfError, "base"),
-        ("calibration.conf", Options(), ModelError, "Say of which arm it is"),
-        ("calibration.conf", Options(ur_model="UR6"), ModelError, "'UR6' is not an arm"),
-        ("robot.urdf", replace(CHAIN, ur_model="UR5"), ModelError, "is no UR5"),
         ("corrected.urdf", Options(ur_model="UR3"), UrdfError, "no link 'world'"),
-        ("corrected.urdf", Options(robot="panda"), UrdfError, "no link"),
         ("origins.yaml", Options(), CalibError, "give the URDF that they belong to"),
     ],
 )
@@ -256,9 +251,7 @@ def test_what_does_not_fit_a_source(shop, name, options, error, said):
         ("o.urdf", None, "result", "urdf"),
         ("o.conf", None, "result", "ur-conf"),
         ("o.yaml", None, "ur-conf", "ur-yaml"),
-        ("o.yaml", "origins", "ur-conf", "origins"),
         ("o.YML", "ur-yaml", "result", "ur-yaml"),
-        ("robot", "urdf", "robot", "urdf"),
     ],
 )
 def test_the_format_of_a_file(name, asked, kind, format):
@@ -270,7 +263,6 @@ def test_the_format_of_a_file(name, asked, kind, format):
     [
         ("o.yaml", {}, r"'.yaml' does not say which format .*: --to ur-yaml \(kinem.*origins"),
         ("o.urdf", {"to": "excel"}, "no format 'excel'. Give one of: --to urdf"),
-        ("o.txt", {"to": "dh"}, "a DH table is written as"),
         ("o.yaml", {"to": "ur-yaml"}, "compares with what the controller reports"),
     ],
 )
