@@ -94,13 +94,6 @@ def test_the_paper_s_table_is_points_with_joint_values_to_start_at(ur3: Robot):
     assert [label for label, _ in program.kept] == ["row", "set"]
 
 
-def test_positions_that_are_left_out(ur3: Robot):
-    joints = read_program(paper_measurements(), ur3, columns=dict.fromkeys("xyz", "-"))
-    assert joints.T_wanted is None
-    assert joints.oriented
-    assert [label for label, _ in joints.kept] == ["row", "set"]
-
-
 angles = st.floats(-3.1, 3.1, allow_nan=False)
 
 
@@ -142,8 +135,6 @@ def test_a_plan_s_columns_to_fill_in_are_no_poses(read):
     ("lines", "said"),
     [
         ([f"{IN_DEG},correction position [mm],status", f"{VALUES},0.5,ok"], "corrected already"),
-        (["x [mm],z [mm]", "1,2"], "'y' missing beside 'x', 'z'"),
-        (["remark,speed", "a,5"], "no joint values and no positions"),
         ([f"{XYZ},rx [rad],ry [rad],rz [rad],qx,qy,qz,qw", "300,200,100,0,0,0,0,0,0,1"], "is there twice"),
         ([f"{XYZ},rx,ry,rz", "1,2,3,0,0,0"], "column 'rx' (rotation vector): the column has no unit"),
         ([f"{XYZ},qx,qy,qz,qw", "300,200,100,0,0,0,1", "300,200,100,0,0,0,0.9"], "line 3 (row 2), column 'qx'"),

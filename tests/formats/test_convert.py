@@ -18,7 +18,6 @@ from calib.errors import CalibError, FileError, ModelError, UrdfError
 from calib.formats.convert import FORMATS, KINDS, Options, chosen_format, convert, source_kind
 from calib.formats.universal_robots import Source
 from calib.formats.ur_arms import chain_of_rows, chain_poses, ur_model
-from calib.model.dh import dh_table
 from calib.result.calibration_file import write_result
 from calib.robot.robot import Robot
 from tests.formats.forms import UR3, write_forms
@@ -143,17 +142,6 @@ def test_files_of_universal_robots(source, shop, tmp_path):
     full = rows(UR3["nominal"]) + deltas_of_conf(tmp_path / "o.conf")
     found = chain_poses(chain_of_rows(full), Q)
     np.testing.assert_allclose(found, source.robot.poses(Q), rtol=0, atol=1e-9)
-
-
-@pytest.mark.parametrize("name", ["dh", "modified-dh", "hayati"])
-def test_dh_table(source, name, tmp_path):
-    write(source, tmp_path / "o.json", name)
-    table = json.loads((tmp_path / "o.json").read_text())
-    convention = {"dh": "standard", "modified-dh": "modified"}.get(name, name)
-    assert table["convention"] == convention
-    assert [row["joint"] for row in table["before"]["rows"]] == list(source.robot.joint_names)
-    wanted = dh_table(source.robot, convention, like=source.nominal).rows
-    assert [row["d_m"] for row in table["after"]["rows"]] == [row.d for row in wanted]
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case["name"])

@@ -16,7 +16,7 @@ from calib.formats.ur_arms import (
 )
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
-from tests.formats.ur_cases import CALIBRATIONS, CASES, WITH_DELTAS, rows
+from tests.formats.ur_cases import CALIBRATIONS, CASES, rows
 
 Q = np.random.default_rng(6).uniform(-2 * np.pi, 2 * np.pi, (100, 6))
 
@@ -43,12 +43,6 @@ def test_the_driver_s_hash_of_nominal_arms(name):
     given = CASES["models"]["rows"][name]
     assert kinematics_hash(rows(given)) == given["default_hash"]
     assert ur_model(name).default_hash == given["default_hash"]
-
-
-@pytest.mark.parametrize("case", WITH_DELTAS, ids=lambda case: case["name"])
-def test_nominal_plus_deltas_is_the_full_table(case):
-    full = rows(case["nominal"]) + rows(case["delta"])
-    np.testing.assert_allclose(full, rows(case["full_dh"]), rtol=0, atol=1e-13)
 
 
 @pytest.mark.parametrize("model", MODELS, ids=lambda model: model.name)
