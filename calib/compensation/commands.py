@@ -81,22 +81,14 @@ _JOINT_LIMIT, _POSE_LIMIT = (np.radians(5.0), 0.02), (0.01, np.radians(2.0))
 #: the third between poses that are nearer than the last to each other (a share of the reach, and [rad]).
 _STEP_MORE, _STEP_FACTOR, _TURNED_OVER, _CLOSE = np.radians(2.0), 1.5, 0.5, (0.1, 0.3)
 
-#: The units of a table: symbol, how many are one in SI units, decimals. Angles are exact to 1e-11 rad, lengths to
-#: 1e-9 m, on any arm far below what a controller resolves.
-_Unit = tuple[str, float, int]
-_DEG, _RAD, _MM, _PLAIN = (
-    ("deg", math.degrees(1.0), 9),
-    ("rad", 1.0, 12),
-    ("mm", 1e3, 6),
-    ("", 1.0, 12),
-)
-
+#: The units of a table: how many are one in SI units, decimals. Angles are exact to 1e-11 rad, lengths to 1e-9 m.
+_UNITS = {"deg": (math.degrees(1.0), 9), "rad": (1.0, 12), "mm": (1e3, 6), "": (1.0, 12)}
 
 #: The forms of an orientation: names of the columns, their unit, and the numbers of a rotation (3, 3).
-_ORIENTATIONS: dict[str, tuple[Sequence[str], _Unit, Callable[[Array], Array]]] = {
-    "rotation-vector": (ROTATION_VECTOR, _RAD, lambda R: Rotation.from_matrix(R).as_rotvec()),
-    "quaternion": (QUATERNION, _PLAIN, lambda R: to_quaternions(R[None])[0]),
-    "rpy": (ROLL_PITCH_YAW, _DEG, pin.rpy.matrixToRpy),
+_ORIENTATIONS: dict[str, tuple[Sequence[str], str, Callable[[Array], Array]]] = {
+    "rotation-vector": (ROTATION_VECTOR, "rad", lambda R: Rotation.from_matrix(R).as_rotvec()),
+    "quaternion": (QUATERNION, "", lambda R: to_quaternions(R[None])[0]),
+    "rpy": (ROLL_PITCH_YAW, "deg", pin.rpy.matrixToRpy),
 }
 
 
@@ -386,8 +378,8 @@ def write_commands(
     """
     robot, T_send = commands.nominal, commands.T_send
     names = robot.joint_names
-    of_joints = [_MM if robot.joint_types[name] == "prismatic" else _DEG for name in names]
-    blocks: list[tuple[Sequence[str], Sequence[_Unit], Array]] = []
+    of_joints = ["mm" if robot.joint_types[name] == "prismatic" else "deg" for name in names]
+    blocks: list[tuple[Sequence[str], Sequence[str], Array]] = []
     if send != "poses":
         blocks.append((names, of_joints, commands.q))
     if send != "joints":
@@ -395,14 +387,15 @@ def write_commands(
         turned = np.full((len(T_send), len(form)), np.nan)
         for row in np.flatnonzero(commands.reached):
             turned[row] = numbers_of(T_send[row, :3, :3])
-        blocks += [(POINT, [_MM] * 3, T_send[:, :3, 3]), (form, [unit] * len(form), turned)]
+        blocks += [(POINT, ["mm"] * 3, T_send[:, :3, 3]), (form, [unit] * len(form), turned)]
     if send != "poses":
         blocks.append(([CORRECTION + n for n in names], of_joints, commands.joint_corrections))
     of_pose = (CORRECTION + "position", CORRECTION + "angle")
-    blocks.append((of_pose, (_MM, _DEG), commands.pose_corrections))
+    blocks.append((of_pose, ("mm", "deg"), commands.pose_corrections))
     columns: list[Sequence[str]] = [(label, *cells) for label, cells in commands.program.kept]
     for headers, units, values in blocks:
-        for name, (symbol, scale, digits), column in zip(headers, units, values.T, strict=True):
+        for name, symbol, column in zip(headers, units, values.T, strict=True):
+            scale, digits = _UNITS[symbol]
             cells = (
                 "" if math.isnan(value) else f"{round(value, digits) + 0.0:.{digits}f}"
                 for value in (scale * column).tolist()

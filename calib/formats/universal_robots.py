@@ -270,7 +270,7 @@ def read_ur(
             notes.append(Note("arm not certain", (str(path), alike, arm.name, apart)))
         if conf.status != "2":
             notes.append(Note("not linearised", (str(path), conf.status[:40])))
-    if any(one.default_hash == hash for one in MODELS):
+    if any(kinematics_hash(one.rows) == hash for one in MODELS):
         notes.append(Note("nominal hash", (str(path),)))
     kind = "ur-yaml" if conf is None else "ur-conf"
     return Source(kind, nominal.with_placements(placements), nominal, hash, arm, conf, tuple(notes))
@@ -374,9 +374,8 @@ def _chain_of(source: Source, path: PathLike) -> tuple[Mount, Array]:
     """How the arm is mounted, and its placements when calibrated, shape (7, 4, 4), [m]."""
     if source.nominal is None or source.model is None:
         raise ModelError(
-            f"{path}: this format is for arms of Universal Robots, and the nominal robot is none that is known. "
-            "Name the arm with --ur-model, or give its nominal URDF as --robot; for other robots write 'urdf', "
-            "'origins' or DH rows."
+            f"{path}: this format is for arms of Universal Robots, and the nominal robot is none that is known. Name "
+            "the arm with --ur-model, or give its nominal URDF as --robot."
         )
     mounted = the_mount(source.nominal, source.model)
     check_same_joints(source.robot, source.nominal)

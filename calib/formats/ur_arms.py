@@ -108,11 +108,6 @@ class UrModel:
         """The nominal chain, shape (7, 4, 4), [m]."""
         return chain_of_rows(self.rows)
 
-    @property
-    def default_hash(self) -> str:
-        """What the ROS driver makes of the nominal rows."""
-        return kinematics_hash(self.rows)
-
     def same(self, rows: Array) -> bool:
         """Whether rows are those of this type of arm."""
         return bool(np.abs(self.rows - rows).max() < _SAME)

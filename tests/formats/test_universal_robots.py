@@ -20,7 +20,14 @@ from calib.formats.universal_robots import (
     write_ur_conf,
     write_ur_yaml,
 )
-from calib.formats.ur_arms import chain_of_rows, chain_poses, the_mount, ur_model, ur_robot
+from calib.formats.ur_arms import (
+    chain_of_rows,
+    chain_poses,
+    kinematics_hash,
+    the_mount,
+    ur_model,
+    ur_robot,
+)
 from calib.robot.readback import check_written
 from calib.robot.robot import Robot
 from tests.formats.ur_cases import WITH_DELTAS, rows, write_deltas
@@ -163,7 +170,7 @@ def test_what_a_file_says_of_its_arm_and_hash(conf_of, tmp_path):
     assert read_ur(path, model="UR12e").model.name == "UR12e"
     path.write_text(path.read_text().replace("hash:", "# hash:"))
     assert read_ur(path, robot=robot).hash is None
-    default = ur_model("UR5e").default_hash
+    default = kinematics_hash(ur_model("UR5e").rows)
     write_ur_yaml(of(robot, robot), path, default, overwrite=True)
     assert codes(read_ur(path, robot=robot).notes) == ["nominal hash"]
     conf = conf_of(UR3)
