@@ -244,30 +244,28 @@ class TableOptions:
 
 
 def verb(text: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """A function as a verb of the command line, with ``--debug``, and with errors as `reporting` puts them.
+    """A function as a verb of the command line with this ``--help``, ``--debug``, and errors as `reporting` puts them.
 
     A parameter that is one of the classes above stands for its fields, an option each.
-
-    Args:
-        text: What ``--help`` says of it.
     """
 
     def made(function: Callable[..., None]) -> Callable[..., None]:
         types = get_type_hints(function, include_extras=True)
         groups: dict[str, Any] = {k: kind for k, kind in types.items() if is_dataclass(kind)}
-        options: dict[str, inspect.Parameter] = {}
+        found: dict[str, tuple[Any, Any]] = {}
         for p in inspect.signature(function).parameters.values():
-            own = {p.name: (types[p.name], p.default)}
             if p.name in groups:
                 inner = get_type_hints(groups[p.name], include_extras=True)
-                own = {f.name: (inner[f.name], f.default) for f in fields(groups[p.name])}
-            for name, (kind, default) in own.items():
-                options[name] = inspect.Parameter(
-                    name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind
-                )
-        options["debug"] = inspect.Parameter(
-            "debug", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=Debug
-        )
+                found |= {f.name: (inner[f.name], f.default) for f in fields(groups[p.name])}
+            else:
+                found[p.name] = types[p.name], p.default
+        found["debug"] = Debug, False
+        options = [
+            inspect.Parameter(
+                name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind
+            )
+            for name, (kind, default) in found.items()
+        ]
 
         def called(**given: Any) -> None:  # noqa: ANN401
             with reporting(debug=given.pop("debug")):
@@ -277,7 +275,7 @@ def verb(text: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
 
         called.__name__, called.__doc__ = function.__name__, text
         called.__annotations__ = {}
-        called.__signature__ = inspect.Signature([*options.values()])  # type: ignore[attr-defined]
+        called.__signature__ = inspect.Signature(options)  # type: ignore[attr-defined]
         return called
 
     return made
@@ -301,23 +299,15 @@ def reporting(*, debug: bool) -> Iterator[None]:
         said = f"interrupted; no file was left half written. {error}".rstrip()
         typer.echo(f"calib: {said}", err=True)
         raise typer.Exit(130) from error
-    except (CalibError, OSError) as error:
+    except OSError:  # of the program
+        raise
+    except Exception as error:
+        said, own = str(error), not isinstance(error, CalibError)
+        if own:
+            said = f"a fault of calib itself: {type(error).__name__}: {error}. Report it with what --debug shows."
+        if own and debug:
+            raise
         if debug:
             traceback.print_exc()
-        said = str(error)
-        if isinstance(error, OSError):
-            # Files have messages of their own: this is mostly a full disk behind `>`.
-            where = f"'{error.filename}'" if error.filename else "the printed text"
-            reason = error.strerror or type(error).__name__
-            said = f"{where} cannot be read or written: {reason}."
         typer.echo(f"calib: {said}", err=True)
-        raise typer.Exit(1) from error
-    except Exception as error:
-        if debug:
-            raise
-        typer.echo(
-            f"calib: a fault of calib itself: {type(error).__name__}: {error}. Please report it with the output of the "
-            "same command and --debug.",
-            err=True,
-        )
         raise typer.Exit(1) from error

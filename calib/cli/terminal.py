@@ -61,7 +61,9 @@ def styled(text: str) -> Iterator[tuple[str, str]]:
         >>> list(styled("Verdict: use\n  It is better."))
         [('Verdict: use', 'bold green'), ('  It is better.', '')]
     """
-    lines = [_CONTROLS.sub(_written_out, line) for line in text.split("\n")]
+    lines = [
+        _CONTROLS.sub(lambda control: repr(control[0])[1:-1], line) for line in text.split("\n")
+    ]
     for line, following in zip(lines, [*lines[1:], ""], strict=True):
         under = len(following) >= len(line.rstrip()) > 0 and _RULE.match(following) is not None
         if line.startswith("Verdict: "):
@@ -79,32 +81,23 @@ def say_table(title: str, heads: list[str], rows: list[list[str]]) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    if not rows:
-        return
     table = Table(box=None, pad_edge=False, header_style="bold")
     for k, head in enumerate(heads):
         table.add_column(head, justify="left" if k < 3 else "right", overflow="fold")
     for row in rows:
         table.add_row(*(Text(cell, VERDICTS.get(cell, "")) for cell in row))
-    typer.echo(title)
     # A file is as wide as its longest name.
     width = None if sys.stdout.isatty() else 10_000
     console = Console(width=width, highlight=False, markup=False, emoji=False)
     with console.capture() as printed:
         console.print(table)
-    for line in printed.get().splitlines():
-        typer.echo(line.rstrip())
-    typer.echo("")
+    lines = [line.rstrip() for line in printed.get().splitlines()]
+    typer.echo("\n".join([title, *lines, ""]) if rows else "", nl=bool(rows))
 
 
 def command_line() -> str:
     """The command that runs, as it can be typed again."""
     return shlex.join(["calib", *sys.argv[1:]])
-
-
-def _written_out(control: re.Match[str]) -> str:
-    r"""A control character as Python would print it, such as ``\x1b``."""
-    return control[0].encode("unicode_escape").decode("ascii")
 
 
 @contextmanager

@@ -9,10 +9,7 @@ from typer.testing import CliRunner
 from calib.cli.options import FitOptions, Robust, TableOptions, reporting, verb
 from calib.errors import FileError
 
-FAULT = (
-    "calib: a fault of calib itself: IndexError: list index out of range. Please report it with the output of the same "
-    "command and --debug.\n"
-)
+FAULT = "calib: a fault of calib itself: IndexError: list index out of range. Report it with what --debug shows.\n"
 
 
 def test_a_fault_of_calib_is_one_line_and_how_to_report_it(capsys):

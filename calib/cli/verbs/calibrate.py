@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import TYPE_CHECKING
 
 import typer
 
@@ -22,9 +21,6 @@ from calib.cli.outputs import Intervals, Outputs
 from calib.cli.setup import executor_of, load_with_data, read_cell, say_ignored
 from calib.cli.terminal import progress_bar, say
 from calib.errors import CalibError
-
-if TYPE_CHECKING:
-    pass
 
 
 @verb("""Calibrate a robot from measurements.
