@@ -121,11 +121,7 @@ class Scenario:
         return VirtualCell(self, truth)
 
     def random_poses(self, count: int, seed: int, *, validation: bool = False) -> Array:
-        """Joint values anywhere inside the limits, or the cell's ranges, shape (count, m), [rad] or [m].
-
-        More of them are those of fewer and others; those to validate with are others for the same seed. Collisions are
-        not looked at.
-        """
+        """Joint values anywhere inside the limits, or the cell's ranges, shape (count, m), [rad] or [m]."""
         low, high = joint_ranges(self.robot, self.cell.ranges).T
         rng = stream(seed, "validation poses" if validation else "poses")
         return np.asarray(low + (high - low) * rng.uniform(size=(count, len(low))))
@@ -355,7 +351,7 @@ def read_scenario(
     path: Path | None = None,
     *,
     sizes: str | None = None,
-    error: Iterable[str] = (),
+    error: Iterable[str] | None = None,
     noise: str | None = None,
     outliers: str | None = None,
     truth_robot: Path | None = None,
@@ -367,7 +363,7 @@ def read_scenario(
         table = read_toml(path).get("simulation", {})
         more = read_table(table, FIELDS, f"[simulation] of {path}")
     model = DEFAULT_MODEL if cell.model == "auto" else cell.model
-    errors = tuple(_named_errors(error, error_model(robot, model, target=False)))
+    errors = tuple(_named_errors(error or (), error_model(robot, model, target=False)))
     moved = None
     if "row" in more or "by" in more:
         by = more.get("by", np.zeros(3))

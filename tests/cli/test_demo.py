@@ -28,7 +28,6 @@ def test_what_it_prints(demo):
         "Open demo/report.html and demo/view.html in a browser.",
     ):
         assert words in demo.out
-    assert demo.lines[-1] == "Your own robot: calib calibrate robot.urdf data.csv -o corrected.urdf"
 
 
 def test_the_comparison_with_the_paper(demo):

@@ -19,10 +19,8 @@ _FILES = ("ur3_calibrated.urdf", "calibration.json", "report.html", "view.html")
 #: What the paper reports for rows 31 to 35, its Table 5 [mm].
 _PAPER = {"before": (3.5645, 2.5678, 2.7485), "after": (1.8721, 1.5926, 1.6382)}
 
-_NOTE = """The signs of the paper's Table 1 do not fit its Table 2 as printed. What fits, with nothing else
-changed, is the standard UR DH (a2, a3 negative, all theta offsets 0) and the reflector at
-(-69.97, 70.20, 22.52) mm in tool0, the printed position turned by 180 deg about z. That is what
-this demo uses; see docs/paper.md."""
+_NOTE = """The signs of the paper's Table 1 do not fit its Table 2 as printed. This demo uses what fits, with the
+reflector at (-69.97, 70.20, 22.52) mm in tool0; see docs/paper.md."""
 
 
 @verb("""Calibrate the paper's UR3 from its 35 laser-tracker points.
@@ -77,24 +75,19 @@ def demo(
     for path in paths:
         typer.echo(f"Written: {path}")
     typer.echo(f"Open {paths[2]} and {paths[3]} in a browser.")
-    typer.echo("Your own robot: calib calibrate robot.urdf data.csv -o corrected.urdf")
 
 
 def _against_the_paper(result: Calibration, as_paper: Calibration) -> str:
     """The errors on rows 31 to 35 beside those that the paper prints, [mm]."""
-
-    def measured(c: Calibration, who: str) -> tuple[float, float, float]:
-        errors = c.errors[who]["validation"]
-        return 1e3 * errors.max, 1e3 * errors.mean, 1e3 * errors.rms
-
-    rows = (
-        ("nominal, as the paper prints it", _PAPER["before"]),
-        ("nominal, here", measured(result, "nominal")),
-        ("calibrated, as the paper prints it", _PAPER["after"]),
-        ("calibrated, the paper's algorithm here", measured(as_paper, "calibrated")),
-        ("calibrated, calib", measured(result, "calibrated")),
-    )
+    rows = [("nominal, as the paper prints it", _PAPER["before"])]
+    for label, one, who in (
+        ("nominal, here", result, "nominal"),
+        ("calibrated, the paper's algorithm here", as_paper, "calibrated"),
+        ("calibrated, calib", result, "calibrated"),
+    ):
+        errors = one.errors[who]["validation"]
+        rows.append((label, (1e3 * errors.max, 1e3 * errors.mean, 1e3 * errors.rms)))
+    rows.insert(2, ("calibrated, as the paper prints it", _PAPER["after"]))
     head = f"{'Position error on rows 31 to 35 [mm]':<58}{'max':>10}{'mean':>10}{'rms':>10}"
-    return "\n".join(
-        [head, *(f"{name:<58}" + "".join(f"{v:>10.3f}" for v in values) for name, values in rows)]
-    )
+    lines = [f"{name:<58}" + "".join(f"{v:>10.3f}" for v in values) for name, values in rows]
+    return "\n".join([head, *lines])

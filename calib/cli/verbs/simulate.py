@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -23,6 +23,18 @@ _PLACE = "Standard deviation of the targets' places. Default: 1 mm."
 _EXTRA = "Random poses for validation. Default: 10; 0 with --poses."
 
 
+@dataclass(frozen=True, slots=True)
+class ScenarioOptions:
+    """What is wrong with the robot, and what disturbs the measurements."""
+
+    sizes: Annotated[_Text, typer.Option(metavar='"FAMILY VALUE, ..."', help=_SIZES)] = None
+    error: Annotated[list[str] | None, typer.Option(metavar="NAME=VALUE", help=_ERROR)] = None
+    truth_robot: Annotated[_File, typer.Option(help="URDF of the true robot.")] = None
+    target_error: Annotated[_Text, typer.Option(help=_PLACE)] = None
+    noise: Annotated[_Text, typer.Option(help=_NOISE)] = None
+    outliers: Annotated[_Text, typer.Option(metavar='N|"P %"', help="Rows far off.")] = None
+
+
 @verb("""Simulate measurements of a robot whose errors are known.
 
 \b
@@ -41,16 +53,11 @@ resolution, drift, a moved target and more. A study repeats simulation, calibrat
 def simulate(
     robot: RobotFile,
     setup: ModelOptions,
+    words: ScenarioOptions,
     poses: Annotated[_File, typer.Option(help="Poses of a plan or table.")] = None,
     count: Annotated[int, typer.Option(min=1, metavar="N", help="Random poses.")] = 30,
     validation: Annotated[int | None, typer.Option(min=0, help=_EXTRA)] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of all random numbers.")] = 0,
-    sizes: Annotated[_Text, typer.Option(metavar='"FAMILY VALUE, ..."', help=_SIZES)] = None,
-    error: Annotated[list[str] | None, typer.Option(metavar="NAME=VALUE", help=_ERROR)] = None,
-    truth_robot: Annotated[_File, typer.Option(help="URDF of the true robot.")] = None,
-    target_error: Annotated[_Text, typer.Option(help=_PLACE)] = None,
-    noise: Annotated[_Text, typer.Option(help=_NOISE)] = None,
-    outliers: Annotated[_Text, typer.Option(metavar='N|"P %"', help="Rows far off.")] = None,
     output: Annotated[_File, typer.Option("-o", "--output", help="Write the table.")] = None,
     truth: Annotated[_File, typer.Option(help="Default: TABLE_truth.json.")] = None,
     truth_urdf: Annotated[_File, typer.Option(help="Write the URDF of the true robot.")] = None,
@@ -75,41 +82,27 @@ def simulate(
     if study is None and output is None:
         raise CalibError("Name the table to write: -o table.csv.")
     truth = truth or (output and output.with_name(f"{output.stem}_truth.json"))
-    inputs = [robot, *(str(path) for path in (poses, setup.cell, truth_robot) if path)]
+    inputs = [robot, *(str(path) for path in (poses, setup.cell, words.truth_robot) if path)]
     check_outputs([output, truth, truth_urdf, json], inputs, force=force)
     # Workers begin first: they import what they need while robot and scenario are prepared here.
     with executor_of(workers, dask, study) as executor:
+        import calib.simulation.scenario as cells
+        import calib.simulation.study as studies
         from calib.cli.terminal import progress_bar
         from calib.design.plan import read_poses
         from calib.result.calibration_file import write_table
-        from calib.simulation import study as studies
-        from calib.simulation.scenario import (
-            read_scenario,
-            simulate as simulated,
-            write_truth,
-        )
         from calib.text import simulation as text
 
         cell = read_cell(**asdict(setup))
         arm = load(robot, cell)
-        scenario = read_scenario(
-            arm,
-            cell,
-            setup.cell,
-            sizes=sizes,
-            error=error or (),
-            noise=noise,
-            outliers=outliers,
-            truth_robot=truth_robot,
-            target_error=target_error,
-        )
+        scenario = cells.read_scenario(arm, cell, setup.cell, **asdict(words))
         given, sets = (None, ()) if poses is None else read_poses(poses, arm)[:2]
         extra = (10 if given is None else 0) if validation is None else validation
         if study is None:
             assert output is not None and truth is not None  # noqa: PT018
-            made = simulated(scenario, count, extra, seed, given, sets)
+            made = cells.simulate(scenario, count, extra, seed, given, sets)
             made.measurements.write(output, overwrite=force)
-            written = [output, write_truth(scenario, made, truth, overwrite=force)]
+            written = [output, cells.write_truth(scenario, made, truth, overwrite=force)]
             if truth_urdf is not None:
                 written.append(made.truth.write_urdf(truth_urdf, overwrite=force))
             said = text.simulated_text(scenario, made)
