@@ -58,15 +58,9 @@ class Outputs:
     force: Force = False
 
     def check(self, inputs: list[str | Path]) -> None:
-        """Refuse before the work what cannot be written after it.
-
-        Raises:
-            CalibError: It cannot.
-        """
+        """Refuse before the work what cannot be written after it."""
         if self.figures is None and self.figure_format is not None:
-            raise CalibError(
-                "--figure-format is for figures; name their folder with --figures FOLDER."
-            )
+            raise CalibError("--figure-format takes --figures FOLDER.")
         if self.figures is not None and self.figures.is_file():
             raise CalibError(f"{self.figures} is a file; --figures names a folder.")
         if self.report is not None:

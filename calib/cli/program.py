@@ -27,21 +27,8 @@ app = typer.Typer(
     help="Kinematic calibration of robot arms: URDF in, corrected URDF out.",
     epilog="Start with:  calib demo     then:  calib calibrate robot.urdf data.csv -o corrected.urdf",
 )
-for verb in (
-    demo,
-    calibrate,
-    fleet,
-    evaluate,
-    compare,
-    compensate,
-    inspect,
-    base_frame,
-    plan,
-    simulate,
-    convert,
-    view,
-    workspace,
-):
+verbs = (demo, calibrate, fleet, evaluate, compare, compensate, inspect, base_frame, plan, simulate)
+for verb in (*verbs, convert, view, workspace):
     app.command()(verb)
 # The name that it had before the verbs were those of the Python functions.
 app.command("fit", hidden=True)(calibrate)
@@ -56,15 +43,12 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
+_VERSION = typer.Option(
+    False, "--version", callback=_print_version, is_eager=True, help="Print the version and stop."
+)
+
+
 @app.callback()
-def _options(
-    version: bool = typer.Option(
-        False,
-        "--version",
-        callback=_print_version,
-        is_eager=True,
-        help="Print the version and stop.",
-    ),
-) -> None:
+def _options(version: bool = _VERSION) -> None:
     """Options before the verb."""
     del version

@@ -104,10 +104,7 @@ def read_cell(
     priors: str | None = None,
     repeats: str | None = None,
 ) -> Cell:
-    """The cell file, if there is one, with what the command line says on top of it.
-
-    The arguments are options as they are written; ``asdict`` of `calib.cli.options.CellOptions` has them.
-    """
+    """The cell file, if there is one, with options as they are written, those of `CellOptions`, on top of it."""
     from calib.data.cell import Cell
     from calib.data.cell_file import frame as frame_of
 
@@ -148,9 +145,6 @@ def load_with_data(
     """The robot, and the table with its joint columns matched to the chain's joints.
 
     A tip that was not named is the end of the longest chain whose joints all have a column.
-
-    Raises:
-        CalibError: A file cannot be read or does not fit the other; or a unit of points that there are not.
     """
     from calib.data.measurements import Measurements
     from calib.data.table import Table
@@ -172,11 +166,7 @@ def load_with_data(
 def check_outputs(
     outputs: Iterable[Path | None], inputs: Iterable[str | Path], *, force: bool
 ) -> None:
-    """Refuse outputs before the work rather than after it: existing files, missing folders, the inputs, one twice.
-
-    Raises:
-        FileError: An output cannot be written.
-    """
+    """Refuse outputs before the work rather than after it: existing files, missing folders, the inputs, one twice."""
     from calib.files import check_no_xacro, check_writable
 
     taken = {Path(os.path.realpath(path)): "an input" for path in inputs}
@@ -185,26 +175,19 @@ def check_outputs(
             continue
         resolved = Path(os.path.realpath(path))
         if resolved in taken:
-            raise FileError(
-                f"{path} is also {taken[resolved]} of this command; choose another name."
-            )
+            raise FileError(f"{path} is also {taken[resolved]} of this command.")
         taken[resolved] = "another output"
         check_no_xacro(path)
         check_writable(path, overwrite=force)
 
 
 def check_chain(cell: Cell, result: Calibration, name: str) -> None:
-    """Refuse another base or tip than the result's: its frame and its target would mean something else.
-
-    Raises:
-        CalibError: They differ; the text has the ``name`` of the result's file.
-    """
+    """Refuse another base or tip than the result's, in the file ``name``: its frame and target would mean another."""
     own = result.nominal
     for option, given, wanted in (("base", cell.base, own.base), ("tip", cell.tip, own.tip)):
         if given is not None and given != wanted:
             raise CalibError(
-                f"{name} is the result for --{option} {wanted}, and '{given}' was given; leave out --{option}, or "
-                f"--calibration."
+                f"{name} is the result for --{option} {wanted}, and '{given}' was given."
             )
 
 
@@ -251,11 +234,7 @@ def say_ignored(measurements: Measurements, robot: Robot) -> None:
 def executor_of(
     workers: int | None, dask: str | None, count: int | None, *, default: int | None = None
 ) -> Iterator[Executor | None]:
-    """Where ``count`` jobs run, by default in so many processes or one a core; None: in this one, one after the other.
-
-    Raises:
-        CalibError: Both were given, or there is no such scheduler.
-    """
+    """Where ``count`` jobs run, by default in so many processes or one a core; None: in this one, in turn."""
     if count is None:
         yield None
         return

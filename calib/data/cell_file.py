@@ -89,11 +89,14 @@ def read_table(
     return found
 
 
-def of_type(kind: type, must: str) -> Read:
+def _form(must: str, convert: Callable[[Any], Any]) -> Read:
+    """What reads values that ``must`` be something."""
+    return lambda value, where: kept(value, where, must, convert)
+
+
+def _of_type(kind: type, must: str) -> Read:
     """What reads a value of a type."""
-    return lambda value, where: kept(
-        value, where, must, lambda given: given if isinstance(given, kind) else None
-    )
+    return _form(must, lambda value: value if isinstance(value, kind) else None)
 
 
 def numbers(count: int, to_si: Callable[[Any], Any] = lambda value: value) -> Read:
@@ -105,9 +108,7 @@ def numbers(count: int, to_si: Callable[[Any], Any] = lambda value: value) -> Re
         good = len(value) == count and all(map(is_number, value))
         return to_si(np.array(value, dtype=np.float64)) if good else None
 
-    return lambda value, where: kept(
-        value, where, "a number" if count == 1 else "three numbers", convert
-    )
+    return _form("a number" if count == 1 else "three numbers", convert)
 
 
 def millimetres(value: Any) -> Any:  # noqa: ANN401
@@ -116,11 +117,11 @@ def millimetres(value: Any) -> Any:  # noqa: ANN401
 
 
 #: Texts, numbers, points, angles; roll, pitch, yaw about fixed axes [deg] as a matrix, shape (3, 3).
-TEXT = of_type(str, "a name in quotes")
+TEXT = _of_type(str, "a name in quotes")
 MM, POINT = numbers(1, millimetres), numbers(3, millimetres)
 DEGREES, NUMBERS = numbers(1, np.radians), numbers(3)
 _RPY = numbers(3, lambda rpy: Rotation.from_euler("xyz", np.radians(rpy)).as_matrix())
-_TABLE = of_type(dict, "a table")
+_TABLE = _of_type(dict, "a table")
 
 
 def _named(header: str, read: Read) -> Read:
@@ -137,7 +138,7 @@ def _table(header: str, fields: Mapping[str, Field]) -> Read:
 
 def _tables(header: str, fields: Mapping[str, Field]) -> Read:
     """A list of such tables."""
-    listed = of_type(list, f"a list of tables, each headed [[{header}]]")
+    listed = _of_type(list, f"a list of tables, each headed [[{header}]]")
     return lambda value, where: [
         read_table(_TABLE(one, where), fields, f"[[{header}]] number {k}")
         for k, one in enumerate(listed(value, where), 1)
@@ -201,31 +202,30 @@ def _bounds(value: Any, where: str) -> tuple[float, ...]:  # noqa: ANN401
     return -high, high
 
 
-_PLACE = {"xyz_mm": Field("xyz", POINT), "rpy_deg": Field("rotation", _RPY)}
-_PAYLOAD = {"mass_kg": Field("mass", numbers(1), needed=True), "com_mm": Field("com", POINT)}
-_DISTANCE = {
-    "first": Field("first", TEXT, needed=True),
-    "second": Field("second", TEXT, needed=True),
-    "length_mm": Field("length", MM, needed=True),
-    "sigma_mm": Field("sigma", MM, needed=True),
-}
-_TRACKER = {
-    "xyz_mm": Field("position", POINT, needed=True),
-    "nearest_mm": Field("nearest", MM),
-    "farthest_mm": Field("farthest", MM),
-    "noise": Field("noise", lambda value, where: parse_noise(str(value), where)),
-    "repeatability_mm": Field("repeatability", MM),
-}
-_REFLECTOR = {
-    "normal": Field("normal", NUMBERS, needed=True),
-    "acceptance_deg": Field("acceptance", DEGREES),
-}
-_BOX = {
-    "name": Field("name", TEXT, needed=True),
-    "size_mm": Field("size", POINT, needed=True),
-    "xyz_mm": Field("xyz", POINT, needed=True),
-    "rpy_deg": Field("rotation", _RPY),
-}
+def _fields(**rows: tuple[str, Read]) -> dict[str, Field]:
+    """Fields by key; a name that ends in ``!`` is of one that must be there."""
+    return {
+        k: Field(name.rstrip("!"), read, name.endswith("!")) for k, (name, read) in rows.items()
+    }
+
+
+_PLACE = _fields(xyz_mm=("xyz", POINT), rpy_deg=("rotation", _RPY))
+_PAYLOAD = _fields(mass_kg=("mass!", numbers(1)), com_mm=("com", POINT))
+_DISTANCE = _fields(
+    first=("first!", TEXT),
+    second=("second!", TEXT),
+    length_mm=("length!", MM),
+    sigma_mm=("sigma!", MM),
+)
+_TRACKER = _fields(
+    xyz_mm=("position!", POINT),
+    nearest_mm=("nearest", MM),
+    farthest_mm=("farthest", MM),
+    noise=("noise", lambda value, where: parse_noise(str(value), where)),
+    repeatability_mm=("repeatability", MM),
+)
+_REFLECTOR = _fields(normal=("normal!", NUMBERS), acceptance_deg=("acceptance", DEGREES))
+_BOX = _PLACE | _fields(name=("name!", TEXT), size_mm=("size!", POINT), xyz_mm=("xyz!", POINT))
 
 
 def _place(value: Any, where: str) -> Any:  # noqa: ANN401
@@ -233,30 +233,18 @@ def _place(value: Any, where: str) -> Any:  # noqa: ANN401
     return pose(**read_table(_TABLE(value, where), _PLACE, where))
 
 
-def _frame(value: Any, where: str) -> Any:  # noqa: ANN401
-    """What is said of all of them."""
-    return kept(value, where, "'known', 'estimate' or a list of directions", frame)
-
-
-def _tie(value: Any, _: str) -> Any:  # noqa: ANN401
-    """Another parameter, and a factor."""
-    return (value, 1.0) if isinstance(value, str) else value
-
-
-def _known(value: Any, where: str) -> bool:  # noqa: ANN401
-    """Whether the target is estimated."""
-    words = {"known": False, "estimate": True}
-    return bool(kept(value, where, f"one of {choices(words)}", words.get))
+_FRAME = _form("'known', 'estimate' or a list of directions", frame)
+_KNOWN = _form("'known' or 'estimate'", {"known": False, "estimate": True}.get)
 
 
 #: The keys of a cell file: the attribute of a cell that each gives, and how its value is read.
 FIELDS: dict[str, Field] = {
     **{key: Field(key, TEXT) for key in ("base", "tip", "model", "kind", "repeats")},
-    "freeze": Field("frozen", of_type(list, "a list of names")),
-    "target": Field("estimate_target", _known),
+    "freeze": Field("frozen", _of_type(list, "a list of names")),
+    "target": Field("estimate_target", _KNOWN),
     "target_mm": Field("target", POINT),
     "target_rpy_deg": Field("target_rotation", _RPY),
-    "frame": Field("frame", _frame),
+    "frame": Field("frame", _FRAME),
     "frame_xyz_mm": Field("xyz", POINT),
     "frame_rpy_deg": Field("rotation", _RPY),
     "sigma_mm": Field("sigma", MM),
@@ -265,7 +253,9 @@ FIELDS: dict[str, Field] = {
     "gravity_m_per_s2": Field("gravity", NUMBERS),
     "targets_mm": Field("targets", _named("targets_mm", POINT)),
     "frames": Field("frames", _named("frames", _place)),
-    "ties": Field("ties", _named("ties", _tie)),
+    "ties": Field(
+        "ties", _named("ties", lambda one, _: (one, 1.0) if isinstance(one, str) else one)
+    ),
     "bounds": Field("bounds", _named("bounds", _bounds)),
     "parameter_priors": Field("parameter_priors", _named("parameter_priors", _change)),
     "payload": Field("payload", _table("payload", _PAYLOAD)),
