@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from calib.errors import ModelError
 from calib.result.calibration import Calibration
@@ -17,7 +15,7 @@ from calib.result.calibration_file import read_result
 from calib.result.drift import Drift, drift_between
 from calib.result.verdict import NO
 from calib.robot.readback import spread_between, spread_poses
-from calib.robot.robot import Robot, rigid_inverse
+from calib.robot.robot import Robot
 
 Array = NDArray[np.float64]
 Place = tuple[float, float]
@@ -42,11 +40,6 @@ class Comparison(Drift):
     names: tuple[str, str]  #: Their files, or ``"a"`` and ``"b"``
     outcome: Outcome  #: ``"drift"``, ``"no drift shown"`` or ``"cannot tell"``
     why: Why  #: Why nothing can be told; empty otherwise
-    #: How far the base lies elsewhere in set-ups of the same name, (shift [m], turn [rad]) by name; the only one of
-    #: each has the name ""
-    frames: Mapping[str, Place]
-    #: The same of targets in the tip; the turn is NaN where orientations are not known
-    targets: Mapping[str, Place]
     robot: Robot  #: The robot whose meshes are shown
 
     def __repr__(self) -> str:
@@ -116,11 +109,6 @@ def compare(
     elif (found.only_a or found.only_b) and found.test.drifted:
         residual = max(one.errors["calibrated"]["estimation"].rms for one in both)
         why = "" if found.moves[0].moved > _FAR * residual else "other errors"
-    s, t = first.setup, second.setup
-    bases = [
-        dict(zip(one.groups, map(rigid_inverse, one.T_frame_base), strict=True)) for one in (s, t)
-    ]
-    targets = [dict(zip(one.targets, one.T_tip_target, strict=True)) for one in (s, t)]
     return Comparison(
         **{one.name: getattr(found, one.name) for one in fields(found)},
         a=first,
@@ -128,8 +116,6 @@ def compare(
         names=names,
         outcome="cannot tell" if why else "drift" if found.test.drifted else "no drift shown",
         why=why,
-        frames=_places(*bases, oriented=True),
-        targets=_places(*targets, oriented=s.oriented and t.oriented),
         robot=shown,
     )
 
@@ -142,17 +128,3 @@ def _covered(a: Array, b: Array) -> Array:
     high = np.where(apart, np.fmax(a[:, 1], b[:, 1]), high)
     found = np.stack([low, high], axis=1)
     return np.where(np.isfinite(found), found, 0.0)
-
-
-def _places(a: Mapping[str, Array], b: Mapping[str, Array], *, oriented: bool) -> dict[str, Place]:
-    """How poses of the same name moved; the only one of each, called "", whatever their names."""
-    shared = {name: (T, b[name]) for name, T in a.items() if name in b}
-    if not shared and len(a) == len(b) == 1:
-        shared = {"": (next(iter(a.values())), next(iter(b.values())))}
-    return {
-        name: (
-            float(np.linalg.norm(U[:3, 3] - T[:3, 3])),
-            Rotation.from_matrix(T[:3, :3].T @ U[:3, :3]).magnitude() if oriented else np.nan,
-        )
-        for name, (T, U) in shared.items()
-    }

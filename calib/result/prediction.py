@@ -192,23 +192,6 @@ def _pushes(fitted: Fitted) -> Array:
     return np.asarray(push + between @ slope)
 
 
-def correlations(c: Solved, above: float) -> list[tuple[str, str, float]]:
-    """Pairs of the geometry's parameters with |C_ij| / sqrt(C_ii C_jj) > above, the strongest first.
-
-    Parameters that the measurements know in combinations only are left aside: the prior shares those out.
-    """
-    chosen = [k for k, p in enumerate(c.parameters) if p.identifiable and not p.at_bound]
-    C = c.covariance[np.ix_(chosen, chosen)]
-    std = np.sqrt(np.diag(C))
-    R, names = C / np.outer(std, std), [c.parameters[k].name for k in chosen]
-    pairs = [
-        (names[i], names[j], float(R[i, j]))
-        for i, j in zip(*np.triu_indices(len(chosen), 1), strict=True)
-        if abs(R[i, j]) > above
-    ]
-    return sorted(pairs, key=lambda pair: -abs(pair[2]))
-
-
 def base_motion(kinematics: Kinematics, x: Array, samples: Samples) -> Array:
     """The motion of the base that makes up best for a unit of each parameter x (p,) over some poses, shape (6, p)."""
     some = samples.select(np.linspace(0, len(samples) - 1, min(len(samples), _ENOUGH)).astype(int))

@@ -36,7 +36,6 @@ def comparison_text(c: Comparison) -> str:
         _heading(c),
         _answer(c),
         "\n".join(wrap(f"Note: {note}") for note in notes(c)),
-        _places(c),
     )
     return "\n\n".join(part for part in parts if part)
 
@@ -142,32 +141,8 @@ def notes(c: Comparison) -> tuple[str, ...]:
     return tuple(text for text, applies in every.items() if applies)
 
 
-def _places(c: Comparison) -> str:
-    """How frames and targets moved: no drift of the robot's."""
-    frame, lines = "Measurement frame" if c.a.tells_place else "Set-up", []
-    both = ((frame, c.a.nominal.base, c.frames), ("Target", c.a.nominal.tip, c.targets))
-    for what, where, places in both:
-        for place, (shift, turn) in list(places.items())[:_MOST_PLACES]:
-            name = f"{what} '{place}'" if place else what
-            turned = f", turned by {deg(turn)} deg" if np.isfinite(turn) else ""
-            lines.append(
-                wrap(
-                    f"{name}: {mm(shift)} mm elsewhere in {where} in b{turned}; not a drift of the robot."
-                )
-                if shift or turn > 0.0
-                else wrap(f"{name}: the same in both.")
-            )
-        if len(places) > _MOST_PLACES:
-            lines.append(f"... and {len(places) - _MOST_PLACES} more of these")
-    return "\n".join(lines)
-
-
 def comparison_table(c: Comparison) -> dict[str, Any]:
     """The comparison as nested tables of plain values; the keys are documented in docs/comparison.md."""
-    frames, targets = (
-        [{key: name, "shift_m": s, "turn_rad": turn} for name, (s, turn) in places.items()]
-        for key, places in (("group", c.frames), ("target", c.targets))
-    )
     return {
         "schema": COMPARISON_SCHEMA,
         "robot": {"name": c.a.nominal.name, "base": c.a.nominal.base, "tip": c.a.nominal.tip},
@@ -180,8 +155,6 @@ def comparison_table(c: Comparison) -> dict[str, Any]:
             for m in c.moves
         ],
         **{name: list(getattr(c, name)) for name in ("untold", "only_a", "only_b")},
-        "frames": frames,
-        "targets": targets,
         "results": [
             {
                 "name": name,

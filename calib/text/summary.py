@@ -20,7 +20,7 @@ from calib.model.error_model import placed_name
 from calib.model.families import FAMILIES, unit_of
 from calib.model.kinematics import FRAME, TARGET
 from calib.result.calibration import Calibration
-from calib.result.prediction import Outlier, ParameterEstimate, correlations
+from calib.result.prediction import Outlier, ParameterEstimate
 from calib.text.lines import deg, mm, number, wrap
 from calib.text.verdict import reason_text, robustness_text
 from calib.version import __version__
@@ -36,10 +36,7 @@ _MOST_ROWS, _MOST_PLACES = 12, 6
 
 #: Labels of `facts` that the report asks for.
 EXPECTED, SCATTER = "Expected error, if the model is complete", "Scatter of repeats"
-SIZES, TOGETHER = "Size of the robot's errors", "Strongly correlated parameters"
-
-#: Correlations beyond this are named, the largest few.
-_WORTH_NAMING, _MOST_PAIRS = 0.95, 4
+SIZES = "Size of the robot's errors"
 
 #: Degrees of freedom from which on the noise is that of the rows.
 _TELLING = 6.0
@@ -64,7 +61,6 @@ ANGLE_HEAD = _ANGLE_COLUMNS.format("Orientation error [deg]", "rows", "max", "me
 def summary(c: Calibration) -> str:
     """The whole summary of a calibration."""
     m, known = c.rows, facts(c)
-    together = known.pop(TOGETHER, "")
     took = "" if math.isnan(c.seconds) else f", {1e3 * c.seconds:.0f} ms"
     verdict = ["Verdict: none, because nothing was cross-validated."]
     if c.verdict is not None:
@@ -95,7 +91,6 @@ def summary(c: Calibration) -> str:
         _ladder(c),
         "\n".join([*(wrap(f"{label}: {text}") for label, text in known.items()), *unknown]),
         _parameters(c),
-        wrap(f"{TOGETHER}: {together}" if together else ""),
         "\n".join(larger),
         wrap(f"{solver_text(c)}{took}. {c.solution.message}"),
     )
@@ -126,10 +121,6 @@ def facts(c: Calibration) -> dict[str, str]:
         result[SIZES] = f"{', '.join(sizes)} ({how})."
     o = c.observability
     result["Rank"] = f"{o.rank} of {o.columns} parameters, condition number {o.condition:.0f}."
-    pairs = correlations(c, _WORTH_NAMING)[:_MOST_PAIRS]
-    if pairs:
-        named = (f"{first} and {second} ({value:+.2f})" for first, second, value in pairs)
-        result[TOGETHER] = f"{', '.join(named)}."
     return result
 
 

@@ -17,7 +17,6 @@ from calib.data.measurements import Measurements
 from calib.errors import CalibError, ModelError
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
-from calib.result.prediction import correlations
 from calib.result.uncertainty import (
     Bootstrap,
     bootstrap,
@@ -235,20 +234,6 @@ class TestProfile:
             profile_interval(of_target, "d9")
         with pytest.raises(CalibError, match="level of an interval is 1; it must lie between"):
             profile_interval(of_target, "target_x", 1.0)
-
-
-class TestCorrelations:
-    def test_are_the_covariances_in_falling_order(self, of_dh: Calibration):
-        pairs = correlations(of_dh, 0.0)
-        known = [p.name for p in of_dh.parameters if p.identifiable]
-        assert len(pairs) == len(known) * (len(known) - 1) // 2
-        C = of_dh.covariance
-        for first, second, value in pairs[:20]:
-            i, j = of_dh.model.index(first), of_dh.model.index(second)
-            assert value == pytest.approx(C[i, j] / np.sqrt(C[i, i] * C[j, j]), abs=1e-12)
-        sizes = [abs(value) for _, _, value in pairs]
-        assert sizes == sorted(sizes, reverse=True)
-        assert {name for pair in pairs for name in pair[:2]} == set(known)
 
 
 def test_the_papers_solver_has_none_of_it(ur3: Robot, table: Measurements, paper_cell: Cell):
