@@ -27,8 +27,7 @@ from calib.data.measurements import Measurements
 from calib.data.table import Table
 from calib.errors import CalibError
 from calib.files import json_bytes, make_folder, plain, write_atomically
-from calib.fleets.outliers import Odd, odd_ones
-from calib.fleets.record import FAILED, ROWS, FleetRow, csv_bytes
+from calib.fleets.record import FAILED, ROWS, FleetRow, Odd, csv_bytes, odd_ones
 from calib.jobs import run
 from calib.report.report import write_report
 from calib.robot.robot import Robot
@@ -109,7 +108,7 @@ class Fleet:
     """Many robots, calibrated."""
 
     rows: tuple[FleetRow, ...]  #: One for each robot, in their order
-    odd: tuple[Odd, ...]  #: What is odd about which of them, see `calib.fleets.outliers`
+    odd: tuple[Odd, ...]  #: What is odd about which of them, see `calib.fleets.record`
     notes: tuple[str, ...]  #: What could not be said
     kept: int  #: How many of them were taken from an earlier run
 

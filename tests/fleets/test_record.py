@@ -11,8 +11,16 @@ import pytest
 
 from calib.data.measurements import Measurements
 from calib.files import json_bytes
-from calib.fleets.outliers import FEWEST, limit, odd_ones, scores
-from calib.fleets.record import ROWS, FleetParameter, FleetRow, measured_hash
+from calib.fleets.record import (
+    FEWEST,
+    ROWS,
+    FleetParameter,
+    FleetRow,
+    limit,
+    measured_hash,
+    odd_ones,
+    scores,
+)
 
 
 def row(k: int, rng: np.random.Generator, parameters: int = 10) -> FleetRow:
