@@ -106,11 +106,11 @@ class _Scene(NamedTuple):
     def touched(self, configurations: Array) -> Mask:
         """Which pairs are closer than their margins, shape (N, pairs)."""
         data, found = self.room()
-        result = np.zeros((len(configurations), len(self.margins)), dtype=np.bool_)
-        for i, one in enumerate(configurations):
+        result = []
+        for one in configurations:
             pin.computeCollisions(self.model, data, self.shapes, found, one, False)
-            result[i] = [answer.isCollision() for answer in found.collisionResults]
-        return result
+            result.append([answer.isCollision() for answer in found.collisionResults])
+        return np.array(result, dtype=np.bool_)
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

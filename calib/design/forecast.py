@@ -59,7 +59,7 @@ class Sensitivity:
     kind: str  #: What is measured at each pose.
     setup: Setup  #: Frames and targets; a target that was not given stands at a general place.
     kinematics: Kinematics  #: Of the nominal robot, under the model that the fit will use.
-    precision: Array  #: shape (p,), 1 / tau^2 of each parameter's prior, its own or its family's; 0 without.
+    precision: Array  #: shape (p,), 1 / tau^2 of each parameter's prior, its own or its family's, or of the leash.
     notes: tuple[Note, ...]  #: What was assumed.
 
     @classmethod
@@ -87,7 +87,7 @@ class Sensitivity:
             shared = cell.priors.sizes != "off" and parameter.family in FAMILIES
             size = cell.priors.of(parameter.family) if shared else None
             size = cell.parameter_priors.get(parameter.name, size)
-            precision[k] = 0.0 if size is None else 1.0 / size**2
+            precision[k] = 1.0 / (LEASH if size is None else size) ** 2
         kinematics = Kinematics(robot, model, setup.T_frame_base, setup.T_tip_target)
         return cls(cell, kind, setup, kinematics, read_only(precision), tuple(notes))
 
@@ -319,18 +319,13 @@ def forecast_of_table(robot: Robot, cell: Cell, measurements: Measurements) -> F
     return forecast(robot, known, seen.joints_for(robot.joint_names))
 
 
-def held(precision: Array) -> Array:
-    """The priors' precision, with a leash on the parameters that have none, shape (p,)."""
-    return np.where(precision > 0.0, precision, 1.0 / LEASH**2)
-
-
 def covariance_root(measured: Array, precision: Array) -> Array:
     """A root of the parameters' covariance after measurements, C = root root^T, shape (p, p).
 
     By a QR decomposition of the measurements, shape (n, d, p), and the priors below each other: what a fine instrument
     tells, and what nothing but the leash holds, are too far apart for their squares.
     """
-    rows = [measured.reshape(-1, measured.shape[2]), np.diag(np.sqrt(held(precision)))]
+    rows = [measured.reshape(-1, measured.shape[2]), np.diag(np.sqrt(precision))]
     R = np.linalg.qr(np.concatenate(rows), mode="r")
     return np.asarray(solve_triangular(R, np.eye(len(R))))
 

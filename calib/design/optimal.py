@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from calib.design.candidates import Pool
-from calib.design.forecast import Forecast, Sensitivity, Workspace, held, information
+from calib.design.forecast import Forecast, Sensitivity, Workspace, information
 from calib.errors import ModelError
 from calib.model.observability import steps
 from calib.robot.robot import read_only
@@ -149,7 +149,7 @@ def choose_poses(
     # The mean over poses and targets of J^T J.
     B = information(workspace.located) / (workspace.located[:, :, 0].size // 3)
     weights = {"D": None, "A": np.diag(1.0 / steps(sensitivity.units) ** 2), "V": B}
-    known = np.diag(held(sensitivity.precision))
+    known = np.diag(sensitivity.precision)
     known += information(sensitivity.measured(taken)) if len(taken) else 0.0
     basis = Basis.of(information(measured) / len(measured), known, weights[request.criterion])
     blocks = measured @ basis.directions

@@ -273,17 +273,13 @@ def with_whole_turns(
     for stretch in stretches:
         for shift in shifts if stretch is not longest else ():
             turned = result[stretch] + shift
-            inside = np.all((turned >= ranges[:, 0]) & (turned <= ranges[:, 1]))
-            if inside and _joined(result[reached], turned, free_path):
+            if not np.all((turned >= ranges[:, 0]) & (turned <= ranges[:, 1])):
+                continue
+            length = np.max(np.abs(result[reached][:, None] - turned[None]), axis=2)
+            shortest = np.argsort(length, axis=None, kind="stable")[:_TRIES]
+            ways = [divmod(int(k), len(turned)) for k in shortest]
+            if any(free_path(result[reached[a]], turned[b]) for a, b in ways):
                 result[stretch] = turned
                 reached = np.concatenate([reached, stretch])
                 break
     return result
-
-
-def _joined(some: Array, others: Array, free_path: FreePath) -> bool:
-    """Whether a free way leads from one of some poses to one of the others; the shortest ways are tried."""
-    length = np.max(np.abs(some[:, None] - others[None]), axis=2)
-    shortest = np.argsort(length, axis=None, kind="stable")[:_TRIES]
-    ways = zip(*np.unravel_index(shortest, length.shape), strict=True)
-    return any(free_path(some[a], others[b]) for a, b in ways)

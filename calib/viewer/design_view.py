@@ -117,11 +117,9 @@ def region_page(view: RegionView) -> Page:
         keys = _draw_voxels(scene, view, centres)
         if view.checked is not None:
             rows, points, _ = view.checked
-            # A wild point is not looked for at the end of the world.
-            near = np.linalg.norm(points, axis=1) < 5.0 * size
             sets = (
-                ("estimation", ESTIMATION, "estimation rows", points[rows.estimation & near]),
-                ("validation", VALIDATION, "validation rows", points[rows.validation & near]),
+                ("estimation", ESTIMATION, "estimation rows", points[rows.estimation]),
+                ("validation", VALIDATION, "validation rows", points[rows.validation]),
             )
             keys += _draw_dots(scene, sets, _ROW_BALL * size)
         return keys
@@ -140,11 +138,8 @@ def region_page(view: RegionView) -> Page:
 def _draw_voxels(scene: meshcat.Visualizer, view: RegionView, centres: Array) -> list[Key]:
     """The region's voxels, shape (K, 3) of centres, in bands, and their lines of the legend."""
     needed = view.density.share_of(centres)
-    rng = np.random.default_rng(0)
-    chosen = np.sort(rng.permutation(len(centres))[:_MOST_POINTS])
+    chosen = np.sort(np.random.default_rng(0).permutation(len(centres))[:_MOST_POINTS])
     centres, needed, edge = centres[chosen], needed[chosen], _POINT * view.region.voxel
-    # Anywhere in its voxel: points in rows would make patterns of their own.
-    centres = centres + view.region.voxel * rng.uniform(-0.5, 0.5, centres.shape)
     share = view.region.share
     ends = [0.0, *[end for end in _BANDS if end < share - 0.02], share]
     keys = []

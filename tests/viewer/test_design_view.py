@@ -126,17 +126,3 @@ def test_many_voxels_are_thinned_out_and_a_share_has_its_bands(view, ur3):
     assert np.count_nonzero(big.region.cells) > 70_000
     scene = scene_of(region_page(big))
     assert sum(len(positions(scene, f"band{i}")) for i in range(3)) == 60_000
-
-
-@pytest.mark.slow
-def test_chromium_shows_robot_bands_and_rows_and_calls_nobody(browser, view, tmp_path):
-    path = region_page(view).write(tmp_path / "view.html")
-    with browser.open(path.as_uri()) as tab:
-        picture = tab.screenshot().astype(int)
-        assert tab.console == []
-        assert tab.elsewhere == []
-    red, green, blue = np.moveaxis(picture[80:640, 200:1080], -1, 0)
-    assert ((red > 210) & (green > 140) & (blue < 120)).sum() > 100  # seldom
-    assert (
-        (red > 100) & (red - green > 70) & (red - blue > 30) & (green < 100)
-    ).sum() > 100  # often
