@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.data.layout import Layout
+from calib.data.layout import Layout, read_values
 from calib.data.measurements import Measurements
 from calib.data.points_file import PARTS, Points, read_points
 from calib.data.table import ORIENTATION, Table, list_columns, name_columns, reserved
@@ -196,7 +196,7 @@ def _from_table(
         for row in table.cells
     )
     layout = replace(layout, groups=(sweep,))
-    values = Measurements.of_layout(replace(table, cells=cells), layout, points)
+    values = Measurements(**read_values(replace(table, cells=cells), layout, points))
     found = (values.groups, values.points, values.rows)
     joints = values.joints if there else None
     return _split(*found, table.source, names, sigma=values.sigma, joints=joints)

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.compensation.inverse import MATCHES, POSITION
 from calib.data.kinds import no_rotation
-from calib.data.layout import Layout
+from calib.data.layout import Layout, read_values
 from calib.data.measurements import Measurements
 from calib.data.table import (
     POINT,
@@ -215,7 +215,7 @@ def _numbers(
         "orientation": () if by_angles else turns,
     }
     kind = "fixed" if not points else "pose" if blocks["orientation"] else "point"
-    values = Measurements.of_layout(table, Layout({}, (), blocks, (kind,)))
+    values = Measurements(**read_values(table, Layout({}, (), blocks, (kind,))))
     if values.unmeasured:
         raise MeasurementError(
             f"{table.source}, row {values.unmeasured[0]}: there is no position, all its cells are empty, while other "

@@ -17,13 +17,11 @@ from calib.data.kinds import Kind
 from calib.data.points_file import Points
 from calib.data.table import (
     COMMON,
-    DEFAULT_TARGET,
     EXPECTED,
     ORIENTATION,
     POINT,
     QUATERNION,
     ROTATION_VECTOR,
-    SETS,
     STATUS,
     TORQUE,
     Column,
@@ -41,9 +39,6 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Columns = tuple[Column, ...]
 Named = Mapping[str, Column]
-
-#: The words of a row, and what stands for them in a table without the column.
-_DEFAULTS = {"set": SETS[0], "target": DEFAULT_TARGET, "group": "", "pair": "", "point": ""}
 
 _WHOLE = re.compile(r"[+-]?[0-9]{1,18}")
 
@@ -270,10 +265,10 @@ def read_values(table: Table, layout: Layout, elsewhere: Points | None = None) -
     placed = np.isin(kinds, [kind.name for kind in present if kind.position])
     told = {"target": measured, "pair": measured & paired, "point": measured & placed}
     words = _words(table, layout, told)
-    every = list(map(int, words["row"]))
+    every = list(map(int, words["row"])) if "row" in words else list(range(1, count + 1))
     if elsewhere is not None:
         at = np.flatnonzero(measured & placed)
-        names = [words["point"][i] for i in at] if "point" in layout.words else None
+        names = [words["point"][i] for i in at] if "point" in words else None
         points = np.full((count, 3), np.nan)
         found = elsewhere.of_rows(table.source, [every[i] for i in at], names)
         points[at] = elsewhere.points[found]
@@ -304,30 +299,28 @@ def read_values(table: Table, layout: Layout, elsewhere: Points | None = None) -
         "prismatic": [name for name, slides in joints.items() if slides],
         "joints": si.get("joints", np.empty((measured.sum(), 0))),
         "points": si.get("points", np.full((measured.sum(), 3), np.nan)),
-        "sets": words["set"],
+        "sets": words.get("set", ()),
         "sigma": single.get("sigma"),
-        "targets": words["target"],
-        "groups": words["group"],
+        "targets": words.get("target", ()),
+        "groups": words.get("group", ()),
         "rows": list(compress(every, measured)),
         "kinds": kinds[measured].tolist(),
         "rotations": _matrices(si["orientation"]) if "orientation" in si else None,
         "distances": readings.pop("distance", None),
         "readings": readings,
         "sigma_angle": single.get("sigma_angle"),
-        "pairs": words["pair"],
+        "pairs": words.get("pair", ()),
         "torques": torques,
         "unmeasured": list(compress(every, ~measured)),
     }
 
 
 def _words(table: Table, layout: Layout, told: Mapping[str, Mask]) -> dict[str, list[str]]:
-    """The words of all rows, or what stands for them without a column; none is empty where a row must have it."""
-    words = {name: [default] * len(table.cells) for name, default in _DEFAULTS.items()}
-    words["row"] = [str(i + 1) for i in range(len(table.cells))]
-    words |= {name: table.column(column) for name, column in layout.words.items()}
+    """The words of all rows, by their columns; none is empty where a row must have it."""
+    words = {name: table.column(column) for name, column in layout.words.items()}
     if layout.groups:
         words["group"] = ["/".join(row[c.index] for c in layout.groups) for row in table.cells]
-    for i in (i for i, text in enumerate(words["row"]) if not _WHOLE.fullmatch(text)):
+    for i in (i for i, text in enumerate(words.get("row", ())) if not _WHOLE.fullmatch(text)):
         what = f"'{words['row'][i]}' is not a whole number. Number the rows."
         table.fail(i, layout.words["row"], what)
     for name in told.keys() & layout.words.keys():

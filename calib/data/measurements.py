@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 import calib.data.kinds as registry
 from calib.data.kinds import FARTHEST, SIGMAS, Kind, no_rotation, to_quaternions
 from calib.data.layout import Layout, read_values
-from calib.data.points_file import Points, read_points
+from calib.data.points_file import read_points
 from calib.data.table import (
     COMMON,
     DEFAULT_TARGET,
@@ -209,7 +209,12 @@ class Measurements:
         return found
 
     def _check_whole(self) -> None:
-        """Refuse, in a table as it was read, pairs of other than two rows and groups with too few rows."""
+        """Refuse a table without rows to estimate from, pairs of other than two rows, groups of too few."""
+        if not self.estimation.any():
+            raise MeasurementError(
+                f"{self.source}, column 'set': no measured row is 'estimate', all {len(self)} are 'validate'. Mark "
+                "those to estimate from, or remove the column."
+            )
 
         def refuse(what: str, at: Sequence[int], fix: str) -> NoReturn:
             """Name the rows, from 0, that do not make a whole."""
@@ -281,22 +286,9 @@ class Measurements:
         layout = Layout.find(
             table, joint_names, joint_types, columns, kind, points_elsewhere=elsewhere is not None
         )
-        measurements = cls.of_layout(table, layout, elsewhere)
+        measurements = cls(**read_values(table, layout, elsewhere))
         measurements._check_whole()
         return measurements
-
-    @classmethod
-    def of_layout(
-        cls, table: Table, layout: Layout, elsewhere: Points | None = None
-    ) -> Measurements:
-        """What a table holds whose columns were found; its pairs and groups may lack rows."""
-        found = cls(**read_values(table, layout, elsewhere))
-        if not found.estimation.any():
-            raise MeasurementError(
-                f"{table.source}, column 'set': no measured row is 'estimate', all {len(found)} are 'validate'. Mark "
-                "those to estimate from, or remove the column."
-            )
-        return found
 
     def __repr__(self) -> str:
         """In one line, such as ``Measurements(35 rows of 6 joints from ur3_leica.csv)``."""
@@ -408,7 +400,10 @@ class Measurements:
             if values is None or (len(values) and np.isnan(values).all()):
                 return
             unit = "" if quantity is None else COMMON[quantity]
-            written = (_in_unit(values, UNITS[unit].to_si) if unit else values).tolist()
+            to_si = UNITS[unit].to_si if unit else 1.0
+            written = values / to_si
+            plain = np.array([float(f"{number:.15g}") for number in written])  # as a table had it
+            written = np.where(plain * to_si == values, plain, written).tolist()
             cells = ["" if math.isnan(number) else number for number in written]
             columns[f"{name} [{unit}]" if unit else name] = cells
 
@@ -431,16 +426,6 @@ class Measurements:
         writer.writerow(columns)
         writer.writerows(zip(*columns.values(), strict=True))  # csv writes a float as its repr
         write_atomically(path, text.getvalue().encode(), overwrite=overwrite)
-
-
-def _in_unit(values: Array, to_si: float) -> Array:
-    """The numbers that, times ``to_si``, are the values to the last bit where any are, else next to them."""
-    found = values / to_si
-    for end in (np.inf, -np.inf):
-        beside = np.nextafter(found, end)
-        better = (found * to_si != values) & (beside * to_si == values)
-        found = np.where(better, beside, found)
-    return found
 
 
 def _read_only(values: ArrayLike) -> Array:

@@ -126,7 +126,10 @@ def read_points(path: str | Path, unit: str | None = None) -> Points:
     for number, line in enumerate(text.split("\n"), 1):
         remark = _remark(line)
         if remark is None and not lines:
-            separator = next((s for s in _SEPARATORS if _first_point(_split(line, s))), "")
+            tried = ((s, _split(line, s)) for s in _SEPARATORS)
+            separator = next(
+                (s for s, c in tried if any(_has_point(c, i) for i in range(len(c)))), ""
+            )
             remark = None if separator else line.strip()
         if remark is None:
             lines.append(number)
@@ -191,11 +194,6 @@ def _has_point(cells: Sequence[str], start: int) -> bool:
     """Whether three numbers stand there, with a decimal point or comma."""
     three = cells[start : start + 3]
     return len(three) == 3 and all(map(_NUMBER.fullmatch, three))
-
-
-def _first_point(cells: Sequence[str]) -> bool:
-    """Whether three numbers stand side by side."""
-    return any(_has_point(cells, i) for i in range(len(cells) - 2))
 
 
 def _heading(headings: Sequence[str], separator: str, cells: Sequence[Sequence[str]]) -> list[str]:

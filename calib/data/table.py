@@ -178,7 +178,10 @@ class Table:
             except ValueError:
                 usual = False
             if not usual:
-                found[:, k] = list(map(_number, texts))
+                found[:, k] = [
+                    float(text) if NUMBER.fullmatch(text) else np.inf if text else np.nan
+                    for text in texts
+                ]
         if len(signs) == 2:
             raise MeasurementError(
                 f"{self.source}: numbers have a decimal point in line {signs['.']} and a decimal comma in line "
@@ -303,17 +306,6 @@ def with_unit(
 
 
 # Numbers
-
-
-def _number(text: str) -> float:
-    """The number in a cell; NaN if it is empty, infinite if there is none."""
-    if not text:
-        return np.nan
-    try:
-        value = float(text)
-    except ValueError:
-        return np.inf
-    return np.inf if np.isnan(value) or "_" in text else value
 
 
 def implausible(

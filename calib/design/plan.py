@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 
 import calib.data.kinds as registry
 from calib.data.cell import Cell, Reflector, Tracker, check_boxes
-from calib.data.layout import Layout
+from calib.data.layout import Layout, read_values
 from calib.data.measurements import Measurements
 from calib.data.table import DEFAULT_TARGET, EXPECTED, POINT, QUATERNION, Table, name_columns
 from calib.design.candidates import Condition, Note, draw, planning_ranges
@@ -307,7 +307,7 @@ def read_poses(path: str | Path, robot: Robot, *, taken: bool = False) -> Poses:
     table = Table.read(path)
     # A row of the kind ``fixed`` has its joint values alone.
     layout = Layout.find(table, robot.joint_names, robot.joint_types, None, "fixed")
-    rows = Measurements.of_layout(table, layout)
+    rows = Measurements(**read_values(table, layout))
     wanted = np.ones(len(rows), dtype=np.bool_)
     if taken:
         named, _ = name_columns(table, robot.joint_names, {})
