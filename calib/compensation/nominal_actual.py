@@ -235,8 +235,7 @@ def is_corrected(result: Calibration, robot: Robot) -> bool:
             return corrected
     raise ModelError(
         f"{robot.urdf.source}: the origin of '{far[0]}' is neither the one that the calibration began with nor its "
-        "corrected one. Give the URDF that the result was made with. If the controller has a model of its own, "
-        "such as a factory calibration, give that and the corrected URDF in place of the result."
+        "corrected one. Give the URDF that the result was made with, or the corrected URDF in place of the result."
     )
 
 

@@ -17,7 +17,7 @@ import pinocchio as pin
 import yaml
 from numpy.typing import NDArray
 
-from calib.errors import FileError, UrdfError, choices
+from calib.errors import FileError
 from calib.files import read_bytes, write_atomically
 from calib.robot.robot import Robot
 from calib.units import NUMBER
@@ -62,12 +62,6 @@ def origins_of(robot: Robot) -> dict[str, JointOrigin]:
 
 def with_origins(robot: Robot, origins: Mapping[str, JointOrigin]) -> Robot:
     """The robot with these origins, those of other joints and its held joints stay; `UrdfError` for unknown joints."""
-    names = [joint.name for joint in robot.urdf.joints]
-    for name in origins:
-        if name not in names:
-            raise UrdfError(
-                f"'{name}' of the origins file is no joint of {robot.urdf.source}, which has {choices(names)}."
-            )
     poses = {name: origin.T_parent_joint for name, origin in origins.items()}
     return robot.rebuilt(robot.urdf.with_origins(poses))
 
@@ -92,9 +86,7 @@ def write_origins(robot: Robot, path: str | os.PathLike[str], *, overwrite: bool
         width=math.inf,
     )
     names = (robot.name, robot.base, robot.tip, Path(path).name, first, first)
-    # A name in a comment must not end the line, nor be no character of YAML.
-    plain = ("".join(c if c.isprintable() else "?" for c in name) for name in names)
-    data = (_HEADER.format(*plain) + text).encode()
+    data = (_HEADER.format(*names) + text).encode()
     if read_origins(path, data) != origins:
         raise FileError(
             f"{path}: the origins of '{robot.name}' do not read back; rename its joints in the URDF."

@@ -252,21 +252,14 @@ def _urdf_text(model: UrModel) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mount:
-    """How a URDF's frames are fixed to those of an arm: T_base_tip = T_base_arm chain(q) T_flange_tip.
-
-    Attributes:
-        model: Which arm it is.
-        T_base_arm, T_flange_tip: shape (4, 4), [m]: the controller's base in the robot's, the tip in its flange.
-        T_arm_joint: shape (6, 4, 4), [m]: each joint's frame in the arm's frame of that joint, a motion along and about
-            the axis.
-        nominal: Whether the robot has the arm's nominal kinematics.
-    """
+    """How a URDF's frames are fixed to those of an arm: T_base_tip = T_base_arm chain(q) T_flange_tip."""
 
     model: UrModel
-    T_base_arm: Array
-    T_flange_tip: Array
+    T_base_arm: Array  #: shape (4, 4), [m], the controller's base in the robot's.
+    T_flange_tip: Array  #: shape (4, 4), [m], the robot's tip in the flange.
     T_arm_joint: Array
-    nominal: bool
+    """shape (6, 4, 4), [m], each joint's frame in the arm's of that joint: a motion along and about the axis."""
+    nominal: bool  #: Whether the robot has the arm's nominal kinematics.
 
     def chain_of(self, robot: Robot) -> Array:
         """The placements of a robot mounted so as those of the arm, shape (7, 4, 4), [m]."""

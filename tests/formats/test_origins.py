@@ -53,7 +53,7 @@ def test_the_nominal_robot_with_them_is_the_corrected_one(corrected: Robot):
     assert with_origins(nominal, origins_of(nominal)).urdf.data == nominal.urdf.data
     arm = Robot.from_urdf(nominal.urdf, "base", "tool0", held={"elbow_joint": 0.5})
     assert with_origins(arm, origins_of(arm)).held == {"elbow_joint": 0.5}
-    with pytest.raises(UrdfError, match="is no joint of"):
+    with pytest.raises(UrdfError, match="joint"):
         with_origins(Robot.load("panda"), origins_of(corrected))
 
 
