@@ -159,7 +159,7 @@ def _number(where: str, word: str, largest: float) -> float:
 
 
 def read_kinematics(path: PathLike, data: bytes | None = None) -> tuple[Array, str | None]:
-    """The chain of a ``kinematics.yaml``, or of one to be written, shape (7, 4, 4) [m], and its hash; or `FileError`."""
+    """The chain of a ``kinematics.yaml``, or one to be written, shape (7, 4, 4) [m], and its hash; or `FileError`."""
     what = "kinematics.yaml"
     top = parse_yaml(read_bytes(path, what) if data is None else data, str(path), what)
     links = top.get("kinematics")
