@@ -1,11 +1,14 @@
 """A real robot, one that was calibrated to the paper's size of errors, and a view of both."""
 
+import base64
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
+import umsgpack
 
 from calib import example
 from calib.data.measurements import Measurements
@@ -38,6 +41,12 @@ GANTRY = """<robot name="gantry">
   </joint>
 </robot>
 """
+
+
+def scene_of(page) -> dict:
+    """The scene's message in a page."""
+    text = re.search(rb'id="scene">([^<]*)<', page.html).group(1)
+    return umsgpack.unpackb(base64.b64decode(text))
 
 
 def disturbed(robot: Robot, scale: float = 1.0) -> Robot:

@@ -11,12 +11,12 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-import umsgpack
 
 from calib.report.figure_base import CALIBRATED, NOMINAL
 from calib.viewer.page import FACTORS, magnification, puppets, script_table, view_page
 from calib.viewer.scene import Key, filled_page
 from calib.viewer.view import View, packed, read_visuals, translation
+from tests.viewer.conftest import scene_of
 
 NASTY = "</script><script>alert(1)</script> \"'&<!-- é漢字 \udcff"
 
@@ -57,12 +57,6 @@ def make(**changes):
         "table": {"labels": ["row 1"]},
     }
     return filled_page("page.html", b"scene", **{**arguments, **changes})
-
-
-def scene_of(page) -> dict:
-    """The scene's message in a page."""
-    text = re.search(rb'id="scene">([^<]*)<', page.html).group(1)
-    return umsgpack.unpackb(base64.b64decode(text))
 
 
 def table_of(page) -> dict:
