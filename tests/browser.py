@@ -79,8 +79,9 @@ class Tab:
 
     def evaluate(self, script: str) -> Any:
         """The value of an expression; a promise is waited for."""
-        words = {"expression": script, "awaitPromise": True, "returnByValue": True}
-        answer = self._call("Runtime.evaluate", **words)
+        answer = self._call(
+            "Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True
+        )
         if "exceptionDetails" in answer:
             raise BrowserError(str(answer["exceptionDetails"]))
         return answer["result"].get("value")
@@ -90,8 +91,7 @@ class Tab:
         end = time.monotonic() + timeout
         while not (value := self.evaluate(condition)):
             if time.monotonic() > end:
-                message = f"waited {timeout:g} s for: {condition}"
-                raise BrowserError(message)
+                raise BrowserError(condition)
             time.sleep(0.02)
         return value
 

@@ -86,15 +86,6 @@ def test_it_serves_this_computer_only_and_ends_at_once_with_nothing_left(program
         pass
 
 
-@pytest.mark.slow
-def test_a_port_in_use(program, call, small):
-    with running(program, small, "--no-browser") as (_, line):
-        _, port = address(line)
-        done = call(small, "view", "small.urdf", "--port", str(port), "--no-browser")
-    assert (done.code, done.out) == (1, "")
-    assert done.err.startswith(f"calib: Port {port} of 127.0.0.1 cannot be used")
-
-
 def test_the_examples_write_pages(examples):
     one = examples.starting("calib view robot.urdf --base base -o")
     assert (one.code, one.out, one.err) == (0, "Written: robot.html\n", "")
@@ -104,22 +95,6 @@ def test_the_examples_write_pages(examples):
     assert "joint origins of result.json" in text
     assert "data-live" not in text
     assert "Verdict: use." in text
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("other.urdf", "--calibration", "r.json"), "OTHER and --calibration"),
-        (("--columns", "a=b"), "name the table with --data"),
-        (("-o", "there.html"), "'there.html' exists already"),
-    ],
-)
-def test_what_does_not_fit_is_refused(call, small, words, said):
-    (small / "there.html").write_text("mine")
-    done = call(small, "view", "small.urdf", *words)
-    assert (done.code, done.out) == (1, "")
-    assert said in done.err
-    assert (small / "there.html").read_text() == "mine"
 
 
 def test_a_shape_that_cannot_be_drawn_is_named(call, small):

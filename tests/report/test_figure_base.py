@@ -15,10 +15,8 @@ from calib.report.figure_base import (
     flagged_rows,
     lengths_of,
     new_figure,
-    number_points,
     row_kinds,
     rows_text,
-    short_names,
 )
 from calib.report.figures import Drawing, rendered
 
@@ -61,10 +59,6 @@ def test_files_open_and_carry_title_and_caption():
         rendered(drawing(), "jpg")
 
 
-def test_a_long_name_keeps_its_ends():
-    assert short_names(["shoulder_of_the_left_arm.x", "elbow"], 12) == ["should…arm.x", "elbow"]
-
-
 def test_every_row_is_of_one_kind(calibrations):
     c = calibrations.made("with_outliers")
     kinds = row_kinds(c)
@@ -84,12 +78,3 @@ def test_sizes_of_errors_are_those_of_the_tables(calibrations):
     errors = c.errors["calibrated"]["validation"]
     assert lengths.max() == pytest.approx(errors.max, rel=1e-12)
     assert np.sqrt(np.mean(angles**2)) == pytest.approx(errors.rms_angle, rel=1e-12)
-
-
-def test_few_points_are_numbered_and_many_are_not(calibrations):
-    m = calibrations.made("paper").measurements
-    ax = new_figure(2.0).subplots()
-    number_points(ax, m.rows, m.points[:, :2], m.validation)
-    assert [text.get_text() for text in ax.texts] == ["31", "32", "33", "34", "35"]
-    number_points(ax, m.rows, m.points[:, :2], m.estimation)
-    assert len(ax.texts) == 5

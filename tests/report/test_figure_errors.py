@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.report.figure_base import lengths_of, styled
+from calib.report.figure_base import styled
 from calib.report.figure_errors import (
     along_joints,
     by_axis,
@@ -71,19 +71,6 @@ def test_lengths_have_one_panel_and_their_signs(calibrations):
     assert before.min() < 0.0 < before.max()
     low, high = figure.axes[0].get_ylim()
     assert low < before.min() < before.max() < high
-
-
-def test_by_pose_an_outlier_stands_at_the_edge_and_is_numbered(calibrations):
-    c = calibrations.made("with_outliers")
-    top, below = by_row(c).axes
-    reach = below.get_ylim()[1]
-    sizes = 1e3 * lengths_of(c.residual_calibrated, c.used)
-    assert sizes.max() > 10.0 * reach
-    numbers = {text.get_text() for text in below.texts}
-    assert numbers == {str(one.row) for one in (*c.outliers, *c.suspects)}
-    assert top.get_ylim()[1] > sizes.max()
-    drawn = np.concatenate([np.asarray(line.get_ydata(), float) for line in below.lines])
-    assert np.nanmax(drawn) < reach
 
 
 def test_by_pose_shows_what_left_out_rows_show(calibrations):

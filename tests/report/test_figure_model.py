@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -44,16 +42,6 @@ def test_changes_and_intervals_are_those_of_the_result(calibrations):
             half = 0.5 * scales[unit] * (p.high - p.low)
             np.testing.assert_allclose(ends - scales[unit] * p.delta, [-half, half])
             assert (dot.get_markerfacecolor() == "white") == (not p.identifiable)
-
-
-def test_a_parameter_at_a_bound_has_no_interval(calibrations):
-    c = calibrations.made("paper")
-    held = replace(c.parameters[0], at_bound=True)
-    figure = changes(replace(c, parameters=(held, *c.parameters[1:])))
-    dot, _, (interval,) = figure.axes[0].containers[0]
-    assert dot.get_marker() == "s"
-    assert np.ptp(interval.get_segments()[0][:, 0]) == 0.0
-    assert "stopped by a bound" in [t.get_text() for t in figure.legends[0].get_texts()]
 
 
 def test_frames_and_targets_that_nobody_gave_are_left_out(calibrations):

@@ -17,23 +17,6 @@ QUICK = ("error-curves", "singular-values")
 ALWAYS = ["points", "histograms", "singular-values", "workspace-uncertainty"]
 
 
-def test_the_demo_has_these_figures_in_this_order(calibrations):
-    names = [drawing.name for drawing in drawings(calibrations.made("paper"))]
-    assert names == [
-        "points",
-        "error-curves",
-        "errors-by-pose",
-        "errors-by-axis",
-        "histograms",
-        "residual-by-joint",
-        "convergence",
-        "parameter-changes",
-        "correlations",
-        "singular-values",
-        "workspace-uncertainty",
-    ]
-
-
 @pytest.mark.parametrize(
     ("case", "there", "not_there"),
     [

@@ -88,12 +88,6 @@ def gantry():
 
 
 @pytest.fixture(scope="session")
-def head_and_arm():
-    """An arm seen by a camera on the head, whose frame leans whichever way the head looks."""
-    return Robot.load("tiago_no_hand", "xtion_rgb_optical_frame", "wrist_ft_tool_link")
-
-
-@pytest.fixture(scope="session")
 def fingers():
     """From one finger to the other, which mimics it: two joints, one column."""
     return Robot.load("panda", "panda_hand", "panda_rightfinger")

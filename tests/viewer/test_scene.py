@@ -13,7 +13,6 @@ from calib.viewer.scene import (
     SceneWindow,
     look_at,
     rod_between,
-    round_length,
 )
 
 
@@ -54,11 +53,6 @@ def test_all_points_are_in_view_and_fill_it(size, angle):
     assert -0.72 < at[:, 1].min() < at[:, 1].max() < 0.78
     assert (np.ptp(at, axis=0) / [1.9, 1.44]).max() > 0.97
     np.testing.assert_allclose(camera.axes @ camera.axes.T, np.eye(3), atol=1e-12)
-
-
-@pytest.mark.parametrize(("length", "rounded"), [(0.1, 0.1), (0.199, 0.1), (0.6, 0.5), (7, 5)])
-def test_round_lengths(length, rounded):
-    assert round_length(length) == pytest.approx(rounded)
 
 
 @pytest.mark.parametrize("end", [[0, 0, 2.0], [0, 0, -2.0], [1.0, -2.0, 0.5]])
