@@ -115,13 +115,10 @@ def styled() -> Iterator[None]:
 
 def saved(figure: Figure, kind: str, title: str = "", caption: str = "", dpi: int = 180) -> bytes:
     """A figure as a file of one of `KINDS`: the same figure is the same bytes. Called within `styled`."""
-    metadata: dict[str, dict[str, Any]] = {
-        "png": {"Title": title, "Description": caption},
-        "svg": {"Title": title, "Description": caption, "Date": None},
-        "pdf": {"Title": title, "Subject": caption, "CreationDate": None},
-    }
     data = io.BytesIO()
-    figure.savefig(data, format=kind, dpi=dpi, metadata=metadata[kind])
+    words: dict[str, Any] = {"Title": title, "Subject" if kind == "pdf" else "Description": caption}
+    words |= {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind, {})
+    figure.savefig(data, format=kind, dpi=dpi, metadata=words)
     return data.getvalue()
 
 

@@ -18,9 +18,6 @@ from calib.result.prediction import ParameterEstimate
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-#: A singular value below this share of the largest is drawn there.
-_FLOOR = 1e-7
-
 #: What the parameters of each unit are called.
 _TITLES = {"m": "Lengths", "rad": "Angles", "1": "Gear ratios and sines", "rad/Nm": "Compliances"}
 
@@ -139,7 +136,7 @@ def singular_values(c: Calibration) -> Figure:
     """The singular values of the scaled Jacobian, and where the rank ends."""
     o = c.observability
     values = 1e3 * o.singular_values
-    shown = np.maximum(values, max(float(values.max(initial=0.0)) * _FLOOR, 1e-15))
+    shown = np.maximum(values, max(float(values.max(initial=0.0)) * 1e-7, 1e-15))
     at = np.arange(1, len(values) + 1)
     seen = at <= o.rank
     figure = base.new_figure(2.9)

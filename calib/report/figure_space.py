@@ -21,9 +21,6 @@ VIEWS = ((0, 1, "from above"), (0, 2, "from the front"), (1, 2, "from the side")
 #: The height of the upper views [in] at least, and of all at most.
 _LEAST, _HIGHEST = 2.2, 5.8
 
-#: More rows than this are not drawn over the uncertainty.
-_MOST_RINGS = 150
-
 #: Joint values over which the uncertainty is drawn, and cells across a view.
 POSES, _CELLS = 4000, 22
 
@@ -86,7 +83,7 @@ def uncertainty(c: Calibration) -> Figure:
     )
     limits = limits_of(places)
     measured = 1e3 * measured_places(c)
-    measured = measured[:: max(-(-len(measured) // _MOST_RINGS), 1)]
+    measured = measured[:: 1 + len(measured) // 150]
     ring: dict[str, Any] = {"ls": "none", "marker": "o", "ms": 3.0, "mfc": "white", "mew": 0.6}
     figure = base.new_figure(6.2)
     *views, last = figure.subplots(2, 2).ravel()

@@ -47,13 +47,8 @@ _LONGEST_WORD = 24
 #: the worst are listed, so many.
 _MOST, _WORST = 40, 20
 
-#: An origin that moved by less has not [m or rad].
-_NOTHING = 1e-9
-
-#: An angle with four figures after the point.
+#: An angle with four figures after the point; factor and figures of a, alpha, d, theta and beta.
 _deg = partial(deg, digits=4)
-
-#: Factor and figures after the point of a, alpha, d, theta and beta.
 _DH = tuple(
     (1e3, 3) if of == "mm" else (180.0 / np.pi, 4) for of in ("mm", "deg", "mm", "deg", "deg")
 )
@@ -314,7 +309,7 @@ def origins(c: Calibration) -> Table:
     for joint, T in c.nominal.origins().items():
         D = rigid_inverse(T) @ after[joint]
         twist = np.concatenate([D[:3, 3], pin.log3(D[:3, :3])])
-        if np.abs(twist).max() > _NOTHING:  # mrad have as many figures as mm
+        if np.abs(twist).max() > 1e-9:  # mrad have as many figures as mm
             rows.append((joint, *(number(1e3 * v, 3, "+") for v in twist)))
     return Table(
         "How far each <origin> of the corrected URDF is from the nominal one",

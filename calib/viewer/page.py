@@ -375,21 +375,18 @@ def serve(view: View, *, port: int, browser: bool, say: Callable[[str], object])
     say("Stopped.")
 
 
-@overload
-def view(
-    shown: Calibration | Robot, other: Robot | None = None, *, live: Literal[False] = False
-) -> Path: ...
+Shown = Calibration | Robot
 
 
 @overload
-def view(
-    shown: Calibration | Robot, other: Robot | None = None, *, live: Literal[True]
-) -> Viewer: ...
+def view(shown: Shown, other: Robot | None = None, *, live: Literal[False] = False) -> Path: ...
 
 
-def view(
-    shown: Calibration | Robot, other: Robot | None = None, *, live: bool = False
-) -> Path | Viewer:
+@overload
+def view(shown: Shown, other: Robot | None = None, *, live: Literal[True]) -> Viewer: ...
+
+
+def view(shown: Shown, other: Robot | None = None, *, live: bool = False) -> Path | Viewer:
     """Open the picture of a calibration, of a robot or of two robots in the browser.
 
     A ``live`` page is served by this program, which can move the robots and draw more, until the viewer is closed.

@@ -77,19 +77,15 @@ class SceneWindow:
 
     def _share(self, lowered: dict[str, Any], path: str) -> None:
         """Name everything by its content or path, and keep the geometries apart."""
-        names = []
-        for geometry in lowered.get("geometries", []):
+        lowered["object"]["uuid"] = f"object of {path}"
+        if "geometries" in lowered:  # one, with its material
+            (geometry,), (material,) = lowered["geometries"], lowered["materials"]
             del geometry["uuid"]
             name = hashlib.sha256(umsgpack.packb(geometry)).hexdigest()[:32]
             self._scene["geometries"].setdefault(name, {"uuid": name, **geometry})
-            names.append(name)
-        for material in lowered.get("materials", []):
             material["uuid"] = f"material of {path}"
-        lowered["object"]["uuid"] = f"object of {path}"
-        if names:
-            lowered["geometries"] = names
-            lowered["object"]["geometry"] = names[0]
-            lowered["object"]["material"] = lowered["materials"][0]["uuid"]
+            lowered["geometries"] = [name]
+            lowered["object"] |= {"geometry": name, "material": material["uuid"]}
 
 
 class Camera(NamedTuple):
@@ -163,7 +159,8 @@ def new_scene(
         ("/Cameras/default/rotated/<object>", "position", camera.position),
     ):
         root[node].set_property(name, value)
-    grid = round_length(size / 7.0)
+    power = 10.0 ** np.floor(np.log10(size / 7.0))
+    grid = float(power * max(step for step in (1, 2, 5) if step * power <= size / 7.0))
     ends = grid * np.array([[[k, s * 8, 0.0] for s in (-1, 1)] for k in range(-8, 9)])
     floor_lines = np.concatenate([ends, ends[..., [1, 0, 2]]])
     draw_lines(root["/Floor/grid"], floor_lines, "#9aa7b4", 0.42)
@@ -254,12 +251,6 @@ def solid(colour: str, *, front: bool = False) -> mc.MeshPhongMaterial:
 def _number(colour: str) -> int:
     """A colour as meshcat takes it."""
     return int(colour[1:], 16)
-
-
-def round_length(longest: float) -> float:
-    """The largest 1, 2 or 5 times a power of ten that is not above a length."""
-    power = 10.0 ** np.floor(np.log10(longest))
-    return float(power * max(step for step in (1, 2, 5) if step * power <= longest * 1.000001))
 
 
 def span(points: Array) -> float:

@@ -44,9 +44,6 @@ Names = Sequence[tuple[str, str]]
 #: Poses of two robots of which nothing was measured, and rows that are shown at most.
 _POSES, MOST_ROWS = 24, 400
 
-#: Frames nearer to the base's than this are the base's own: there is no instrument to show [m, and 1].
-_THE_BASE = 1e-9
-
 #: Faces that meet at less than this angle look like one smooth surface [rad].
 _CREASE = np.deg2rad(35.0)
 
@@ -166,8 +163,8 @@ def view_of_result(
         rows = [one.row for one in (*result.outliers, *result.suspects)]
         same = result.source.sha256 == table.sha256
         shown = _at_rows(before, after, np.isin(table.rows, rows) & same)
-    origins = ("Nominal", "before the calibration"), ("Calibrated", f"joint origins of {source}")
-    return _judged(replace(shown, names=origins), result)
+    names = ("Nominal", "before the calibration"), ("Calibrated", f"joint origins of {source}")
+    return _judged(replace(shown, names=names), result)
 
 
 def view_of_robots(
@@ -246,7 +243,7 @@ def _at_rows(first: Evaluation, second: Evaluation | None, flagged: Mask) -> Vie
     # tells a place, neither finds where it stands: the two share their base.
     places = np.any(m.where(lambda kind: kind.coordinates))
     T_base_nominal = T_base_frame @ T_frame_nominal if places else np.eye(4)
-    elsewhere = np.max(np.abs(T_base_frame - np.eye(4)), axis=(1, 2)) > _THE_BASE
+    elsewhere = ~np.all(np.isclose(T_base_frame, np.eye(4), 0.0, 1e-9), axis=(1, 2))
     kinds = np.where(flagged, "flagged", np.where(m.validation, "validation", "estimation"))
     return View(
         nominal=first.robot,

@@ -95,14 +95,3 @@ def test_the_examples_write_pages(examples):
     assert "joint origins of result.json" in text
     assert "data-live" not in text
     assert "Verdict: use." in text
-
-
-def test_a_shape_that_cannot_be_drawn_is_named(call, small):
-    visual = '<visual><geometry><mesh filename="none.stl"/></geometry></visual>'
-    text = SMALL.replace('<link name="arm"/>', f'<link name="arm">{visual}</link>')
-    (small / "small.urdf").write_text(text)
-    done = call(small, "view", "small.urdf", "-o", "x.html")
-    assert (done.code, done.err) == (0, "")
-    assert done.out.startswith("Not drawn as in the URDF: link 'arm': the mesh 'none.stl' ")
-    assert done.lines[-1] == "Written: x.html"
-    assert call(small, "view", "small.urdf", "-o", "x.html", "--force", "--quiet").out == ""

@@ -20,19 +20,15 @@ from calib.report.figure_base import (
 )
 from calib.report.figures import Drawing, rendered
 
-NASTY = "<b>$\\frac{a}{$</b> & \"x' 関節\n"
 
-
-def sketch(title="t"):
+def sketch():
     figure = new_figure(1.2, 3.0)
-    ax = figure.subplots()
-    ax.plot([1.0, 2.0], [3.0, 4.0])
-    ax.set_title(title)
+    figure.subplots().plot([1.0, 2.0], [3.0, 4.0])
     return figure
 
 
-def drawing(title="t"):
-    return Drawing("sketch", "errors", "A sketch", "Of nothing, [mm].", lambda: sketch(title))
+def drawing():
+    return Drawing("sketch", "errors", "A sketch", "Of nothing, [mm].", sketch)
 
 
 @pytest.mark.parametrize("kind", ["svg", "pdf"])

@@ -115,14 +115,6 @@ def test_errors_in_the_picture_are_those_of_the_tables_when_the_frame_is_found(r
     assert len(view.instruments) == 1
 
 
-def test_tables_without_positions_have_a_picture():
-    """Distances to anchors: both robots stand there, without a measured point."""
-    c = made("distances")
-    view = view_of(c)
-    assert not view.measures
-    np.testing.assert_allclose(view.errors[0], np.abs(c.residual_nominal[:, 0]))
-
-
 def test_the_target_and_set_up_of_the_row_are_shown(ur3):
     q = random_joint_values(ur3, 60, 3)
     T = ur3.poses(q)
