@@ -16,7 +16,6 @@ makes them as those of the other robot, and leaves what lies behind the last axi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TypeAlias
@@ -188,19 +187,6 @@ def taken_as_parallel(robot: Robot) -> float:
     return _largest_below(_limit(robot), _sines(robot))
 
 
-def rows_between(
-    lines: Sequence[tuple[Array, Array]], like: DHTable | None = None
-) -> tuple[DHRow, ...]:
-    """Hayati's rows from each of some axes of turning joints to the next; open choices as in the nominal rows ``like``.
-
-    An axis is a point (3,) [m] and a unit direction (3,), in base at q = 0.
-    """
-    wanted = _wanted(like, len(lines))
-    T = _first_frame(*lines[0], np.eye(4) if like is None else like.T_base_0)
-    joints = [("" if w is None else w[0].joint, False) for w in wanted]
-    return tuple(_rows(T, lines, joints, wanted, HAYATI, 0.0)[0])
-
-
 def zero_poses(robot: Robot) -> tuple[list[Array], Array]:
     """The joints' frames and the tip's at q = 0: n poses T_base_joint and T_base_tip, (4, 4), [m]."""
     T = rigid_inverse(robot.T_root_base)
@@ -251,13 +237,6 @@ def _sines(robot: Robot) -> list[float]:
 _Wanted: TypeAlias = tuple[DHRow, Array] | None
 
 
-def _wanted(like: DHTable | None, count: int) -> list[_Wanted]:
-    """What each row is to be like."""
-    if like is None:
-        return [None] * count
-    return [(row, F[:3, 0]) for row, F in zip(like.rows, dh_frames(like), strict=True)]
-
-
 #: theta, d, a, alpha, beta.
 _Numbers: TypeAlias = tuple[float, float, float, float, float]
 
@@ -275,34 +254,24 @@ def _product(
         limit = 0.0 if convention == HAYATI else _limit(robot)
     frames, T_base_tip = zero_poses(robot)
     axes = [T[:3, :3] @ joint.axis for T, joint in zip(frames, robot.joints, strict=True)]
-    wanted = _wanted(like, len(axes))
-    lines = [(T[:3, 3], axis) for T, axis in zip(frames, axes, strict=True)]
-    joints = [(joint.name, joint.type == "prismatic") for joint in robot.joints]
-    T_base_0 = _first_frame(*lines[0], np.eye(4) if like is None else like.T_base_0)
-    rows, T = _rows(T_base_0, lines, joints, wanted, convention, limit)
-    T_n_tip = None if like is None else like.T_n_tip
-    numbers = _last_row(T, T_base_tip, wanted[-1], T_n_tip, convention, limit)
-    rows.append(_tidy(DHRow(*joints[-1], *numbers), wanted[-1]))
-    T = T @ rows[-1].matrix()
+    wanted: list[_Wanted] = [None] * len(axes)
+    near, T_n_tip = np.eye(4), None
+    if like is not None:
+        x = [F[:3, 0] for F in dh_frames(like)]
+        wanted, near, T_n_tip = list(zip(like.rows, x, strict=True)), like.T_base_0, like.T_n_tip
+    T = T_base_0 = _first_frame(frames[0][:3, 3], axes[0], near)
+    rows: list[DHRow] = []
+    for i, joint in enumerate(robot.joints):
+        if i + 1 < len(axes):
+            numbers = _row(T, frames[i + 1][:3, 3], axes[i + 1], wanted[i], convention, limit)
+        else:
+            numbers = _last_row(T, T_base_tip, wanted[i], T_n_tip, convention, limit)
+        row = DHRow(joint.name, joint.type == "prismatic", *numbers)
+        rows.append(_tidy(row, wanted[i]))
+        T = T @ rows[-1].matrix()
     bracketed = HAYATI if convention == HAYATI else STANDARD
     T_n_tip = read_only(rigid_inverse(T) @ T_base_tip)
     return DHTable(tuple(rows), read_only(T_base_0), T_n_tip, bracketed)
-
-
-def _rows(
-    T: Array,
-    lines: Sequence[tuple[Array, Array]],
-    joints: Sequence[tuple[str, bool]],
-    wanted: Sequence[_Wanted],
-    convention: str,
-    limit: float,
-) -> tuple[list[DHRow], Array]:
-    """The rows of all joints, by name and whether they slide, but the last; and the frame that they lead to from T."""
-    rows = []
-    for joint, like, (point, axis) in zip(joints, wanted, lines[1:], strict=False):
-        rows.append(_tidy(DHRow(*joint, *_row(T, point, axis, like, convention, limit)), like))
-        T = T @ rows[-1].matrix()
-    return rows, T
 
 
 def _rebracketed(table: DHTable) -> DHTable:
