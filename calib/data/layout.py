@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import calib.data.kinds as registry
-from calib.data.kinds import Kind
 from calib.data.points_file import Points
 from calib.data.table import (
     COMMON,
@@ -116,11 +115,6 @@ class Layout:
             taken |= {c.index for c in plan if not any(table.column(c))}
         ignored = tuple(label for i, label in enumerate(table.header) if label and i not in taken)
         return cls(words, groups, blocks, kinds, ignored)
-
-    def measured_by(self, kind: Kind) -> list[str]:
-        """The blocks that hold what a row of this kind measures; none if that is nothing, or stands elsewhere."""
-        names = ["points"] * kind.position + ["orientation"] * kind.orientation
-        return [n for n in (*names, *(one.name for one in kind.readings)) if self.blocks.get(n)]
 
 
 def _slides(joint: Column) -> bool:
@@ -339,7 +333,10 @@ def _measured(
         status = table.column(layout.words[STATUS])
         measured &= [not word.startswith("no command: ") for word in status]
     for kind in map(registry.get, layout.kinds):
-        of_kind, own = kinds == kind.name, layout.measured_by(kind)
+        of_kind = kinds == kind.name
+        names = ["points"] * kind.position + ["orientation"] * kind.orientation
+        # None if rows measure nothing, or their points stand elsewhere.
+        own = [n for n in (*names, *(one.name for one in kind.readings)) if n in grid]
         if own and not kind.paired:  # one row of a pair has the measurement of both
             measured &= ~(of_kind & np.isnan(np.hstack([grid[n] for n in own])).all(axis=1))
         used = {"joints", "torques", "sigma", *["sigma_angle"] * (kind.angles > 0), *own}

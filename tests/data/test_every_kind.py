@@ -14,18 +14,6 @@ FIELDS = ("joints", "points", "sigma", "rotations", "distances", "sigma_angle", 
 WORDS = ("joint_names", "sets", "targets", "groups", "rows", "kinds", "pairs", "prismatic")
 
 
-@pytest.fixture
-def table(tmp_path):
-    """Writes a table's lines to a file and gives its path."""
-
-    def write(*lines):
-        path = tmp_path / "data.csv"
-        path.write_text("\n".join([*lines, ""]))
-        return path
-
-    return write
-
-
 def refused(path, says, **arguments):
     """The text with which a table is refused; it holds each of the words."""
     with pytest.raises(MeasurementError) as caught:

@@ -25,18 +25,6 @@ HEADER = "row,set,a [deg],b [deg],x [mm],y [mm],z [mm]"
 ROWS = ("1,estimate,10,20,300,400,500", "2,validate,-30,420.75,301.5,-400,500")
 
 
-@pytest.fixture
-def table(tmp_path):
-    """Writes a table's lines to a file and gives its path."""
-
-    def write(*lines, encoding="utf-8", newline="\n"):
-        path = tmp_path / "data.csv"
-        path.write_bytes((newline.join(lines) + newline).encode(encoding))
-        return path
-
-    return write
-
-
 def refused(path, *, says, **arguments):
     """The text with which a table is refused; it holds each of the words."""
     with pytest.raises(MeasurementError) as caught:
@@ -362,12 +350,3 @@ def test_forms_that_are_refused(tmp_path, table):
     ansi = Measurements.read(table(header, "1,200,300,400", encoding="cp1252"))
     assert ansi.joint_names == ("J\xf6int",)
     assert len(refused(table(FORM[0], "a" * 100_000 + ",1,2,3,4"), says=["line 2 (row 1)"])) < 4000
-
-
-def lines_of(count, sign=","):
-    """A table of a joint and a point, with words."""
-    yield sign.join(["row", "set", "j [deg]", "x [mm]", "y [mm]", "z [mm]", "target", "p", "q"])
-    for i, values in enumerate(np.random.default_rng(3).uniform(-170, 170, (count, 4)).tolist()):
-        numbers = [f"{v:.4f}".replace(".", "," if sign == ";" else ".") for v in values]
-        set_ = ("estimate", "validate")[i % 2]
-        yield sign.join([str(i + 1), set_, *numbers, "ball", f"day {i % 3}", "am"])

@@ -11,30 +11,6 @@ from calib.errors import MeasurementError
 XYZ = [[0.1005, -0.2005, 0.3], [0.1105, -0.2005, 0.31]]
 
 
-@pytest.fixture
-def listed(tmp_path):
-    """Writes a list of points to a file and gives its path."""
-
-    def write(*lines, encoding="utf-8", name="tracker.txt"):
-        path = tmp_path / name
-        path.write_bytes("\n".join([*lines, ""]).encode(encoding))
-        return path
-
-    return write
-
-
-@pytest.fixture
-def table(tmp_path):
-    """Writes a table's lines to a file and gives its path."""
-
-    def write(*lines):
-        path = tmp_path / "joints.csv"
-        path.write_text("\n".join([*lines, ""]))
-        return path
-
-    return write
-
-
 def refused(path, *says, **arguments):
     """The text with which a list is refused; it holds each of the words."""
     with pytest.raises(MeasurementError) as caught:
@@ -187,7 +163,7 @@ def test_points_are_matched_by_name(listed, table):
     np.testing.assert_allclose(m.points, XYZ[::-1], rtol=1e-14)
     assert m.kinds == ("point", "point")
     assert m.sets == ("estimate", "validate")
-    assert m.source == "joints.csv + tracker.txt"
+    assert m.source == "data.csv + tracker.txt"
     hashes = [hashlib.sha256(Path(p).read_bytes()).hexdigest() for p in (joints, path)]
     assert m.sha256 == " + ".join(hashes)
 
@@ -203,7 +179,7 @@ def test_points_are_matched_in_order(listed, table):
 @pytest.mark.parametrize(
     ("lines", "arguments", "says"),
     [
-        (("a [deg]", "1"), {}, "has 2 points and joints.csv 1 rows"),
+        (("a [deg]", "1"), {}, "has 2 points and data.csv 1 rows"),
         (
             ("a [deg],point", "1,P1", "2,P22"),
             {},
