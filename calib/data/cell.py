@@ -11,7 +11,6 @@ import math
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
-from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeVar
@@ -241,24 +240,17 @@ class Reflector:
 
 
 def check_boxes(boxes: Iterable[Box], tracker: Tracker | None = None) -> None:
-    """Refuse boxes of one name, and a tracker inside a box, from where it sees nothing.
-
-    Raises:
-        CalibError: One of them is; the text says which.
-    """
+    """Refuse boxes of one name, and a tracker inside a box, from where it sees nothing."""
     names = [box.name for box in boxes]
     if twice := dict.fromkeys(name for name in names if names.count(name) > 1):
-        raise CalibError(
-            f"Each box needs a name of its own; given more than once: {choices(twice)}."
-        )
+        raise CalibError(f"Each box needs a name of its own; more than one is {choices(twice)}.")
     if tracker is None:
         return
     for box in boxes:
         inside = box.T_base_box[:3, :3].T @ (tracker.position - box.T_base_box[:3, 3])
         if (np.abs(inside) <= 0.5 * box.size).all():
             raise CalibError(
-                f"The tracker stands inside the box '{box.name}', and sees nothing from there. Move one of the two, or "
-                "leave out a box that is the tracker's own stand."
+                f"The tracker stands inside the box '{box.name}', and sees nothing from there; leave out its own stand."
             )
 
 
@@ -292,11 +284,8 @@ def _interval(value: tuple[float, float]) -> tuple[float, float] | None:
 
 def _bounds(value: tuple[float, float]) -> tuple[float, float] | None:
     """The least and the largest change; an infinite one is none."""
-    found = _interval(value)
-    return found if found and found[0] <= 0.0 <= found[1] else None
+    return _interval(value) if value[0] <= 0.0 <= value[1] else None
 
-
-_CHANGES = "the least and the largest change from the nominal value with 0 between them, such as (-0.001, 0.001)"
 
 #: What an attribute of a cell must be, and what gives the value that is kept, or None.
 _FIELDS: Mapping[str, tuple[str, Callable[[Any], Any]]] = {
@@ -314,7 +303,7 @@ _NAMED: Mapping[str, tuple[str, Callable[[Any], Any]]] = {
     "targets": ("three numbers [m]", lambda value: vector(value, "target")),
     "frames": _FIELDS["T_frame_base"],
     "ties": ("another parameter and a factor that is not zero, such as ('a2', 1.0)", _tie),
-    "bounds": (_CHANGES, _bounds),
+    "bounds": ("the least and the largest change, with 0 between them, (-0.001, 0.001)", _bounds),
     "parameter_priors": _within(*PRIORS, "of the parameter's unit"),
     "held": _within(-FARTHEST, FARTHEST, "rad or m"),
     "ranges": ("the least and the largest value [rad or m]", _interval),
@@ -406,8 +395,7 @@ class Cell:
         check_boxes(self.boxes)
         if self.target is None and not self.targets and not self.estimate_target:
             raise CalibError(
-                'The target is said to be known but is not given. Give it (--target "x y z mm", or target_mm in the '
-                "cell file) or let it be estimated."
+                "The target is said to be known but is not given; give it (--target, target_mm) or let it be estimated."
             )
         for name, (other, _) in self.ties.items():
             if other in self.ties or name in {*self.frozen, *self.bounds, *self.parameter_priors}:
@@ -418,11 +406,8 @@ class Cell:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """To another process and back: read-only mappings travel as dicts, and are checked again there."""
-        values = {f.name: getattr(self, f.name) for f in fields(self)}
-        plain: dict[str, Any] = {
-            k: dict(v) if isinstance(v, MappingProxyType) else v for k, v in values.items()
-        }
-        return partial(Cell, **plain), ()
+        values = [getattr(self, f.name) for f in fields(self)]
+        return Cell, tuple(dict(v) if isinstance(v, MappingProxyType) else v for v in values)
 
     @classmethod
     def read(cls, path: str | Path) -> Cell:
@@ -452,10 +437,10 @@ class Cell:
                 if name in values:
                     values[name] = one(**values[name])
             return cls(**values)
-        except FileError:
-            raise
         except CalibError as error:
-            raise CalibError(f"{path}: {error}") from error
+            raise (
+                error if isinstance(error, FileError) else CalibError(f"{path}: {error}")
+            ) from error
 
     def with_target(self, target: ArrayLike, *, estimate: bool = True) -> Cell:
         """The cell with this target [m], shape (3,)."""

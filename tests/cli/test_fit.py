@@ -39,16 +39,6 @@ def test_it_says_what_it_found_and_what_it_wrote(examples):
     assert b"calib_target" in (examples.folder / "target.urdf").read_bytes()
 
 
-def test_without_output_it_says_so(examples):
-    done = examples.starting("calib calibrate robot.urdf data.csv --frame estimate")
-    assert done.lines[-1] == "No URDF was written; add -o corrected.urdf to write it."
-    assert "Verdict: none, because nothing was cross-validated." in done.out
-    assert re.search(
-        r"^Measurement frame: world found at \(.*95 % ± \(", done.out, re.MULTILINE | re.DOTALL
-    )
-    assert "\nframe_" not in done.out
-
-
 def test_the_corrected_urdf_differs_in_origins_alone(examples):
     before = (examples.folder / "robot.urdf").read_text(encoding="utf-8").splitlines()
     after = (examples.folder / "corrected.urdf").read_text(encoding="utf-8").splitlines()
@@ -247,15 +237,12 @@ def test_every_way_that_an_output_is_refused_before_the_work(call, shop):
     before = {path: path.read_bytes() for path in shop.iterdir()}
     (shop / "folder").mkdir()
     calls = {
-        ("-o", "robot.urdf"): "robot.urdf is also an input of this command.",
         ("-o", "robot.urdf", "--force"): "robot.urdf is also an input of this command.",
         ("--json", "folder/../data.csv", "--force"): "data.csv is also an input of this command.",
         ("-o", "a", "--view", "a"): "a is also another output of this command.",
-        ("-o", "tracker.txt", "--points", "tracker.txt", "--force"): "tracker.txt is also an input",
         ("-o", "cell.toml"): "exists already; add --force (overwrite=True) or choose another name",
         ("-o", "folder", "--force"): "is a folder; name a file inside it",
         ("-o", "none/c.urdf"): "does not exist; create it",
-        ("-o", "n" * 300): "File name too long",
     }  # fmt: skip
     for words, said in calls.items():
         done = call(shop, "fit", "robot.urdf", "data.csv", *words)
@@ -275,57 +262,18 @@ def test_force_overwrites(call, shop):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("none.urdf", "data.csv"), "URDF 'none.urdf' does not exist; check the name and"),
         (("none", "data.csv"), "'none' is neither a file here nor a robot of example-robot-data"),
         (("robot.urdf", "none.csv"), "The table 'none.csv' does not exist; check the name and"),
-        (("data.csv", "robot.urdf"), "not a CSV table"),
         (("robot.urdf", "data.csv", "--base", "bass"), "no link 'bass' (did you mean 'base'?)"),
-        (("robot.urdf", "data.csv", "--tip", "hand"), "robot.urdf has no link 'hand'. Its links"),
-        (("robot.urdf", "data.csv", "--cell", "no.toml"), "cell file 'no.toml' does not exist"),
-        (
-            ("robot.urdf", "data.csv", "--model", "best"),
-            "There is no parameter set 'best'",
-        ),
-        (
-            ("robot.urdf", "data.csv", "--hold", "lift=1 m"),
-            "the joint 'lift', to be held at 1, is none that moves",
-        ),
-        (
-            ("robot.urdf", "data.csv", "--points", "no.txt"),
-            "The list of points 'no.txt' does not exist",
-        ),
-        (("robot.urdf", "data.csv", "--points-unit", "mm"), "name the list with --points."),
+        (("robot.urdf", "data.csv", "--model", "best"), "There is no parameter set 'best'"),
+        (("robot.urdf", "data.csv", "--hold", "lift=1 m"), "the joint 'lift', to be held at 1, is"),
         (("robot.urdf", "joints.csv", "--base", "base"), "measured points need a column 'x [mm]'"),
-        (("robot.urdf", "data.csv", "--kind", "best"), "'best' is not a kind of measurement;"),
         (("robot.urdf", "data.csv", "--fix-target"), "The target is said to be known but is not"),
-        (
-            ("robot.urdf", "data.csv", "--target", "1 2 3"),
-            'given as "1 2 3"; it must be 3 numbers and a unit of length',
-        ),
+        (("robot.urdf", "data.csv", "--target", "1 2 3"), 'given as "1 2 3"; it must be 3 numbers'),
         (("robot.urdf", "data.csv", "--freeze", "d9"), "No model has the parameters 'd9'. 'calib"),
-        (
-            ("robot.urdf", "data.csv", "--freeze", "d9", "--model", "dh"),
-            "The model 'dh' has no parameter 'd9'; it",
-        ),
         (("robot.urdf", "data.csv", "--seed", "3"), "--seed is for the samples of --bootstrap;"),
-        (
-            ("robot.urdf", "data.csv", "--no-validate", "--profile", "alpha9", "--model", "dh"),
-            "The model 'dh' has no parameter 'alpha9'; it",
-        ),
-        (
-            ("robot.urdf", "data.csv", "--no-validate", "--bootstrap", "40", "--solver", "paper"),
-            "The solver 'paper' has neither bootstrap nor profile",
-        ),
         (("robot.urdf", "data.csv", "--columns", "J1"), "--columns was given 'J1'; it must be"),
-        (("panda", "data.csv"), "data.csv: no column for the joints 'panda_joint1', "),
-        (
-            ("robot.urdf", "data.csv", "--model", "paper", "--frame", "estimate"),
-            "The parameter set 'paper' knows the measurement frame",
-        ),
-        (
-            ("robot.urdf", "data.csv", "--model=frames", "--target=1 2 3 mm", "--fix-target"),
-            "The model 'frames' leaves nothing to estimate",
-        ),
+        (("panda", "data.csv"), "data.csv: no column for the joints 'panda_joint1'"),
     ],
 )
 def test_errors_are_one_line(call, shop, words: tuple[str, ...], said: str):

@@ -94,17 +94,6 @@ def test_the_line_wins_over_the_file(tmp_path: Path):
     assert not read_cell(path, frame="known").estimate_frame
 
 
-def test_points_in_a_list_of_their_own_are_the_same_table(shop: Path):
-    cell = Cell(base="base")
-    arm, whole = load_with_data(str(shop / "robot.urdf"), cell, shop / "data.csv", None)
-    _, two = load_with_data(
-        str(shop / "robot.urdf"), cell, shop / "joints.csv", None, shop / "tracker.txt"
-    )
-    assert arm.tip == "tool0"
-    np.testing.assert_array_equal(two.points, whole.points)
-    np.testing.assert_array_equal(two.joints, whole.joints)
-
-
 def test_the_kind_of_the_cell_is_that_of_the_table(shop: Path):
     cell = Cell(base="base", kind="fixed")
     text = (shop / "joints.csv").read_text(encoding="utf-8").splitlines()

@@ -163,46 +163,35 @@ def test_half_a_frame_and_half_the_priors(tmp_path: Path):
     ("text", "said"),
     [
         ("targt_mm = [1, 2, 3]", "'targt_mm': unknown key (did you mean 'target_mm'"),
-        ("base = 1", "'base' is 1"),
         ('freeze = "d2"', "'freeze' is 'd2'"),
         ('target = "fixed"', "'target' is 'fixed'"),
         ("target_mm = [1, 2]", "'target_mm' is [1, 2]; it must be three numbers."),
-        ("target_mm = [1, 2, nan]", "'target_mm' is [1, 2, nan]"),
         ('target = "known"', "The target is said to be known but is not given."),
         ('frame = ["u"]', "frame_directions is ('u',)"),
         ('frame = "x,yaw"', "frame_directions is ('x', 'yaw')"),
-        ('frame = "x,x"', "frame_directions is ('x', 'x')"),
         ("sigma_angle_deg = -1", "sigma_angle is -0.017"),
         ('sigma_mm = "0.1"', "'sigma_mm' is '0.1'; it must be a number."),
         ('kind = "ball"', "'ball' is not a kind of measurement; allowed are 'point', 'pose', "),
         ('repeats = "often"', "repeats is 'often'; it must be one of 'weighted', 'average', "),
         ('priors = "some"', "choose one of 'data', 'given', 'off'"),
         ("prior_angle_mrad = 0", "The prior's angle is 0 rad"),
-        ("[targets_mm]\nup = [1, 2]", "'up' in [targets_mm] is [1, 2]"),
         ("[frames]\na = 1", "'a' in [frames] is 1; it must be a table."),
         ("[frames.a]\nxyz = [1, 2, 3]", "'xyz' in 'a' in [frames]: unknown key"),
         ("[ties]\na1 = ['a2', 0]", "'a1' in a cell's ties is ['a2', 0]"),
         ("[ties]\na1 = 'a2'\na2 = 'a3'", "'a1' is tied to 'a2'"),
-        ("freeze = ['a1']\n[ties]\na1 = 'a2'", "'a1' is tied to 'a2'"),
         ("[bounds]\na1 = '1 mrad'", "'a1' in [bounds] is '1 mrad', which is an angle; write"),
         ("[bounds]\na1 = '1 furlong'", "'furlong' is not a unit that calib knows: "),
-        ("[bounds]\na1 = ['1 mm']", "'a1' in a cell's bounds is (0.001,)"),
         ("[bounds]\na1 = '-1 mm'", "'a1' in a cell's bounds is (0.001, -0.001)"),
         ("[bounds]\n'j.zero' = 0.1", 'which is a number; write "0.5 mm" or "1 mrad".'),
         ("[parameter_priors]\n'j.gain' = '1 mm'", "'j.gain' in [parameter_priors] is '1 mm', w"),
-        ("[parameter_priors]\na1 = '-1 mm'", "'a1' in a cell's parameter_priors is -0.001"),
         ("[held]\nlift = 0.3", "'lift' in [held] is 0.3; a joint's value needs a unit of angle"),
         ("[payload]\ncom_mm = [1, 2, 3]", "[payload] lacks 'mass_kg'."),
-        ("[payload]\nmass_kg = -3", "mass of a payload is -3.0 kg; "),
-        ("distances = 3", "'distances' is 3; it must be a list of tables, each headed [[dist"),
         ("[[distances]]\nfirst = 'a'", "number 1 lacks 'second', 'length_mm', 'sigma_mm'."),
         (DISTANCE.replace("B", "A"), "between the groups 'A' and 'A'"),
         ("[tracker]\nxyz_mm = [1, 2, 3]\nnoise = '15 um + 6'", 'given as "15 um + 6"'),
         ("[tracker]\nxyz_mm = [1, 2, 3]\nnearest_mm = 90000", "from 90 m to 80 m"),
-        ("[reflector]\nnormal = [0, 0, 0]", "[0.0, 0.0, 0.0]"),
         ("[reflector]\nnormal = [0, 0, 1]\nacceptance_deg = 181", "acceptance 181 deg"),
         (2 * "[[boxes]]\nname = 'a'\nsize_mm = [1, 2, 3]\nxyz_mm = [0, 0, 0]\n", "name of its own"),
-        ("[ranges]\na = '1 deg'", "'a' in [ranges] is '1 deg'; it must be the least and the"),
         ("[ranges]\na = ['1 m', '1 mm']", "'a' in a cell's ranges is (1.0, 0.001)"),
     ],
 )
@@ -247,17 +236,9 @@ def test_every_number_with_a_unit_is_read(number: float, unit: str):
 EXAMPLES = re.findall(r"```toml\n(.*?)```", DOC.read_text(encoding="utf-8"), re.DOTALL)
 
 
-def test_the_documents_first_example(tmp_path: Path):
-    cell = read(tmp_path, EXAMPLES[0])
-    assert (cell.base, cell.tip, cell.model, cell.frozen) == ("base", "tool0", "dh", ("d2",))
-    assert cell.target is not None
-    np.testing.assert_allclose(cell.target, [-0.07, 0.07, 0.0225])
-    assert cell.sigma == pytest.approx(1e-4)
-    assert cell.priors == Priors()
-
-
-def test_the_documents_other_examples(tmp_path: Path):
-    by_name, single, loads, sockets, _ = (read(tmp_path, example) for example in EXAMPLES[1:])
+def test_the_documents_examples(tmp_path: Path):
+    first, by_name, single, loads, sockets, _ = (read(tmp_path, example) for example in EXAMPLES)
+    assert (first.base, first.tip, first.model, first.frozen) == ("base", "tool0", "dh", ("d2",))
     assert list(by_name.targets) == ["upper", "lower"]
     assert list(by_name.frames) == ["morning", "after lunch"]
     assert not by_name.estimate_target
