@@ -110,23 +110,6 @@ def test_joints_at_their_limits_are_held_only_as_long_as_they_must_be(panda, mat
     assert compared >= 6
 
 
-def test_what_cannot_be_reached_is_as_near_as_can_be(ur3):
-    arm = Arm.of(ur3, np.eye(4))
-    q = np.radians([[10.0, -40.0, 30.0, -60.0, 50.0, 20.0]])
-    wanted = arm.poses(q)
-    wanted[0, :3, 3] *= 5.0
-    matching = Matching("position", 0.01)
-    found = solve(arm, wanted, q, matching, None)
-    gradient = np.einsum(
-        "nij,ni->nj",
-        matching.jacobian(found.twists),
-        matching.error(found.T_base_tool, wanted),
-    )
-    distance = np.linalg.norm(wanted[0, :3, 3] - found.T_base_tool[0, :3, 3])
-    assert distance > 0.5
-    assert np.abs(gradient).max() < 1e-3 * distance
-
-
 TWIST = st.lists(st.floats(-0.5, 0.5), min_size=6, max_size=6).map(np.array)
 
 
