@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import base64
 import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
-import umsgpack
 
 from calib import example
 from calib.data.cell import Box, Cell, Tracker
@@ -18,13 +16,9 @@ from calib.design.plan import plan
 from calib.design.workspace import Checked, Density, RegionView, workspace
 from calib.robot.readback import joint_ranges, random_joint_values
 from calib.viewer.design_view import plan_page, region_page
+from tests.viewer.conftest import scene_of
 
 TARGET = np.array(example.PAPER_TARGET)
-
-
-def scene_of(page) -> dict:
-    text = re.search(rb'id="scene">([^<]*)<', page.html).group(1)
-    return umsgpack.unpackb(base64.b64decode(text))
 
 
 def moved(scene: dict, pattern: str) -> np.ndarray:
