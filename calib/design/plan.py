@@ -124,10 +124,9 @@ def plan(
         progress: Called with what is being done, how much of it is done, and how much there is.
 
     Raises:
-        ModelError: An unknown model or criterion, fewer poses than it needs, or no candidate that can be measured.
-        CalibError: Ranges, boxes or meshes that do not fit the robot.
+        CalibError: Too few poses for the model, no candidate that can be measured, or a cell that does not fit.
     """
-    cell = Cell() if cell is None else cell
+    cell = cell or Cell()
     request.check(request.candidates)
     none = np.zeros((0, len(robot.inputs)))
     measured = read_only(none if taken is None else np.atleast_2d(taken))
@@ -162,9 +161,8 @@ def plan(
         some = pool.workspace[:_STOPS]
         return some if body is None else some[body.free(some)]
 
-    free_path = None if body is None else body.path_free
     poses = np.concatenate([choice.planned, choice.validation])
-    way = route(robot, poses, limits, begin, free_path, stops)
+    way = route(robot, poses, limits, begin, None if body is None else body.path_free, stops)
     estimate = way.indices < len(choice.planned)
     return Plan(
         robot=robot,

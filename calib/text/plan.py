@@ -74,7 +74,7 @@ def next_text(plan: Plan, robot: str, output: Path | None, taken: Path | None) -
     fit += ["--base", plan.robot.base, "--tip", plan.robot.tip]
     into = f", and add the rows to {taken}" if taken else ""
     steps = (
-        f"Next: drive the poses of {output} from top to bottom and fill in what was measured{into}:"
+        f"Next: drive the poses of {output} from top to bottom, fill in what was measured{into}:"
     )
     return f"{fill(steps)}\n  {shlex.join(fit)}"
 
