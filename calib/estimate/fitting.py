@@ -194,15 +194,12 @@ def model_of(task: Task) -> ErrorModel:
         rotation=setup.rotation,
     )
     frozen, ties = task.cell.frozen, task.cell.ties
-    of_setup = {p.name for p in model.parameters if p.family in (FRAME, TARGET)}
-    tied = (*ties, *(other for other, _ in ties.values()))
-    for what, names in (("frozen", frozen), ("tied", tied)):
-        placed = [name for name in dict.fromkeys(names) if name in of_setup]
-        if placed:
-            raise ModelError(
-                f"{choices(placed)} cannot be {what} one by one: target and frame are known or estimated as a whole. "
-                "Use --fix-target or --frame known, or target and frame in the cell file."
-            )
+    held = {*frozen, *ties, *(other for other, _ in ties.values())}
+    placed = [p.name for p in model.parameters if p.family in (FRAME, TARGET) and p.name in held]
+    if placed:
+        raise ModelError(
+            f"{choices(placed)} cannot be frozen or tied: target and frame are known or estimated as a whole."
+        )
     if task.lenient:
         frozen = tuple(name for name in frozen if name in model.names and name not in ties)
         ties = {n: t for n, t in ties.items() if n in model.names and t[0] in model.names}

@@ -23,7 +23,6 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib.errors import ModelError, choices
 from calib.robot.robot import Robot, read_only, rigid_inverse
 
 Array = NDArray[np.float64]
@@ -142,32 +141,12 @@ def dh_table(robot: Robot, convention: str = HAYATI, like: Robot | None = None) 
         convention: One of `CONVENTIONS`.
         like: A robot of the same chain, such as the nominal one, whose open choices are kept so that columns compare.
 
-    Raises:
-        ModelError: No such convention, or ``like`` has other joints.
-
     Example:
         >>> table = dh_table(Robot.load("ur3", base="base", tip="tool0"))
         >>> [round(1000 * row.a, 2) + 0.0 for row in table.rows]
         [0.0, -243.65, -213.25, 0.0, 0.0, 0.0]
     """
-    if convention not in CONVENTIONS:
-        raise ModelError(
-            f"There is no DH convention '{convention}'; it is one of {choices(CONVENTIONS)}."
-        )
-    wanted = None
-    if like is not None:
-        ours, theirs = (
-            [(joint.name, joint.type == "prismatic") for joint in one.joints]
-            for one in (robot, like)
-        )
-        if ours != theirs:
-            names = [choices(name for name, _ in one) for one in (ours, theirs)]
-            raise ModelError(
-                f"DH rows compare if both are the same chain; the robots have other joints: {names[0]} and {names[1]}. "
-                "Give two states of one robot, with the same base and tip."
-            )
-        wanted = _product(like, convention)
-    found = _product(robot, convention, wanted)
+    found = _product(robot, convention, None if like is None else _product(like, convention))
     return _rebracketed(found) if convention == MODIFIED else found
 
 

@@ -173,12 +173,7 @@ class ErrorModel:
         return tuple(t for t, term in enumerate(self.terms) if term.factor is not None)
 
     def values(self, x: Array) -> Array:
-        """The value of every term, shape (terms,); ModelError if ``x`` has not one entry for each parameter."""
-        if np.shape(x) != (len(self.parameters),):
-            raise ModelError(
-                f"A parameter vector of shape {np.shape(x)} was given; the model '{self.name}' has "
-                f"{len(self.parameters)} parameters: {choices(self.names)}."
-            )
+        """The value of every term, shape (terms,)."""
         return np.asarray(self.mixing @ x)
 
     def displacements(self, x: Array) -> tuple[Array, Array]:
@@ -264,16 +259,10 @@ class Kinematics:
     T_tip_target: Array  #: shape (T, 4, 4) or (4, 4), [m], pose of each target in the tip at x = 0.
 
     def __post_init__(self) -> None:
-        """One frame and one target become stacks of one; refuse another number of them than the model has."""
-        for name, kind in (("T_frame_base", FRAME), ("T_tip_target", TARGET)):
+        """One frame and one target become stacks of one."""
+        for name in ("T_frame_base", "T_tip_target"):
             stack = np.reshape(getattr(self, name), (-1, 4, 4))
             object.__setattr__(self, name, read_only(stack))
-            places = [place for place in self.model.places if place.startswith(kind)]
-            if len(stack) != len(places):
-                raise ModelError(
-                    f"{len(stack)} poses {name} were given; the model '{self.model.name}' has {len(places)} such "
-                    f"places: {choices(places)}."
-                )
 
     def poses(self, x: Array, where: Where) -> Array:
         """T_frame_target at parameters x, shape (p,), and N samples or joint values (N, m); shape (N, 4, 4), [m]."""

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from calib.data.cell import Cell
-from calib.errors import ModelError
-from calib.estimate.inspection import inspect
+from calib.estimate.selection import inspect
 
 
 @pytest.mark.parametrize(
@@ -46,11 +45,6 @@ def test_a_known_distance_tells_the_scale(calibrated):
     assert with_it.rank == without.rank + 1
     assert any("a2" in u.names for u in without.unidentifiable)
     assert not any("a2" in u.names for u in with_it.unidentifiable)
-
-
-def test_pairs_are_for_a_table_to_say(ur3):
-    with pytest.raises(ModelError, match=r"nothing of kind 'pair'.*Give a table"):
-        inspect(ur3, Cell(kind="pair"))
 
 
 def test_what_was_assumed(ur3, table):

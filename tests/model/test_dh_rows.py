@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.model.dh import CONVENTIONS, DHRow, DHTable
+from calib.model.dh import DHRow, DHTable
 
 QUARTER = np.pi / 2
 
@@ -23,13 +23,3 @@ def test_a_row_of_each_convention_by_hand():
     tilted = DHRow("j", prismatic=False, theta=0.0, d=0.0, a=0.5, alpha=0.0, beta=0.01)
     hayati = table("hayati", tilted).poses([0.0])[0]
     np.testing.assert_allclose(hayati[:3, 2], [np.sin(0.01), 0.0, np.cos(0.01)], atol=1e-15)
-
-
-def test_the_joint_s_value_is_added_to_theta_or_to_d():
-    turning = DHRow("j", prismatic=False, theta=0.1, d=0.3, a=0.5, alpha=0.2)
-    sliding = DHRow("j", prismatic=True, theta=0.1, d=0.3, a=0.5, alpha=0.2)
-    for convention in CONVENTIONS:
-        turned = table(convention, DHRow("j", False, 0.1 + 0.7, 0.3, 0.5, 0.2)).poses([0.0])
-        np.testing.assert_allclose(table(convention, turning).poses([0.7]), turned, atol=1e-15)
-        slid = table(convention, DHRow("j", True, 0.1, 0.3 + 0.7, 0.5, 0.2)).poses([0.0])
-        np.testing.assert_allclose(table(convention, sliding).poses([0.7]), slid, atol=1e-15)

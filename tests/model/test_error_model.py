@@ -132,12 +132,6 @@ def test_frames_and_targets_by_name(ur3):
     np.testing.assert_array_equal(top.direction, np.eye(6)[5])
 
 
-def test_the_paper_knows_every_frame(ur3):
-    with pytest.raises(ModelError, match="knows the measurement frame"):
-        error_model(ur3, "paper", frame={"left": (), "right": ("x",)})
-    assert len(error_model(ur3, "paper", frame={"left": (), "right": ()})) == 27
-
-
 # Chains of two branches, chains that start with a joint, and joints that follow others
 
 

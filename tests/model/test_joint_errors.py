@@ -4,7 +4,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib.errors import ModelError
 from calib.model.error_model import error_model, joint_parameters
 from calib.model.kinematics import Kinematics, Samples, joint_displacements
 from calib.robot.robot import Payload, Robot, gravity_load
@@ -83,11 +82,6 @@ def test_eccentricities_are_sine_and_cosine_of_the_column(mixed):
         np.testing.assert_allclose(
             moved[f"outside.{part}"], expected(driven=3 * outside), atol=1e-16
         )
-
-
-def test_a_compliance_without_the_load_is_refused(mixed):
-    with pytest.raises(ModelError, match="turn"):
-        displacements(mixed, COMPLIANCE)
 
 
 # The sign of compliance: things sag

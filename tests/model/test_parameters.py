@@ -48,12 +48,6 @@ def test_an_unknown_parameter_lists_those_there_are(four):
         four.index("e")
 
 
-@pytest.mark.parametrize("shape", [(3,), (5,), (4, 1), ()])
-def test_a_vector_of_another_length_is_refused(four, shape):
-    with pytest.raises(ModelError, match=r"of shape .*'four' has 4 parameters: 'a', 'b', 'c', 'd'"):
-        four.values(np.zeros(shape))
-
-
 # Ties
 
 
