@@ -385,12 +385,10 @@ class Measurements:
         Raises:
             FileError: the file exists and ``overwrite`` is False, or it cannot be written.
         """
-        kinds = [registry.get(kind) for kind in set(self.kinds)]
-        unclear = any(not k.size or (k.position and k.readings) for k in kinds)
         columns: dict[str, Sequence[object]] = {
             "row": self.rows,
             "set": self.sets,
-            **({"kind": self.kinds} if len(kinds) > 1 or unclear else {}),
+            **({"kind": self.kinds} if set(self.kinds) - {"point"} else {}),
             **({"target": self.targets} if set(self.targets) - {DEFAULT_TARGET} else {}),
             **{n: w for n, w in (("group", self.groups), ("pair", self.pairs)) if any(w)},
         }

@@ -145,7 +145,7 @@ def read_points(path: str | Path, unit: str | None = None) -> Points:
     width = max(map(len, cells))
     padded = tuple([*row, *[""] * (width - len(row))] for row in cells)
     table = Table(source, sha256, separator, (), tuple(lines), padded)
-    named, at = _columns(table, _heading(headings, separator, cells))
+    named, at = _columns(table, headings)
     length = _find_unit(remarks, unit, source)
     columns = [Column(i, axis, axis, length.symbol) for i, axis in zip(at, POINT, strict=True)]
     values = table.numbers(columns)
@@ -196,27 +196,21 @@ def _has_point(cells: Sequence[str], start: int) -> bool:
     return len(three) == 3 and all(map(_NUMBER.fullmatch, three))
 
 
-def _heading(headings: Sequence[str], separator: str, cells: Sequence[Sequence[str]]) -> list[str]:
-    """The names of the columns, small, from the last header with x, y and z; none without one."""
-    widths = {len(row) for row in cells}
-    for remark in reversed(headings):
-        found = [re.sub(r"\s*[\[(].*", "", cell).casefold() for cell in _split(remark, separator)]
-        # Between blanks a column's name may be of two words: then the header says nothing of places.
-        fits = max(widths) <= len(found) and (separator != " " or widths == {len(found)})
-        if fits and all(found.count(axis) == 1 for axis in POINT):
-            return found
-    return []
-
-
-def _columns(table: Table, heading: list[str]) -> tuple[list[int], list[int]]:
-    """The columns of the names, none when there are none, and those of x, y, z."""
+def _columns(table: Table, headings: Sequence[str]) -> tuple[list[int], list[int]]:
+    """The columns of the names, none when there are none, and those of x, y, z: by the last header that has these."""
     cells = table.cells
-    if heading:
-        at = [heading.index(axis) for axis in POINT]
-        named = [heading.index(name) for name in _NAMES if heading.count(name) == 1]
-        return named or list(range(min(at))), at
-    first = next(i for i in range(len(cells[0])) if _has_point(cells[0], i))
-    here = (i for i in range(len(cells[0]) - 2) if all(_has_point(row, i) for row in cells))
+    width = len(cells[0])
+    for remark in reversed(headings):
+        names = _split(remark, table.separator)
+        names = [re.sub(r"\s*[\[(].*", "", name).casefold() for name in names]
+        # Between blanks a column's name may be of two words: then the header says nothing of places.
+        fits = len(names) >= width if table.separator != " " else len(names) == width
+        if fits and all(names.count(axis) == 1 for axis in POINT):
+            at = [names.index(axis) for axis in POINT]
+            named = [names.index(name) for name in _NAMES if names.count(name) == 1]
+            return named or list(range(min(at))), at
+    first = next(i for i in range(width) if _has_point(cells[0], i))
+    here = (i for i in range(width - 2) if all(_has_point(row, i) for row in cells))
     start = next(here, None)
     if start is None:
         _refuse(table, next((i for i, row in enumerate(cells) if not _has_point(row, first)), -1))

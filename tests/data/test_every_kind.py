@@ -334,5 +334,5 @@ def test_what_is_written_reads_back(tmp_path_factory, data):
     m.write(path)
     again = Measurements.read(path, m.joint_names)
     assert_same(again, m, 4e-15)
-    inferred = kinds.count(kinds[0]) == len(kinds) and kinds[0] not in ("fixed", "plane")
+    inferred = set(kinds) == {"point"}
     assert ("kind" in path.read_text().splitlines()[0].split(",")) != inferred
