@@ -48,13 +48,7 @@ Base = Annotated[
 Tip = Annotated[
     str | None,
     typer.Option(
-        help="Link that the target is mounted on. Default: the end of the longest chain whose joints are in the table."
-    ),
-]
-RobotTip = Annotated[
-    str | None,
-    typer.Option(
-        "--tip", help="Link that the target is mounted on. Default: the end of the longest chain."
+        help="Link that the target is mounted on. Default: the end of the longest chain, of joints in the table."
     ),
 ]
 Target = Annotated[

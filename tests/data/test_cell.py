@@ -166,7 +166,7 @@ def test_half_a_frame_and_half_the_priors(tmp_path: Path):
         ('freeze = "d2"', "'freeze' is 'd2'"),
         ('target = "fixed"', "'target' is 'fixed'"),
         ("target_mm = [1, 2]", "'target_mm' is [1, 2]; it must be three numbers."),
-        ('target = "known"', "The target is said to be known but is not given."),
+        ('target = "known"', "The target is said to be known but is not given"),
         ('frame = ["u"]', "frame_directions is ('u',)"),
         ('frame = "x,yaw"', "frame_directions is ('x', 'yaw')"),
         ("sigma_angle_deg = -1", "sigma_angle is -0.017"),

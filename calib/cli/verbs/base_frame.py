@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.options import Base, Columns, Force, PointsUnit, Quiet, RobotTip, verb
+from calib.cli.options import Base, Columns, Force, PointsUnit, Quiet, Tip, verb
 from calib.errors import CalibError
 
 _File = Path | None
@@ -35,7 +35,7 @@ def base_frame(
         ),
     ] = None,
     base: Base = None,
-    tip: RobotTip = None,
+    tip: Tip = None,
     points: Annotated[
         _File,
         typer.Option(
