@@ -172,14 +172,10 @@ def fit(
     if task.solver == PAPER:
         estimated = _by_the_paper(problem, task, started)
     else:
-        estimated = _estimate(problem, task, prior_terms(task, model, started), weights)
+        prior = PriorTerms.of(task.cell, model, task.setup, started, lenient=task.lenient)
+        estimated = _estimate(problem, task, prior, weights)
     assert np.all(np.isfinite(estimated.x)), "no solver steps to where the cost is not finite"
     return Fitted(task, started, kinematics, estimated)
-
-
-def prior_terms(task: Task, model: ErrorModel, started: Setup) -> PriorTerms:
-    """Priors and bounds of a task from a registered start."""
-    return PriorTerms.of(task.cell, model, task.setup, started, lenient=task.lenient)
 
 
 def model_of(task: Task) -> ErrorModel:

@@ -20,11 +20,11 @@ from calib.data.cell import AUTO, Cell
 from calib.data.kinds import DIRECTIONS
 from calib.data.measurements import Measurements
 from calib.errors import MeasurementError, ModelError, choices
-from calib.estimate.fitting import PAPER, Fitted, Task, fit, model_of, prior_terms
+from calib.estimate.fitting import PAPER, Fitted, Task, fit, model_of
 from calib.estimate.problem import Linear, Priors, Problem
 from calib.estimate.registration import ENOUGH, nominal_setup, register, register_poses
 from calib.estimate.setup import Rows, Setup, joined_setups, known_distances, rows_of
-from calib.estimate.stages import FEWEST_FREEDOM, Stage, staged
+from calib.estimate.stages import FEWEST_FREEDOM, PriorTerms, Stage, staged
 from calib.estimate.statistics import Array, CrossValidation, Errors, Integers, Mask
 from calib.model.families import FAMILIES, joint_families
 from calib.model.kinematics import ErrorModel, Kinematics, frame_place, target_place
@@ -174,7 +174,7 @@ def _on_the_linearised(fitted: Fitted, masks: tuple[Mask, ...], outliers: Mask) 
     if not chosen:
         return {}
     linear, some = problem.linear(estimate.x), np.array([masks[k] for k in chosen])
-    prior = prior_terms(task, model, fitted.setup)
+    prior = PriorTerms.of(task.cell, model, task.setup, fitted.setup, lenient=task.lenient)
     if len(rows) >= _MANY and some.mean(axis=1).max() < _SMALL_SHARE:
         x, freedom = fold_means(fitted, linear, some), np.full(len(some), np.inf)
     else:

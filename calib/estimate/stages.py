@@ -237,14 +237,13 @@ class Stage:
                 rho[b] = found.rho if found.freedom >= _TELLING_REPEATS else 1.0
         return replace(self, share=1.0 / (1.0 + (np.maximum(counts, 1) - 1.0) * rho[:, None]))
 
-    def weighs_like(self, other: Stage) -> Mask:
-        """Which fits have about the same weights, shape (B,)."""
-        return np.asarray(np.abs(self.effective - other.effective).max(axis=1) < _SETTLED)
-
-    def is_like(self, other: Stage) -> Mask:
-        """Which fits differ by too little to matter, shape (B,)."""
+    def is_like(self, other: Stage, *, likely: bool) -> Mask:
+        """Which fits have about the same weights and, if ``likely``, noise and sizes, shape (B,)."""
+        same = np.abs(self.effective - other.effective).max(axis=1) < _SETTLED
         own, others = (np.hstack([one.noise, one.sizes]) for one in (self, other))
-        return self.weighs_like(other) & np.isclose(own, others, rtol=_SETTLED_SIZES).all(axis=1)
+        return np.asarray(
+            same & (np.isclose(own, others, rtol=_SETTLED_SIZES).all(axis=1) | (not likely))
+        )
 
 
 def staged(
@@ -266,7 +265,9 @@ def staged(
     for likely in (False, True) if robust else (True,):
         going = np.arange(len(stage.kept))  # the fits that still change
         for _ in range(_ROUNDS):
-            each = {name: getattr(stage, name) for name in _EACH}
+            # What a stage has one of for each fit.
+            names = ("kept", "weights", "share", "noise", "sizes")
+            each = {name: getattr(stage, name) for name in names}
             before = replace(stage, **{name: value[going] for name, value in each.items()})
             step = partial(Stage.by_likelihood, robust=robust) if likely else Stage.by_median
             after = step(before, linear).sharing(linear, poses, repeats)
@@ -275,11 +276,7 @@ def staged(
                 each[name] = value.copy()
                 each[name][going] = getattr(after, name)
             stage = replace(stage, **each)
-            going = going[~(after.is_like if likely else after.weighs_like)(before)]
+            going = going[~after.is_like(before, likely=likely)]
             if not len(going):
                 break
     return stage, freedom
-
-
-#: What a stage has one of for each fit.
-_EACH = ("kept", "weights", "share", "noise", "sizes")
