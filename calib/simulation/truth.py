@@ -132,10 +132,7 @@ class Truth:
         return self.poses(q, target, group)[:, :3, 3]
 
     def nominal_errors(self, q: ArrayLike) -> Array:
-        """How far the nominal robot puts the first target from its true place, shape (N,), [m].
-
-        Frame and target are where they truly are: this is the robot's own error. q: as for `poses`.
-        """
+        """How far the nominal robot puts the first target from its true place, by its own errors, shape (N,), [m]."""
         apart = (self.tip_poses(q) - self.nominal.poses(q)) @ self.T_tip_target[0]
         return np.asarray(np.linalg.norm(apart[:, :3, 3], axis=1))
 
@@ -253,8 +250,7 @@ def _errors(
             x[k] = min(max(size * (abs(unit[k]) if family.positive else unit[k]), low), high)
         if abs(x[k]) > unit_of(p.unit).largest:
             raise CalibError(
-                f"The error '{p.name}' is {x[k]:.3g} {p.unit}; more than {unit_of(p.unit).largest:g} {p.unit} is not "
-                "an error but another robot."
+                f"The error '{p.name}' is {x[k]:.3g} {p.unit}; it is at most {unit_of(p.unit).largest:g}."
             )
     return read_only(x)
 
@@ -276,10 +272,7 @@ def _as_nominal(nominal: Robot, true: Robot) -> Robot:
 
 
 def _geometry_of(nominal: Robot, true: Robot) -> dict[str, float]:
-    """What of a true robot's placements the set ``placement`` can say: all but the tip's.
-
-    A placement is displaced along x, y, z, then about x, y, z: Euler angles about moving axes.
-    """
+    """What of a true robot's placements the set ``placement`` can say: along, then about moving axes x, y, z."""
     found: dict[str, float] = {}
     for i, joint in enumerate(nominal.joints):
         if nominal.carriers[i] is not None:
@@ -339,11 +332,7 @@ class Outliers:
 
     @classmethod
     def parse(cls, text: str, size: float) -> Outliers:
-        """A number of rows, ``3``, or a share of them, ``5 %``.
-
-        Raises:
-            CalibError: Neither.
-        """
+        """A number of rows, ``3``, or a share of them, ``5 %``."""
         number = re.fullmatch(r"\s*(\d{1,9}|\d*\.?\d+(?=\s*%))\s*(%?)\s*", text)
         if number is None:
             raise CalibError(
@@ -354,19 +343,14 @@ class Outliers:
         return cls(count=int(number[1]), size=size)
 
     def choose(self, candidates: Sequence[int], seed: int) -> list[int]:
-        """Which of some rows are outliers, in order; more of them are those of fewer and others.
-
-        Raises:
-            CalibError: More than there are rows.
-        """
+        """Which of some rows are outliers, in order; more of them are those of fewer and others."""
         among = len(candidates)
         number = self.count
         if number is None:
             number = max(round(self.share * among), 1) if self.share > 0.0 and among else 0
         if number > among:
             raise CalibError(
-                f"{number} outliers were asked for among {among} measurements to estimate from. Ask for fewer, or "
-                "measure at more poses."
+                f"{number} outliers were asked for among {among} measurements to estimate from."
             )
         order = stream(seed, "outlier rows").permutation(among)
         return sorted(candidates[i] for i in order[:number])
