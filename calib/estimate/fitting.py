@@ -50,9 +50,7 @@ class Task:
     robot: Robot  # The nominal robot
     cell: Cell  # What is known, and how to estimate
     setup: Setup  # Frames and targets as given
-    model: (
-        str | Sequence[Parameter]
-    )  # Name of the parameter set and families, or the robot's own parameters themselves
+    model: str | Sequence[Parameter]  # Name of the set and families, or the robot's own parameters
     distances: tuple[KnownDistance, ...] = ()  # Known distances between set-ups
     solver: str | Solver = "lm"  # A name of `SOLVERS`, `PAPER`, or a solver itself
     robust: bool = True  # Whether outliers lose their weight
@@ -257,11 +255,8 @@ def _within(problem: Problem, task: Task, prior: PriorTerms, weights: Array | No
 
     every, instruments = np.ones((1, len(problem.rows)), dtype=bool), len(problem.smallest)
     if weights is None:
-        repeating, robust, first = (
-            task.cell.repeats,
-            task.robust,
-            Stage.first(prior, every, instruments),
-        )
+        first = Stage.first(prior, every, instruments)
+        repeating, robust = task.cell.repeats, task.robust
     else:
         first = Stage.first(prior, every, instruments, weights)
         repeating, robust = "independent", False  # shared out before

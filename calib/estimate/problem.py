@@ -313,9 +313,7 @@ class Problem:
     precision: Array  # (p,), 1 / tau_k^2; 0 for a parameter without prior
     centre: Array  # (p,), the priors' means
     distances: tuple[KnownDistance, ...]  # Known distances between frames
-    smallest: tuple[
-        float, ...
-    ]  # Smallest noise believed of each instrument, in units of its sigma as given
+    smallest: tuple[float, ...]  # Smallest noise believed of each instrument, in units of its sigma
     _last: list[Linear] = field(default_factory=list, repr=False)
 
     @classmethod

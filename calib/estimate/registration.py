@@ -125,10 +125,8 @@ def _settled(setup: Setup, rows: Rows) -> Setup:
 
 def _check_enough(setup: Setup, rows: Rows) -> None:
     """Refuse fewer numbers than unknowns, in all and for each frame."""
-    points, frame = (
-        rows.where(lambda kind: kind.coordinates and not kind.orientation),
-        rows.samples.frame,
-    )
+    points = rows.where(lambda kind: kind.coordinates and not kind.orientation)
+    frame = rows.samples.frame
     whole = [len(directions) == _ALL for directions in setup.unknown]
     parts = [("The table", np.ones(len(rows), dtype=bool), setup.count, any(whole))]
     for f, name in enumerate(setup.groups):

@@ -510,9 +510,7 @@ def _load(robot: Robot, m: Measurements, cell: Cell, q: Array) -> Array:
     names = [joint.name for joint in robot.joints]
     for column, name in enumerate(m.joint_names if m.torques is not None else ()):
         if name in names and m.torques is not None:
-            measured, k = (
-                -m.torques[:, column],
-                names.index(name),
-            )  # the load is what the drive holds against
+            # The load is what the drive holds against.
+            measured, k = -m.torques[:, column], names.index(name)
             load[:, k] = np.where(np.isfinite(measured), measured, load[:, k])
     return load

@@ -209,9 +209,8 @@ def _column_norms(J: Array) -> Array:
 def _triangle(J: Array, r: Array) -> tuple[Array, Array]:
     """R, (p, p), and rhs, (p,), of the triangle of [J, -r]: |J dx + r|^2 = |R dx - rhs|^2 + constant."""
     p = J.shape[1]
-    both = np.zeros(
-        (max(len(r), p), p + 1), order="F"
-    )  # as LAPACK wants it; rows of zeros change nothing
+    # As LAPACK wants it; rows of zeros change nothing.
+    both = np.zeros((max(len(r), p), p + 1), order="F")
     both[: len(r), :p], both[: len(r), p] = J, -r
     R = triangle(both)
     return R[:p, :p], R[:p, p]

@@ -36,9 +36,7 @@ class Errors:
     rms_axis: Array  # (3,), likewise
     span_axis: Array  # (3,), largest minus smallest signed error along x, y, z, likewise
     n_angle: int = 0  # Number of rows with a measured orientation
-    max_angle: float = (
-        np.nan
-    )  # Largest angle between measured and predicted orientation [rad]; NaN where n_angle = 0
+    max_angle: float = np.nan  # Largest angle between measured and predicted [rad]; NaN without any
     mean_angle: float = np.nan  # Mean of these angles [rad]
     rms_angle: float = np.nan  # Their root mean square [rad]
 
@@ -121,9 +119,8 @@ def repeats(
     # A mean for each component is gone in any case; further parameters shrink what is left of the means.
     kept = min((cells - fitted) / left, 1.0) if left > 0.0 else 0.0
     shared = 0.0
-    if (
-        np.isfinite(noise) and kept >= 1e-6
-    ):  # else the parameters fit the means: what remains is rounding
+    # Else the parameters fit the means: what remains is rounding.
+    if np.isfinite(noise) and kept >= 1e-6:
         shared = max((between / kept - of_noise * noise) / of_poses, 0.0)
     rho = shared / (shared + noise) if shared > 0.0 else 0.0
     return Repeats(within, freedoms, float(freedoms.sum()), rho)

@@ -78,10 +78,6 @@ class DHTable:
     T_n_tip: Array  #: shape (4, 4), [m], pose of the tip in frame n.
     convention: str = HAYATI  #: One of `CONVENTIONS`.
 
-    def __repr__(self) -> str:
-        """In one line, such as ``DHTable('standard', 6 rows)``."""
-        return f"DHTable('{self.convention}', {len(self.rows)} rows)"
-
     def poses(self, values: ArrayLike) -> Array:
         """T_base_tip from the rows alone at values (N, n) or (n,), see `Robot.chain_values`; shape (N, 4, 4), [m]."""
         q = np.atleast_2d(np.asarray(values, dtype=np.float64))
@@ -124,10 +120,7 @@ _PARALLEL = (5e-7, 1e-8, 1e-10, 1e-12)
 _COINCIDENT = 1e-13  #: An offset between parallel axes below this is rounding [m].
 _ON_AXIS = 1e-3  #: A tip whose z axis lies beside the last axis by less is on it [m].
 _TOLERANCE = 1e-9
-_POSES, _SEED = (
-    8,
-    20170401,
-)  #: Joint values at which rows are compared with the robot, the same every time.
+_POSES, _SEED = 8, 20170401  #: Of the joint values at which rows are compared with the robot.
 
 
 def dh_table(robot: Robot, convention: str = HAYATI, like: Robot | None = None) -> DHTable:

@@ -20,9 +20,7 @@ _NEGLIGIBLE = 1e-3
 _GAP = 30.0  #: A ratio of neighbouring singular values that is a gap.
 _ROUNDING = 1e-13  #: A relative singular value of this size is zero.
 _MOST_NAMES = 6  #: Longer combinations than this are not written out.
-_NAMED_EFFECT = (
-    0.02  #: A parameter's least share of a combination's strongest effect, to be named in it.
-)
+_NAMED_EFFECT = 0.02  #: A parameter's least share of a combination's strongest effect, to be named.
 _UNSEEN_SHARE = 0.05  #: A parameter with less than this share in what cannot be identified counts as identifiable.
 
 Array = NDArray[np.float64]
