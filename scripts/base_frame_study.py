@@ -25,8 +25,14 @@ from rich.progress import track
 
 from calib.calibration import calibrate
 from calib.circle_points.fits import fit_circle, fit_plane
-from calib.circle_points.frame import BaseFrame, frame_of, nominal_axes, nominal_axes_frame
-from calib.circle_points.survey import base_frame, positive
+from calib.circle_points.survey import (
+    BaseFrame,
+    base_frame,
+    frame_of,
+    nominal_axes,
+    nominal_axes_frame,
+    positive,
+)
 from calib.data.cell import Cell, TrackerNoise
 from calib.data.measurements import Measurements
 from calib.errors import CalibError

@@ -9,8 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib.circle_points.fits import Circle
-from calib.circle_points.frame import BaseFrame
-from calib.circle_points.survey import Survey
+from calib.circle_points.survey import BaseFrame, Survey
 from calib.robot.robot import Robot
 from calib.text.lines import deg, fill, mm
 
