@@ -5,13 +5,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.spatial.transform import Rotation
 
-from calib.model.dh import (
-    CONVENTIONS,
-    DHTable,
-    dh_table,
-    near_parallel,
-    taken_as_parallel,
-)
+from calib.model.dh import CONVENTIONS, DHRow, DHTable, dh_table, near_parallel, taken_as_parallel
 from calib.robot.robot import Robot
 from tests.robot.shared import SOME_AND_SLOWLY_ALL
 
@@ -215,3 +209,21 @@ def test_axes_that_are_parallel_but_for_rounding_are_taken_as_parallel(ur3):
     assert np.abs(column(rows, "d")).max() < 0.2
     assert_same_poses(rows, corrected, 2 * 3e-8)
     assert_same_poses(dh_table(corrected, "hayati", like=ur3), corrected, 1e-12)
+
+
+def _table(convention: str, *rows: DHRow) -> DHTable:
+    return DHTable(rows, np.eye(4), np.eye(4), convention)
+
+
+def test_a_row_of_each_convention_by_hand():
+    row = DHRow("j", prismatic=False, theta=np.pi / 2, d=0.3, a=0.5, alpha=np.pi / 2)
+    # Standard: up by d, out along the turned x by a. Modified: out along x first, then z, which alpha laid down.
+    standard = _table("standard", row).poses([0.0])[0]
+    np.testing.assert_allclose(standard[:3, 3], [0.0, 0.5, 0.3], atol=1e-15)
+    np.testing.assert_allclose(standard[:3, 2], [1.0, 0.0, 0.0], atol=1e-15)
+    modified = _table("modified", row).poses([0.0])[0]
+    np.testing.assert_allclose(modified[:3, 3], [0.5, -0.3, 0.0], atol=1e-15)
+    np.testing.assert_allclose(modified[:3, 2], [0.0, -1.0, 0.0], atol=1e-15)
+    tilted = DHRow("j", prismatic=False, theta=0.0, d=0.0, a=0.5, alpha=0.0, beta=0.01)
+    hayati = _table("hayati", tilted).poses([0.0])[0]
+    np.testing.assert_allclose(hayati[:3, 2], [np.sin(0.01), 0.0, np.cos(0.01)], atol=1e-15)
