@@ -19,8 +19,8 @@ _FILES = ("ur3_calibrated.urdf", "calibration.json", "report.html", "view.html")
 #: What the paper reports for rows 31 to 35, its Table 5 [mm].
 _PAPER = {"before": (3.5645, 2.5678, 2.7485), "after": (1.8721, 1.5926, 1.6382)}
 
-_NOTE = """The signs of the paper's Table 1 do not fit its Table 2 as printed. This demo uses what fits, with the
-reflector at (-69.97, 70.20, 22.52) mm in tool0; see docs/paper.md."""
+_NOTE = """The signs of the paper's Table 1 do not fit its Table 2 as printed. This demo uses what fits,
+with the reflector at (-69.97, 70.20, 22.52) mm in tool0; see docs/paper.md."""
 
 
 @verb("""Calibrate the paper's UR3 from its 35 laser-tracker points.
