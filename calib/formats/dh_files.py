@@ -10,7 +10,7 @@ import io
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from calib.errors import FileError, ModelError, choices
 from calib.files import json_bytes, write_atomically
-from calib.formats.notes import Note
 from calib.model.dh import (
     EQUATIONS,
     HAYATI,
@@ -33,6 +32,28 @@ from calib.robot.readback import TOLERANCE, column_ranges, spread_between
 from calib.robot.robot import Robot, rigid_inverse
 
 Array = NDArray[np.float64]
+
+Code = Literal[
+    "arm not certain",
+    "nominal hash",
+    "not linearised",
+    "base displaced",
+    "flange displaced",
+    "other lines kept",
+    "other lines left out",
+    "joints without origin",
+    "geometry alone",
+    "nearly parallel axes",
+    "joints without value",
+]
+
+
+class Note(NamedTuple):
+    """What a conversion has to say: a code and its values, in SI units; `calib.text.convert` has the sentences."""
+
+    code: Code
+    values: tuple[str | float, ...] = ()
+
 
 ENDINGS = (".csv", ".json")
 """What the name of a DH table may end in."""

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from calib.errors import FileError, ModelError, choices
 from calib.files import read_bytes, write_atomically
-from calib.formats.notes import Code, Note
+from calib.formats.dh_files import Code, Note
 from calib.formats.origins import parse_yaml
 from calib.formats.ur_arms import (
     COLUMNS,
