@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from calib.data.kinds import no_rotation
 from calib.errors import ModelError, choices
-from calib.model.anchoring import check_same_joints
 from calib.model.error_model import axis_twists, error_model
 from calib.model.families import Factor, JointState
 from calib.model.kinematics import TIP, ErrorModel, Kinematics, Parameter, Samples
@@ -260,3 +259,16 @@ def _pose(given: ArrayLike | str | None, what: str) -> Array:
     if values.shape != (4, 4) or no_rotation(values[None, :3, :3]) or np.isnan(values).any():
         raise ModelError(f"The {what} is a pose (4, 4) or a position (3,), not {values.tolist()}.")
     return read_only(values)
+
+
+def check_same_joints(robot: Robot, nominal: Robot) -> None:
+    """Refuse two robots whose joints differ in name, type or axis."""
+    ours, theirs = (
+        [f"{joint.name} ({joint.type}, axis {joint.axis + 0.0})" for joint in one.joints]
+        for one in (robot, nominal)
+    )
+    if ours != theirs:
+        raise ModelError(
+            f"The robot '{robot.name}' has the joints {choices(ours)}, its nominal robot '{nominal.name}' "
+            f"{choices(theirs)}. Give the nominal URDF that the robot was corrected from, with the same base and tip."
+        )

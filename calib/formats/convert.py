@@ -11,14 +11,13 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-from calib.compensation.nominal_actual import is_corrected
+from calib.compensation.nominal_actual import check_same_joints, is_corrected
 from calib.errors import CalibError, FileError, ModelError, choices
 from calib.files import read_bytes
 from calib.formats.dh_files import ENDINGS, DHTables, Note, write_dh
 from calib.formats.origins import origins_of, parse_yaml, read_origins, with_origins, write_origins
 from calib.formats.universal_robots import Source, read_ur, write_ur_conf, write_ur_yaml
 from calib.formats.ur_arms import Mount, UrModel, the_mount, ur_model, ur_robot
-from calib.model.anchoring import check_same_joints
 from calib.model.dh import HAYATI, MODIFIED, STANDARD
 from calib.result.calibration_file import read_result
 from calib.robot.readback import check_written, random_joint_values

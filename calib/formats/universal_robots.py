@@ -28,6 +28,7 @@ import pinocchio as pin
 import yaml
 from numpy.typing import NDArray
 
+from calib.compensation.nominal_actual import check_same_joints
 from calib.errors import FileError, ModelError, choices
 from calib.files import read_bytes, write_atomically
 from calib.formats.dh_files import Code, Note
@@ -38,6 +39,7 @@ from calib.formats.ur_arms import (
     MODELS,
     Mount,
     UrModel,
+    anchored_placements,
     at_flange,
     chain_of_rows,
     chain_poses,
@@ -47,7 +49,6 @@ from calib.formats.ur_arms import (
     ur_model,
     ur_robot,
 )
-from calib.model.anchoring import anchored_placements, check_same_joints
 from calib.model.dh import STANDARD, dh_table
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import Robot, read_only

@@ -11,6 +11,11 @@ nominal rows these are the poses that ``kinematics.yaml`` gives its six links.
 
 The names of the links in Universal Robots' descriptions say where the controller's base and flange are: no axes show an
 error of the first joint's zero and height or of the last one's. The arm is the one with the nearest nominal kinematics.
+
+A joint's frame may slide along and turn about the joint's axis without any pose changing: that motion G_i commutes
+with the joint's own, so that P_i' = P_i G_i, P_(i+1)' = G_i^-1 P_(i+1) are the placements of the same robot. DH rows
+leave that choice to the common normals; `anchored_placements` puts frame i where the next axis, or the tip, lies in
+link i as near as it can to where the nominal robot has it, and else nearest to its nominal pose in link i - 1.
 """
 
 from __future__ import annotations
@@ -18,7 +23,7 @@ from __future__ import annotations
 import itertools
 import re
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,7 +33,7 @@ from numpy.typing import ArrayLike, NDArray
 from calib.errors import ModelError, UrdfError, choices
 from calib.model.dh import screw, zero_poses
 from calib.robot.robot import Robot, read_only, rigid_inverse
-from calib.robot.urdf import Urdf
+from calib.robot.urdf import Urdf, UrdfJoint
 
 Array = NDArray[np.float64]
 
@@ -342,3 +347,114 @@ def _named_frames(robot: Robot) -> Iterator[tuple[Array, Array]]:
             T_base_flange = at_flange.poses(zero)[0]
             T_base_link = T_base_flange @ rigid_inverse(arm.poses(zero)[0])
             yield T_base_link @ turn, rigid_inverse(T_base_flange) @ here
+
+
+# Frames near the nominal ones
+
+#: Where two axes of a link lie closer to parallel than this, they do not say how far along them a frame stands [rad].
+PARALLEL_RAD = np.radians(30.0)
+
+#: A distance of two axes below this gives no direction [m].
+_COINCIDENT = 1e-3
+
+
+def anchored_placements(
+    placements: Array,
+    nominal: Array,
+    joints: Sequence[UrdfJoint],
+) -> Array:
+    """Other placements of the same chain, near the nominal ones, all (n + 1, 4, 4), [m]; see the module's text."""
+    result = np.array(placements, dtype=np.float64)
+    axes = [(np.asarray(joint.axis), joint.type == "prismatic") for joint in joints]
+    for i, (axis, sliding) in enumerate(axes):
+        G = _nearest_own(result[i], nominal[i], axis, sliding=sliding)
+        behind = rigid_inverse(G) @ result[i + 1]
+        if i + 1 == len(axes):
+            G = G @ _to_tip(behind, nominal[i + 1], axis, sliding=sliding)
+        else:
+            G = G @ _to_next_axis(behind, nominal[i + 1], axes[i], axes[i + 1])
+        result[i] = result[i] @ G
+        result[i + 1] = rigid_inverse(G) @ result[i + 1]
+    return read_only(result)
+
+
+def _nearest_own(P: Array, nominal: Array, axis: Array, *, sliding: bool) -> Array:
+    """The motion along and about the axis that brings a joint's frame nearest to its nominal pose."""
+    turn = _turn(axis, _least_turn(nominal[:3, :3].T @ P[:3, :3], axis))
+    missing = P[:3, :3].T @ (nominal[:3, 3] - P[:3, 3])
+    # A joint that slides moves the same wherever its axis lies.
+    turn[:3, 3] = missing if sliding else axis * (axis @ missing)
+    return turn
+
+
+def _to_tip(T: Array, nominal: Array, axis: Array, *, sliding: bool) -> Array:
+    """The motion of the last frame that brings the tip, now at T in it, nearest to its nominal pose."""
+    G = _turn(axis, -_least_turn(T[:3, :3] @ nominal[:3, :3].T, axis))
+    missing = G[:3, :3].T @ T[:3, 3] - nominal[:3, 3]
+    G[:3, 3] = G[:3, :3] @ (missing if sliding else axis * (axis @ missing))
+    return G
+
+
+def _to_next_axis(
+    T: Array, nominal: Array, own: tuple[Array, bool], following: tuple[Array, bool]
+) -> Array:
+    """The motion of a frame that brings the next joint's axis, now at T, nearest to where the nominal link has it.
+
+    ``own`` and ``following`` are the joint's and the next one's axis, and whether it slides.
+    """
+    axis, sliding = own
+    direction, point = T[:3, :3] @ following[0], T[:3, 3]
+    wanted, wanted_point = nominal[:3, :3] @ following[0], nominal[:3, 3]
+    parallel = abs(axis @ wanted) > np.cos(PARALLEL_RAD)
+    angle = 0.0
+    if not parallel:
+        angle = _angle_about(axis, wanted, direction)
+    elif not (sliding or following[1]):
+        # Where the next axis passes at the height of its nominal joint.
+        height = (wanted_point - point) @ axis / (direction @ axis)
+        passes = point + direction * height
+        if min(_distance(axis, wanted_point), _distance(axis, passes)) > _COINCIDENT:
+            angle = _angle_about(axis, wanted_point, passes)
+    G = _turn(axis, angle)
+    if following[1]:  # that axis lies nowhere
+        return G
+    back = G[:3, :3].T
+    direction, point = back @ direction, back @ point
+    if sliding:
+        missing = point - wanted_point
+        shift = missing - direction * (direction @ missing)
+    elif parallel:
+        return G
+    else:
+        shift = axis * (_foot(axis, point, direction) - _foot(axis, wanted_point, wanted))
+    G[:3, 3] = G[:3, :3] @ shift
+    return G
+
+
+def _least_turn(M: Array, axis: Array) -> float:
+    """The angle about the axis whose rotation R makes M R nearest to no rotation [rad]."""
+    x, y, z = axis
+    sine = x * (M[1, 2] - M[2, 1]) + y * (M[2, 0] - M[0, 2]) + z * (M[0, 1] - M[1, 0])
+    return float(np.arctan2(sine, np.trace(M) - axis @ M @ axis))
+
+
+def _angle_about(axis: Array, start: Array, end: Array) -> float:
+    """The angle from one vector to another about an axis [rad]."""
+    across = start - axis * (axis @ start)
+    return float(np.arctan2(np.cross(axis, across) @ end, across @ end))
+
+
+def _distance(axis: Array, point: Array) -> float:
+    """How far a point lies from the axis through the origin [m]."""
+    return float(np.linalg.norm(point - axis * (axis @ point)))
+
+
+def _foot(axis: Array, point: Array, direction: Array) -> float:
+    """Where, along the axis through the origin, the common normal with a line stands [m]."""
+    cosine = axis @ direction
+    return float((axis @ point - cosine * (direction @ point)) / (1.0 - cosine**2))
+
+
+def _turn(axis: Array, angle: float) -> Array:
+    """A rotation about an axis, shape (4, 4)."""
+    return np.asarray(pin.SE3(pin.exp3(axis * angle), np.zeros(3)).homogeneous)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from calib.estimate.residual_tests import (
+from calib.result.evidence import (
     FALSE_ALARM,
     Explained,
     Stack,
