@@ -7,11 +7,17 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Literal, TypeGuard, get_args
+from typing import Literal, TypeAlias, TypeGuard, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.errors import CalibError, choices
+
+#: Arrays of numbers, of truth values, and of whole numbers.
+Array: TypeAlias = NDArray[np.float64]
+Mask: TypeAlias = NDArray[np.bool_]
+Integers: TypeAlias = NDArray[np.int_]
 
 Quantity = Literal["length", "angle", "torque", "force", "mass"]
 

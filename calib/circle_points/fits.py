@@ -23,15 +23,12 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.special import chdtrc, fdtrc
 
 from calib.errors import CalibError
 from calib.robot.robot import read_only
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from calib.units import Array, Mask
 
 #: Fewest points: those that determine the figure and one more, or there is nothing to tell the noise from.
 FEWEST = 4

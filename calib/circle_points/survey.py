@@ -32,7 +32,6 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import ndtr, stdtrit
 
@@ -42,8 +41,7 @@ from calib.errors import CalibError, MeasurementError, UrdfError, choices
 from calib.files import Layout
 from calib.model.dh import zero_poses
 from calib.robot.robot import Robot, read_only, rigid_inverse
-
-Array = NDArray[np.float64]
+from calib.units import Array
 
 #: Axis 1 closer than this to the plane does not meet it anywhere near [rad].
 SLANT_RAD = float(np.radians(30.0))

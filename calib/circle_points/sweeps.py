@@ -12,17 +12,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from calib.data.layout import Layout, read_values
 from calib.data.measurements import Measurements
 from calib.data.points_file import PARTS, Points, read_points
 from calib.data.table import ORIENTATION, Table, list_columns, name_columns, reserved
 from calib.errors import MeasurementError, choices
 from calib.robot.robot import read_only
-
-Array = NDArray[np.float64]
+from calib.units import Array
 
 #: What the sweep is called that is none, and its number.
 PLANE, _PLANE = "plane", -1

@@ -44,10 +44,7 @@ from calib.files import write_atomically
 from calib.result.calibration import Calibration
 from calib.robot.readback import column_limits
 from calib.robot.robot import Payload, Robot, read_only, rigid_inverse
-
-Array = NDArray[np.float64]
-
-Mask = NDArray[np.bool_]
+from calib.units import Array, Mask
 
 Code = Literal[
     "unreachable",

@@ -17,7 +17,6 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.stats import qmc
 
@@ -25,10 +24,7 @@ from calib.compensation.nominal_actual import Arm
 from calib.errors import ModelError, choices
 from calib.robot.readback import column_limits, full_ranges
 from calib.robot.robot import Robot, read_only, rigid_inverse
-from calib.units import unit_fault
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from calib.units import Array, Mask, unit_fault
 
 POSE, POSITION, AXIS = "pose", "position", "axis"
 

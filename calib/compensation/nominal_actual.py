@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from calib.data.kinds import no_rotation
 from calib.errors import ModelError, choices
@@ -24,8 +24,7 @@ from calib.result.calibration import Calibration
 from calib.result.prediction import Larger
 from calib.robot.readback import spread_poses
 from calib.robot.robot import Payload, Robot, read_only
-
-Array = NDArray[np.float64]
+from calib.units import Array
 
 #: The family that moves a measured joint, and with it all joints that follow it.
 _GAIN = "gain"

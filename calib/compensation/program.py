@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from calib.compensation.inverse import MATCHES, POSITION
@@ -32,9 +32,7 @@ from calib.data.table import (
 )
 from calib.errors import MeasurementError, ModelError, choices
 from calib.robot.robot import Robot, read_only
-from calib.units import Quantity
-
-Array = NDArray[np.float64]
+from calib.units import Array, Quantity
 
 #: The forms of an orientation; roll, pitch and yaw are about fixed axes: Rz(yaw) Ry(pitch) Rx(roll).
 FORMS = {

@@ -16,7 +16,7 @@ from types import MappingProxyType
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 import calib.data.kinds as registry
 from calib.data.cell_file import kept, pose, read_cell_file
@@ -24,9 +24,8 @@ from calib.data.kinds import DIRECTIONS, FARTHEST, SIGMAS, no_rotation
 from calib.errors import CalibError, FileError, choices
 from calib.model.families import family_of
 from calib.robot.robot import GRAVITY, Payload, read_only
-from calib.units import is_number
+from calib.units import Array, is_number
 
-Array = NDArray[np.float64]
 Distance = TypeVar("Distance", float, Array)
 
 #: The model that lets the data choose.

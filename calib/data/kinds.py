@@ -23,9 +23,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.errors import CalibError, MeasurementError, choices
-from calib.units import Quantity
-
-Array = NDArray[np.float64]
+from calib.units import Array, Quantity
 
 #: The directions of a frame.
 DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")

@@ -32,10 +32,8 @@ from calib.data.table import (
     with_unit,
 )
 from calib.errors import MeasurementError, choices, did_you_mean
-from calib.units import Quantity
+from calib.units import Array, Mask, Quantity
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Columns = tuple[Column, ...]
 Named = Mapping[str, Column]
 

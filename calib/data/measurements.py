@@ -33,10 +33,7 @@ from calib.data.table import (
 )
 from calib.errors import MeasurementError, choices
 from calib.files import write_atomically
-from calib.units import UNITS, Quantity
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from calib.units import UNITS, Array, Mask, Quantity
 
 #: The words of a row, by the attribute, and what stands for them where they are not given.
 _WORDS = {"sets": SETS[0], "targets": DEFAULT_TARGET, "groups": "", "kinds": "point", "pairs": ""}

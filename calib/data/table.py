@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
 import calib.data.kinds as registry
 from calib.errors import CalibError, FileError, MeasurementError, choices, did_you_mean
@@ -24,14 +23,13 @@ from calib.files import read_bytes
 from calib.units import (
     NUMBER,
     UNITS,
+    Array,
     Quantity,
     Unit,
     find_unit,
     split_header,
     symbols,
 )
-
-Array = NDArray[np.float64]
 
 SEPARATORS = (",", ";", "\t")
 

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from calib.errors import ModelError
 from calib.robot.readback import column_limits, joint_ranges
 from calib.robot.robot import Robot, read_only
-from calib.units import UNITS
+from calib.units import UNITS, Array
 
-Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 Reason = Literal["region", "tracker_range", "reflector_cone", "beam", "collision"]
 

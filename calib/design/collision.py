@@ -18,7 +18,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pinocchio import hppfcl
 
 from calib.data.cell import Box
@@ -29,9 +29,8 @@ from calib.robot.meshes import LinkShape, find_mesh, link_shapes, load_mesh, mes
 from calib.robot.readback import spread_poses
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf, UrdfJoint
+from calib.units import Array, Mask
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Names = tuple[tuple[str, str], ...]
 
 #: Largest step of a joint along a path, of one that turns [rad] and one that slides [m].

@@ -32,8 +32,7 @@ from calib.model.observability import Observability, analyse
 from calib.result.prediction import without_rigid_motion
 from calib.robot.readback import spread_between
 from calib.robot.robot import Robot, gravity_load, read_only
-
-Array = NDArray[np.float64]
+from calib.units import Array
 
 #: What `auto` is planned for: the largest geometry, so that every smaller one is covered.
 PLANNED_FOR_AUTO = "placement"

@@ -30,8 +30,8 @@ from calib.design.forecast import Forecast, Sensitivity, Workspace, information
 from calib.errors import ModelError
 from calib.model.observability import steps
 from calib.robot.robot import read_only
+from calib.units import Array
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int_]
 Progress = Callable[[int, int], None]
 

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 import calib.data.kinds as registry
 from calib.data.cell import Cell, Reflector, Tracker, check_boxes
@@ -37,10 +37,9 @@ from calib.design.workspace import Region
 from calib.errors import MeasurementError
 from calib.files import write_atomically
 from calib.robot.robot import Robot, read_only
+from calib.units import Array, Mask
 from calib.version import __version__
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Progress = Callable[[str, int, int], None]
 
 SCHEMA = "plan 1"

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from calib.design.candidates import rounded
 from calib.robot.robot import Robot, read_only
+from calib.units import Array
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 FreePath = Callable[[Array, Array], bool]
 

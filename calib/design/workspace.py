@@ -30,10 +30,8 @@ from calib.errors import CalibError, FileError
 from calib.files import damage, json_bytes, read_json, write_atomically
 from calib.robot.readback import joint_ranges
 from calib.robot.robot import Robot, read_only, rigid_inverse
+from calib.units import Array, Mask
 from calib.version import __version__
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 SCHEMA = "region 1"
 

@@ -19,12 +19,13 @@ from calib.estimate.registration import register
 from calib.estimate.setup import KnownDistance, Rows, Setup
 from calib.estimate.solvers import SOLVERS, Solution, Solver, paper_levenberg_marquardt
 from calib.estimate.stages import PriorTerms, Stage, staged
-from calib.estimate.statistics import Array, Limits, Mask, as_of_a_point, deleted_norms, repeats
+from calib.estimate.statistics import Limits, as_of_a_point, deleted_norms, repeats
 from calib.model.error_model import error_model
 from calib.model.kinematics import FRAME, TARGET, ErrorModel, Kinematics, Parameter, Samples
 from calib.model.observability import steps
 from calib.robot.kernel import one_blas_thread
 from calib.robot.robot import Robot, read_only
+from calib.units import Array, Mask
 
 #: The paper's algorithm, which is no least-squares solver: it knows no weights and no priors.
 PAPER = "paper"

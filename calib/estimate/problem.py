@@ -25,9 +25,10 @@ from scipy.linalg.lapack import dpotrf, dtrtri
 
 from calib.estimate.setup import LENGTHS, KnownDistance, Rows
 from calib.estimate.solvers import triangle
-from calib.estimate.statistics import Array, Mask, as_of_a_point, deleted_norms
+from calib.estimate.statistics import as_of_a_point, deleted_norms
 from calib.model.kinematics import Kinematics
 from calib.robot.kernel import over_blocks
+from calib.units import Array, Mask
 
 #: How far the logarithm of a size may fall and rise in one step: where nothing supports a size it falls to its bound;
 #: and normal equations that are kept.

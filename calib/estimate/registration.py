@@ -16,12 +16,12 @@ from scipy.spatial.transform import Rotation
 from calib.errors import MeasurementError
 from calib.estimate.setup import LENGTHS, NONE, Rows, Setup
 from calib.estimate.solvers import levenberg_marquardt
-from calib.estimate.statistics import Array, Mask
 from calib.model.error_model import frame_and_target_model
 from calib.model.kinematics import ErrorModel
 from calib.model.observability import steps
 from calib.robot import kernel
 from calib.robot.robot import Robot
+from calib.units import Array, Mask
 
 #: Distances from the tip at which a target is looked for when nothing is known of it [m]; so many starts, those that
 #: fit best, are refined, with so many rows of each view of a target.

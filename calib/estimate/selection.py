@@ -25,12 +25,13 @@ from calib.estimate.problem import Linear, Priors, Problem
 from calib.estimate.registration import ENOUGH, nominal_setup, register, register_poses
 from calib.estimate.setup import Rows, Setup, joined_setups, known_distances, rows_of
 from calib.estimate.stages import FEWEST_FREEDOM, PriorTerms, Stage, staged
-from calib.estimate.statistics import Array, CrossValidation, Errors, Integers, Mask
+from calib.estimate.statistics import CrossValidation, Errors
 from calib.model.families import FAMILIES, joint_families
 from calib.model.kinematics import ErrorModel, Kinematics, frame_place, target_place
 from calib.model.observability import Observability, analyse
 from calib.robot.readback import spread_poses
 from calib.robot.robot import Robot, read_only
+from calib.units import Array, Integers, Mask
 
 #: A fold is fitted from the beginning where the robot differs from the linearised one by this share of the noise, rms,
 #: and where a set-up has fewer scalars: its frame may be anywhere.

@@ -17,12 +17,12 @@ from calib.data.cell import AUTO, Cell
 from calib.data.kinds import Kind
 from calib.data.measurements import Measurements
 from calib.errors import MeasurementError, ModelError, choices
-from calib.estimate.statistics import Array, Integers, Mask
 from calib.model.error_model import DIRECTIONS, split_name
 from calib.model.families import FAMILIES
 from calib.model.kinematics import ErrorModel, Parameter, Samples, frame_place, target_place
 from calib.robot.kernel import over_blocks
 from calib.robot.robot import Robot, gravity_load, read_only
+from calib.units import Array, Integers, Mask
 
 #: The number in place of a kind's of rows that say nothing themselves: the second ones of pairs; and the column from
 #: which on a residual has its angles, behind its lengths.

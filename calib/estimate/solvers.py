@@ -11,12 +11,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dgeqrf, dtrtrs
 
 from calib.errors import SolverError
-
-Array = NDArray[np.float64]
+from calib.units import Array
 
 #: x, shape (p,) -> residual r, shape (m,), and its Jacobian dr/dx, shape (m, p).
 System = Callable[[Array], tuple[Array, Array]]

@@ -17,18 +17,11 @@ from calib.data.cell import Cell
 from calib.errors import ModelError
 from calib.estimate.problem import Linear, Priors, sizes_by_reml
 from calib.estimate.setup import Setup
-from calib.estimate.statistics import (
-    Array,
-    Integers,
-    Limits,
-    Mask,
-    cauchy_weights,
-    median_noise,
-    repeats,
-)
+from calib.estimate.statistics import Limits, cauchy_weights, median_noise, repeats
 from calib.model.families import FAMILIES
 from calib.model.kinematics import FRAME, TARGET, ErrorModel, frame_place, target_place
 from calib.robot.robot import rigid_inverse
+from calib.units import Array, Integers, Mask
 
 #: The noise may be ten times larger or smaller than the one given or assumed, a standard deviation of its logarithm.
 _NOISE_SPREAD = float(np.log(10.0))

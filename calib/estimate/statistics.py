@@ -18,10 +18,7 @@ from scipy.special import chdtrc, chdtri, fdtri, stdtrit
 
 from calib.robot.kernel import over_blocks
 from calib.robot.robot import read_only
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Integers = NDArray[np.int_]
+from calib.units import Array, Integers, Mask
 
 
 @dataclass(frozen=True, slots=True, eq=False)

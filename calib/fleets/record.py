@@ -26,7 +26,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from calib.data.measurements import Measurements
@@ -34,9 +33,7 @@ from calib.files import Layout
 from calib.model.kinematics import FRAME, TARGET
 from calib.result.calibration import Calibration
 from calib.text.fleet import data_text, few_text, figure_text
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from calib.units import Array, Mask
 
 #: How it went.
 DONE, FAILED = "done", "failed"

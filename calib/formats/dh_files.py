@@ -14,7 +14,6 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from calib.errors import FileError, ModelError, choices
 from calib.files import json_bytes, write_atomically
@@ -30,8 +29,6 @@ from calib.model.dh import (
 )
 from calib.robot.readback import TOLERANCE, column_ranges, spread_between
 from calib.robot.robot import Robot, rigid_inverse
-
-Array = NDArray[np.float64]
 
 Code = Literal[
     "arm not certain",

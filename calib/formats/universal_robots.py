@@ -26,7 +26,6 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 import yaml
-from numpy.typing import NDArray
 
 from calib.compensation.nominal_actual import check_same_joints
 from calib.errors import FileError, ModelError, choices
@@ -52,9 +51,8 @@ from calib.formats.ur_arms import (
 from calib.model.dh import STANDARD, dh_table
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import Robot, read_only
-from calib.units import NUMBER
+from calib.units import NUMBER, Array
 
-Array = NDArray[np.float64]
 PathLike = str | os.PathLike[str]
 
 _DELTAS = tuple(f"delta_{name}" for name in COLUMNS)

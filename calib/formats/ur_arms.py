@@ -28,14 +28,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from calib.errors import ModelError, UrdfError, choices
 from calib.model.dh import screw, zero_poses
 from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.robot.urdf import Urdf, UrdfJoint
-
-Array = NDArray[np.float64]
+from calib.units import Array
 
 COLUMNS = ("theta", "a", "d", "alpha")
 """The columns of the rows."""

@@ -21,11 +21,10 @@ from itertools import pairwise
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from calib.robot.robot import Robot, read_only, rigid_inverse
-
-Array = NDArray[np.float64]
+from calib.units import Array
 
 STANDARD, MODIFIED, HAYATI = CONVENTIONS = ("standard", "modified", "hayati")
 """The conventions; see the module's text."""

@@ -16,7 +16,6 @@ from functools import lru_cache, partial
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from calib.errors import ModelError, choices
 from calib.model.dh import dh_frames, dh_table, screw, zero_poses
@@ -32,8 +31,7 @@ from calib.model.kinematics import (
 )
 from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.robot.urdf import UrdfJoint
-
-Array = NDArray[np.float64]
+from calib.units import Array
 
 DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")  #: Of a frame or a placement.
 

@@ -18,11 +18,9 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.errors import ModelError, choices
-
-Array = NDArray[np.float64]
+from calib.units import Array
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,8 +24,7 @@ from calib.errors import ModelError, choices
 from calib.model.families import FAMILIES, Factor, JointState, family_of
 from calib.robot import kernel
 from calib.robot.robot import Robot, read_only
-
-Array = NDArray[np.float64]
+from calib.units import Array
 
 #: The places that are not joints; no URDF calls a joint so.
 FRAME, TIP, TARGET = "(frame)", "(tip)", "(target)"

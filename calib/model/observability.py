@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from calib.model.families import unit_of
 from calib.robot.robot import read_only
+from calib.units import Array
 
 #: Directions with less than this share of the strongest one's effect cannot be identified: 1 mm moves points by < 1 um.
 _NEGLIGIBLE = 1e-3
@@ -22,8 +23,6 @@ _ROUNDING = 1e-13  #: A relative singular value of this size is zero.
 _MOST_NAMES = 6  #: Longer combinations than this are not written out.
 _NAMED_EFFECT = 0.02  #: A parameter's least share of a combination's strongest effect, to be named.
 _UNSEEN_SHARE = 0.05  #: A parameter with less than this share in what cannot be identified counts as identifiable.
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

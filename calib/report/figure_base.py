@@ -14,21 +14,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.data.measurements import Measurements
 from calib.errors import FileError, choices
 from calib.estimate.setup import Setup
 from calib.result.calibration import Calibration
 from calib.robot.robot import rigid_inverse
+from calib.units import Array, Mask
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 #: The robots; the rows that the fit has seen, those that it has not, and those that do not belong to the others.
 NOMINAL, CALIBRATED = "#45709c", "#ee8420"

@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 import calib.report.figure_base as base
 from calib.estimate.statistics import CrossValidation
 from calib.result.calibration import Calibration
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from calib.units import Array, Mask
 
 #: More rows than this get no markers, and more than that are pixels in SVG and PDF.
 _MOST_MARKERS, _MOST_LINES = 80, 1000

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 import calib.report.figure_base as base
 import calib.text.summary as texts
@@ -14,9 +13,6 @@ from calib.model.families import unit_of
 from calib.report.figure_base import CALIBRATED, INK, NOMINAL, OUTLIER, SOFT
 from calib.result.calibration import Calibration
 from calib.result.prediction import ParameterEstimate
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 #: What the parameters of each unit are called.
 _TITLES = {"m": "Lengths", "rad": "Angles", "1": "Gear ratios and sines", "rad/Nm": "Compliances"}

@@ -10,19 +10,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import calib.report.figure_base as base
 from calib.design.workspace import RegionView
 from calib.files import write_atomically
 from calib.report.figure_space import VIEWS, flat, limits_of
+from calib.units import Array, Mask
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 
 def check_ending(path: str | Path) -> str:

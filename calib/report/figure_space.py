@@ -7,13 +7,11 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 import calib.report.figure_base as base
 from calib.result.calibration import Calibration
 from calib.robot.readback import spread_poses
-
-Array = NDArray[np.float64]
+from calib.units import Array
 
 #: The two axes of each view, and what it is called.
 VIEWS = ((0, 1, "from above"), (0, 2, "from the front"), (1, 2, "from the side"))

@@ -35,7 +35,6 @@ from calib.text.verdict import outside_text, reason_text, robustness_text
 if TYPE_CHECKING:
     from calib.report.figures import Drawing
 
-Array = NDArray[np.float64]
 
 #: A drawing with more bytes than this as SVG goes in as PNG.
 _LARGE = 260_000

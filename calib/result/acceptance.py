@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import betaincinv
 
 from calib.data.cell import Cell
@@ -39,9 +38,8 @@ from calib.result.evaluation import (
 from calib.result.support import OutsideRow
 from calib.result.verdict import Reason
 from calib.robot.robot import Robot
-from calib.units import split_header
+from calib.units import Mask, split_header
 
-Mask = NDArray[np.bool_]
 Outcome = Literal["pass", "undecided", "fail"]
 
 #: From the best to the worst: of several checks the worst outcome counts.

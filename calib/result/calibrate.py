@@ -46,10 +46,9 @@ from calib.result.verdict import NO, Reason, Verdict, verdict
 from calib.robot.kernel import one_blas_thread
 from calib.robot.readback import spread_poses
 from calib.robot.robot import Robot, read_only
+from calib.units import Array
 
 __all__ = ["Calibration", "calibrate"]
-
-Array = NDArray[np.float64]
 
 
 @one_blas_thread()

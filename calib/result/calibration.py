@@ -27,9 +27,7 @@ from calib.result.prediction import Larger, Outlier, ParameterEstimate, Solved, 
 from calib.result.support import OutsideRow, Robustness, outside
 from calib.result.verdict import Verdict
 from calib.robot.robot import Payload, Robot, read_only, rigid_inverse
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from calib.units import Array, Mask
 
 #: Values that stand for all those between the ends of a measured range.
 _BETWEEN = 73

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from calib.errors import CalibError, FileError
 from calib.estimate.selection import Candidate
@@ -30,10 +29,8 @@ from calib.result.support import OutsideRow, Robustness
 from calib.result.verdict import Reason
 from calib.robot.robot import Payload, Robot, read_only
 from calib.robot.urdf import Urdf
+from calib.units import Array
 from calib.version import __version__
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 #: The layout of a result.
 SCHEMA = 4

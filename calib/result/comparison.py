@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.errors import ModelError
 from calib.result.calibration import Calibration
@@ -16,8 +15,8 @@ from calib.result.drift import Drift, drift_between
 from calib.result.verdict import NO
 from calib.robot.readback import spread_between, spread_poses
 from calib.robot.robot import Robot
+from calib.units import Array
 
-Array = NDArray[np.float64]
 Place = tuple[float, float]
 
 Outcome = Literal["drift", "no drift shown", "cannot tell"]

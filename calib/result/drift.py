@@ -36,8 +36,8 @@ from calib.model.error_model import DIRECTIONS
 from calib.model.kinematics import FRAME, TARGET, Kinematics
 from calib.model.observability import steps
 from calib.result.calibration import Calibration
+from calib.units import Array
 
-Array = NDArray[np.float64]
 Pair = tuple[Array, Array]
 Where = Literal["measured ranges", "joint limits"]
 

@@ -36,9 +36,8 @@ from calib.result.support import better_setup
 from calib.result.verdict import Reason
 from calib.robot.kernel import one_blas_thread
 from calib.robot.robot import Robot, read_only
+from calib.units import Array, Mask
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Place = Literal["frame", "target"]
 
 #: What of an earlier result can be taken for known.

@@ -24,13 +24,14 @@ from calib.estimate.problem import Priors, Problem
 from calib.estimate.registration import ENOUGH
 from calib.estimate.selection import only_there
 from calib.estimate.setup import Rows, joined_setups
-from calib.estimate.statistics import Array, Errors, Integers, Mask, pose_means
+from calib.estimate.statistics import Errors, pose_means
 from calib.model.error_model import error_model
 from calib.model.kinematics import FRAME, TARGET, Kinematics
 from calib.result.calibration import Calibration
 from calib.result.support import shares_of_ranges, spread_of
 from calib.result.verdict import Evidence, Reason, Why
 from calib.robot.readback import column_ranges, spread_poses
+from calib.units import Array, Integers, Mask
 
 #: The probability that a table with nothing but noise gives any pattern or drift; that alike set-ups give any finding.
 FALSE_ALARM, _SETUP_ALARM = 0.003, 0.01

@@ -13,7 +13,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 import calib.data.kinds as registry
 from calib.estimate.fitting import Fitted
@@ -22,8 +21,7 @@ from calib.estimate.statistics import CrossValidation, interval_factor
 from calib.model.kinematics import FRAME, TARGET, ErrorModel, Kinematics, Samples
 from calib.model.observability import Observability
 from calib.robot.robot import Payload, Robot, gravity_load, read_only
-
-Array = NDArray[np.float64]
+from calib.units import Array
 
 #: Poses over which expected errors are averaged, and that say what a motion of the base makes up for: more change none.
 _MOST_EXPECTED, _ENOUGH = 1000, 20_000

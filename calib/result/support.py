@@ -19,11 +19,12 @@ from calib.estimate.fitting import Fitted, fit
 from calib.estimate.registration import register
 from calib.estimate.selection import linear_cross_validation
 from calib.estimate.setup import Rows, Setup
-from calib.estimate.statistics import Array, Errors
+from calib.estimate.statistics import Errors
 from calib.model.error_model import DIRECTIONS
 from calib.result.prediction import without_rigid_motion
 from calib.result.verdict import Reason, Why
 from calib.robot.robot import Robot
+from calib.units import Array
 
 #: A joint value is outside when it is further from the measured range than this share of it; less is none [rad or m].
 _MARGIN, _STILL = 0.05, 1e-3

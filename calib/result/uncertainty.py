@@ -31,9 +31,7 @@ from calib.result.prediction import ParameterEstimate, without_rigid_motion
 from calib.robot.kernel import one_blas_thread
 from calib.robot.readback import spread_poses
 from calib.robot.robot import read_only
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int_]
+from calib.units import Array, Integers
 
 #: Called with the number of samples done and of samples in all.
 Progress = Callable[[int, int], None]

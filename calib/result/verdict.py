@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from calib.estimate.statistics import Array, CrossValidation, Errors, Integers, Mask
+from calib.estimate.statistics import CrossValidation, Errors
+from calib.units import Array, Integers, Mask
 
 USE, CARE, NO = "use", "use with care", "do not use"
 

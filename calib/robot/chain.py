@@ -20,13 +20,10 @@ from typing import TypeAlias
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from calib.errors import UrdfError, choices, did_you_mean
 from calib.robot.urdf import Urdf, UrdfJoint, read_only
-from calib.units import unit_fault
-
-Array = NDArray[np.float64]
+from calib.units import Array, unit_fault
 
 MOVING = ("revolute", "continuous", "prismatic")
 """The types of joints that a chain may move by."""

@@ -20,8 +20,8 @@ from pinocchio import hppfcl
 
 from calib.robot.urdf import Urdf, robot_data_urdfs
 from calib.robot.xacro_file import listed_folders, packages_in
+from calib.units import Array
 
-Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
 KINDS = (".stl", ".obj", ".dae", ".ply", ".off", ".glb")

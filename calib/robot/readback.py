@@ -17,14 +17,12 @@ from numpy.typing import ArrayLike, NDArray
 from calib.errors import CalibError, UrdfError, choices
 from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.robot.urdf import Urdf, UrdfJoint
-from calib.units import unit_fault
+from calib.units import Array, unit_fault
 
 TOLERANCE = 1e-9  #: A pose read back may differ from the model's by this [m and rad].
 SPREAD = 200  #: Joint values spread over the limits.
 _POSES, _SEED = 20, 20170401  #: Sets of joint values compared, and the seed they are drawn with.
 _ROUNDING = 1e-4  #: A range may pass a limit by this: 360 deg is not quite 6.28318 rad [rad or m].
-
-Array = NDArray[np.float64]
 
 
 def check_written(robot: Robot, expected: Array, q: Array) -> None:

@@ -39,10 +39,10 @@ from calib.robot.chain import (
     rigid_inverse,
 )
 from calib.robot.urdf import Urdf, UrdfJoint, read_only, read_urdf
+from calib.units import Array
 
 __all__ = ["Robot", "read_only", "rigid_inverse"]
 
-Array = NDArray[np.float64]
 
 GRAVITY = (0.0, 0.0, -9.81)
 """The acceleration of gravity where the URDF's root link has z up, [m/s^2]."""

@@ -14,15 +14,13 @@ from xml.etree.ElementTree import Element as AnyElement
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from calib.errors import UrdfError, choices, did_you_mean
 from calib.files import check_no_xacro, read_bytes, write_atomically
 from calib.robot.urdf_xml import XACRO_FIX, Document, Element
 from calib.robot.xacro_file import XacroCall, flattened, is_xacro
-from calib.units import NUMBER
-
-FloatArray = NDArray[np.float64]
+from calib.units import NUMBER, Array
 
 JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 
@@ -31,7 +29,7 @@ SAME = 1e-14  #: Entries of two poses that differ by no more are the same [m; ro
 _ZERO_AXIS = 1e-9
 
 
-def read_only(values: ArrayLike) -> FloatArray:
+def read_only(values: ArrayLike) -> Array:
     """A copy of the values as a float64 array that cannot be written to."""
     array = np.array(values, dtype=np.float64)
     array.setflags(write=False)
@@ -46,9 +44,9 @@ class UrdfJoint:
     type: str  #: One of `JOINT_TYPES`.
     parent: str  #: Name of the parent link.
     child: str  #: Name of the child link.
-    xyz: FloatArray  #: Translation of the origin in the parent link, (3,) [m].
-    rpy: FloatArray  #: Rotation of the origin about the fixed x, y, z axes, (3,) [rad].
-    axis: FloatArray  #: Unit vector in the joint's frame, (3,); (1, 0, 0) for fixed and floating joints.
+    xyz: Array  #: Translation of the origin in the parent link, (3,) [m].
+    rpy: Array  #: Rotation of the origin about the fixed x, y, z axes, (3,) [rad].
+    axis: Array  #: Unit vector in the joint's frame, (3,); (1, 0, 0) for fixed and floating joints.
     mimic: str | None  #: Name of the joint that drives this one, or None.
     lower: float | None  #: Lower limit [rad or m]; None where none is stated or the type has none.
     upper: float | None  #: Upper limit, likewise.
@@ -56,7 +54,7 @@ class UrdfJoint:
     mimic_offset: float = 0.0  #: Added to it [rad or m].
 
     @property
-    def T_parent_joint(self) -> FloatArray:
+    def T_parent_joint(self) -> Array:
         """The origin: pose of the joint's frame in the parent link, (4, 4)."""
         T = np.eye(4)
         T[:3, :3] = pin.rpy.rpyToMatrix(*self.rpy)
@@ -136,7 +134,7 @@ class Urdf:
             del to_base[0], to_tip[0]
         return tuple(to_base), tuple(to_tip)
 
-    def with_origins(self, origins: Mapping[str, FloatArray]) -> Urdf:
+    def with_origins(self, origins: Mapping[str, Array]) -> Urdf:
         """The URDF with other joint origins; only the <origin> start tags of those joints change.
 
         ``xyz`` is rewritten only if the translation changes by more than `SAME`, ``rpy`` only if the rotation does.
@@ -164,7 +162,7 @@ class Urdf:
                 patches.append((joint.end, joint.end, margin + _origin_tag(T)))
         return self._patched(patches) if patches else self
 
-    def with_link(self, name: str, parent: str, T_parent_link: FloatArray) -> Urdf:
+    def with_link(self, name: str, parent: str, T_parent_link: Array) -> Urdf:
         """The URDF with a massless link fixed to ``parent`` by ``<name>_joint``, written just before ``</robot>``."""
         self._check_link(parent)
         joint_name = f"{name}_joint"
@@ -371,13 +369,13 @@ def _check_tree(document: Document, joints: tuple[UrdfJoint, ...], links: tuple[
         )
 
 
-def _xyz_rpy(T: FloatArray) -> dict[str, str]:
+def _xyz_rpy(T: Array) -> dict[str, str]:
     """The attributes of an <origin>, read back exactly; Pinocchio's rpy is accurate at pitch = +-pi/2, too."""
     values = {"xyz": T[:3, 3], "rpy": pin.rpy.matrixToRpy(T[:3, :3])}
     return {key: " ".join(repr(float(v) + 0.0) for v in value) for key, value in values.items()}
 
 
-def _origin_tag(T: FloatArray) -> bytes:
+def _origin_tag(T: Array) -> bytes:
     """A whole <origin/>."""
     return '<origin xyz="{xyz}" rpy="{rpy}"/>'.format(**_xyz_rpy(T)).encode()
 

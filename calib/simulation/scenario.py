@@ -42,9 +42,8 @@ from calib.simulation.truth import (
     sizes_of,
     stream,
 )
-from calib.units import LENGTH, parse_amount, parse_noise
+from calib.units import LENGTH, Array, parse_amount, parse_noise
 
-Array = NDArray[np.float64]
 Rows = NDArray[np.int_]
 
 #: Where the tracker stands if nothing says so, in the base [m].

@@ -13,7 +13,6 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import fdtri
 
 from calib.data.cell import Cell, Tracker
@@ -30,8 +29,8 @@ from calib.result.verdict import NO
 from calib.robot.robot import gravity_load, rigid_inverse
 from calib.simulation.scenario import DEFAULT_TRACKER, Scenario, Simulated
 from calib.simulation.truth import Truth
+from calib.units import Array
 
-Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 
 #: The result file's kind and version.

@@ -31,9 +31,7 @@ from calib.model.families import FAMILIES, unit_of
 from calib.model.kinematics import ErrorModel, Kinematics, Samples
 from calib.robot.readback import check_written, random_joint_values
 from calib.robot.robot import Payload, Robot, gravity_load, read_only, rigid_inverse
-from calib.units import parse_amount
-
-Array = NDArray[np.float64]
+from calib.units import Array, parse_amount
 
 #: Where the target is said to sit on the tip, if nothing else is said [m]: off the last axis, so that all is seen.
 DEFAULT_PLACE = read_only((0.05, 0.05, 0.05))

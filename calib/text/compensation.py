@@ -7,18 +7,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.robot.robot import rigid_inverse
 from calib.text.lines import fill
 from calib.text.verdict import reason_text
+from calib.units import Array
 
 if TYPE_CHECKING:
     from calib.compensation.commands import Code, Commands, Finding
     from calib.robot.robot import Robot
 
-Array = NDArray[np.float64]
 
 _MM, _DEG = 1e3, float(np.degrees(1.0))
 

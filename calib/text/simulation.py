@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.model.families import FAMILIES, unit_of
 from calib.simulation.scenario import Scenario, Simulated
 from calib.simulation.study import VERIFIED, Study, Trials
 from calib.text.lines import fill, row_ranges
-
-Array = NDArray[np.float64]
+from calib.units import Array
 
 #: Columns of a row's label.
 _LABEL = 26

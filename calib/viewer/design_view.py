@@ -13,12 +13,12 @@ from collections.abc import Iterable
 import meshcat
 import numpy as np
 from meshcat import geometry as mc
-from numpy.typing import NDArray
 
 from calib.design.plan import Plan
 from calib.design.workspace import RegionView
 from calib.report.figure_base import BEAM, ESTIMATION, LITTLE_TO_MUCH, NOMINAL, VALIDATION
 from calib.report.figure_region import headings
+from calib.units import Array
 from calib.viewer.scene import (
     Key,
     Page,
@@ -30,8 +30,6 @@ from calib.viewer.scene import (
     solid,
 )
 from calib.viewer.view import translation
-
-Array = NDArray[np.float64]
 
 #: Radii of a target's ball and of a row's, and length of a line of sight, as a part of the scene's size.
 _BALL, _ROW_BALL, _SIGHT = 0.008, 0.007, 0.12

@@ -28,7 +28,7 @@ from typing import Any, Literal, overload
 import meshcat
 import numpy as np
 import umsgpack
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from tornado.httpserver import HTTPServer
 from tornado.web import Application, RequestHandler
 from tornado.websocket import WebSocketHandler
@@ -38,6 +38,7 @@ import calib.viewer.scene as stage
 from calib.errors import CalibError, ModelError, choices
 from calib.result.calibration import Calibration
 from calib.robot.robot import Robot
+from calib.units import Array
 from calib.viewer.scene import Page
 from calib.viewer.view import (
     Puppet,
@@ -49,8 +50,6 @@ from calib.viewer.view import (
     view_of,
     view_of_robots,
 )
-
-Array = NDArray[np.float64]
 
 #: What the rows of each kind are called, in colours of their own.
 _ROWS = {

@@ -18,15 +18,14 @@ import meshcat
 import numpy as np
 import umsgpack
 from meshcat import geometry as mc
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 import calib.report.figure_base as look
 from calib.files import write_atomically
 from calib.robot.robot import Robot
+from calib.units import Array
 from calib.viewer.view import Puppet, read_visuals, translation
-
-Array = NDArray[np.float64]
 
 #: What a page that came from a server on this computer may talk to.
 _LIVE = "; connect-src 'self' ws://127.0.0.1:* ws://localhost:*"

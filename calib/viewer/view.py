@@ -31,9 +31,7 @@ from calib.robot.robot import Robot, rigid_inverse
 from calib.robot.urdf import Urdf
 from calib.text.comparison import sentence
 from calib.text.verdict import reason_text
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from calib.units import Array, Mask
 
 #: Vertices, shape (V, 3), [m], and faces, shape (F, 3), indices of vertices.
 Mesh = tuple[NDArray[np.floating], NDArray[np.int64]]
