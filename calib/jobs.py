@@ -8,6 +8,9 @@ from typing import TypeVar
 
 from calib.errors import CalibError
 
+#: Called with the number of jobs done and of all.
+Progress = Callable[[int, int], None]
+
 C = TypeVar("C")
 I = TypeVar("I")  # noqa: E741  an item
 R = TypeVar("R")

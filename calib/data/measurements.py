@@ -33,6 +33,7 @@ from calib.data.table import (
 )
 from calib.errors import MeasurementError, choices
 from calib.files import write_atomically
+from calib.robot.robot import read_only
 from calib.units import UNITS, Array, Mask, Quantity
 
 #: The words of a row, by the attribute, and what stands for them where they are not given.
@@ -105,14 +106,14 @@ class Measurements:
         ):
             array = self._numbers(name, getattr(self, name), tail, told_by, limits)
             if array is None and name in ("joints", "points"):
-                array = _read_only(np.full((count, *tail), np.nan))
+                array = read_only(np.full((count, *tail), np.nan))
             fill(name, array)
         if self.rotations is not None:
             for i in np.flatnonzero(turned)[no_rotation(self.rotations[turned])]:
                 what = "'rotations' holds no rotation; each is orthonormal with determinant 1"
                 self._fail(int(i), what)
         if self.torques is not None:
-            fill("torques", _read_only(self.torques))
+            fill("torques", read_only(self.torques))
             there = np.isfinite(self.torques)
             for i, k in np.argwhere(~there & there.any(axis=0)):
                 what = "has no torque here and has one in other rows; give all of them, or none"
@@ -177,7 +178,7 @@ class Measurements:
                 f"{limits[0]:g} to {limits[1]:g}, in SI units. Correct it, or its unit.",
             )
         array[~told] = np.nan
-        return _read_only(array)
+        return read_only(array)
 
     def _checked_readings(self) -> dict[str, Array]:
         """What kinds read in columns of their own, by the column's name; of a pair both rows have it."""
@@ -371,7 +372,7 @@ class Measurements:
                 f"{self.source or 'the measurements'}: no values of the joints {choices(missing)}. "
                 f"The joints there are: {choices(self.joint_names, limit=30)}."
             )
-        return _read_only(self.joints[:, [where[name] for name in names]])
+        return read_only(self.joints[:, [where[name] for name in names]])
 
     def write(self, path: str | Path, *, overwrite: bool = False) -> None:
         """Write a CSV table in degrees and millimetres that `read` gives back.
@@ -421,13 +422,6 @@ class Measurements:
         writer.writerow(columns)
         writer.writerows(zip(*columns.values(), strict=True))  # csv writes a float as its repr
         write_atomically(path, text.getvalue().encode(), overwrite=overwrite)
-
-
-def _read_only(values: ArrayLike) -> Array:
-    """A read-only float64 copy."""
-    array_ = np.array(values, dtype=np.float64)
-    array_.setflags(write=False)
-    return array_
 
 
 def _mask(words: Sequence[str], *wanted: str) -> Mask:

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import ModelError
+from calib.jobs import Progress
 from calib.robot.readback import column_limits, joint_ranges
 from calib.robot.robot import Robot, read_only
 from calib.units import UNITS, Array
 
-Progress = Callable[[int, int], None]
 Reason = Literal["region", "tracker_range", "reflector_cone", "beam", "collision"]
 
 #: Poses of one batch; a power of two keeps the sequence even.

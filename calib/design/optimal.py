@@ -18,7 +18,6 @@ variance tr(A_i C A_i^T) over its candidates below rank / N (J. Kiefer, J. Wolfo
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -28,12 +27,12 @@ from numpy.typing import ArrayLike, NDArray
 from calib.design.candidates import Pool
 from calib.design.forecast import Forecast, Sensitivity, Workspace, information
 from calib.errors import ModelError
+from calib.jobs import Progress
 from calib.model.observability import steps
 from calib.robot.robot import read_only
 from calib.units import Array
 
 Indices = NDArray[np.int_]
-Progress = Callable[[int, int], None]
 
 #: A direction that moves what is measured by less than this share of the strongest one is none [-], squared; and a
 #: parameter that moves it by less than the second does so by rounding.

@@ -9,7 +9,7 @@ no URDF can hold are added one by one, and with one of them found, the larger se
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -26,6 +26,7 @@ from calib.estimate.registration import ENOUGH, nominal_setup, register, registe
 from calib.estimate.setup import Rows, Setup, joined_setups, known_distances, rows_of
 from calib.estimate.stages import FEWEST_FREEDOM, PriorTerms, Stage, staged
 from calib.estimate.statistics import CrossValidation, Errors
+from calib.jobs import Progress
 from calib.model.families import FAMILIES, joint_families
 from calib.model.kinematics import ErrorModel, Kinematics, frame_place, target_place
 from calib.model.observability import Observability, analyse
@@ -44,9 +45,6 @@ _MANY, _SMALL_SHARE, _AT_A_TIME = 1500, 0.15, 4096
 #: Up to this number of poses each is left out in turn, above it a tenth of them at a time; from this number of set-ups
 #: on, whole ones are.
 _LEAVE_ONE_OUT, _FOLDS, _FEWEST_SETUPS = 60, 10, 3
-
-#: Called with the number of fits done and of fits in all.
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -21,6 +21,11 @@ from calib.robot.robot import read_only
 from calib.units import Array, Integers, Mask
 
 
+def rms(values: Array) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(values**2)))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Errors:
     """Errors of a set of rows, as in the paper's Tables 4 and 5: of lengths, and of angles where there are any."""

@@ -20,7 +20,6 @@ from calib.estimate.fitting import Fitted, Task, fit
 from calib.estimate.registration import nominal_setup
 from calib.estimate.selection import (
     Candidate,
-    Progress,
     cross_validation,
     nominal_cross_validation,
     select,
@@ -28,6 +27,7 @@ from calib.estimate.selection import (
 from calib.estimate.setup import Rows, known_distances, rows_of
 from calib.estimate.solvers import Solver
 from calib.estimate.statistics import CrossValidation, Limits, Repeats, repeats
+from calib.jobs import Progress
 from calib.model.error_model import split_name
 from calib.model.kinematics import Parameter, Samples
 from calib.model.observability import Observability, analyse

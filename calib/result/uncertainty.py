@@ -23,7 +23,8 @@ from scipy.special import fdtri, gammaincinv
 from calib.errors import CalibError, ModelError
 from calib.estimate.fitting import Fitted
 from calib.estimate.solvers import levenberg_marquardt
-from calib.jobs import batch_size, run
+from calib.estimate.statistics import rms
+from calib.jobs import Progress, batch_size, run
 from calib.model.kinematics import Samples, Where
 from calib.model.observability import steps
 from calib.result.calibration import Calibration
@@ -32,9 +33,6 @@ from calib.robot.kernel import one_blas_thread
 from calib.robot.readback import spread_poses
 from calib.robot.robot import read_only
 from calib.units import Array, Integers
-
-#: Called with the number of samples done and of samples in all.
-Progress = Callable[[int, int], None]
 
 #: With fewer samples the ends of a 95 % interval lie beyond them; more tell nothing, and do not fit into memory.
 FEWEST_SAMPLES, MOST_SAMPLES = 40, 100_000
@@ -69,12 +67,12 @@ class Bootstrap:
     @property
     def measured_rms(self) -> float:
         """Standard deviation over the samples of the predicted position, rms over the measured poses [m]."""
-        return _rms(self.position_std(_some(self.fitted.estimate.problem.rows.samples)))
+        return rms(self.position_std(_some(self.fitted.estimate.problem.rows.samples)))
 
     @property
     def everywhere_rms(self) -> float:
         """The same over joint values spread over the limits [m]."""
-        return _rms(self.position_std(Samples.at(spread_poses(self.fitted.task.robot, _POSES))))
+        return rms(self.position_std(Samples.at(spread_poses(self.fitted.task.robot, _POSES))))
 
     @property
     def std(self) -> Array:
@@ -304,8 +302,3 @@ def _some(samples: Samples) -> Samples:
     """At most `_POSES` of the samples, evenly spread over their order."""
     count = min(len(samples), _POSES)
     return samples.select(np.linspace(0, len(samples) - 1, count).astype(int))
-
-
-def _rms(values: Array) -> float:
-    """Root mean square."""
-    return float(np.sqrt(np.mean(values**2)))

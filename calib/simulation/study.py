@@ -7,7 +7,6 @@ asks both for the target's position at poses that were not measured: the error t
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -21,7 +20,8 @@ from calib.design.forecast import Forecast, Sensitivity, Workspace
 from calib.design.optimal import PlanRequest, choose_poses
 from calib.errors import CalibError, ModelError
 from calib.estimate.fitting import Fitted
-from calib.jobs import batch_size, run
+from calib.estimate.statistics import rms
+from calib.jobs import Progress, batch_size, run
 from calib.model.kinematics import Samples
 from calib.result.calibrate import calibrate, fit_table
 from calib.result.prediction import without_rigid_motion
@@ -30,8 +30,6 @@ from calib.robot.robot import gravity_load, rigid_inverse
 from calib.simulation.scenario import DEFAULT_TRACKER, Scenario, Simulated
 from calib.simulation.truth import Truth
 from calib.units import Array
-
-Progress = Callable[[int, int], None]
 
 #: The result file's kind and version.
 SCHEMA = "study 1"
@@ -128,12 +126,12 @@ class Study:
     @property
     def rms(self) -> float:
         """Root mean square over the trials of the calibrated robots' rms error [m]."""
-        return _rms(self.values("rms"))
+        return rms(self.values("rms"))
 
     @property
     def nominal_rms(self) -> float:
         """The same of the nominal robots [m]."""
-        return _rms(self.values("nominal_rms"))
+        return rms(self.values("nominal_rms"))
 
     @property
     def rms_error(self) -> float:
@@ -280,17 +278,12 @@ def _verified(trials: Trials, truth: Truth, fitted: Fitted) -> dict[str, float]:
     square = np.sum(error * np.linalg.solve(stated, error[:, :, None])[:, :, 0], axis=1)
     inside = square <= 3.0 * fdtri(3, max(estimate.freedom, 1.0), _LEVEL)
     return {
-        "nominal_rms": _rms(truth.nominal_errors(q)),
-        "rms": _rms(length),
+        "nominal_rms": rms(truth.nominal_errors(q)),
+        "rms": rms(length),
         "max": float(np.max(length)),
         "stated_rms": float(np.sqrt(np.mean(np.trace(stated, axis1=1, axis2=2)))),
         "covered": float(np.mean(inside)),
     }
-
-
-def _rms(lengths: Array) -> float:
-    """Root of the mean square."""
-    return float(np.sqrt(np.mean(lengths**2)))
 
 
 def _forecast(trials: Trials, seed: int) -> Forecast | None:

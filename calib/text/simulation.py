@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from calib.estimate.statistics import rms
 from calib.model.families import FAMILIES, unit_of
 from calib.simulation.scenario import Scenario, Simulated
 from calib.simulation.study import VERIFIED, Study, Trials
@@ -49,13 +50,13 @@ def _errors(made: Simulated) -> Iterator[tuple[str, str]]:
     for (_, family, unit), pairs in sorted(found.items()):
         scale, symbol = unit_of(unit).shown
         largest, name = max(pairs, key=lambda pair: abs(pair[0]))
-        rms = scale * _rms(np.array([value for value, _ in pairs]))
+        size = scale * rms(np.array([value for value, _ in pairs]))
         yield (
             f"  {family}",
-            f"{len(pairs)}, rms {rms:.3g} {symbol}, largest {name} {scale * largest:.3g} {symbol}",
+            f"{len(pairs)}, rms {size:.3g} {symbol}, largest {name} {scale * largest:.3g} {symbol}",
         )
     off = truth.nominal_errors(made.q)
-    yield "  of the nominal robot", f"{_mm(_rms(off))} mm rms, {_mm(off.max())} mm at most"
+    yield "  of the nominal robot", f"{_mm(rms(off))} mm rms, {_mm(off.max())} mm at most"
 
 
 def _places(scenario: Scenario, made: Simulated) -> Iterator[tuple[str, str]]:
@@ -103,7 +104,7 @@ def study_text(found: Study, trials: Trials) -> str:
     how = f"{trials.fitted} {'planned' if trials.planned else 'random'} poses"
     where = how if trials.poses is None else f"the {trials.fitted} poses given"
     count, forecast = len(found.trials), found.forecast
-    stated = _rms(found.values("stated_rms"))
+    stated = rms(found.values("stated_rms"))
     figures = [
         ("nominal", found.nominal_rms, found.range("nominal_rms")),
         ("calibrated", found.rms, found.range("rms")),
@@ -119,8 +120,8 @@ def study_text(found: Study, trials: Trials) -> str:
         "",
         f"{'Position error at unseen poses [mm]':<44}{'rms':>9}{'  90 % of robots between':>26}",
     ]
-    for label, rms, (low, high) in figures:
-        middle = "" if rms is None else f"{1e3 * rms:.3f}"
+    for label, size, (low, high) in figures:
+        middle = "" if size is None else f"{1e3 * size:.3f}"
         lines.append(f"{label:<44}{middle:>9}{1e3 * low:>15.3f} to {1e3 * high:.3f}")
     lines.append("")
     covered = 100 * found.values("covered").mean()
@@ -137,11 +138,6 @@ def study_text(found: Study, trials: Trials) -> str:
         text = f"{len(found.failures)} trials ended with an error; the first, seed {seed}: {reason}"
         lines.append(fill(text))
     return "\n".join(lines)
-
-
-def _rms(values: Array) -> float:
-    """Root of the mean square."""
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def _mm(value: float) -> str:
