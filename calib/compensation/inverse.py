@@ -105,17 +105,41 @@ def solve(
     pose is missed, is for the caller to see.
     """
     redundant = start.shape[1] > matching.rows
-    low, high = limits.T if redundant and limits is not None else (-np.inf, np.inf)
+    bounds = limits if redundant else None
+    found = _search(arm, T_wanted, start, matching, bounds, steps, pulled=redundant)
+    before = np.linalg.norm(matching.error(found.T_base_tool, T_wanted), axis=1)
+    left = np.flatnonzero(before > _REACHED)
+    if redundant and len(left):
+        # Next to a singularity the pull can be in the way of what can be reached.
+        again = _search(arm, T_wanted[left], start[left], matching, bounds, steps, pulled=False)
+        after = np.linalg.norm(matching.error(again.T_base_tool, T_wanted[left]), axis=1)
+        nearer = after < before[left]
+        for own, other in zip(found, again, strict=True):
+            own[left[nearer]] = other[nearer]
+    return Solved(*map(read_only, found))
+
+
+def _search(
+    arm: Arm,
+    wanted: Array,
+    start: Array,
+    matching: Matching,
+    limits: Array | None,
+    steps: int,
+    *,
+    pulled: bool,
+) -> Solved:
+    """Steps of all rows, inside the limits, until each rests."""
+    low, high = (-np.inf, np.inf) if limits is None else limits.T
     q = np.clip(start, low, high)
     poses, twists = arm.motion(q)
-    error = matching.error(poses, T_wanted)
+    error = matching.error(poses, wanted)
     damping, rows = np.zeros(len(start)), np.arange(len(start))
     for _ in range(steps):
         if not len(rows):
             break
         J, e = matching.jacobian(twists[rows]), error[rows]
-        # Next to a singularity the pull can be in the way of what can be reached.
-        pull = redundant * (damping[rows, None] == 0.0) * (start[rows] - q[rows])
+        pull = start[rows] - q[rows] if pulled else None
         # Joints that the step would push through their limits are held, until none is left of these.
         held = np.zeros((len(rows), q.shape[1]), dtype=bool)
         while True:
@@ -129,7 +153,7 @@ def solve(
         moved = np.clip(q[rows] + dq, low, high)
         cut = (moved != q[rows] + dq).any(axis=1)
         new_poses, new_twists = arm.motion(moved)
-        new = matching.error(new_poses, T_wanted[rows])
+        new = matching.error(new_poses, wanted[rows])
         before, after = (np.einsum("ni,ni->n", one, one) for one in (e, new))
         better = after <= np.maximum(before, _NOTHING**2)
         on = rows[better]
@@ -141,10 +165,10 @@ def solve(
         more = np.maximum(10.0 * damping[rows], _FIRST_DAMPING)
         damping[rows] = np.where(better, less, more)
         rows = rows[~(still & ~cut) & (damping[rows] <= _LARGEST_DAMPING)]
-    return Solved(*map(read_only, (q, poses, twists)))
+    return Solved(q, poses, twists)
 
 
-def _step(J: Array, error: Array, damping: Array, pull: Array, held: Mask) -> Array:
+def _step(J: Array, error: Array, damping: Array, pull: Array | None, held: Mask) -> Array:
     """The damped step of each row, and the pull of a redundant arm to where it started; some joints held."""
     u, s, vt = np.linalg.svd(J * ~held[:, None, :], full_matrices=False)
     scale = s[:, :1]
@@ -152,9 +176,10 @@ def _step(J: Array, error: Array, damping: Array, pull: Array, held: Mask) -> Ar
     damped = s**2 + (damping[:, None] * scale) ** 2
     inverse = np.where(kept, s / np.where(kept, damped, 1.0), 0.0)
     step = np.einsum("nji,nj->ni", vt, np.einsum("nij,ni->nj", u, error) * inverse)
-    pull = np.where(held, 0.0, pull)
-    used = np.einsum("nji,ni->nj", vt, pull) * kept
-    step += pull - np.einsum("nji,nj->ni", vt, used)
+    if pull is not None:
+        pull = np.where(held, 0.0, pull)
+        used = np.einsum("nji,ni->nj", vt, pull) * kept
+        step += pull - np.einsum("nji,nj->ni", vt, used)
     return np.where(held, 0.0, step)
 
 

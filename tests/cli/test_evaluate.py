@@ -58,7 +58,7 @@ def test_a_wrong_base_is_named_and_another_than_the_results_refused(call, folder
         done = call(folder, "evaluate", "robot.urdf", "data.csv", f"--{option}", link, *RESULT)
         assert (done.code, done.out) == (1, "")
         assert done.err.startswith(f"calib: result.json is the result for --{option} ")
-        assert f"'{link}' was given; leave out --{option}, or --calibration.\n" in done.err
+        assert f"'{link}' was given" in done.err
 
 
 def test_a_tolerance_that_is_kept(examples):
