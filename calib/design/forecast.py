@@ -24,7 +24,7 @@ from calib.design.candidates import Note, planning_ranges
 from calib.errors import ModelError, choices
 from calib.estimate.fitting import Task, model_of
 from calib.estimate.registration import register
-from calib.estimate.selection import GENERIC_TARGET, any_measurement
+from calib.estimate.selection import GENERIC_TARGET, table_of_poses
 from calib.estimate.setup import FIRST_SIGMA_ANGLE, Rows, Setup, rows_of, setup_of
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Kinematics, Samples
@@ -200,15 +200,9 @@ def _one_pose(robot: Robot, cell: Cell, kind: str) -> Setup:
     """Frames and targets of a table that has one pose, with a row for each target."""
     names = tuple(cell.targets) or (DEFAULT_TARGET,)
     count = len(names)
-    table = Measurements(
-        joint_names=robot.joint_names,
-        joints=np.zeros((count, len(robot.inputs))),
-        kinds=(kind,) * count,
-        **any_measurement(kind, count),
-        targets=names,
-        groups=(next(iter(cell.frames), ""),) * count,
-        prismatic=tuple(joint.name for joint in robot.inputs if joint.type == "prismatic"),
-    )
+    groups = (next(iter(cell.frames), ""),) * count
+    joints = np.zeros((count, len(robot.inputs)))
+    table = table_of_poses(robot, kind, joints, targets=names, groups=groups)
     return setup_of(cell, table, np.full(count, registry.names().index(kind)))
 
 

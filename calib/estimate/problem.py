@@ -110,20 +110,7 @@ class Linear:
     smallest: tuple[float, ...]  # Smallest noise believed of each instrument, in units of its sigma
     C: Array  # (K, p), of the known distances, whitened
     z: Array  # (K,), what C x should be
-    # Of each instrument the columns of its scalars and, where not all rows have them, which do, shape (d, N)
-    _parts: tuple[tuple[slice, Array | None], ...] = field(init=False, repr=False)
-    _made: list[tuple[Array, Normal]] = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        """Find the columns of each instrument's scalars."""
-        parts = []
-        for c in range(len(self.smallest)):
-            own = np.equal(self.instruments.T, c)
-            there = np.flatnonzero(own.any(axis=1))
-            at = slice(int(there[0]), int(there[-1]) + 1) if len(there) else slice(0, 0)
-            parts.append((at, None if own[at].all() else own[at].astype(np.float64)))
-        object.__setattr__(self, "_parts", tuple(parts))
-        object.__setattr__(self, "_made", [])
+    _made: list[tuple[Array, Normal]] = field(init=False, repr=False, default_factory=list)
 
     def __len__(self) -> int:
         """Number of rows."""
@@ -155,11 +142,14 @@ class Linear:
         for last, made in self._made:
             if np.array_equal(last, weights):
                 return made
-        p, (B, N) = len(self.x), weights.shape
-        both = np.zeros((B, len(self._parts), p + 1, p + 1))
-        count, root = np.zeros((B, len(self._parts))), np.sqrt(weights)
-        for c, (at, there) in enumerate(self._parts):
-            factor = root[:, None] if there is None else there * root[:, None]
+        p, (B, N), C = len(self.x), weights.shape, len(self.smallest)
+        both, count, root = np.zeros((B, C, p + 1, p + 1)), np.zeros((B, C)), np.sqrt(weights)
+        for c in range(C):
+            own = self.instruments.T == c
+            count[:, c] = weights @ own.sum(axis=0, dtype=np.float64)
+            there = np.flatnonzero(own.any(axis=1))
+            at = slice(there.min(initial=len(own)), there.max(initial=-1) + 1)
+            factor = root[:, None] * own[at]
 
             def product(own: slice, at: slice = at, factor: Array = factor) -> Array:
                 columns, f = self.columns[:, at, own], factor[:, :, own]
@@ -167,13 +157,9 @@ class Linear:
                 return np.array([part @ part.T for part in parts])
 
             both[:, c] = np.sum(over_blocks(product, N), axis=0)
-            count[:, c] = weights @ (
-                np.full(N, at.stop - at.start) if there is None else there.sum(axis=0)
-            )
         # [A r] are at hand; what is asked for is [A y] with y = r + A x.
         H, g, rr = both[..., :p, :p], both[..., :p, p], both[..., p, p]
-        Hx, C, z = H @ self.x, self.C, self.z
-        known = C.T @ C, C.T @ z, float(z @ z)
+        Hx, known = H @ self.x, (self.C.T @ self.C, self.C.T @ self.z, float(self.z @ self.z))
         made = Normal(H, g + Hx, rr + (2.0 * g + Hx) @ self.x, count, known)
         self._made[:] = [(weights.copy(), made), *self._made[: _KEPT - 1]]
         return made

@@ -55,8 +55,13 @@ class Folds:
     masks: tuple[Mask, ...]  # Of the rows left out, each of shape (N,)
 
     @classmethod
-    def of(cls, blocks: Integers, setups: Integers | None = None) -> Folds:
-        """Whole set-ups, if there are enough; or blocks one by one; or every tenth of them where there are many."""
+    def of(
+        cls, blocks: Integers, setups: Integers | None = None, told: int | None = None
+    ) -> Folds:
+        """Whole set-ups, if there are enough; or blocks one by one; or every tenth of them where there are many.
+
+        ``told`` is the number of rows that say something themselves, if not all: of a pair one does.
+        """
         if setups is not None and len(names := np.unique(setups)) >= _FEWEST_SETUPS:
             size = -(-len(names) // _LEAVE_ONE_OUT)
             parts = [names[k : k + size] for k in range(0, len(names), size)]
@@ -65,7 +70,7 @@ class Folds:
         present, blocks = np.unique(blocks, return_inverse=True)
         count = len(present)
         if count <= _LEAVE_ONE_OUT:
-            method = "leave-one-out" if count == len(blocks) else "leave-one-pose-out"
+            method = "leave-one-out" if count in (len(blocks), told) else "leave-one-pose-out"
             return cls(method, tuple(blocks == i for i in range(count)))
         return cls(f"{_FOLDS}-fold", tuple(blocks % _FOLDS == k for k in range(_FOLDS)))
 
@@ -83,16 +88,13 @@ class Folds:
         known = np.array([len(unknown) < len(DIRECTIONS) for unknown in task.setup.unknown])
         points = rows.where(lambda kind: kind.position) & known[rows.samples.frame]
         whole = min(seen, default=2) > 1 and len(np.unique(setups[points])) != 1
-        result = cls.of(rows.blocks, setups if whole else None)
+        told = int(np.sum(np.any(rows.used, axis=1)))
+        result = cls.of(rows.blocks, setups if whole else None, told)
         if len(result.masks) < 2:
             raise MeasurementError(
-                f"{len(rows)} row{'s' * (len(rows) > 1)} of one pose cannot be cross-validated: none is left to fit. "
-                "Measure more poses, or name a model and do without (--model zeros --no-validate): auto chooses by "
-                "rows that are left out."
+                "Rows of one pose cannot be cross-validated: none is left to fit. Measure more poses, or name a model "
+                "and do without (--model zeros --no-validate)."
             )
-        measured = int(np.sum(np.any(rows.used, axis=1)))
-        if result.method == "leave-one-pose-out" and measured == len(result.masks):
-            return replace(result, method="leave-one-out")  # pairs: two rows of one measurement
         return result
 
     def validated(self, rows: Rows, residuals: Sequence[Array], outliers: Mask) -> CrossValidation:
@@ -360,19 +362,16 @@ def select(task: Task, rows: Rows) -> Selection:
 
 def _check_names(task: Task) -> None:
     """Refuse names in the cell that no model of the ladder has."""
-    cell = task.cell
-    named = {*cell.frozen, *cell.bounds, *cell.parameter_priors, *cell.ties}
-    named |= {other for other, _ in cell.ties.values()}
-    if not named:
-        return
-    every = "+".join(("placement", *joint_families()))
+    cell, every = task.cell, ("+".join(("placement", *joint_families())), *LADDER[1:4])
+    others = (other for other, _ in cell.ties.values())
+    named = {*cell.frozen, *cell.bounds, *cell.parameter_priors, *cell.ties, *others}
     free = replace(task, cell=replace(cell, frozen=(), ties={}))
-    known = {n for m in (every, *LADDER[1:4]) for n in model_of(replace(free, model=m)).names}
+    models = (model_of(replace(free, model=name)) for name in every if named)
+    known = {name for model in models for name in model.names}
     strange = sorted(named - known)
     if strange:
         raise ModelError(
-            f"No model has the parameters {choices(strange)}. 'calib inspect --model dh' (or another) lists what there "
-            "is."
+            f"No model has the parameters {choices(strange)}; 'calib inspect --model dh' lists those of one."
         )
 
 
@@ -402,7 +401,8 @@ def inspect(robot: Robot, cell: Cell, measurements: Measurements | None = None) 
     """
     assumed = []
     if measurements is None:
-        rows, setup = rows_of(robot, _everywhere(robot, cell), cell)
+        table = table_of_poses(robot, cell.kind or "point", spread_poses(robot))
+        rows, setup = rows_of(robot, table, cell)
         frames, targets = setup.T_frame_base.copy(), setup.T_tip_target.copy()
         if not np.all(setup.target_given):
             targets[:, :3, 3] = GENERIC_TARGET
@@ -431,26 +431,17 @@ def inspect(robot: Robot, cell: Cell, measurements: Measurements | None = None) 
     return Inspection(model, seen_by, len(rows), source, tuple(assumed))
 
 
-def _everywhere(robot: Robot, cell: Cell) -> Measurements:
-    """Poses spread over the joint limits as a table of the cell's kind."""
-    kind = registry.get(cell.kind or "point")
-    if not kind.free:
-        raise ModelError(
-            f"Poses spread over the joint limits say nothing of kind '{kind.name}'. Give a table of such rows."
-        )
-    joints = spread_poses(robot)
+def table_of_poses(robot: Robot, name: str, joints: Array, **columns: Any) -> Measurements:
+    """A table of a kind of free poses, of which only poses, (N, m), [rad] or [m], and targets count."""
+    kind, somewhere = registry.get(name), np.tile(np.eye(4), (len(joints), 1, 1))
+    if kind.paired or kind.measure is None:
+        raise ModelError(f"Poses alone say nothing of kind '{name}'. Give a table of such rows.")
+    somewhere[:, :3, 3] = 1.0
     return Measurements(
         joint_names=robot.joint_names,
         joints=joints,
-        kinds=(kind.name,) * len(joints),
-        **any_measurement(kind.name, len(joints)),
+        kinds=(name,) * len(joints),
+        **Measurements.columns_of(kind, kind.measure(somewhere)),
+        **columns,
         prismatic=tuple(joint.name for joint in robot.inputs if joint.type == "prismatic"),
     )
-
-
-def any_measurement(name: str, count: int) -> dict[str, Any]:
-    """The arguments of `Measurements` for rows of a kind of free poses, of which only poses and targets count."""
-    kind, somewhere = registry.get(name), np.tile(np.eye(4), (count, 1, 1))
-    somewhere[:, :3, 3] = 1.0
-    assert kind.measure is not None
-    return Measurements.columns_of(kind, kind.measure(somewhere))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -194,20 +194,10 @@ class Rows:
         result[told[order[place < quota[view[order]]]]] = True
         return self.with_partners(result)
 
-    def parts(self, size: int) -> Iterator[slice | Mask]:
-        """The rows in parts of about so many; where there are pairs, both of one and all repeats of a pose together."""
-        if len(self) <= size or not np.any(self.partner >= 0):
-            yield from (slice(k, min(k + size, len(self))) for k in range(0, len(self), size))
-            return
-        order = np.argsort(self.blocks, kind="stable")
-        ends = np.flatnonzero(np.diff(self.blocks[order], append=-1)) + 1
-        first = 0
-        while first < len(self):
-            last = int(ends[np.searchsorted(ends, min(first + size, len(self)))])
-            mask = np.zeros(len(self), dtype=bool)
-            mask[order[first:last]] = True
-            yield mask
-            first = last
+    def parts(self, size: int) -> list[slice]:
+        """The rows in parts of so many; in one where there are pairs, which stay together."""
+        size = max(len(self), 1) if np.any(self.partner >= 0) else size
+        return [slice(k, k + size) for k in range(0, len(self), size)]
 
 
 def same_poses(joints: Array) -> Integers:

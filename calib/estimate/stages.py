@@ -17,7 +17,7 @@ from calib.data.cell import Cell
 from calib.errors import ModelError
 from calib.estimate.problem import Linear, Priors, sizes_by_reml
 from calib.estimate.setup import Setup
-from calib.estimate.statistics import Limits, cauchy_weights, median_noise, repeats
+from calib.estimate.statistics import Limits, median_noise, repeats
 from calib.model.families import FAMILIES
 from calib.model.kinematics import FRAME, TARGET, ErrorModel, frame_place, target_place
 from calib.robot.robot import rigid_inverse
@@ -178,7 +178,8 @@ class Stage:
             # Scores in units of the new noise need the covariance that goes with it.
             x, covariance, _ = stage.fit(linear)
             scores = linear.scores(x, covariance, stage.effective, noise)
-            stage = replace(stage, weights=cauchy_weights(scores) * stage.kept)
+            # Cauchy's weights are never quite 0, while the fit may still be wrong for all rows.
+            stage = replace(stage, weights=1.0 / (1.0 + (scores / 3.4) ** 2) * stage.kept)
         return stage
 
     def by_likelihood(self, linear: Linear, *, robust: bool) -> Stage:

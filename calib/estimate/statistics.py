@@ -218,58 +218,33 @@ def deleted_norms(
     norms = np.empty(weights.shape)
 
     def work(own: slice) -> None:
-        A = jacobian[own].transpose(2, 1, 0)
-        p, D, n = A.shape
-        spread = (covariance @ A.reshape(p, D * n)).reshape(-1, p, D, n)
-        leverage: Array = np.empty((D, D, len(norms), n))
-        for i in range(D):
-            row = np.einsum("bpn,pjn->jbn", spread[:, :, i], A[:, : i + 1])
-            leverage[i, : i + 1], leverage[: i + 1, i] = row, row
-        f = factors[:, own].transpose(2, 0, 1)
-        r = (residual[:, own].transpose(2, 0, 1) * f).reshape(D, -1)
-        leverage *= f * f[:, None]
-        found = _norms_of(r, leverage.reshape(D, D, -1), weights[:, own].ravel())
-        norms[:, own] = found.reshape(-1, n)
+        A, f = jacobian[own], factors[:, own]
+        n, D, p = A.shape
+        spread = (A.reshape(n * D, p) @ covariance).reshape(-1, n, D, p)
+        K = (spread @ A.swapaxes(1, 2)) * (f[..., None] * f[..., None, :])
+        norms[:, own] = _norms_of(residual[:, own] * f, K, weights[:, own])
 
     over_blocks(work, weights.shape[1])
     return norms
 
 
 def _norms_of(r: Array, K: Array, w: Array) -> Array:
-    """The norms of residuals (D, B), with the leverages K (D, D, B) and weights (B,).
+    """The norms of residuals (B, N, D), with the leverages K (B, N, D, D) and weights (B, N).
 
     (I + (1 - w) K) (I - w K) is symmetric and solved as it stands; where a row carries nearly all that is known of a
     direction, by the eigenvalues of K, none of which may then pass 1 / w.
     """
-    kept = np.eye(len(r))[:, :, None] - w * K
-    spread = kept + (1.0 - w) * np.einsum("ijb,jkb->ikb", K, kept)
-    with np.errstate(all="ignore"):
-        _, square = _eliminated(spread, r.copy())
-    # The product of 1 - w k over the eigenvalues k of K is at most its smallest factor, and at least 1 - w trace K.
-    if not np.all(w * np.einsum("iib->b", K) < 1.0 - _CARRIED):
-        with np.errstate(all="ignore"):
-            left, _ = _eliminated(kept, np.zeros_like(r))
-        risky = ~(left >= _CARRIED) | (K.max(axis=(0, 1), initial=0.0) > 1.0 / _CARRIED)
-        if risky.any():
-            values, vectors = np.linalg.eigh(K[:, :, risky].T)
-            along, w = np.einsum("nij,ni->nj", vectors, r[:, risky].T), w[risky, None]
-            spread = (1.0 + (1.0 - w) * values) * np.maximum(1.0 - w * values, 1e-9)
-            square[risky] = np.sum(along**2 / spread, axis=1)
+    w, trace = w[..., None], np.trace(K, axis1=-2, axis2=-1)
+    risky = ~(w[..., 0] * trace < 1.0 - _CARRIED) | (K.max(axis=(-2, -1)) > 1.0 / _CARRIED)
+    kept = np.eye(K.shape[-1]) - w[..., None] * np.where(risky[..., None, None], 0.0, K)
+    spread = kept + (1.0 - w[..., None]) * (K @ kept)
+    square = np.sum(r * np.linalg.solve(spread, r[..., None])[..., 0], axis=-1)
+    if risky.any():
+        values, vectors = np.linalg.eigh(K[risky])
+        along, w = np.einsum("nij,ni->nj", vectors, r[risky]), w[risky]
+        spread = (1.0 + (1.0 - w) * values) * np.maximum(1.0 - w * values, 1e-9)
+        square[risky] = np.sum(along**2 / spread, axis=1)
     return np.asarray(np.sqrt(np.maximum(square, 0.0)))
-
-
-def _eliminated(M: Array, r: Array) -> tuple[Array, Array]:
-    """The determinants of symmetric matrices, shape (D, D, B), and r^T M^-1 r; both arguments are overwritten."""
-    determinant, square = np.ones(r.shape[1]), np.zeros(r.shape[1])
-    for j in range(len(r)):
-        pivot = M[j, j]
-        determinant *= pivot
-        square += r[j] ** 2 / pivot
-        if j + 1 < len(r):
-            ratio = M[j + 1 :, j] / pivot
-            M[j + 1 :, j + 1 :] -= ratio[:, None] * M[j, j + 1 :]
-            r[j + 1 :] -= ratio * r[j]
-    return determinant, square
 
 
 def as_of_a_point(row_scores: Array, scalars: NDArray[np.int_]) -> Array:
@@ -296,8 +271,3 @@ def median_noise(row_scores: Array, used: Mask, kept: Mask) -> Array:
     count = there.sum(axis=1)[:, None]
     middle = np.hstack([(count - 1) // 2, count // 2])
     return np.asarray(np.take_along_axis(ordered, middle, axis=1).mean(axis=1))
-
-
-def cauchy_weights(row_scores: Array) -> Array:
-    """1 / (1 + (s / 3.4)^2): never quite 0, while the fit may still be wrong for all rows."""
-    return np.asarray(1.0 / (1.0 + (row_scores / 3.4) ** 2))
