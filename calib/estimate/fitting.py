@@ -280,7 +280,7 @@ def _problem_of(problem: Problem, stage: Stage) -> Problem:
 
 def _pushed_inside(result: Estimate, prior: PriorTerms, fixed: Mapping[int, float]) -> list[int]:
     """Parameters at a bound that measurements and priors would have inside of it."""
-    known = {} if prior.off else result.sizes
+    known = {} if prior.sizes == "off" else result.sizes
     sizes = np.array([known.get(f, size) for f, size in zip(prior.names, prior.start, strict=True)])
     precision = prior.precision + (1.0 / sizes**2) @ prior.families
     free = replace(result.problem, precision=precision, centre=prior.centre)
@@ -337,7 +337,8 @@ def _finish(problem: Problem, stage: Stage, solution: Solution, spread: float = 
     told = _shared_by_stops(problem.rows, linear, stage, float(freedom[0]))
     _, covariance = told.posterior(np.sqrt(spread) * stage.noise, priors)
     # Without priors there is nothing to keep a6 small beside the target, and so no trace to remove.
-    cleaned = ~model.family(FRAME, TARGET) & np.isin(model.units, ("m", "rad")) & (not prior.off)
+    held = prior.sizes != "off"
+    cleaned = ~model.family(FRAME, TARGET) & np.isin(model.units, ("m", "rad")) & held
     x = np.where(cleaned & (np.abs(solution.x) < _NOTHING), 0.0, solution.x)
     x[list(prior.fixed)] = prior.centre[list(prior.fixed)]
     scores = linear.scores(solution.x[None], of_least_squares, effective, stage.noise)
@@ -352,7 +353,7 @@ def _finish(problem: Problem, stage: Stage, solution: Solution, spread: float = 
         flag_limit=float(Limits.of(len(problem.rows), freedom[0]).flagged),
         freedom=float(freedom[0]),
         noise=tuple(stage.noise[0].tolist()),
-        sizes={} if prior.off else dict(zip(prior.names, stage.sizes[0].tolist(), strict=True)),
+        sizes=dict(zip(prior.names, stage.sizes[0].tolist(), strict=True)) if held else {},
         weights=read_only(stage.weights[0]),
         log_likelihood=float(likelihood[0]),
         at_bound=prior.fixed,

@@ -145,7 +145,7 @@ class Linear:
         p, (B, N), C = len(self.x), weights.shape, len(self.smallest)
         both, count, root = np.zeros((B, C, p + 1, p + 1)), np.zeros((B, C)), np.sqrt(weights)
         for c in range(C):
-            own = self.instruments.T == c
+            own = np.equal(self.instruments.T, c)
             count[:, c] = weights @ own.sum(axis=0, dtype=np.float64)
             there = np.flatnonzero(own.any(axis=1))
             at = slice(there.min(initial=len(own)), there.max(initial=-1) + 1)

@@ -59,10 +59,7 @@ def register_poses(
     if linear is not None and np.all(rows.where(lambda kind: kind.position and kind.size == 3)):
         return linear  # of points this is the least-squares solution itself
     model = frame_and_target_model(
-        setup.frame_unknowns,
-        setup.unknown_targets,
-        known_targets=setup.target_names,
-        rotation=setup.rotation,
+        setup.frame_unknowns, setup.unknown_targets, setup.target_names, rotation=setup.rotation
     )
     starts = [
         _turned_targets(start, T_base_tip, rows)

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -55,9 +54,7 @@ class Folds:
     masks: tuple[Mask, ...]  # Of the rows left out, each of shape (N,)
 
     @classmethod
-    def of(
-        cls, blocks: Integers, setups: Integers | None = None, told: int | None = None
-    ) -> Folds:
+    def of(cls, blocks: Integers, setups: Integers | None = None, told: int | None = None) -> Folds:
         """Whole set-ups, if there are enough; or blocks one by one; or every tenth of them where there are many.
 
         ``told`` is the number of rows that say something themselves, if not all: of a pair one does.
@@ -431,7 +428,9 @@ def inspect(robot: Robot, cell: Cell, measurements: Measurements | None = None) 
     return Inspection(model, seen_by, len(rows), source, tuple(assumed))
 
 
-def table_of_poses(robot: Robot, name: str, joints: Array, **columns: Any) -> Measurements:
+def table_of_poses(
+    robot: Robot, name: str, joints: Array, **columns: tuple[str, ...]
+) -> Measurements:
     """A table of a kind of free poses, of which only poses, (N, m), [rad] or [m], and targets count."""
     kind, somewhere = registry.get(name), np.tile(np.eye(4), (len(joints), 1, 1))
     if kind.paired or kind.measure is None:

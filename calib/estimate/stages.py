@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -47,8 +46,9 @@ class PriorTerms:
     precision: Array  # (p,), of parameters with a prior of their own, and of frames and targets
     centre: Array  # (p,), the priors' means: 0 but at a bound, and where target or frame were said to be
     flat: Mask  # (p,), frames and targets without a prior of their own
-    adapts: bool  # Whether the sizes are found from the data
-    off: bool  # Whether there are no priors but the weak one
+    sizes: (
+        str  # Where the sizes are from: ``"data"``, ``"given"`` or ``"off"``, none but weak priors
+    )
     limits: Array  # (p, 2), lowest and highest value of each parameter
     fixed: tuple[int, ...] = ()  # Parameters that are at a bound
 
@@ -66,7 +66,7 @@ class PriorTerms:
         nominal = _nominal(given, started, model, [model.index(name) for name in asked])
         placed = model.family(FRAME, TARGET)
         std = np.array([single.get(name, np.nan) for name in model.names])
-        alone, off = np.isfinite(std), priors.sizes == "off"
+        alone = np.isfinite(std)
         names = tuple(f for f in model.families if np.any(model.family(f) & ~alone))
         limits = np.tile([-np.inf, np.inf], (len(model), 1))
         for name in asked:
@@ -75,12 +75,11 @@ class PriorTerms:
         return cls(
             names=names,
             families=np.array([model.family(f) & ~alone for f in names]).reshape(-1, len(model)),
-            start=tuple(_WEAK if off else priors.of(f) for f in names),
+            start=tuple(_WEAK if priors.sizes == "off" else priors.of(f) for f in names),
             precision=np.where(alone, 1.0 / std**2, np.where(placed, 1.0 / _WEAK**2, 0.0)),
             centre=np.where(alone, nominal, 0.0),
             flat=placed & ~alone,
-            adapts=priors.sizes == "data",
-            off=off,
+            sizes=priors.sizes,
             limits=limits,
         )
 
@@ -182,10 +181,11 @@ class Stage:
             stage = replace(stage, weights=1.0 / (1.0 + (scores / 3.4) ** 2) * stage.kept)
         return stage
 
-    def by_likelihood(self, linear: Linear, *, robust: bool) -> Stage:
+    def by_likelihood(self, linear: Linear, robust: bool) -> Stage:
         """Noise and prior sizes by restricted likelihood, and the weights that go with them."""
         stage, prior = self, self.prior
-        free = slice(None) if prior.adapts else slice(0)
+        adapts = prior.sizes == "data"
+        free = slice(None) if adapts else slice(0)
         for _ in range(2 if robust else 1):
             if robust:
                 stage = replace(stage, weights=stage._row_weights(linear))
@@ -194,12 +194,12 @@ class Stage:
                 prior.families[free],
                 stage.noise,
                 stage.sizes[:, free],
-                Priors(prior.precision, prior.centre) if prior.adapts else self.priors,
+                Priors(prior.precision, prior.centre) if adapts else self.priors,
                 smallest_noise=linear.smallest,
                 bounds=tuple(FAMILIES[f].bounds for f in prior.names[free]),
                 noise_spread=_NOISE_SPREAD,
             )
-            stage = replace(stage, noise=noise, sizes=sizes if prior.adapts else stage.sizes)
+            stage = replace(stage, noise=noise, sizes=sizes if adapts else stage.sizes)
         return stage
 
     def _row_weights(self, linear: Linear) -> Array:
@@ -231,14 +231,6 @@ class Stage:
                 rho[b] = found.rho if found.freedom >= _TELLING_REPEATS else 1.0
         return replace(self, share=1.0 / (1.0 + (np.maximum(counts, 1) - 1.0) * rho[:, None]))
 
-    def is_like(self, other: Stage, *, likely: bool) -> Mask:
-        """Which fits have about the same weights and, if ``likely``, noise and sizes, shape (B,)."""
-        same = np.abs(self.effective - other.effective).max(axis=1) < _SETTLED
-        own, others = (np.hstack([one.noise, one.sizes]) for one in (self, other))
-        return np.asarray(
-            same & (np.isclose(own, others, rtol=_SETTLED_SIZES).all(axis=1) | (not likely))
-        )
-
 
 def staged(
     stage: Stage,
@@ -256,21 +248,24 @@ def staged(
     stage = stage.sharing(linear, poses, repeats)
     freedom = stage.fit(linear)[2]
     robust = robust and bool(np.any(freedom > FEWEST_FREEDOM))
+    # What a stage has one of for each fit.
+    names = ("kept", "weights", "share", "noise", "sizes")
+    each = {name: getattr(stage, name).copy() for name in names}
     for likely in (False, True) if robust else (True,):
         going = np.arange(len(stage.kept))  # the fits that still change
         for _ in range(_ROUNDS):
-            # What a stage has one of for each fit.
-            names = ("kept", "weights", "share", "noise", "sizes")
-            each = {name: getattr(stage, name) for name in names}
-            before = replace(stage, **{name: value[going] for name, value in each.items()})
-            step = partial(Stage.by_likelihood, robust=robust) if likely else Stage.by_median
-            after = step(before, linear).sharing(linear, poses, repeats)
+            before = replace(stage, **{name: values[going] for name, values in each.items()})
+            after = before.by_likelihood(linear, robust) if likely else before.by_median(linear)
+            after = after.sharing(linear, poses, repeats)
             linear = linear_at(after)
-            for name, value in each.items():
-                each[name] = value.copy()
-                each[name][going] = getattr(after, name)
-            stage = replace(stage, **each)
-            going = going[~after.is_like(before, likely=likely)]
+            for name, values in each.items():
+                values[going] = getattr(after, name)
+            same = np.abs(after.effective - before.effective).max(axis=1) < _SETTLED
+            if likely:
+                sizes = (np.hstack([one.noise, one.sizes]) for one in (after, before))
+                same &= np.isclose(*sizes, rtol=_SETTLED_SIZES).all(axis=1)
+            going = going[~same]
             if not len(going):
                 break
+    stage = replace(stage, **each)
     return stage, freedom

@@ -73,65 +73,53 @@ def error_model(
         >>> len(error_model(Robot.load("ur3", base="base", tip="tool0"), "paper"))
         27
     """
-    frames = ({"": DIRECTIONS if frame else ()}) if isinstance(frame, bool) else frame
-    return _assembled(
-        robot,
-        name if isinstance(name, str) else tuple(name),
-        tuple((group, tuple(directions)) for group, directions in frames.items()),
-        tuple((targets if target else ()) if isinstance(target, bool) else target),
-        tuple(targets),
-        rotation,
-    )
-
-
-@lru_cache(maxsize=64)
-def _assembled(
-    robot: Robot,
-    name: str | tuple[Parameter, ...],
-    frames: tuple[tuple[str, tuple[str, ...]], ...],
-    estimated: tuple[str, ...],
-    targets: tuple[str, ...],
-    rotation: bool,
-) -> ErrorModel:
-    """`error_model` of arguments that can be remembered: folds, candidates and trials ask for the same ones."""
-    placed = frame_and_target_model(
-        dict(frames), estimated, known_targets=targets, rotation=rotation
-    )
-    count = len(frames)
-    joints = tuple(joint.name for joint in robot.joints)
-    places = (*placed.places[:count], *joints, *placed.places[count:])
-    if not isinstance(name, str):
-        return ErrorModel(OWN, places, (*name, *placed.parameters))
-    base, families = split_name(name)
-    if base == "paper" and any(directions for _, directions in frames):
+    frames = {"": DIRECTIONS if frame else ()} if isinstance(frame, bool) else frame
+    estimated = (targets if target else ()) if isinstance(target, bool) else target
+    base, own = OWN, tuple(name)
+    if isinstance(name, str):
+        base, own = split_name(name)[0], _own_parameters(robot, name)
+    if base == "paper" and any(frames.values()):
         raise ModelError(
             "The parameter set 'paper' knows the measurement frame, as the paper does. To estimate the frame too, "
             "choose --model dh."
         )
-    parameters = MODELS[base](robot)
-    for family in families:
-        parameters += joint_parameters(robot, family)
-    model = ErrorModel(name, places, (*parameters, *placed.parameters))
+    placed = frame_and_target_model(frames, estimated, targets, rotation=rotation)
+    joints = tuple(joint.name for joint in robot.joints)
+    places = (*placed.places[: len(frames)], *joints, *placed.places[len(frames) :])
+    parameters = (*own, *placed.parameters)
+    model = ErrorModel(name if isinstance(name, str) else OWN, places, parameters)
     return model.tied(_followers(robot)) if base == "zeros" else model
+
+
+@lru_cache(maxsize=64)
+def _own_parameters(robot: Robot, name: str) -> tuple[Parameter, ...]:
+    """The robot's own parameters, which folds, candidates and trials ask for again and again."""
+    base, families = split_name(name)
+    of_joints = (one for family in families for one in joint_parameters(robot, family))
+    return (*MODELS[base](robot), *of_joints)
 
 
 def frame_and_target_model(
     frames: Mapping[str, Sequence[str]],
+    estimated: Sequence[str],
     targets: Sequence[str],
     *,
-    known_targets: Sequence[str] = (),
     rotation: bool = False,
 ) -> ErrorModel:
-    """The parameters of frames and targets alone, for given poses of the tip; ``known_targets`` names all places."""
-    parameters: list[Parameter] = []
-    for group, directions in frames.items():
-        parameters += _placed("frame", frame_place(group), group, directions, FRAME)
-    for one in targets:
-        directions = DIRECTIONS if rotation else DIRECTIONS[:3]
-        parameters += _placed("target", target_place(one), one, directions, TARGET)
-    every = known_targets or targets
-    places = (*(frame_place(g) for g in frames), TIP, *(target_place(one) for one in every))
-    return ErrorModel("frames", places, tuple(parameters))
+    """The parameters of frames and of the targets that are estimated, alone, for given poses of the tip."""
+    turns = DIRECTIONS if rotation else DIRECTIONS[:3]
+    asked = [("frame", FRAME, name, directions) for name, directions in frames.items()]
+    asked += [("target", TARGET, name, turns) for name in estimated]
+    parameters = tuple(
+        Parameter(
+            placed_name(what, one, name), _UNITS[one], f"{family}{name}", _TWISTS[one], family
+        )
+        for what, family, name, directions in asked
+        for one in DIRECTIONS
+        if one in directions
+    )
+    places = (*map(frame_place, frames), TIP, *map(target_place, targets))
+    return ErrorModel("frames", places, parameters)
 
 
 def _followers(robot: Robot) -> dict[str, tuple[str, float]]:
@@ -144,11 +132,9 @@ def _followers(robot: Robot) -> dict[str, tuple[str, float]]:
         moved = [(j, f) for j, f in zip(robot.joints, robot.coupling[:, column], strict=True) if f]
         for slides in (False, True):
             alike = [(j.name, f) for j, f in moved if (j.type == "prismatic") == slides]
-            leaders = sorted(alike, key=lambda pair: pair[0] != driver)[:1]
-            for leader, by in leaders:
-                for name, factor in alike:
-                    if name != leader:
-                        ties[f"{name}.zero"] = (f"{leader}.zero", float(factor / by))
+            alike.sort(key=lambda pair: pair[0] != driver)
+            for name, factor in alike[1:]:
+                ties[f"{name}.zero"] = (f"{alike[0][0]}.zero", float(factor / alike[0][1]))
     return ties
 
 
@@ -170,17 +156,6 @@ def split_name(name: str) -> tuple[str, tuple[str, ...]]:
 def placed_name(what: str, direction: str, name: str) -> str:
     """The name of a parameter of a frame or target: ``"target_x"``, or ``"target_x[left]"`` of one by name."""
     return f"{what}_{direction}[{name}]" if name else f"{what}_{direction}"
-
-
-def _placed(
-    what: str, place: str, name: str, directions: Sequence[str], family: str
-) -> list[Parameter]:
-    """Some of the six parameters of a frame or target."""
-    return [
-        Parameter(placed_name(what, one, name), _UNITS[one], place, _TWISTS[one], family)
-        for one in DIRECTIONS
-        if one in directions
-    ]
 
 
 def _dh_parameters(robot: Robot, *, hayati: bool = False) -> list[Parameter]:
@@ -281,16 +256,14 @@ MODELS: dict[str, Callable[[Robot], list[Parameter]]] = {
 def joint_parameters(robot: Robot, family: str) -> list[Parameter]:
     """The parameters of one family of the joints' state, named ``<joint>.gain`` and so on; ModelError without such."""
     row = family_of(family)
-    parameters = []
-    for joint in robot.joints if row.every_joint else robot.inputs:
-        unit = row.sliding if joint.type == "prismatic" else row.unit
-        if unit is not None:
-            for factor in row.factors:
-                name, twist = f"{joint.name}.{factor.name}", _joint_twist(joint)
-                parameters.append(
-                    Parameter(name, unit.symbol, joint.name, twist, family, factor=factor)
-                )
-    return parameters
+    joints = robot.joints if row.every_joint else robot.inputs
+    units = [(j, row.sliding if j.type == "prismatic" else row.unit) for j in joints]
+    return [
+        Parameter(f"{j.name}.{f.name}", u.symbol, j.name, _joint_twist(j), family, factor=f)
+        for j, u in units
+        for f in row.factors
+        if u is not None
+    ]
 
 
 def axis_twists(robot: Robot) -> Array:

@@ -169,7 +169,7 @@ def test_the_derivative_in_every_frame_and_target_against_differences(make_scene
     rows, setup = rows_of(scene.robot, table, FREE)
     setup = setup.placed(scene.kinematics.T_frame_base, scene.kinematics.T_tip_target)
     model = frame_and_target_model(
-        setup.frame_unknowns, setup.unknown_targets, known_targets=setup.targets, rotation=True
+        setup.frame_unknowns, setup.unknown_targets, setup.targets, rotation=True
     )
     assert len(model) == setup.count == 6 + 6 + 3 + 12
     assert frame_place("1") in model.places

@@ -83,9 +83,7 @@ def test_a_planes_directions_move_it_wherever_it_faces(scene, axis):
     T[:3, :3] = Rotation.from_euler(*quarter, degrees=True).as_matrix()
     setup = setup_of(as_kind(scene.points(4), "plane"), Cell())
     setup = setup.placed(T[None], setup.T_tip_target)
-    plain = frame_and_target_model(
-        setup.frame_unknowns, (), known_targets=setup.target_names, rotation=False
-    )
+    plain = frame_and_target_model(setup.frame_unknowns, (), setup.target_names, rotation=False)
     model = setup.aligned(plain)
     assert model.names == plain.names == ("frame_z", "frame_rx", "frame_ry")
     names = tuple(joint.name for joint in scene.robot.joints)
