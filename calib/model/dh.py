@@ -88,10 +88,7 @@ class DHTable:
 
 
 def dh_frames(table: DHTable) -> list[Array]:
-    """The frames F_i of standard or Hayati rows before the rotation about beta, at q = 0 in base; n times (4, 4), [m].
-
-    The offsets of a_i and alpha_i act along and about x of F_i.
-    """
+    """The frames of standard or Hayati rows before the rotation about beta, at q = 0 in base; n times (4, 4), [m]."""
     T, frames = table.T_base_0, []
     for row in table.rows:
         frames.append(T @ replace(row, beta=0.0).matrix())
@@ -155,7 +152,8 @@ def near_parallel(robot: Robot) -> dict[tuple[str, str], float]:
 
 def taken_as_parallel(robot: Robot) -> float:
     """The largest angle [rad] between consecutive axes that the pure conventions take as parallel; 0 without such."""
-    return _largest_below(_limit(robot), _sines(robot))
+    limit = _limit(robot)
+    return max((sine for sine in _sines(robot) if sine < limit), default=0.0)
 
 
 def zero_poses(robot: Robot) -> tuple[list[Array], Array]:
@@ -168,30 +166,19 @@ def zero_poses(robot: Robot) -> tuple[list[Array], Array]:
     return frames[:-1], frames[-1]
 
 
-# Which axes are parallel
-
-
 def _limit(robot: Robot) -> float:
     """The angle [rad] below which axes are taken as parallel: the largest of `_PARALLEL` whose rows hold the robot."""
-    sines = _sines(robot)
-    if _largest_below(_PARALLEL[0], sines) <= _PARALLEL[-1]:
-        return _PARALLEL[0]
+    sines, off = _sines(robot), {}
     q = np.random.default_rng(_SEED).uniform(-np.pi, np.pi, (_POSES, len(robot.joint_names)))
     values, poses = robot.chain_values(q), robot.poses(q)
     reach = 1.0 + float(np.linalg.norm(robot.placements[:, :3, 3], axis=1).sum())
-    off = {}
     for limit in _PARALLEL:
-        off[limit] = float(
-            np.abs(_product(robot, STANDARD, limit=limit).poses(values) - poses).max()
-        )
-        if off[limit] <= _TOLERANCE + 2.0 * reach * _largest_below(limit, sines):
+        error = _product(robot, STANDARD, limit=limit).poses(values) - poses
+        off[limit] = float(np.abs(error).max())
+        below = max((sine for sine in sines if sine < limit), default=0.0)
+        if off[limit] <= _TOLERANCE + 2.0 * reach * below:
             return limit
     return min(off, key=lambda limit: off[limit])
-
-
-def _largest_below(limit: float, sines: list[float]) -> float:
-    """The largest of the sines below a limit; 0 without such."""
-    return max((sine for sine in sines if sine < limit), default=0.0)
 
 
 def _sines(robot: Robot) -> list[float]:
@@ -201,12 +188,8 @@ def _sines(robot: Robot) -> list[float]:
     return [float(np.linalg.norm(_cross(*pair))) for pair in pairwise(axes)]
 
 
-# Row by row
-
-
 #: What a row is to be like: another robot's row, and its x direction in base at q = 0.
 _Wanted: TypeAlias = tuple[DHRow, Array] | None
-
 
 #: theta, d, a, alpha, beta.
 _Numbers: TypeAlias = tuple[float, float, float, float, float]
@@ -215,11 +198,7 @@ _Numbers: TypeAlias = tuple[float, float, float, float, float]
 def _product(
     robot: Robot, convention: str, like: DHTable | None = None, limit: float | None = None
 ) -> DHTable:
-    """The rows in the standard bracketing, each relative to the frame that the rows before it give.
-
-    So what one row cannot hold, as the last digits of a d of kilometres, the next makes good. ``limit`` is the angle
-    [rad] below which the pure conventions take axes as parallel; None: what holds the robot.
-    """
+    """The rows in the standard bracketing, with axes closer than ``limit`` [rad] parallel to the pure conventions."""
     if limit is None:
         # Of Hayati's rows, no angle below that of nearly parallel axes is a limit.
         limit = 0.0 if convention == HAYATI else _limit(robot)
@@ -230,6 +209,8 @@ def _product(
     if like is not None:
         x = [F[:3, 0] for F in dh_frames(like)]
         wanted, near, T_n_tip = list(zip(like.rows, x, strict=True)), like.T_base_0, like.T_n_tip
+    # Each row begins where those before it end: what one cannot hold, as the last digits of a d of kilometres, the next
+    # makes good.
     T = T_base_0 = _first_frame(frames[0][:3, 3], axes[0], near)
     rows: list[DHRow] = []
     for i, joint in enumerate(robot.joints):
@@ -287,10 +268,7 @@ def _row(
 
 
 def _parallel_row(T: Array, axis: Array, offset: Array, near: Array, *, tilted: bool) -> _Numbers:
-    """The row to a (nearly) parallel axis: a along x in the plane across z, then alpha and, if tilted, beta tilt z.
-
-    ``offset`` leads from T's origin to the next axis [m], x is to point ``near``.
-    """
+    """The row to a (nearly) parallel axis at an ``offset`` from T [m]; x is to point ``near``."""
     z, x = T[:3, 2], T[:3, 0]
     offset = offset - z * (z @ offset)
     a = float(np.linalg.norm(offset))
@@ -352,9 +330,6 @@ def _tidy(row: DHRow, wanted: _Wanted) -> DHRow:
         angles.append(angle)
     numbers = (value + 0.0 for value in (angles[0], row.d, row.a, angles[1], row.beta))
     return DHRow(row.joint, row.prismatic, *numbers)
-
-
-# Frames
 
 
 def _first_frame(point: Array, axis: Array, near: Array) -> Array:

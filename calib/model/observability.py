@@ -20,7 +20,6 @@ from calib.units import Array
 _NEGLIGIBLE = 1e-3
 _GAP = 30.0  #: A ratio of neighbouring singular values that is a gap.
 _ROUNDING = 1e-13  #: A relative singular value of this size is zero.
-_MOST_NAMES = 6  #: Longer combinations than this are not written out.
 _NAMED_EFFECT = 0.02  #: A parameter's least share of a combination's strongest effect, to be named.
 _UNSEEN_SHARE = 0.05  #: A parameter with less than this share in what cannot be identified counts as identifiable.
 
@@ -34,16 +33,6 @@ class Combination:
     #: declared step.
     steps: tuple[float, ...]
     units: tuple[str, ...]  #: Of each, see `calib.model.families.unit_of`.
-
-    def __str__(self) -> str:
-        """In words, such as ``d2 and d4 together (+1 mm, -1 mm)``."""
-        if len(self.names) == 1:
-            return f"{self.names[0]} at all"
-        if len(self.names) > _MOST_NAMES:
-            return f"{', '.join(self.names[:_MOST_NAMES])} and {len(self.names) - _MOST_NAMES} more together"
-        shown = [(step, *unit_of(u).shown) for step, u in zip(self.steps, self.units, strict=True)]
-        amounts = ", ".join(f"{factor * step:+.3g} {unit}" for step, factor, unit in shown)
-        return f"{', '.join(self.names[:-1])} and {self.names[-1]} together ({amounts})"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,15 +71,19 @@ def analyse(
     # Rows of zeros, so that there are p singular values and the whole null space; they change nothing.
     scaled = np.concatenate([jacobian * step, np.zeros((max(p - len(jacobian), 0), p))])
     _, values, V = np.linalg.svd(scaled, full_matrices=False)
-    rank = rank_by_gap(values)
-    null = V[rank:]
-    effect = np.linalg.norm(scaled, axis=0)
-    combinations = tuple(_combination(row, effect, names, units, step) for row in _echelon(null))
-    named = {name for combination in combinations for name in combination.names}
+    rank, effect = rank_by_gap(values), np.linalg.norm(scaled, axis=0)
+    null, indices, combinations = V[rank:], {}, []
     identifiable = np.linalg.norm(null, axis=0) < _UNSEEN_SHARE
-    identifiable &= np.array([name not in named for name in names])
+    for row in _echelon(null):
+        # Those whose effect on the measurements, not whose step, matters.
+        size, share = np.abs(row), np.abs(row) * effect
+        least = max(_NAMED_EFFECT * share.max(), _NEGLIGIBLE * size.max() * effect.max())
+        chosen = np.flatnonzero((share > least) | (size == size.max())).tolist()
+        identifiable[chosen] = False
+        changes = tuple((row * step)[chosen].tolist())
+        one = Combination(tuple(names[k] for k in chosen), changes, tuple(units[k] for k in chosen))
+        combinations.append(one)
     identifiable.setflags(write=False)
-    indices = {}
     if rank:
         seen, largest, smallest = values[:rank], float(values[0]), float(values[rank - 1])
         count = len(jacobian) if rows is None else rows
@@ -107,7 +100,7 @@ def analyse(
         condition=float(values[0] / values[rank - 1]) if rank else np.inf,
         singular_values=read_only(values),
         indices=indices,
-        unidentifiable=combinations,
+        unidentifiable=tuple(combinations),
         identifiable=identifiable,
     )
 
@@ -146,18 +139,3 @@ def _echelon(null: Array) -> Array:
         rows[others] -= np.outer(rows[others, column], rows[done])
         done += 1
     return rows
-
-
-def _combination(
-    row: Array, effect: Array, names: Sequence[str], units: Sequence[str], step: Array
-) -> Combination:
-    """One row of the echelon form: the parameters whose effect on the measurements, not whose step, matters."""
-    size = np.abs(row)
-    share = size * effect
-    least = max(_NAMED_EFFECT * share.max(), _NEGLIGIBLE * size.max() * effect.max())
-    chosen = [int(k) for k in np.flatnonzero((share > least) | (size == size.max()))]
-    return Combination(
-        names=tuple(names[k] for k in chosen),
-        steps=tuple(float(row[k] * step[k]) for k in chosen),
-        units=tuple(units[k] for k in chosen),
-    )

@@ -114,7 +114,7 @@ def _content(c: Calibration, command: str, date: str) -> dict[str, Any]:
     reasons = c.verdict.reasons if c.verdict else ()
     # Validation rows beyond the joint values that were fitted, where the verdict does not name them.
     named = any(reason.why == Why.OUTSIDE for reason in reasons)
-    every = [str(one) for one in c.observability.unidentifiable]
+    every = [texts.combination_text(one) for one in c.observability.unidentifiable]
     tables = errors, validation_rows, parameters, larger, dh, origins, flagged, ranges
     return {
         "c": c,

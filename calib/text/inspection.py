@@ -12,6 +12,7 @@ from calib.estimate.selection import GENERIC_ANCHOR, GENERIC_TARGET, Inspection
 from calib.model.dh import dh_table
 from calib.robot.robot import Robot
 from calib.text.lines import fill, wrap
+from calib.text.summary import combination_text
 
 _DEG = float(np.degrees(1.0))
 
@@ -115,4 +116,4 @@ def _parameters(found: Inspection) -> Iterator[str]:
     yield wrap(f"Observability indices: {indices} (in steps of 1 mm, 1 mrad)")
     if o.unidentifiable:
         yield "Unidentifiable combinations, which move nothing that is measured:"
-        yield from (wrap(str(combination), "  ") for combination in o.unidentifiable)
+        yield from (wrap(combination_text(one), "  ") for one in o.unidentifiable)

@@ -19,6 +19,7 @@ from calib.estimate.statistics import Errors
 from calib.model.error_model import placed_name
 from calib.model.families import FAMILIES, unit_of
 from calib.model.kinematics import FRAME, TARGET
+from calib.model.observability import Combination
 from calib.result.calibration import Calibration
 from calib.result.prediction import Outlier, ParameterEstimate
 from calib.text.lines import deg, mm, number, wrap
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 _LONGEST_NAME = 46
 
 #: More combinations or rows, and more targets or measurement frames than this are not listed.
-_MOST_ROWS, _MOST_PLACES = 12, 6
+_MOST_ROWS, _MOST_PLACES, _MOST_NAMES = 12, 6, 6
 
 #: Labels of `facts` that the report asks for.
 EXPECTED, SCATTER = "Expected error, if the model is complete", "Scatter of repeats"
@@ -75,7 +76,7 @@ def summary(c: Calibration) -> str:
         larger.append(f"  {name:<{_LONGEST_NAME}}{value:>10} {half} {unit}")
     every = c.observability.unidentifiable
     unknown = [f"{unidentifiable_text(c)}:"] * bool(every)
-    unknown += [wrap(str(one), "  ") for one in every[:_MOST_ROWS]]
+    unknown += [wrap(combination_text(one), "  ") for one in every[:_MOST_ROWS]]
     unknown += [f"  and {len(every) - _MOST_ROWS} more"] * (len(every) > _MOST_ROWS)
     parts = (
         wrap(
@@ -213,6 +214,18 @@ def unidentifiable_text(c: Calibration) -> str:
         return ""
     held = " (resolved by the priors only)" if c.sizes else ""
     return f"Unidentifiable combinations{held}"
+
+
+def combination_text(one: Combination) -> str:
+    """Parameters that change together, such as ``d2 and d4 together (+1 mm, -1 mm)``."""
+    if len(one.names) == 1:
+        return f"{one.names[0]} at all"
+    if len(one.names) > _MOST_NAMES:
+        more = len(one.names) - _MOST_NAMES
+        return f"{', '.join(one.names[:_MOST_NAMES])} and {more} more together"
+    shown = [(step, *unit_of(u).shown) for step, u in zip(one.steps, one.units, strict=True)]
+    amounts = ", ".join(f"{factor * step:+.3g} {unit}" for step, factor, unit in shown)
+    return f"{', '.join(one.names[:-1])} and {one.names[-1]} together ({amounts})"
 
 
 def shown_parameters(c: Calibration) -> list[ParameterEstimate]:
