@@ -202,7 +202,7 @@ def _one_pose(robot: Robot, cell: Cell, kind: str) -> Setup:
     count = len(names)
     groups = (next(iter(cell.frames), ""),) * count
     joints = np.zeros((count, len(robot.inputs)))
-    table = table_of_poses(robot, kind, joints, targets=names, groups=groups)
+    table = replace(table_of_poses(robot, kind, joints), targets=names, groups=groups)
     return setup_of(cell, table, np.full(count, registry.names().index(kind)))
 
 

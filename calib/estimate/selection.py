@@ -428,9 +428,7 @@ def inspect(robot: Robot, cell: Cell, measurements: Measurements | None = None) 
     return Inspection(model, seen_by, len(rows), source, tuple(assumed))
 
 
-def table_of_poses(
-    robot: Robot, name: str, joints: Array, **columns: tuple[str, ...]
-) -> Measurements:
+def table_of_poses(robot: Robot, name: str, joints: Array) -> Measurements:
     """A table of a kind of free poses, of which only poses, (N, m), [rad] or [m], and targets count."""
     kind, somewhere = registry.get(name), np.tile(np.eye(4), (len(joints), 1, 1))
     if kind.paired or kind.measure is None:
@@ -441,6 +439,5 @@ def table_of_poses(
         joints=joints,
         kinds=(name,) * len(joints),
         **Measurements.columns_of(kind, kind.measure(somewhere)),
-        **columns,
         prismatic=tuple(joint.name for joint in robot.inputs if joint.type == "prismatic"),
     )

@@ -262,8 +262,8 @@ def staged(
                 values[going] = getattr(after, name)
             same = np.abs(after.effective - before.effective).max(axis=1) < _SETTLED
             if likely:
-                sizes = (np.hstack([one.noise, one.sizes]) for one in (after, before))
-                same &= np.isclose(*sizes, rtol=_SETTLED_SIZES).all(axis=1)
+                now, then = (np.hstack([one.noise, one.sizes]) for one in (after, before))
+                same &= np.isclose(now, then, rtol=_SETTLED_SIZES).all(axis=1)
             going = going[~same]
             if not len(going):
                 break

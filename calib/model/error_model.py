@@ -75,9 +75,8 @@ def error_model(
     """
     frames = {"": DIRECTIONS if frame else ()} if isinstance(frame, bool) else frame
     estimated = (targets if target else ()) if isinstance(target, bool) else target
-    base, own = OWN, tuple(name)
-    if isinstance(name, str):
-        base, own = split_name(name)[0], _own_parameters(robot, name)
+    base = split_name(name)[0] if isinstance(name, str) else OWN
+    own = _own_parameters(robot, name) if isinstance(name, str) else name
     if base == "paper" and any(frames.values()):
         raise ModelError(
             "The parameter set 'paper' knows the measurement frame, as the paper does. To estimate the frame too, "
