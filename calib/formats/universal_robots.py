@@ -255,7 +255,8 @@ def read_ur(
     notes = []
     if conf is not None:
         hash = kinematics_hash(arm.rows + conf.deltas)
-        placements = anchored_placements(placements, nominal.placements, nominal.joints)
+        axes = [np.asarray(joint.axis) for joint in nominal.joints]
+        placements = anchored_placements(placements, nominal.placements, axes)
         # Other arms that the deltas fit as well: nothing in them tells these apart.
         most = max(_SUSPECT, 3.0 * moved)
         fitting = [one for one in MODELS if distance_from(chain_of(one), one) <= most]

@@ -33,7 +33,7 @@ from numpy.typing import ArrayLike
 from calib.errors import ModelError, UrdfError, choices
 from calib.model.dh import screw, zero_poses
 from calib.robot.robot import Robot, read_only, rigid_inverse
-from calib.robot.urdf import Urdf, UrdfJoint
+from calib.robot.urdf import Urdf
 from calib.units import Array
 
 COLUMNS = ("theta", "a", "d", "alpha")
@@ -357,77 +357,49 @@ PARALLEL_RAD = np.radians(30.0)
 _COINCIDENT = 1e-3
 
 
-def anchored_placements(
-    placements: Array,
-    nominal: Array,
-    joints: Sequence[UrdfJoint],
-) -> Array:
-    """Other placements of the same chain, near the nominal ones, all (n + 1, 4, 4), [m]; see the module's text."""
+def anchored_placements(placements: Array, nominal: Array, axes: Sequence[Array]) -> Array:
+    """Other placements of the same chain, near the nominal ones, all (n + 1, 4, 4), [m]; see the module's text.
+
+    ``axes`` are those of the joints, in their own frames; all turn.
+    """
     result = np.array(placements, dtype=np.float64)
-    axes = [(np.asarray(joint.axis), joint.type == "prismatic") for joint in joints]
-    for i, (axis, sliding) in enumerate(axes):
-        G = _nearest_own(result[i], nominal[i], axis, sliding=sliding)
+    for i, axis in enumerate(axes):
+        P, own = result[i], nominal[i]
+        # The motion along and about the axis that brings the frame nearest to its nominal pose.
+        G = _turn(axis, _least_turn(own[:3, :3].T @ P[:3, :3], axis))
+        G[:3, 3] = axis * (axis @ P[:3, :3].T @ (own[:3, 3] - P[:3, 3]))
         behind = rigid_inverse(G) @ result[i + 1]
         if i + 1 == len(axes):
-            G = G @ _to_tip(behind, nominal[i + 1], axis, sliding=sliding)
+            G = G @ _to_tip(behind, nominal[i + 1], axis)
         else:
-            G = G @ _to_next_axis(behind, nominal[i + 1], axes[i], axes[i + 1])
-        result[i] = result[i] @ G
+            G = G @ _to_next_axis(behind, nominal[i + 1], axis, axes[i + 1])
+        result[i] = P @ G
         result[i + 1] = rigid_inverse(G) @ result[i + 1]
     return read_only(result)
 
 
-def _nearest_own(P: Array, nominal: Array, axis: Array, *, sliding: bool) -> Array:
-    """The motion along and about the axis that brings a joint's frame nearest to its nominal pose."""
-    turn = _turn(axis, _least_turn(nominal[:3, :3].T @ P[:3, :3], axis))
-    missing = P[:3, :3].T @ (nominal[:3, 3] - P[:3, 3])
-    # A joint that slides moves the same wherever its axis lies.
-    turn[:3, 3] = missing if sliding else axis * (axis @ missing)
-    return turn
-
-
-def _to_tip(T: Array, nominal: Array, axis: Array, *, sliding: bool) -> Array:
+def _to_tip(T: Array, nominal: Array, axis: Array) -> Array:
     """The motion of the last frame that brings the tip, now at T in it, nearest to its nominal pose."""
     G = _turn(axis, -_least_turn(T[:3, :3] @ nominal[:3, :3].T, axis))
-    missing = G[:3, :3].T @ T[:3, 3] - nominal[:3, 3]
-    G[:3, 3] = G[:3, :3] @ (missing if sliding else axis * (axis @ missing))
+    G[:3, 3] = axis * (axis @ (T[:3, 3] - nominal[:3, 3]))
     return G
 
 
-def _to_next_axis(
-    T: Array, nominal: Array, own: tuple[Array, bool], following: tuple[Array, bool]
-) -> Array:
-    """The motion of a frame that brings the next joint's axis, now at T, nearest to where the nominal link has it.
-
-    ``own`` and ``following`` are the joint's and the next one's axis, and whether it slides.
-    """
-    axis, sliding = own
-    direction, point = T[:3, :3] @ following[0], T[:3, 3]
-    wanted, wanted_point = nominal[:3, :3] @ following[0], nominal[:3, 3]
-    parallel = abs(axis @ wanted) > np.cos(PARALLEL_RAD)
-    angle = 0.0
-    if not parallel:
-        angle = _angle_about(axis, wanted, direction)
-    elif not (sliding or following[1]):
-        # Where the next axis passes at the height of its nominal joint.
-        height = (wanted_point - point) @ axis / (direction @ axis)
-        passes = point + direction * height
-        if min(_distance(axis, wanted_point), _distance(axis, passes)) > _COINCIDENT:
-            angle = _angle_about(axis, wanted_point, passes)
-    G = _turn(axis, angle)
-    if following[1]:  # that axis lies nowhere
+def _to_next_axis(T: Array, nominal: Array, axis: Array, following: Array) -> Array:
+    """The motion of a frame that brings the next joint's axis, now at T, nearest to where the nominal link has it."""
+    direction, point = T[:3, :3] @ following, T[:3, 3]
+    wanted, wanted_point = nominal[:3, :3] @ following, nominal[:3, 3]
+    if abs(axis @ wanted) <= np.cos(PARALLEL_RAD):
+        G = _turn(axis, _angle_about(axis, wanted, direction))
+        back = G[:3, :3].T
+        slid = _foot(axis, back @ point, back @ direction) - _foot(axis, wanted_point, wanted)
+        G[:3, 3] = axis * slid
         return G
-    back = G[:3, :3].T
-    direction, point = back @ direction, back @ point
-    if sliding:
-        missing = point - wanted_point
-        shift = missing - direction * (direction @ missing)
-    elif parallel:
-        return G
-    else:
-        shift = axis * (_foot(axis, point, direction) - _foot(axis, wanted_point, wanted))
-    G[:3, 3] = G[:3, :3] @ shift
-    return G
+    # Where the next axis passes at the height of its nominal joint.
+    passes = point + direction * ((wanted_point - point) @ axis / (direction @ axis))
+    if min(_distance(axis, wanted_point), _distance(axis, passes)) > _COINCIDENT:
+        return _turn(axis, _angle_about(axis, wanted_point, passes))
+    return np.eye(4)
 
 
 def _least_turn(M: Array, axis: Array) -> float:
