@@ -453,9 +453,10 @@ def disagreeing_setups(fitted: Fitted) -> tuple[Reason, ...]:
     linear, of_fit = problem.linear(estimate.x), np.array([estimate.noise])
     priors, noise = Priors(problem.precision, problem.centre), linear.noise_of(of_fit)[0]
     counts = np.any(linear.used, axis=1) & (estimate.weights > 0.0)
+    # Set-ups that only rows for validation are of have nothing to predict here.
+    present = np.unique(labels[counts])
     told = []
-    for g in range(int(labels.max()) + 1):
-        own = labels == g
+    for own in (labels == g for g in present):
         weights = np.where(own, 0.0, problem.weights)
         x, covariance, freedom = (f[0] for f in linear.fit(weights[None], of_fit, priors))
         loose = only_there(fitted, own)
@@ -472,8 +473,10 @@ def disagreeing_setups(fitted: Fitted) -> tuple[Reason, ...]:
         variance = float(weights @ np.sum(rest**2, axis=1)) / max(freedom, 1.0)
         told.append((square, degrees, variance, max(freedom, 0.0)))
     return tuple(
-        Reason.of(Why.SETUP_UNPREDICTED, setup=_setup_name(fitted, labels == g), ratio=ratio)
-        for g, ratio in unpredicted(*np.array(told).T)[:2]
+        Reason.of(
+            Why.SETUP_UNPREDICTED, setup=_setup_name(fitted, labels == present[i]), ratio=ratio
+        )
+        for i, ratio in unpredicted(*np.array(told).T)[:2]
     )
 
 
