@@ -1,7 +1,6 @@
 """Problem: robot, error model and measurements as one weighted least-squares problem.
 
-    minimise  1/2 sum_i w_i |r_i(x) / sigma_i|^2 + 1/2 sum_k (x_k - m_k)^2 / tau_k^2 + 1/2 sum_c (d_c - d_c(x))^2 /
-    s_c^2
+    minimise  1/2 [sum_i w_i |r_i(x) / sigma_i|^2 + sum_k (x_k - m_k)^2 / tau_k^2 + sum_c (d_c - d_c(x))^2 / s_c^2]
 
 with residuals r, normal priors of size tau on the offsets (mean 0, but at a bound) and known distances d. Linearised
 it is y = A x + n. Sizes tau_f of x_k ~ N(0, tau_f^2) and sigma_c of each instrument maximise its restricted marginal
@@ -30,9 +29,8 @@ from calib.model.kinematics import Kinematics
 from calib.robot.kernel import over_blocks
 from calib.units import Array, Mask
 
-#: How far the logarithm of a size may fall and rise in one step: where nothing supports a size it falls to its bound;
-#: and normal equations that are kept.
-_STEP_DOWN, _STEP_UP, _KEPT = 3.0, 1.0, 3
+#: How far the logarithm of a size may fall and rise in one step, how often; and normal equations that are kept.
+_STEP_DOWN, _STEP_UP, _ITERATIONS, _KEPT = 3.0, 1.0, 30, 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,7 +120,7 @@ class Linear:
         return np.asarray(self.columns[:-1].transpose(2, 1, 0))
 
     def noise_of(self, noise: Array) -> Array:
-        """The noise of each scalar, shape (B, N, D), of each instrument's, shape (B, C); 1 where there is no scalar."""
+        """Of each scalar, shape (B, N, D), with that of each instrument, shape (B, C); 1 where there is no scalar."""
         return np.hstack([noise, np.ones((len(noise), 1))])[:, self.instruments]
 
     def residual(self, x: Array) -> Array:
@@ -173,14 +171,12 @@ class Linear:
 
     def scores(self, x: Array, covariance: Array, weights: Array, noise: Array) -> Array:
         """How far each row lies from what the others predict, shape (B, N)."""
-        factors = 1.0 / self.noise_of(noise)
-        found = deleted_norms(self.residual(x), self.A, covariance, weights, factors)
+        found = self.norms(x, covariance, weights, 1.0 / self.noise_of(noise))
         return as_of_a_point(found, np.sum(self.used, axis=1))
 
-    def norms(self, x: Array, covariance: Array, weights: Array, instrument: int) -> Array:
-        """`deleted_norms` of one instrument's scalars in units of the sigma given, shape (B, N)."""
-        own = (self.instruments == instrument).astype(np.float64)
-        return deleted_norms(self.residual(x), self.A, covariance, weights, own[None])
+    def norms(self, x: Array, covariance: Array, weights: Array, factors: Array) -> Array:
+        """`deleted_norms` at x, shape (B, p)."""
+        return deleted_norms(self.residual(x), self.A, covariance, weights, factors)
 
 
 def sizes_by_reml(
@@ -193,13 +189,11 @@ def sizes_by_reml(
     smallest_noise: tuple[float, ...],
     bounds: tuple[tuple[float, float], ...],
     noise_spread: float = np.inf,
-    iterations: int = 30,
 ) -> tuple[Array, Array]:
     """Noise (B, C) and sizes (B, K) that maximise the likelihood, by damped Fisher scoring on their logarithms.
 
     families, (K, p), says which parameters belong to each; noise and sizes are where to begin. noise_spread is the
-    standard deviation of a normal prior on log sigma, which decides where rows are too few to tell noise from error;
-    priors stay.
+    standard deviation of a normal prior on log sigma, which decides where rows are too few to tell noise from error.
     """
     C = noise.shape[1]
     lowest = np.log(np.array([*smallest_noise, *(low for low, _ in bounds)]))
@@ -210,7 +204,7 @@ def sizes_by_reml(
     spread = np.where(np.arange(logs.shape[1]) < C, 1.0 / noise_spread**2, 0.0)
     last, going = np.zeros_like(logs), np.arange(len(logs))
     precision = np.broadcast_to(priors.precision, (len(logs), members.shape[1]))
-    for _ in range(iterations):
+    for _ in range(_ITERATIONS):
         at, high = logs[going], highest[going]
         some = Normal(data.H[going], data.g[going], data.yy[going], data.count[going], data.known)
         score, information = _score(some, members, Priors(precision[going], priors.centre), at)
@@ -308,12 +302,9 @@ class Problem:
         cls, kinematics: Kinematics, rows: Rows, distances: tuple[KnownDistance, ...] = ()
     ) -> Problem:
         """All rows in full, the noise as given, no priors."""
-        ones, nothing = np.ones(len(rows)), np.zeros(len(kinematics.model))
-        scales, number = rows.scales, rows.instruments
-        smallest = tuple(
-            _SMALLEST_SIGMA / float(np.median(scales[number == c]))
-            for c in range(int(number.max()) + 1)
-        )
+        ones, nothing, scales = np.ones(len(rows)), np.zeros(len(kinematics.model)), rows.scales
+        own = (rows.instruments == c for c in range(int(rows.instruments.max()) + 1))
+        smallest = tuple(_SMALLEST_SIGMA / float(np.median(scales[mask])) for mask in own)
         return cls(kinematics, rows, scales, ones, nothing, nothing, distances, smallest)
 
     @property
@@ -330,10 +321,7 @@ class Problem:
         return np.asarray(self.linear(x).A * self.rows.scales[:, :, None])
 
     def linear(self, x: Array) -> Linear:
-        """The problem linearised at x, in units of each scalar's sigma as given; the last one is kept.
-
-        Weights, noise and priors do not enter it, so that a problem and its reweighted copies share one.
-        """
+        """The problem linearised at x, in units of each scalar's sigma as given; reweighted copies share the last."""
         if self._last and np.array_equal(x, self._last[0].x):
             return self._last[0]
         self._last.clear()
@@ -348,10 +336,9 @@ class Problem:
             columns[:-1, :width, own] = part.derivative(poses, twists).transpose(2, 1, 0) / scale
             columns[-1][:width, own] = part.residual(poses).T / scale
         r, C = self.constraints(x)
-        at = x.copy()
-        found = Linear(at, columns, rows.used, rows.instruments, self.smallest, C, r + C @ x)
-        self._last.append(found)
-        return found
+        made = (columns, rows.used, rows.instruments, self.smallest, C, r + C @ x)
+        self._last.append(Linear(x.copy(), *made))
+        return self._last[0]
 
     def known_slopes(self, x: Array) -> Array:
         """The derivative of the known distances, shape (K, p): they tell of parameters as rows do."""
@@ -381,11 +368,7 @@ class Problem:
         return r, J
 
     def system(self, x: Array) -> tuple[Array, Array]:
-        """The whitened residual and its own derivative, with a row for each prior and each known distance.
-
-        Of the M scalars those of column 0 come first, of all rows, then those of column 1. Of many rows M is p + 1:
-        numbers whose squares and products are those of all scalars.
-        """
+        """The whitened residual and its own derivative, with a row for each prior and each known distance."""
         held = np.flatnonzero(self.precision)
         root = np.sqrt(self.precision[held])
         between, slope = self.constraints(x)
@@ -401,7 +384,7 @@ class Problem:
         return both[-1], both[:-1].T
 
     def _whitened(self, columns: Array) -> Array:
-        """[A r] of the measured scalars in units of their noise, shape (p + 1, M); R of [A r] = Q R for many rows."""
+        """[A r] of the M scalars, by columns, in units of their noise, (p + 1, M); R of [A r] = Q R for many rows."""
         whiten = (np.sqrt(self.weights)[:, None] * (self.rows.scales / self.scales)).T
         used = self.rows.used.T
         if len(self.weights) <= _TALL:
@@ -415,13 +398,7 @@ class Problem:
         return np.asarray(triangle(np.asfortranarray(np.concatenate(parts))).T)
 
     def paper_system(self, nominal: Array, unit: Array, X: Array) -> tuple[Array, Array]:
-        """The paper's error e_i = |dP_i|^2 [mm^2], shape (N,), and its derivative, (N, p), at absolute parameters X.
-
-        X is in mm and rad; nominal, shape (p,), in m and rad; unit is 1e3 for a length and 1 for an angle.
-        """
+        """The paper's error e_i = |dP_i|^2 [mm^2], (N,), and its derivative, (N, p), at X = (nominal + x) unit."""
         x = X / unit - nominal
-        residual_mm = 1e3 * self.linear(x).residual(x) * self.rows.scales
-        slopes_mm = 1e3 * self.jacobian(x) / unit
-        return np.sum(residual_mm**2, axis=1), -2.0 * np.einsum(
-            "ij,ijk->ik", residual_mm, slopes_mm
-        )
+        r, J = 1e3 * self.linear(x).residual(x) * self.rows.scales, 1e3 * self.jacobian(x) / unit
+        return np.sum(r**2, axis=1), -2.0 * np.einsum("ij,ijk->ik", r, J)

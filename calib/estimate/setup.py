@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import compress
 from typing import NamedTuple
 
 import numpy as np
@@ -201,10 +202,7 @@ class Rows:
 
 
 def same_poses(joints: Array) -> Integers:
-    """Which pose each row (N, n), [rad] or [m], was measured at: repeats get the same number, from 0 on.
-
-    Rows within `_SAME_POSE` of another in every joint are repeats of the first one that is no repeat itself.
-    """
+    """Which pose each row (N, n), [rad] or [m], was measured at: repeats get the number of their first row's."""
     unique, first, copy = np.unique(joints, axis=0, return_index=True, return_inverse=True)
     tree, leader = cKDTree(unique), first.copy()
     reach = 1.01 * _SAME_POSE
@@ -267,7 +265,7 @@ class Setup:
     @property
     def unknown_targets(self) -> tuple[str, ...]:
         """The names of the targets that are estimated, as `target_names` has them."""
-        return tuple(self.target_names[t] for t in np.flatnonzero(self.target_unknown))
+        return tuple(compress(self.target_names, self.target_unknown))
 
     @property
     def count(self) -> int:
@@ -305,10 +303,9 @@ class Setup:
         return replace(self, unknown=unknown, target_unknown=self.target_unknown & ~targets)
 
     def aligned(self, model: ErrorModel) -> ErrorModel:
-        """The model with the directions of planes' frames along the planes' axes, and of targets along the tip's.
+        """The model with a plane's frame moving along the plane's axes, and a target's position along the tip's.
 
-        With the rotation R of T_frame_base the twist of a unit along one of the plane's own axes e is R^T e. A target's
-        position is given and told along the tip's axes; its angles stay about its own.
+        With the rotation R of T_frame_base the twist of a unit along one of the plane's own axes e is R^T e.
         """
         frames = zip(self.frame_unknowns, self.own_axes, self.T_frame_base, strict=True)
         targets = zip(self.target_names, self.T_tip_target, strict=True)
@@ -328,22 +325,17 @@ class Setup:
 
 
 def setup_of(cell: Cell, measurements: Measurements, kinds: Integers) -> Setup:
-    """What a cell says of the frames and targets of a table; `ModelError` for a name that the table lacks.
-
-    Sockets, planes and anchors are always unknown where the cell does not give their group's frame.
-    """
+    """What a cell says of the frames and targets of a table; `ModelError` for a name that the table lacks."""
     groups = tuple(dict.fromkeys(measurements.groups))
     targets = tuple(dict.fromkeys(measurements.targets))
-    ends = {name for pair in cell.distances for name in (pair.first, pair.second)}
-    for what, column, named, known in (
-        ("gives frames for", "group", cell.frames, groups),
-        ("gives targets for", "target", cell.targets, targets),
-        ("states distances between", "group", sorted(e for e in ends if "*" not in e), groups),
+    for column, named, known in (
+        ("group", cell.frames, groups),
+        ("target", cell.targets, targets),
     ):
         strange = [name for name in named if name not in known]
         if strange:
             raise ModelError(
-                f"{measurements.source}: the cell {what} {choices(strange)}; the table's column '{column}' has "
+                f"{measurements.source}: the cell says where {choices(strange)} is; the table's column '{column}' has "
                 f"{choices(known)}."
             )
     unknown, frames, frame_given, own_axes = [], [], [], []
@@ -352,6 +344,7 @@ def setup_of(cell: Cell, measurements: Measurements, kinds: Integers) -> Setup:
         present = [registry.at(k) for k in np.unique(kinds[of_group == g]).tolist() if k != NONE]
         seen = [kind for kind in present if kind.directions]
         given = cell.frames.get(group, cell.T_frame_base)
+        # Sockets, planes and anchors are unknown where the cell does not give their group's frame.
         scene = all(kind.own_frame for kind in seen) and group not in cell.frames
         telling = [d for d in DIRECTIONS if any(d in kind.directions for kind in seen)]
         wanted = telling if scene else cell.frame_directions if cell.estimate_frame else ()
@@ -362,10 +355,8 @@ def setup_of(cell: Cell, measurements: Measurements, kinds: Integers) -> Setup:
     T_tip_target = np.tile(np.eye(4), (len(targets), 1, 1))
     places = [cell.targets.get(name, cell.target) for name in targets]
     for T, place in zip(T_tip_target, places, strict=True):
-        if place is not None:
-            T[:3, 3] = place
-        if cell.target_rotation is not None:
-            T[:3, :3] = cell.target_rotation
+        T[:3, 3] = 0.0 if place is None else place
+        T[:3, :3] = np.eye(3) if cell.target_rotation is None else cell.target_rotation
     rotation = any(registry.at(k).angles for k in np.unique(kinds).tolist() if k != NONE)
     return Setup(
         groups=groups,
@@ -383,11 +374,7 @@ def setup_of(cell: Cell, measurements: Measurements, kinds: Integers) -> Setup:
 
 
 def rows_of(robot: Robot, measurements: Measurements, cell: Cell) -> tuple[Rows, Setup]:
-    """All rows of a table, for a robot and a set-up.
-
-    Raises:
-        MeasurementError: A joint's column is missing, or a pair has lost its other row.
-    """
+    """All rows of a table, for a robot and a set-up; `MeasurementError` where a pair has lost its other row."""
     m, count = measurements, len(measurements)
     q = m.joints_for(robot.joint_names)
     kinds, partner = _numbers(m.kinds, registry.names()), _partners(m)
@@ -434,8 +421,8 @@ def known_distances(cell: Cell, setup: Setup) -> tuple[KnownDistance, ...]:
         pairs = known.pairs(setup.groups)
         if not pairs:
             raise ModelError(
-                f"A distance is stated between the groups '{known.first}' and '{known.second}', which fits no two of "
-                f"{choices(setup.groups)}."
+                f"A distance is stated between the groups '{known.first}' and '{known.second}'; the table's column "
+                f"'group' has {choices(setup.groups)}."
             )
         for ends in pairs:
             a, b = map(setup.groups.index, ends)
@@ -468,7 +455,7 @@ def _joined(labels: Integers, pairs: Sequence[tuple[int, int]]) -> Integers:
 
 def _measured(m: Measurements, kinds: Integers) -> Array:
     """What was measured, as `calib.estimate.setup.Rows` has it, shape (N, K)."""
-    present = [(registry.at(int(k)), kinds == k) for k in np.unique(kinds) if k != NONE]
+    present = [(registry.at(k), kinds == k) for k in np.unique(kinds).tolist() if k != NONE]
     result = np.zeros((len(m), max((kind.size for kind, _ in present), default=0)))
     for kind, rows in present:
         parts = [m.points[rows]] if kind.position else []
@@ -488,8 +475,7 @@ def _partners(m: Measurements) -> Integers:
     if len(alone):
         i = int(alone[0])
         raise MeasurementError(
-            f"{m.source or 'Measurements'}, row {m.rows[i]}: the pair '{m.pairs[i]}' has one row only. A measurement "
-            "between two rows needs both of them, in the same set."
+            f"{m.source or 'Measurements'}, row {m.rows[i]}: the pair '{m.pairs[i]}' has one row only in this set."
         )
     return partner
 
@@ -497,10 +483,9 @@ def _partners(m: Measurements) -> Integers:
 def _load(robot: Robot, m: Measurements, cell: Cell, q: Array) -> Array:
     """The load on each joint: by gravity and payload, and measured where there are torques, shape (N, n)."""
     load = gravity_load(robot, q, cell.payload, cell.gravity)
-    names = [joint.name for joint in robot.joints]
-    for column, name in enumerate(m.joint_names if m.torques is not None else ()):
-        if name in names and m.torques is not None:
-            # The load is what the drive holds against.
-            measured, k = -m.torques[:, column], names.index(name)
-            load[:, k] = np.where(np.isfinite(measured), measured, load[:, k])
+    torques = np.empty((0, 0)) if m.torques is None else m.torques.T
+    for name, measured in zip(m.joint_names, torques, strict=False):
+        for k, joint in enumerate(robot.joints):
+            if joint.name == name:  # the load is what the drive holds against
+                load[:, k] = np.where(np.isfinite(measured), -measured, load[:, k])
     return load

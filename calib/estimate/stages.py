@@ -170,8 +170,9 @@ class Stage:
             noise = np.empty_like(stage.noise)
             for c, smallest in enumerate(linear.smallest):
                 unit = covariance / stage.noise[:, c, None, None] ** 2
-                single = linear.norms(x, unit, stage.effective, c)
-                typical = median_noise(single, linear.instruments == c, stage.kept)
+                own = linear.instruments == c
+                single = linear.norms(x, unit, stage.effective, own[None].astype(np.float64))
+                typical = median_noise(single, own, stage.kept)
                 noise[:, c] = np.maximum(typical, smallest)
             stage = replace(stage, noise=noise)
             # Scores in units of the new noise need the covariance that goes with it.
