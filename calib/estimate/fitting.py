@@ -1,8 +1,4 @@
-"""One fit: register, estimate, and what the fit says of rows that it did not see.
-
-Registration puts target and frame in place; then least squares with wide priors, and the stages of
-`calib.estimate.stages`, each followed by a new solve from where the last one stopped.
-"""
+"""One fit: register, then the stages of `calib.estimate.stages`, each with a solve from where the last one stopped."""
 
 from __future__ import annotations
 
@@ -14,12 +10,12 @@ import numpy as np
 
 from calib.data.cell import Cell, Priors
 from calib.errors import MeasurementError, ModelError, choices
-from calib.estimate.problem import PART, Linear, Normal, Problem
+from calib.estimate.problem import Linear, Normal, Problem
 from calib.estimate.registration import register
 from calib.estimate.setup import KnownDistance, Rows, Setup
 from calib.estimate.solvers import SOLVERS, Solution, Solver, paper_levenberg_marquardt
 from calib.estimate.stages import PriorTerms, Stage, staged
-from calib.estimate.statistics import Limits, as_of_a_point, deleted_norms, repeats
+from calib.estimate.statistics import Limits, repeats
 from calib.model.error_model import error_model
 from calib.model.kinematics import FRAME, TARGET, ErrorModel, Kinematics, Parameter, Samples
 from calib.model.observability import steps
@@ -107,42 +103,30 @@ class Fitted:
 
     def unseen_scores(self, rows: Rows) -> Array:
         """The scores of rows that the fit did not use, shape (N,); see `calib.estimate.statistics`."""
-        result, estimate = np.zeros(len(rows)), self.estimate
-        for own in rows.parts(PART):
-            part = rows.select(own)
-            poses, twists = self.kinematics.twists(estimate.x, part.samples)
-            scale = self._scales(part)
-            residual = part.residual(poses)[None] / scale
-            slopes = part.derivative(poses, twists) / scale[:, :, None]
-            none, ones = np.zeros((1, len(part))), np.ones(residual.shape)
-            norms = deleted_norms(residual, slopes, estimate.covariance[None], none, ones)
-            result[own] = as_of_a_point(norms[0], np.sum(part.used, axis=1))
-        return read_only(result)
-
-    def _scales(self, rows: Rows) -> Array:
-        """The noise that was found, for each scalar of some rows; of a kind not fitted, the first instrument's."""
-        seen, result = self.estimate.problem.rows, rows.scales
-        noise, width = np.array(self.estimate.noise), min(rows.width, seen.width)
+        if not len(rows):
+            return np.zeros(0)
+        estimate, number = self.estimate, dict[int, int]()
+        seen = estimate.problem.rows
         for kind in np.unique(rows.kinds):
-            number = np.zeros(rows.width, dtype=int)
-            for known in seen.instruments[seen.kinds == kind][:1]:
-                number[:width] = np.maximum(known[:width], 0)
-            result[rows.kinds == kind] *= noise[number]
-        return result
+            here = rows.instruments[rows.kinds == kind][0].tolist()
+            for there in seen.instruments[seen.kinds == kind][:1].tolist():
+                number |= dict(zip(here, there, strict=False))
+        linear, x = Problem.first(self.kinematics, rows).linear(estimate.x), estimate.x[None]
+        # Of a kind that was not fitted, the first instrument's noise.
+        every = range(len(linear.smallest))
+        noise = np.array([[estimate.noise[number.get(c, 0)] for c in every]])
+        scores = linear.scores(x, estimate.covariance[None], np.zeros((1, len(rows))), noise)
+        return read_only(scores[0])
 
 
 @one_blas_thread()
 def fit(
     task: Task, rows: Rows, weights: Array | None = None, started: Setup | None = None
 ) -> Fitted:
-    """Register and estimate.
+    """Register and estimate; ModelError for an unknown name, MeasurementError for too few rows.
 
     weights, (N,), stay, repeats shared out; None to find them. started is where registration puts frames and targets,
     of another fit to these rows; None to register.
-
-    Raises:
-        ModelError: Unknown solver, parameter set or parameter.
-        MeasurementError: Too few rows.
     """
     if not callable(task.solver) and task.solver not in (*SOLVERS, PAPER):
         raise ModelError(
@@ -151,13 +135,11 @@ def fit(
     model, setup = model_of(task), task.setup
     if task.cell.priors.sizes == "off" and rows.count < len(model):
         raise MeasurementError(
-            f"{len(rows)} rows give {rows.count} numbers for {len(model)} parameters, and priors are off. Measure more "
-            "poses, choose a smaller --model, or leave the priors on."
+            f"{rows.count} numbers for {len(model)} parameters, and priors are off. Measure more poses, or choose a "
+            "smaller --model."
         )
-    if len(model) == 0:
-        raise ModelError(
-            f"The model '{model.name}' leaves nothing to estimate: every parameter is frozen or known."
-        )
+    if not len(model):
+        raise ModelError(f"The model '{model.name}' leaves nothing to estimate.")
     if started is None:
         # The paper's algorithm starts where it was told to, if it was told.
         told = task.solver == PAPER and bool(np.all(setup.target_given))
@@ -173,7 +155,6 @@ def fit(
     else:
         prior = PriorTerms.of(task.cell, model, task.setup, started, lenient=task.lenient)
         estimated = _estimate(problem, task, prior, weights)
-    assert np.all(np.isfinite(estimated.x)), "no solver steps to where the cost is not finite"
     return Fitted(task, started, kinematics, estimated)
 
 
@@ -192,9 +173,7 @@ def model_of(task: Task) -> ErrorModel:
     held = {*frozen, *ties, *(other for other, _ in ties.values())}
     placed = [p.name for p in model.parameters if p.family in (FRAME, TARGET) and p.name in held]
     if placed:
-        raise ModelError(
-            f"{choices(placed)} cannot be frozen or tied: target and frame are known or estimated as a whole."
-        )
+        raise ModelError(f"{choices(placed)} cannot be frozen or tied: a frame or target is whole.")
     if task.lenient:
         frozen = tuple(name for name in frozen if name in model.names and name not in ties)
         ties = {n: t for n, t in ties.items() if n in model.names and t[0] in model.names}
@@ -202,22 +181,18 @@ def model_of(task: Task) -> ErrorModel:
 
 
 def _estimate(problem: Problem, task: Task, prior: PriorTerms, weights: Array | None) -> Estimate:
-    """The parameters of a registered problem; those that would leave their bounds are held there.
-
-    Active set: the others are estimated again; what then is no longer pushed against its bound is let go, once.
-    """
+    """The parameters of a registered problem, by an active set of bounds: what is pushed inwards is let go, once."""
     low, high = prior.limits.T
     fixed: dict[int, float] = {}
     released: set[int] = set()
     result = _within(problem, task, prior, weights)
     for _ in range(3 * problem.size):
         beyond = np.flatnonzero((result.x < low) | (result.x > high)).tolist()
-        loose = [] if beyond else _pushed_inside(result, prior, fixed)
-        loose = [k for k in loose if k not in released]
+        loose = set() if beyond else _pushed_inside(result, prior, fixed) - released
         if not beyond and not loose:
             break
         fixed |= {k: float(np.clip(result.x[k], low[k], high[k])) for k in beyond}
-        released |= set(loose)
+        released |= loose
         fixed = {k: value for k, value in fixed.items() if k not in loose}
         result = _within(problem, task, prior.at_bounds(fixed), weights)
     return result
@@ -254,13 +229,11 @@ def _within(problem: Problem, task: Task, prior: PriorTerms, weights: Array | No
         last = problem.linear(x)
         return last
 
-    every, instruments = np.ones((1, len(problem.rows)), dtype=bool), len(problem.smallest)
-    if weights is None:
-        first = Stage.first(prior, every, instruments)
-        repeating, robust = task.cell.repeats, task.robust
-    else:
-        first = Stage.first(prior, every, instruments, weights)
-        repeating, robust = "independent", False  # shared out before
+    every = np.ones((1, len(problem.rows)), dtype=bool)
+    first = Stage.first(prior, every, len(problem.smallest), 1.0 if weights is None else weights)
+    # Weights that are given stay, and hold what repeats share.
+    repeating = task.cell.repeats if weights is None else "independent"
+    robust = task.robust and weights is None
     stage, _ = staged(first, linear_at, problem.rows.poses, repeating, robust=robust)
     return _finish(problem, stage, solve(stage, _FINE))
 
@@ -278,7 +251,7 @@ def _problem_of(problem: Problem, stage: Stage) -> Problem:
     )
 
 
-def _pushed_inside(result: Estimate, prior: PriorTerms, fixed: Mapping[int, float]) -> list[int]:
+def _pushed_inside(result: Estimate, prior: PriorTerms, fixed: Mapping[int, float]) -> set[int]:
     """Parameters at a bound that measurements and priors would have inside of it."""
     known = {} if prior.sizes == "off" else result.sizes
     sizes = np.array([known.get(f, size) for f, size in zip(prior.names, prior.start, strict=True)])
@@ -286,32 +259,24 @@ def _pushed_inside(result: Estimate, prior: PriorTerms, fixed: Mapping[int, floa
     free = replace(result.problem, precision=precision, centre=prior.centre)
     residual, jacobian = free.system(result.x)
     slope, bend = jacobian.T @ residual, np.sum(jacobian**2, axis=0)
-    loose = []
-    for k, value in fixed.items():
-        inwards = -slope[k] if value <= prior.limits[k, 0] else slope[k]
-        if inwards > 0.0 and inwards**2 > _TELLING * bend[k]:
-            loose.append(k)
-    return loose
+    inwards = {k: -slope[k] if v <= prior.limits[k, 0] else slope[k] for k, v in fixed.items()}
+    return {k for k, pull in inwards.items() if pull > 0.0 and pull**2 > _TELLING * bend[k]}
 
 
 def _by_the_paper(problem: Problem, task: Task, started: Setup) -> Estimate:
     """The estimate of the paper's solver, in mm and rad at absolute parameters, without priors and weights.
 
-    It minimises the sum of |r_i|^4. For normal noise in 3-D that spreads the parameters by 7/5 of least squares'
-    covariance, and the squares left over are sigma^2 (3 N - 3/5 rank) in the mean.
+    For the sum of |r_i|^4, which it minimises, the squares left over are sigma^2 (3 N - 3/5 rank) in the mean.
     """
     model = problem.kinematics.model
     if any(kind.name != "point" for kind in problem.rows.present) or len(started.targets) > 1:
-        raise ModelError(
-            "The solver 'paper' takes positions of one target, as the paper does. Choose --solver lm."
-        )
+        raise ModelError("The solver 'paper' takes positions of one target. Choose --solver lm.")
     unit = np.array([1e3 if p.unit == "m" else 1.0 for p in model.parameters])
     target = started.T_tip_target[0, :3, 3]
     at_target = dict(zip(("target_x", "target_y", "target_z"), target, strict=True))
     nominal = np.array([at_target.get(p.name, p.nominal) for p in model.parameters])
-    system = partial(problem.paper_system, nominal, unit)
-    solution = paper_levenberg_marquardt(system, nominal * unit)
-    solution = replace(solution, x=solution.x / unit - nominal)
+    found = paper_levenberg_marquardt(partial(problem.paper_system, nominal, unit), nominal * unit)
+    solution = replace(found, x=found.x / unit - nominal)
     linear = problem.linear(solution.x)
     cell = replace(task.cell, priors=Priors("off"), bounds={}, parameter_priors={})
     prior = PriorTerms.of(cell, model, task.setup, started, lenient=True)
@@ -326,10 +291,7 @@ def _by_the_paper(problem: Problem, task: Task, started: Setup) -> Estimate:
 
 
 def _finish(problem: Problem, stage: Stage, solution: Solution, spread: float = 1.0) -> Estimate:
-    """The estimate at the last stage, with covariance and scores at the solution itself.
-
-    ``spread`` is the covariance of the solver's estimator over that of least squares.
-    """
+    """The estimate at the last stage; ``spread``: the covariance of the solver's estimator over least squares'."""
     linear, model = problem.linear(solution.x), problem.kinematics.model
     effective, prior, priors = stage.effective, stage.prior, stage.priors
     _, of_least_squares, freedom = stage.fit(linear)
@@ -363,8 +325,7 @@ def _finish(problem: Problem, stage: Stage, solution: Solution, spread: float = 
 def _shared_by_stops(rows: Rows, linear: Linear, stage: Stage, freedom: float) -> Normal:
     """The normal equations with the derivative as several targets of one stop let it be known.
 
-    They share where the robot stopped: with the correlation rho the mean of n rows has the variance
-    s^2 (1 + (n - 1) rho) / n. What they say of each other counts as ever.
+    They share where the robot stopped: the mean of n rows has the variance s^2 (1 + (n - 1) rho) / n.
     """
     effective, data = stage.effective[0], linear.data(stage.effective)
     weights = stage.weights[0] * rows.where(lambda kind: kind.position)
