@@ -1,7 +1,7 @@
 """Registration: where targets and measurement frames stand, before anything about the robot is estimated.
 
-By plain least squares on the nominal robot, for a robust fit from a wrong start takes every row for an outlier: in
-closed form where the problem is linear, else by Levenberg-Marquardt from several starts.
+By plain least squares, for a robust fit from a wrong start takes every row for an outlier: in closed form where the
+problem is linear, else by Levenberg-Marquardt from several starts.
 """
 
 from __future__ import annotations
@@ -38,10 +38,7 @@ ENOUGH = 20_000
 
 
 def register(robot: Robot, setup: Setup, rows: Rows, *, tolerance: float = 1e-12) -> Setup:
-    """The set-up with targets and frames where the nominal robot puts them best; `MeasurementError` with too few rows.
-
-    What is not to be estimated stays as given, and so does what no row sees.
-    """
+    """The set-up with what is to be estimated where the nominal robot puts it; `MeasurementError` with too few rows."""
     if not setup.count:
         return setup
     _check_enough(setup, rows)
@@ -61,26 +58,28 @@ def register_poses(
     model = frame_and_target_model(
         setup.frame_unknowns, setup.unknown_targets, setup.target_names, rotation=setup.rotation
     )
-    starts = [
-        _turned_targets(start, T_base_tip, rows)
-        for start in ([linear] if linear else _starts(setup, T_base_tip, rows))
-    ]
-    misfits = []
-    for start in starts:
+    starts = [linear] if linear else _starts(setup, T_base_tip, rows)
+    starts = [_turned_targets(start, T_base_tip, rows) for start in starts]
+
+    def misfit(start: Setup) -> float:
         residual = rows.residual(start.seen(T_base_tip, rows.samples)) / rows.scales
-        misfits.append(float(np.sum(residual[rows.used] ** 2)))
-    found = []
-    for i in np.argsort(misfits, kind="stable")[:_REFINED]:
-        own = starts[i].aligned(model)
-        solution = levenberg_marquardt(
-            partial(_system, own, T_base_tip, rows, starts[i]),
-            np.zeros(len(model)),
-            step_size=steps(model.units),
-            tolerance=tolerance,
-        )
-        placed = starts[i].displaced(own.displacements(solution.x)[0])
-        found.append((solution.cost, placed))
-    return _settled(min(found, key=lambda one: one[0])[1], rows)
+        return float(np.sum(residual[rows.used] ** 2))
+
+    found, x, step = [], np.zeros(len(model)), steps(model.units)
+    for start in sorted(starts, key=misfit)[:_REFINED]:
+        own = start.aligned(model)
+        system = partial(_system, own, T_base_tip, rows, start)
+        solution = levenberg_marquardt(system, x, step, tolerance=tolerance)
+        found.append((solution.cost, start.displaced(own.displacements(solution.x)[0])))
+    setup = min(found, key=lambda one: one[0])[1]
+    # Somewhere definite where no row tells: a plane's turn about its normal.
+    T_frame_base = setup.T_frame_base.copy()
+    for (f, directions), kind in itertools.product(enumerate(setup.unknown), rows.present):
+        if kind.settle is None or not setup.own_axes[f] or directions != kind.directions:
+            continue
+        if np.any(rows.where(kind.__eq__) & (rows.samples.frame == f)):
+            T_frame_base[f] = kind.settle(T_frame_base[f])
+    return setup.placed(T_frame_base, setup.T_tip_target)
 
 
 def nominal_setup(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
@@ -108,18 +107,6 @@ def nominal_setup(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
     return found
 
 
-def _settled(setup: Setup, rows: Rows) -> Setup:
-    """The set-up with frames put somewhere definite where no row tells: a plane's turn about its normal."""
-    T_frame_base = setup.T_frame_base.copy()
-    for f, directions in enumerate(setup.unknown):
-        for kind in rows.present:
-            if kind.settle is None or not setup.own_axes[f] or directions != kind.directions:
-                continue
-            if np.any(rows.where(kind.__eq__) & (rows.samples.frame == f)):
-                T_frame_base[f] = kind.settle(T_frame_base[f])
-    return setup.placed(T_frame_base, setup.T_tip_target)
-
-
 def _check_enough(setup: Setup, rows: Rows) -> None:
     """Refuse fewer numbers than unknowns, in all and for each frame."""
     points = rows.where(lambda kind: kind.coordinates and not kind.orientation)
@@ -135,7 +122,7 @@ def _check_enough(setup: Setup, rows: Rows) -> None:
         if count < unknowns or (three and np.all(points[own]) and seen < _FEWEST_POINTS):
             raise MeasurementError(
                 f"{what} has {seen} row{'s' * (seen != 1)} with {count} numbers for {unknowns} unknowns of frame and "
-                "target. Measure more poses, 3 or more a set-up, or give what is known of the set-up."
+                "target. Measure 3 or more poses a set-up, or give what is known of it."
             )
 
 
@@ -203,23 +190,19 @@ def _system(
 
 
 def _linear_start(setup: Setup, T_base_tip: Array, rows: Rows) -> Setup | None:
-    """Targets, and the unknown translations of frames, by linear least squares R_f (R_i t + p_i) + s_f = m_i.
-
-    None where a frame's rotation is unknown, or rows measure no position.
-    """
-    known_turns = all(not {"rx", "ry", "rz"} & set(directions) for directions in setup.unknown)
-    if not known_turns or not all(kind.coordinates for kind in rows.present):
+    """Targets and translations of frames by linear R_f (R_i t + p_i) + s_f = m_i; None where that is not all."""
+    turns = {one for directions in setup.unknown for one in directions if one not in "xyz"}
+    if turns or not all(kind.coordinates for kind in rows.present):
         return None
     frame, target = rows.samples.frame, rows.samples.target
-    R = setup.T_frame_base[frame][:, :3, :3]
+    T_frame_tip = setup.T_frame_base[frame] @ T_base_tip
     points = np.zeros((len(rows), 3))
     positions = rows.where(lambda kind: kind.position)
     if np.any(positions):
         points[positions] = rows.measured[positions, :3]
-    rhs = points - _carried(setup.T_frame_base[frame], T_base_tip[:, :3, 3])
+    rhs, R_tip = points - T_frame_tip[:, :3, 3], T_frame_tip[:, :3, :3]
     frames, targets = len(setup.groups), len(setup.targets)
     A = np.zeros((len(rows), 3, 3 * (targets + frames)))
-    R_tip = R @ T_base_tip[:, :3, :3]
     loose = setup.target_unknown[target]
     index = np.flatnonzero(loose)
     for k in range(3):
@@ -264,18 +247,15 @@ def _frames_around(setup: Setup, T_base_tip: Array, rows: Rows) -> Setup:
             assert kind.locate is not None
             frames[f] = kind.locate(points[mine], measured[mine, : kind.size], frames[f])
         elif np.any(placed):
-            T = np.broadcast_to(frames[f], (int(placed.sum()), 4, 4))
-            shift = measured[placed, :3] - _carried(T, points[placed])
+            carried = points[placed] @ frames[f, :3, :3].T + frames[f, :3, 3]
+            shift = measured[placed, :3] - carried
             allowed = np.array([axis in directions for axis in "xyz"])
             frames[f, :3, 3] += np.where(allowed, shift.mean(axis=0), 0.0)
     return setup.placed(frames, setup.T_tip_target)
 
 
 def _pose_start(setup: Setup, T_base_tip: Array, rows: Rows) -> Setup | None:
-    """Rotations of frames and targets from measured orientations, then their translations; None without enough.
-
-    M_i R_t^T - R_f R_i = 0 is linear in both rotations; the null vector is projected to SO(3) (M. Shah, 2013).
-    """
+    """Rotations by M_i R_t^T - R_f R_i = 0, linear in both (M. Shah, 2013), then translations; None without enough."""
     oriented = rows.where(lambda kind: kind.orientation)
     whole = [f for f, d in enumerate(setup.unknown) if len(d) == _ALL]
     if not whole or not setup.estimate_target or not np.all(oriented):
@@ -326,8 +306,3 @@ def _turned_targets(setup: Setup, T_base_tip: Array, rows: Rows) -> Setup:
             R = rows.measured[own, 3:12].reshape(-1, 3, 3)
             result[t, :3, :3] = _nearest_rotation(np.einsum("nji,njk->ik", R_frame_tip[own], R))
     return setup.placed(setup.T_frame_base, result)
-
-
-def _carried(T: Array, points: Array) -> Array:
-    """Points carried by one pose each, shape (N, 3)."""
-    return np.asarray(np.einsum("nij,nj->ni", T[:, :3, :3], points) + T[:, :3, 3])
