@@ -1,7 +1,5 @@
 """Auto: how much model the data support; how well a fit predicts rows that it did not see; what poses can tell.
 
-Each row is predicted from the others, by new fits or on the linearised problem.
-
 Every candidate is fitted by restricted likelihood with the same weights of the rows. A step up the ladder must gain
 `_STEP` in log likelihood, and must not be worse on left-out rows. The geometry is chosen first; then the families that
 no URDF can hold are added one by one, and with one of them found, the larger sets are asked again.
@@ -34,7 +32,7 @@ from calib.robot.robot import Robot, read_only
 from calib.units import Array, Integers, Mask
 
 #: A fold is fitted from the beginning where the robot differs from the linearised one by this share of the noise, rms,
-#: and where a set-up has fewer scalars: its frame may be anywhere.
+#: and where a set-up has fewer scalars.
 _LINEAR, _FEWEST_SCALARS = 1e-3, 18.0
 
 #: Of so many rows so small a share can be left out without finding weights, noise and sizes anew; and rows of all folds
@@ -114,8 +112,7 @@ def cross_validation(
 ) -> CrossValidation:
     """Cross-validation of the calibrated robot, fitted anew without each fold.
 
-    A fold is fitted on the problem linearised at the fit to all rows, where that is the robot; with the paper's solver,
-    at bounds and with few rows it is fitted from the beginning. `MeasurementError` where rows are too few.
+    A fold is fitted on the problem linearised at the fit to all rows, where that is the robot, else from the beginning.
     """
     task, rows = fitted.task, fitted.estimate.problem.rows
     folds = Folds.of_task(task, rows)
@@ -152,10 +149,7 @@ def _left_over(
 
 
 def _on_the_linearised(fitted: Fitted, masks: tuple[Mask, ...], outliers: Mask) -> dict[int, Array]:
-    """What is left over at the rows of folds, by their numbers, where the linearised problem gives the parameters.
-
-    Each fold goes through the same stages as a fit from the beginning; the robot itself predicts its rows.
-    """
+    """What is left over at the rows of folds, by their numbers, where the linearised problem gives the parameters."""
     task, estimate, problem = fitted.task, fitted.estimate, fitted.estimate.problem
     rows, model = problem.rows, fitted.kinematics.model
     if task.solver == PAPER or estimate.at_bound:
@@ -185,7 +179,7 @@ def _on_the_linearised(fitted: Fitted, masks: tuple[Mask, ...], outliers: Mask) 
             parts.append((stage.fit(linear)[0], freedom))
         x, freedom = map(np.concatenate, zip(*parts, strict=True))
     low, high = prior.limits.T
-    good = (freedom > FEWEST_FREEDOM) & np.all(np.isfinite(x) & (x >= low) & (x <= high), axis=1)
+    good = (freedom > FEWEST_FREEDOM) & np.all((x >= low) & (x <= high), axis=1)
     found = {}
     for k, one in zip(np.array(chosen)[good].tolist(), x[good], strict=True):
         # The robot itself must be the linearised one at the rows that were kept.
@@ -297,7 +291,7 @@ def select(task: Task, rows: Rows) -> Selection:
     task, off = replace(task, lenient=True), task.cell.priors.sizes == "off"
     models = {name: model_of(replace(task, model=name)).names for name in LADDER}
     # The weights, repeats shared out, are those of the largest geometry that there are enough rows for: what a smaller
-    # one leaves over is shared by the repeats of a pose, and with weights of its own it would answer for fewer numbers.
+    # one leaves over is shared by the repeats of a pose.
     enough = [name for name in LADDER if not off or len(models[name]) <= rows.count]
     common = fit(replace(task, model=(enough or LADDER[:1])[-1]), rows)
     step = _STEP * (1.0 + _FEW / max(rows.count - task.setup.count, 1))
@@ -393,8 +387,8 @@ class Inspection:
 def inspect(robot: Robot, cell: Cell, measurements: Measurements | None = None) -> Inspection:
     """Rank of the cell's model at the nominal robot; ``"auto"`` is looked at as ``"dh"``.
 
-    Judged are a table's estimation poses or, without one, 200 poses of a Sobol sequence over the joint limits, of the
-    cell's kind. A target or anchor that is not given is registered to the table, or stands at a generic place.
+    Judged are a table's estimation poses, with the target registered, or else 200 over the joint limits, with a target
+    or anchor that is not given at a generic place.
     """
     assumed = []
     if measurements is None:

@@ -71,9 +71,7 @@ class JointState:
     def load(self) -> Array:
         """The load on the joint, shape (N,), [Nm] or [N]; ModelError where it is not known."""
         if self.loads is None:
-            raise ModelError(
-                f"The compliance of '{self.joint}' needs the load on the joints. Give it with the joint values."
-            )
+            raise ModelError(f"The compliance of '{self.joint}' needs the load on the joints.")
         return self.loads[:, self.chain.index(self.joint)]
 
 
@@ -158,8 +156,7 @@ def register(family: Family) -> None:
     doubled = [factor.name for factor in family.factors if factor.name in taken]
     if family.name in FAMILIES or doubled or not family.factors:
         raise ModelError(
-            f"The family '{family.name}' with the factors {choices(f.name for f in family.factors)} cannot be added: "
-            f"it needs at least one factor, and new names; taken are {choices([*FAMILIES, *taken], 60)}."
+            f"The family '{family.name}' needs factors, and names other than {choices([*FAMILIES, *taken], 60)}."
         )
     _REGISTRY[family.name] = family
 
@@ -167,10 +164,7 @@ def register(family: Family) -> None:
 def family_of(name: str) -> Family:
     """A family by its name; ModelError if it is not registered."""
     if name not in FAMILIES:
-        raise ModelError(
-            f"There is no family of errors '{name}'; there are {choices(FAMILIES)}. One of your own is added by "
-            "calib.model.families.register, before anything that names it."
-        )
+        raise ModelError(f"There is no family of errors '{name}'; there are {choices(FAMILIES)}.")
     return FAMILIES[name]
 
 

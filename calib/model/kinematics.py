@@ -3,8 +3,7 @@
     T_frame_target(x, q) = F D_F  T_base_tip(x, q + dq)  T D_T
 
 with the measurement frame F, the target T in the tip, the displacements D of `calib.model.error_model` and the
-joints' own errors dq of `joint_displacements`. The arithmetic is that of `calib.robot.kernel`, for any number of
-samples. No finite differences anywhere.
+joints' own errors dq of `joint_displacements`.
 
 A parameter says what can be wrong, where, and in which direction; see `calib.model.error_model` for the equation. It
 may be *tied* to another one, x_a = factor x_b; then it keeps its term of the equation but is no unknown of its own.
@@ -86,8 +85,8 @@ class ErrorModel:
         unknown = sorted({term.place for _, term in fixed} - set(number))
         if doubled or unknown:
             raise ModelError(
-                f"The model '{self.name}' has parameters {choices(doubled)} twice, or at places {choices(unknown)} "
-                f"that the chain has not; it has {choices(self.places)}."
+                f"The model '{self.name}' has parameters {choices(doubled)} twice, or at unknown places "
+                f"{choices(unknown)}; places are {choices(self.places)}."
             )
         undisplaced = np.zeros((6 * len(self.places), len(self.terms)))
         backwards = []
@@ -136,11 +135,7 @@ class ErrorModel:
         return self._mixed(kept, self.mixing[:, kept]) if gone else self
 
     def tied(self, ties: Mapping[str, tuple[str, float]]) -> ErrorModel:
-        """The model with parameters that follow others: x_name = factor x_other.
-
-        Raises:
-            ModelError: No such parameter, one that is tied to itself or in a circle, or units that differ.
-        """
+        """The model with parameters that follow others, x_name = factor x_other; ModelError where they cannot."""
         if not ties:
             return self
         mixing = self.mixing.copy()
@@ -176,12 +171,9 @@ class ErrorModel:
         return np.asarray(self.mixing @ x)
 
     def displacements(self, x: Array) -> tuple[Array, Array]:
-        """The displacement of every place at x, and each parameter's direction there.
+        """The displacement D of every place at x, (places, 4, 4), and what a unit of each parameter does there.
 
-        Returns:
-            D: shape (len(places), 4, 4); the displaced placement is P D.
-            S: shape (6 len(places), p); rows 6 k to 6 k + 5 are the twists at place k, in the local frame of the
-            displaced placement, of a unit of each parameter.
+        The displaced placement is P D; rows 6 k to 6 k + 5 of (6 places, p) are the twists at place k, in its frame.
         """
         y = self.values(x)
         directions = self._undisplaced.copy()
@@ -198,19 +190,16 @@ class ErrorModel:
                 products[k] = factor
             for k, product in products.items():
                 displacements[k] = product.homogeneous
-        return (
-            displacements,
-            directions if self.terms is self.parameters else directions @ self.mixing,
-        )
+        untied = self.terms is self.parameters
+        return displacements, directions if untied else directions @ self.mixing
 
     def apply(self, robot: Robot, x: Array) -> Robot:
         """The robot with its placements displaced by x, without frame, target and errors of the joints' state."""
-        displacement, _ = self.displacements(x)
         if not np.any(x):
             return robot
-        placements = robot.placements.copy()
-        for i, place in enumerate((*(joint.name for joint in robot.joints), TIP)):
-            factor = displacement[self.places.index(place)]
+        displacement, placements = self.displacements(x)[0], robot.placements.copy()
+        first = self.places.index(TIP) - len(robot.joints)
+        for i, factor in enumerate(displacement[first : first + len(placements)]):
             if np.abs(factor - np.eye(4)).max() > _UNMOVED:
                 placements[i] = placements[i] @ factor
         return robot.with_placements(placements)
@@ -272,10 +261,9 @@ class Kinematics:
         return self.poses(x, where)[:, :3, 3]
 
     def twists(self, x: Array, where: Where, *, rotation: bool = True) -> tuple[Array, Array]:
-        """T_frame_target, (N, 4, 4), [m], and the velocity of the target in a unit of each parameter.
+        """T_frame_target, (N, 4, 4), [m], and the target's velocity in a unit of each parameter.
 
-        The velocity, linear then angular along the axes of the measurement frame, has shape (N, 6, p), or (N, 3, p)
-        without ``rotation``, [m or rad per unit of the parameter].
+        It is linear then angular, along the frame's axes, (N, 6, p), or (N, 3, p) without ``rotation``, [m, rad].
         """
         geometry, directions = self._displaced(x)
         return kernel.twists(geometry, directions, self._stood(x, where), rotation=rotation)
