@@ -178,7 +178,7 @@ def coverage(case: str, rng: np.random.Generator) -> Found:
     ]
     residuals = run.residuals(result)
     estimate = result.fitted.estimate
-    _, J = result.fitted.kinematics.points_jacobian(estimate.x, result.samples(run.q))
+    _, J = result.fitted.kinematics.twists(estimate.x, result.samples(run.q), rotation=False)
     spread = np.einsum("nij,jk,nlk->nil", J, estimate.covariance, J)
     std = np.sqrt(np.einsum("nii->ni", spread))
     square = np.einsum(

@@ -155,9 +155,9 @@ class Sensitivity:
         Distances do not tell where the base stands: what one rigid motion of all these positions does is left out.
         """
         x = np.zeros(len(self.names))
-        points, slopes = self.kinematics.points_jacobian(x, self._samples(q))
+        poses, slopes = self.kinematics.twists(x, self._samples(q), rotation=False)
         if not registry.get(self.kind).position:
-            slopes = without_rigid_motion(points, slopes)
+            slopes = without_rigid_motion(poses[:, :3, 3], slopes)
         return np.asarray(slopes.reshape(len(q), -1, len(x)))
 
     def noise(self, q: Array) -> Array:

@@ -25,7 +25,7 @@ from calib.estimate.stages import FEWEST_FREEDOM, PriorTerms, Stage, staged
 from calib.estimate.statistics import CrossValidation, Errors
 from calib.jobs import Progress
 from calib.model.families import FAMILIES, joint_families
-from calib.model.kinematics import ErrorModel, Kinematics, frame_place, target_place
+from calib.model.kinematics import ErrorModel, Kinematics
 from calib.model.observability import Observability, analyse
 from calib.robot.readback import spread_poses
 from calib.robot.robot import Robot, read_only
@@ -228,9 +228,8 @@ def linear_cross_validation(fitted: Fitted, outliers: Mask | None = None) -> Cro
 
 def only_there(fitted: Fitted, mask: Mask) -> Mask:
     """The parameters of frames and targets that only some rows see, shape (p,)."""
-    samples, setup, alone = fitted.estimate.problem.rows.samples, fitted.setup, []
-    places = (map(frame_place, setup.frame_unknowns), map(target_place, setup.target_names))
-    for labels, names in zip((samples.frame, samples.target), places, strict=True):
+    samples, alone = fitted.estimate.problem.rows.samples, []
+    for labels, names in zip((samples.frame, samples.target), fitted.setup.places, strict=True):
         seen = set(labels[~mask].tolist())
         alone += [name for k, name in enumerate(names) if k not in seen]
     return np.array([p.place in alone for p in fitted.kinematics.model.parameters], dtype=bool)

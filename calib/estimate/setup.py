@@ -20,7 +20,7 @@ from calib.data.measurements import Measurements
 from calib.errors import MeasurementError, ModelError, choices
 from calib.model.error_model import DIRECTIONS, split_name
 from calib.model.families import FAMILIES
-from calib.model.kinematics import ErrorModel, Parameter, Samples, frame_place, target_place
+from calib.model.kinematics import FRAME, TARGET, ErrorModel, Parameter, Samples
 from calib.robot.kernel import over_blocks
 from calib.robot.robot import Robot, gravity_load, read_only
 from calib.units import Array, Integers, Mask
@@ -258,6 +258,12 @@ class Setup:
         return self.targets if len(self.targets) > 1 else ("",)
 
     @property
+    def places(self) -> tuple[list[str], list[str]]:
+        """What an error model calls the places of the frames and of the targets."""
+        frames = [FRAME + name for name in self.frame_unknowns]
+        return frames, [TARGET + name for name in self.target_names]
+
+    @property
     def estimate_target(self) -> bool:
         """Whether any target is estimated."""
         return bool(np.any(self.target_unknown))
@@ -307,10 +313,10 @@ class Setup:
 
         With the rotation R of T_frame_base the twist of a unit along one of the plane's own axes e is R^T e.
         """
-        frames = zip(self.frame_unknowns, self.own_axes, self.T_frame_base, strict=True)
-        targets = zip(self.target_names, self.T_tip_target, strict=True)
-        turned = {frame_place(name): T[:3, :3].T for name, own, T in frames if own}
-        positions = {target_place(name): T[:3, :3].T for name, T in targets}
+        frames, targets = self.places
+        own = zip(compress(frames, self.own_axes), self.T_frame_base[self.own_axes], strict=True)
+        turned = {place: T[:3, :3].T for place, T in own}
+        positions = dict(zip(targets, self.T_tip_target[:, :3, :3].swapaxes(1, 2), strict=True))
 
         def turn(one: Parameter) -> Parameter:
             R = turned.get(one.place, positions.get(one.place) if one.unit == "m" else None)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -18,7 +19,7 @@ from calib.estimate.problem import Linear, Priors, sizes_by_reml
 from calib.estimate.setup import Setup
 from calib.estimate.statistics import Limits, median_noise, repeats
 from calib.model.families import FAMILIES
-from calib.model.kinematics import FRAME, TARGET, ErrorModel, frame_place, target_place
+from calib.model.kinematics import FRAME, TARGET, ErrorModel
 from calib.robot.robot import rigid_inverse
 from calib.units import Array, Integers, Mask
 
@@ -105,8 +106,7 @@ def _nominal(given: Setup, started: Setup, model: ErrorModel, asked: list[int]) 
     """Where the changes of parameters count from, (p,): 0, but for targets and frames, which registration moved."""
     frames = zip(given.frame_given, started.T_frame_base, given.T_frame_base, strict=True)
     targets = zip(given.target_given, started.T_tip_target, given.T_tip_target, strict=True)
-    places = dict(zip(map(frame_place, given.frame_unknowns), frames, strict=True))
-    places |= dict(zip(map(target_place, given.target_names), targets, strict=True))
+    places = dict(zip(chain(*given.places), chain(frames, targets), strict=True))
     result = np.zeros(len(model))
     for k in asked:
         parameter = model.parameters[k]
@@ -114,10 +114,8 @@ def _nominal(given: Setup, started: Setup, model: ErrorModel, asked: list[int]) 
             continue
         known, start, wanted = places[parameter.place]
         if not known:
-            what = "target" if parameter.family == TARGET else "frame"
             raise ModelError(
-                f"'{parameter.name}' has a bound or a prior on its change, but it is not said from where: give the "
-                f"{what} in the cell file, or drop the bound."
+                f"'{parameter.name}' has a bound or a prior on its change, but the cell does not say from where."
             )
         moved = rigid_inverse(start) @ wanted
         angles = Rotation.from_matrix(moved[:3, :3]).as_euler("XYZ")

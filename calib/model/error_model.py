@@ -26,8 +26,6 @@ from calib.model.kinematics import (
     TIP,
     ErrorModel,
     Parameter,
-    frame_place,
-    target_place,
 )
 from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.robot.urdf import UrdfJoint
@@ -117,7 +115,7 @@ def frame_and_target_model(
         for one in DIRECTIONS
         if one in directions
     )
-    places = (*map(frame_place, frames), TIP, *map(target_place, targets))
+    places = (*(FRAME + name for name in frames), TIP, *(TARGET + name for name in targets))
     return ErrorModel("frames", places, parameters)
 
 

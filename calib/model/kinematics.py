@@ -25,20 +25,10 @@ from calib.robot import kernel
 from calib.robot.robot import Robot, read_only
 from calib.units import Array
 
-#: The places that are not joints; no URDF calls a joint so.
+#: The places that are not joints, with the name of the frame or target behind it; no URDF calls a joint so.
 FRAME, TIP, TARGET = "(frame)", "(tip)", "(target)"
 
 _UNMOVED = 1e-12  #: A placement that is displaced by less stays as it is, and so does its <origin> [m, rad].
-
-
-def frame_place(group: str) -> str:
-    """The place of a set-up's measurement frame."""
-    return f"{FRAME}{group}"
-
-
-def target_place(name: str) -> str:
-    """The place of a target."""
-    return f"{TARGET}{name}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -267,11 +257,6 @@ class Kinematics:
         """
         geometry, directions = self._displaced(x)
         return kernel.twists(geometry, directions, self._stood(x, where), rotation=rotation)
-
-    def points_jacobian(self, x: Array, where: Where) -> tuple[Array, Array]:
-        """The target's position and its derivative, shapes (N, 3), [m], and (N, 3, p), [m per unit]."""
-        poses, twists = self.twists(x, where, rotation=False)
-        return poses[:, :3, 3], twists
 
     def _displaced(self, x: Array) -> tuple[kernel.Geometry, kernel.Directions]:
         """Every placement displaced, and what a unit of each parameter does there."""

@@ -84,7 +84,7 @@ def test_intervals_and_predicted_uncertainty_hold_what_they_say(virtual, paper_c
         inside.append(
             np.abs(absolute(virtual, result) - x) < reach * np.sqrt(np.diag(e.covariance))
         )
-        _, jacobian = result.kinematics.points_jacobian(e.x, q)
+        _, jacobian = result.kinematics.twists(e.x, q, rotation=False)
         spread = np.einsum("nij,jk,nik->ni", jacobian, e.covariance, jacobian)
         errors = error_at(virtual, result, x, q)
         inside_points.append(np.abs(errors) < reach * np.sqrt(spread))
@@ -105,8 +105,8 @@ def test_error_on_unseen_poses_is_near_the_bound(virtual, paper_cell):
         x = virtual.offsets(rng, 1e-3, 5e-3)
         data = virtual.rows(rng, x, 60, 1e-4)
         result = fitted(virtual, paper_cell, data)
-        _, seen = virtual.kinematics.points_jacobian(x, data.joints)
-        _, unseen = virtual.kinematics.points_jacobian(x, q)
+        _, seen = virtual.kinematics.twists(x, data.joints, rotation=False)
+        _, unseen = virtual.kinematics.twists(x, q, rotation=False)
         covariance = 1e-8 * np.linalg.pinv(
             seen.reshape(-1, 27).T @ seen.reshape(-1, 27), rcond=1e-7, hermitian=True
         )

@@ -13,7 +13,7 @@ from calib.data.cell import Cell
 from calib.estimate.registration import _system, register
 from calib.estimate.setup import rows_of
 from calib.model.error_model import frame_and_target_model
-from calib.model.kinematics import frame_place
+from calib.model.kinematics import FRAME
 
 FREE = Cell(estimate_frame=True)
 PLANAR = Cell(estimate_frame=True, frame_directions=("x", "y", "rz"))
@@ -172,7 +172,7 @@ def test_the_derivative_in_every_frame_and_target_against_differences(make_scene
         setup.frame_unknowns, setup.unknown_targets, setup.targets, rotation=True
     )
     assert len(model) == setup.count == 6 + 6 + 3 + 12
-    assert frame_place("1") in model.places
+    assert FRAME + "1" in model.places
     T_base_tip = scene.robot.poses(rows.joints)
     x = 0.1 * np.random.default_rng(12).normal(size=len(model))
     _, J = _system(model, T_base_tip, rows, setup, x)
