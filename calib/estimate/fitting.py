@@ -147,9 +147,7 @@ def fit(
         started = replace(register(task.robot, asked, rows), target_unknown=setup.target_unknown)
     model = started.aligned(model)
     kinematics = Kinematics(task.robot, model, started.T_frame_base, started.T_tip_target)
-    seen = set(np.unique(rows.samples.frame).tolist())
-    distances = tuple(d for d in task.distances if {d.first, d.second} <= seen)
-    problem = Problem.first(kinematics, rows, distances)
+    problem = Problem.first(kinematics, rows, task.distances)
     if task.solver == PAPER:
         estimated = _by_the_paper(problem, task, started)
     else:

@@ -301,10 +301,12 @@ class Problem:
     def first(
         cls, kinematics: Kinematics, rows: Rows, distances: tuple[KnownDistance, ...] = ()
     ) -> Problem:
-        """All rows in full, the noise as given, no priors."""
+        """All rows in full, the noise as given, no priors; known distances count between frames that rows see."""
         ones, nothing, scales = np.ones(len(rows)), np.zeros(len(kinematics.model)), rows.scales
         own = (rows.instruments == c for c in range(int(rows.instruments.max()) + 1))
         smallest = tuple(_SMALLEST_SIGMA / float(np.median(scales[mask])) for mask in own)
+        seen = set(rows.samples.frame.tolist())
+        distances = tuple(d for d in distances if {d.first, d.second} <= seen)
         return cls(kinematics, rows, scales, ones, nothing, nothing, distances, smallest)
 
     @property

@@ -117,14 +117,12 @@ def cross_validation(
     task, rows = fitted.task, fitted.estimate.problem.rows
     folds = Folds.of_task(task, rows)
     found = _on_the_linearised(fitted, folds.masks, outliers)
-    residuals = []
     for k, mask in enumerate(folds.masks):
         if k not in found:
             found[k] = _unseen(fit(task, rows.select(~mask)), rows, mask, outliers)
-        residuals.append(found[k])
         if progress is not None:
             progress(k + 1, len(folds.masks))
-    return folds.validated(rows, residuals, outliers)
+    return folds.validated(rows, [found[k] for k in range(len(folds.masks))], outliers)
 
 
 def _unseen(fitted: Fitted, rows: Rows, mask: Mask, outliers: Mask) -> Array:
@@ -407,14 +405,12 @@ def inspect(robot: Robot, cell: Cell, measurements: Measurements | None = None) 
         rows = rows.select(measurements.estimation)
         setup = register(robot, setup, rows)
     name = cell.model if cell.model != AUTO else "dh"
-    seen = set(rows.samples.frame.tolist())
-    distances = tuple(d for d in known_distances(cell, setup) if {d.first, d.second} <= seen)
-    model = setup.aligned(model_of(Task(robot, cell, setup, name, distances)))
+    model = setup.aligned(model_of(Task(robot, cell, setup, name)))
     kinematics = Kinematics(robot, model, setup.T_frame_base, setup.T_tip_target)
     x = np.zeros(len(model))
     jacobian = rows.derivative(*kinematics.twists(x, rows.samples))
     jacobian = jacobian * (rows.scales[:, :1] / rows.scales)[:, :, None]
-    known = Problem.first(kinematics, rows, distances).known_slopes(x)
+    known = Problem.first(kinematics, rows, known_distances(cell, setup)).known_slopes(x)
     jacobian = np.concatenate([jacobian[rows.used], known])
     seen_by = analyse(jacobian, model.names, model.units)
     source = None if measurements is None else measurements.source

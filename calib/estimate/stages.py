@@ -47,9 +47,7 @@ class PriorTerms:
     precision: Array  # (p,), of parameters with a prior of their own, and of frames and targets
     centre: Array  # (p,), the priors' means: 0 but at a bound, and where target or frame were said to be
     flat: Mask  # (p,), frames and targets without a prior of their own
-    sizes: (
-        str  # Where the sizes are from: ``"data"``, ``"given"`` or ``"off"``, none but weak priors
-    )
+    sizes: str  # Where the sizes are from: "data", "given", or "off" for weak priors alone
     limits: Array  # (p, 2), lowest and highest value of each parameter
     fixed: tuple[int, ...] = ()  # Parameters that are at a bound
 
@@ -57,11 +55,7 @@ class PriorTerms:
     def of(
         cls, cell: Cell, model: ErrorModel, given: Setup, started: Setup, *, lenient: bool
     ) -> PriorTerms:
-        """The cell's priors and bounds, from a registered start.
-
-        A change counts from the nominal value. That of a target or a frame is where the cell says it is, which is not
-        where registration puts it; `ModelError` for a bound or prior on one that was not said to be anywhere.
-        """
+        """The cell's priors and bounds, from a registered start."""
         priors, single = cell.priors, cell.parameter_priors
         asked = [k for k in {**cell.bounds, **single} if k in model.names or not lenient]
         nominal = _nominal(given, started, model, [model.index(name) for name in asked])
@@ -69,10 +63,7 @@ class PriorTerms:
         std = np.array([single.get(name, np.nan) for name in model.names])
         alone = np.isfinite(std)
         names = tuple(f for f in model.families if np.any(model.family(f) & ~alone))
-        limits = np.tile([-np.inf, np.inf], (len(model), 1))
-        for name in asked:
-            k = model.index(name)
-            limits[k] = nominal[k] + np.array(cell.bounds.get(name, (-np.inf, np.inf)))
+        bounds = np.array([cell.bounds.get(name, (-np.inf, np.inf)) for name in model.names])
         return cls(
             names=names,
             families=np.array([model.family(f) & ~alone for f in names]).reshape(-1, len(model)),
@@ -81,7 +72,7 @@ class PriorTerms:
             centre=np.where(alone, nominal, 0.0),
             flat=placed & ~alone,
             sizes=priors.sizes,
-            limits=limits,
+            limits=nominal[:, None] + bounds,
         )
 
     def at_bounds(self, fixed: Mapping[int, float]) -> PriorTerms:
@@ -103,7 +94,7 @@ class PriorTerms:
 
 
 def _nominal(given: Setup, started: Setup, model: ErrorModel, asked: list[int]) -> Array:
-    """Where the changes of parameters count from, (p,): 0, but for targets and frames, which registration moved."""
+    """Where changes count from, (p,): 0, but for targets and frames where the cell puts them, not registration."""
     frames = zip(given.frame_given, started.T_frame_base, given.T_frame_base, strict=True)
     targets = zip(given.target_given, started.T_tip_target, given.T_tip_target, strict=True)
     places = dict(zip(chain(*given.places), chain(frames, targets), strict=True))
@@ -212,7 +203,7 @@ class Stage:
         return np.where(told[:, None], found, self.kept)
 
     def sharing(self, linear: Linear, poses: Integers, mode: str) -> Stage:
-        """What each of n repeats counts for, 1 / (1 + (n - 1) rho), with their correlation rho from what is left over.
+        """What each of n repeats counts for, 1 / (1 + (n - 1) rho), with their correlation rho.
 
         The mode is ``"independent"``: rho = 0; ``"average"``: 1; ``"weighted"``: found. poses has the shape (N,).
         """

@@ -101,9 +101,8 @@ def repeats(
 ) -> Repeats:
     """Scatter within repeats, which holds whatever the model lacks, and their correlation.
 
-    Of residuals (N, D) in the columns ``used``, of rows repeated as ``poses`` (N,) says, with robust weights (N,).
-    fitted is the number of parameters that the fit took from all scalars: they make the means of poses smaller than
-    their errors.
+    Of residuals (N, D) with robust weights (N,). fitted is the number of parameters that the fit took from all scalars:
+    they make the means of poses smaller than their errors.
     """
     _, pose = np.unique(poses, return_inverse=True)
     w = np.where(used, weights[:, None], 0.0)

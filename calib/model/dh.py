@@ -122,13 +122,7 @@ _POSES, _SEED = 8, 20170401  #: Of the joint values at which rows are compared w
 def dh_table(robot: Robot, convention: str = HAYATI, like: Robot | None = None) -> DHTable:
     """The DH rows of a robot's chain; `DHTable.poses` then equals ``robot.poses`` up to rounding.
 
-    Axes within 5e-7 rad of parallel are taken as parallel by the pure conventions; beside axes that are nearly, but not
-    so nearly, parallel, where the poses would be off by more, only axes within 1e-8, 1e-10 or 1e-12 rad are.
-
-    Args:
-        robot: The robot.
-        convention: One of `CONVENTIONS`.
-        like: A robot of the same chain, such as the nominal one, whose open choices are kept so that columns compare.
+    ``like`` is a robot of the same chain, such as the nominal one, whose open choices are kept so that columns compare.
 
     Example:
         >>> table = dh_table(Robot.load("ur3", base="base", tip="tool0"))

@@ -120,10 +120,7 @@ def frame_and_target_model(
 
 
 def _followers(robot: Robot) -> dict[str, tuple[str, float]]:
-    """The zeros of joints that follow one column: all move with that of its driver, by their multipliers.
-
-    Where the driver lies outside the chain, or slides while its follower turns, the first that follows leads.
-    """
+    """The zeros of joints that follow one driver, or where it is none like them the first of them, by multipliers."""
     ties = {}
     for column, driver in enumerate(robot.joint_names):
         moved = [(j, f) for j, f in zip(robot.joints, robot.coupling[:, column], strict=True) if f]
@@ -158,9 +155,8 @@ def placed_name(what: str, direction: str, name: str) -> str:
 def _dh_parameters(robot: Robot, *, hayati: bool = False) -> list[Parameter]:
     """a_i, alpha_i (beta_i in place of d_i between nearly parallel axes), d_i, theta_i of each row, row by row.
 
-    a_i and alpha_i act on the placement after joint i, d_i and theta_i on that of joint i or, at a base that moves
-    without an <origin>, behind it too. Where the tip's placement is not carried by the URDF the last row's a and
-    alpha are left out: the target takes their place.
+    a_i and alpha_i act on the placement after joint i, and are left out where no <origin> carries it, as the tip's: the
+    target takes their place. d_i and theta_i act on that of joint i.
     """
     table = dh_table(robot)
     places = [*(joint.name for joint in robot.joints[1:]), TIP]
@@ -195,11 +191,7 @@ def _dh_parameters(robot: Robot, *, hayati: bool = False) -> list[Parameter]:
 def _before_joint(
     robot: Robot, i: int, name: str, twist: Array, family: str, nominal: float = 0.0
 ) -> Parameter:
-    """A displacement along or about a joint's own axis, at its placement.
-
-    Where no <origin> carries that (a base that its joint moves directly), at the next one: such a displacement passes
-    through the joint's motion unchanged.
-    """
+    """A displacement along or about a joint's axis, at its placement, or the next where no <origin> carries that."""
     unit, place = "m" if twist[:3].any() else "rad", robot.joints[i].name
     if robot.carriers[i] is None:
         place = robot.joints[i + 1].name if i + 1 < len(robot.joints) else TIP
@@ -208,11 +200,7 @@ def _before_joint(
 
 
 def _placement_parameters(robot: Robot) -> list[Parameter]:
-    """All six directions of each joint's placement, named ``<joint>.x`` to ``<joint>.rz``.
-
-    Of the rotations that about the joint's own axis is its zero; an axis that is none of the frame's gets a seventh
-    parameter, ``<joint>.zero``.
-    """
+    """``<joint>.x`` to ``<joint>.rz`` of each joint, and ``<joint>.zero`` where its axis is none of the frame's."""
     parameters = []
     for i, joint in enumerate(robot.joints):
         if robot.carriers[i] is None:
