@@ -11,7 +11,7 @@ import numpy as np
 from calib.data.cell import Cell, Priors
 from calib.errors import MeasurementError, ModelError, choices
 from calib.estimate.problem import Linear, Normal, Problem
-from calib.estimate.registration import register
+from calib.estimate.registration import register, register_unseen
 from calib.estimate.setup import KnownDistance, Rows, Setup
 from calib.estimate.solvers import SOLVERS, Solution, Solver, paper_levenberg_marquardt
 from calib.estimate.stages import PriorTerms, Stage, staged
@@ -96,6 +96,26 @@ class Fitted:
         T = self.kinematics.poses(self.estimate.x, samples)
         into_base = np.linalg.inv(found.T_frame_base)[samples.frame]
         return np.asarray(into_base @ T @ np.linalg.inv(found.T_tip_target)[samples.target])
+
+    def with_unseen(self, unseen: Setup, rows: Rows) -> Fitted:
+        """The fit with frames and targets that it has not seen registered to other rows."""
+        if not unseen.count:
+            return self
+        T_base_tip = self.tip_poses(rows.samples)
+        found = register_unseen(T_base_tip, self.placed(), unseen, rows)
+        frames = np.array([bool(directions) for directions in unseen.unknown])[:, None, None]
+        targets = unseen.target_unknown[:, None, None]
+        start = replace(
+            self.setup.placed(
+                np.where(frames, found.T_frame_base, self.setup.T_frame_base),
+                np.where(targets, found.T_tip_target, self.setup.T_tip_target),
+            ),
+            unknown=tuple(a or b for a, b in zip(self.setup.unknown, unseen.unknown, strict=True)),
+            target_unknown=self.setup.target_unknown | unseen.target_unknown,
+        )
+        model = self.kinematics.model
+        kinematics = Kinematics(self.task.robot, model, start.T_frame_base, start.T_tip_target)
+        return replace(self, setup=start, kinematics=kinematics)
 
     def residual(self, rows: Rows) -> Array:
         """Measured minus predicted, shape (N, D), [m] and [rad]."""

@@ -84,7 +84,25 @@ def register_poses(
 
 def nominal_setup(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
     """Frames and targets as given; those that were not given as the nominal robot registers them, gross rows aside."""
-    setup = setup.as_known(setup.frame_given, setup.target_given)
+    return _without_gross(T_base_tip, setup.as_known(setup.frame_given, setup.target_given), rows)
+
+
+def register_unseen(T_base_tip: Array, placed: Setup, unseen: Setup, rows: Rows) -> Setup:
+    """A set-up with what is unknown in another, ``unseen``, where rows put it that no fit has seen, gross ones aside.
+
+    ``T_base_tip``, shape (N, 4, 4), are the poses of the tip in these rows.
+    """
+    if not unseen.count:
+        return placed
+    frames = np.array([bool(directions) for directions in unseen.unknown])
+    own = frames[rows.samples.frame] | unseen.target_unknown[rows.samples.target]
+    loose = unseen.placed(placed.T_frame_base, placed.T_tip_target)
+    found = _without_gross(T_base_tip[own], loose, rows.select(own))
+    return placed.placed(found.T_frame_base, found.T_tip_target)
+
+
+def _without_gross(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
+    """`register_poses` without the rows that are far off."""
     if not setup.count:
         return setup
     some = rows.evenly(ENOUGH)

@@ -136,9 +136,7 @@ def _left_over(
 ) -> Array:
     """Measured minus predicted of left-out rows; frames and targets that only they see are registered to them."""
     left, samples = rows.select(mask), rows.samples
-    frames = np.isin(np.arange(len(placed.groups)), samples.frame[seen])
-    targets = np.isin(np.arange(len(placed.targets)), samples.target[seen])
-    loose = placed.as_known(frames, targets)
+    loose = placed.as_known(*placed.seen_by(samples.select(seen)))
     if loose.count:
         kept = ~outliers[mask]  # unless they are more than half of a set-up's rows
         kept = left.with_partners(kept if left.keeps_frames(kept) else np.ones_like(kept))

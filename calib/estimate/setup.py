@@ -302,6 +302,11 @@ class Setup:
         over_blocks(work, len(samples))
         return result
 
+    def seen_by(self, samples: Samples) -> tuple[Mask, Mask]:
+        """Which frames and which targets some samples see, shapes (F,) and (T,)."""
+        frames = np.isin(np.arange(len(self.groups)), samples.frame)
+        return frames, np.isin(np.arange(len(self.targets)), samples.target)
+
     def as_known(self, frames: Mask, targets: Mask) -> Setup:
         """The same, with some frames and targets taken for known."""
         pairs = zip(frames, self.unknown, strict=True)

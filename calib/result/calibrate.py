@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 from calib.data.cell import AUTO, Cell
 from calib.data.measurements import Measurements
 from calib.estimate.fitting import Fitted, Task, fit
-from calib.estimate.registration import nominal_setup
+from calib.estimate.registration import nominal_setup, register_unseen
 from calib.estimate.selection import (
     Candidate,
     cross_validation,
     nominal_cross_validation,
     select,
 )
-from calib.estimate.setup import Rows, known_distances, rows_of
+from calib.estimate.setup import Rows, Setup, known_distances, rows_of
 from calib.estimate.solvers import Solver
 from calib.estimate.statistics import CrossValidation, Limits, Repeats, repeats
 from calib.jobs import Progress
@@ -102,6 +102,7 @@ class Fits:
     candidates: tuple[Candidate, ...]  #: The ladder they were chosen from
     every: Rows  #: All rows of the table
     rows: Rows  #: Those that were fitted
+    unseen: Setup  #: Unknown are the frames and targets that only the other rows see
     hint: Reason | None  #: A set-up that would explain the measurements far better
     seconds: float
 
@@ -118,14 +119,20 @@ def fit_table(
 ) -> Fits:
     """The fits alone, without what a result says of them; arguments and errors are those of `calibrate`."""
     every, setup = rows_of(robot, measurements, cell)
-    rows = every.select(measurements.estimation)
+    rows, others = (every.select(m) for m in (measurements.estimation, measurements.validation))
+    frames, targets = setup.seen_by(rows.samples)
+    unseen = setup.as_known(frames, targets)
     began = time.perf_counter()
     model = cell.model if model is None else model
-    task = Task(robot, cell, setup, model, known_distances(cell, setup), solver, robust)
-    fitted, larger, candidates = _fitted(task, rows)
+    told, distances = setup.as_known(~frames, ~targets), known_distances(cell, setup)
+    fitted, larger, candidates = _fitted(
+        Task(robot, cell, told, model, distances, solver, robust), rows
+    )
+    fitted = fitted.with_unseen(unseen, others)
+    larger = larger and larger.with_unseen(unseen, others)
     seconds = time.perf_counter() - began
     hint = better_setup(robot, cell, setup, rows)
-    return Fits(fitted, larger, candidates, every, rows, hint, seconds)
+    return Fits(fitted, larger, candidates, every, rows, unseen, hint, seconds)
 
 
 def _fitted(task: Task, rows: Rows) -> tuple[Fitted, Fitted | None, tuple[Candidate, ...]]:
@@ -223,7 +230,9 @@ def _assembled(m: Measurements, fits: Fits) -> Calibration:
             gravity=cell.gravity,
         )
     T_base_tip, joints = robot.poses(every.joints), every.joints
+    unseen = fits.unseen.as_known(fits.unseen.frame_given, fits.unseen.target_given)
     placed = nominal_setup(T_base_tip[mask], task.setup, every.select(mask))
+    placed = register_unseen(T_base_tip[~mask], placed, unseen, every.select(~mask))
     residual = fitted.residual(every)
     scores, weights = np.empty(len(mask)), np.zeros(len(mask))
     weights[mask], scores[mask] = estimated.weights, estimated.scores

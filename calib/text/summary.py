@@ -268,6 +268,8 @@ def _target(c: Calibration, t: int, name: str) -> str:
     place = f"({_listed(T[:3, 3])}) mm{_rpy(T) if rotation else ''} in {c.nominal.tip}"
     if not c.setup.target_unknown[t]:
         return f"{what}: {place}, as given."
+    if placed_name("target", "x", name) not in c.model.names:
+        return f"{what}: registered to its validation rows, {place}."
     sure = f"({_half_widths(c, 'target', 'xyz', name)}) mm"
     if rotation:
         sure += f" and ({_half_widths(c, 'target', ('rx', 'ry', 'rz'), name)}) deg about its axes"
@@ -296,11 +298,16 @@ def _frame(c: Calibration, f: int, group: str) -> str:
     what = min(kind.place for kind in kinds)  # of an anchor in a socket: anchor
     what += f" '{group}'" if group else ""
     own = {kind.directions if kind.own_frame else () for kind in kinds}
+    fitted = placed_name("frame", directions[0], group) in c.model.names
+    what += "" if fitted else ", registered to its validation rows"
     if own == {("x", "y", "z")}:
         return f"{what}: found at ({_listed(-T[:3, :3].T @ T[:3, 3])}) mm in {base}."
     if own == {("z", "rx", "ry")}:
         normal = ", ".join(f"{v:.5f}" for v in T[2, :3])
         return f"{what}: found with the normal ({normal}) in {base}, {mm(-T[2, 3])} mm along it."
+    place = f"{what}: {base} found at ({_listed(T[:3, 3])}) mm{_rpy(T)} in it"
+    if not fitted:
+        return f"{place}."
     sure = [
         f"({_half_widths(c, 'frame', some, group)}) {unit}"
         for unit, some in (
@@ -310,10 +317,7 @@ def _frame(c: Calibration, f: int, group: str) -> str:
         if some
     ]
     axes = "the frame" if c.setup.own_axes[f] else base
-    return (
-        f"{what}: {base} found at ({_listed(T[:3, 3])}) mm{_rpy(T)} in it; 95 % ± {' and '.join(sure)} for "
-        f"{', '.join(directions)} along and about the axes of {axes}."
-    )
+    return f"{place}; 95 % ± {' and '.join(sure)} for {', '.join(directions)} along and about the axes of {axes}."
 
 
 def _listed(lengths: Iterable[float]) -> str:

@@ -21,6 +21,7 @@ from calib.result.calibration_file import read_result
 from calib.result.evaluation import evaluate
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import Robot, gravity_load, rigid_inverse
+from tests.fits import SOCKETS, TARGETS, TRACKERS, gaps, in_each, two_targets
 
 # The paper's Table 3: nominal positions of rows 31 to 35 before calibration [mm].
 TABLE_3 = np.array(
@@ -291,6 +292,36 @@ def test_without_positions_the_arm_is_right_as_one_body(calibrated, name):
     # Planes tell no scale: only priors do.
     assert found < (nominal / 3 if name == "planes" else 3e-5)
     assert found < 3 * c.expected_everywhere
+
+
+@pytest.mark.parametrize("model", ["dh", "dh+gain"])
+@pytest.mark.parametrize(
+    ("kind", "frames"),
+    [("points", TRACKERS), ("poses", TRACKERS), ("distances", SOCKETS), ("fixed", SOCKETS)],
+)
+def test_a_set_up_of_validation_rows_alone_is_registered_to_them(make_scene, kind, frames, model):
+    """Without noise, but for the priors' pull, the rows agree with a frame of their own; no parameter stands for it."""
+    scene = make_scene(51, frames=frames, targets=TARGETS[:1], length=3e-4, angle=3e-3)
+    table = in_each(getattr(scene, kind), 30)
+    table = replace(table, sets=tuple("validate" if g == "2" else "estimate" for g in table.groups))
+    known = gaps(frames) if kind == "fixed" else ()
+    cell = Cell(estimate_frame=kind in ("points", "poses"), distances=known)
+    c = calibrate(scene.robot, table, cell=cell, model=model, validate=False)
+    assert not [name for name in c.model.names if "[2]" in name]
+    errors = c.errors["larger" if c.larger else "calibrated"]["validation"]
+    assert errors.rms < 1e-8
+    assert c.errors["nominal"]["validation"].rms < 0.05
+    assert c.summary().count("registered to its validation rows") == 1
+
+
+def test_a_target_of_validation_rows_alone_is_registered_to_them(make_scene):
+    scene = make_scene(52, frames=[np.eye(4)], targets=TARGETS, length=3e-4, angle=3e-3)
+    table = two_targets(scene.points)
+    sets = tuple("validate" if t == "t1" else "estimate" for t in table.targets)
+    c = calibrate(scene.robot, replace(table, sets=sets), model="dh", validate=False)
+    assert c.errors["calibrated"]["validation"].rms < 1e-8
+    assert not [name for name in c.model.names if "[t1]" in name]
+    assert "Target 't1': registered to its validation rows" in c.summary()
 
 
 def test_every_kind_is_cross_validated_and_judged(case):
