@@ -300,7 +300,8 @@ def forecast_of_table(robot: Robot, cell: Cell, measurements: Measurements) -> F
     ):
         return None
     rows, setup = rows_of(robot, measurements, cell)
-    started = register(robot, setup, rows.select(measurements.estimation))
+    rows = rows.select(measurements.estimation)
+    started = register(robot.poses(rows.joints), setup, rows)
     known = replace(
         cell,
         kind=seen.kinds[0],

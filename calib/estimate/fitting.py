@@ -164,7 +164,8 @@ def fit(
         # The paper's algorithm starts where it was told to, if it was told.
         told = task.solver == PAPER and bool(np.all(setup.target_given))
         asked = setup.as_known(np.zeros(len(setup.groups), bool), np.full(len(setup.targets), told))
-        started = replace(register(task.robot, asked, rows), target_unknown=setup.target_unknown)
+        found = register(task.robot.poses(rows.joints), asked, rows)
+        started = replace(found, target_unknown=setup.target_unknown)
     model = started.aligned(model)
     kinematics = Kinematics(task.robot, model, started.T_frame_base, started.T_tip_target)
     problem = Problem.first(kinematics, rows, task.distances)

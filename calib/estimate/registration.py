@@ -20,7 +20,6 @@ from calib.model.error_model import frame_and_target_model
 from calib.model.kinematics import ErrorModel
 from calib.model.observability import steps
 from calib.robot import kernel
-from calib.robot.robot import Robot
 from calib.units import Array, Mask
 
 #: Distances from the tip at which a target is looked for when nothing is known of it [m]; so many starts, those that
@@ -37,19 +36,20 @@ _GROSS, _GROSS_ROUNDS = 5.0, 5
 ENOUGH = 20_000
 
 
-def register(robot: Robot, setup: Setup, rows: Rows, *, tolerance: float = 1e-12) -> Setup:
-    """The set-up with what is to be estimated where the nominal robot puts it; `MeasurementError` with too few rows."""
-    if not setup.count:
-        return setup
+def register(T_base_tip: Array, setup: Setup, rows: Rows, *, tolerance: float = 1e-12) -> Setup:
+    """The set-up with what is to be estimated where these poses of the tip put it, (N, 4, 4), [m], by enough of them.
+
+    `MeasurementError` with too few rows; what is known stays as given, and so does what no row sees.
+    """
     _check_enough(setup, rows)
-    rows = rows.select(_some(rows))
-    return register_poses(robot.poses(rows.joints), setup, rows, tolerance=tolerance)
+    some = _some(rows)
+    return register_poses(T_base_tip[some], setup, rows.select(some), tolerance=tolerance)
 
 
 def register_poses(
     T_base_tip: Array, setup: Setup, rows: Rows, *, tolerance: float = 1e-12
 ) -> Setup:
-    """`register` with the poses of the tip, shape (N, 4, 4), in place of a robot, and with every row."""
+    """`register` with every row."""
     if not setup.count:
         return setup
     linear = _linear_start(setup, T_base_tip, rows)
@@ -110,10 +110,7 @@ def _without_gross(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
     alive = np.any(rows.used, axis=1)
     kept = np.ones(len(rows), dtype=bool)
     for _ in range(_GROSS_ROUNDS + 1):
-        own = rows.select(kept)
-        _check_enough(setup, own)
-        chosen = _some(own)
-        found = register_poses(T_base_tip[kept][chosen], setup, own.select(chosen))
+        found = register(T_base_tip[kept], setup, rows.select(kept))
         residual = rows.residual(found.seen(T_base_tip, rows.samples))
         distance = np.sqrt(np.sum((residual / rows.scales) ** 2, axis=1))
         near = (distance <= _GROSS * np.median(distance[alive])) | ~alive

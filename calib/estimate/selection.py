@@ -401,7 +401,7 @@ def inspect(robot: Robot, cell: Cell, measurements: Measurements | None = None) 
     else:
         rows, setup = rows_of(robot, measurements, cell)
         rows = rows.select(measurements.estimation)
-        setup = register(robot, setup, rows)
+        setup = register(robot.poses(rows.joints), setup, rows)
     name = cell.model if cell.model != AUTO else "dh"
     model = setup.aligned(model_of(Task(robot, cell, setup, name)))
     kinematics = Kinematics(robot, model, setup.T_frame_base, setup.T_tip_target)

@@ -179,8 +179,9 @@ def better_setup(robot: Robot, cell: Cell, setup: Setup, rows: Rows) -> Reason |
 
     def rms(robot: Robot, setup: Setup, rows: Rows) -> float:
         """Error of the nominal robot where target (and frame, if asked) are registered [m]."""
-        placed = register(robot, setup, rows, tolerance=_TOLERANCE)
-        residual = rows.residual(placed.seen(robot.poses(rows.joints), rows.samples))
+        T_base_tip = robot.poses(rows.joints)
+        placed = register(T_base_tip, setup, rows, tolerance=_TOLERANCE)
+        residual = rows.residual(placed.seen(T_base_tip, rows.samples))
         return float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
 
     given = rms(robot, setup, rows)

@@ -24,7 +24,7 @@ LEFT = 0.02
 
 def registered(scene, table, cell):
     rows, setup = rows_of(scene.robot, table, cell)
-    return register(scene.robot, setup, rows), rows, setup
+    return register(scene.robot.poses(rows.joints), setup, rows), rows, setup
 
 
 def rms(scene, found, rows):
