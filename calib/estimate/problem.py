@@ -26,6 +26,7 @@ from calib.estimate.setup import LENGTHS, KnownDistance, Rows
 from calib.estimate.solvers import triangle
 from calib.estimate.statistics import as_of_a_point, deleted_norms
 from calib.model.kinematics import Kinematics
+from calib.model.observability import Observability, analyse
 from calib.robot.kernel import over_blocks
 from calib.units import Array, Mask
 
@@ -342,10 +343,14 @@ class Problem:
         self._last.append(Linear(x.copy(), *made))
         return self._last[0]
 
-    def known_slopes(self, x: Array) -> Array:
-        """The derivative of the known distances, shape (K, p): they tell of parameters as rows do."""
+    def observability(self, x: Array) -> Observability:
+        """What rows that count and known distances tell apart at x; angles as lengths, by their standard deviations."""
+        model, rows = self.kinematics.model, self.rows
+        counts = rows.used & (self.weights > 0.0)[:, None]
+        seen = (self.linear(x).A * rows.scales[:, :1, None])[counts]
         sigma = np.array([known.sigma for known in self.distances])
-        return np.asarray(self.constraints(x)[1] * sigma[:, None])
+        known = self.constraints(x)[1] * sigma[:, None]
+        return analyse(np.concatenate([seen, known]), model.names, model.units)
 
     def constraints(self, x: Array) -> tuple[Array, Array]:
         """Known minus predicted distances over their sigma, (K,), and the derivative of the prediction, (K, p).

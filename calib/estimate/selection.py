@@ -26,7 +26,7 @@ from calib.estimate.statistics import CrossValidation, Errors
 from calib.jobs import Progress
 from calib.model.families import FAMILIES, joint_families
 from calib.model.kinematics import ErrorModel, Kinematics
-from calib.model.observability import Observability, analyse
+from calib.model.observability import Observability
 from calib.robot.readback import spread_poses
 from calib.robot.robot import Robot, read_only
 from calib.units import Array, Integers, Mask
@@ -405,12 +405,8 @@ def inspect(robot: Robot, cell: Cell, measurements: Measurements | None = None) 
     name = cell.model if cell.model != AUTO else "dh"
     model = setup.aligned(model_of(Task(robot, cell, setup, name)))
     kinematics = Kinematics(robot, model, setup.T_frame_base, setup.T_tip_target)
-    x = np.zeros(len(model))
-    jacobian = rows.derivative(*kinematics.twists(x, rows.samples))
-    jacobian = jacobian * (rows.scales[:, :1] / rows.scales)[:, :, None]
-    known = Problem.first(kinematics, rows, known_distances(cell, setup)).known_slopes(x)
-    jacobian = np.concatenate([jacobian[rows.used], known])
-    seen_by = analyse(jacobian, model.names, model.units)
+    problem = Problem.first(kinematics, rows, known_distances(cell, setup))
+    seen_by = problem.observability(np.zeros(len(model)))
     source = None if measurements is None else measurements.source
     return Inspection(model, seen_by, len(rows), source, tuple(assumed))
 

@@ -21,7 +21,6 @@ from calib.errors import MeasurementError, ModelError, choices
 from calib.model.error_model import DIRECTIONS, split_name
 from calib.model.families import FAMILIES
 from calib.model.kinematics import FRAME, TARGET, ErrorModel, Parameter, Samples
-from calib.robot.kernel import over_blocks
 from calib.robot.robot import Robot, gravity_load, read_only
 from calib.units import Array, Integers, Mask
 
@@ -293,14 +292,8 @@ class Setup:
 
     def seen(self, T_base_tip: Array, samples: Samples) -> Array:
         """T_frame_target of samples with these poses of the tip, shape (N, 4, 4), [m]."""
-        result = np.empty((len(samples), 4, 4))
-
-        def work(own: slice) -> None:
-            T_frame_tip = self.T_frame_base[samples.frame[own]] @ T_base_tip[own]
-            np.matmul(T_frame_tip, self.T_tip_target[samples.target[own]], out=result[own])
-
-        over_blocks(work, len(samples))
-        return result
+        T_frame_tip = self.T_frame_base[samples.frame] @ T_base_tip
+        return np.asarray(T_frame_tip @ self.T_tip_target[samples.target])
 
     def seen_by(self, samples: Samples) -> tuple[Mask, Mask]:
         """Which frames and which targets some samples see, shapes (F,) and (T,)."""

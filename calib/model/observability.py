@@ -55,14 +55,12 @@ def steps(units: Sequence[str]) -> Array:
     return np.array([unit_of(unit).step for unit in units])
 
 
-def analyse(
-    jacobian: Array, names: Sequence[str], units: Sequence[str], rows: int | None = None
-) -> Observability:
+def analyse(jacobian: Array, names: Sequence[str], units: Sequence[str]) -> Observability:
     """Rank, combinations and indices of a Jacobian of shape (rows, p), [m per unit of the parameter].
 
     With singular values s_1 >= ... >= s_r of the scaled Jacobian of N rows (J. Hollerbach, A. Nahvi, 1996;
     Y. Sun, J. Hollerbach, 2008): O1 = (s_1 ... s_r)^(1/r) / sqrt(N), O2 = s_r / s_1, O3 = s_r, O4 = s_r^2 / s_1,
-    O5 = 1 / (1/s_1 + ... + 1/s_r). ``rows`` is N where the Jacobian is only the triangle of more rows.
+    O5 = 1 / (1/s_1 + ... + 1/s_r).
     """
     step = steps(units)
     p = len(names)
@@ -86,9 +84,8 @@ def analyse(
     identifiable.setflags(write=False)
     if rank:
         seen, largest, smallest = values[:rank], float(values[0]), float(values[rank - 1])
-        count = len(jacobian) if rows is None else rows
         indices = {
-            "O1": float(np.exp(np.mean(np.log(seen))) / np.sqrt(count)),
+            "O1": float(np.exp(np.mean(np.log(seen))) / np.sqrt(len(jacobian))),
             "O2": smallest / largest,
             "O3": smallest,
             "O4": smallest**2 / largest,

@@ -30,7 +30,7 @@ from calib.estimate.statistics import CrossValidation, Limits, Repeats, repeats
 from calib.jobs import Progress
 from calib.model.error_model import split_name
 from calib.model.kinematics import Parameter, Samples
-from calib.model.observability import Observability, analyse
+from calib.model.observability import Observability
 from calib.result.calibration import Calibration, Fit, RowNames, Source
 from calib.result.evidence import evidence_of
 from calib.result.prediction import (
@@ -194,14 +194,8 @@ def _validated(
 
 def _solved(fitted: Fitted) -> tuple[dict[str, Any], Observability]:
     """The attributes of `calib.result.prediction.Solved`, the cross-validation aside, and what the rows determine."""
-    estimated, model = fitted.estimate, fitted.kinematics.model
-    problem, rows = estimated.problem, estimated.problem.rows
-    known = problem.known_slopes(estimated.x)
-    counts = rows.used & (problem.weights > 0.0)[:, None]
-    # Angles as lengths, by the ratio of the two standard deviations.
-    jacobian = (problem.linear(estimated.x).A * rows.scales[:, :1, None])[counts]
-    seen = np.concatenate([jacobian, known])
-    observability = analyse(seen, model.names, model.units, int(np.sum(counts)) + len(known))
+    estimated, rows = fitted.estimate, fitted.estimate.problem.rows
+    observability = estimated.problem.observability(estimated.x)
     placed = tells_place(kind.name for kind in rows.present)
     motion = None if placed else base_motion(fitted.kinematics, estimated.x, rows.samples)
     solved = {
