@@ -102,19 +102,16 @@ class Fitted:
         if not unseen.count:
             return self
         T_base_tip = self.tip_poses(rows.samples)
-        found = register_unseen(T_base_tip, self.placed(), unseen, rows)
-        frames = np.array([bool(directions) for directions in unseen.unknown])[:, None, None]
-        targets = unseen.target_unknown[:, None, None]
+        found, own = register_unseen(T_base_tip, self.placed(), unseen, rows), self.setup
+        frames, targets = own.T_frame_base.copy(), own.T_tip_target.copy()
+        loose, unknown = list(map(bool, unseen.unknown)), unseen.target_unknown
+        frames[loose], targets[unknown] = found.T_frame_base[loose], found.T_tip_target[unknown]
         start = replace(
-            self.setup.placed(
-                np.where(frames, found.T_frame_base, self.setup.T_frame_base),
-                np.where(targets, found.T_tip_target, self.setup.T_tip_target),
-            ),
-            unknown=tuple(a or b for a, b in zip(self.setup.unknown, unseen.unknown, strict=True)),
-            target_unknown=self.setup.target_unknown | unseen.target_unknown,
+            own.placed(frames, targets),
+            unknown=tuple(a or b for a, b in zip(own.unknown, unseen.unknown, strict=True)),
+            target_unknown=own.target_unknown | unknown,
         )
-        model = self.kinematics.model
-        kinematics = Kinematics(self.task.robot, model, start.T_frame_base, start.T_tip_target)
+        kinematics = Kinematics(self.task.robot, self.kinematics.model, frames, targets)
         return replace(self, setup=start, kinematics=kinematics)
 
     def residual(self, rows: Rows) -> Array:
@@ -226,7 +223,11 @@ def _within(problem: Problem, task: Task, prior: PriorTerms, weights: Array | No
     def solve(stage: Stage, tolerance: float) -> Solution:
         nonlocal x, solution
         found = solver(_problem_of(problem, stage).system, x, size, tolerance)
-        solution = found if solution is None else found.after(solution)
+        if solution is not None:
+            evaluations = solution.evaluations + found.evaluations
+            history = solution.history + found.history
+            found = replace(found, evaluations=evaluations, history=history)
+        solution = found
         x = solution.x
         return solution
 

@@ -53,10 +53,7 @@ class Normal:
     known: tuple[Array, Array, float]  # C^T C, C^T z and z^T z
 
     def posterior(self, noise: Array, priors: Priors) -> tuple[Array, Array]:
-        """Mean (B, p) and covariance (B, p, p) of x, at the sigma of each instrument, (B, C).
-
-        Directions that neither data nor prior determine get no share of either.
-        """
+        """Mean (B, p) and covariance (B, p, p) of x, none of what nothing tells, at each instrument's sigma, (B, C)."""
         scaled, scale = self._scaled(noise, priors)
         right = (1.0 / np.square(noise)[:, None] @ self.g)[:, 0] + self.known[1]
         right = right + priors.precision * priors.centre
@@ -273,8 +270,7 @@ def inverse(M: Array) -> Array:
 
 def diagonal(M: Array) -> Array:
     """The diagonals of matrices, shape (B, p), to be written to."""
-    found: Array = np.einsum("bii->bi", M)
-    return found
+    return np.asarray(np.einsum("bii->bi", M))
 
 
 #: Below this the noise is no instrument's but rounding [m, rad].

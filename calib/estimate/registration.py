@@ -88,10 +88,7 @@ def nominal_setup(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
 
 
 def register_unseen(T_base_tip: Array, placed: Setup, unseen: Setup, rows: Rows) -> Setup:
-    """A set-up with what is unknown in another, ``unseen``, where rows put it that no fit has seen, gross ones aside.
-
-    ``T_base_tip``, shape (N, 4, 4), are the poses of the tip in these rows.
-    """
+    """A set-up with what is unknown in ``unseen`` where rows that no fit has seen put it, gross ones aside."""
     if not unseen.count:
         return placed
     frames = np.array([bool(directions) for directions in unseen.unknown])
@@ -230,7 +227,7 @@ def _linear_start(setup: Setup, T_base_tip: Array, rows: Rows) -> Setup | None:
     x = np.linalg.lstsq(A.reshape(-1, A.shape[2]), rhs.ravel(), rcond=1e-9)[0]
     T_frame_base, T_tip_target = setup.T_frame_base.copy(), setup.T_tip_target.copy()
     T_frame_base[:, :3, 3] += x[3 * targets :].reshape(-1, 3)
-    seen = np.isin(np.arange(targets), target) & setup.target_unknown
+    seen = setup.seen_by(rows.samples)[1] & setup.target_unknown
     T_tip_target[seen, :3, 3] = x[: 3 * targets].reshape(-1, 3)[seen]
     found = setup.placed(T_frame_base, T_tip_target)
     return _turned_targets(found, T_base_tip, rows) if setup.rotation else found
@@ -275,16 +272,13 @@ def _pose_start(setup: Setup, T_base_tip: Array, rows: Rows) -> Setup | None:
     whole = [f for f, d in enumerate(setup.unknown) if len(d) == _ALL]
     if not whole or not setup.estimate_target or not np.all(oriented):
         return None
-    T_frame_base, T_tip_target = setup.T_frame_base.copy(), setup.T_tip_target.copy()
-    frame, target = rows.samples.frame, rows.samples.target
-    done: set[int] = set()
+    T_frame_base, frame, target = setup.T_frame_base.copy(), rows.samples.frame, rows.samples.target
     for f in whole:
         own = np.flatnonzero(frame == f)
         if not len(own):
             continue
-        # The target seen most often from this frame tells both; the others follow from the frame.
-        t = int(np.bincount(target[own]).argmax())
-        own = own[target[own] == t]
+        # The target seen most often from this frame tells it; all targets follow from the frames.
+        own = own[target[own] == np.bincount(target[own]).argmax()]
         R_i, M_i = T_base_tip[own, :3, :3], rows.measured[own, 3:12].reshape(-1, 3, 3)
         A = np.zeros((len(own), 9, 18))
         for a, b in itertools.product(range(3), repeat=2):
@@ -292,13 +286,9 @@ def _pose_start(setup: Setup, T_base_tip: Array, rows: Rows) -> Setup | None:
             A[:, 3 * a + b, 9 + b : 18 : 3] = M_i[:, a]
             A[:, 3 * a + b, 3 * a : 3 * a + 3] = -R_i[:, :, b]
         vector = np.linalg.eigh(np.einsum("nij,nik->jk", A, A))[1][:, 0].reshape(2, 3, 3)
-        R_f, R_t = vector[0], vector[1].T
-        sign = -1.0 if np.linalg.det(R_f) < 0.0 else 1.0
-        T_frame_base[f, :3, :3] = _nearest_rotation(sign * R_f)
-        if t not in done:
-            T_tip_target[t, :3, :3] = _nearest_rotation(sign * R_t)
-            done.add(t)
-    turned = _turned_targets(setup.placed(T_frame_base, T_tip_target), T_base_tip, rows)
+        R = vector[0] if np.linalg.det(vector[0]) > 0.0 else -vector[0]
+        T_frame_base[f, :3, :3] = _nearest_rotation(R)
+    turned = _turned_targets(setup.placed(T_frame_base, setup.T_tip_target), T_base_tip, rows)
     known = tuple(tuple(x for x in d if x in "xyz") for d in setup.unknown)
     found = _linear_start(replace(turned, unknown=known, rotation=False), T_base_tip, rows)
     return found and setup.placed(found.T_frame_base, found.T_tip_target)

@@ -7,7 +7,7 @@ finite.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg.lapack import dgeqrf, dtrtrs
@@ -45,11 +45,6 @@ class Solution:
     def iterations(self) -> int:
         """Number of trial steps."""
         return len(self.history)
-
-    def after(self, earlier: Solution) -> Solution:
-        """This solution with the iterations of the stage before it put in front."""
-        evaluations = earlier.evaluations + self.evaluations
-        return replace(self, evaluations=evaluations, history=earlier.history + self.history)
 
 
 def levenberg_marquardt(

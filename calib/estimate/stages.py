@@ -132,9 +132,8 @@ class Stage:
         """The noise as given, the priors as wide as they were given; all rows in full, or with these weights."""
         sizes = np.tile(np.array(prior.start, dtype=np.float64), (len(kept), 1))
         noise = np.ones((len(kept), instruments))
-        return cls(
-            prior, kept, np.asarray(kept * weights, np.float64), np.ones(kept.shape), noise, sizes
-        )
+        own = np.asarray(kept * weights, np.float64)
+        return cls(prior, kept, own, np.ones(kept.shape), noise, sizes)
 
     @property
     def effective(self) -> Array:

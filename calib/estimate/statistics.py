@@ -230,8 +230,7 @@ def deleted_norms(
 def _norms_of(r: Array, K: Array, w: Array) -> Array:
     """The norms of residuals (B, N, D), with the leverages K (B, N, D, D) and weights (B, N).
 
-    (I + (1 - w) K) (I - w K) is symmetric and solved as it stands; where a row carries nearly all that is known of a
-    direction, by the eigenvalues of K, none of which may then pass 1 / w.
+    Where a row carries nearly all that is known of a direction, by the eigenvalues of K, none beyond 1 / w.
     """
     w, trace = w[..., None], np.trace(K, axis1=-2, axis2=-1)
     risky = ~(w[..., 0] * trace < 1.0 - _CARRIED) | (K.max(axis=(-2, -1)) > 1.0 / _CARRIED)

@@ -83,8 +83,7 @@ class DHTable:
         T = np.tile(self.T_base_0, (len(q), 1, 1))
         for row, column in zip(self.rows, q.T, strict=True):
             T = T @ row.matrix(column, modified=self.convention == MODIFIED)
-        result: Array = T @ self.T_n_tip
-        return result
+        return np.asarray(T @ self.T_n_tip)
 
 
 def dh_frames(table: DHTable) -> list[Array]:
@@ -345,8 +344,7 @@ def _across(z: Array, near: Array) -> Array:
             across = across / length
             across = across - z * (z @ across)
             break
-    result: Array = across / np.linalg.norm(across)
-    return result
+    return np.asarray(across / np.linalg.norm(across))
 
 
 def _cross(a: Array, b: Array) -> Array:
