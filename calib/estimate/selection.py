@@ -263,8 +263,7 @@ class Candidate:
     name: str  # Its set and families
     parameters: int  # Number of parameters
     log_likelihood: float  # Restricted log likelihood
-    # On the linearised problem; "outliers" are the rows without weight
-    cross_validation: CrossValidation
+    cross_validation: CrossValidation  # On the linearised problem; outliers: rows without weight
     sizes: dict[str, float]  # Size of the errors of each family
     chosen: str = ""  # ``"geometry"``, ``"larger"`` or ``""``
     needed: float = _STEP  # What it had to gain over a smaller one in log likelihood

@@ -38,18 +38,15 @@ class Rows:
 
     samples: Samples  # Joint values, frame and target of each of N rows
     kinds: Integers  # (N,), numbers of `calib.data.kinds`; `NONE` for the second row of a pair
-    # (N, K), as `calib.data.kinds.Kind` says; zero in columns that a row's kind lacks
-    measured: Array
+    measured: Array  # (N, K), as `calib.data.kinds.Kind` says; zero in columns that a kind lacks
     partner: Integers  # (N,), the other row of a pair; -1 elsewhere
     sigma: Array  # (N,), standard deviation of one length as given or first assumed [m]
     sigma_angle: Array  # (N,), of one angle [rad]
     poses: Integers  # (N,), rows of one number are repeats: one pose, one target, one frame
     blocks: Integers  # (N,), rows of one number are left out together: one pose, and both rows of a pair
     width: int = field(init=False)  # Columns of a residual: 6 with angles, 3 with positions, else 1
-    # (N, width), which columns of each row hold a scalar
-    used: Mask = field(init=False, repr=False)
-    # (N, width), the noise of each scalar by its number, -1 where no scalar is: each kind has one for its lengths and
-    # one for its angles, lengths first
+    used: Mask = field(init=False, repr=False)  # (N, width), which columns hold a scalar
+    # (N, width), the number of each scalar's noise, -1 for none: of each kind's lengths, then of each kind's angles
     instruments: NDArray[np.int8] = field(init=False, repr=False)
     # The kinds that there are; which rows they have (a slice for all), and in which columns of the residual
     _parts: tuple[tuple[Kind, Integers | slice, Integers], ...] = field(init=False, repr=False)
@@ -241,8 +238,7 @@ class Setup:
     target_unknown: Mask  # (T,), whether a target is estimated
     target_given: Mask  # (T,), whether a target's place was given
     rotation: bool  # Whether targets are frames, because orientations were measured, or points
-    # (F,), whether a frame's directions are its own axes, as a plane's; else the base's
-    own_axes: Mask
+    own_axes: Mask  # (F,), whether a frame's directions are along its own axes, or the base's
     oriented: bool = False  # Whether the targets' orientations are known, measured or given
 
     @property

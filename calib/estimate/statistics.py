@@ -75,8 +75,7 @@ class CrossValidation:
     method: str  # ``"leave-one-out"``, ``"leave-one-pose-out"``, ``"leave-one-set-up-out"``, ``"10-fold"``, ...
     folds: int  # Number of fits
     poses: Integers  # (N,), the pose of each row, see `calib.estimate.setup.same_poses`
-    # (N, D), measured minus predicted by the fit that had not seen the row [m], [rad]
-    residual: Array
+    residual: Array  # (N, D), measured minus predicted by the fit without the row [m], [rad]
     errors: Errors  # Of all rows
     errors_without_outliers: Errors  # Of the rows that the fit to all rows did not flag
 

@@ -31,10 +31,8 @@ class Unit:
     key: str  #: The suffix of keys in result files: ``"rad_Nm"``.
     quantity: str  #: What it measures, as messages say it: ``"a length"``.
     step: float  #: What arms are typically wrong by: parameters of different units are compared in such steps.
-    #: The factor to the unit that a person reads, and that unit: ``(1e3, "mm")``.
-    shown: tuple[float, str]
-    #: The suffix of keys in cell files and what one of that unit is in SI: ``("_mm", 1e-3)``.
-    cell: tuple[str, float]
+    shown: tuple[float, str]  #: The factor to the unit that people read, and it: ``(1e3, "mm")``.
+    cell: tuple[str, float]  #: The suffix of a cell file's keys, and it in SI: ``("_mm", 1e-3)``.
     example: str  #: A value that could be typed: ``"0.5 mm"``.
     largest: float = 1.0  #: A value beyond this is no error but another robot.
 
@@ -59,8 +57,7 @@ class JointState:
     joint_names: tuple[str, ...]  #: The m measured joints.
     values: Array  #: shape (N, m), of all measured joints, [rad] or [m].
     chain: tuple[str, ...] = ()  #: Names of the n joints of the chain.
-    #: shape (N, n), torque or force on each joint of the chain [Nm, N]; None where it is not known.
-    loads: Array | None = None
+    loads: Array | None = None  #: shape (N, n), on each of these [Nm, N]; None if not known.
 
     @property
     def q(self) -> Array:
@@ -81,8 +78,7 @@ class Factor:
 
     name: str  #: Names the parameter, ``<joint>.<name>``.
     value: Callable[[JointState], Array]  #: The number, of shape (N,), from a `JointState`.
-    #: Its derivative by the joint's own value, shape (N,); None: it is next to 0 and taken as that, which costs an
-    #: inverse solution an iteration, no accuracy.
+    #: Its derivative by the joint's own value, shape (N,); None: next to 0, and taken as that.
     slope: Callable[[JointState], Array] | None
     loaded: bool = False  #: Whether it needs the load on the joints.
 
@@ -95,14 +91,10 @@ class Family:
     unit: Unit  #: Of a parameter, at a joint that turns.
     prior: float  #: Standard deviation that is assumed, or where the search for it begins, in that unit.
     typical: float  #: Standard deviation of a virtual robot's, in that unit.
-    #: Of the parameters that each joint has; empty for the geometry.
-    factors: tuple[Factor, ...] = ()
-    #: The unit at a joint that slides; None: such a joint has none of the family.
-    sliding: Unit | None = None
-    #: Whether each joint of the chain errs by itself; else each measured joint, with its followers.
-    every_joint: bool = False
-    #: Smallest and largest standard deviation that is believed, in ``unit``.
-    bounds: tuple[float, float] = (1e-7, 0.1)
+    factors: tuple[Factor, ...] = ()  #: Of each joint's parameters; empty for the geometry.
+    sliding: Unit | None = None  #: At a joint that slides; None: that has none of the family.
+    every_joint: bool = False  #: Whether all of the chain err; else those measured, and followers.
+    bounds: tuple[float, float] = (1e-7, 0.1)  #: Standard deviations to believe, in ``unit``.
     positive: bool = False  #: Whether its parameters are none but positive, as a compliance is.
     lever: float = 1.0  #: A sliding joint's typical error over that of a turning one.
 

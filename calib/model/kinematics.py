@@ -38,15 +38,11 @@ class Parameter:
     name: str  #: Unique, such as ``"d1"``, ``"elbow_joint.rx"`` or ``"target_x"``.
     unit: str  #: The symbol of a `calib.model.families.Unit`: "m", "rad", "rad/Nm", ...
     place: str  #: A joint's name, `TIP`, or that of a frame or a target.
-    #: shape (6,), twist in the place's local frame, linear then angular, of a unit of the parameter. For errors that
-    #: change with the joints' state: of a unit of the joint's displacement.
+    #: shape (6,), twist in the place's frame, linear then angular, of a unit of the parameter or the joint's motion.
     direction: Array
     family: str  #: One of `calib.model.families.FAMILIES`, `FRAME` or `TARGET`.
-    #: The value that the parameter adds to, in its unit: the DH table's, or 0. A target's is where the cell says it
-    #: is.
-    nominal: float = 0.0
-    #: The known number of the joint's state that multiplies it; None for 1.
-    factor: Factor | None = None
+    nominal: float = 0.0  #: The value that it adds to, in its unit: the DH table's, or 0.
+    factor: Factor | None = None  #: The number of the joint's state that multiplies it; None for 1.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -200,11 +196,9 @@ class Samples:
     """Where the robot stood, and which frame saw which target."""
 
     q: Array  #: shape (N, m), values of the measured joints, [rad] or [m].
-    #: shape (N,), which of the measurement frames; all zero where there is one.
-    frame: NDArray[np.int_]
+    frame: NDArray[np.int_]  #: shape (N,), which of the measurement frames.
     target: NDArray[np.int_]  #: shape (N,), which of the targets.
-    #: shape (N, n), load on each joint of the chain [Nm, N]; None where it is not known.
-    load: Array | None = None
+    load: Array | None = None  #: shape (N, n), on each joint [Nm, N]; None if not known.
 
     @classmethod
     def at(cls, q: ArrayLike, load: Array | None = None) -> Samples:

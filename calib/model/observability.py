@@ -29,8 +29,7 @@ class Combination:
     """Parameters that can change together without changing what was measured."""
 
     names: tuple[str, ...]  #: The parameters, in the model's order.
-    #: How much each changes, in its own unit, scaled so that the leading one, as a rule the first, changes by its
-    #: declared step.
+    #: How much each changes, in its own unit: the leading one, as a rule the first, by its declared step.
     steps: tuple[float, ...]
     units: tuple[str, ...]  #: Of each, see `calib.model.families.unit_of`.
 
@@ -42,12 +41,10 @@ class Observability:
     columns: int  #: Number of parameters.
     rank: int  #: Number of combinations that the measurements determine.
     condition: float  #: Largest over smallest singular value of the determined part.
-    #: shape (columns,), of the scaled Jacobian, descending, [m per declared step].
-    singular_values: Array
+    singular_values: Array  #: shape (columns,), of the scaled Jacobian, descending, [m per step].
     indices: dict[str, float]  #: O1 to O5 of the determined part.
     unidentifiable: tuple[Combination, ...]  #: One combination for each missing rank.
-    #: shape (columns,), whether a parameter takes part in none of them.
-    identifiable: NDArray[np.bool_]
+    identifiable: NDArray[np.bool_]  #: shape (columns,), whether one takes part in none of them.
 
 
 def steps(units: Sequence[str]) -> Array:
