@@ -270,7 +270,7 @@ def test_force_overwrites(call, shop):
         (("robot.urdf", "joints.csv", "--base", "base"), "measured points need a column 'x [mm]'"),
         (("robot.urdf", "data.csv", "--fix-target"), "The target is said to be known but is not"),
         (("robot.urdf", "data.csv", "--target", "1 2 3"), 'given as "1 2 3"; it must be 3 numbers'),
-        (("robot.urdf", "data.csv", "--freeze", "d9"), "No model has the parameters 'd9'. 'calib"),
+        (("robot.urdf", "data.csv", "--freeze", "d9"), "No model has the parameters 'd9'; 'calib"),
         (("robot.urdf", "data.csv", "--seed", "3"), "--seed is for the samples of --bootstrap;"),
         (("robot.urdf", "data.csv", "--columns", "J1"), "--columns was given 'J1'; it must be"),
         (("panda", "data.csv"), "data.csv: no column for the joints 'panda_joint1'"),
