@@ -105,12 +105,6 @@ def split_header(text: str) -> tuple[str, str | None]:
     return (match["name"].strip(), match["symbol"].strip()) if match else (text.strip(), None)
 
 
-def parse_header(text: str) -> tuple[str, Unit | None]:
-    """Split a column header into its name and its unit, None when there are no brackets."""
-    name, symbol = split_header(text)
-    return name, None if symbol is None else find_unit(symbol)
-
-
 # Numbers with their unit beside them, as cell files and command lines give them
 
 #: The quantities that a text can be, as a message says them.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import sys
 import traceback
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
@@ -13,20 +13,7 @@ from typing import Annotated, Any, Literal, get_type_hints
 
 import typer
 
-from calib.errors import CalibError, choices
-
-
-def one_of(word: str, names: Iterable[str]) -> str:
-    """The word, which is one of some names.
-
-    Raises:
-        typer.BadParameter: It is none of them.
-    """
-    known = tuple(names)
-    if word not in known:
-        raise typer.BadParameter(f"{word!r} is not one of {choices(known)}.")
-    return word
-
+from calib.errors import CalibError
 
 RobotFile = Annotated[
     str,
@@ -48,14 +35,14 @@ Base = Annotated[
 Tip = Annotated[
     str | None,
     typer.Option(
-        help="Link that the target is mounted on. Default: the end of the longest chain, of joints in the table."
+        help="Link that the target is mounted on. Default: the end of the longest chain, of a table's joints if any."
     ),
 ]
 Target = Annotated[
     str | None,
     typer.Option(
         metavar='"X Y Z UNIT"',
-        help='Target in the tip, such as "70 -70 22.5 mm"; a start, unless --fix-target. Default: found from the data.',
+        help='Target in the tip, such as "70 -70 22.5 mm". A fit starts there, and finds one that is not given.',
     ),
 ]
 ResultTarget = Annotated[
@@ -80,7 +67,7 @@ ModelName = Annotated[
     typer.Option(
         "--model",
         metavar="SET[+FAMILY...]",
-        help="Which errors are estimated. auto: as many as the measurements support (default). dh: a, alpha, d, theta "
+        help="Errors of the robot. auto, the default of a fit: as many as the data support. dh: a, alpha, d, theta "
         "of each DH row; paper: the same with a known frame; hayati: beta for d between near-parallel axes; placement: "
         "all six of each joint; zeros; frames: none. Added to these: gain, eccentricity, compliance, as in dh+gain.",
     ),
@@ -91,7 +78,7 @@ MeasuredKind = Annotated[
         "--kind",
         metavar="KIND",
         help="What every row measures: point, pose, distance, pair, fixed, plane, or a kind that was registered. "
-        "Default: as the columns say.",
+        "Default: as a table's columns say, else point.",
     ),
 ]
 PointsFile = Annotated[
@@ -110,7 +97,7 @@ Hold = Annotated[
     list[str] | None,
     typer.Option(
         metavar='"JOINT=VALUE UNIT"',
-        help='Value of a joint that was not moved and has no column, such as "lift=0.3 m". Can be repeated.',
+        help='Value of a joint that stands still, such as "lift=0.3 m"; it needs no column. Can be repeated.',
     ),
 ]
 PayloadMass = Annotated[
@@ -293,7 +280,7 @@ def reporting(*, debug: bool) -> Iterator[None]:
         said = f"interrupted; no file was left half written. {error}".rstrip()
         typer.echo(f"calib: {said}", err=True)
         raise typer.Exit(130) from error
-    except OSError:  # of the program
+    except OSError:  # said by `calib.cli.main`
         raise
     except Exception as error:
         said, own = str(error), not isinstance(error, CalibError)

@@ -30,7 +30,7 @@ app = typer.Typer(
 verbs = (demo, calibrate, fleet, evaluate, compare, compensate, inspect, base_frame, plan, simulate)
 for verb in (*verbs, convert, view, workspace):
     app.command()(verb)
-# The name that it had before the verbs were those of the Python functions.
+# Its name before, kept for one release.
 app.command("fit", hidden=True)(calibrate)
 
 

@@ -26,12 +26,32 @@ if TYPE_CHECKING:
     from calib.robot.robot import Payload, Robot
 
 
-def parse_point(text: str, option: str) -> NDArray[np.float64]:
+def parse_point(text: str, option: str, example: str = "70 -70 22.5 mm") -> NDArray[np.float64]:
     """Three numbers and a unit of length, such as ``70 -70 22.5 mm``, as a point [m], shape (3,)."""
     from calib.robot.robot import read_only
     from calib.units import LENGTH, parse_quantities
 
-    return read_only(parse_quantities(text, option, {LENGTH: 3}, "70 -70 22.5 mm")[LENGTH])
+    return read_only(parse_quantities(text, option, {LENGTH: 3}, example)[LENGTH])
+
+
+def parse_tool(text: str) -> NDArray[np.float64] | str:
+    """``--tool``: a pose in the tip (4, 4) [m]; or the name of a target, empty for the only one."""
+    import numpy as np
+    from scipy.spatial.transform import Rotation
+
+    from calib.units import ANGLE, LENGTH, parse_quantities
+
+    word, _, name = text.strip().partition(":")
+    if word == "target":
+        return name.strip()
+    parts, example = {LENGTH: 3, ANGLE: 3}, "0 0 100 mm 0 0 90 deg"
+    if not any(sign.isdigit() for sign in text):
+        raise CalibError(f'--tool "{text}": it must be a pose, "{example}", or target[:NAME].')
+    found = parse_quantities(text, "--tool", parts, example)
+    T = np.eye(4)
+    T[:3, 3] = found.get(LENGTH, [0.0] * 3)
+    T[:3, :3] = Rotation.from_rotvec(found.get(ANGLE, [0.0] * 3)).as_matrix()
+    return T
 
 
 def parse_tracker(text: str | None, given: Tracker | None) -> Tracker | None:
@@ -40,7 +60,7 @@ def parse_tracker(text: str | None, given: Tracker | None) -> Tracker | None:
 
     if text is None:
         return given
-    position = parse_point(text, "--tracker")
+    position = parse_point(text, "--tracker", "2500 0 500 mm")
     return Tracker(position) if given is None else replace(given, position=position)
 
 
@@ -106,7 +126,7 @@ def read_cell(
 ) -> Cell:
     """The cell file, if there is one, with options as they are written, those of `CellOptions`, on top of it."""
     from calib.data.cell import Cell
-    from calib.data.cell_file import frame as frame_of
+    from calib.data.cell_file import FRAME
 
     found = Cell() if cell is None else Cell.read(cell)
     said: dict[str, Any] = {
@@ -123,7 +143,7 @@ def read_cell(
         "priors": None if priors is None else found.priors.with_sizes(priors),
     }
     if frame is not None:
-        said |= frame_of(frame)
+        said |= FRAME(frame, "--frame")
     return replace(found, **{name: value for name, value in said.items() if value is not None})
 
 

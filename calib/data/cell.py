@@ -20,8 +20,9 @@ from numpy.typing import ArrayLike
 
 import calib.data.kinds as registry
 from calib.data.cell_file import kept, pose, read_cell_file
-from calib.data.kinds import DIRECTIONS, FARTHEST, SIGMAS, no_rotation
+from calib.data.kinds import FARTHEST, SIGMAS, no_rotation
 from calib.errors import CalibError, FileError, choices
+from calib.model.error_model import DIRECTIONS
 from calib.model.families import family_of
 from calib.robot.robot import GRAVITY, Payload, read_only
 from calib.units import Array, is_number

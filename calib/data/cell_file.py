@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.data.kinds import DIRECTIONS
 from calib.errors import CalibError, FileError, choices, did_you_mean
 from calib.files import read_bytes
+from calib.model.error_model import DIRECTIONS
 from calib.model.families import FAMILIES
 from calib.units import (
     ANGLE,
@@ -160,6 +160,8 @@ def frame(said: str | Sequence[str]) -> dict[str, Any]:
     if said in ("known", "estimate"):
         return {"estimate_frame": said == "estimate", "frame_directions": DIRECTIONS}
     words = said.replace(",", " ").split() if isinstance(said, str) else said
+    if not words or not {*words} <= {*DIRECTIONS}:
+        raise ValueError
     return {"estimate_frame": True, "frame_directions": tuple(words)}
 
 
@@ -233,7 +235,11 @@ def _place(value: Any, where: str) -> Any:  # noqa: ANN401
     return pose(**read_table(_TABLE(value, where), _PLACE, where))
 
 
-_FRAME = _form("'known', 'estimate' or a list of directions", frame)
+#: The measurement frame, in a file or on the line; where it stands has keys of its own.
+FRAME = _form(
+    f"'known', 'estimate' or some of {', '.join(DIRECTIONS)}; its place is frame_xyz_mm and frame_rpy_deg",
+    frame,
+)
 _KNOWN = _form("'known' or 'estimate'", {"known": False, "estimate": True}.get)
 
 
@@ -244,7 +250,7 @@ FIELDS: dict[str, Field] = {
     "target": Field("estimate_target", _KNOWN),
     "target_mm": Field("target", POINT),
     "target_rpy_deg": Field("target_rotation", _RPY),
-    "frame": Field("frame", _FRAME),
+    "frame": Field("frame", FRAME),
     "frame_xyz_mm": Field("xyz", POINT),
     "frame_rpy_deg": Field("rotation", _RPY),
     "sigma_mm": Field("sigma", MM),

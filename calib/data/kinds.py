@@ -23,10 +23,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.errors import CalibError, MeasurementError, choices
+from calib.model.error_model import DIRECTIONS
 from calib.units import Array, Quantity
-
-#: The directions of a frame.
-DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
 
 #: A distance below this has no direction [m].
 _TINY = 1e-12

@@ -251,6 +251,8 @@ def read_values(table: Table, layout: Layout, elsewhere: Points | None = None) -
         raise MeasurementError(
             f"{table.source}: nothing is measured yet in its {count} rows. Fill in what was measured at each "
             f"pose{listed}."
+            if count
+            else f"{table.source}: there is a header, and no row below it."
         )
     present = [registry.get(name) for name in layout.kinds]
     paired = np.isin(kinds, [kind.name for kind in present if kind.paired])

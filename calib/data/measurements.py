@@ -134,10 +134,10 @@ class Measurements:
                 raise MeasurementError(
                     f"{source}: '{name}' has {number} entries and should have {count}, one a row"
                 )
-        for name, allowed in (("sets", SETS), ("kinds", registry.names())):
-            words = getattr(self, name)
+        for name, allowed in (("set", SETS), ("kind", registry.names())):
+            words = getattr(self, f"{name}s")
             for word in set(words) - set(allowed):
-                what = f"{word!r} in '{name}' is not allowed; it is one of {choices(allowed)}"
+                what = f"column '{name}': '{word}' is none of {choices(allowed)}."
                 self._fail(words.index(word), what)
         if len(set(self.rows)) < count:
             twice = Counter(self.rows).most_common(1)[0][0]

@@ -14,7 +14,6 @@ import numpy as np
 
 import calib.data.kinds as registry
 from calib.data.cell import AUTO, Cell
-from calib.data.kinds import DIRECTIONS
 from calib.data.measurements import Measurements
 from calib.errors import MeasurementError, ModelError, choices
 from calib.estimate.fitting import PAPER, Fitted, Task, fit, model_of
@@ -24,6 +23,7 @@ from calib.estimate.setup import Rows, Setup, joined_setups, known_distances, ro
 from calib.estimate.stages import FEWEST_FREEDOM, PriorTerms, Stage, staged
 from calib.estimate.statistics import CrossValidation, Errors
 from calib.jobs import Progress
+from calib.model.error_model import DIRECTIONS
 from calib.model.families import FAMILIES, joint_families
 from calib.model.kinematics import ErrorModel, Kinematics
 from calib.model.observability import Observability

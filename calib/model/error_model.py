@@ -141,7 +141,7 @@ def split_name(name: str) -> tuple[str, tuple[str, ...]]:
         if base not in MODELS:
             what = f"There is no parameter set '{base}'"
         raise ModelError(
-            f"{what}. Choose one of {choices(MODELS)}, and behind it, each once and with a '+', any of "
+            f"{what}. Choose 'auto', or one of {choices(MODELS)} and behind it, each once and with a '+', any of "
             f"{choices(joint_families())}."
         )
     return base, tuple(families)

@@ -23,12 +23,12 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from calib.data.cell import Cell
-from calib.data.kinds import DIRECTIONS
 from calib.data.measurements import Measurements
 from calib.errors import CalibError, MeasurementError, ModelError, choices
 from calib.estimate.registration import nominal_setup
 from calib.estimate.setup import Setup, rows_of
 from calib.estimate.statistics import Errors
+from calib.model.error_model import DIRECTIONS
 from calib.model.kinematics import Samples
 from calib.result.calibration import Calibration
 from calib.result.prediction import Larger

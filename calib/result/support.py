@@ -154,14 +154,9 @@ PLAUSIBLE, _FAR_BETTER, _EXPLAINED = 0.02, 0.2, 0.05
 #: registration: five digits are enough to compare.
 _MOST_SIGNS, _ROWS, _TOLERANCE = 7, 60, 1e-6
 
-#: Factors between units that are taken for each other, and the zeros that conventions differ by [deg].
-_LENGTHS = {
-    "inches under [mm]": 25.4,
-    "mm under [in]": 1.0 / 25.4,
-    "metres under [mm]": 1e3,
-    "mm under [m]": 1e-3,
-}
-_ANGLES = {"radians under [deg]": np.degrees(1.0), "degrees under [rad]": np.radians(1.0)}
+#: Factors where numbers are in one unit and their header says another; the zeros that conventions differ by [deg].
+_LENGTHS = {("in", "mm"): 25.4, ("mm", "in"): 1.0 / 25.4, ("m", "mm"): 1e3, ("mm", "m"): 1e-3}
+_ANGLES = {("rad", "deg"): np.degrees(1.0), ("deg", "rad"): np.radians(1.0)}
 _TURNS_DEG = (90.0, -90.0, 180.0)
 
 #: A mistake undone: what its error counts times, robot, set-up, rows, and what it would mean.
@@ -217,21 +212,22 @@ def _trials(robot: Robot, cell: Cell, setup: Setup, rows: Rows) -> Iterator[Tria
     for factor, joints, why, values in _joint_trials(robot, rows.joints, most):
         turned = replace(rows, samples=replace(rows.samples, q=joints))
         yield factor, robot, asked, turned, why, values
-    for i, j in itertools.combinations(range(3), 2):
-        points = rows.measured.copy()
-        points[:, [i, j]] = points[:, [j, i]]
-        values = {"columns": f"{'xyz'[i]} and {'xyz'[j]}"}
-        yield 1.2, robot, asked, replace(rows, measured=points), Why.COLUMNS_SWAPPED, values
-    for unit, size in _LENGTHS.items():
-        values = {"what": "points", "unit": unit}
-        yield (
-            1.2,
-            robot,
-            asked,
-            replace(rows, measured=size * rows.measured),
-            Why.WRONG_UNIT,
-            values,
-        )
+    turns = any(len(directions) == len(DIRECTIONS) for directions in setup.unknown)
+    for points, why, values in _point_trials(rows.measured, turns=turns):
+        yield 1.2, robot, asked, replace(rows, measured=points), why, values
+
+
+def _point_trials(points: Array, *, turns: bool) -> Iterator[tuple[Array, Why, dict[str, Any]]]:
+    """Points, shape (N, 3), of a mirrored frame, and in other units; ``turns``: in a frame that may turn freely."""
+    if turns:  # then every swap of two columns is a mirror, and so is every sign
+        yield -points, Why.POINTS_MIRRORED, {}
+    for i, axis in enumerate("" if turns else "xyz"):
+        order = [[0, 2, 1], [2, 1, 0], [1, 0, 2]][i]
+        first, second = (one for one in "xyz" if one != axis)
+        yield points[:, order], Why.COLUMNS_SWAPPED, {"first": first, "second": second}
+        yield points * np.where(np.arange(3) == i, -1.0, 1.0), Why.SIGN_TURNED, {"column": axis}
+    for (unit, header), size in _LENGTHS.items():
+        yield size * points, Why.WRONG_UNIT, {"what": "points", "unit": unit, "header": header}
 
 
 def _joint_trials(
@@ -244,7 +240,7 @@ def _joint_trials(
         for some in itertools.combinations(range(n), count):
             joints = q.copy()
             joints[:, some] *= -1.0
-            listed = " and ".join(f"'{names[i]}'" for i in some)
+            listed = ", ".join(names[i] for i in some)
             yield 1.0 + 0.2 * count, joints, Why.JOINTS_TURNED, {"joints": listed}
     for i, turn in itertools.product(np.flatnonzero(turns).tolist(), np.radians(_TURNS_DEG)):
         joints = q.copy()
@@ -253,7 +249,7 @@ def _joint_trials(
     for i, j in itertools.combinations(range(n), 2):
         joints = q.copy()
         joints[:, [i, j]] = joints[:, [j, i]]
-        yield 1.2, joints, Why.COLUMNS_SWAPPED, {"columns": f"'{names[i]}' and '{names[j]}'"}
-    for unit, size in _ANGLES.items():
-        values = {"what": "joint values", "unit": unit}
+        yield 1.2, joints, Why.COLUMNS_SWAPPED, {"first": names[i], "second": names[j]}
+    for (unit, header), size in _ANGLES.items():
+        values = {"what": "joints", "unit": unit, "header": header}
         yield 1.2, np.where(turns, size, 1.0) * q, Why.WRONG_UNIT, values

@@ -32,7 +32,7 @@ class Why(Enum):
 
     # Another set-up explains the rows
     TARGET_ELSEWHERE, WRONG_UNIT, OTHER_BASE, OWN_FRAME, JOINTS_TURNED = range(5)
-    JOINT_ZERO, COLUMNS_SWAPPED = 5, 6
+    JOINT_ZERO, COLUMNS_SWAPPED, SIGN_TURNED, POINTS_MIRRORED = range(5, 9)
     # No arm has such errors
     PARAMETER_ABSURD, NOISE_ABSURD, ORIENTATION_ABSURD = 10, 11, 12
     # It is no better

@@ -418,6 +418,6 @@ def find_urdf(source: str | Path) -> Path:
             return urdfs[name]
     known = sorted(name.removesuffix(".urdf").removesuffix("_robot") for name in urdfs)
     raise UrdfError(
-        f"'{source}' is neither a file here nor a robot of example-robot-data. Give the path of a URDF or "
-        f"xacro, or one of {choices(dict.fromkeys(known), limit=60)}."
+        f"'{source}' is neither a file here nor a robot of example-robot-data{did_you_mean(str(source), known)}. Give "
+        f"the path of a URDF or xacro, or one of {choices(dict.fromkeys(known), limit=12)}."
     )

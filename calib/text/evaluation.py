@@ -138,8 +138,10 @@ def _rows_reasons(a: Acceptance) -> Iterator[str]:
         )
     if low < _ISO_REPEATS or count < _ISO_POSES:
         made = f"{low}" if low == high else f"{low} to {high}"
-        asked = f"ISO 9283 asks for {_ISO_REPEATS} repeats of {_ISO_POSES} poses"
-        yield f"{asked}; measured: {made} of {count}."
+        yield (
+            f"ISO 9283 asks for {_ISO_POSES} poses, each {_ISO_REPEATS} times; measured: {count}, each {made} time"
+            f"{'s' * (high > 1)}."
+        )
     if a.criterion != "mean" and count > 1 and not (a.within and one.seen):
         yield (
             f"{a.within} of {count} poses are within: of poses chosen at random in the same way at least "

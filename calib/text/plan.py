@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -66,12 +66,18 @@ def note_text(note: Note) -> str:
     return _NOTES[note.code].format(", ".join(map(str, note.values)))
 
 
-def next_text(plan: Plan, robot: str, output: Path | None, taken: Path | None) -> str:
-    """What to do next with the robot as it was named, the table of the plan and that of the poses taken."""
+def next_text(
+    plan: Plan, robot: str, output: Path | None, taken: Path | None, said: Mapping[str, str | None]
+) -> str:
+    """What to do next with the robot as it was named, the table of the plan and that of the poses taken.
+
+    ``said`` are options of the set-up that the fit needs too, None where they were not given.
+    """
     if output is None:
         return "No table was written; add -o plan.csv to write it."
     fit = ["calib", "calibrate", robot, str(taken or output), "-o", "corrected.urdf"]
     fit += ["--base", plan.robot.base, "--tip", plan.robot.tip]
+    fit += [word for option, value in said.items() if value for word in (f"--{option}", value)]
     into = f", and add the rows to {taken}" if taken else ""
     steps = (
         f"Next: drive the poses of {output} from top to bottom, fill in what was measured{into}:"

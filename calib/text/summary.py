@@ -380,7 +380,7 @@ def _ladder(c: Calibration) -> str:
         cells = f"  {one.name}", one.parameters, gain, candidate_rms(one), chosen
         lines.append(row.format(*cells).rstrip())
     needed = c.candidates[0].needed
-    note = "  evidence: restricted log likelihood, less the best one's; a step up must gain"
+    note = "  evidence: restricted log likelihood, less the best one's; a larger model must gain"
     return "\n".join([*lines, f"{note} {needed:.1f}"])
 
 

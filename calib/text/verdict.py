@@ -23,12 +23,16 @@ _RIGHT = "are base and tip, the joint columns and their signs right"
 #: What each code says; a number is written as ``{name:unit.digits}``.
 SENTENCES = {
     Why.TARGET_ELSEWHERE: _OFF + "the target is found from the data: leave out --fix-target.",
-    Why.WRONG_UNIT: _OFF + "the {what} are {unit}: check the unit in the header.",
+    Why.WRONG_UNIT: _OFF + "the {what} are in {unit}, and the header says {header}: correct it.",
     Why.OTHER_BASE: _OFF + "the points are in the frame of '{link}': try --base {link}.",
     Why.OWN_FRAME: _OFF + "the points are in a frame of their own: try --frame estimate.",
-    Why.JOINTS_TURNED: _OFF + "{joints} turned the other way: check the signs.",
+    Why.JOINTS_TURNED: _OFF + "these joints turned the other way: {joints}. Check their signs.",
     Why.JOINT_ZERO: _OFF + "{add_rad:deg.0f} deg are added to '{joint}': check its zero.",
-    Why.COLUMNS_SWAPPED: _OFF + "the columns {columns} are swapped.",
+    Why.COLUMNS_SWAPPED: _OFF + "the columns '{first}' and '{second}' are swapped.",
+    Why.SIGN_TURNED: _OFF + "the sign of '{column}' is wrong.",
+    Why.POINTS_MIRRORED: _OFF
+    + "the points are mirrored: two of the columns x, y and z are swapped, or one has the "
+    "wrong sign.",
     Why.PARAMETER_ABSURD: "The nominal robot is {before_m:mm.0f} mm rms off on unseen rows, and the fit meets the rows "
     f"only by moving a parameter by {{largest:mm.0f}} mm or mrad: {_RIGHT}, and each set-up a group of its own?",
     Why.NOISE_ABSURD: "What the model leaves over is {noise_m:mm.0f} mm a coordinate, which no arm or instrument "
@@ -145,14 +149,14 @@ def outside_text(rows: Sequence[OutsideRow], numbers: Sequence[int]) -> str:
 
 def robustness_text(found: Robustness) -> str:
     """What lowering the weights of doubtful rows comes to."""
-    now, other = found.errors_lowered, found.errors_full
+    now, other, how = found.errors_lowered, found.errors_full, "In full"
     if not found.lowered:
-        now, other = other, now
+        now, other, how = other, now, "With lowered"
     text = (
-        f"{'Without' if found.lowered else 'With'} these rows' weights lowered the prediction would move by "
-        f"{1e3 * found.moved_rms:.3f} mm rms at the measured poses, {1e3 * found.moved_max:.3f} mm at most"
+        f"{how} weight these rows would move the prediction by {1e3 * found.moved_rms:.3f} mm rms at the measured "
+        f"poses, {1e3 * found.moved_max:.3f} mm at most"
     )
     if now.n:
-        text += f"; the error of the other rows, left out, would be {1e3 * other.rms:.3f} mm rms in place of "
-        text += f"{1e3 * now.rms:.3f} mm"
+        text += f", and the left-out error of the others from about {1e3 * now.rms:.3f} to "
+        text += f"{1e3 * other.rms:.3f} mm rms"
     return text + "."

@@ -19,8 +19,8 @@ from calib.cli.setup import (
     read_cell,
 )
 from calib.data.cell import Cell
-from calib.data.kinds import DIRECTIONS
 from calib.errors import CalibError
+from calib.model.error_model import DIRECTIONS
 from calib.robot.robot import Payload
 from calib.units import Angle, Length
 

@@ -272,7 +272,7 @@ def test_what_a_kind_does_not_measure_is_not_kept():
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"kinds": ("point", "ball")}, "row 2: 'ball' in 'kinds'"),
+        ({"kinds": ("point", "ball")}, "row 2: column 'kind': 'ball'"),
         ({"pairs": ("p",)}, "'pairs' has 1 entries"),
         ({"kinds": ("fixed", "point"), "points": NONE}, "row 2: 'points' is nan"),
         ({"kinds": ("pose", "pose")}, "row 1: a row of the kind 'pose' needs 'rotations'"),

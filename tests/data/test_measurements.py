@@ -199,7 +199,7 @@ def test_files_that_are_no_tables(tmp_path, table):
     refused(tmp_path, says="is a folder")
     refused(table(""), says="the file is empty")
     refused(table("# only a remark", "", ",,"), says="the file is empty")
-    refused(table(HEADER, ",,,,,,"), says=["data.csv", "nothing is measured yet in its 0 rows"])
+    refused(table(HEADER, ",,,,,,"), says=["data.csv", "no row below it"])
     refused(table(HEADER, *ROWS, encoding="utf-16-le"), says="not a text file")
     refused(table(HEADER, *ROWS, encoding="utf-32"), says="not a text file")
     refused(table(*ROWS[:1], *ROWS), says="no column of joint angles")

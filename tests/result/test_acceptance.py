@@ -137,7 +137,7 @@ def test_the_text_of_a_verdict(ur3: Robot):
             :60
         ],
         "1.200 - guard band 0.100 (k = 2, ISO 14253-1) = 1.100 mm > 0.550 mm.",
-        "ISO 9283 asks for 30 repeats of 5 poses; measured: 1 to 2 of 24.",
+        "ISO 9283 asks for 5 poses, each 30 times; measured: 24, each 1 to 2 times.",
         "10 of 24 poses are within: of poses chosen at random in the same way at least",
         "Orientations have no tolerance and are not judged.",
         "Orientation, ISO 9283 [deg]",

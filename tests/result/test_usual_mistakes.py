@@ -71,10 +71,11 @@ WRISTS = ["wrist_1_joint", "wrist_2_joint", "wrist_3_joint"]
         ({"add": [0, 90, 0, 0, 0, 0]}, Why.JOINT_ZERO, [LIFT, str(-np.pi / 2)]),
         ({"add": [0, 0, 0, -180, 0, 0]}, Why.JOINT_ZERO, [WRISTS[0], str(np.pi)]),
         ({"q": [0, 2, 1, 3, 4, 5]}, Why.COLUMNS_SWAPPED, [LIFT, ELBOW]),
-        ({"p": [1, 0, 2]}, Why.COLUMNS_SWAPPED, ["x and y"]),
-        ({"points": 1 / 25.4}, Why.WRONG_UNIT, ["points", "inches under [mm]"]),
-        ({"points": 1e-3}, Why.WRONG_UNIT, ["points", "metres under [mm]"]),
-        ({"joints": np.degrees(1.0)}, Why.WRONG_UNIT, ["degrees under [rad]"]),
+        ({"p": [1, 0, 2]}, Why.COLUMNS_SWAPPED, ["x y"]),
+        ({"points": [1, -1, 1]}, Why.SIGN_TURNED, ["y"]),
+        ({"points": 1 / 25.4}, Why.WRONG_UNIT, ["points in mm"]),
+        ({"points": 1e-3}, Why.WRONG_UNIT, ["points m mm"]),
+        ({"joints": np.degrees(1.0)}, Why.WRONG_UNIT, ["joints deg rad"]),
     ],
 )
 def test_each_usual_mistake_is_named(ur3: Robot, thirty: Measurements, mistake, why, values):
@@ -90,6 +91,12 @@ def test_a_wrong_base_a_trackers_frame_and_a_target_that_is_fixed(ur3: Robot, th
     assert (base.why, base.values["link"]) == (Why.OTHER_BASE, "base")
     assert base.values["given_m"] == pytest.approx(0.529, abs=1e-3)
     assert found(ur3, Cell(), seen_elsewhere(thirty)).why == Why.OWN_FRAME
+    for mistake in (
+        {"p": [1, 0, 2]},
+        {"points": [1, 1, -1]},
+    ):  # a frame that may turn cannot tell them apart
+        mirrored = spoilt(seen_elsewhere(thirty), **mistake)
+        assert found(ur3, Cell(estimate_frame=True), mirrored).why == Why.POINTS_MIRRORED
     fixed = replace(WRONG, estimate_target=False)
     assert found(ur3, fixed, thirty).why == Why.TARGET_ELSEWHERE
     judged = calibrate(world, thirty.select(np.arange(30) < 14), model="zeros").verdict

@@ -15,7 +15,10 @@ _TOOL = '"X Y Z UNIT [RX RY RZ UNIT]"|target[:NAME]'
 _TOOL_HELP = "Tool in the tip, such as '0 0 150 mm', or the calibrated target. Default: the tip."
 _FRAME = "Frame of the poses: the base, the one that was measured in, or that of a set-up."
 _MATCH = "What is to be reached; axis: position and direction of the tool's z. Default: pose."
-_START = "JOINT=VALUE UNIT: where the first of poses alone starts. Can be repeated."
+_START = (
+    "Joint value that the first row starts near, of poses without joint values. Can be repeated."
+)
+_SEND = "What is written: joint values to command, poses to send, or both."
 
 
 @verb("""Compute compensated commands so that the real robot reaches the programmed poses.
@@ -31,19 +34,23 @@ nothing is written, unless --skip leaves such rows empty.
 """)
 def compensate(
     robot: RobotFile,
-    program: Annotated[Path, typer.Argument(help="CSV table: joint values, poses, or both.")],
+    program: Annotated[
+        Path, typer.Argument(metavar="PROGRAM", help="CSV table: joint values, poses, or both.")
+    ],
     calibration: Annotated[Path | None, typer.Option(help="Result JSON of a calibration.")] = None,
     corrected: Annotated[str | None, typer.Option(help="Corrected URDF, in place of it.")] = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="CSV to write.")] = None,
     tool: Annotated[str | None, typer.Option(metavar=_TOOL, help=_TOOL_HELP)] = None,
     poses_in: Annotated[str, typer.Option(metavar="base|measured|SET-UP", help=_FRAME)] = "base",
     match: Annotated[Literal["pose", "position", "axis"] | None, typer.Option(help=_MATCH)] = None,
-    start: Annotated[list[str] | None, typer.Option(help=_START)] = None,
-    accept: Annotated[str, typer.Option(help="Accepted error per row.")] = "1e-8 m 1e-8 rad",
-    skip: Annotated[bool, typer.Option("--skip", help="Leave such rows empty.")] = False,
-    send: Annotated[Literal["both", "joints", "poses"], typer.Option(help="Written.")] = "both",
-    orientation: Annotated[Forms, typer.Option(help="Of the poses.")] = "rotation-vector",
-    geometry: Annotated[bool, typer.Option("--geometry", help="Only joint origins.")] = False,
+    start: Annotated[
+        list[str] | None, typer.Option(metavar='"JOINT=VALUE UNIT"', help=_START)
+    ] = None,
+    accept: Annotated[str, typer.Option(help="Error that may be left.")] = "1e-8 m 1e-8 rad",
+    skip: Annotated[bool, typer.Option("--skip", help="Rows out of reach stay empty.")] = False,
+    send: Annotated[Literal["both", "joints", "poses"], typer.Option(help=_SEND)] = "both",
+    orientation: Annotated[Forms, typer.Option(help="Form of orientations.")] = "rotation-vector",
+    geometry: Annotated[bool, typer.Option("--geometry", help="Without the larger model.")] = False,
     payload: PayloadMass = None,
     base: Annotated[str | None, typer.Option(help="Base link. Default: the result's.")] = None,
     tip: Annotated[str | None, typer.Option(help="Tip link. Default: the result's.")] = None,
@@ -86,7 +93,7 @@ def compensate(
         actual,
         read_program(program, nominal, columns=renamed, match=match, start=near),
         nominal=nominal,
-        tool=parse_tool(tool) if tool else None,
+        tool=words.parse_tool(tool) if tool else None,
         frame={"base": None, "measured": ""}.get(poses_in, poses_in),
         accept=(left[0] or 1e-8, left[1] or 1e-8),
         larger=words.parse_payload(payload, carried) if payload else not geometry,
@@ -100,21 +107,3 @@ def compensate(
         typer.echo(text(found, name, output))
     elif result and result.verdict and result.verdict.use == "do not use":
         typer.echo(f"calib: the verdict of {name} is 'do not use'.", err=True)
-
-
-def parse_tool(text: str) -> list[list[float]] | str:
-    """``--tool``: a pose in the tip (4, 4) [m]; or the name of a target, empty for the only one."""
-    import numpy as np
-    from scipy.spatial.transform import Rotation
-
-    from calib.units import ANGLE, LENGTH, parse_quantities
-
-    word, _, name = text.strip().partition(":")
-    if word == "target":
-        return name.strip()
-    parts = {LENGTH: 3, ANGLE: 3}
-    found = parse_quantities(text, "--tool", parts, "0 0 100 mm 0 0 90 deg")
-    T = np.eye(4)
-    T[:3, 3] = found.get(LENGTH, [0.0] * 3)
-    T[:3, :3] = Rotation.from_rotvec(found.get(ANGLE, [0.0] * 3)).as_matrix()
-    return list(T.tolist())

@@ -90,7 +90,7 @@ def evaluate(
     inputs: list[str | Path] = [robot, data, *filter(None, (said.cell, calibration, read.points))]
     check_outputs([json], inputs, force=force)
     if tolerance is None and (uncertainty or criterion or judge):
-        raise CalibError("--uncertainty, --criterion and --judge take a --tolerance.")
+        raise CalibError("--uncertainty, --criterion and --judge need a --tolerance.")
     limits: dict[str, Any] = {}
     if tolerance is not None:
         names = ("tolerance", "tolerance_angle", "uncertainty", "uncertainty_angle")

@@ -39,7 +39,9 @@ def plan(
     ] = None,
     region: Annotated[File, typer.Option(help="Region for the target, of calib workspace.")] = None,
     margin: Annotated[str, typer.Option(metavar="ANGLE", help="Margin to joint limits.")] = "5 deg",
-    clearance: Annotated[str, typer.Option(metavar="LENGTH", help="Least distance.")] = "0 mm",
+    clearance: Annotated[
+        str, typer.Option(metavar="LENGTH", help="Least distance of bodies.")
+    ] = "0 mm",
     collisions: Annotated[bool, typer.Option(help="Check poses and moves for collisions.")] = True,
     floor: Annotated[bool, typer.Option(help="Keep above the robot's mounting plane.")] = True,
     package_dir: Annotated[
@@ -107,5 +109,9 @@ def plan(
         plan_page(made).write(view, overwrite=force)
     if not quiet:
         written = [f"Written: {path}" for path in (output, json, view) if path is not None]
-        following = next_text(made, robot, output, taken)
+        # A tracker measures in a frame of its own.
+        own_frame = cell.tracker is not None and cell.T_frame_base is None
+        frame = setup.frame or ("estimate" if own_frame else None)
+        said = {"cell": str(setup.cell) if setup.cell else None, "frame": frame, "kind": setup.kind}
+        following = next_text(made, robot, output, taken, said)
         typer.echo("\n".join([plan_text(made), "", *written, following]))

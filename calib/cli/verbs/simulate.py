@@ -54,7 +54,7 @@ def simulate(
     robot: RobotFile,
     setup: ModelOptions,
     words: ScenarioOptions,
-    poses: Annotated[_File, typer.Option(help="Poses of a plan or table.")] = None,
+    poses: Annotated[_File, typer.Option(help="Poses, from this plan or table.")] = None,
     count: Annotated[int, typer.Option(min=1, metavar="N", help="Random poses.")] = 30,
     validation: Annotated[int | None, typer.Option(min=0, help=_EXTRA)] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of all random numbers.")] = 0,

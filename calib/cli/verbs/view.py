@@ -52,7 +52,9 @@ def view(
     port: Annotated[
         int, typer.Option(min=0, max=65535, metavar="N", help="Port of 127.0.0.1; 0: any.")
     ] = 0,
-    no_browser: Annotated[bool, typer.Option(help="Do not open the browser.")] = False,
+    no_browser: Annotated[
+        bool, typer.Option("--no-browser", help="Do not open the browser.")
+    ] = False,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
