@@ -217,8 +217,8 @@ def write_table(table: Json, path: str | Path, *, overwrite: bool = False) -> Pa
 def read_result(path: str | Path) -> Calibration:
     """Read a calibration; `FileError` where it cannot be read, is no result, of another schema, or damaged."""
     expected = (
-        f"a result of calib {__version__} has {SCHEMA}. Make it again from the same files: calib calibrate ROBOT DATA "
-        f"--json {Path(path).name}"
+        f"a result of calib {__version__} has {SCHEMA}. Results are written by calib calibrate ROBOT DATA --json "
+        "result.json"
     )
     found = read_json(path, "calibration result", SCHEMA, expected)
     try:

@@ -259,5 +259,7 @@ def test_apply_and_kinematics_agree(ur3, name):
 
 @pytest.mark.parametrize("name", ["dhh", "dh+gains", "dh+gain+gain", "dh+", "dh+dh"])
 def test_a_set_or_family_that_does_not_exist_or_is_named_twice(ur3, name):
-    with pytest.raises(ModelError, match=r"Choose 'auto', or one of 'paper', 'dh', .* any of 'gain'"):
+    with pytest.raises(
+        ModelError, match=r"Choose 'auto', or one of 'paper', 'dh', .* any of 'gain'"
+    ):
         error_model(ur3, name)
