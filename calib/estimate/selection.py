@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 
 import numpy as np
 
@@ -224,10 +225,9 @@ def linear_cross_validation(fitted: Fitted, outliers: Mask | None = None) -> Cro
 
 def only_there(fitted: Fitted, mask: Mask) -> Mask:
     """The parameters of frames and targets that only some rows see, shape (p,)."""
-    samples, alone = fitted.estimate.problem.rows.samples, []
-    for labels, names in zip((samples.frame, samples.target), fitted.setup.places, strict=True):
-        seen = set(labels[~mask].tolist())
-        alone += [name for k, name in enumerate(names) if k not in seen]
+    seen = fitted.setup.seen_by(fitted.estimate.problem.rows.samples.select(~mask))
+    places = zip(fitted.setup.places, seen, strict=True)
+    alone = {name for names, there in places for name in compress(names, ~there)}
     return np.array([p.place in alone for p in fitted.kinematics.model.parameters], dtype=bool)
 
 
