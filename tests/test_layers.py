@@ -36,6 +36,7 @@ ORDER = (
     "fleets",
     "viewer",
     "cli",
+    "__main__",
 )
 
 #: What a person's own machine calls its folders.

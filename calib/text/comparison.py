@@ -10,8 +10,7 @@ import numpy as np
 from calib.errors import choices
 from calib.result.calibration import Calibration
 from calib.result.calibration_file import versions
-from calib.result.comparison import Comparison
-from calib.result.drift import LEVEL, own_names, unknown_frame
+from calib.result.comparison import LEVEL, Comparison, own_names, unknown_frame
 from calib.text.lines import deg, mm, wrap
 from calib.version import __version__
 
