@@ -34,7 +34,7 @@ class Why(Enum):
     TARGET_ELSEWHERE, WRONG_UNIT, OTHER_BASE, OWN_FRAME, JOINTS_TURNED = range(5)
     JOINT_ZERO, COLUMNS_SWAPPED, SIGN_TURNED, POINTS_MIRRORED = range(5, 9)
     # No arm has such errors
-    PARAMETER_ABSURD, NOISE_ABSURD, ORIENTATION_ABSURD = 10, 11, 12
+    PARAMETER_ABSURD, NOISE_ABSURD, ORIENTATION_ABSURD, SIZE_LOST = range(10, 14)
     # It is no better
     NOTHING_TO_GAIN, STILL_FAR_OFF, TOO_FEW, NO_BETTER, VALIDATION_NO_BETTER = range(20, 25)
     # Care is needed
@@ -130,8 +130,10 @@ def verdict(e: Evidence) -> Verdict:
     both: dict[str, Any] = {"before": before, "after": after, "method": e.calibrated.method}
     turned = bool(after.n_angle) and after.rms_angle > _ABSURD_ANGLE
     far = before.rms > _ABSURD and e.largest > _TOO_FAR
+    sizeless = any(doubt.why == Why.NO_LENGTH for doubt in e.doubts)
     wrong = [e.hint] if e.hint else []
     wrong += _those(
+        (sizeless and e.largest > _TOO_FAR, Reason.of(Why.SIZE_LOST, largest=e.largest)),
         (far, Reason.of(Why.PARAMETER_ABSURD, before=before, largest=e.largest)),
         (e.noise > _ABSURD, Reason.of(Why.NOISE_ABSURD, noise_m=e.noise)),
         (turned, Reason.of(Why.ORIENTATION_ABSURD, after=after)),

@@ -42,6 +42,7 @@ GOOD = Evidence(
 )
 LACKS = Reason.of(Why.MODEL_LACKS, model="dh", noise_m=1e-4, less_m=2e-5)
 STILL = Reason.of(Why.JOINTS_STILL, joints="elbow_joint")
+SIZELESS = Reason.of(Why.NO_LENGTH)
 HINT = Reason.of(Why.OTHER_BASE, given_m=0.5, error_m=2e-3, link="base")
 
 
@@ -93,6 +94,8 @@ def test_a_good_calibration_is_to_be_used_and_says_by_how_much():
             Why.TOO_FEW,
         ),
         ({"largest": 4.6}, "use with care", Why.PARAMETER_FAR),
+        ({"largest": 4.6, "doubts": (SIZELESS,)}, "do not use", Why.SIZE_LOST),
+        ({"doubts": (SIZELESS,)}, "use with care", Why.NO_LENGTH),
         ({"outliers": np.arange(ROWS) < 6}, "use with care", Why.MANY_OUTLIERS),
         ({"validation": (errors(51e-3), errors(50e-3), 0)}, "use with care", Why.VALIDATION_UNLIKE),
     ],
@@ -100,7 +103,7 @@ def test_a_good_calibration_is_to_be_used_and_says_by_how_much():
 def test_each_doubt_is_said_first(change, use, why):
     result = verdict(replace(GOOD, **change))
     assert (result.use, result.reasons[0].why) == (use, why)
-    absurd = {Why.NOISE_ABSURD, Why.OTHER_BASE, Why.PARAMETER_ABSURD}
+    absurd = {Why.NOISE_ABSURD, Why.OTHER_BASE, Why.PARAMETER_ABSURD, Why.SIZE_LOST}
     assert (len(result.reasons) == 1) == (why in absurd)
     # A gain is said even where there are doubts.
     assert Why.GAIN in codes(result) or use == "do not use"
