@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from calib.errors import ModelError, UrdfError, choices
 from calib.model.kinematics import Samples
-from calib.result import calibrate as calibration, comparison
+from calib.result.calibrate import calibrate as calibrate_values
 from calib.result.calibration import Calibration as CalibrationValues
-from calib.result.comparison import Comparison as ComparisonValues
+from calib.result.comparison import Comparison as ComparisonValues, compare as compare_values
 from calib.robot.readback import check_written, random_joint_values
 from calib.robot.urdf import Urdf
 
@@ -149,5 +149,5 @@ class Comparison(ComparisonValues):
         return write_table(self.table(), path, overwrite=overwrite)
 
 
-calibrate = _giving(Calibration, calibration.calibrate)
-compare = _giving(Comparison, comparison.compare)
+calibrate = _giving(Calibration, calibrate_values)
+compare = _giving(Comparison, compare_values)

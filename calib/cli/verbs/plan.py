@@ -59,7 +59,7 @@ def plan(
     quiet: Quiet = False,
 ) -> None:
     """See the text of `verb`."""
-    import calib.cli.setup as line
+    import calib.cli.setup as words
     from calib.cli.terminal import stages_bar
     from calib.compensation.inverse import start_values
     from calib.data.table import Table
@@ -73,11 +73,11 @@ def plan(
     from calib.units import ANGLE, LENGTH, parse_amount
 
     inputs: list[str | Path] = [robot, *filter(None, (setup.cell, region, taken))]
-    line.check_outputs([output, json, view], inputs, force=force)
+    words.check_outputs([output, json, view], inputs, force=force)
     gap = parse_amount(margin, "--margin", ANGLE, "5 deg")
     clear = parse_amount(clearance, "--clearance", LENGTH, "1 mm")
-    cell = line.read_cell(**asdict(setup))
-    cell = replace(cell, tracker=line.parse_tracker(tracker, cell.tracker))
+    cell = words.read_cell(**asdict(setup))
+    cell = replace(cell, tracker=words.parse_tracker(tracker, cell.tracker))
     names = None if taken is None else Table.read(taken).names({})
     arm = Robot.load(robot, cell.base, cell.tip, measured=names, held=cell.held)
     point = next(iter(cell.targets.values()), cell.target)
@@ -86,7 +86,7 @@ def plan(
     check = CollisionCheck(clear, floor, package_dirs=tuple(package_dir or ()))
     request = PlanRequest(count, validation, criterion, candidates, gap, seed=seed)
     if start:
-        request = replace(request, start=start_values(arm, line.parse_held(start, "--start"), 0.0))
+        request = replace(request, start=start_values(arm, words.parse_held(start, "--start"), 0.0))
     with stages_bar(quiet=quiet) as progress:
         made = make_plan(
             arm,

@@ -59,7 +59,7 @@ def view(
     quiet: Quiet = False,
 ) -> None:
     """See the text of `verb`."""
-    import calib.cli.setup as read
+    import calib.cli.setup as words
     from calib.result.calibration_file import read_result
     from calib.viewer.page import serve, view_page
     from calib.viewer.view import view_of_result, view_of_robots
@@ -69,24 +69,24 @@ def view(
     if data is None and any((*asdict(table).values(), setup.kind, setup.frame)):
         raise CalibError("--points, --columns, --kind, --frame: name the table with --data.")
     files = (other, data, setup.cell, calibration, table.points)
-    read.check_outputs([output], [robot, *(path for path in files if path)], force=force)
-    cell = read.read_cell(**asdict(setup))
+    words.check_outputs([output], [robot, *(path for path in files if path)], force=force)
+    cell = words.read_cell(**asdict(setup))
     if calibration is not None:
         result = read_result(calibration)
-        read.check_chain(cell, result, str(calibration))
+        words.check_chain(cell, result, str(calibration))
         own = result.nominal
         cell = replace(cell, base=own.base, tip=own.tip, held={**own.held, **cell.held})
-    arm, rows = read.load(robot, cell), None
+    arm, rows = words.load(robot, cell), None
     if data is not None:
-        arm, rows = read.load_with_data(robot, cell, data, **asdict(table))
+        arm, rows = words.load_with_data(robot, cell, data, **asdict(table))
     if calibration is not None:
         known = [name for name in ("frame", "target") if getattr(setup, name) is None]
         shown = view_of_result(result, arm, rows, cell, known=known, source=calibration.name)
     else:
-        second = read.load(other, replace(cell, base=arm.base, tip=arm.tip)) if other else None
+        second = words.load(other, replace(cell, base=arm.base, tip=arm.tip)) if other else None
         given = cell.target is not None or cell.targets
         both = (arm, second or arm)
-        cells = [cell if given else read.with_target_link(one, cell) for one in both]
+        cells = [cell if given else words.with_target_link(one, cell) for one in both]
         shown = view_of_robots(arm, second, rows, cells=cells)
     say: Callable[[str], None] = (lambda _: None) if quiet else partial(print, flush=True)
     if output is None:
