@@ -237,7 +237,6 @@ class Forecast:
     rms_low: float  #: The rms of 90 % of calibrations lies between this one
     rms_high: float  #: and this one [m].
     max: float  #: Largest standard deviation of a predicted position over the workspace [m].
-    quantile_95: float  #: What 95 % of the positions do not exceed [m].
     sigma: float  #: Noise of one measured coordinate, rms over the poses [m].
     rank: int  #: How many parameters the poses tell apart.
     columns: int  #: How many there are.
@@ -254,7 +253,10 @@ class Forecast:
         moves = workspace.located @ root
         variance = np.sum(moves.reshape(-1, 3 * len(root)) ** 2, axis=1)
         relative = np.sum((workspace.measured @ root) ** 2, axis=(1, 2))
-        low, high = _rms_range(moves)
+        # The squared rms is x^T B x with x ~ N(0, 1) of the independent errors.
+        squares = information(moves) / len(variance)
+        draws = _chi_squares(len(squares)) @ np.maximum(np.linalg.eigvalsh(squares), 0.0)
+        low, high = np.sqrt(np.quantile(draws, [0.5 - 0.5 * _RANGE, 0.5 + 0.5 * _RANGE]))
         sigma = sensitivity.noise(q)
         seen = sensitivity.analysed(q, measured)
         return cls(
@@ -264,10 +266,9 @@ class Forecast:
             identifiable=seen.identifiable,
             poses=len(q),
             rms=float(np.sqrt(np.mean(variance))),
-            rms_low=low,
-            rms_high=high,
+            rms_low=float(low),
+            rms_high=float(high),
             max=float(np.sqrt(np.max(variance))),
-            quantile_95=float(np.sqrt(np.quantile(variance, 0.95))),
             sigma=float(np.sqrt(np.mean(sigma**2))),
             rank=seen.rank,
             columns=len(sensitivity.names),
@@ -328,17 +329,6 @@ def information(A: Array) -> Array:
     """Sum of A_i^T A_i, shape (p, p), of A of shape (n, d, p)."""
     flat = A.reshape(-1, A.shape[2])
     return np.asarray(flat.T @ flat)
-
-
-def _rms_range(moves: Array) -> tuple[float, float]:
-    """Between which the rms of 90 % of calibrations lies, quantiles of x^T B x with x ~ N(0, C), [m].
-
-    ``moves``, shape (n, 3 k, p), is the derivative of the k targets' positions by independent errors of size 1.
-    """
-    squares = information(moves) / (len(moves) * (moves.shape[1] // 3))
-    draws = _chi_squares(len(squares)) @ np.maximum(np.linalg.eigvalsh(squares), 0.0)
-    low, high = np.sqrt(np.quantile(draws, [0.5 - 0.5 * _RANGE, 0.5 + 0.5 * _RANGE]))
-    return float(low), float(high)
 
 
 @lru_cache(maxsize=4)

@@ -379,7 +379,7 @@ def plan_table(plan: Plan) -> dict[str, Any]:
 def forecast_table(f: Forecast) -> dict[str, Any]:
     """A forecast as nested tables in SI units."""
     counted = ("poses", "rank", "workspace_rank", "columns")
-    lengths = ("rms", "rms_low", "rms_high", "quantile_95", "max", "sigma")
+    lengths = ("rms", "rms_low", "rms_high", "max", "sigma")
     return {
         **{name: getattr(f, name) for name in counted},
         **{f"{name}_m": getattr(f, name) for name in lengths},

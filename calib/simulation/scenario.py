@@ -184,10 +184,6 @@ class VirtualCell:
 
         The poses are dealt out among the set-ups in turn; with several visits the whole tour is made again. ``sets``
         has for each pose ``"estimate"`` or ``"validate"``; default all to estimate from.
-
-        Raises:
-            ModelError: q has another number of columns, or a number that is not finite.
-            CalibError: What does not fit the poses: a row, a number of outliers, an odd pose of pairs.
         """
         scenario, truth, robot = self.scenario, self.truth, self.truth.nominal
         kind, noise = scenario.kind, scenario.noise

@@ -62,11 +62,7 @@ STREAMS = (
 
 
 def stream(seed: int, purpose: str) -> np.random.Generator:
-    """The random numbers of one of `STREAMS`.
-
-    Raises:
-        CalibError: The seed is negative.
-    """
+    """The random numbers of one of `STREAMS`."""
     if seed < 0:
         raise CalibError(f"The seed is {seed}; it must be a whole number, 0 or more.")
     sequence = np.random.SeedSequence(int(seed), spawn_key=(STREAMS.index(purpose),))
@@ -160,9 +156,6 @@ def draw_truth(
         true_robot: The true geometry; then only errors of the joints' state are drawn.
         target_error: Standard deviation of a target's place about where it is said to be [m]; none if the cell says
             that the targets are known.
-
-    Raises:
-        ModelError: No such model or error, or a true robot with other joints.
     """
     cell, given = cell or Cell(), dict(errors or {})
     if true_robot is not None:
@@ -370,11 +363,7 @@ class MovedTarget:
         object.__setattr__(self, "by", read_only(self.by))
 
     def rows(self, targets: Sequence[str]) -> NDArray[np.bool_]:
-        """Which rows, given by their targets' names, find the target moved.
-
-        Raises:
-            CalibError: The table has no such row, or no such target.
-        """
+        """Which rows, given by their targets' names, find the target moved."""
         if not 1 <= self.row <= len(targets) or self.target not in (None, *targets):
             raise CalibError(
                 f"The target '{self.target or 'of all'}' is to move before row {self.row}; there are the rows 1 to "
