@@ -1,6 +1,6 @@
 """Files in and out: read with a message that says what is wrong, written whole or not at all.
 
-JSON files of calib's own say by their ``schema`` what they are. A `Layout` makes them of dataclasses and back: an
+JSON files of calib's own say by their ``schema`` what they are. A `JsonLayout` makes them of dataclasses and back: an
 attribute's type says how it is written, its key is its name unless the table of keys has another path. Dots separate
 nested tables; an empty path, or one that ends in a dot, puts the attribute's own keys beside the others.
 """
@@ -201,7 +201,7 @@ class Key:
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class JsonLayout:
     """Writes and reads dataclasses by the keys of their attributes; None: an attribute that is not in the file.
 
     ``types`` has what writes and reads values of a type in another way; None for one of both: as usual.

@@ -29,7 +29,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from calib.data.measurements import Measurements
-from calib.files import Layout
+from calib.files import JsonLayout
 from calib.model.kinematics import FRAME, TARGET
 from calib.result.calibration import Calibration
 from calib.text.fleet import data_text, few_text, figure_text
@@ -143,7 +143,7 @@ _UNITS = {
 }
 
 #: How a row stands in a file, with the units in the keys.
-ROWS = Layout({FleetRow: {name: f"{name}_{unit}" for name, unit in _UNITS.items()}}, {})
+ROWS = JsonLayout({FleetRow: {name: f"{name}_{unit}" for name, unit in _UNITS.items()}}, {})
 
 
 def csv_bytes(rows: Sequence[FleetRow], odd: Sequence[tuple[str, str]]) -> bytes:

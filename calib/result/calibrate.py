@@ -41,7 +41,7 @@ from calib.result.prediction import (
     parameter_estimates,
     tells_place,
 )
-from calib.result.support import better_setup, compare, outside
+from calib.result.support import better_setup, compare_weights, outside
 from calib.result.verdict import NO, Reason, Verdict, verdict
 from calib.robot.kernel import one_blas_thread
 from calib.robot.readback import spread_poses
@@ -276,7 +276,7 @@ def _assembled(m: Measurements, fits: Fits) -> Calibration:
         flag_limit=limit,
         outliers=named(mask, limit),
         suspects=named(~mask, float(suspect)),
-        robustness=compare(fitted) if lowered else None,
+        robustness=compare_weights(fitted) if lowered else None,
         repeats=_repeats(fitted),
         outside=outside(joints[mask], joints[~mask], robot.joint_names, types),
         expected_measured=expected(problem.rows.samples),

@@ -19,7 +19,16 @@ import pinocchio as pin
 from calib.errors import CalibError, FileError
 from calib.estimate.selection import Candidate
 from calib.estimate.statistics import CrossValidation, Errors, Repeats
-from calib.files import Json, Key, Layout, damage, json_bytes, nested, read_json, write_atomically
+from calib.files import (
+    Json,
+    JsonLayout,
+    Key,
+    damage,
+    json_bytes,
+    nested,
+    read_json,
+    write_atomically,
+)
 from calib.model.families import FAMILIES, Factor
 from calib.model.kinematics import ErrorModel, Kinematics, Parameter
 from calib.model.observability import Observability
@@ -76,8 +85,8 @@ _SIZES = Key(
         if (key := f"{name}_{row.unit.key}") in found
     },
 )
-#: Where attributes stand in the file, by class; see `Layout`.
-_LAYOUT: Layout = Layout(
+#: Where attributes stand in the file, by class; see `JsonLayout`.
+_LAYOUT: JsonLayout = JsonLayout(
     {
         Errors: {
             **{name: f"{name}_m" for name in ("max", "mean", "rms")},

@@ -118,7 +118,7 @@ class Robustness:
     errors_full: Errors  # The same with every row in full
 
 
-def compare(fitted: Fitted) -> Robustness:
+def compare_weights(fitted: Fitted) -> Robustness:
     """Fit once more with robust weights where there were none, or without where there were, and compare."""
     estimate, rows = fitted.estimate, fitted.estimate.problem.rows
     other = fit(replace(fitted.task, robust=not fitted.task.robust), rows, started=fitted.setup)
