@@ -174,6 +174,8 @@ def load_with_data(
         raise CalibError(
             "--points-unit is the unit of a list of points; name the list with --points."
         )
+    if Path(robot).suffix.lower() in (".csv", ".txt", ".tsv"):
+        raise CalibError(f"'{robot}' stands where the robot belongs: ROBOT comes first, then DATA.")
     renamed = parse_columns(columns or [])
     read = Table.read(data)
     arm = Robot.load(robot, cell.base, cell.tip, measured=read.names(renamed), held=cell.held)

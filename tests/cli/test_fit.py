@@ -273,6 +273,7 @@ def test_force_overwrites(call, shop):
         (("robot.urdf", "data.csv", "--freeze", "d9"), "No model has the parameters 'd9'; 'calib"),
         (("robot.urdf", "data.csv", "--seed", "3"), "--seed is for the samples of --bootstrap;"),
         (("robot.urdf", "data.csv", "--columns", "J1"), "--columns was given 'J1'; it must be"),
+        (("data.csv", "robot.urdf"), "ROBOT comes first, then DATA."),
         (("panda", "data.csv"), "data.csv: no column for the joints 'panda_joint1'"),
     ],
 )
