@@ -43,14 +43,14 @@ def read_bytes(path: str | os.PathLike[str], what: str) -> bytes:
             _PIPED[pipe] = Path(name).read_bytes()
         return _PIPED[pipe]
     except FileNotFoundError as error:
-        message = f"{what} '{path}' does not exist; check the name and the folder"
+        message = f"{what} '{path}' does not exist; check the name and the folder."
         if ":=" in str(path):
-            message += ". Arguments of a xacro stand behind its name, with it in one pair of quotes"
+            message += " Arguments of a xacro stand behind its name, with it in one pair of quotes."
         raise FileError(message) from error
     except IsADirectoryError as error:
-        raise FileError(f"{what} '{path}' is a folder; name the file inside it") from error
+        raise FileError(f"{what} '{path}' is a folder; name the file inside it.") from error
     except (OSError, ValueError) as error:
-        raise FileError(f"{what} '{path}' cannot be read: {_reason(error)}") from error
+        raise FileError(f"{what} '{path}' cannot be read: {_reason(error)}.") from error
 
 
 def write_atomically(path: str | os.PathLike[str], data: bytes, *, overwrite: bool) -> Path:
@@ -69,7 +69,7 @@ def write_atomically(path: str | os.PathLike[str], data: bytes, *, overwrite: bo
         temporary.replace(target)
     except OSError as error:
         raise FileError(
-            f"'{path}' cannot be written: {_reason(error)}; choose another folder"
+            f"'{path}' cannot be written: {_reason(error)}; choose another folder."
         ) from error
     finally:
         with contextlib.suppress(OSError):
@@ -83,20 +83,20 @@ def check_writable(path: str | os.PathLike[str], *, overwrite: bool = True) -> N
         target = Path(path).resolve()
         is_there, is_file = target.exists(), target.is_file()
     except (OSError, ValueError, RuntimeError) as error:  # too long, no name, links in a circle
-        message = f"'{path}' cannot be written: {_reason(error)}; choose another name"
+        message = f"'{path}' cannot be written: {_reason(error)}; choose another name."
         raise FileError(message) from error
     folder = target.parent
     if is_there and not is_file:
         fault = f"is a {'folder; name a file inside it' if target.is_dir() else 'device'}"
     elif is_there and not overwrite:
-        fault = "exists already; add --force (overwrite=True) or choose another name"
+        fault = "exists already; overwrite it (--force, in Python overwrite=True) or choose another name"
     elif not folder.is_dir():
         fault = f"cannot be written: the folder '{folder}' does not exist; create it"
     elif not os.access(folder, os.W_OK):
         fault = "cannot be written: the folder takes no files; choose another folder"
     else:
         return
-    raise FileError(f"'{path}' {fault}")
+    raise FileError(f"'{path}' {fault}.")
 
 
 def check_no_xacro(path: str | os.PathLike[str]) -> None:

@@ -48,7 +48,7 @@ def test_an_existing_file_stays_unless_asked_and_keeps_its_permissions(tmp_path:
     path = tmp_path / "a.urdf"
     path.write_bytes(b"old")
     path.chmod(0o604)
-    with pytest.raises(FileError, match=r"a\.urdf' exists already; add --force"):
+    with pytest.raises(FileError, match=r"a\.urdf' exists already; overwrite it"):
         write_atomically(path, b"new", overwrite=False)
     assert path.read_bytes() == b"old"
     assert write_atomically(str(path), b"new", overwrite=True) == path
