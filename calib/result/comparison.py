@@ -25,7 +25,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,14 +48,10 @@ Outcome = Literal["drift", "no drift shown", "cannot tell"]
 #: Why nothing can be told; empty otherwise.
 Why = Literal["", "same data", "bad verdict", "nothing known", "other errors"]
 
-#: Joint values over which displacements are averaged; origins and held values that differ by less are the same.
-_POSES, _SAME = 200, 1e-9
+#: Joint values over which displacements are averaged; origins and held values that differ by less are the same; what a
+#: model lacks shows in its residuals: a displacement this many times as large has another cause.
+_POSES, _SAME, _FAR = 200, 1e-9, 3.0
 
-#: What a model lacks shows in its residuals: a displacement this many times as large has another cause.
-_FAR = 3.0
-
-Pair = tuple[Array, Array]
-Names = tuple[str, ...]
 Where = Literal["measured ranges", "joint limits"]
 
 #: A difference is called a drift below this probability: one comparison in a hundred of an unchanged robot says so.
@@ -135,9 +131,6 @@ class Displacement:
         return float(np.sqrt(max(self.rms**2 - self.noise**2, 0.0)))
 
 
-Moves = tuple[Displacement, Displacement]
-
-
 @dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
 class Comparison:
     """The result of `compare`."""
@@ -150,12 +143,12 @@ class Comparison:
     robot: Robot  #: The robot whose meshes are shown
     test: DriftTest  #: The test of the difference
     #: Displacement of the target: over the joint values that both data cover, then over the limits
-    moves: Moves
+    moves: tuple[Displacement, Displacement]
     #: Parameters that frame and target make up for, so that their drift cannot be told
-    untold: Names
+    untold: tuple[str, ...]
     #: Parameters of the first that move the target in ways that the second's cannot
-    only_a: Names
-    only_b: Names  #: The same of the second
+    only_a: tuple[str, ...]
+    only_b: tuple[str, ...]  #: The same of the second
 
     def __repr__(self) -> str:
         """In one line."""
@@ -207,35 +200,22 @@ def compare(
         shown = Robot.load(robot, own.base, own.tip, held=own.held)
     origins = first.nominal.origins(), second.nominal.origins()
     same = all(np.abs(T - origins[1][name]).max() < _SAME for name, T in origins[0].items())
-    test, moves, untold, only = drift_between(
-        first,
-        second,
-        spread_between(_covered(first.ranges, second.ranges), _POSES),
-        spread_poses(first.nominal, _POSES),
-        same_start=same,
-    )
+    found = _differences(first, second, same_start=same)
+    residual = max(one.errors["calibrated"]["estimation"].rms for one in both)
+    unlike = any((*found["only_a"], *found["only_b"])) and found["test"].drifted
     why: Why = ""
     if first is second or (first.source.sha256 and first.source.sha256 == second.source.sha256):
         why = "same data"
     elif any(one.verdict is not None and one.verdict.use == NO for one in both):
         why = "bad verdict"
-    elif test.combinations == 0:
+    elif found["test"].combinations == 0:
         why = "nothing known"
-    elif any(only) and test.drifted:
-        residual = max(one.errors["calibrated"]["estimation"].rms for one in both)
-        why = "" if moves[0].moved > _FAR * residual else "other errors"
+    elif unlike and not found["moves"][0].moved > _FAR * residual:
+        why = "other errors"
+    outcome: Outcome = "drift" if found["test"].drifted else "no drift shown"
+    outcome = "cannot tell" if why else outcome
     return Comparison(
-        a=first,
-        b=second,
-        names=names,
-        outcome="cannot tell" if why else "drift" if test.drifted else "no drift shown",
-        why=why,
-        robot=shown,
-        test=test,
-        moves=moves,
-        untold=untold,
-        only_a=only[0],
-        only_b=only[1],
+        a=first, b=second, names=names, outcome=outcome, why=why, robot=shown, **found
     )
 
 
@@ -245,8 +225,7 @@ def _covered(a: Array, b: Array) -> Array:
     apart = ~(low < high)
     low = np.where(apart, np.fmin(a[:, 0], b[:, 0]), low)
     high = np.where(apart, np.fmax(a[:, 1], b[:, 1]), high)
-    found = np.stack([low, high], axis=1)
-    return np.where(np.isfinite(found), found, 0.0)
+    return np.nan_to_num(np.stack([low, high], axis=1), posinf=0.0, neginf=0.0)
 
 
 def own_names(c: Calibration) -> tuple[str, ...]:
@@ -322,7 +301,7 @@ def joint_covariance(a: Estimate, b: Estimate, *, alike: bool) -> Array:
 
 def drift_test(
     difference: Array,
-    effects: Pair,
+    effects: tuple[Array, Array],
     estimates: tuple[Estimate, Estimate],
     joint: Array,
     floor: float,
@@ -406,29 +385,6 @@ class _Predictions:
         return np.asarray(self.difference + b @ estimates[1].shift - a @ estimates[0].shift)
 
 
-def _displacement(
-    where: Where, moved: Array, slope: Array, joint: Array, *, turns: bool
-) -> Displacement:
-    """Size and noise of displacements (N D,), of slope (N D, p_a + p_b), compensated for frame and target."""
-    size = 6 if turns else 3
-    difference = moved.reshape(-1, size)
-    J = slope.reshape(-1, size, slope.shape[1])[:, :3]
-    points, angles = difference[:, :3], difference[:, 3:] / _LEVER
-    square, count = np.sum(points**2, axis=1), len(points)
-    rms = float(np.sqrt(np.mean(square)))
-    noise = float(np.einsum("ndp,pq,ndq->", J, joint, J)) / count
-    own = np.einsum("nd,ndp->p", points, J)
-    std = float(np.sqrt(max(own @ joint @ own, 0.0)))
-    return Displacement(
-        where=where,
-        rms=rms,
-        max=float(np.sqrt(square.max())),
-        noise=float(np.sqrt(max(noise, 0.0))),
-        std=std / (count * rms) if rms > 0.0 else 0.0,
-        rms_angle=float(np.sqrt(np.mean(np.sum(angles**2, axis=1)))) if turns else np.nan,
-    )
-
-
 def _beyond(own: Array, other: Array, names: tuple[str, ...]) -> tuple[str, ...]:
     """The parameters whose effects (r, p), in steps, are not in the span of the other result's."""
     U, values, _ = np.linalg.svd(other, full_matrices=False)
@@ -438,14 +394,8 @@ def _beyond(own: Array, other: Array, names: tuple[str, ...]) -> tuple[str, ...]
     return tuple(n for n, b, s in zip(names, beyond, least, strict=True) if b > s > 0.0)
 
 
-def drift_between(
-    first: Calibration, second: Calibration, covered: Array, limits: Array, *, same_start: bool
-) -> tuple[DriftTest, Moves, Names, tuple[Names, Names]]:
-    """Compare two results at joint values that both data cover, and over the limits, shapes (N, m), [rad] or [m].
-
-    ``same_start`` says whether both count from the same nominal robot. The last three of the results are ``untold``,
-    ``only_a`` and ``only_b`` of a `Comparison`.
-    """
+def _differences(first: Calibration, second: Calibration, *, same_start: bool) -> dict[str, Any]:
+    """What a `Comparison` has from its test on; ``same_start``: both count from the same nominal robot."""
     both, own = (first, second), [own_names(one) for one in (first, second)]
     # Whether both have the same parameters under priors with the same mean.
     alike = same_start and own[0] == own[1] and dict(first.ties) == dict(second.ties)
@@ -453,7 +403,7 @@ def drift_between(
     estimates = _estimate(first, second), _estimate(second, first)
     joint = joint_covariance(*estimates, alike=alike)
 
-    here = _Predictions(*both, covered)
+    here = _Predictions(*both, spread_between(_covered(first.ranges, second.ranges), _POSES))
     solve = np.linalg.pinv(here.gauge, rcond=1e-9)  # takes displacements to the motion
     left = [effect - here.gauge @ (solve @ effect) for effect in here.effects]
     sizes = [np.linalg.norm(effect, axis=0) for effect in here.effects]
@@ -468,18 +418,36 @@ def drift_between(
     )
     motion = solve @ here.moved(estimates)
     difference = basis.T @ (here.moved(estimates) - here.gauge @ motion)
-    test = drift_test(difference, effects, estimates, joint, _ROUNDING * np.sqrt(len(covered)))
 
     def displacement(where: Where, at: _Predictions) -> Displacement:
-        slope = at.signed - at.gauge @ (solve @ here.signed)
-        moved = at.moved(estimates) - at.gauge @ motion
-        return _displacement(where, moved, slope, joint, turns=at.turns)
+        """Compensated for frame and target."""
+        size = 6 if at.turns else 3
+        moved = (at.moved(estimates) - at.gauge @ motion).reshape(-1, size)
+        J = at.signed - at.gauge @ (solve @ here.signed)
+        J = J.reshape(-1, size, J.shape[1])[:, :3]
+        points, angles, count = moved[:, :3], moved[:, 3:] / _LEVER, len(moved)
+        own = np.einsum("nd,ndp->p", points, J)
+        noise = float(np.einsum("ndp,pq,ndq->", J, joint, J)) / count
+        std = float(np.sqrt(max(own @ joint @ own, 0.0)))
+        square = np.sum(points**2, axis=1)
+        rms = float(np.sqrt(np.mean(square)))
+        return Displacement(
+            where=where,
+            rms=rms,
+            max=float(np.sqrt(square.max())),
+            noise=float(np.sqrt(max(noise, 0.0))),
+            std=std / (count * rms) if rms > 0.0 else 0.0,
+            rms_angle=float(np.sqrt(np.mean(np.sum(angles**2, axis=1)))) if at.turns else np.nan,
+        )
 
-    moves = (
-        displacement("measured ranges", here),
-        displacement("joint limits", _Predictions(*both, limits)),
-    )
+    there = _Predictions(*both, spread_poses(first.nominal, _POSES))
     A, B = (effect * _own_steps(one) for effect, one in zip(effects, both, strict=True))
     untold = [n for names, known in zip(own, told, strict=True) for n in np.array(names)[~known]]
-    only = _beyond(A, B, own[0]), _beyond(B, A, own[1])
-    return test, moves, tuple(dict.fromkeys(map(str, untold))), only
+    rounding = _ROUNDING * np.sqrt(_POSES)
+    return {
+        "test": drift_test(difference, effects, estimates, joint, rounding),
+        "moves": (displacement("measured ranges", here), displacement("joint limits", there)),
+        "untold": tuple(dict.fromkeys(map(str, untold))),
+        "only_a": _beyond(A, B, own[0]),
+        "only_b": _beyond(B, A, own[1]),
+    }
