@@ -22,6 +22,7 @@ from scipy.special import betaincinv
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.errors import CalibError, MeasurementError, choices
+from calib.estimate.setup import rows_of
 from calib.result.calibration import Calibration
 from calib.result.evaluation import (
     Accuracy,
@@ -30,12 +31,11 @@ from calib.result.evaluation import (
     PoseAccuracy,
     accuracy,
     evaluate,
-    evaluate_larger,
     fitted_rows,
-    hint,
     moved,
+    registering,
 )
-from calib.result.support import OutsideRow
+from calib.result.support import OutsideRow, better_setup
 from calib.result.verdict import Reason
 from calib.robot.robot import Robot
 from calib.units import Mask, split_header
@@ -65,12 +65,7 @@ class Check:
 
     @property
     def outcome(self) -> Outcome:
-        """One of `OUTCOMES`.
-
-        Example:
-            >>> Check(0.4e-3, 0.5e-3, 0.2e-3, 1.0, seen=False).outcome
-            'undecided'
-        """
+        """One of `OUTCOMES`."""
         if self.figure - self.uncertainty > self.tolerance:
             return "fail"
         return "pass" if self.held <= self.tolerance and not self.seen else "undecided"
@@ -102,11 +97,6 @@ class Acceptance:
     def outcome(self) -> Outcome:
         """``"pass"``, ``"undecided"`` or ``"fail"``: the worst of the checks."""
         return max((check.outcome for check, _ in self.checks), key=OUTCOMES.index)
-
-    @property
-    def passed(self) -> bool:
-        """Whether the tolerance was shown to be kept."""
-        return self.outcome == "pass"
 
     @property
     def share(self) -> float:
@@ -159,14 +149,6 @@ def acceptance(
     Raises:
         CalibError: No tolerance, one that is not positive, an uncertainty below 0, or no such criterion.
         MeasurementError: No row measures anything, or no orientation where these have a tolerance.
-
-    Example:
-        >>> from calib import Cell, Measurements, Robot, evaluate
-        >>> from calib.example import paper_measurements, paper_urdf
-        >>> robot = Robot.load(paper_urdf(), base="base", tip="tool0")
-        >>> table = Measurements.read(paper_measurements(), robot.joint_names)
-        >>> acceptance(evaluate(robot, table, Cell(target=[-0.07, 0.07, 0.0225])), 0.5e-3).outcome
-        'fail'
     """
     given = ((tolerance, uncertainty, "m"), (tolerance_angle, uncertainty_angle, "rad"))
     if tolerance is None and tolerance_angle is None:
@@ -238,22 +220,25 @@ def assess(
         CalibError: There is no such robot to be judged, or what `evaluate` and `acceptance` raise.
         MeasurementError: The table holds commands, and nothing was measured.
     """
-    _check_measured(robot if c is None else c.uncorrected(robot), table)
+    nominal = robot if c is None else c.uncorrected(robot)
+    _check_measured(nominal, table)
     seen = np.zeros(len(table), dtype=bool)
+    hint: Reason | None = None
     if c is None:
         found = {"urdf": evaluate(robot, table, cell)}
+        every, setup = rows_of(robot, table, cell)
+        hint = better_setup(robot, cell, setup, every.select(registering(table)))
     else:
         states = {
-            "nominal": (c.uncorrected(robot), c.nominal_setup),
-            "urdf": (robot, c.setup),
-            "calibration": (c.corrected(robot), c.setup),
+            "nominal": (nominal, c.nominal_setup, None),
+            "urdf": (robot, c.setup, None),
+            "calibration": (c.corrected(robot), c.setup, None),
+            **({} if c.larger is None else {"larger": (nominal, None, c.larger)}),
         }
         found = {
-            who: evaluate(one, table, cell, known=known, which=which)
-            for who, (one, known) in states.items()
+            who: evaluate(one, table, cell, known=known, which=which, larger=larger)
+            for who, (one, known, larger) in states.items()
         }
-        larger = evaluate_larger(c, robot, table, cell, which)
-        found |= {} if larger is None else {"larger": larger}
         seen = fitted_rows(c, robot, table, cell)
     judged = judge or ("urdf" if c is None else "calibration")
     if judged not in found:
@@ -276,7 +261,7 @@ def assess(
         moved=moved(found["calibration"].robot, table, cell, c.setup)
         if c is not None and set(which) == {"frame", "target"}
         else None,
-        hint=hint(found["urdf"], cell) if c is None else None,
+        hint=hint,
     )
 
 

@@ -32,8 +32,6 @@ from calib.model.error_model import DIRECTIONS
 from calib.model.kinematics import Samples
 from calib.result.calibration import Calibration
 from calib.result.prediction import Larger
-from calib.result.support import better_setup
-from calib.result.verdict import Reason
 from calib.robot.kernel import one_blas_thread
 from calib.robot.robot import Robot, read_only
 from calib.units import Array, Mask
@@ -86,6 +84,7 @@ def evaluate(
     *,
     known: Setup | None = None,
     which: tuple[str, ...] = PLACES,
+    larger: Larger | None = None,
 ) -> Evaluation:
     """Compare a robot with measurements.
 
@@ -99,42 +98,18 @@ def evaluate(
         known: Frames and targets of an earlier result, which win over the cell's: `Calibration.setup`, or its
             ``nominal_setup`` for the nominal robot.
         which: Whether its ``"frame"``, its ``"target"`` or both are meant.
+        larger: The larger model of a result, to predict with on the nominal robot. Its frames and targets are the
+            known ones, and a payload of the cell wins over its own.
 
     Raises:
         MeasurementError: Too few rows to register what was not given, or a joint's column is missing.
         ModelError: The table has a set-up that neither the earlier result nor the cell knows.
     """
-    return _evaluated(robot, measurements, cell or Cell(), known, which)
-
-
-def evaluate_larger(
-    c: Calibration,
-    robot: Robot,
-    measurements: Measurements,
-    cell: Cell,
-    which: tuple[str, ...] = PLACES,
-) -> Evaluation | None:
-    """Compare the larger model of a result with measurements, see `evaluate`; None where it has none.
-
-    The cell's payload wins over the result's.
-    """
-    if c.larger is None:
-        return None
-    nominal = c.uncorrected(robot)
-    cell = replace(cell, payload=cell.payload or c.larger.payload, gravity=c.larger.gravity)
-    larger = replace(c.larger, kinematics=replace(c.larger.kinematics, robot=nominal))
-    return _evaluated(nominal, measurements, cell, larger.setup, which, larger)
-
-
-def _evaluated(
-    robot: Robot,
-    measurements: Measurements,
-    cell: Cell,
-    known: Setup | None,
-    which: tuple[str, ...],
-    larger: Larger | None = None,
-) -> Evaluation:
-    """The errors of a robot, or of a larger model."""
+    cell = cell or Cell()
+    if larger is not None:
+        cell = replace(cell, payload=cell.payload or larger.payload, gravity=larger.gravity)
+        larger = replace(larger, kinematics=replace(larger.kinematics, robot=robot))
+        known = larger.setup
     every, setup = rows_of(robot, measurements, cell)
     setup = setup if known is None else _at_known(setup, known, which)
     q = every.joints
@@ -194,13 +169,6 @@ def _at_known(setup: Setup, known: Setup, which: tuple[str, ...]) -> Setup:
         frame_given=setup.frame_given | framed,
         target_given=np.where(aimed, fixed, setup.target_given),
     )
-
-
-def hint(evaluation: Evaluation, cell: Cell) -> Reason | None:
-    """A set-up that explains the rows far better than the evaluation's cell."""
-    every, setup = rows_of(evaluation.robot, evaluation.measurements, cell)
-    rows = every.select(registering(evaluation.measurements))
-    return better_setup(evaluation.robot, cell, setup, rows)
 
 
 class Moved(NamedTuple):
@@ -263,8 +231,12 @@ class PoseAccuracy:
     ap_angle: float  #: Angle between the commanded and the mean attained orientation [rad]
     ap_abc: Array  #: shape (3,), its components about the base's axes [rad]
     rp_abc: Array  #: shape (3,), repeatability about them [rad]; NaN below three repeats
-    rp_angle: float  #: The largest of these [rad]
     single_angle: float  #: Largest angle of a single repeat [rad]
+
+    @property
+    def rp_angle(self) -> float:
+        """The largest of the repeatabilities about axes [rad]."""
+        return float(np.max(self.rp_abc))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -395,7 +367,6 @@ def _of_pose(evaluation: Evaluation, residual: Array, own: NDArray[np.intp]) -> 
         ap_angle=float(np.linalg.norm(turn)),
         ap_abc=read_only(turn),
         rp_abc=read_only(rp_abc),
-        rp_angle=float(np.max(rp_abc)),
         single_angle=float(np.linalg.norm(w, axis=1).max()) if turned else np.nan,
     )
 

@@ -280,10 +280,7 @@ def accuracy_table(one: Accuracy) -> dict[str, Any]:
         "repeats_min": low,
         "repeats_max": high,
         **figures,
-        "poses": [
-            {units.get(name, name): v for name, v in asdict(p).items() if name != "rp_angle"}
-            for p in one.poses
-        ],
+        "poses": [{units.get(n, n): v for n, v in asdict(p).items()} for p in one.poses],
     }
 
 

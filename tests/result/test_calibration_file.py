@@ -23,7 +23,7 @@ from calib.result.calibration_file import (
     write_result,
     write_table,
 )
-from calib.result.evaluation import evaluate, evaluate_larger
+from calib.result.evaluation import evaluate
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import Payload, Robot
 from calib.text.evaluation import assessment_table
@@ -247,9 +247,10 @@ def test_a_result_read_back_meets_every_row_as_the_fit_did(case: Any, tmp_path: 
         assert again.registered == ()
         np.testing.assert_array_equal(again.used, c.used)
         np.testing.assert_allclose(again.residual, c.residual_calibrated, rtol=0, atol=1e-9)
-        larger = evaluate_larger(stored, robot, c.measurements, bare)
-        assert (larger is None) == (c.larger is None)
-        if larger is not None:
+        assert (stored.larger is None) == (c.larger is None)
+        if stored.larger is not None:
+            nominal = stored.uncorrected(robot)
+            larger = evaluate(nominal, c.measurements, bare, larger=stored.larger)
             assert larger.registered == ()
             np.testing.assert_allclose(larger.residual, c.larger.residual, rtol=0, atol=1e-9)
         q = random_joint_values(robot, 20, 3)

@@ -11,7 +11,8 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.errors import ModelError
 from calib.estimate.setup import Setup
-from calib.result.evaluation import evaluate, hint, moved
+from calib.result.acceptance import assess
+from calib.result.evaluation import evaluate, moved
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import Robot
 
@@ -81,7 +82,7 @@ def test_a_new_socket_is_found(calibrated):
 
 def test_the_usual_mistakes_are_looked_for_in_points_only(calibrated):
     _, c = calibrated("planes")
-    assert hint(evaluate(c.nominal, c.measurements), Cell()) is None
+    assert assess(c.nominal, c.measurements, Cell()).hint is None
 
 
 TARGET = np.array([0.05, 0.06, 0.07])

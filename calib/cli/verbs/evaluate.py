@@ -115,5 +115,5 @@ def evaluate(
         say(assessment_text(found, calibration.name if calibration else "", source))
         if written is not None:
             typer.echo(f"\nWritten: {written}")
-    if found.accepted is not None and not found.accepted.passed:
+    if found.accepted is not None and found.accepted.outcome != "pass":
         raise typer.Exit(NOT_PASSED)
