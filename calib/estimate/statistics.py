@@ -91,8 +91,12 @@ class Repeats:
 
     within: Array  # (G,), standard deviation of a component of a repeat, in the residual's unit; NaN without repeats
     freedoms: Array  # (G,), its degrees of freedom; 0 without repeats
-    freedom: float  # Their sum
     rho: float  # Intraclass correlation of all groups together, 0 to 1; 0 without repeats
+
+    @property
+    def freedom(self) -> float:
+        """The degrees of freedom of all groups."""
+        return float(self.freedoms.sum())
 
 
 def repeats(
@@ -123,7 +127,7 @@ def repeats(
     if np.isfinite(noise) and kept >= 1e-6:
         shared = max((between / kept - of_noise * noise) / of_poses, 0.0)
     rho = shared / (shared + noise) if shared > 0.0 else 0.0
-    return Repeats(within, freedoms, float(freedoms.sum()), rho)
+    return Repeats(within, freedoms, rho)
 
 
 def pose_means(values: Array, weights: Array, poses: Integers) -> tuple[Array, Integers]:

@@ -26,7 +26,7 @@ from calib.model.observability import Observability
 from calib.result.prediction import Larger, Outlier, ParameterEstimate, Solved, tells_place
 from calib.result.support import OutsideRow, Robustness, outside
 from calib.result.verdict import Verdict
-from calib.robot.robot import Payload, Robot, read_only, rigid_inverse
+from calib.robot.robot import Payload, Robot, rigid_inverse
 from calib.units import Array, Mask
 
 #: Values that stand for all those between the ends of a measured range.
@@ -74,28 +74,6 @@ class Fit:
     cell: Cell
     geometry: Fitted
     larger: Fitted | None = None
-
-    @property
-    def covariance(self) -> Array:
-        """Of the geometry's p parameters, shape (p, p)."""
-        return self.geometry.estimate.covariance
-
-    @property
-    def jacobian(self) -> Array:
-        """Derivative of the prediction of the fitted rows, shape (N, D, p), in the units of the parameters."""
-        estimate = self.geometry.estimate
-        return read_only(estimate.problem.jacobian(estimate.x))
-
-    @property
-    def weights(self) -> Array:
-        """What each scalar's square counts for, shape (N, D): robust weight over its variance; 0 where not measured."""
-        p = self.geometry.estimate.problem
-        return read_only(np.where(p.rows.used, p.weights[:, None] / p.scales**2, 0.0))
-
-    @property
-    def prior_precision(self) -> Array:
-        """One over the variance of each parameter's prior, shape (p,); 0 where there is none."""
-        return self.geometry.estimate.problem.precision
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -44,9 +44,6 @@ from calib.version import __version__
 #: The layout of a result.
 SCHEMA = 4
 
-#: By how much correlations may be wrong.
-_ROUNDING = 1e-6
-
 
 def _square(found: Any) -> Array:  # noqa: ANN401
     """A matrix of as many rows as there are, none or more."""
@@ -57,12 +54,6 @@ def _ranges(found: Any) -> Array:  # noqa: ANN401
     """Ends of the joints' ranges, from infinity down to minus infinity where no row was fitted."""
     ends = np.array(found, dtype=np.float64)
     return read_only(np.where(np.isnan(ends), [np.inf, -np.inf], ends))
-
-
-def _repeats(found: Json) -> Repeats:
-    """Scatter of repeats; the sum of the degrees of freedom is not in the file."""
-    own = _LAYOUT.values(Repeats, found)
-    return Repeats(freedom=float(own["freedoms"].sum()), **own)
 
 
 def error_table(e: Errors) -> dict[str, Any]:
@@ -105,12 +96,7 @@ _LAYOUT: JsonLayout = JsonLayout(
             ),
         },
         Payload: {"mass": "mass_kg", "com": "com_m"},
-        Repeats: {
-            "within": "scatter",
-            "freedoms": "freedom",
-            "freedom": None,
-            "rho": "correlation",
-        },
+        Repeats: {"within": "scatter", "freedoms": "freedom", "rho": "correlation"},
         Candidate: {"name": "set", "sizes": _SIZES},
         Robustness: {
             "lowered": "weights_lowered",
@@ -162,7 +148,6 @@ _LAYOUT: JsonLayout = JsonLayout(
     },
     {
         Errors: (error_table, None),
-        Repeats: (None, _repeats),
         Factor: (lambda factor: factor.name, lambda name: _FACTORS[name]),
     },
 )
@@ -253,14 +238,13 @@ def _calibration(found: Json, folder: Path) -> Calibration:
         own = _LAYOUT.values(kind, table, without=("larger",))
         x, C, setup = own["x"], own["covariance"], own["setup"]
         model = _model_of(table["model"], [one.name for one in own["parameters"]])
-        std = np.sqrt(np.where(np.diag(C) > 0.0, np.diag(C), 1.0))
-        R = C / std[:, None] / std
-        numbers = [*x, *(one.push for one in own["parameters"]), *setup.T_frame_base.ravel()]
-        if C.shape != x.shape * 2 or not np.isfinite([*numbers, *setup.T_tip_target.ravel()]).all():
+        arrays = x, C, setup.T_frame_base, setup.T_tip_target
+        numbers = [
+            *(one.push for one in own["parameters"]),
+            *np.concatenate([*map(np.ravel, arrays)]),
+        ]
+        if C.shape != x.shape * 2 or not np.isfinite(numbers).all():
             raise ValueError("a number is missing")
-        asymmetry = np.abs(R - R.T).max(initial=0.0)
-        if not asymmetry < _ROUNDING or np.any(np.linalg.eigvalsh(R) < -_ROUNDING):
-            raise ValueError("'covariance' is none")
         back = np.linalg.inv(model.displacements(x)[0])
         own["kinematics"] = Kinematics(
             nominal,

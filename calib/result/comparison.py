@@ -225,7 +225,7 @@ def _covered(a: Array, b: Array) -> Array:
     apart = ~(low < high)
     low = np.where(apart, np.fmin(a[:, 0], b[:, 0]), low)
     high = np.where(apart, np.fmax(a[:, 1], b[:, 1]), high)
-    return np.nan_to_num(np.stack([low, high], axis=1), posinf=0.0, neginf=0.0)
+    return np.asarray(np.nan_to_num(np.stack([low, high], axis=1), posinf=0.0, neginf=0.0))
 
 
 def own_names(c: Calibration) -> tuple[str, ...]:

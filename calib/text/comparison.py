@@ -17,12 +17,6 @@ from calib.version import __version__
 #: The layout of `comparison_table`; a word, so that it is not taken for a result.
 COMPARISON_SCHEMA = "comparison 4"
 
-#: More frames or targets than this are not listed.
-_MOST_PLACES = 6
-
-#: Beyond this many standard deviations the number says nothing more.
-_HIGHEST = 37.0
-
 _WHERE = {
     "measured ranges": "the joint values that both measured",
     "joint limits": "the joint limits",
@@ -60,10 +54,9 @@ def sentence(c: Comparison) -> str:
     """The answer in a sentence."""
     if c.outcome == "drift":
         move = c.moves[0]
-        much = f"{_HIGHEST:.0f} or more" if c.test.sigma > _HIGHEST else f"{c.test.sigma:.1f}"
         return (
-            f"The robot drifted ({much} sigma): between a and b its target moved by {mm(move.moved)} ± {mm(move.std)} "
-            f"mm rms over {_WHERE[move.where]}."
+            f"The robot drifted ({c.test.sigma:.1f} sigma): between a and b its target moved by "
+            f"{mm(move.moved)} ± {mm(move.std)} mm rms over {_WHERE[move.where]}."
         )
     return {
         "": "No drift that these data could show.",
