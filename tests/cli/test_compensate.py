@@ -209,7 +209,7 @@ def test_a_result_not_to_be_used_says_so_even_when_quiet(call, folder: Path):
         ((), "Give one of --calibration"),
         ((*RESULT, "--payload", "5 kg", "--geometry"), "which --geometry leaves out"),
         ((*RESULT, "--accept", "5 kg"), '--accept was given as "5 kg"'),
-        ((*RESULT, "-o", "data.csv"), "exists already; add --force"),
+        ((*RESULT, "-o", "data.csv"), "exists already; overwrite it"),
     ],
 )
 def test_what_is_refused(call, folder: Path, words: tuple[str, ...], message: str):
