@@ -23,7 +23,7 @@ from pinocchio import hppfcl
 
 from calib.data.cell import Box
 from calib.design.candidates import Code, Note
-from calib.errors import CalibError, UrdfError
+from calib.errors import UrdfError
 from calib.robot.chain import full_configurations, full_model, link_frame
 from calib.robot.meshes import LinkShape, find_mesh, link_shapes, load_mesh, mesh_folders
 from calib.robot.readback import spread_poses
@@ -119,9 +119,6 @@ class CollisionModel:
     robot: Robot  #: The robot.
     #: The names of what is checked (links, targets, boxes, the plane), those that touch most often first.
     pairs: Names
-    #: Those that are always closer than the clearance; they are refused only where they touch.
-    close: Names
-    touching: Names  #: Those that are not checked, for they always touch.
     notes: tuple[Note, ...]  #: What was checked, and what was not as a person might expect.
     _scene: _Scene
     _beams: _Scene  # the last shape, a beam, with links and boxes
@@ -139,9 +136,6 @@ class CollisionModel:
         Boxes are in the robot's base; targets are places in the tip by name, shape (3,), [m].
         """
         urdf, boxes, check = robot.urdf, tuple(boxes), check or CollisionCheck()
-        for box in boxes:
-            if box.name in urdf.links:
-                raise CalibError(f"The box '{box.name}' has the name of a link of the robot.")
         parts, unchecked = read_solids(urdf, check.package_dirs)
         links = list(parts)
         for name, place in (targets or {}).items():
@@ -172,7 +166,7 @@ class CollisionModel:
             ("always_touching", [f"{a} and {b}" for a, b in touching]),
         )
         notes += [Note(code, tuple(names)) for code, names in listed if names]
-        return cls(robot, pairs, close, touching, tuple(notes), scene, beams)
+        return cls(robot, pairs, tuple(notes), scene, beams)
 
     def free(self, q: ArrayLike) -> Mask:
         """Where the robot keeps clear, shape (N,), of q of shape (N, m) or (m,), [rad] or [m]."""
@@ -381,13 +375,6 @@ def _chosen_pairs(
     touched = near = scene.comparing(flat, [0.0] * len(flat)).touched(configurations)
     if clearance > 0.0:
         near = scene.comparing(flat, [clearance] * len(flat)).touched(configurations)
-    for part in parts:
-        own = [k for k, (_, j) in enumerate(flat) if parts[j] is part and part.kind == "box"]
-        if own and near[:, own].any(axis=1).all():
-            raise CalibError(
-                f"The box '{part.owner}' touches the robot at all of {SAMPLES} poses over the joints' ranges. Move it, "
-                "make it smaller, or leave it out."
-            )
     kept: list[tuple[int, tuple[int, int], float]] = []
     touching, close = [], []
     columns = iter(range(len(flat)))

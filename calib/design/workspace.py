@@ -117,24 +117,6 @@ class Region:
         found: Mask = known & self.cells[tuple(index.T)]
         return found
 
-    def depth(self, points: ArrayLike) -> Array:
-        """Distance of points of shape (N, 3) to the region's border, shape (N,), [m]: negative outside.
-
-        The border itself is known to about half a voxel.
-        """
-        padded = np.pad(self.cells, 1)
-        around = ndimage.binary_dilation(padded) & ~padded
-        border = padded & ~ndimage.binary_erosion(padded)
-        inner, outer = (
-            self.origin + self.voxel * (np.argwhere(one) - 0.5) for one in (border, around)
-        )
-        result = np.empty(len(np.asarray(points)))
-        for i, inside in enumerate(self.contains(points)):
-            away = np.abs((outer if inside else inner) - np.asarray(points)[i])
-            gap = np.linalg.norm(np.maximum(away - 0.5 * self.voxel, 0.0), axis=1).min()
-            result[i] = gap if inside else -gap
-        return result
-
 
 def _voxel_of(
     points: Array, origin: Array, voxel: float, shape: tuple[int, ...]
@@ -320,16 +302,13 @@ def read_region(
             f"{path}: the region is damaged: {damage(error)}. Write it again with 'calib workspace -o'."
         ) from error
     here = made if robot is None else (robot.base, robot.tip, list(robot.joint_names))
-    apart = 0.0 if target is None else float(np.linalg.norm(target - point))
-    moved = f"{1e3 * apart:.0f} mm away" if apart > voxel else "there"
-    for what, now, then in zip(
-        ("base", "tip", "joints", "target"), (*here, moved), (*made, "there"), strict=True
-    ):
-        if now != then:
-            raise CalibError(
-                f"The region was made for the {what} {then}, and now it is {now}: give the same --base, --tip, "
-                "--hold and --target, or make the region again with 'calib workspace'."
-            )
+    if here != made or (target is not None and np.linalg.norm(target - point) > voxel):
+        at = ", ".join(f"{1e3 * value:.6g}" for value in point)
+        raise CalibError(
+            f"{path}: the region was made for the base {made[0]}, the tip {made[1]}, the joints {', '.join(made[2])} "
+            f"and a target at {at} mm: give the same --base, --tip, --hold and --target, or make the region again with "
+            "'calib workspace'."
+        )
     return region
 
 

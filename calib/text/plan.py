@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-import shlex
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,8 +12,6 @@ from calib.robot.readback import range_text
 from calib.text.lines import fill, row_ranges
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from numpy.typing import NDArray
 
     from calib.design.candidates import Code, Note
@@ -64,25 +61,6 @@ def note_text(note: Note) -> str:
         others = f" and with {', '.join(map(str, around))}" if around else ""
         return _NOTES[note.code].format(f"{1e3 * float(radius):g} mm radius", others)
     return _NOTES[note.code].format(", ".join(map(str, note.values)))
-
-
-def next_text(
-    plan: Plan, robot: str, output: Path | None, taken: Path | None, said: Mapping[str, str | None]
-) -> str:
-    """What to do next with the robot as it was named, the table of the plan and that of the poses taken.
-
-    ``said`` are options of the set-up that the fit needs too, None where they were not given.
-    """
-    if output is None:
-        return "No table was written; add -o plan.csv to write it."
-    fit = ["calib", "calibrate", robot, str(taken or output), "-o", "corrected.urdf"]
-    fit += ["--base", plan.robot.base, "--tip", plan.robot.tip]
-    fit += [word for option, value in said.items() if value for word in (f"--{option}", value)]
-    into = f", and add the rows to {taken}" if taken else ""
-    steps = (
-        f"Next: drive the poses of {output} from top to bottom, fill in what was measured{into}:"
-    )
-    return f"{fill(steps)}\n  {shlex.join(fit)}"
 
 
 def _paragraphs(*paragraphs: Iterable[str]) -> str:
@@ -232,16 +210,16 @@ def _row_lines(view: RegionView, checked: Checked, *, every_row: bool) -> Iterat
     yield f"Targets of {rows.source}, {sum(measured)} measured, {sum(~measured)} predicted:"
     if every_row:
         yield (
-            f"  {'row':>6}  {'set':<10}{'x':>9}{'y':>9}{'z [mm]':>9}   {'region':<9}{'border [mm]':>11}"
-            f"{'within densest':>18}"
+            f"  {'row':>6}  {'set':<10}{'x':>9}{'y':>9}{'z [mm]':>9}   {'region':<9}"
+            f"{'within densest':>14}"
         )
-        depth, needed = view.region.depth(points), view.density.share_of(points)
+        needed = view.density.share_of(points)
         for i, word in enumerate(rows.sets):
             x, y, z = (f"{1e3 * value:9.1f}" for value in points[i])
             often = f"{100 * needed[i]:.1f} %" if np.isfinite(needed[i]) else "not reached"
             yield (
                 f"  {rows.rows[i]:>6}  {word:<10}{x}{y}{z}   {'inside' if inside[i] else 'OUTSIDE':<9}"
-                f"{1e3 * abs(depth[i]):>11.0f}{often:>18}"
+                f"{often:>14}"
             )
     for word, chosen in (("estimation", rows.estimation), ("validation", rows.validation)):
         if chosen.any():

@@ -29,7 +29,7 @@ def test_the_paper_s_region(call, shop):
     assert re.search(
         r"\n  volume +2[78]\d(\.\d)? litres, [\d,]+ of [\d,]+ reached voxels", done.out
     )
-    assert re.search(r"\n +34  validate +389.7 +-44.2 +440.3   OUTSIDE +\d+ +", done.out)
+    assert re.search(r"\n +34  validate +389.7 +-44.2 +440.3   OUTSIDE +\S+", done.out)
     assert "  30 of 30 estimation rows lie in the region." in done.lines
     assert "  3 of 5 validation rows lie in the region; outside: 34, 35." in done.lines
     stored = json.loads((shop / "region.json").read_text())

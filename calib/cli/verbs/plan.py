@@ -69,7 +69,7 @@ def plan(
     from calib.design.workspace import read_region
     from calib.result.calibration_file import write_table
     from calib.robot.robot import Robot
-    from calib.text.plan import next_text, plan_text
+    from calib.text.plan import plan_text
     from calib.units import ANGLE, LENGTH, parse_amount
 
     inputs: list[str | Path] = [robot, *filter(None, (setup.cell, region, taken))]
@@ -109,9 +109,4 @@ def plan(
         plan_page(made).write(view, overwrite=force)
     if not quiet:
         written = [f"Written: {path}" for path in (output, json, view) if path is not None]
-        # A tracker measures in a frame of its own.
-        own_frame = cell.tracker is not None and cell.T_frame_base is None
-        frame = setup.frame or ("estimate" if own_frame else None)
-        said = {"cell": str(setup.cell) if setup.cell else None, "frame": frame, "kind": setup.kind}
-        following = next_text(made, robot, output, taken, said)
-        typer.echo("\n".join([plan_text(made), "", *written, following]))
+        typer.echo("\n".join([plan_text(made), "", *written]))
