@@ -25,9 +25,9 @@ from calib.errors import CalibError, MeasurementError, choices
 from calib.estimate.setup import rows_of
 from calib.result.calibration import Calibration
 from calib.result.evaluation import (
+    PLACES,
     Accuracy,
     Evaluation,
-    Moved,
     PoseAccuracy,
     accuracy,
     evaluate,
@@ -191,8 +191,8 @@ class Assessment:
     accepted: Acceptance | None  #: The acceptance, where a tolerance was stated
     #: Judged rows with joint values that the fit did not see, and the numbers of the rows asked for
     outside: tuple[tuple[OutsideRow, ...], tuple[int, ...]]
-    moved: Moved | None  #: A frame or target that moved since the calibration
-    hint: Reason | None  #: A set-up that would explain the rows far better, without a calibration
+    #: What would explain the rows far better: another set-up, or a frame or target that moved since the calibration
+    hint: Reason | None
 
 
 def assess(
@@ -207,14 +207,8 @@ def assess(
 ) -> Assessment:
     """Evaluate the robot as it is; and of a result its nominal robot, its joint origins, and its larger model.
 
-    Args:
-        robot: The robot.
-        table: The rows.
-        cell: The set-up.
-        c: The result.
-        which: Which of its ``"frame"`` and ``"target"`` are used.
-        judge: Which robot is judged; by default the corrected one.
-        limits: What `acceptance` is given; without it nothing is judged.
+    ``which`` of the result's frame and target are used; ``judge`` names the robot that is judged, by default the
+    corrected one; ``limits`` is what `acceptance` is given: without it nothing is judged.
 
     Raises:
         CalibError: There is no such robot to be judged, or what `evaluate` and `acceptance` raise.
@@ -240,6 +234,8 @@ def assess(
             for who, (one, known, larger) in states.items()
         }
         seen = fitted_rows(c, robot, table, cell)
+        if set(which) == set(PLACES):
+            hint = moved(found["calibration"].robot, table, cell, c.setup)
     judged = judge or ("urdf" if c is None else "calibration")
     if judged not in found:
         raise CalibError(
@@ -258,9 +254,6 @@ def assess(
         judged=judged,
         accepted=acceptance(found[judged], **limits, seen=seen) if limits else None,
         outside=(beyond, rows),
-        moved=moved(found["calibration"].robot, table, cell, c.setup)
-        if c is not None and set(which) == {"frame", "target"}
-        else None,
         hint=hint,
     )
 

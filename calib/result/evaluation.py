@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,14 +32,13 @@ from calib.model.error_model import DIRECTIONS
 from calib.model.kinematics import Samples
 from calib.result.calibration import Calibration
 from calib.result.prediction import Larger
+from calib.result.verdict import Reason, Why
 from calib.robot.kernel import one_blas_thread
 from calib.robot.robot import Robot, read_only
 from calib.units import Array, Mask
 
-Place = Literal["frame", "target"]
-
 #: What of an earlier result can be taken for known.
-PLACES: tuple[Place, ...] = ("frame", "target")
+PLACES = ("frame", "target")
 
 #: A place found anew must make an rms above the last [m] this many times smaller, with this many numbers an unknown.
 _BETTER, _NUMBERS, _SMALL = 3.0, 3, 1e-4
@@ -57,16 +56,6 @@ class Evaluation:
     #: shape (N, D), measured minus predicted: lengths [m] in the first columns, angles [rad] in three more
     residual: Array
     used: Mask  #: shape (N, D), which scalars were measured
-
-    @property
-    def T_frame_base(self) -> Array:
-        """Pose of the base in the (first) measurement frame, shape (4, 4), [m]."""
-        return np.asarray(self.setup.T_frame_base[0])
-
-    @property
-    def target(self) -> Array:
-        """The (first) target in the tip, shape (3,), [m]."""
-        return np.asarray(self.setup.T_tip_target[0, :3, 3])
 
     @property
     def errors(self) -> dict[str, Errors]:
@@ -171,35 +160,27 @@ def _at_known(setup: Setup, known: Setup, which: tuple[str, ...]) -> Setup:
     )
 
 
-class Moved(NamedTuple):
-    """The place whose registration explains the errors of fresh rows, and their rms with the old and the new [m]."""
-
-    place: Place
-    before: float
-    after: float
-
-
-def moved(robot: Robot, measurements: Measurements, cell: Cell, known: Setup) -> Moved | None:
+def moved(robot: Robot, measurements: Measurements, cell: Cell, known: Setup) -> Reason | None:
     """Which of frame and target explains the errors of fresh rows by far when found anew."""
     before = evaluate(robot, measurements, cell, known=known)
-    rms, found = before.errors["all"].rms, []
+    rms, best = before.errors["all"].rms, None
     if before.registered or not rms > _SMALL:
         return None
-    anew: dict[Place, Cell] = {
-        "frame": replace(cell, estimate_frame=True, frame_directions=DIRECTIONS),
-        "target": replace(cell, estimate_target=True),
-    }
-    for what, open_cell in anew.items():
-        kept = tuple(one for one in PLACES if one != what)
+    least = rms / _BETTER
+    anew = replace(cell, estimate_frame=True, frame_directions=DIRECTIONS)
+    for why, kept, open_cell in (
+        (Why.FRAME_MOVED, "target", anew),
+        (Why.TARGET_MOVED, "frame", replace(cell, estimate_target=True)),
+    ):
         try:
-            after = evaluate(robot, measurements, open_cell, known=known, which=kept)
+            after = evaluate(robot, measurements, open_cell, known=known, which=(kept,))
         except CalibError:
             continue  # too few rows to find it
-        unknowns = after.setup.count
-        if unknowns and int(after.used.sum()) >= _NUMBERS * unknowns:
-            found.append(Moved(what, rms, after.errors["all"].rms))
-    best = min(found, key=lambda one: one.after, default=None)
-    return best if best and _BETTER * best.after <= rms else None
+        unknowns, error = after.setup.count, after.errors["all"].rms
+        enough = unknowns and int(after.used.sum()) >= _NUMBERS * unknowns
+        if enough and error <= least:
+            least, best = error, Reason.of(why, given_m=rms, error_m=error)
+    return best
 
 
 # Accuracy and repeatability
@@ -294,10 +275,7 @@ def accuracy(evaluation: Evaluation, *, seen: bool | Mask = False) -> Accuracy:
 
     Where a target or a frame was registered to the estimation rows, the validation rows are judged alone, if there are
     any; where a calibration was fitted to some rows, the others, see `judged_rows`.
-
-    Args:
-        evaluation: The errors of a robot.
-        seen: Whether a calibration of this robot was fitted to the estimation rows; or to which rows, shape (N,).
+    ``seen`` says whether a calibration of this robot was fitted to the estimation rows, or to which rows, shape (N,).
 
     Raises:
         MeasurementError: No row measures anything.

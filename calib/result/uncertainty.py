@@ -123,12 +123,8 @@ def bootstrap(
 ) -> Bootstrap:
     """Fit the geometry again to rows drawn with replacement, whole poses within each set-up; see the module's text.
 
-    Args:
-        calibration: The calibration, in memory.
-        count: Number of samples; 200 for standard deviations, 1000 for intervals.
-        seed: The samples are the same for the same seed, wherever they are fitted.
-        progress: Called after each sample.
-        executor: Where to fit; None: here.
+    The samples are the same for the same seed, wherever they are fitted; 200 are enough for standard deviations, 1000
+    for intervals.
 
     Raises:
         CalibError: Too few or too many samples, a seed below 0, or the paper's solver made the calibration.
@@ -240,11 +236,6 @@ def profile(
 
     cost(x) - cost(estimate) <= quantile of chi^2(1), or of F(1, freedom) where the noise was estimated. The cost is
     that of squares over their variance, the standard deviation the first step.
-
-    Example:
-        >>> low, high = profile(lambda x: ((x - 1.0) / 0.5) ** 2, value=1.0, std=0.5)
-        >>> round(low, 3), round(high, 3)
-        (0.02, 1.98)
     """
     if not 0.0 < level < 1.0:
         raise CalibError(f"The level of an interval is {level:g}; it must lie between 0 and 1.")

@@ -43,6 +43,8 @@ class Why(Enum):
     REPEATS_AGREE, NO_LENGTH, PARAMETER_FAR, VALIDATION_UNLIKE, MANY_OUTLIERS = range(40, 45)
     # What it buys
     GAIN, LARGER_MODEL, VALIDATION_GAIN, OUTSIDE = range(50, 54)
+    # What explains fresh rows
+    FRAME_MOVED, TARGET_MOVED = range(60, 62)
 
 
 @dataclass(frozen=True, slots=True)

@@ -40,11 +40,6 @@ _FIGURES = {
     "single": "largest error of a single repeat",
 }
 
-_MOVED = {
-    "frame": "measurement frame is registered anew: did the tracker or the robot move? Then add --frame estimate.",
-    "target": "target is registered anew: was it mounted anew? Then give its place with --target.",
-}
-
 _COLUMNS = "{:<33}{:>5} {:>9} {:>9} {:>9} {:>9} {:>9}"
 
 
@@ -61,19 +56,9 @@ def assessment_text(e: Assessment, result: str, source: str) -> str:
         reasons = (wrap(reason, "  ") for reason in _reasons(e, e.accepted, judged))
         first = "\n".join([f"Verdict: {e.accepted.outcome}", *reasons])
         parts = [first, *parts, poses_text(e.accepted, judged)]
-    elif advice := _advice(e):
-        parts.append(textwrap.fill(advice, 100, break_on_hyphens=False))
+    elif e.hint is not None:
+        parts.append(textwrap.fill(reason_text(e.hint), 100, break_on_hyphens=False))
     return "\n\n".join(parts)
-
-
-def _advice(e: Assessment) -> str:
-    """A set-up, or a place that moved, which would explain the rows far better."""
-    if e.moved is not None:
-        return (
-            f"The rms is {1e3 * e.moved.before:.3g} mm with frame and target of the result, and only "
-            f"{1e3 * e.moved.after:.3g} mm if the {_MOVED[e.moved.place]}"
-        )
-    return "" if e.hint is None else reason_text(e.hint)
 
 
 def _reasons(e: Assessment, a: Acceptance, judged: str) -> Iterator[str]:
@@ -91,7 +76,7 @@ def _reasons(e: Assessment, a: Acceptance, judged: str) -> Iterator[str]:
         "Positions have no tolerance and are not judged.": a.length is None,
         f"Rows of the kind {choices(kinds)} say nothing of errors across them.": kinds,
         f"Joint values outside of the calibrated range: {beyond}.": beyond,
-        _advice(e): _advice(e),
+        "" if e.hint is None else reason_text(e.hint): e.hint is not None,
     }
     yield from (sentence for sentence, applies in every.items() if applies)
 
@@ -246,8 +231,8 @@ def assessment_table(e: Assessment) -> dict[str, Any]:
         "schema": "evaluation 2",  # a word, so that it is not taken for a result's
         "robot": {"name": robot.name, "base": robot.base, "tip": robot.tip},
         "frames": {
-            **pose_table(urdf.T_frame_base, "frame_base_"),
-            "target_m": urdf.target,
+            **pose_table(setup.T_frame_base[0], "frame_base_"),
+            "target_m": setup.T_tip_target[0, :3, 3],
             "registered": list(urdf.registered),
             "set_ups": [{"group": name, **pose_table(T, "frame_base_")} for name, T in frames],
             "targets": [{"target": name, **pose_table(T)} for name, T in targets],

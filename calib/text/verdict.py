@@ -15,6 +15,7 @@ from calib.result.verdict import Reason, Why
 _NAMED = 3
 
 _OFF = "The nominal robot is {given_m:mm.0f} mm rms off, which no uncalibrated arm is, and only {error_m:mm.1f} mm if "
+_ANEW = "The rms is {given_m:mm.3g} mm with frame and target of the result, and only {error_m:mm.3g} mm if the "
 _NOT_NOISE = "What the model leaves over is not noise: "
 _SHARE = "explains {share:%.0f} % of it (chance: {chance:%.0f} %, {chance_p})"
 _CHANGED = "Did the arm, its tool or the instrument change in between?"
@@ -81,16 +82,16 @@ SENTENCES = {
     Why.VALIDATION_GAIN: "On the {rows} validation rows{rows_aside} it falls {change}.",
     Why.OUTSIDE: "{rows} validation rows lie outside of the joint values that were fitted, where errors may be larger: "
     "'{joint}' of row {row} by {beyond}.",
+    Why.FRAME_MOVED: _ANEW
+    + "measurement frame is registered anew: did the tracker or the robot move? Then add "
+    "--frame estimate.",
+    Why.TARGET_MOVED: _ANEW
+    + "target is registered anew: was it mounted anew? Then give its place with --target.",
 }
 
 
 def reason_text(reason: Reason) -> str:
-    """A reason of a verdict as a sentence.
-
-    Example:
-        >>> reason_text(Reason.of(Why.VALIDATION_NO_BETTER, rows=5, before_m=1e-3, after_m=2e-3))
-        'On the 5 validation rows the error does not fall: from 1.000 to 2.000 mm rms.'
-    """
+    """A reason of a verdict as a sentence."""
     v = reason.values
     units = (("m", 1e3, "mm"), ("rad", float(np.degrees(1.0)), "deg"))
     before, after = (
@@ -132,11 +133,6 @@ def outside_text(rows: Sequence[OutsideRow], numbers: Sequence[int]) -> str:
     """The rows outside of the measured range, the furthest joints of the first few; empty when there are none.
 
     ``numbers`` has the number of each row that was asked about as a person sees it.
-
-    Example:
-        >>> from calib.result.support import Beyond, OutsideRow
-        >>> outside_text([OutsideRow(1, (Beyond("elbow_joint", False, 0.663),))], [33, 34])
-        "row 34: 'elbow_joint' 38 deg beyond the measured range"
     """
     parts = []
     for row in rows[:_NAMED]:

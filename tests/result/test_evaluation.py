@@ -61,7 +61,7 @@ def test_targets_that_a_result_lacks_are_registered(calibrated):
     found = evaluate(c.robot, c.measurements, known=known)
     assert found.registered == ("target",)
     np.testing.assert_array_equal(found.setup.T_tip_target[1], c.setup.T_tip_target[1])
-    assert np.linalg.norm(found.target - c.target) < 1e-4
+    assert np.linalg.norm(found.setup.T_tip_target[0, :3, 3] - c.target) < 1e-4
 
 
 def test_set_ups_that_nothing_is_known_of_are_refused(calibrated):
@@ -114,8 +114,8 @@ def test_what_moved_since_the_calibration_is_named(
     m, known = fresh(ur3, TARGET + target, np.array(shift))
     found = moved(ur3, m, Cell(), known)
     assert found is not None
-    assert (found.place, found.after) == (place, pytest.approx(rms, rel=1e-3))
-    assert found.before > 1e-3
+    assert (found.code, found.values["error_m"]) == (f"{place}_moved", pytest.approx(rms, rel=1e-3))
+    assert found.values["given_m"] > 1e-3
 
 
 @pytest.mark.parametrize(
