@@ -114,14 +114,10 @@ class Acceptance:
         name = "single" if self.criterion == "single" else "ap"
         return float(getattr(pose, f"{name}_angle" if angle else name))
 
-    def worst_first(self) -> list[PoseAccuracy]:
-        """The poses by how much of their tolerance they use, the worst first."""
-
-        def used(pose: PoseAccuracy) -> float:
-            shares = (self.size(pose, angle=angle) / c.tolerance for c, angle in self.checks)
-            return max((share for share in shares if np.isfinite(share)), default=0.0)
-
-        return sorted(self.accuracy.poses, key=used, reverse=True)
+    def used(self, pose: PoseAccuracy) -> float:
+        """How much of its tolerance a pose uses, as a share."""
+        shares = (self.size(pose, angle=angle) / c.tolerance for c, angle in self.checks)
+        return max((share for share in shares if np.isfinite(share)), default=0.0)
 
 
 def acceptance(

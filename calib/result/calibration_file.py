@@ -45,11 +45,6 @@ from calib.version import __version__
 SCHEMA = 4
 
 
-def _square(found: Any) -> Array:  # noqa: ANN401
-    """A matrix of as many rows as there are, none or more."""
-    return read_only(np.array(found, dtype=np.float64).reshape(len(found), -1))
-
-
 def _ranges(found: Any) -> Array:  # noqa: ANN401
     """Ends of the joints' ranges, from infinity down to minus infinity where no row was fitted."""
     ends = np.array(found, dtype=np.float64)
@@ -111,7 +106,11 @@ _LAYOUT: JsonLayout = JsonLayout(
         Solved: {
             "kinematics": None,
             "setup": "frames",
-            "covariance": Key("covariance", None, _square),
+            "covariance": Key(
+                "covariance",
+                None,
+                lambda v: read_only(np.array(v, dtype=float).reshape(len(v), -1)),
+            ),
             "base_motion": Key("base_motion", None, lambda v: v and np.reshape(v, (6, -1))),
             "sizes": _SIZES,
         },

@@ -155,11 +155,6 @@ class Comparison:
         first, second = self.names
         return f"Comparison({first!r}, {second!r}, {self.outcome}, p = {self.test.p:.2g})"
 
-    @property
-    def robots(self) -> tuple[Robot, Robot]:
-        """The robot as the first result has it, and as the second has it."""
-        return self.a.corrected(self.robot), self.b.corrected(self.robot)
-
 
 def compare(
     a: Calibration | str | Path,

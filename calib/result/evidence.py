@@ -344,12 +344,12 @@ def _doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
         yield Reason.of(Why.NO_LENGTH)
 
 
-def thin(fitted: Fitted, most: int = ENOUGH) -> Fitted:
+def thin(fitted: Fitted) -> Fitted:
     """The fit with about so many of its rows, spread evenly over each frame and target; itself if it has no more."""
     problem, estimate = fitted.estimate.problem, fitted.estimate
-    if len(problem.rows) <= most:
+    if len(problem.rows) <= ENOUGH:
         return fitted
-    some = problem.rows.evenly(most)
+    some = problem.rows.evenly(ENOUGH)
     rows = problem.rows.select(some)
     few = replace(
         Problem.first(problem.kinematics, rows, problem.distances),

@@ -44,9 +44,7 @@ class OutsideRow:
     """A row with joint values outside the measured range."""
 
     index: int  # Which of the rows asked for, from 0 on
-    beyond: tuple[
-        Beyond, ...
-    ]  # The joints, the one furthest out first, in shares of their measured range
+    beyond: tuple[Beyond, ...]  # The joint furthest out first, in shares of their measured range
 
 
 def outside(

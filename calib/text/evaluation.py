@@ -154,7 +154,7 @@ def accuracy_text(found: Mapping[str, Accuracy]) -> str:
 
 def poses_text(a: Acceptance, judged: str) -> str:
     """The poses one by one, the worst first; at most ten."""
-    poses = a.worst_first()
+    poses = sorted(a.accuracy.poses, key=a.used, reverse=True)
     head = ["repeats", "AP [mm]", "x", "y", "z", "RP", "single"]
     turned = any(np.isfinite(pose.ap_angle) for pose in poses)
     head += ["AP [deg]", "RP"] if turned else []

@@ -14,7 +14,6 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 import calib.data.kinds as registry
-from calib.estimate.selection import Candidate
 from calib.estimate.statistics import Errors
 from calib.model.error_model import placed_name
 from calib.model.families import FAMILIES, unit_of
@@ -183,12 +182,6 @@ def weights_text(c: Calibration) -> str:
     weights = dict(zip(c.rows.numbers, c.weights, strict=True))
     unused = not any(weights.get(o.row) for o in c.outliers)
     return "no weight in the fit" if unused else "full weight in the fit"
-
-
-def candidate_rms(one: Candidate) -> str:
-    """Error of a candidate on left-out rows, outliers aside, with its unit."""
-    errors = one.cross_validation.errors_without_outliers
-    return f"{mm(errors.rms)} mm" if errors.n else f"{deg(errors.rms_angle, 4)} deg"
 
 
 def errorless(c: Calibration) -> frozenset[str]:
@@ -377,7 +370,9 @@ def _ladder(c: Calibration) -> str:
     uses = {"geometry": "the URDF", "larger": "result file, predict()"}
     for one in c.candidates:
         gain, chosen = f"{one.log_likelihood - best:.1f}", uses.get(one.chosen, "")
-        cells = f"  {one.name}", one.parameters, gain, candidate_rms(one), chosen
+        e = one.cross_validation.errors_without_outliers
+        rms = f"{mm(e.rms)} mm" if e.n else f"{deg(e.rms_angle, 4)} deg"
+        cells = f"  {one.name}", one.parameters, gain, rms, chosen
         lines.append(row.format(*cells).rstrip())
     needed = c.candidates[0].needed
     note = "  evidence: restricted log likelihood, less the best one's; a larger model must gain"

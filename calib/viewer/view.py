@@ -206,7 +206,7 @@ def view_of_comparison(comparison: Comparison) -> View:
     c = comparison
     names = (f"a: {c.names[0]}", "the first result"), (f"b: {c.names[1]}", "the second result")
     title, target = f"{c.a.nominal.name or 'Robot'}: two calibrations", translation(c.a.target)
-    view = view_of_robots(*c.robots, names=names)
+    view = view_of_robots(c.a.corrected(c.robot), c.b.corrected(c.robot), names=names)
     view = replace(view, nominal_target=target, calibrated_target=target)
     return replace(view, title=title, note=sentence(c))
 
