@@ -138,27 +138,24 @@ def parameter_estimates(
     fitted: Fitted, observability: Observability
 ) -> tuple[ParameterEstimate, ...]:
     """Nominal value, value and interval of each parameter; the observability is that of the rows that were fitted."""
-    estimate, given = fitted.estimate, fitted.task.setup
-    x, deviations = estimate.x, np.sqrt(np.diag(estimate.covariance))
-    reach = interval_factor(estimate.freedom)
-    places = fitted.kinematics.model.places
-    first_target = len(places) - len(given.targets)
+    estimate, given, model = fitted.estimate, fitted.task.setup, fitted.kinematics.model
+    at_bound = np.isin(np.arange(len(model)), list(estimate.at_bound))
+    std = np.where(at_bound, np.nan, np.sqrt(np.diag(estimate.covariance)))
+    half = interval_factor(estimate.freedom) * std
     precision, push, placed = estimate.problem.precision, _pushes(fitted), fitted.placed()
+    prior_std = 1.0 / np.sqrt(np.where(precision > 0.0, precision, np.nan))
     result = []
-    for k, parameter in enumerate(fitted.kinematics.model.parameters):
+    for k, (parameter, delta) in enumerate(zip(model.parameters, estimate.x, strict=True)):
         nominal: float | None = parameter.nominal
-        value = parameter.nominal + x[k]
-        delta = x[k]
+        value = parameter.nominal + delta
         if parameter.family == TARGET and parameter.unit == "m":
-            t = places.index(parameter.place) - first_target
+            t = model.places.index(parameter.place) - len(model.places) + len(given.targets)
             start = fitted.kinematics.T_tip_target[t, :3, :3]
             axis = int(np.argmax(np.abs(start @ parameter.direction[:3])))  # of the tip
             value = placed.T_tip_target[t, axis, 3]
             known = bool(given.target_given[t])
             nominal = float(given.T_tip_target[t, axis, 3]) if known else None
-            delta = x[k] if nominal is None else value - nominal
-        bounded = k in estimate.at_bound
-        half = np.nan if bounded else float(reach * deviations[k])
+            delta = delta if nominal is None else value - nominal
         result.append(
             ParameterEstimate(
                 name=parameter.name,
@@ -166,12 +163,12 @@ def parameter_estimates(
                 nominal=nominal,
                 value=float(value),
                 delta=float(delta),
-                std=np.nan if bounded else float(deviations[k]),
-                low=float(value - half),
-                high=float(value + half),
+                std=float(std[k]),
+                low=float(value - half[k]),
+                high=float(value + half[k]),
                 identifiable=bool(observability.identifiable[k]),
-                at_bound=bounded,
-                prior_std=float(1.0 / np.sqrt(precision[k])) if precision[k] > 0.0 else np.nan,
+                at_bound=bool(at_bound[k]),
+                prior_std=float(prior_std[k]),
                 push=float(push[k]),
             )
         )
