@@ -69,9 +69,8 @@ class Pool(NamedTuple):
     q: Array  #: shape (n, m), the poses that passed all tests, all different, [rad] or [m].
     workspace: Array  #: shape (k, m), those in the region, among the first drawn.
     drawn: int  #: How many were drawn.
-    refused: dict[
-        str, int
-    ]  #: How many each test refused, of those that had passed the ones before it.
+    #: How many each test refused, of those that had passed the ones before it.
+    refused: dict[str, int]
 
 
 def draw(

@@ -152,11 +152,19 @@ class CollisionModel:
         if check.floor:
             parts.append(_mounting_plane(robot, links, rigid, configurations[0]))
         beam = Solid("the beam", "box", robot.base, np.eye(4), hppfcl.Capsule(0.5 * BEAM, 1.0))
-        scene = _scene_of(urdf, [*parts, beam])
+        model, shapes = full_model(urdf), pin.GeometryModel()
+        for k, part in enumerate((*parts, beam)):
+            frame = link_frame(model, part.link)
+            parent = model.frames[frame]
+            placed = parent.placement * pin.SE3(part.T_link_shape)
+            shape = pin.GeometryObject(str(k), parent.parentJoint, frame, placed, part.geometry)
+            shapes.addGeometryObject(shape)
+        scene = _Scene(model, shapes)
         hit = [k for k, part in enumerate(parts) if part.kind in ("link", "box")]
         beams = scene.comparing([(k, len(parts)) for k in hit], [0.0] * len(hit))
-        chosen = _chosen_pairs(urdf, scene, parts, rigid, configurations, check.clearance)
-        scene, pairs, close, touching = chosen
+        scene, pairs, close, touching = _chosen_pairs(
+            urdf, scene, parts, rigid, configurations, check.clearance
+        )
         around = [part.owner for part in parts if part.kind in ("box", "plane")]
         notes = [Note("collisions_checked", (check.holder_radius, *around))]
         notes += [] if check.floor else [Note("floor_not_checked")]
@@ -287,18 +295,6 @@ def _geometry(
                 "(--no-collisions)."
             )
     return meshes[shape.mesh]
-
-
-def _scene_of(urdf: Urdf, parts: Sequence[Solid]) -> _Scene:
-    """All shapes, without pairs."""
-    model, shapes = full_model(urdf), pin.GeometryModel()
-    for k, part in enumerate(parts):
-        frame = link_frame(model, part.link)
-        parent = model.frames[frame]
-        placement = parent.placement * pin.SE3(part.T_link_shape)
-        shape = pin.GeometryObject(str(k), parent.parentJoint, frame, placement, part.geometry)
-        shapes.addGeometryObject(shape)
-    return _Scene(model, shapes)
 
 
 def _clusters(urdf: Urdf, joints: Iterable[UrdfJoint]) -> dict[str, str]:

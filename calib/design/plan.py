@@ -319,15 +319,13 @@ def read_poses(path: str | Path, robot: Robot, *, taken: bool = False) -> Poses:
         if not wanted.any():
             raise MeasurementError(f"{table.source}: no row that is measured is 'estimate'.")
     # Of rows with the same joint values as many as measure the same target.
-    most: Counter[bytes] = Counter()
     seen: Counter[tuple[bytes, str]] = Counter()
-    kept = []
-    for i in np.flatnonzero(wanted):
-        pose = rows.joints[i].tobytes()
-        seen[pose, rows.targets[i]] += 1
-        if seen[pose, rows.targets[i]] > most[pose]:
-            most[pose] += 1
-            kept.append(i)
+    first: dict[tuple[bytes, int], int] = {}
+    for i in np.flatnonzero(wanted).tolist():
+        pose, target = rows.joints[i].tobytes(), rows.targets[i]
+        first.setdefault((pose, seen[pose, target]), i)
+        seen[pose, target] += 1
+    kept = [*first.values()]
     sets = tuple(rows.sets[i] for i in kept)
     return Poses(read_only(rows.joints[kept]), sets, max(rows.rows))
 

@@ -80,35 +80,27 @@ def route(
     by.
     """
     tour = order(joints, start, free_path)
-    if free_path is not None and tour.blocked:
-        cuts = [end - 1 for _, end in tour.blocked]
-        stretches = [part for part in np.split(tour.indices, cuts) if len(part)]
-        turned = with_whole_turns(joints, stretches, limits, turning(robot, limits), free_path)
-        turned = rounded(robot, turned)
-        again = order(turned, start, free_path)
-        if len(again.blocked) < len(tour.blocked):
-            joints, tour = turned, again
-    path, blocked = read_only(joints[tour.indices]), []
-    if free_path is not None and tour.blocked:
-        free = joints[:0] if stops is None else stops()
-        for first, end in tour.blocked:
-            before = path[first - 1] if first or start is None else start
-            blocked.append(Blocked(first, end, detour(before, path[end - 1], free, free_path)))
-    return Route(path, tour.indices, tour.cost, tuple(blocked))
+    if free_path is None or not tour.blocked:
+        return tour
+    cuts = [move.end - 1 for move in tour.blocked]
+    stretches = [part for part in np.split(tour.indices, cuts) if len(part)]
+    turned = with_whole_turns(joints, stretches, limits, turning(robot, limits), free_path)
+    again = order(rounded(robot, turned), start, free_path)
+    if len(again.blocked) < len(tour.blocked):
+        tour = again
+    free, path, blocked = joints[:0], tour.joints, []
+    if tour.blocked and stops is not None:
+        free = stops()
+    for first, end, _ in tour.blocked:
+        before = path[first - 1] if first or start is None else start
+        blocked.append(Blocked(first, end, detour(before, path[end - 1], free, free_path)))
+    return tour._replace(blocked=tuple(blocked))
 
 
 # The order
 
 
-class Tour(NamedTuple):
-    """An order of poses, shape (N,), what its moves cost, and the moves that are not free, as in `Blocked`."""
-
-    indices: Indices
-    cost: float
-    blocked: tuple[tuple[int, int], ...] = ()
-
-
-def order(q: Array, start: Array | None = None, free_path: FreePath | None = None) -> Tour:
+def order(q: Array, start: Array | None = None, free_path: FreePath | None = None) -> Route:
     """A short open path through all poses, shape (N, m), the same for the same poses.
 
     A joint that can turn without end does not take the short way round, for controllers do not. ``free_path``: whether
@@ -118,7 +110,7 @@ def order(q: Array, start: Array | None = None, free_path: FreePath | None = Non
 
     count = len(q)
     if count == 0:
-        return Tour(np.arange(0), 0.0)
+        return Route(q, np.arange(0), 0.0, ())
     poses = q if start is None else np.vstack([q, start])
     # The two ends of the path come last, begin and finish: beginning costs the way from the start, nothing without one.
     costs = np.zeros((count + 2, count + 2))
@@ -146,8 +138,8 @@ def order(q: Array, start: Array | None = None, free_path: FreePath | None = Non
         # Kicks take longest: only once no move that is asked for is refused any more.
         path, kicked = (_improved(path, dear), False) if fresh else (_kicked(path, dear), True)
     moves = enumerate(pairwise(path[:-1].tolist()))
-    blocked = tuple((k, k + 1) for k, move in moves if not known.get(move, True))
-    return Tour(path[1:-1], _length(path, costs), blocked)
+    blocked = tuple(Blocked(k, k + 1, None) for k, one in moves if not known.get(one, True))
+    return Route(read_only(q[path[1:-1]]), path[1:-1], _length(path, costs), blocked)
 
 
 def _nearest(costs: Array, first: int) -> Indices:

@@ -138,9 +138,7 @@ class Density:
     origin: Array  #: shape (3,), the grid's least corner [m].
     voxel: float  #: Edge of a voxel [m].
     counts: NDArray[np.int64]  #: shape (nx, ny, nz), samples in each voxel.
-    smooth: (
-        Array  #: shape (nx, ny, nz), the same smoothed over neighbours, 0 where there is no sample.
-    )
+    smooth: Array  #: The same, smoothed over neighbours, 0 where there is no sample.
     needed: Array  #: shape (nx, ny, nz), the smallest share whose region has a voxel, infinite likewise.
 
     @classmethod
