@@ -266,10 +266,7 @@ def read_solids(
 
 
 def _rod(start: Array, end: Array) -> tuple[pin.SE3, float]:
-    """The pose of a rod between two points, shape (3,), [m]: z along it, origin in the middle; and half its length.
-
-    One without length points along z.
-    """
+    """The pose of a rod between two points [m], its axis z, the origin in its middle; and half its length."""
     along, up = end - start, np.array([0.0, 0.0, 1.0])
     turn = pin.Quaternion(up, along if along.any() else up)
     return pin.SE3(turn.matrix(), 0.5 * (start + end)), 0.5 * float(np.linalg.norm(along))
@@ -310,10 +307,7 @@ def _clusters(urdf: Urdf, joints: Iterable[UrdfJoint]) -> dict[str, str]:
 def _mounting_plane(
     robot: Robot, links: Sequence[Solid], rigid: Mapping[str, str], configuration: Array
 ) -> Solid:
-    """What the robot stands on: all below z = 0 of its base, or below the lowest link that stands with the base.
-
-    Where joints of the chain move the base, it is the plane of the URDF's root.
-    """
+    """All below z = 0 of the base (of the root, where the base moves), or of the lowest link that stands with it."""
     base = robot.urdf.root if robot.base_moves else robot.base
     model = full_model(robot.urdf)
     data = model.createData()
@@ -347,12 +341,7 @@ def _chosen_pairs(
     configurations: Array,
     clearance: float,
 ) -> tuple[_Scene, Names, Names, Names]:
-    """The scene with the pairs of shapes that can tell poses apart, those that touch most often first.
-
-    And the names of these, of those always closer than the clearance, and of those left out, for they always touch.
-    ``rigid`` is for each link what stands for all that never moves against it; ``configurations``, shape (SAMPLES, nq),
-    are spread over the joints' ranges.
-    """
+    """The scene with the pairs to check, most often touching first; names of these, of `always_close`, of the rest."""
     moving = [joint for joint in urdf.joints if joint.type != "fixed"]
     welded = _clusters(urdf, (joint for joint in urdf.joints if joint.type == "fixed"))
     joined = {frozenset((welded[joint.parent], welded[joint.child])) for joint in moving}

@@ -66,7 +66,12 @@ class Sensitivity:
         """The fit's model of a robot in a cell."""
         kind = _checked_kind(cell)
         cell = replace(cell, distances=())
-        setup = _one_pose(robot, cell, kind)
+        # Of a table that has one pose, with a row for each target.
+        targets = tuple(cell.targets) or (DEFAULT_TARGET,)
+        groups = (next(iter(cell.frames), ""),) * len(targets)
+        table = table_of_poses(robot, kind, np.zeros((len(targets), len(robot.inputs))))
+        table = replace(table, targets=targets, groups=groups)
+        setup = setup_of(cell, table, np.full(len(targets), registry.names().index(kind)))
         notes = []
         if not np.all(setup.target_given):
             T_tip_target = setup.T_tip_target.copy()
@@ -194,16 +199,6 @@ def _checked_kind(cell: Cell) -> str:
     if why:
         raise ModelError(f"Poses cannot be planned for the kind '{name}': {why}.")
     return name
-
-
-def _one_pose(robot: Robot, cell: Cell, kind: str) -> Setup:
-    """Frames and targets of a table that has one pose, with a row for each target."""
-    names = tuple(cell.targets) or (DEFAULT_TARGET,)
-    count = len(names)
-    groups = (next(iter(cell.frames), ""),) * count
-    joints = np.zeros((count, len(robot.inputs)))
-    table = replace(table_of_poses(robot, kind, joints), targets=names, groups=groups)
-    return setup_of(cell, table, np.full(count, registry.names().index(kind)))
 
 
 class Workspace(NamedTuple):

@@ -174,11 +174,7 @@ def _improved(path: Indices, costs: Array) -> Indices:
 
 
 def _moves(near: Array) -> Iterator[tuple[float, int, int, int, bool]]:
-    """The best stretch to turn round where it is, and the best pieces to put elsewhere, as they are and turned round.
-
-    Of each: how much longer the path becomes (negative is better); the first place and the length of the piece; where
-    it is put into the rest; whether it is turned round.
-    """
+    """The best pieces to move or turn: what the path gains in length, first place, size, new place, whether turned."""
     size, step = len(near), np.diagonal(near, 1)  # from place i to i + 1
     gain = near[:-2, 1:-1] + near[1:-1, 2:] - step[:-1, None] - step[None, 1:]
     gain[np.tri(len(gain), dtype=np.bool_)] = 0.0

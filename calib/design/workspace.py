@@ -121,10 +121,7 @@ class Region:
 def _voxel_of(
     points: Array, origin: Array, voxel: float, shape: tuple[int, ...]
 ) -> tuple[NDArray[np.intp], Mask]:
-    """The voxel that each point lies in, indices (N, 3), outside the nearest one; and whether it is in the grid, (N,).
-
-    The grid's outer faces belong to it.
-    """
+    """The voxel of each point, (N, 3), outside the nearest one; and whether the grid, with its faces, has it, (N,)."""
     at, last = (points - origin) / voxel, np.array(shape)
     # Rounding must not put a point that made the grid outside of it.
     known: Mask = np.all((at >= -1e-9) & (at <= last + 1e-9), axis=1)
@@ -233,23 +230,20 @@ def _smoothed(counts: NDArray[np.int64]) -> tuple[Array, Array]:
     return mean, reached * weight**2 / np.maximum(spread(reached, _WEIGHTS**2), 1e-300)
 
 
-def _rests_on(counts: NDArray[np.int64]) -> float:
-    """How many samples the smoothed count of a voxel rests on, in the mean over the voxels with samples."""
-    reached = np.count_nonzero(counts)
-    return float(_smoothed(counts)[1].sum()) / reached * float(counts.sum()) / reached
-
-
 def _chosen_voxel(points: Array) -> float:
     """The smallest round length for which a smoothed count rests on enough samples, see the module's text [m]."""
     longest = float(np.ptp(points, axis=0).max())
     if longest < 1e-9:
         return 1e-3
-    fitting = (voxel for voxel in _ROUND if voxel >= longest / _FINEST * (1.0 - 1e-9))
-    return next(
-        voxel
-        for voxel in fitting
-        if voxel >= longest or _rests_on(_counted(points, voxel)[1]) >= SAMPLES_PER_VOXEL
-    )
+    finest = longest / _FINEST * (1.0 - 1e-9)
+    for voxel in (one for one in _ROUND if finest <= one < longest):
+        counts = _counted(points, voxel)[1]
+        reached = np.count_nonzero(counts)
+        # The mean over the voxels that hold samples.
+        rests_on = float(_smoothed(counts)[1].sum()) / reached * len(points) / reached
+        if rests_on >= SAMPLES_PER_VOXEL:
+            return voxel
+    return next(one for one in _ROUND if one >= longest)
 
 
 def write_region(view: RegionView, path: str | Path, seed: int, *, overwrite: bool = False) -> Path:

@@ -79,7 +79,7 @@ def _mm(value: float) -> str:
 
 
 def _head(plan: Plan) -> Iterator[str]:
-    """How many poses of which robot, out of which candidates, what is to be estimated, and how long the way is."""
+    """How many poses of which robot, out of which candidates, and what is to be estimated."""
     robot, f, count = plan.robot, plan.forecast, len(plan.estimation)
     taken = f", beside {len(plan.taken)} measured already" if len(plan.taken) else ""
     yield (
@@ -97,8 +97,6 @@ def _head(plan: Plan) -> Iterator[str]:
     yield f"  candidates     {plan.candidates} of {plan.drawn} drawn"
     refused = ", ".join(f"{n} {_REASONS[why]}" for why, n in plan.refused.items() if n)
     yield f"  refused        {refused or 'none'}"
-    if "prismatic" not in robot.joint_types.values():
-        yield f"  way            {math.degrees(plan.travel):.0f} deg of joint travel in the order to drive"
 
 
 def _forecasts(plan: Plan) -> Iterator[str]:
@@ -114,8 +112,7 @@ def _forecasts(plan: Plan) -> Iterator[str]:
         if one is not None:
             yield f"  {label:<32}{_mm(one.rms):>11}{_span(one)}"
     yield (
-        f"Noise of one measured coordinate: {_mm(f.sigma)}; expected rms error in units of it: {f.rms / f.sigma:.2f}, "
-        f"with random poses {plan.at_random.rms / f.sigma:.2f}. Errors that the model lacks come on top."
+        f"Noise of one measured coordinate: {_mm(f.sigma)}. Errors that the model lacks come on top."
     )
     if rest := f.columns - sum(map(bool, f.identifiable)):
         yield f"{rest} parameters are known in combinations only."
