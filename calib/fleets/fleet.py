@@ -32,7 +32,6 @@ from calib.jobs import run
 from calib.report.report import write_report
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf, read_urdf
-from calib.units import split_header
 from calib.version import __version__
 
 #: The tables of a fleet: for a spreadsheet, and for a program; see docs/fleet.md.
@@ -73,20 +72,11 @@ class FleetRobot:
         cell, renamed = cell or Cell(), dict(columns or {})
 
         def load(urdf_of: Callable[[str], Urdf]) -> FleetInputs:
-            labels = [*Table.read(data).header, *renamed.values()]
-            names = {split_header(label)[0] for label in labels}
-            urdf = urdf_of(str(robot))
+            table, urdf = Table.read(data), urdf_of(str(robot))
+            names = table.names(renamed)
             arm = Robot.from_urdf(urdf, cell.base, cell.tip, measured=names, held=cell.held)
-            rows = Measurements.read(
-                data,
-                arm.joint_names,
-                arm.joint_types,
-                renamed,
-                kind=cell.kind,
-                points=points,
-                points_unit=points_unit,
-            )
-            return arm, rows, cell
+            own = (arm.joint_names, arm.joint_types, renamed, cell.kind, points, points_unit)
+            return arm, Measurements.read(table, *own), cell
 
         return cls(name, load)
 
