@@ -239,19 +239,11 @@ class Reflector:
         object.__setattr__(self, "normal", read_only(normal / length))
 
 
-def check_boxes(boxes: Iterable[Box], tracker: Tracker | None = None) -> None:
-    """Refuse boxes of one name, and a tracker inside a box, from where it sees nothing."""
+def _check_boxes(boxes: Iterable[Box]) -> None:
+    """Refuse boxes of one name."""
     names = [box.name for box in boxes]
     if twice := dict.fromkeys(name for name in names if names.count(name) > 1):
         raise CalibError(f"Each box needs a name of its own; more than one is {choices(twice)}.")
-    if tracker is None:
-        return
-    for box in boxes:
-        inside = box.T_base_box[:3, :3].T @ (tracker.position - box.T_base_box[:3, 3])
-        if (np.abs(inside) <= 0.5 * box.size).all():
-            raise CalibError(
-                f"The tracker stands inside the box '{box.name}', and sees nothing from there; leave out its own stand."
-            )
 
 
 def _within(low: float, high: float, unit: str) -> tuple[str, Callable[[Any], float | None]]:
@@ -392,7 +384,7 @@ class Cell:
             object.__setattr__(self, name, MappingProxyType(found))
         if self.kind is not None:
             registry.get(self.kind)
-        check_boxes(self.boxes)
+        _check_boxes(self.boxes)
         if self.target is None and not self.targets and not self.estimate_target:
             raise CalibError(
                 "The target is said to be known but is not given; give it (--target, target_mm) or let it be estimated."

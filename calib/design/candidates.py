@@ -39,7 +39,6 @@ Code = Literal[
     "reflector_not_checked",  # a reflector, and no tracker that it must face
     "collisions_not_checked",
     "collisions_checked",  # the holder's radius [m], and what stands around
-    "floor_not_checked",
     "no_geometry",  # links that were not checked, or not all of them
     "always_close",  # pairs that are always closer than the clearance, and refused only where they touch
     "always_touching",  # pairs that were not checked

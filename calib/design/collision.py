@@ -167,7 +167,6 @@ class CollisionModel:
         )
         around = [part.owner for part in parts if part.kind in ("box", "plane")]
         notes = [Note("collisions_checked", (check.holder_radius, *around))]
-        notes += [] if check.floor else [Note("floor_not_checked")]
         listed: tuple[tuple[Code, Sequence[str]], ...] = (
             ("no_geometry", unchecked),
             ("always_close", [f"{a} and {b}" for a, b in close]),
@@ -244,7 +243,7 @@ def read_solids(
     bodies = {
         link.get("name", "")
         for link in urdf.elements().findall("link")
-        if any(mass.get("value", "0").strip("0. ") for mass in link.findall("inertial/mass"))
+        if link.find("inertial") is not None
     }
     meshes: dict[tuple[str, tuple[float, ...]], Any] = {}
     solids, unchecked = [], []

@@ -188,16 +188,13 @@ class Sensitivity:
 def _checked_kind(cell: Cell) -> str:
     """The kind that is planned for: one whose poses can be chosen freely, in one set-up."""
     name = cell.kind or "point"
-    kind, why = registry.get(name), ""
-    if not kind.free:
-        free = [one for one in registry.names() if registry.get(one).free]
-        why = f"its rows cannot be chosen freely; choose one of {choices(free)}"
-    elif len(cell.frames) > 1:
-        why = "the cell has several set-ups; give one as frame_xyz_mm"
-    elif kind.own_frame and cell.T_frame_base is None and not cell.frames:
-        why = f"give the base in a frame at the {kind.place.lower()}, frame_xyz_mm in the cell file"
-    if why:
-        raise ModelError(f"Poses cannot be planned for the kind '{name}': {why}.")
+    kind, free = registry.get(name), [one for one in registry.names() if registry.get(one).free]
+    unplaced = kind.own_frame and cell.T_frame_base is None and not cell.frames
+    if unplaced or len(cell.frames) > 1 or not kind.free:
+        raise ModelError(
+            f"Poses are planned for the kinds {choices(free)}, in one set-up; of one with a frame of its own, such as "
+            f"distances, give the base in it (frame_xyz_mm in the cell file). Here the kind is '{name}'."
+        )
     return name
 
 

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 import calib.data.kinds as registry
-from calib.data.cell import Cell, Reflector, Tracker, check_boxes
+from calib.data.cell import Cell, Reflector, Tracker
 from calib.data.layout import Layout, read_values
 from calib.data.measurements import Measurements
 from calib.data.table import DEFAULT_TARGET, EXPECTED, POINT, QUATERNION, Table, name_columns
@@ -90,8 +90,7 @@ class Plan:
 
     def places(self, q: Array) -> Array:
         """Where the nominal robot puts each target in the base at q, shape (N, m); shape (N, targets, 3), [m]."""
-        poses = self.robot.poses(q)[:, None] @ self.T_tip_target
-        return np.asarray(poses[:, :, :3, 3])
+        return np.stack([places(self.robot, T, q) for T in self.T_tip_target], axis=1)
 
     @property
     def estimation(self) -> Array:
@@ -129,7 +128,6 @@ def plan(
     request.check(request.candidates)
     none = np.zeros((0, len(robot.inputs)))
     measured = read_only(none if taken is None else np.atleast_2d(taken))
-    robot.chain_values(measured)
     begin = None if request.start is None else np.asarray(request.start, dtype=np.float64)
     sensitivity = Sensitivity.of(robot, cell)
     T_tip_target, names = sensitivity.setup.T_tip_target, sensitivity.setup.targets
@@ -138,8 +136,6 @@ def plan(
     if collisions is not None:
         targets = dict(zip(names, T_tip_target[:, :3, 3], strict=True))
         body = CollisionModel.of(robot, cell.boxes, targets, collisions)
-        if cell.tracker is not None:
-            check_boxes(cell.boxes, cell.tracker)
 
     def part(what: str) -> Callable[[int, int], None] | None:
         return None if progress is None else partial(progress, what)

@@ -41,7 +41,6 @@ _NOTES: dict[Code, str] = {
     "collisions_checked": "Checked for collisions: links, and each target with a rod of {0} as its holder, with each "
     "other{1}. Not checked: obstacles that the cell file does not name, cables, hoses, other holders, the "
     "instrument, people. Drive the first round slowly.",
-    "floor_not_checked": "The floor was not checked.",
     "no_geometry": "Not checked for collisions, without geometry in the URDF: {0}.",
     "always_close": "Always closer than the clearance, refused only where they touch: {0}.",
     "always_touching": "Not checked against each other, for they touch at (nearly) all poses: {0}.",

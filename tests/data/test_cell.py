@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import math
 import re
 from pathlib import Path
 
@@ -9,7 +8,7 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, strategies as st
 
-from calib.data.cell import Box, Cell, GroupDistance, Priors, Tracker, TrackerNoise, check_boxes
+from calib.data.cell import Cell, GroupDistance, Priors, TrackerNoise
 from calib.data.cell_file import fields as keys
 from calib.errors import CalibError
 from calib.units import UNITS, parse_noise, parse_quantity
@@ -305,18 +304,6 @@ def test_the_documents_defaults_are_the_defaults():
         ("prior_compliance_rad_per_Nm", cell.priors.of("compliance")),
     ):
         assert float(said[key]) == pytest.approx(value), key
-
-
-def test_a_tracker_inside_a_box_sees_nothing():
-    # A beam of 2 m by 0.2 m, turned by 45 deg about z.
-    T, c = np.eye(4), math.sqrt(0.5)
-    T[:2, :2], T[:3, 3] = [[c, -c], [c, c]], [1.0, 1.0, 0.5]
-    beam = Box("beam", np.array([2.0, 0.2, 0.2]), T)
-    for place in ([1.6, 1.6, 0.5], [1.0, 1.0, 0.59]):
-        with pytest.raises(CalibError, match=r"stands inside the box 'beam'"):
-            check_boxes([beam], Tracker(np.array(place)))
-    for place in ([1.6, 0.4, 0.5], [1.0, 1.0, 0.61], [1.8, 1.8, 0.5]):
-        check_boxes([beam], Tracker(np.array(place)))
 
 
 def test_at_three_metres_a_tracker_has_33_um_beside_the_robot_s_20():

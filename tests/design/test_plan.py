@@ -162,7 +162,6 @@ def test_notes_are_codes(ur3, full, bare):
 @pytest.mark.parametrize(
     ("cell", "request_", "given", "words"),
     [
-        (BARE, PlanRequest(12, candidates=300), {"taken": np.zeros((3, 5))}, "6 joints"),
         (
             replace(FULL, tracker=Tracker(np.array([9.0, 0.0, 0.0]), 0.0, 2.0)),
             PlanRequest(12, candidates=300),
