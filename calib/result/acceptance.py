@@ -59,8 +59,7 @@ class Check:
     figure: float  #: What is judged
     tolerance: float  #: What it may be
     uncertainty: float  #: Expanded measuring uncertainty as stated; 0 where none was
-    #: By how much errors were larger before something was registered to the same rows
-    factor: float
+    factor: float  #: How much larger errors were before registration to the same rows
     seen: bool  #: Whether a calibration was fitted to the rows
 
     @property
@@ -82,8 +81,7 @@ class Acceptance:
 
     accuracy: Accuracy  #: Accuracy and repeatability at each pose
     criterion: str  #: One of `CRITERIA`
-    #: The check of positions or lengths; None where no tolerance was stated for them
-    length: Check | None
+    length: Check | None  #: Of positions or lengths; None where no tolerance was stated
     angle: Check | None  #: That of orientations; likewise
     within: int  #: How many poses are within the tolerances, by what the criterion looks at in each
 

@@ -86,11 +86,9 @@ class Calibration(Solved):
     rows: RowNames  #: What each row is, all rows
     frame_estimated: bool  #: Whether the cell left the measurement frames to be estimated
     frozen: tuple[str, ...]  #: Parameters that were kept at their nominal values
-    #: Parameters that follow others: for each the other's name and the factor
-    ties: Mapping[str, tuple[str, float]]
+    ties: Mapping[str, tuple[str, float]]  #: Parameters that follow another one, by a factor
     sizes_from: str  #: Where the sizes of the priors are from: ``"data"``, ``"given"``, or ``"off"`` without priors
-    #: Frames and targets of the nominal robot's errors: as given, and registered where they were not
-    nominal_setup: Setup
+    nominal_setup: Setup  #: Of the nominal robot's errors: as given, or registered
     solver: str  #: Name of the solver
     solution: Solution  #: Where it stopped, with its history
     seconds: float  #: Time that choosing a model, registration and estimation took; NaN where it is not to be told
@@ -104,18 +102,15 @@ class Calibration(Solved):
     used: Mask  #: shape (N, D), which scalars were measured
     scores: Array  #: shape (N,), of all rows; see `calib.estimate.statistics`
     weights: Array  #: shape (N,), of all rows in the fit, between 0 and 1; 0 for validation rows
-    #: shape (m, 2), the smallest and the largest value of each joint in the rows that were fitted [rad], [m]
-    ranges: Array
+    ranges: Array  #: shape (m, 2), smallest and largest joint values that were fitted [rad], [m]
     flag_limit: float  #: The score above which a row is flagged
-    #: The estimation rows flagged; they have no weight where the fit was robust
-    outliers: tuple[Outlier, ...]
-    #: The validation rows beyond such a limit, for their number; they never have a weight
-    suspects: tuple[Outlier, ...]
-    #: What lowering the weights of doubtful rows does; None where none is flagged, or by ``"paper"``
-    robustness: Robustness | None
+    outliers: tuple[Outlier, ...]  #: Fitted rows flagged; without weight if robust
+    suspects: tuple[Outlier, ...]  #: Validation rows flagged; they never have weight
+    robustness: (
+        Robustness | None
+    )  #: What lowering weights does; None if none was, or by ``"paper"``
     repeats: Repeats | None  #: Scatter of rows that repeat a pose; None where none does
-    #: The rows for validation whose joint values lie outside of the range that was fitted
-    outside: tuple[OutsideRow, ...]
+    outside: tuple[OutsideRow, ...]  #: Validation rows outside of the joint values fitted
     #: Standard deviation of the predicted point at the measured poses, rms [m]. From the covariance, so it knows
     #: nothing of errors that the model lacks
     expected_measured: float
@@ -123,11 +118,9 @@ class Calibration(Solved):
     #: Of the nominal robot, its target (and frame, if estimated) fitted to the other rows
     nominal_cross_validation: CrossValidation | None
     observability: Observability  #: Rank, and what the measured poses cannot tell apart
-    #: The ladder of models that ``auto`` chose from; empty for a model that was named
-    candidates: tuple[Candidate, ...]
+    candidates: tuple[Candidate, ...]  #: The ladder that ``auto`` chose from, or empty
     larger: Larger | None  #: The larger model, if one was chosen or asked for
-    #: Whether to use the result; None without cross-validation, unless the set-up is plainly wrong
-    verdict: Verdict | None
+    verdict: Verdict | None  #: None without cross-validation, unless the set-up is plainly wrong
     #: Measurements and solved problem; None where the result was read from a file
     fit: Fit | None = field(default=None, repr=False)
 

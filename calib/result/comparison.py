@@ -144,10 +144,8 @@ class Comparison:
     test: DriftTest  #: The test of the difference
     #: Displacement of the target: over the joint values that both data cover, then over the limits
     moves: tuple[Displacement, Displacement]
-    #: Parameters that frame and target make up for, so that their drift cannot be told
-    untold: tuple[str, ...]
-    #: Parameters of the first that move the target in ways that the second's cannot
-    only_a: tuple[str, ...]
+    untold: tuple[str, ...]  #: Parameters that frame and target make up for
+    only_a: tuple[str, ...]  #: Parameters whose effects the second's cannot have
     only_b: tuple[str, ...]  #: The same of the second
 
     def __repr__(self) -> str:

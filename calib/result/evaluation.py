@@ -51,10 +51,8 @@ class Evaluation:
     robot: Robot  #: The robot
     measurements: Measurements  #: All rows
     setup: Setup  #: Frames and targets as given or registered
-    #: What was registered to the rows: some of ``"target"`` and ``"frame"``
-    registered: tuple[str, ...]
-    #: shape (N, D), measured minus predicted: lengths [m] in the first columns, angles [rad] in three more
-    residual: Array
+    registered: tuple[str, ...]  #: Some of ``"target"`` and ``"frame"``, found from these rows
+    residual: Array  #: shape (N, D), measured minus predicted: lengths [m] first, then angles [rad]
     used: Mask  #: shape (N, D), which scalars were measured
 
     @property
@@ -233,8 +231,7 @@ class Accuracy:
     measured: int  #: Number of rows that measure something
     fitted: int  #: Number of those that the calibration was fitted to
     seen: bool  #: Whether some of these are judged
-    #: What was registered to the rows that are judged: ``"target"``, ``"frame"``
-    registered: tuple[str, ...]
+    registered: tuple[str, ...]  #: Some of ``"target"`` and ``"frame"``, found from these rows
     unknowns: int  #: Number of unknowns of targets and frames that were not given
     numbers: int  #: Number of scalars that they were found from, repeats counted once
 

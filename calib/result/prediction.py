@@ -39,12 +39,9 @@ class ParameterEstimate:
     std: float
     low: float
     high: float
-    #: Whether the measurements determine it; otherwise they know it in combinations only
-    identifiable: bool
-    #: Whether it was stopped by a bound; std and interval are then not to be told, NaN
-    at_bound: bool = False
-    #: Standard deviation of the prior on its change that the fit ended with; NaN where there was none
-    prior_std: float = np.nan
+    identifiable: bool  #: Whether the measurements determine it, not in combinations only
+    at_bound: bool = False  #: Whether a bound stopped it; std and interval are then NaN
+    prior_std: float = np.nan  #: Of the prior that the fit ended with; NaN where there was none
     #: How hard the data push it against its prior [1/unit]: minus the derivative of half their squares. At the least of
     #: all squares that is the prior's pull, (x - mean) / std^2. Where a prior is next to nothing wide, x is too, and
     #: only this still tells what the data say
@@ -68,19 +65,16 @@ class Outlier:
 class Solved:
     """What was found of one error model."""
 
-    #: The nominal robot under it, with frames and targets where ``x`` counts from
-    kinematics: Kinematics
+    kinematics: Kinematics  #: The nominal robot, with frames and targets where ``x`` counts from
     x: Array  #: shape (p,), offsets from the registered start [m, rad]
     covariance: Array  #: shape (p, p), of ``x``
-    #: Size of the errors of each family that the data showed, in its unit; empty without priors
-    sizes: Mapping[str, float]
+    sizes: Mapping[str, float]  #: Size of each family's errors, in its unit; empty without priors
     parameters: tuple[ParameterEstimate, ...]  #: One entry for each element of ``x``
     setup: Setup  #: Frames and targets as estimated or given
     #: shape (6, p), the motion of the base, linear part first, that makes up best for a unit of each parameter over the
     #: measured poses; None where the rows tell where the base stands
     base_motion: Array | None
-    #: Errors on left-out estimation rows; None where it was not asked for
-    cross_validation: CrossValidation | None
+    cross_validation: CrossValidation | None  #: On left-out fitted rows; None without
 
     @property
     def model(self) -> ErrorModel:

@@ -236,18 +236,15 @@ def _joint_trials(
     turns = np.array([joint.type != "prismatic" for joint in robot.inputs])
     for count in range(1, (most if n <= _MOST_SIGNS else 1) + 1):
         for some in itertools.combinations(range(n), count):
-            joints = q.copy()
-            joints[:, some] *= -1.0
+            signs = np.where(np.isin(np.arange(n), some), -1.0, 1.0)
             listed = ", ".join(names[i] for i in some)
-            yield 1.0 + 0.2 * count, joints, Why.JOINTS_TURNED, {"joints": listed}
+            yield 1.0 + 0.2 * count, signs * q, Why.JOINTS_TURNED, {"joints": listed}
     for i, turn in itertools.product(np.flatnonzero(turns).tolist(), np.radians(_TURNS_DEG)):
-        joints = q.copy()
-        joints[:, i] += turn
-        yield 1.2, joints, Why.JOINT_ZERO, {"add_rad": float(turn), "joint": names[i]}
+        values = {"add_rad": float(turn), "joint": names[i]}
+        yield 1.2, q + turn * np.eye(n)[i], Why.JOINT_ZERO, values
     for i, j in itertools.combinations(range(n), 2):
-        joints = q.copy()
-        joints[:, [i, j]] = joints[:, [j, i]]
-        yield 1.2, joints, Why.COLUMNS_SWAPPED, {"first": names[i], "second": names[j]}
+        order = [{i: j, j: i}.get(k, k) for k in range(n)]
+        yield 1.2, q[:, order], Why.COLUMNS_SWAPPED, {"first": names[i], "second": names[j]}
     for (unit, header), size in _ANGLES.items():
         values = {"what": "joints", "unit": unit, "header": header}
         yield 1.2, np.where(turns, size, 1.0) * q, Why.WRONG_UNIT, values
