@@ -76,33 +76,25 @@ _OWN = 0.03
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
-    """A result's own p parameters under the common priors Q.
+    """A result's own p parameters under the common priors Q."""
 
-    ``covariance`` (p, p) is C; ``noise`` its part from noise, C - C Q C over all parameters of the fit; ``pull`` is
-    C Q; ``prior`` (p,) the variance of each prior, ``shift`` (p,) is x_q - x, and ``freedom`` that of the noise.
-    """
-
-    covariance: Array
-    noise: Array
-    pull: Array
-    prior: Array
-    freedom: float
-    shift: Array
+    covariance: Array  # (p, p), C
+    noise: Array  # (p, p), its part from noise, C - C Q C over all parameters of the fit
+    pull: Array  # (p, p), C Q
+    prior: Array  # (p,), the variance of each prior
+    freedom: float  # Of the noise
+    shift: Array  # (p,), x_q - x
 
 
 @dataclass(frozen=True, slots=True)
 class DriftTest:
-    """The test of a difference: k combinations that both data know, d^T V^-1 d over them, and nu.
+    """The test of a difference."""
 
-    ``p`` is the probability of such a difference, or a larger one, where nothing has changed; ``sigma`` the same as
-    standard deviations of a normal distribution, one-sided, 0 where p > 0.5.
-    """
-
-    combinations: int
-    chi_square: float
-    freedom: float
-    p: float
-    sigma: float
+    combinations: int  #: Of parameters that both data know, k
+    chi_square: float  #: d^T V^-1 d over them
+    freedom: float  #: Of the noise, nu
+    p: float  #: The probability of such a difference, or a larger one, where nothing has changed
+    sigma: float  #: The same as one-sided standard deviations of a normal distribution; 0 where p > 0.5
 
     @property
     def drifted(self) -> bool:
@@ -112,18 +104,14 @@ class DriftTest:
 
 @dataclass(frozen=True, slots=True)
 class Displacement:
-    """How far the predicted target lies elsewhere in b.
-
-    ``rms`` (noise included) and ``max`` [m]; ``noise`` is the rms that the noise of both alone would show [m], ``std``
-    the standard deviation of ``rms`` [m]; ``rms_angle`` [rad] is NaN where orientations were not measured.
-    """
+    """How far the predicted target lies elsewhere in b."""
 
     where: Where
-    rms: float
-    max: float
-    noise: float
-    std: float
-    rms_angle: float
+    rms: float  #: [m], noise included
+    max: float  #: [m]
+    noise: float  #: The rms that the noise of both alone would show [m]
+    std: float  #: Standard deviation of ``rms`` [m]
+    rms_angle: float  #: [rad]; NaN where orientations were not measured
 
     @property
     def moved(self) -> float:

@@ -50,15 +50,11 @@ class ParameterEstimate:
 
 @dataclass(frozen=True, slots=True)
 class Outlier:
-    """A row, by its number in the table, that does not belong to the others.
+    """A row that does not belong to the others."""
 
-    The residual is the norm of measured minus predicted length [m], NaN where none was measured; the score how far the
-    row lies from what the others predict, in standard deviations.
-    """
-
-    row: int
-    residual: float
-    score: float
+    row: int  #: Its number in the table
+    residual: float  #: Norm of measured minus predicted length [m]; NaN where none was measured
+    score: float  #: How far it lies from what the others predict, in standard deviations
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

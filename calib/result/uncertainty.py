@@ -52,17 +52,13 @@ _DOUBLINGS, _TOLERANCE = 10, 1e-4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bootstrap:
-    """Parameters of many fits, x of shape (count, p), as offsets like ``fitted.estimate.x``.
+    """Parameters of many fits to rows drawn with replacement from those of one."""
 
-    Each is to rows drawn with replacement from those of ``fitted``, whose own values and intervals are ``parameters``;
-    ``stopped`` is the number of samples whose fit reached the solver's limit of iterations.
-    """
-
-    fitted: Fitted
-    parameters: tuple[ParameterEstimate, ...]
-    x: Array
+    fitted: Fitted  #: That one
+    parameters: tuple[ParameterEstimate, ...]  #: Its values and intervals
+    x: Array  #: shape (count, p), offsets like ``fitted.estimate.x``
     seed: int
-    stopped: int
+    stopped: int  #: How many samples' fits reached the solver's limit of iterations
 
     @property
     def measured_rms(self) -> float:
