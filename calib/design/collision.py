@@ -162,17 +162,12 @@ class CollisionModel:
         scene = _Scene(model, shapes)
         hit = [k for k, part in enumerate(parts) if part.kind in ("link", "box")]
         beams = scene.comparing([(k, len(parts)) for k in hit], [0.0] * len(hit))
-        scene, pairs, close, touching = _chosen_pairs(
-            urdf, scene, parts, rigid, configurations, check.clearance
-        )
+        chosen = _chosen_pairs(urdf, scene, parts, rigid, configurations, check.clearance)
+        scene, pairs, always = chosen
         around = [part.owner for part in parts if part.kind in ("box", "plane")]
         notes = [Note("collisions_checked", (check.holder_radius, *around))]
-        listed: tuple[tuple[Code, Sequence[str]], ...] = (
-            ("no_geometry", unchecked),
-            ("always_close", [f"{a} and {b}" for a, b in close]),
-            ("always_touching", [f"{a} and {b}" for a, b in touching]),
-        )
-        notes += [Note(code, tuple(names)) for code, names in listed if names]
+        listed: dict[Code, list[str]] = {"no_geometry": unchecked, **always}
+        notes += [Note(code, tuple(names)) for code, names in listed.items() if names]
         return cls(robot, pairs, tuple(notes), scene, beams)
 
     def free(self, q: ArrayLike) -> Mask:
@@ -339,8 +334,8 @@ def _chosen_pairs(
     rigid: Mapping[str, str],
     configurations: Array,
     clearance: float,
-) -> tuple[_Scene, Names, Names, Names]:
-    """The scene with the pairs to check, most often touching first; names of these, of `always_close`, of the rest."""
+) -> tuple[_Scene, Names, dict[Code, list[str]]]:
+    """The scene with the pairs to check, most often touching first; their names, and those of pairs as in `Code`."""
     moving = [joint for joint in urdf.joints if joint.type != "fixed"]
     welded = _clusters(urdf, (joint for joint in urdf.joints if joint.type == "fixed"))
     joined = {frozenset((welded[joint.parent], welded[joint.child])) for joint in moving}
@@ -360,20 +355,20 @@ def _chosen_pairs(
     if clearance > 0.0:
         near = scene.comparing(flat, [clearance] * len(flat)).touched(configurations)
     kept: list[tuple[int, tuple[int, int], float]] = []
-    touching, close = [], []
+    told: dict[Code, list[str]] = {"always_close": [], "always_touching": []}
     columns = iter(range(len(flat)))
     for names, pairs in owned.items():
         own = list(itertools.islice(columns, len(pairs)))
         always = touched[:, own].any(axis=1).mean() >= ALWAYS
         if always and parts[pairs[0][1]].kind != "box":
-            touching.append(names)
+            told["always_touching"].append(" and ".join(names))
             continue
         too_close = not always and near[:, own].any(axis=1).mean() >= ALWAYS
         if too_close:
-            close.append(names)
+            told["always_close"].append(" and ".join(names))
         hits, margin = (touched, 0.0) if too_close else (near, clearance)
         kept += [(int(hits[:, k].sum()), flat[k], margin) for k in own]
     kept.sort(key=lambda one: -one[0])
     checked = dict.fromkeys((parts[i].owner, parts[j].owner) for _, (i, j), _ in kept)
     scene = scene.comparing([pair for _, pair, _ in kept], [margin for *_, margin in kept])
-    return scene, tuple(checked), tuple(close), tuple(touching)
+    return scene, tuple(checked), told
