@@ -238,7 +238,7 @@ def read_solids(
     bodies = {
         link.get("name", "")
         for link in urdf.elements().findall("link")
-        if link.find("inertial") is not None
+        if any(mass.get("value", "0").strip("0. ") for mass in link.findall("inertial/mass"))
     }
     meshes: dict[tuple[str, tuple[float, ...]], Any] = {}
     solids, unchecked = [], []

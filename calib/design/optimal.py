@@ -98,7 +98,7 @@ class PlanRequest:
 
 
 class Choice(NamedTuple):
-    """What was chosen out of a pool; the fields are those of `calib.design.plan.Plan`."""
+    """What was chosen out of a pool, as in `calib.design.plan.Plan`."""
 
     planned: Array
     validation: Array

@@ -128,7 +128,6 @@ def plan(
     request.check(request.candidates)
     none = np.zeros((0, len(robot.inputs)))
     measured = read_only(none if taken is None else np.atleast_2d(taken))
-    begin = None if request.start is None else np.asarray(request.start, dtype=np.float64)
     sensitivity = Sensitivity.of(robot, cell)
     T_tip_target, names = sensitivity.setup.T_tip_target, sensitivity.setup.targets
     ranges = planning_ranges(robot, cell.ranges, request.margin)
@@ -157,14 +156,14 @@ def plan(
         return some if body is None else some[body.free(some)]
 
     poses = np.concatenate([choice.planned, choice.validation])
+    begin = None if request.start is None else np.asarray(request.start, dtype=np.float64)
     way = route(robot, poses, limits, begin, None if body is None else body.path_free, stops)
-    estimate = way.indices < len(choice.planned)
     return Plan(
         robot=robot,
         cell=cell,
         request=request,
         joints=way.joints,
-        sets=tuple("estimate" if one else "validate" for one in estimate),
+        sets=tuple(np.where(way.indices < len(choice.planned), "estimate", "validate").tolist()),
         taken=measured,
         targets=names,
         T_tip_target=T_tip_target,
