@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from calib.design.candidates import Code, Note
-    from calib.design.forecast import Forecast
     from calib.design.plan import Plan
     from calib.design.workspace import Checked, RegionView
 
@@ -50,7 +49,7 @@ _NOTES: dict[Code, str] = {
 def plan_text(plan: Plan) -> str:
     """The text of a plan."""
     notes = [f"Note: {note}" for note in (*map(note_text, plan.notes), *_blocked(plan))]
-    return _paragraphs(_head(plan), _forecasts(plan), _ladder(plan), notes)
+    return _paragraphs(_head(plan), _forecasts(plan), notes)
 
 
 def note_text(note: Note) -> str:
@@ -103,34 +102,22 @@ def _forecasts(plan: Plan) -> Iterator[str]:
     f, count, taken = plan.forecast, len(plan.estimation), len(plan.taken)
     yield "Expected error of a predicted position after the calibration, over the workspace:"
     yield f"  {'':<32}{'rms':>11}{'of 90 % of calibrations':>28}{'worst place':>14}"
-    for label, one in (
+    rows = [
         (f"those taken and these, {taken + count}" if taken else f"these {count} poses", f),
         (f"{count} random ones" + (" in place of these" if taken else ""), plan.at_random),
         (f"the {taken} taken alone", plan.before),
-    ):
+    ]
+    beside = f" beside the {taken} taken" if taken else ""
+    rows += [(f"{number} poses{beside}", one) for number, one in plan.ladder if number != count]
+    for label, one in rows:
         if one is not None:
-            yield f"  {label:<32}{_mm(one.rms):>11}{_span(one)}"
+            span = f"{_mm(one.rms_low)} to {_mm(one.rms_high)}"
+            yield f"  {label:<32}{_mm(one.rms):>11}{span:>28}{_mm(one.max):>14}"
     yield (
         f"Noise of one measured coordinate: {_mm(f.sigma)}. Errors that the model lacks come on top."
     )
     if rest := f.columns - sum(map(bool, f.identifiable)):
         yield f"{rest} parameters are known in combinations only."
-
-
-def _span(f: Forecast) -> str:
-    """The last columns of a table of forecasts: the range of the rms error, and the worst place."""
-    return f"{f'{_mm(f.rms_low)} to {_mm(f.rms_high)}':>28}{_mm(f.max):>14}"
-
-
-def _ladder(plan: Plan) -> Iterator[str]:
-    """Forecasts for other numbers of poses."""
-    if not plan.ladder:
-        return
-    more = f" beside the {len(plan.taken)} taken" if len(plan.taken) else ""
-    yield f"How many poses{more}? Expected rms error, its range, and the worst place:"
-    for number, f in plan.ladder:
-        mark = "  <- this plan" if number == len(plan.estimation) else ""
-        yield f"  {number:>6} poses{_mm(f.rms):>13}{_span(f)}{mark}"
 
 
 def _blocked(plan: Plan) -> Iterator[str]:

@@ -42,7 +42,7 @@ def test_the_example_of_the_document(examples):
     planned = next(line for line in done.lines if line.startswith("  these 30 poses"))
     assert numbers(planned)[0] == pytest.approx(1e3 * table["forecast"]["rms_m"], rel=2e-3)
     assert numbers(planned)[-1] == pytest.approx(1e3 * table["forecast"]["max_m"], rel=2e-3)
-    assert "  <- this plan" in done.out
+    assert "  60 poses  " in done.out
     refused = table["candidates"]["refused"]["collision"]
     assert f"{refused} in collision" in " ".join(done.out.split())
     assert "not checked for collisions" not in done.out.lower()
