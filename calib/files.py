@@ -8,13 +8,15 @@ nested tables; an empty path, or one that ends in a dot, puts the attribute's ow
 from __future__ import annotations
 
 import contextlib
+import csv
 import enum
+import io
 import json
 import math
 import os
 import secrets
 import stat
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from pathlib import Path
 from types import UnionType
@@ -75,6 +77,13 @@ def write_atomically(path: str | os.PathLike[str], data: bytes, *, overwrite: bo
         with contextlib.suppress(OSError):
             temporary.unlink()
     return Path(path)
+
+
+def csv_bytes(rows: Iterable[Iterable[object]]) -> bytes:
+    """A CSV table in UTF-8, its header first; floats are written as their repr."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue().encode()
 
 
 def check_writable(path: str | os.PathLike[str], *, overwrite: bool = True) -> None:

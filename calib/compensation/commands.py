@@ -13,8 +13,6 @@ calibration, 1987 ("compensation").
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -40,7 +38,7 @@ from calib.compensation.nominal_actual import Pair, pair_of
 from calib.compensation.program import CORRECTION, Program
 from calib.data.kinds import to_quaternions
 from calib.data.table import POINT, QUATERNION, ROLL_PITCH_YAW, ROTATION_VECTOR, STATUS
-from calib.files import write_atomically
+from calib.files import csv_bytes, write_atomically
 from calib.result.calibration import Calibration
 from calib.robot.readback import column_limits
 from calib.robot.robot import Payload, Robot, read_only, rigid_inverse
@@ -404,6 +402,4 @@ def write_commands(
         warned = f"warning: {codes}" if codes else "ok"
         status.append(f"no command: {reason.code}" if reason else warned)
     columns.append((STATUS, *status))
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(zip(*columns, strict=True))
-    return write_atomically(path, text.getvalue().encode(), overwrite=overwrite)
+    return write_atomically(path, csv_bytes(zip(*columns, strict=True)), overwrite=overwrite)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -32,7 +30,7 @@ from calib.data.table import (
     reserved,
 )
 from calib.errors import MeasurementError, choices
-from calib.files import write_atomically
+from calib.files import csv_bytes, write_atomically
 from calib.robot.robot import read_only
 from calib.units import UNITS, Array, Mask, Quantity
 
@@ -417,11 +415,8 @@ class Measurements:
             add(one.name, one.quantity, self.reading(one.name) if len(self) else None)
         add("sigma", "length", self.sigma)
         add("sigma_angle", "angle", self.sigma_angle)
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(columns)
-        writer.writerows(zip(*columns.values(), strict=True))  # csv writes a float as its repr
-        write_atomically(path, text.getvalue().encode(), overwrite=overwrite)
+        rows = [columns, *zip(*columns.values(), strict=True)]
+        write_atomically(path, csv_bytes(rows), overwrite=overwrite)
 
 
 def _mask(words: Sequence[str], *wanted: str) -> Mask:

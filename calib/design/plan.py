@@ -10,8 +10,6 @@ JSON file. See docs/planning.md.
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -35,7 +33,7 @@ from calib.design.optimal import PlanRequest, choose_poses
 from calib.design.route import Blocked, route
 from calib.design.workspace import Region
 from calib.errors import MeasurementError
-from calib.files import write_atomically
+from calib.files import csv_bytes, write_atomically
 from calib.robot.robot import Robot, read_only
 from calib.units import Array, Mask
 from calib.version import __version__
@@ -242,11 +240,8 @@ def write_plan(
     is the number of the first row: where rows are to be added to a table, one more than its last.
     """
     rows = list(_rows(plan, first_row))
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return write_atomically(path, text.getvalue().encode(), overwrite=overwrite)
+    table = [list(rows[0]), *(row.values() for row in rows)]
+    return write_atomically(path, csv_bytes(table), overwrite=overwrite)
 
 
 def _rows(plan: Plan, number: int) -> Iterator[dict[str, str]]:
