@@ -293,8 +293,11 @@ def _x(truth: Truth, kinematics: Kinematics) -> Array:
 
 
 def _load(truth: Truth, q: Array, model: str) -> Array | None:
-    """The load that a model with compliance needs."""
-    return truth.load(truth.nominal.urdf_values(q)) if "compliance" in model else None
+    """The load that a model with compliance needs, and no lever arms."""
+    if "compliance" not in model:
+        return None
+    load = truth.load(truth.nominal.urdf_values(q))
+    return np.concatenate([load[:, :, None], np.zeros((*load.shape, load.shape[1] + 2))], axis=2)
 
 
 def _run(

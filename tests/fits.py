@@ -19,7 +19,7 @@ from calib.example import PAPER_TARGET, paper_measurements, paper_urdf
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
 from calib.robot.readback import random_joint_values
-from calib.robot.robot import GRAVITY, Payload, Robot, gravity_load, read_only
+from calib.robot.robot import GRAVITY, Payload, Robot, gravity_loads, read_only
 
 #: Numbers of kinds in the registry.
 POINT = 0
@@ -120,7 +120,7 @@ class Scene:
     def samples(self, count: int, frame: int = 0, target: int = 0, q=None) -> Samples:
         if q is None:
             q = random_joint_values(self.robot, count, int(self.rng.integers(2**31)))
-        load = gravity_load(self.robot, q, self.payload, self.gravity)
+        load = gravity_loads(self.robot, q, self.payload, self.gravity)
         return Samples(np.asarray(q), np.full(len(q), frame), np.full(len(q), target), load)
 
     def tip(self, q: np.ndarray) -> np.ndarray:
@@ -269,6 +269,7 @@ def make_scene(ur3: Robot) -> Callable[..., Scene]:
             frame={str(k): () for k in range(len(frames))},
             target=False,
             targets=tuple(f"t{k}" for k in range(len(targets))),
+            gravity=gravity,
         )
         size = np.where([u == "m" for u in errors.units], length, angle)
         for family, std in (other or {}).items():
@@ -329,6 +330,13 @@ def _compliance(make):
     return scene, two_targets(scene.points), cell
 
 
+def _gravity(make):
+    """Hung from the ceiling."""
+    gravity = np.array([0.0, 0.0, 9.81])
+    scene = make(46, frames=BASE, gravity=gravity, model="dh+gravity", other={"gravity": 2e-3})
+    return scene, scene.points(60), Cell(gravity=gravity, model="dh+gravity")
+
+
 def _held(make):
     held = {"wrist_2_joint": 0.8}
     robot = Robot.load(paper_urdf(), base="base", tip="tool0", held=held)
@@ -382,6 +390,7 @@ CASES = {
         FREE,
     ),
     "compliance": _compliance,
+    "gravity": _gravity,
     "held": _held,
 }
 

@@ -69,7 +69,7 @@ ModelName = Annotated[
         metavar="SET[+FAMILY...]",
         help="Errors of the robot. auto, the default of a fit: as many as the data support. dh: a, alpha, d, theta "
         "of each DH row; paper: the same with a known frame; hayati: beta for d between near-parallel axes; placement: "
-        "all six of each joint; zeros; frames: none. Added to these: gain, eccentricity, compliance, as in dh+gain.",
+        "all six of each joint; zeros; frames: none. Behind these: gain, eccentricity, compliance, gravity (dh+gain).",
     ),
 ]
 MeasuredKind = Annotated[

@@ -210,7 +210,8 @@ def pair_of(
         arm = Arm.of(result.corrected(nominal), T_actual)
     else:
         arm = Arm.of_larger(model, result.uncorrected(nominal), T_actual, payload)
-    if payload is not None and arm.load is None:
+    factors = [term.factor for term in arm.kinematics.model.terms]
+    if payload is not None and not any(f and f.loaded and not f.later for f in factors):
         raise ModelError(
             "A payload is given, but the result has no compliances: its commands would be the same with any. Leave the "
             "payload out; the model 'dh+compliance' estimates compliances."

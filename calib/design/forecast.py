@@ -31,7 +31,7 @@ from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability, analyse
 from calib.result.prediction import without_rigid_motion
 from calib.robot.readback import spread_between
-from calib.robot.robot import Robot, gravity_load, read_only
+from calib.robot.robot import Robot, gravity_loads, read_only
 from calib.units import Array
 
 #: What `auto` is planned for: the largest geometry, so that every smaller one is covered.
@@ -119,7 +119,7 @@ class Sensitivity:
         load = None
         if any(p.factor and p.factor.loaded for p in self.kinematics.model.parameters):
             load = np.repeat(
-                gravity_load(robot, q, self.cell.payload, self.cell.gravity), k, axis=0
+                gravity_loads(robot, q, self.cell.payload, self.cell.gravity), k, axis=0
             )
         frame, target = np.zeros(k * len(q), dtype=np.int_), np.tile(np.arange(k), len(q))
         return Samples(np.repeat(q, k, axis=0), frame, target, load)

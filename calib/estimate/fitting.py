@@ -184,6 +184,7 @@ def model_of(task: Task) -> ErrorModel:
         target=setup.unknown_targets,
         targets=setup.target_names,
         rotation=setup.rotation,
+        gravity=task.cell.gravity,
     )
     frozen, ties = task.cell.frozen, task.cell.ties
     held = {*frozen, *ties, *(other for other, _ in ties.values())}

@@ -24,9 +24,9 @@ from calib.estimate.setup import Rows, Setup, joined_setups, known_distances, ro
 from calib.estimate.stages import FEWEST_FREEDOM, PriorTerms, Stage, staged
 from calib.estimate.statistics import CrossValidation, Errors
 from calib.jobs import Progress
-from calib.model.error_model import DIRECTIONS
-from calib.model.families import FAMILIES, joint_families
-from calib.model.kinematics import ErrorModel, Kinematics
+from calib.model.error_model import DIRECTIONS, joint_parameters
+from calib.model.families import joint_families
+from calib.model.kinematics import ErrorModel, Kinematics, joint_displacements
 from calib.model.observability import Observability
 from calib.robot.readback import spread_poses
 from calib.robot.robot import Robot, read_only
@@ -252,8 +252,8 @@ _STEP, _FEW = 5.0, 20.0
 #: Without priors a larger candidate must lower errors on left-out rows to this share.
 _CLEARLY = 0.95
 
-#: A load below this on every joint moves nothing [Nm, N].
-_NO_LOAD = 1e-6
+#: What a unit of an error moves every joint by less than moves nothing [rad, m].
+_NO_MOTION = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -326,9 +326,7 @@ def select(task: Task, rows: Rows) -> Selection:
         if one is not None and (best is None or better(one, best)):
             best = one
     assert best is not None, "the weights are of a model that there are enough rows for"
-    geometry, load = best, rows.samples.load
-    loaded = load is not None and bool(np.max(np.abs(load), initial=0.0) > _NO_LOAD)
-    families = [f for f in joint_families() if loaded or not FAMILIES[f].loaded]
+    geometry, families = best, [f for f in joint_families() if _moves(task, f, rows)]
     while True:
         # One family more and, with any family in it, a larger geometry.
         base, *has = best.name.split("+")
@@ -343,6 +341,14 @@ def select(task: Task, rows: Rows) -> Selection:
     marks = {geometry.name: "geometry", larger: "larger"}
     candidates = tuple(replace(c, chosen=marks.get(c.name, "")) for c in tried.values())
     return Selection(geometry.name, larger, candidates, common)
+
+
+def _moves(task: Task, family: str, rows: Rows) -> bool:
+    """Whether errors of a family move any joint at the rows: not compliances of a URDF without masses."""
+    robot, samples = task.robot, rows.samples
+    terms = joint_parameters(robot, family, task.cell.gravity)
+    moved = joint_displacements(robot, terms, samples.q, samples.load)
+    return bool(np.max(np.abs(moved), initial=0.0) > _NO_MOTION)
 
 
 def _check_names(task: Task) -> None:

@@ -21,7 +21,7 @@ from calib.errors import MeasurementError, ModelError, choices
 from calib.model.error_model import DIRECTIONS, split_name
 from calib.model.families import FAMILIES
 from calib.model.kinematics import FRAME, TARGET, ErrorModel, Parameter, Samples
-from calib.robot.robot import Robot, gravity_load, read_only
+from calib.robot.robot import Robot, gravity_loads, read_only
 from calib.units import Array, Integers, Mask
 
 #: The number in place of a kind's of rows that say nothing themselves: the second ones of pairs; and the column from
@@ -481,11 +481,11 @@ def _partners(m: Measurements) -> Integers:
 
 
 def _load(robot: Robot, m: Measurements, cell: Cell, q: Array) -> Array:
-    """The load on each joint: by gravity and payload, and measured where there are torques, shape (N, n)."""
-    load = gravity_load(robot, q, cell.payload, cell.gravity)
+    """What loads each joint: gravity and payload, or what was measured where there are torques; (N, n, n + 3)."""
+    load = gravity_loads(robot, q, cell.payload, cell.gravity)
     torques = np.empty((0, 0)) if m.torques is None else m.torques.T
     for name, measured in zip(m.joint_names, torques, strict=False):
         for k, joint in enumerate(robot.joints):
             if joint.name == name:  # the load is what the drive holds against
-                load[:, k] = np.where(np.isfinite(measured), -measured, load[:, k])
+                load[:, k, 0] = np.where(np.isfinite(measured), -measured, load[:, k, 0])
     return load

@@ -16,10 +16,19 @@ from functools import lru_cache, partial
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
 from calib.errors import ModelError, choices
 from calib.model.dh import dh_frames, dh_table, screw, zero_poses
-from calib.model.families import ANGLE, LENGTH, ZERO, family_of, joint_families
+from calib.model.families import (
+    ANGLE,
+    ENDS,
+    LENGTH,
+    ZERO,
+    factor_of,
+    family_of,
+    joint_families,
+)
 from calib.model.kinematics import (
     FRAME,
     TARGET,
@@ -27,7 +36,8 @@ from calib.model.kinematics import (
     ErrorModel,
     Parameter,
 )
-from calib.robot.robot import Robot, read_only, rigid_inverse
+from calib.robot.readback import spread_poses
+from calib.robot.robot import GRAVITY, Robot, gravity_loads, read_only, rigid_inverse
 from calib.robot.urdf import UrdfJoint
 from calib.units import Array
 
@@ -40,6 +50,9 @@ _TWISTS = {one: read_only(row) for one, row in zip(DIRECTIONS, np.eye(6), strict
 OWN = "own"  #: The name of a set of parameters that was given, not named.
 _ALIGNED = 1e-6  #: An axis within this of a coordinate axis is one [rad].
 
+#: Lever arms that differ by less at so many poses are one [m].
+_NO_LEVER, _POSES = 1e-6, 20
+
 
 def error_model(
     robot: Robot,
@@ -49,6 +62,7 @@ def error_model(
     target: bool | Sequence[str] = True,
     targets: Sequence[str] = ("",),
     rotation: bool = False,
+    gravity: ArrayLike = GRAVITY,
 ) -> ErrorModel:
     """A named set of parameters for a robot.
 
@@ -63,6 +77,7 @@ def error_model(
         target: Whether the targets are, or the names of those that are.
         targets: The names of all targets; "" for the only one.
         rotation: Whether the targets are frames, of which six parameters are estimated, or points.
+        gravity: shape (3,), acceleration in the URDF's root; the family ``gravity`` leaves out what it cannot bend.
 
     Raises:
         ModelError: No such set or family; or ``paper`` with an unknown frame, which the paper does not have.
@@ -74,7 +89,8 @@ def error_model(
     frames = {"": DIRECTIONS if frame else ()} if isinstance(frame, bool) else frame
     estimated = (targets if target else ()) if isinstance(target, bool) else target
     base = split_name(name)[0] if isinstance(name, str) else OWN
-    own = _own_parameters(robot, name) if isinstance(name, str) else name
+    down = tuple(np.asarray(gravity, dtype=np.float64).tolist())
+    own = _own_parameters(robot, name, down) if isinstance(name, str) else name
     if base == "paper" and any(frames.values()):
         raise ModelError(
             "The parameter set 'paper' knows the measurement frame, as the paper does. To estimate the frame too, "
@@ -89,10 +105,10 @@ def error_model(
 
 
 @lru_cache(maxsize=64)
-def _own_parameters(robot: Robot, name: str) -> tuple[Parameter, ...]:
+def _own_parameters(robot: Robot, name: str, gravity: tuple[float, ...]) -> tuple[Parameter, ...]:
     """The robot's own parameters, which folds, candidates and trials ask for again and again."""
     base, families = split_name(name)
-    of_joints = (one for family in families for one in joint_parameters(robot, family))
+    of_joints = (one for family in families for one in joint_parameters(robot, family, gravity))
     return (*MODELS[base](robot), *of_joints)
 
 
@@ -238,17 +254,38 @@ MODELS: dict[str, Callable[[Robot], list[Parameter]]] = {
 }
 
 
-def joint_parameters(robot: Robot, family: str) -> list[Parameter]:
+def joint_parameters(robot: Robot, family: str, gravity: ArrayLike = GRAVITY) -> list[Parameter]:
     """The parameters of one family of the joints' state, named ``<joint>.gain`` and so on; ModelError without such."""
     row = family_of(family)
     joints = robot.joints if row.every_joint else robot.inputs
     units = [(j, row.sliding if j.type == "prismatic" else row.unit) for j in joints]
+    factors = [(j, u, f) for j, u in units for f in row.factors if u is not None]
+    if any(f.later for f in row.factors):
+        points = _later_points(robot, gravity)
+        factors = [
+            (j, u, factor_of(f"{f.name}[{point}]"))
+            for j, u, f in factors
+            for point in points[j.name]
+        ]
     return [
         Parameter(f"{j.name}.{f.name}", u.symbol, j.name, _joint_twist(j), family, factor=f)
-        for j, u in units
-        for f in row.factors
-        if u is not None
+        for j, u, f in factors
     ]
+
+
+def _later_points(robot: Robot, gravity: ArrayLike) -> dict[str, list[str]]:
+    """The points at which a mass loads each joint: of those that it cannot tell apart the first."""
+    levers = gravity_loads(robot, spread_poses(robot, _POSES), None, gravity)[:, :, 1:]
+    names = (*(joint.name for joint in robot.joints), *ENDS)
+    points: dict[str, list[str]] = {}
+    for i, joint in enumerate(robot.joints):
+        told = [np.zeros(len(levers))]
+        points[joint.name] = own = []
+        for name, column in zip(names, levers[:, i].T, strict=True):
+            if all(np.abs(column - other).max() > _NO_LEVER for other in told):
+                told.append(column)
+                own.append(name)
+    return points
 
 
 def axis_twists(robot: Robot) -> Array:

@@ -6,6 +6,10 @@ A family of the *joints' state* moves a joint about, or along, its own axis by a
     gain          dq = g q
     eccentricity  dq = s sin q + c cos q       the encoder's once-per-turn error
     compliance    dq = c tau                   tau: the load on the joint, by gravity and payload, or measured
+    gravity       dq = sum_l c_l z . ((p_l - p) x g / |g|)     p_l: the origins of later joints and the tip
+
+Gravity is compliance without masses: those of the links are unknown, and put where the chain has points. The joint's
+axis is z through p, of the nominal robot, and c_l what a mass at p_l bends it by, per metre of its lever arm.
 
 No URDF can hold those. Source: J. Hollerbach, W. Khalil, M. Gautier, Handbook of Robotics, ch. 6. `register` adds a
 family from outside; each process registers its own first.
@@ -14,7 +18,7 @@ family from outside; each process registers its own first.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -46,6 +50,15 @@ M_PER_M = Unit("m/m", "m_m", "a number", 1e-3, (1e3, "mm/m"), ("", 1.0), "5e-4")
 RAD_PER_NM = Unit(
     "rad/Nm", "rad_Nm", "a compliance", 1e-5, (1e6, "urad/Nm"), ("_rad_per_Nm", 1.0), "1e-5 rad/Nm"
 )
+RAD_PER_M = Unit(
+    "rad/m",
+    "rad_m",
+    "an angle per length",
+    1e-3,
+    (1e3, "mrad/m"),
+    ("_mrad_per_m", 1e-3),
+    "0.5 mrad/m",
+)
 M_PER_N = Unit("m/N", "m_N", "a compliance", 1e-6, (1e6, "um/N"), ("_m_per_N", 1.0), "1e-6 m/N")
 
 
@@ -57,7 +70,9 @@ class JointState:
     joint_names: tuple[str, ...]  #: The m measured joints.
     values: Array  #: shape (N, m), of all measured joints, [rad] or [m].
     chain: tuple[str, ...] = ()  #: Names of the n joints of the chain.
-    loads: Array | None = None  #: shape (N, n), on each of these [Nm, N]; None if not known.
+    #: shape (N, n, n + 3), see `calib.robot.robot.gravity_loads`; None if not known.
+    loads: Array | None = None
+    point: str = ""  #: Of which point of the chain a mass is asked for: the joint that lies there, or of `ENDS`.
 
     @property
     def q(self) -> Array:
@@ -67,6 +82,15 @@ class JointState:
     @property
     def load(self) -> Array:
         """The load on the joint, shape (N,), [Nm] or [N]; ModelError where it is not known."""
+        return self._loads[:, 0]
+
+    @property
+    def lever(self) -> Array:
+        """The lever arm about the joint of a mass at the point, shape (N,), [m]; ModelError as for the load."""
+        return self._loads[:, 1 + (*self.chain, *ENDS).index(self.point)]
+
+    @property
+    def _loads(self) -> Array:
         if self.loads is None:
             raise ModelError(f"The compliance of '{self.joint}' needs the load on the joints.")
         return self.loads[:, self.chain.index(self.joint)]
@@ -81,6 +105,9 @@ class Factor:
     #: Its derivative by the joint's own value, shape (N,); None: next to 0, and taken as that.
     slope: Callable[[JointState], Array] | None
     loaded: bool = False  #: Whether it needs the load on the joints.
+    #: Whether there is one for each later point of the chain, ``<joint>.<name>[<point>]``, and which this is.
+    later: bool = False
+    point: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +136,8 @@ class Family:
         return any(factor.loaded for factor in self.factors)
 
 
+ENDS = ("tip", "base")  #: The points that the chain ends at, besides those of its joints.
+
 #: What a URDF can hold. A zero is an angle about a joint's own axis.
 LENGTH, ANGLE, ZERO = "length", "angle", "zero"
 
@@ -116,6 +145,7 @@ _GAIN = Factor("gain", lambda state: state.q, lambda state: np.ones_like(state.q
 _SIN = Factor("sin", lambda state: np.sin(state.q), lambda state: np.cos(state.q))
 _COS = Factor("cos", lambda state: np.cos(state.q), lambda state: -np.sin(state.q))
 _COMPLIANCE = Factor("compliance", lambda state: state.load, slope=None, loaded=True)
+_GRAVITY = Factor("gravity", lambda state: state.lever, slope=None, loaded=True, later=True)
 
 _ROWS = (
     Family(LENGTH, M, prior=3e-3, typical=0.3e-3),
@@ -135,6 +165,7 @@ _ROWS = (
         positive=True,
         lever=0.1,
     ),
+    Family("gravity", RAD_PER_M, 1e-3, 0.3e-3, (_GRAVITY,), every_joint=True, positive=True),
 )
 _REGISTRY: dict[str, Family] = {row.name: row for row in _ROWS}
 
@@ -160,6 +191,13 @@ def family_of(name: str) -> Family:
     return FAMILIES[name]
 
 
+def factor_of(name: str) -> Factor:
+    """A factor of any family by its name, with its point behind it; KeyError if there is none."""
+    own, _, point = name.removesuffix("]").partition("[")
+    known = {one.name: one for row in FAMILIES.values() for one in row.factors}
+    return replace(known[own], name=name, point=point) if point else known[own]
+
+
 def joint_families() -> tuple[str, ...]:
     """The names of the families that no URDF can hold, which a model may add to its set."""
     return tuple(name for name, row in FAMILIES.items() if not row.geometric)
@@ -167,7 +205,7 @@ def joint_families() -> tuple[str, ...]:
 
 def unit_of(symbol: str) -> Unit:
     """A unit of parameters by its symbol, calib's own or a registered family's; ModelError if there is none."""
-    own = (M, RAD, ONE, M_PER_M, RAD_PER_NM, M_PER_N)
+    own = (M, RAD, ONE, M_PER_M, RAD_PER_NM, RAD_PER_M, M_PER_N)
     rows = (unit for row in FAMILIES.values() for unit in (row.unit, row.sliding) if unit)
     units = {unit.symbol: unit for unit in (*own, *rows)}
     if symbol not in units:

@@ -198,7 +198,8 @@ class Samples:
     q: Array  #: shape (N, m), values of the measured joints, [rad] or [m].
     frame: NDArray[np.int_]  #: shape (N,), which of the measurement frames.
     target: NDArray[np.int_]  #: shape (N,), which of the targets.
-    load: Array | None = None  #: shape (N, n), on each joint [Nm, N]; None if not known.
+    #: shape (N, n, n + 3), see `calib.robot.robot.gravity_loads`; None if not known.
+    load: Array | None = None
 
     @classmethod
     def at(cls, q: ArrayLike, load: Array | None = None) -> Samples:
@@ -293,6 +294,6 @@ def joint_displacements(
             driven: Array = np.eye(len(joints))[joints.index(term.place)]
         else:
             driven = robot.coupling[:, robot.joint_names.index(term.place)]
-        state = JointState(term.place, robot.joint_names, q, joints, load)
+        state = JointState(term.place, robot.joint_names, q, joints, load, term.factor.point)
         moved[:, :, k] = term.factor.value(state)[:, None] * driven
     return moved

@@ -29,7 +29,7 @@ from calib.files import (
     read_json,
     write_atomically,
 )
-from calib.model.families import FAMILIES, Factor
+from calib.model.families import FAMILIES, Factor, factor_of
 from calib.model.kinematics import ErrorModel, Kinematics, Parameter
 from calib.model.observability import Observability
 from calib.result.calibration import Calibration, Source
@@ -147,10 +147,9 @@ _LAYOUT: JsonLayout = JsonLayout(
     },
     {
         Errors: (error_table, None),
-        Factor: (lambda factor: factor.name, lambda name: _FACTORS[name]),
+        Factor: (lambda factor: factor.name, factor_of),
     },
 )
-_FACTORS: dict[str, Factor] = {one.name: one for row in FAMILIES.values() for one in row.factors}
 
 
 def versions() -> dict[str, str]:

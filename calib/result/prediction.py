@@ -20,7 +20,7 @@ from calib.estimate.setup import Setup
 from calib.estimate.statistics import CrossValidation, interval_factor
 from calib.model.kinematics import FRAME, TARGET, ErrorModel, Kinematics, Samples
 from calib.model.observability import Observability
-from calib.robot.robot import Payload, Robot, gravity_load, read_only
+from calib.robot.robot import Payload, Robot, gravity_loads, read_only
 from calib.units import Array
 
 #: Poses over which expected errors are averaged, and that say what a motion of the base makes up for: more change none.
@@ -120,8 +120,8 @@ class Larger(Solved):
         return self.model.name
 
     def load(self, nominal: Robot, q: Array, payload: Payload | None = None) -> Array:
-        """The load of gravity on the joints at q, shape (N, m); shape (N, n), [Nm] or [N]; payload None: its own."""
-        return gravity_load(nominal, q, payload or self.payload, self.gravity)
+        """The load of gravity on the joints at q, shape (N, m); see `gravity_loads`; payload None: its own."""
+        return gravity_loads(nominal, q, payload or self.payload, self.gravity)
 
 
 def parameter_estimates(

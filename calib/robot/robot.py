@@ -267,13 +267,15 @@ class Payload:
             )
 
 
-def gravity_load(
+def gravity_loads(
     robot: Robot, q: ArrayLike, payload: Payload | None = None, gravity: ArrayLike = GRAVITY
 ) -> Array:
-    """The generalised force that gravity exerts on each joint of the chain, shape (N, n), [Nm] or [N].
+    """What gravity can load each of the chain's n joints with, shape (N, n, n + 3).
 
-    Positive where gravity drives the joint towards larger values. All links of the URDF count, those beside the chain
-    too, with their joints where `Robot.urdf_values` says; a link without a mass is massless.
+    First the load itself [Nm] or [N], by the masses of all links of the URDF, also beside the chain, where their joints
+    are as `Robot.urdf_values` says; a link without a mass is massless. Then the lever arms [m] of a mass at the origin
+    of each joint of the chain, at the tip, and at a base that joints move: its load over its weight. All are positive
+    where gravity drives the joint towards larger values.
 
     Args:
         robot: The robot.
@@ -283,19 +285,35 @@ def gravity_load(
     """
     values = robot.urdf_values(q)
     model = full_model(robot.urdf)
-    model.gravity.linear = np.array(_three(gravity, "acceleration of gravity", "[m/s^2]"))
+    down = _three(gravity, "acceleration of gravity", "[m/s^2]")
+    model.gravity.linear = np.array(down)
     model.gravity.angular = np.zeros(3)
+    tip, base = (model.frames[link_frame(model, link)] for link in (robot.tip, robot.base))
     if payload is not None:
-        tip = model.frames[link_frame(model, robot.tip)]
         mass = pin.Inertia(float(payload.mass), np.array(payload.com), np.zeros((3, 3)))
         model.appendBodyToJoint(tip.parentJoint, mass, tip.placement)
     data = model.createData()
-    columns = [model.idx_vs[model.getJointId(joint.name)] for joint in robot.joints]
+    numbers = [model.getJointId(joint.name) for joint in robot.joints]
+    columns = np.array([model.idx_vs[number] for number in numbers], dtype=np.int_)
+    # A joint bears what comes behind it in the URDF.
+    bears = np.array(
+        [
+            [k in model.supports[end] for end in (*numbers, tip.parentJoint, base.parentJoint)]
+            for k in numbers
+        ]
+    )
+    towards = down / max(float(np.linalg.norm(down)), np.finfo(float).tiny)
     configurations = full_configurations(model, values)
-    load = np.empty((len(configurations), len(columns)))
-    for row, configuration in zip(load, configurations, strict=True):
-        row[:] = -pin.computeGeneralizedGravity(model, data, configuration)[columns]
-    return load
+    loads = np.empty((len(configurations), len(columns), len(numbers) + 3))
+    for row, configuration in zip(loads, configurations, strict=True):
+        row[:, 0] = -pin.computeGeneralizedGravity(model, data, configuration)[columns]
+        # Of a model of one joint it is a vector.
+        J = pin.computeJointJacobians(model, data, configuration).reshape(6, -1)[:, columns]
+        points = [data.oMi[number].translation for number in numbers]
+        points += [data.oMi[end.parentJoint].act(end.placement.translation) for end in (tip, base)]
+        moments = np.cross(points, towards)
+        row[:, 1:] = bears * (J[:3].T @ towards[:, None] + J[3:].T @ moments.T)
+    return loads
 
 
 def _three(values: ArrayLike, what: str, unit: str) -> Array:

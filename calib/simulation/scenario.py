@@ -358,7 +358,8 @@ def read_scenario(
         table = read_toml(path).get("simulation", {})
         more = read_table(table, FIELDS, f"[simulation] of {path}")
     model = DEFAULT_MODEL if cell.model == "auto" else cell.model
-    errors = tuple(_named_errors(error or (), error_model(robot, model, target=False)))
+    whole = error_model(robot, model, target=False, gravity=cell.gravity)
+    errors = tuple(_named_errors(error or (), whole))
     moved = None
     if "row" in more or "by" in more:
         by = more.get("by", np.zeros(3))

@@ -26,7 +26,7 @@ from calib.model.kinematics import Samples
 from calib.result.calibrate import calibrate, fit_table
 from calib.result.prediction import without_rigid_motion
 from calib.result.verdict import NO
-from calib.robot.robot import gravity_load, rigid_inverse
+from calib.robot.robot import gravity_loads, rigid_inverse
 from calib.simulation.scenario import DEFAULT_TRACKER, Scenario, Simulated
 from calib.simulation.truth import Truth
 from calib.units import Array
@@ -263,7 +263,7 @@ def _verified(trials: Trials, truth: Truth, fitted: Fitted) -> dict[str, float]:
     T_base_target = truth.tip_poses(q) @ truth.T_tip_target[0]
     load = None
     if any(term.factor and term.factor.loaded for term in fitted.kinematics.model.terms):
-        load = gravity_load(scenario.robot, q, cell.payload, cell.gravity)
+        load = gravity_loads(scenario.robot, q, cell.payload, cell.gravity)
     poses, J = fitted.kinematics.twists(estimate.x, Samples.at(q, load), rotation=False)
     if scenario.kind.position:
         error = poses[:, :3, 3] - (truth.T_frame_base[0] @ T_base_target)[:, :3, 3]

@@ -30,7 +30,7 @@ from calib.model.error_model import error_model, split_name
 from calib.model.families import FAMILIES, unit_of
 from calib.model.kinematics import ErrorModel, Kinematics, Samples
 from calib.robot.readback import check_written, random_joint_values
-from calib.robot.robot import Payload, Robot, gravity_load, read_only, rigid_inverse
+from calib.robot.robot import Payload, Robot, gravity_loads, read_only, rigid_inverse
 from calib.units import Array, parse_amount
 
 #: Where the target is said to sit on the tip, if nothing else is said [m]: off the last axis, so that all is seen.
@@ -110,7 +110,7 @@ class Truth:
             robot = self.given
             x = np.where([p.factor is not None for p in self.model.parameters], x, 0.0)
         if any(term.factor and term.factor.loaded for term in self.model.terms):
-            load = gravity_load(self.nominal, q, self.payload, self.gravity)
+            load = gravity_loads(self.nominal, q, self.payload, self.gravity)
         kinematics = Kinematics(robot, self.model, np.eye(4), np.eye(4))
         return kinematics.poses(x, Samples.at(q, load))
 
@@ -160,7 +160,7 @@ def draw_truth(
     cell, given = cell or Cell(), dict(errors or {})
     if true_robot is not None:
         model = "+".join(("placement", *split_name(model)[1]))
-    whole = error_model(robot, model, target=False)
+    whole = error_model(robot, model, target=False, gravity=cell.gravity)
     free = {p.name for p in whole.parameters if true_robot is None or p.factor}
     if true_robot is not None:
         if fixed := [name for name in given if name in whole.names and name not in free]:

@@ -107,7 +107,7 @@ def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from calib.data.measurements import Measurements
     from calib.example import paper_urdf
     from calib.result.calibration_file import write_result
-    from calib.robot.robot import Payload, Robot, gravity_load, read_only
+    from calib.robot.robot import Payload, Robot, gravity_loads, read_only
 
     folder = tmp_path_factory.mktemp("large")
     shutil.copy(paper_urdf(), folder / "robot.urdf")
@@ -118,7 +118,7 @@ def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
     T = np.eye(4)
     T[:3, 3], T[:2, :2] = [0.05, 0.05, 0.05], [[0.0, -1.0], [1.0, 0.0]]
     payload = Payload(2.0, read_only([0.0, 0.0, 0.05]))
-    poses = true.poses(q + 1e-4 * gravity_load(nominal, q, payload)) @ T
+    poses = true.poses(q + 1e-4 * gravity_loads(nominal, q, payload)[..., 0]) @ T
     groups = ("left", "right") * 12
     poses[1::2, 0, 3] += 0.3  # the tracker stood elsewhere
     table = Measurements(

@@ -10,7 +10,7 @@ from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
 from calib.result.prediction import Larger
 from calib.robot.readback import random_joint_values
-from calib.robot.robot import GRAVITY, Payload, Robot, gravity_load, read_only
+from calib.robot.robot import GRAVITY, Payload, Robot, gravity_loads, read_only
 from tests.compensation.arms import off, turned
 from tests.hard_cases import made
 
@@ -27,7 +27,15 @@ CHAINS = {
 def larger(robot: Robot, families: str, seed: int = 3) -> Larger:
     """A larger model with errors drawn; of a result only what commands are made with."""
     model = error_model(robot, "zeros" + families, target=False)
-    sizes = {"m": 5e-4, "rad": 2e-3, "1": 1e-3, "m/m": 1e-3, "rad/Nm": 1e-5, "m/N": 1e-6}
+    sizes = {
+        "m": 5e-4,
+        "rad": 2e-3,
+        "1": 1e-3,
+        "m/m": 1e-3,
+        "rad/Nm": 1e-5,
+        "m/N": 1e-6,
+        "rad/m": 1e-4,
+    }
     rng = np.random.default_rng(seed)
     x = np.array([float(rng.normal() * sizes[p.unit]) for p in model.parameters])
     nothing = dict.fromkeys(
@@ -65,7 +73,9 @@ def test_the_motion_of_any_chain_is_its_difference(case):
     assert twists == pytest.approx(differences(arm, q), abs=2e-9)
 
 
-@pytest.mark.parametrize("families", ["+gain+eccentricity", "+gain+eccentricity+compliance"])
+@pytest.mark.parametrize(
+    "families", ["+gain+eccentricity", "+gain+eccentricity+compliance", "+gravity"]
+)
 @pytest.mark.parametrize("case", ["ur3", "mimic and prismatic", "two branches"])
 def test_joints_that_err_with_their_state(case, families):
     robot = Robot.load(*CHAINS[case])
@@ -74,12 +84,12 @@ def test_joints_that_err_with_their_state(case, families):
     q = random_joint_values(robot, 4)
     poses, twists = arm.motion(q)
     # By another path: the kinematics that the fit took.
-    load = gravity_load(robot, q, found.payload, found.gravity)
+    load = gravity_loads(robot, q, found.payload, found.gravity)
     expected = found.kinematics.poses(found.x, Samples.at(q, load)) @ turned(2)
     assert poses == pytest.approx(expected, abs=1e-12)
     # The load changes with q too, which is left out: a part in a thousand.
     scale = np.abs(twists).max()
-    tolerance = 1e-3 * scale if "compliance" in families else 2e-9
+    tolerance = 2e-9 if families.endswith("eccentricity") else 1e-3 * scale
     assert twists == pytest.approx(differences(arm, q), abs=tolerance)
 
 

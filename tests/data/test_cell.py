@@ -302,6 +302,7 @@ def test_the_documents_defaults_are_the_defaults():
         ("prior_gain", cell.priors.of("gain")),
         ("prior_eccentricity_mrad", 1e3 * cell.priors.of("eccentricity")),
         ("prior_compliance_rad_per_Nm", cell.priors.of("compliance")),
+        ("prior_gravity_mrad_per_m", 1e3 * cell.priors.of("gravity")),
     ):
         assert float(said[key]) == pytest.approx(value), key
 

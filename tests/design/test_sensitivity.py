@@ -18,7 +18,7 @@ from calib.model.kinematics import Kinematics, Samples
 from calib.result.calibrate import calibrate
 from calib.result.prediction import without_rigid_motion
 from calib.robot.readback import random_joint_values, spread_poses
-from calib.robot.robot import Payload, gravity_load
+from calib.robot.robot import Payload, gravity_loads
 
 TARGET = np.array([0.05, -0.06, 0.04])
 SIGMA = 1e-4
@@ -74,7 +74,7 @@ def cell(request) -> Cell:
 def predicted(cell: Cell, kinematics: Kinematics, x: np.ndarray, q: np.ndarray) -> np.ndarray:
     """Poses of all targets, pose by pose, shape (n, targets, 4, 4)."""
     robot, k = kinematics.robot, len(kinematics.T_tip_target)
-    load = gravity_load(robot, q, cell.payload, cell.gravity)
+    load = gravity_loads(robot, q, cell.payload, cell.gravity)
     stack = []
     for t in range(k):
         n = len(q)

@@ -25,7 +25,7 @@ def rows_of_kinds(robot, kinds, seed=0, count=260) -> tuple[Kinematics, Rows]:
     rng = np.random.default_rng(seed)
     model = error_model(
         robot,
-        "dh+gain+compliance",
+        "dh+gain+compliance+gravity",
         frame={"a": ("x", "y", "z", "rx", "ry", "rz"), "b": ("z", "rx")},
         target=("left", "right"),
         targets=("left", "right"),
@@ -44,7 +44,7 @@ def rows_of_kinds(robot, kinds, seed=0, count=260) -> tuple[Kinematics, Rows]:
         rng.uniform(-3.0, 3.0, (count, 6)),
         rng.integers(0, 2, count),
         rng.integers(0, 2, count),
-        rng.normal(0.0, 20.0, (count, 6)),
+        rng.normal(0.0, 20.0, (count, 6, 9)),
     )
     T = kinematics.poses(np.zeros(len(model)), samples)
     points = T[:, :3, 3] + rng.normal(0.0, 1e-3, (count, 3))

@@ -37,6 +37,7 @@ def chosen(scene: Any, count: int = 80, cell: Cell | None = None) -> Selection:
         ("dh", {}, "dh", ""),
         ("dh+compliance", {"other": {"compliance": 1e-4}}, "dh", "dh+compliance"),
         ("zeros+gain", {"other": {"gain": 4e-3}}, "zeros", "zeros+gain"),
+        ("dh+gravity", {"other": {"gravity": 4e-3}}, "dh", "dh+gravity"),
     ],
 )
 def test_the_model_that_made_the_data_is_chosen(make_scene, truth, given, geometry, larger, seed):

@@ -21,7 +21,7 @@ from calib.estimate.setup import (
 )
 from calib.model.error_model import frame_and_target_model
 from calib.model.kinematics import ErrorModel, Kinematics
-from calib.robot.robot import Payload, Robot, gravity_load
+from calib.robot.robot import Payload, Robot, gravity_loads
 
 ALL = ("x", "y", "z", "rx", "ry", "rz")
 UR3 = Robot.load("ur3", base="base", tip="tool0")
@@ -170,13 +170,13 @@ def test_loads_are_those_of_gravity_and_payload_and_measured_ones_where_there_ar
     payload = Payload(3.0, np.array([0.0, 0.02, 0.1]))
     gravity = np.array([0.0, 9.81, 0.0])
     rows, _ = rows_of(ur3, table, Cell(payload=payload, gravity=gravity))
-    by_gravity = gravity_load(ur3, table.joints, payload, gravity)
+    by_gravity = gravity_loads(ur3, table.joints, payload, gravity)
     np.testing.assert_array_equal(rows.samples.load, by_gravity)
     torques = np.full((4, 6), np.nan)
     torques[:, 1] = [10.0, -20.0, 0.0, 5.0]
     rows, _ = rows_of(ur3, replace(table, torques=torques), Cell(payload=payload, gravity=gravity))
     # The drive holds against the load.
-    np.testing.assert_array_equal(rows.samples.load[:, 1], [-10.0, 20.0, 0.0, -5.0])
+    np.testing.assert_array_equal(rows.samples.load[:, 1, 0], [-10.0, 20.0, 0.0, -5.0])
     np.testing.assert_array_equal(rows.samples.load[:, 2:], by_gravity[:, 2:])
 
 

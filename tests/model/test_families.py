@@ -20,9 +20,10 @@ def registry():
 
 
 def test_the_rows():
-    assert list(FAMILIES)[:6] == ["length", "angle", "zero", "gain", "eccentricity", "compliance"]
+    joints = ["gain", "eccentricity", "compliance", "gravity"]
+    assert list(FAMILIES)[:7] == ["length", "angle", "zero", *joints]
     assert [name for name, row in FAMILIES.items() if row.geometric] == ["length", "angle", "zero"]
-    assert [name for name, row in FAMILIES.items() if row.loaded] == ["compliance"]
+    assert [name for name, row in FAMILIES.items() if row.loaded] == ["compliance", "gravity"]
     for row in FAMILIES.values():
         assert row.bounds[0] < row.typical <= row.prior < row.bounds[1]
 

@@ -6,7 +6,7 @@ import pytest
 
 from calib.model.error_model import error_model, joint_parameters
 from calib.model.kinematics import Kinematics, Samples, joint_displacements
-from calib.robot.robot import Payload, Robot, gravity_load
+from calib.robot.robot import Payload, Robot, gravity_loads
 from calib.robot.urdf import Urdf
 from tests.robot.shared import LIMIT, joint, urdf_of
 
@@ -102,7 +102,7 @@ def test_a_beam_sags_by_compliance_times_torque(axis, payload):
     )
     robot = Robot.from_urdf(Urdf.from_bytes(text.encode(), "beam.urdf"))
     q = np.zeros((1, 1))
-    load = gravity_load(robot, q, Payload(payload))
+    load = gravity_loads(robot, q, Payload(payload))
     torque = 9.81 * (10 * 0.5 + payload * 1.0)
     model = error_model(robot, "frames+compliance", target=False)
     kinematics = Kinematics(robot, model, np.eye(4), np.eye(4))
@@ -117,7 +117,7 @@ def test_both_sides_of_the_fork_sag_as_the_full_robot_does():
     # The hand as the head's camera sees it, all joints giving way: the same as the whole URDF at these values.
     robot = Robot.load("tiago_no_hand", "xtion_rgb_optical_frame", "wrist_ft_tool_link")
     q = np.random.default_rng(2).uniform(-1, 1, (3, len(robot.joint_names)))
-    load = gravity_load(robot, q, Payload(3.0))
+    load = gravity_loads(robot, q, Payload(3.0))
     model = error_model(robot, "frames+compliance", target=False)
     x = np.random.default_rng(3).uniform(0, 1e-4, len(model))
     poses = Kinematics(robot, model, np.eye(4), np.eye(4)).poses(x, Samples.at(q, load))
@@ -127,7 +127,7 @@ def test_both_sides_of_the_fork_sag_as_the_full_robot_does():
     for i, expected_pose in enumerate(poses):
         v = np.zeros(full.nv)
         for k, one in enumerate(robot.joints):
-            value = robot.urdf_values(q)[one.name][i] + x[k] * load[i, k]
+            value = robot.urdf_values(q)[one.name][i] + x[k] * load[i, k, 0]
             v[full.idx_vs[full.getJointId(one.name)]] = value
         pin.framesForwardKinematics(full, data, pin.integrate(full, pin.neutral(full), v))
         T_base_tip = data.oMf[ends[0]].inverse() * data.oMf[ends[1]]

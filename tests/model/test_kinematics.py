@@ -32,7 +32,7 @@ HELD = {"torso_lift_joint": 0.2, "head_2_joint": -0.3, "arm_4_joint": 0.7}
 ROBOTS = ("ur3", "panda", "prismatic", "mimic", "tiago_held", *CHAINS)
 
 #: Behind a set's name, every error that changes with the joints' state.
-FAMILIES = "+gain+eccentricity+compliance"
+FAMILIES = "+gain+eccentricity+compliance+gravity"
 
 
 def pose(seed: int, size: float = 1.0) -> np.ndarray:
@@ -90,13 +90,16 @@ def some_q(robot: Robot, count: int = 3) -> np.ndarray:
 
 
 def some_load(robot: Robot, count: int = 3) -> np.ndarray:
-    """Loads of up to 20 Nm or N."""
-    return np.random.default_rng(6).uniform(-20, 20, (count, len(robot.joints)))
+    """Loads of up to 20 Nm or N, and lever arms of up to 2 m."""
+    n = len(robot.joints)
+    scale = np.append(20.0, np.full(n + 2, 2.0))
+    return scale * np.random.default_rng(6).uniform(-1, 1, (count, n, n + 3))
 
 
 def sizes(model: ErrorModel) -> np.ndarray:
     """What moves a joint or a placement by 2 cm or 0.1 rad or so, in each parameter's unit."""
     by_unit = {"m": 0.02, "rad": 0.1, "1": 0.05, "m/m": 0.05, "rad/Nm": 5e-3, "m/N": 1e-3}
+    by_unit["rad/m"] = 0.02
     return np.array([by_unit[unit] for unit in model.units])
 
 
@@ -133,7 +136,7 @@ def assert_columns_equal_their_differences(
     poses, twists = kinematics.twists(x, samples)
     assert twists.shape == (len(samples), 6, len(model))
     np.testing.assert_allclose(poses, kinematics.poses(x, samples), rtol=0, atol=1e-13)
-    step = {"m": 1.0, "rad": 1.0, "1": 1.0, "m/m": 1.0, "rad/Nm": 0.05, "m/N": 0.05}
+    step = {"m": 1.0, "rad": 1.0, "1": 1.0, "m/m": 1.0, "rad/Nm": 0.05, "m/N": 0.05, "rad/m": 1.0}
     for k, parameter in enumerate(model.parameters):
         unit = step[parameter.unit]
         expected = twists_by_differences(lambda x: kinematics.poses(x, samples), x, k, unit)
@@ -209,7 +212,11 @@ def test_errors_of_the_joints_state_move_the_joints(robots, which):
         if one.type != "prismatic":
             column[:, c] += value[f"{one.name}.sin"] * np.sin(q[:, c])
             column[:, c] += value[f"{one.name}.cos"] * np.cos(q[:, c])
-    given_way = load * [value[f"{joint.name}.compliance"] for joint in robot.joints]
+    given_way = load[:, :, 0] * [value[f"{joint.name}.compliance"] for joint in robot.joints]
+    points = [*(joint.name for joint in robot.joints), "tip", "base"]
+    for i, one in enumerate(robot.joints):
+        for k, point in enumerate(points):
+            given_way[:, i] += value.get(f"{one.name}.gravity[{point}]", 0.0) * load[:, i, 1 + k]
     chain = pinocchio_chain(robot.joints, robot.placements)
     configurations = robot.chain_values(q + column) + given_way
     data = chain.createData()

@@ -9,7 +9,7 @@ from calib.model.error_model import error_model
 from calib.model.families import ANGLE, LENGTH
 from calib.model.kinematics import FRAME, TARGET, TIP, ErrorModel, Kinematics, Parameter, Samples
 from calib.model.observability import Observability, analyse, rank_by_gap
-from calib.robot.robot import Payload, Robot, gravity_load
+from calib.robot.robot import Payload, Robot, gravity_loads
 from calib.text.summary import combination_text
 
 ON_AXIS_6 = (0.0, 0.0, 0.05)
@@ -141,7 +141,7 @@ def test_the_ranks_of_any_chain(which, name):
 
 
 def loaded(robot: Robot, model: ErrorModel, q: np.ndarray, payload: Payload | None) -> np.ndarray:
-    samples = Samples.at(q, gravity_load(robot, q, payload))
+    samples = Samples.at(q, gravity_loads(robot, q, payload))
     _, twists = at_target(robot, model).twists(np.zeros(len(model)), samples)
     return twists[:, :3].reshape(-1, len(model))
 
@@ -157,6 +157,7 @@ TOOL = Payload(5.0, np.array([0.05, 0.03, 0.1]))
         ("+eccentricity", None, 12),
         ("+compliance", None, 3),
         ("+compliance", TOOL, 5),
+        ("+gravity", None, 10),
         ("+gain+eccentricity+compliance", TOOL, 23),
     ],
 )

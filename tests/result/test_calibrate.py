@@ -20,7 +20,7 @@ from calib.model.kinematics import Samples
 from calib.result.calibration_file import read_result
 from calib.result.evaluation import evaluate
 from calib.robot.readback import random_joint_values
-from calib.robot.robot import Robot, gravity_load, rigid_inverse
+from calib.robot.robot import Robot, gravity_loads, rigid_inverse
 from tests.fits import SOCKETS, TARGETS, TRACKERS, gaps, in_each, two_targets
 
 # The paper's Table 3: nominal positions of rows 31 to 35 before calibration [mm].
@@ -244,7 +244,7 @@ def as_one_body(a: np.ndarray, b: np.ndarray) -> float:
 
 def true_points(scene, q, target: int = 0) -> np.ndarray:
     """Where the target of the true robot is, in the base."""
-    load = gravity_load(scene.robot, q, scene.payload, scene.gravity)
+    load = gravity_loads(scene.robot, q, scene.payload, scene.gravity)
     samples = Samples(q, np.zeros(len(q), dtype=int), np.full(len(q), target), load)
     poses = scene.kinematics.poses(scene.x, samples)
     return (rigid_inverse(scene.kinematics.T_frame_base[0]) @ poses)[:, :3, 3]
@@ -262,6 +262,7 @@ def true_points(scene, q, target: int = 0) -> np.ndarray:
         ("mixed", 5e-5),
         ("gain", 3e-5),
         ("compliance", 3e-5),
+        ("gravity", 4e-5),
     ],
 )
 def test_unseen_poses_of_a_known_truth_are_right(calibrated, name, bar):

@@ -10,7 +10,7 @@ from hypothesis import event, given, settings, strategies as st
 from calib.errors import CalibError, UrdfError
 from calib.model.dh import dh_table
 from calib.robot.readback import check_written
-from calib.robot.robot import Payload, Robot, gravity_load
+from calib.robot.robot import Payload, Robot, gravity_loads
 from calib.robot.urdf import Urdf
 from tests.robot.shared import (
     LIMIT,
@@ -173,5 +173,5 @@ def test_any_tree_between_any_two_links(case):
     again = robot.rebuilt(Urdf.from_bytes(new.urdf.data, "again.urdf"))
     np.testing.assert_allclose(again.poses(q), new.poses(q), rtol=0, atol=1e-12)
     np.testing.assert_allclose(again.placements, new.placements, rtol=0, atol=1e-12)
-    load = gravity_load(robot, q, Payload(2.0, (0.1, 0.2, 0.3)))
+    load = gravity_loads(robot, q, Payload(2.0, (0.1, 0.2, 0.3)))[..., 0]
     assert load.shape == (3, len(robot.joints))

@@ -4,7 +4,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib.robot.robot import GRAVITY, Payload, Robot, gravity_load
+from calib.robot.robot import GRAVITY, Payload, Robot, gravity_loads
 
 STEP = 1e-5
 
@@ -42,6 +42,19 @@ def potential(robot, values, payload=None, gravity=GRAVITY) -> float:
     return float(energy)
 
 
+def depths(robot, values, gravity) -> np.ndarray:
+    """How deep, along gravity, the origins of the chain's joints and of its ends lie, shape (n + 2,), [m]."""
+    model = pin.buildModelFromXML(robot.urdf.data.decode(robot.urdf.encoding))
+    data, v = model.createData(), np.zeros(model.nv)
+    for name, value in values.items():
+        v[model.idx_vs[model.getJointId(name)]] = value
+    pin.framesForwardKinematics(model, data, pin.integrate(model, pin.neutral(model), v))
+    points = [data.oMi[model.getJointId(joint.name)].translation for joint in robot.joints]
+    ends = (model.getFrameId(link, pin.FrameType.BODY) for link in (robot.tip, robot.base))
+    points += [data.oMf[end].translation for end in ends]
+    return np.array(points) @ gravity / np.linalg.norm(gravity)
+
+
 def load_by_differences(robot, q, payload=None, gravity=GRAVITY) -> np.ndarray:
     """- dU / dq of each joint of the chain, by central differences of the potential energy, shape (n,)."""
     values = {name: float(column[0]) for name, column in robot.urdf_values(q).items()}
@@ -61,8 +74,24 @@ def test_the_load_is_the_slope_of_the_potential_energy(name, base, tip, payload)
     robot = Robot.load(name, base, tip)
     q = np.random.default_rng(2).uniform(-1.2, 1.2, (3, len(robot.joint_names)))
     gravity = (1.0, -2.0, -9.0)
-    load = gravity_load(robot, q, payload, gravity)
+    load = gravity_loads(robot, q, payload, gravity)[..., 0]
     assert load.shape == (3, len(robot.joints))
     for row, values in zip(load, q, strict=True):
         expected = load_by_differences(robot, values, payload, gravity)
         np.testing.assert_allclose(row, expected, rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize(("name", "base", "tip"), ROBOTS)
+def test_a_lever_arm_is_how_much_deeper_a_joint_moves_a_point(name, base, tip):
+    robot = Robot.load(name, base, tip)
+    q = np.random.default_rng(3).uniform(-1.2, 1.2, (2, len(robot.joint_names)))
+    gravity = (1.0, -2.0, -9.0)
+    levers = gravity_loads(robot, q, Payload(2.0), gravity)[..., 1:]
+    for i, row in enumerate(levers):
+        values = {name: float(column[i]) for name, column in robot.urdf_values(q).items()}
+        for joint, found in zip(robot.joints, row, strict=True):
+            low, high = (
+                depths(robot, values | {joint.name: values[joint.name] + step}, gravity)
+                for step in (-STEP, STEP)
+            )
+            np.testing.assert_allclose(found, (high - low) / (2 * STEP), rtol=0, atol=1e-8)

@@ -39,7 +39,7 @@ def seen(robot: Robot, model: str, seed: int, count: int = 150) -> tuple[Kinemat
         rng.uniform(-3.0, 3.0, (count, len(robot.joint_names))),
         rng.integers(0, 2, count),
         rng.integers(0, 2, count),
-        rng.normal(0.0, 20.0, (count, len(robot.joints))),
+        rng.normal(0.0, 20.0, (count, len(robot.joints), len(robot.joints) + 3)),
     )
     return kinematics, samples
 

@@ -10,7 +10,7 @@ import pytest
 
 from calib.data.cell import Cell
 from calib.robot.readback import random_joint_values
-from calib.robot.robot import Payload, gravity_load
+from calib.robot.robot import Payload, gravity_loads
 from calib.simulation.scenario import SCHEMA, Scenario, write_truth
 from calib.simulation.truth import Encoder, MovedTarget, Outliers, tracker_pose
 
@@ -80,7 +80,7 @@ def test_another_reader_finds_every_true_position(ur3, path, made):
     assert len(said["rows"]) == 40
     for i, row in enumerate(said["rows"]):
         q = np.array(row["joints"])
-        load = dict(zip(ur3.joint_names, gravity_load(ur3, q, payload)[0], strict=True))
+        load = dict(zip(ur3.joint_names, gravity_loads(ur3, q, payload)[0, :, 0], strict=True))
         value = dict(zip(said["robot"]["joints"], q, strict=True))
         true = dict(value)
         for one in said["displacements"]:
