@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -138,13 +139,15 @@ class Fitted:
 
 @one_blas_thread()
 def fit(
-    task: Task, rows: Rows, weights: Array | None = None, started: Setup | None = None
+    task: Task, rows: Rows, *, started: Setup | None = None, judge: Fitted | None = None
 ) -> Fitted:
     """Register and estimate; ModelError for an unknown name, MeasurementError for too few rows.
 
-    weights, (N,), stay, repeats shared out; None to find them. started is where registration puts frames and targets,
-    of another fit to these rows; None to register.
+    started is where registration puts frames and targets, of another fit to these rows; None to register. The judge is
+    a fit of another model to them: its weights and scores of the rows hold, and where it began.
     """
+    if judge is not None:
+        rows, started = replace(rows, weights=judge.estimate.problem.weights), judge.setup
     if not callable(task.solver) and task.solver not in (*SOLVERS, PAPER):
         raise ModelError(
             f"There is no solver '{task.solver}'. Choose one of {choices((*SOLVERS, PAPER))}."
@@ -170,7 +173,10 @@ def fit(
         estimated = _by_the_paper(problem, task, started)
     else:
         prior = PriorTerms.of(task.cell, model, task.setup, started, lenient=task.lenient)
-        estimated = _estimate(problem, task, prior, weights)
+        estimated = _estimate(problem, task, prior)
+    if judge is not None:
+        names = ("weights", "scores", "flag_limit")
+        estimated = replace(estimated, **{name: getattr(judge.estimate, name) for name in names})
     return Fitted(task, started, kinematics, estimated)
 
 
@@ -197,12 +203,12 @@ def model_of(task: Task) -> ErrorModel:
     return model.tied(ties).without(frozen)
 
 
-def _estimate(problem: Problem, task: Task, prior: PriorTerms, weights: Array | None) -> Estimate:
+def _estimate(problem: Problem, task: Task, prior: PriorTerms) -> Estimate:
     """The parameters of a registered problem, by an active set of bounds: what is pushed inwards is let go, once."""
     low, high = prior.limits.T
     fixed: dict[int, float] = {}
     released: set[int] = set()
-    result = _within(problem, task, prior, weights)
+    result = _within(problem, task, prior)
     for _ in range(3 * problem.size):
         beyond = np.flatnonzero((result.x < low) | (result.x > high)).tolist()
         loose = set() if beyond else _pushed_inside(result, prior, fixed) - released
@@ -211,11 +217,11 @@ def _estimate(problem: Problem, task: Task, prior: PriorTerms, weights: Array | 
         fixed |= {k: float(np.clip(result.x[k], low[k], high[k])) for k in beyond}
         released |= loose
         fixed = {k: value for k, value in fixed.items() if k not in loose}
-        result = _within(problem, task, prior.at_bounds(fixed), weights)
+        result = _within(problem, task, prior.at_bounds(fixed))
     return result
 
 
-def _within(problem: Problem, task: Task, prior: PriorTerms, weights: Array | None) -> Estimate:
+def _within(problem: Problem, task: Task, prior: PriorTerms) -> Estimate:
     """The estimate with what is held at a bound; each solve begins where the last one stopped."""
     solver = task.solver if callable(task.solver) else SOLVERS[str(task.solver)]
     size = steps(problem.kinematics.model.units)
@@ -251,12 +257,23 @@ def _within(problem: Problem, task: Task, prior: PriorTerms, weights: Array | No
         return last
 
     every = np.ones((1, len(problem.rows)), dtype=bool)
-    first = Stage.first(prior, every, len(problem.smallest), 1.0 if weights is None else weights)
-    # Weights that are given stay, and hold what repeats share.
-    repeating = task.cell.repeats if weights is None else "independent"
-    robust = task.robust and weights is None
-    stage, _ = staged(first, linear_at, problem.rows.poses, repeating, robust=robust)
+    first = Stage.first(prior, every, len(problem.smallest), given_weights(problem.rows))
+    stage, _ = staged(first, linear_at, problem.rows.poses, **weighting(task, problem.rows))
     return _finish(problem, stage, solve(stage, _FINE))
+
+
+def given_weights(rows: Rows) -> Array | float:
+    """The weights to begin with, shape (N,), or 1 for all."""
+    return 1.0 if rows.weights is None else rows.weights
+
+
+def weighting(task: Task, rows: Rows) -> dict[str, Any]:
+    """How `staged` is to find weights. Those that are given stay, and hold what repeats share."""
+    found = rows.weights is None
+    return {
+        "repeats": task.cell.repeats if found else "independent",
+        "robust": task.robust and found,
+    }
 
 
 def _problem_of(problem: Problem, stage: Stage) -> Problem:

@@ -1,14 +1,14 @@
 """Auto: how much model the data support; how well a fit predicts rows that it did not see; what poses can tell.
 
-Every candidate is fitted by restricted likelihood with the same weights of the rows. A step up the ladder must gain
-`_STEP` in log likelihood, and must not be worse on left-out rows. The geometry is chosen first; then the families that
-no URDF can hold are added one by one, and with one of them found, the larger sets are asked again.
+Every candidate is fitted by restricted likelihood with the same weights of the rows, those of the model that is the
+best: it begins with the largest one. The geometry for the URDF is the best of those without other families.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import compress
 
 import numpy as np
@@ -17,7 +17,15 @@ import calib.data.kinds as registry
 from calib.data.cell import AUTO, Cell
 from calib.data.measurements import Measurements
 from calib.errors import MeasurementError, ModelError, choices
-from calib.estimate.fitting import PAPER, Fitted, Task, fit, model_of
+from calib.estimate.fitting import (
+    PAPER,
+    Fitted,
+    Task,
+    fit,
+    given_weights,
+    model_of,
+    weighting,
+)
 from calib.estimate.problem import Linear, Priors, Problem
 from calib.estimate.registration import ENOUGH, nominal_setup, register, register_poses
 from calib.estimate.setup import Rows, Setup, joined_setups, known_distances, rows_of
@@ -169,10 +177,11 @@ def _on_the_linearised(fitted: Fitted, masks: tuple[Mask, ...], outliers: Mask) 
     else:
         size, parts = max(_AT_A_TIME // len(rows), 1), []
         for first in range(0, len(some), size):
-            begun = Stage.first(prior, ~some[first : first + size], len(linear.smallest))
-            stage, freedom = staged(
-                begun, lambda _: linear, rows.poses, task.cell.repeats, robust=task.robust
+            begun = Stage.first(
+                prior, ~some[first : first + size], len(linear.smallest), given_weights(rows)
             )
+            how = weighting(task, rows)
+            stage, freedom = staged(begun, lambda _: linear, rows.poses, **how)
             parts.append((stage.fit(linear)[0], freedom))
         x, freedom = map(np.concatenate, zip(*parts, strict=True))
     low, high = prior.limits.T
@@ -244,29 +253,32 @@ def fold_means(fitted: Fitted, linear: Linear, masks: Sequence[Mask] | Mask) -> 
 #: The geometries, from the smallest to the largest.
 LADDER = ("frames", "zeros", "dh", "hayati", "placement")
 
-#: What a step to a larger model must gain in restricted log likelihood. By chance, with no error of the added family
-#: there, twice the gain follows half a chi-squared distribution of one degree of freedom: fewer than 1 in 1,000 pass.
-#: With few numbers its tail is heavier, and a step must gain more: `_STEP` (1 + `_FEW` / numbers left).
-_STEP, _FEW = 5.0, 20.0
+#: What a model pays, in restricted log likelihood. The size of a family's errors is an unknown too, and the likelihood
+#: is the highest over it: by Laplace's approximation that costs the logarithm of the range it could have been in, a few
+#: powers of ten, over the factor within which it is known then. Of sets with the same sizes the smaller is likelier.
+_SIZE_COSTS, _RUNG_COSTS = 2.5, 1.0
 
-#: Without priors a larger candidate must lower errors on left-out rows to this share.
-_CLEARLY = 0.95
+#: Without priors each of these steps must lower the errors on left-out rows by this share instead.
+_CLEARLY = 0.05
 
 #: What a unit of an error moves every joint by less than moves nothing [rad, m].
 _NO_MOTION = 1e-6
 
+#: The weights are found anew with the model that they chose, so often.
+_JUDGED = 2
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
-    """One model on the ladder."""
+    """One model that was tried."""
 
     name: str  # Its set and families
     parameters: int  # Number of parameters
     log_likelihood: float  # Restricted log likelihood
     cross_validation: CrossValidation  # On the linearised problem; outliers: rows without weight
     sizes: dict[str, float]  # Size of the errors of each family
+    evidence: float  # Log likelihood less what the model costs; without priors the fall of left-out errors in steps
     chosen: str = ""  # ``"geometry"``, ``"larger"`` or ``""``
-    needed: float = _STEP  # What it had to gain over a smaller one in log likelihood
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -276,71 +288,100 @@ class Selection:
     geometry: str  # Name of the set that goes into the URDF
     larger: str  # Name of the non-geometric model; "" where the data support none
     candidates: tuple[Candidate, ...]  # All that were fitted, in order
-    common: Fitted  # The fit that the weights are from, with weights of its own
+    judge: Fitted  # The fit of the larger model, or of the geometry where there is none, with weights of its own
 
 
 def select(task: Task, rows: Rows) -> Selection:
-    """Choose geometry and larger model for some rows; `ModelError` for a name in the cell that no model has."""
-    _check_names(task)
-    task, off = replace(task, lenient=True), task.cell.priors.sizes == "off"
-    models = {name: model_of(replace(task, model=name)).names for name in LADDER}
-    # The weights, repeats shared out, are those of the largest geometry that there are enough rows for: what a smaller
-    # one leaves over is shared by the repeats of a pose.
-    enough = [name for name in LADDER if not off or len(models[name]) <= rows.count]
-    common = fit(replace(task, model=(enough or LADDER[:1])[-1]), rows)
-    step = _STEP * (1.0 + _FEW / max(rows.count - task.setup.count, 1))
-    tried: dict[str, Candidate] = {}
+    """Choose geometry and larger model for some rows; `ModelError` for a name in the cell that no model has.
 
-    def candidate(name: str) -> Candidate | None:
-        if name in tried:
-            return tried[name]
+    The search begins with the largest model, whose priors shrink what the data do not support to nothing, and goes
+    where the evidence is higher: one family less or more, or another set.
+    """
+    _check_names(task)
+    task = replace(task, lenient=True)
+    models = {name: model_of(replace(task, model=name)).names for name in LADDER}
+    # Those with something to estimate, once each: hayati without near-parallel axes is dh.
+    first = {columns: name for name, columns in reversed(models.items()) if columns}
+    geometries = [name for name in LADDER if name in first.values()]
+    families = [f for f in joint_families() if _moves(task, f, rows)]
+    if task.cell.priors.sizes == "off":  # then there must be enough rows
+        enough = [name for name in geometries if len(models[name]) <= rows.count]
+        start = (enough or geometries[:1])[-1]
+    else:
+        start = "+".join((geometries[-1], *families))
+    judge = fit(replace(task, model=start), rows)
+    for _ in range(_JUDGED):
+        tried: dict[str, Candidate] = {}
+        value = partial(_value, task, rows, judge, tried)
+        best = _climbed(start, value, geometries, families)
+        geometry = max(geometries, key=value)
+        found = fit(replace(task, model=best), rows, started=judge.setup)
+        alike = np.array_equal(found.estimate.outliers, judge.estimate.outliers)
+        start, judge = best, found
+        if alike:
+            break
+    larger = best if "+" in best else ""
+    marks = {geometry: "geometry", larger: "larger"}
+    candidates = tuple(replace(c, chosen=marks.get(c.name, "")) for c in tried.values())
+    return Selection(geometry, larger, candidates, judge)
+
+
+def judged_by(task: Task, rows: Rows, judge: Fitted) -> Fitted:
+    """A fit with the weights of its own or of the judge, a larger model: whichever predicts rows better.
+
+    Where a model lacks something, what it leaves over at good rows may be far more than at others. Rows that both call
+    outliers are set aside.
+    """
+    both = fit(task, rows, started=judge.setup), fit(task, rows, judge=judge)
+    aside = both[0].estimate.outliers & both[1].estimate.outliers
+    left_out = [linear_cross_validation(one, aside).errors_without_outliers for one in both]
+    own, other = (e.rms if e.n else e.rms_angle for e in left_out)
+    return both[int(other < own)]
+
+
+def _climbed(
+    start: str, value: Callable[[str], float], geometries: list[str], families: list[str]
+) -> str:
+    """The model that no neighbour is better than: one family less or more, or another set."""
+    while True:
+        base, *has = start.split("+")
+        others = [[f for f in families if (f in has) != (f == one)] for one in families]
+        near = ["+".join((base, *some)) for some in others]
+        near += ["+".join((one, *has)) for one in geometries if one != base]
+        best = max(near, key=value, default=start)
+        if not value(best) > value(start):
+            return start
+        start = best
+
+
+def _value(task: Task, rows: Rows, judge: Fitted, tried: dict[str, Candidate], name: str) -> float:
+    """The evidence for a model with the judge's weights; none where without priors it has too many parameters."""
+    if name not in tried:
         try:
-            weights = common.estimate.problem.weights
-            fitted = fit(replace(task, model=name), rows, weights, common.setup)
+            fitted = fit(replace(task, model=name), rows, judge=judge)
         except MeasurementError:
-            return None  # more parameters than numbers, and no priors
+            return -np.inf
+        # Rows without weight are the same for all candidates; what each flags by itself is not.
+        left_out = linear_cross_validation(fitted, fitted.estimate.weights <= 0.0)
+        base, *has = name.split("+")
+        steps = LADDER.index(base) + len(has)
+        if task.cell.priors.sizes == "off":
+            e = left_out.errors_without_outliers
+            found = [x for n, x in ((e.n, e.rms), (e.n_angle, e.rms_angle)) if n]
+            evidence = -float(np.mean(np.log(found))) / _CLEARLY - steps
+        else:
+            adapts = task.cell.priors.sizes == "data"
+            cost = _SIZE_COSTS * adapts * len(fitted.estimate.sizes)
+            evidence = fitted.estimate.log_likelihood - cost - _RUNG_COSTS * LADDER.index(base)
         tried[name] = Candidate(
             name=name,
             parameters=len(fitted.kinematics.model),
             log_likelihood=fitted.estimate.log_likelihood,
-            # Rows without weight are the same for all candidates; what each flags by itself is not.
-            cross_validation=linear_cross_validation(fitted, fitted.estimate.weights <= 0.0),
+            cross_validation=left_out,
             sizes=dict(fitted.estimate.sizes),
-            needed=step,
+            evidence=evidence,
         )
-        return tried[name]
-
-    def better(one: Candidate, than: Candidate) -> bool:
-        """Whether the data support a larger candidate; without priors left-out rows alone decide."""
-        # Each row in units of its own scale would let one instrument decide; lengths and angles are asked one by one.
-        a, b = (c.cross_validation.errors_without_outliers for c in (one, than))
-        share = _CLEARLY if off else 1.0
-        lower = a.rms <= share * b.rms or (b.n_angle and a.rms_angle <= share * b.rms_angle)
-        return bool(lower and (off or one.log_likelihood >= than.log_likelihood + step))
-
-    best: Candidate | None = None
-    # Those with something to estimate, once each: hayati without near-parallel axes is dh.
-    first = {columns: name for name, columns in reversed(models.items()) if columns}
-    geometries = [name for name in LADDER if name in first.values()]
-    for one in map(candidate, geometries):
-        if one is not None and (best is None or better(one, best)):
-            best = one
-    assert best is not None, "the weights are of a model that there are enough rows for"
-    geometry, families = best, [f for f in joint_families() if _moves(task, f, rows)]
-    while True:
-        # One family more and, with any family in it, a larger geometry.
-        base, *has = best.name.split("+")
-        wider = geometries[geometries.index(base) + 1 :] if has else []
-        names = [f"{best.name}+{f}" for f in families if f not in has]
-        names += ["+".join([one, *has]) for one in wider]
-        passed = [c for c in map(candidate, names) if c is not None and better(c, best)]
-        if not passed:
-            break
-        best = max(passed, key=lambda one: one.log_likelihood)
-    larger = best.name if best is not geometry else ""
-    marks = {geometry.name: "geometry", larger: "larger"}
-    candidates = tuple(replace(c, chosen=marks.get(c.name, "")) for c in tried.values())
-    return Selection(geometry.name, larger, candidates, common)
+    return tried[name].evidence
 
 
 def _moves(task: Task, family: str, rows: Rows) -> bool:

@@ -44,6 +44,7 @@ class Rows:
     sigma_angle: Array  # (N,), of one angle [rad]
     poses: Integers  # (N,), rows of one number are repeats: one pose, one target, one frame
     blocks: Integers  # (N,), rows of one number are left out together: one pose, and both rows of a pair
+    weights: Array | None = None  # (N,), that hold, repeats shared out; None: to be found
     width: int = field(init=False)  # Columns of a residual: 6 with angles, 3 with positions, else 1
     used: Mask = field(init=False, repr=False)  # (N, width), which columns hold a scalar
     # (N, width), the number of each scalar's noise, -1 for none: of each kind's lengths, then of each kind's angles
@@ -114,7 +115,8 @@ class Rows:
             position = np.full(len(self), -1)
             position[chosen] = np.arange(len(chosen))
             partner = np.where(partner >= 0, position[partner], -1)
-        names = ("kinds", "measured", "sigma", "sigma_angle", "poses", "blocks")
+        names = ["kinds", "measured", "sigma", "sigma_angle", "poses", "blocks"]
+        names += ["weights"] * (self.weights is not None)
         return replace(
             self,
             samples=self.samples.select(chosen),

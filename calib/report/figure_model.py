@@ -162,7 +162,7 @@ def candidates(c: Calibration) -> Figure:
     rms, unit = 1e3 * np.array([one.rms for one in errors]), "mm"
     if not all(one.n for one in errors):  # where no length was measured
         rms, unit = np.degrees([one.rms_angle for one in errors]), "deg"
-    gain = np.array([one.log_likelihood for one in c.candidates])
+    gain = np.array([one.evidence for one in c.candidates])
     figure = base.new_figure(0.24 * len(errors) + 1.35)
     left, right = figure.subplots(1, 2, sharey=True)
     names = [f"{one.name} ({one.parameters})" for one in c.candidates]

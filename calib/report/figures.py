@@ -141,5 +141,4 @@ def _words(c: Calibration) -> dict[str, str]:
     if c.candidates:
         left_out = c.candidates[0].cross_validation.errors_without_outliers
         words["compared"] = f"{left_out.n or left_out.n_angle:,}"
-        words["needed"] = f"{c.candidates[0].needed:.1f}"
     return words

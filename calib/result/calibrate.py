@@ -21,6 +21,7 @@ from calib.estimate.registration import nominal_setup, register_unseen
 from calib.estimate.selection import (
     Candidate,
     cross_validation,
+    judged_by,
     nominal_cross_validation,
     select,
 )
@@ -28,7 +29,7 @@ from calib.estimate.setup import Rows, Setup, known_distances, rows_of
 from calib.estimate.solvers import Solver
 from calib.estimate.statistics import CrossValidation, Limits, Repeats, repeats
 from calib.jobs import Progress
-from calib.model.error_model import split_name
+from calib.model.error_model import OWN, split_name
 from calib.model.kinematics import Parameter, Samples
 from calib.model.observability import Observability
 from calib.result.calibration import Calibration, Fit, RowNames, Source
@@ -141,16 +142,13 @@ def _fitted(task: Task, rows: Rows) -> tuple[Fitted, Fitted | None, tuple[Candid
         return fit(replace(task, model="dh", lenient=True), rows), None, ()
     if task.model == AUTO:
         chosen = select(task, rows)
-        task, common = replace(task, lenient=True), chosen.common
-        fitted, larger = common, None
-        if chosen.geometry != common.kinematics.model.name:
-            fitted = fit(replace(task, model=chosen.geometry), rows, started=common.setup)
-        if chosen.larger:
-            larger = fit(replace(task, model=chosen.larger), rows, started=common.setup)
-        return fitted, larger, chosen.candidates
-    base, families = split_name(task.model) if isinstance(task.model, str) else (task.model, ())
-    fitted = fit(replace(task, model=base, lenient=bool(families)), rows)
-    return fitted, fit(task, rows) if families else None, ()
+        base, candidates, judge = chosen.geometry, chosen.candidates, chosen.judge
+    else:
+        base = split_name(task.model)[0] if isinstance(task.model, str) else OWN
+        candidates, judge = (), fit(task, rows)
+    if base == judge.kinematics.model.name:
+        return judge, None, candidates
+    return judged_by(replace(task, model=base, lenient=True), rows, judge), judge, candidates
 
 
 def _validated(

@@ -366,17 +366,18 @@ def _ladder(c: Calibration) -> str:
         return ""
     row = "{:<36}{:>10}{:>10}{:>16}  {}"
     lines = [row.format("Models tried", "parameters", "evidence", "left-out rms", "chosen for")]
-    best = max(one.log_likelihood for one in c.candidates)
+    best = max(one.evidence for one in c.candidates)
     uses = {"geometry": "the URDF", "larger": "result file, predict()"}
     for one in c.candidates:
-        gain, chosen = f"{one.log_likelihood - best:.1f}", uses.get(one.chosen, "")
+        gain, chosen = f"{one.evidence - best:.1f}", uses.get(one.chosen, "")
         e = one.cross_validation.errors_without_outliers
         rms = f"{mm(e.rms)} mm" if e.n else f"{deg(e.rms_angle, 4)} deg"
         cells = f"  {one.name}", one.parameters, gain, rms, chosen
         lines.append(row.format(*cells).rstrip())
-    needed = c.candidates[0].needed
-    note = "  evidence: restricted log likelihood, less the best one's; a larger model must gain"
-    return "\n".join([*lines, f"{note} {needed:.1f}"])
+    note = (
+        "  evidence: restricted log likelihood, less what sizes and sets cost, less the best one's"
+    )
+    return "\n".join([*lines, note])
 
 
 def _parameters(c: Calibration) -> str:
