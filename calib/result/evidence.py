@@ -23,7 +23,7 @@ from calib.estimate.fitting import PAPER, Fitted, fit
 from calib.estimate.problem import Priors, Problem
 from calib.estimate.registration import ENOUGH
 from calib.estimate.selection import only_there
-from calib.estimate.setup import Rows, joined_setups
+from calib.estimate.setup import LENGTHS, Rows, joined_setups
 from calib.estimate.statistics import Errors, pose_means
 from calib.model.error_model import error_model
 from calib.model.kinematics import FRAME, TARGET, Kinematics
@@ -279,6 +279,10 @@ _FAR_LESS, _SCATTER_SHARE = 0.6, 0.5
 #: many standard deviations was fitted; with fewer degrees of freedom neither scatter nor patterns are told.
 _ROUNDING_NOISE, _FITTED, _TELLING = 1e-6, 1.0, 10.0
 
+#: Noise so many times as large as stated, to which arms add what they do not repeat [m, rad], is not the instrument's;
+#: without a statement, noise of a length beyond the last is no usual instrument's [m].
+_ABOVE, _STEADY_M, _STEADY_RAD, _LARGE_NOISE = 5.0, 3e-5, 1e-4, 1e-3
+
 
 def evidence_of(result: Calibration, rows: Rows, hint: Reason | None) -> Evidence:
     """All that the verdict on a cross-validated result is based on; the hint is a set-up that explains more."""
@@ -315,6 +319,7 @@ def evidence_of(result: Calibration, rows: Rows, hint: Reason | None) -> Evidenc
         doubts=tuple(_doubts(result, rows)),
         notes=tuple(notes),
         parameters=len(model),
+        whole=(4 * len(fitted.task.robot.inputs) + fitted.setup.count) * bool(result.candidates),
         largest=float(np.max(np.abs(result.x[own]), initial=0.0)),
         noise=result.sigma,
         hint=hint,
@@ -328,8 +333,8 @@ def _doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
     still = np.flatnonzero(np.ptp(rows.joints, axis=0) < least)
     if len(still):
         yield Reason.of(Why.JOINTS_STILL, joints=", ".join(robot.joint_names[j] for j in still))
-    if not result.candidates and result.solver != PAPER:
-        yield from _missing_model(few)
+    named = not result.candidates and result.solver != PAPER
+    yield from tuple(_missing_model(few) if named else ()) or _large_noise(result)
     yield from _corner(few)
     yield from _patterns(few)
     yield from disagreeing_setups(few)
@@ -390,6 +395,28 @@ def _missing_model(fitted: Fitted) -> Iterator[Reason]:
     if less <= _FAR_LESS * noise:
         unit = float(np.median(rows.sigma))
         yield Reason.of(Why.MODEL_LACKS, model=name, noise_m=unit * noise, less_m=unit * less)
+
+
+def _large_noise(result: Calibration) -> Iterator[Reason]:
+    """That the larger model too leaves more noise than is stated; where none is, more than instruments have."""
+    rows, m, cell = result.fitted.estimate.problem.rows, result.measurements, result.cell
+    fits = [one for one in (result.in_memory.geometry, result.in_memory.larger) if one is not None]
+    least = np.min([one.estimate.noise for one in fits], axis=0)
+    for unit, columns, by_row, by_cell, steady in (
+        ("m", slice(0, LENGTHS), m.sigma, cell.sigma, _STEADY_M),
+        ("rad", slice(LENGTHS, None), m.sigma_angle, cell.sigma_angle, _STEADY_RAD),
+    ):
+        known = np.full(len(rows), by_cell is not None)
+        known |= np.zeros_like(known) if by_row is None else np.isfinite(by_row[m.estimation])
+        for c in np.unique(rows.instruments[:, columns][rows.used[:, columns]]):
+            own = np.any(rows.instruments == c, axis=1)
+            sigma = float(np.median((rows.sigma if unit == "m" else rows.sigma_angle)[own]))
+            noise, stated = float(least[c]) * sigma, bool(np.all(known[own]))
+            if stated and noise > _ABOVE * np.hypot(sigma, steady):
+                told = {f"before_{unit}": sigma, f"after_{unit}": noise, "ratio": noise / sigma}
+                yield Reason.of(Why.NOISE_ABOVE_SIGMA, **told)
+            elif unit == "m" and not stated and noise > _LARGE_NOISE:
+                yield Reason.of(Why.NOISE_LARGE, noise_m=noise)
 
 
 def _corner(fitted: Fitted) -> Iterator[Reason]:

@@ -41,6 +41,7 @@ class Why(Enum):
     MAY_BE_CHANCE, FEW_NUMBERS, FAR_OFF_BEFORE, JOINTS_STILL, MODEL_LACKS = range(30, 35)
     CORNER, JOINT_PATTERN, DRIFT, SETUP_UNPREDICTED, SETUP_FLAGGED = range(35, 40)
     REPEATS_AGREE, NO_LENGTH, PARAMETER_FAR, VALIDATION_UNLIKE, MANY_OUTLIERS = range(40, 45)
+    NOISE_LARGE, NOISE_ABOVE_SIGMA = range(45, 47)
     # What it buys
     GAIN, LARGER_MODEL, VALIDATION_GAIN, OUTSIDE = range(50, 54)
     # What explains fresh rows
@@ -99,6 +100,7 @@ class Evidence:
     parameters: int
     largest: float  # Change of a parameter of the robot [m or rad]
     noise: float  # Of one length [m]
+    whole: int = 0  # Parameters of a full geometry, where `auto` may have taken less
     doubts: tuple[Reason, ...] = ()  # What was found besides errors
     notes: tuple[Reason, ...] = ()  # Told in the end, and decide nothing
     hint: Reason | None = None  # Which set-up would explain the measurements better
@@ -126,6 +128,10 @@ class Evidence:
         return mean / max(float(np.std(fall, ddof=1)) / float(np.sqrt(len(fall))), 1e-30)
 
 
+#: Doubts whether what a model leaves over is the measurements' noise.
+_NOT_NOISE = (Why.MODEL_LACKS, Why.NOISE_LARGE, Why.NOISE_ABOVE_SIGMA)
+
+
 def verdict(e: Evidence) -> Verdict:
     """Judge a calibration by its errors on rows that it did not see."""
     before, after = e.nominal.errors_without_outliers, e.calibrated.errors_without_outliers
@@ -150,13 +156,15 @@ def verdict(e: Evidence) -> Verdict:
     good = ~e.outliers
     count = max(int(np.sum(e.used[good])), 1)
     quiet = np.sqrt(np.sum(e.whitened(e.nominal)[good]) / count) < _AT_THE_NOISE
-    # What a model leaves over is noise only if a larger one does not leave far less.
-    lacks = any(doubt.why == Why.MODEL_LACKS for doubt in e.doubts)
-    short = both | size | {"parameters": e.parameters, "gain": gain}
+    many = flagged > _MANY_OUTLIERS * rows
+    # What a model leaves over is noise only if a larger one does not leave far less, and if an instrument has such.
+    odd = many or any(doubt.why in _NOT_NOISE for doubt in e.doubts)
+    right, sparse = gain < _CHANCE and quiet, size["numbers"] < _FEW * max(e.parameters, e.whole)
+    short = both | size | {"parameters": max(e.parameters, e.whole), "gain": gain}
     against = _those(
-        (gain < _CHANCE and quiet and not lacks, Reason.of(Why.NOTHING_TO_GAIN, before=before)),
+        (right and not odd and not sparse, Reason.of(Why.NOTHING_TO_GAIN, before=before)),
         (after.rms > _ABSURD, Reason.of(Why.STILL_FAR_OFF, **both)),
-        (chance and few, Reason.of(Why.TOO_FEW, **short)),
+        ((chance and few) or (right and sparse), Reason.of(Why.TOO_FEW, **short)),
         (gain <= 0.0, Reason.of(Why.NO_BETTER, **both)),
     )[:1]
     unfit = bool(fresh.n) and not falls
@@ -172,10 +180,7 @@ def verdict(e: Evidence) -> Verdict:
         *_those(
             (e.largest > _TOO_FAR, Reason.of(Why.PARAMETER_FAR, largest=e.largest)),
             (unlike, Reason.of(Why.VALIDATION_UNLIKE, rows=fresh.n, before=fresh, after=after)),
-            (
-                flagged > _MANY_OUTLIERS * rows,
-                Reason.of(Why.MANY_OUTLIERS, flagged=flagged, rows=rows),
-            ),
+            (many, Reason.of(Why.MANY_OUTLIERS, flagged=flagged, rows=rows)),
         ),
     ]
     gained = {"method": e.calibrated.method, "outliers": flagged, "before": before, "after": after}

@@ -77,6 +77,11 @@ SENTENCES = {
     Why.VALIDATION_UNLIKE: "The calibrated robot is {before} off on the {rows} validation rows and {after} on left-out "
     "rows: was the target or the frame another one?",
     Why.MANY_OUTLIERS: "{flagged} of {rows} rows are flagged as outliers: too many to be accidents.",
+    Why.NOISE_LARGE: "What the model leaves over is {noise_m:mm.1f} mm a coordinate, more than instruments have: are "
+    "the joint values exact, taken at standstill and of the same pose as the measurement? Give the instrument's noise "
+    "as sigma if it is so.",
+    Why.NOISE_ABOVE_SIGMA: "What the model leaves over is {ratio:.0f} times the noise that the table or the cell "
+    "states: {after} in each coordinate against {before}. Is that noise right, and are the joint values exact?",
     Why.GAIN: "On unseen rows ({method}{outliers_aside}) the error falls {change}.",
     Why.LARGER_MODEL: "With the larger model '{model}' it would be {after}. No URDF can hold that; predict() does.",
     Why.VALIDATION_GAIN: "On the {rows} validation rows{rows_aside} it falls {change}.",

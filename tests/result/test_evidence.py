@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.result.calibrate import Calibration, calibrate
 from calib.result.evidence import disagreeing_setups, validation_errors
@@ -127,3 +128,19 @@ def test_a_model_that_lacks_what_placements_have(make_scene):
     result = calibrate(scene.robot, table_of(scene, q, np.random.default_rng(7)), model="zeros")
     told = reasons(result)[Why.MODEL_LACKS]
     assert (told["model"], told["less_m"] < 0.6 * told["noise_m"]) == ("zeros", True)
+
+
+@pytest.mark.parametrize("sigma", [None, 3e-5])
+def test_noise_that_no_instrument_has(make_scene, sigma):
+    """Joint values to 1 deg: the gain on unseen rows is real, but what is left is not the tracker's."""
+    scene = arm(make_scene, 68)
+    q = random_joint_values(scene.robot, 60, 8)
+    m = table_of(scene, q, np.random.default_rng(8))
+    m = replace(m, joints=np.radians(np.round(np.degrees(q))))
+    told = reasons(calibrate(scene.robot, m, cell=Cell(sigma=sigma), model="dh"))
+    if sigma is None:
+        assert told[Why.NOISE_LARGE]["noise_m"] > 1e-3
+    else:
+        after, ratio = (told[Why.NOISE_ABOVE_SIGMA][name] for name in ("after_m", "ratio"))
+        assert after > 1e-3
+        assert ratio == pytest.approx(after / sigma)

@@ -40,6 +40,8 @@ GOOD = Evidence(
     largest=5e-3,
     noise=1e-4,
 )
+RIGHT = {"nominal": validated(1e-4, 2), "calibrated": validated(1e-4, 3)}
+LOUD = Reason.of(Why.NOISE_LARGE, noise_m=4e-3)
 LACKS = Reason.of(Why.MODEL_LACKS, model="dh", noise_m=1e-4, less_m=2e-5)
 STILL = Reason.of(Why.JOINTS_STILL, joints="elbow_joint")
 SIZELESS = Reason.of(Why.NO_LENGTH)
@@ -78,11 +80,7 @@ def test_a_good_calibration_is_to_be_used_and_says_by_how_much():
         ({"nominal": validated(0.26)}, "use with care", Why.FAR_OFF_BEFORE),
         ({"parameters": 60}, "use with care", Why.FEW_NUMBERS),
         ({"doubts": (STILL, LACKS)}, "use with care", Why.JOINTS_STILL),
-        (
-            {"nominal": validated(1e-4, 2), "calibrated": validated(1e-4, 3)},
-            "do not use",
-            Why.NOTHING_TO_GAIN,
-        ),
+        (RIGHT, "do not use", Why.NOTHING_TO_GAIN),
         (
             {"nominal": validated(0.5), "calibrated": validated(0.05, 3)},
             "do not use",
@@ -93,6 +91,10 @@ def test_a_good_calibration_is_to_be_used_and_says_by_how_much():
             "do not use",
             Why.TOO_FEW,
         ),
+        ({**RIGHT, "parameters": 60}, "do not use", Why.TOO_FEW),
+        ({**RIGHT, "whole": 60}, "do not use", Why.TOO_FEW),
+        ({**RIGHT, "outliers": np.arange(ROWS) < 6}, "do not use", Why.NO_BETTER),
+        ({**RIGHT, "doubts": (LOUD,)}, "do not use", Why.NO_BETTER),
         ({"largest": 4.6}, "use with care", Why.PARAMETER_FAR),
         ({"largest": 4.6, "doubts": (SIZELESS,)}, "do not use", Why.SIZE_LOST),
         ({"doubts": (SIZELESS,)}, "use with care", Why.NO_LENGTH),
