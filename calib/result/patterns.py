@@ -1,0 +1,246 @@
+"""Whether residuals are noise: F tests of patterns in them, and of set-ups that do not agree.
+
+In the space that the fit's regressors A cannot reach, of further regressors Z: S is what they explain of the rest,
+
+    F = (S / rank Z') / ((|r'|^2 - S) / (M - rank A - rank Z'))
+
+Repeats of a pose share what the model lacks there: their mean is one measurement. A set-up is predicted by a fit to the
+others: its residual r has the covariance I + A C A^T when nothing is wrong, less what its own frame and target take up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc, fdtrc
+
+from calib.units import Array, Integers
+
+#: The probability that a table with nothing but noise gives any pattern or drift; that alike set-ups give any finding.
+FALSE_ALARM, _SETUP_ALARM = 0.003, 0.01
+
+#: A set-up is named when its errors are this much larger than the noise: less does not matter.
+_MATTERS = 1.5
+
+#: Directions whose singular value is below this, columns of norm 1, are not in the range of a matrix; and the same for
+#: what repeats of a pose change in the regressors: joint values repeat to `1e-3` only.
+_CUT, _CUT_WITHIN = 1e-6, 1e-2
+
+#: Rounds in which the components' noise is found; in each it is taken as at least this share of the largest.
+_ROUNDS, _UNEVEN = 4, 0.01
+
+#: Degrees of freedom below the one, and a share of a residual below the other, are rounding.
+_SOME_FREEDOM, _ROUNDING = 1e-6, 1e-12
+
+
+@dataclass(frozen=True, slots=True)
+class Explained:
+    """What further regressors explain of a residual; F is 0 and p is 1 where there is nothing to test."""
+
+    F: float
+    p: float
+    share: float  # of the residual's square, beyond the range of the fit's regressors
+    chance: float  # what as many random regressors explain on average
+    columns: int  # independent further regressors
+    freedom: int  # of what is left after them
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stack:
+    """The whitened scalars of a fit."""
+
+    A: Array  # (M, p), its regressors
+    r: Array  # (M,), its residual
+    row_of: Integers  # (M,), the row of each scalar
+    component_of: Integers  # (M,), which coordinate it is
+    scale: Array  # (M,), what each was multiplied by
+    poses: Integers  # (N,), the pose of each row
+
+    @property
+    def ones(self) -> Array:
+        """A constant of each component, shape (M, components)."""
+        found, component = np.unique(self.component_of, return_inverse=True)
+        return np.asarray(np.eye(len(found))[component.reshape(-1)] * self.scale[:, None])
+
+    @property
+    def cells(self) -> Integers:
+        """A number for each pair of pose and component, shape (M,)."""
+        pairs = np.column_stack([self.poses[self.row_of], self.component_of])
+        return np.asarray(np.unique(pairs, axis=0, return_inverse=True)[1]).reshape(-1)
+
+    def times(self, functions: Array, directions: Array) -> Array:
+        """Functions of the row (N, f), each times each direction (M, k): shape (M, f k)."""
+        product = functions[self.row_of][:, :, None] * directions[:, None, :]
+        return np.asarray(product.reshape(len(self.r), -1))
+
+
+def joint_patterns(
+    stack: Stack, joints: Array, prismatic: Sequence[bool], directions: Sequence[Array]
+) -> list[tuple[int, Explained]]:
+    """The joints whose value, ``joints`` (N, m), residuals follow beyond a constant of each component; surest first.
+
+    The regressors are sin q, cos q and q, or q and q^2 where a joint slides, times the directions (M, k) of what
+    displacements of it do to the scalars. A table with nothing but noise gives any with `FALSE_ALARM`.
+    """
+    if not len(stack.r):
+        return []
+    test, found = _between(stack), []
+    for i, (q, slides, along) in enumerate(zip(joints.T, prismatic, directions, strict=True)):
+        # Centred and of size 1, so that q and q^2 do not look alike.
+        middle = q - np.mean(q)
+        middle = middle / max(float(np.max(np.abs(middle), initial=0.0)), np.finfo(float).tiny)
+        functions = [middle, middle**2] if slides else [np.sin(q), np.cos(q), middle]
+        explained = test(stack.times(np.column_stack(functions), along))
+        if explained.p < FALSE_ALARM / len(prismatic):
+            found.append((i, explained))
+    return sorted(found, key=lambda one: (one[1].p, -one[1].F))
+
+
+def drift(stack: Stack, order: Array) -> Explained | None:
+    """The drift of the residuals in the order of the rows, (N,); None where chance gives such a one.
+
+    Between poses and within repeats it is tested apart, and the probabilities are combined by Fisher's method.
+    """
+    if not len(stack.r):
+        return None
+    Z = stack.times(order[:, None] - np.mean(order), stack.ones)
+    tests = [one for one in (_between(stack)(Z), _within(stack, Z)) if one.columns]
+    p = tests[0].p if len(tests) == 1 else 1.0
+    if len(tests) == 2:
+        logs = [np.log(max(one.p, np.finfo(float).tiny)) for one in tests]
+        p = float(chdtrc(4.0, -2.0 * sum(logs)))
+    return min(tests, key=lambda one: one.p) if p < FALSE_ALARM else None
+
+
+def _between(stack: Stack) -> Callable[[Array], Explained]:
+    """The test on the means of repeats, of any further regressors (M, k)."""
+    cells = stack.cells
+    A, r = _means(cells, np.column_stack([stack.A, stack.ones])), _means(cells, stack.r)
+    even = even_factors(A, r, stack.component_of[np.unique(cells, return_index=True)[1]])
+    base = range_of(A * even[:, None])
+
+    def test(Z: Array) -> Explained:
+        Z = _means(cells, Z) * even[:, None]
+        return f_test(base, r * even, Z, norms_of(Z))
+
+    return test
+
+
+def _within(stack: Stack, Z: Array) -> Explained:
+    """The test on what differs between repeats; without repeats there is nothing to test."""
+    cells, (found, component) = stack.cells, np.unique(stack.component_of, return_inverse=True)
+    counts = np.bincount(cells)
+
+    def centred(values: Array) -> Array:
+        means = (_means(cells, values).T / np.sqrt(counts)).T
+        return np.asarray(values - means[cells])
+
+    r, count = centred(stack.r), len(found)
+    # Every cell loses one degree of freedom: its mean.
+    freedom = np.bincount(component, 1.0 - 1.0 / counts[cells], count)
+    even = _levelled(np.bincount(component, r**2, count), freedom)[component]
+    A, Z = stack.A * even[:, None], Z * even[:, None]
+    base = range_of(centred(A), norms_of(A), _CUT_WITHIN)
+    return f_test(base, even * r, centred(Z), norms_of(Z), int(cells.max()) + 1)
+
+
+def f_test(base: Array, r: Array, Z: Array, sizes: Array, lost: int = 0) -> Explained:
+    """The F test of further regressors Z (M, k) beyond an orthonormal base (M, rank A).
+
+    A column of Z below `_CUT` times its size counts for nothing; ``lost`` degrees of freedom were taken before.
+    """
+    rest = r - base @ (base.T @ r)
+    # Twice is enough to be orthogonal to rounding, where Z almost lies in the range of the base.
+    Z = Z - base @ (base.T @ Z)
+    further = range_of(Z - base @ (base.T @ Z), sizes)
+    square, before = float(rest @ rest), len(r) - base.shape[1] - lost
+    columns, freedom = further.shape[1], before - further.shape[1]
+    if columns == 0 or freedom < 1 or square <= _ROUNDING**2 * float(r @ r):
+        return Explained(0.0, 1.0, 0.0, 0.0, 0, max(before, 0))
+    share = min(float(np.sum((further.T @ rest) ** 2)) / square, 1.0)
+    # An exact fit leaves nothing to compare with.
+    F = share / columns / max((1.0 - share) / freedom, np.finfo(float).tiny)
+    p = float(fdtrc(columns, freedom, F))
+    return Explained(F, p, share, columns / before, columns, freedom)
+
+
+def even_factors(A: Array, r: Array, component_of: Integers) -> Array:
+    """What makes the residual of each component equally large, (M,): an instrument may see depth worse."""
+    found, component = np.unique(component_of, return_inverse=True)
+    factors, count = np.ones(len(r)), len(found)
+    for _ in range(_ROUNDS if count > 1 else 0):
+        base = range_of(A * factors[:, None])
+        rest = factors * r - base @ (base.T @ (factors * r))
+        freedom = np.bincount(component, 1.0 - np.sum(base**2, axis=1), count)
+        factors = factors * _levelled(np.bincount(component, rest**2, count), freedom)[component]
+    return factors
+
+
+def _levelled(squares: NDArray[Any], freedom: NDArray[Any]) -> Array:
+    """Factors that bring sums of squares to one variance a degree of freedom; 1 for all where none has any."""
+    known = freedom > _SOME_FREEDOM
+    variances = np.where(known, squares / np.where(known, freedom, 1.0), 0.0)
+    largest = float(variances.max(initial=0.0))
+    if not largest > 0.0:
+        return np.ones(len(squares))
+    # A component without degrees of freedom is taken for one like the largest.
+    variances = np.where(known, np.maximum(variances, _UNEVEN**2 * largest), largest)
+    return np.asarray(1.0 / np.sqrt(variances))
+
+
+def unpredicted(
+    squares: Array, freedoms: Array, noises: Array, noise_freedoms: Array
+) -> list[tuple[int, float]]:
+    """The set-ups whose errors are larger than noise, beyond chance and by `_MATTERS`; surest first, with the ratio.
+
+    squares and freedoms are of `prediction_square`, noises the variance of a whitened scalar in the fit to the others.
+    """
+    testable = np.flatnonzero((freedoms > 0.0) & (noise_freedoms > 0.0) & (noises > 0.0))
+    F = squares[testable] / freedoms[testable] / noises[testable]
+    p = fdtrc(freedoms[testable], noise_freedoms[testable], F)
+    sure = (p < _SETUP_ALARM / max(len(testable), 1)) & (F > _MATTERS**2)
+    return [(int(testable[i]), float(np.sqrt(F[i]))) for i in np.lexsort((-F, p)) if sure[i]]
+
+
+def prediction_square(r: Array, A: Array, covariance: Array, nuisance: Array) -> tuple[float, int]:
+    """Sum of squares of a set-up's residual, in units of its prediction's own uncertainty, and its degrees of freedom.
+
+    The residual r (M,) and the regressors A (M, p) of what the others know are whitened, the covariance (p, p) is for
+    scalars of variance 1; ``nuisance`` (M, k) is what the set-up has to itself.
+    """
+    # A symmetric root of W: with A C^(1/2) = U S V^T it is I + U ((1 + S^2)^(-1/2) - 1) U^T, never made as a matrix.
+    sizes, vectors = np.linalg.eigh(covariance)
+    moved = A @ (vectors * np.sqrt(np.maximum(sizes, 0.0)))
+    U, S, _ = np.linalg.svd(moved, full_matrices=False)
+    values = np.column_stack([r, nuisance])
+    values = values + U @ ((1.0 / np.sqrt(1.0 + S**2) - 1.0)[:, None] * (U.T @ values))
+    base = range_of(values[:, 1:])
+    rest = values[:, 0] - base @ (base.T @ values[:, 0])
+    return float(rest @ rest), len(r) - base.shape[1]
+
+
+def norms_of(A: Array) -> Array:
+    """The norm of each column, 1 where it is 0."""
+    norms = np.linalg.norm(A, axis=0)
+    return np.where(norms > 0.0, norms, 1.0)
+
+
+def range_of(A: Array, sizes: Array | None = None, cut: float = _CUT) -> Array:
+    """Orthonormal basis of the numerical range of A / sizes, by default its columns' norms, shape (M, rank)."""
+    if 0 in A.shape:
+        return np.zeros((len(A), 0))
+    scaled = A / (norms_of(A) if sizes is None else sizes)
+    vectors, values, _ = np.linalg.svd(scaled, full_matrices=False)
+    return np.asarray(vectors[:, values > cut])
+
+
+def _means(cells: Integers, values: Array) -> Array:
+    """Sums over each cell over the root of its count: means, whitened like their rows when those are independent."""
+    counts = np.bincount(cells)
+    order, starts = np.argsort(cells, kind="stable"), np.cumsum(counts) - counts
+    sums = np.add.reduceat(values[order], starts, axis=0)
+    return np.asarray((sums.T / np.sqrt(counts)).T)
