@@ -14,13 +14,13 @@ from calib.estimate.selection import only_there
 from calib.estimate.setup import LENGTHS, Rows, joined_setups
 from calib.estimate.statistics import Errors, pose_means
 from calib.model.error_model import error_model
-from calib.model.kinematics import FRAME, TARGET, Kinematics
+from calib.model.kinematics import FRAME, TARGET, ErrorModel, Kinematics
 from calib.result.calibration import Calibration
-from calib.result.patterns import Stack, drift, joint_patterns, prediction_square, unpredicted
+from calib.result.patterns import Stack, drift, joint_patterns, prediction_square, step, unpredicted
 from calib.result.support import shares_of_ranges, spread_of
 from calib.result.verdict import Evidence, Reason, Why
 from calib.robot.readback import column_ranges, spread_poses
-from calib.units import Array, Mask
+from calib.units import Array, Integers, Mask
 
 #: A joint that moves less than this over the rows tells little of itself [rad, m].
 _STILL_RAD, _STILL_M = 0.35, 0.05
@@ -43,6 +43,11 @@ _ROUNDING_NOISE, _FITTED, _TELLING = 1e-6, 1.0, 10.0
 #: Noise so many times as large as stated, to which arms add what they do not repeat [m, rad], is not the instrument's;
 #: without a statement, noise of a length beyond the last is no usual instrument's [m].
 _ABOVE, _STEADY_M, _STEADY_RAD, _LARGE_NOISE = 5.0, 3e-5, 1e-4, 1e-3
+
+#: Steps of joint values that are looked for [deg], [0.1 rad], [0.1 m]; and which share of the noise rounding to them
+#: explains where it matters: values to which the arm was sent, and which it reached, are as round.
+_STEPS = np.array([10.0, 5.0, 1.0, 0.5, 0.1, 0.05, 0.01])
+_ROUNDED = 0.5, 3.0
 
 
 def evidence_of(result: Calibration, rows: Rows, hint: Reason | None) -> Evidence:
@@ -97,7 +102,10 @@ def _doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
     named = not result.candidates and result.solver != PAPER
     yield from tuple(_missing_model(few) if named else ()) or _large_noise(result)
     yield from _corner(few)
-    yield from _patterns(few)
+    shown = rows.evenly(ENOUGH)
+    yield from _patterns(
+        few, np.array(result.measurements.rows)[result.measurements.estimation][shown]
+    )
     yield from disagreeing_setups(few)
     yield from _flagged_setup(fitted)
     # Repeats that agree far better with each other than with the model.
@@ -192,19 +200,58 @@ def _corner(fitted: Fitted) -> Iterator[Reason]:
         yield Reason.of(Why.CORNER, spread=spread, joint=name, used=share)
 
 
-def _patterns(fitted: Fitted) -> Iterator[Reason]:
-    """That residuals are not noise: that they follow a joint's value, or the order of the rows."""
-    estimate, robot = fitted.estimate, fitted.task.robot
-    problem, rows = estimate.problem, estimate.problem.rows
-    if estimate.freedom < _TELLING or np.median(problem.scales[rows.used]) < _ROUNDING_NOISE:
+def _patterns(fitted: Fitted, numbers: Integers) -> Iterator[Reason]:
+    """That residuals are not noise: rounded joint values, a target that moved, a joint's pattern, a drift.
+
+    ``numbers`` has the number of each row as a person sees it, (N,).
+    """
+    rows, inputs = fitted.estimate.problem.rows, fitted.task.robot.inputs
+    if fitted.estimate.freedom < _TELLING:
         return
-    placed, setup = fitted.placed(), fitted.setup
+    if np.median(fitted.estimate.problem.scales[rows.used]) < _ROUNDING_NOISE:
+        return
+    stack, model, moved = _stack(fitted)
+    column = {name: k for k, name in enumerate(model.names)}
+    tested = [i for i, joint in enumerate(inputs) if f"{joint.name}.zero" in column]
+    slides = [inputs[i].type == "prismatic" for i in tested]
+    along = [moved[:, [column[f"{inputs[i].name}.zero"]]] for i in tested]
+    grids = np.array([_grid(rows.joints[:, i], one) for i, one in zip(tested, slides, strict=True)])
+    rounding = grids**2 / 12.0 * [np.mean(one**2) for one in along]
+    if _ROUNDED[0] < np.sum(rounding) < _ROUNDED[1]:
+        worst = int(np.argmax(rounding))
+        values = {"joint": inputs[tested[worst]].name, "share": min(float(np.sum(rounding)), 1.0)}
+        values |= {"by_m" if slides[worst] else "by_rad": float(grids[worst])}
+        yield Reason.of(Why.JOINTS_COARSE, **values)
+    order = np.linspace(0.0, 1.0, len(rows))
+    drifts, here = drift(stack, order), np.isin(np.arange(len(rows)), stack.row_of)
+    for t, (name, place) in enumerate(
+        zip(fitted.setup.targets, fitted.setup.places[1], strict=True)
+    ):
+        own = np.flatnonzero((rows.samples.target == t) & here)
+        jump = step(stack, own, moved[:, [one.place == place for one in model.parameters]])
+        if jump and (drifts is None or jump.test.share > drifts.share):
+            values = {"target": name, "row": int(numbers[jump.row]), "moved_m": jump.size}
+            yield Reason.of(Why.TARGET_STEP, **values, **jump.test.told)
+            stack = replace(stack, A=np.column_stack([stack.A, jump.Z]))
+            drifts = drift(stack, order)
+    for i, one in joint_patterns(stack, rows.joints[:, tested], slides, along)[:1]:
+        values = {"quantity": "position" if slides[i] else "angle", "joint": inputs[tested[i]].name}
+        yield Reason.of(Why.JOINT_PATTERN, **values, **one.told)
+    if drifts is not None:
+        yield Reason.of(Why.DRIFT, **drifts.told)
+
+
+def _stack(fitted: Fitted) -> tuple[Stack, ErrorModel, Array]:
+    """The scalars of a fit, and what each zero of a joint and displacement of a target does to them, (M, p)."""
+    estimate, setup, placed = fitted.estimate, fitted.setup, fitted.placed()
+    problem, rows, names = estimate.problem, estimate.problem.rows, setup.target_names
     frames = dict.fromkeys(setup.frame_unknowns, ())
-    model = error_model(robot, "zeros", frame=frames, target=(), targets=setup.target_names)
-    own = Kinematics(robot, model, placed.T_frame_base, placed.T_tip_target)
-    turned = rows.derivative(*own.twists(np.zeros(len(model)), rows.samples))
-    counts = rows.used & (estimate.weights > 0.0)[:, None]
-    whiten = np.sqrt(estimate.weights)[:, None] / problem.scales
+    model = error_model(fitted.task.robot, "zeros", frame=frames, target=names, targets=names)
+    own = Kinematics(fitted.task.robot, model, placed.T_frame_base, placed.T_tip_target)
+    moved = rows.derivative(*own.twists(np.zeros(len(model)), rows.samples))
+    weights = np.where(_flagged_from_some_row_on(fitted), 1.0, estimate.weights)
+    counts = rows.used & (weights > 0.0)[:, None]
+    whiten = np.sqrt(weights)[:, None] / problem.scales
     row_of, component_of = np.nonzero(counts)
     # What the parameters did to the scalars. Directions in which an error of the size expected moves all of them by
     # less than their noise were not fitted: such a direction may be the residual itself, made larger or turned.
@@ -213,23 +260,30 @@ def _patterns(fitted: Fitted) -> Iterator[Reason]:
     basis, effects, _ = np.linalg.svd(A, full_matrices=False)
     r = (problem.residual(estimate.x) * whiten)[counts]
     stack = Stack(basis[:, effects > _FITTED], r, row_of, component_of, whiten[counts], rows.poses)
-    column = {name: k for k, name in enumerate(model.names)}
-    tested = [i for i, joint in enumerate(robot.inputs) if f"{joint.name}.zero" in column]
-    joints = [robot.inputs[i] for i in tested]
-    moved = (turned * whiten[:, :, None])[counts]
-    found = joint_patterns(
-        stack,
-        rows.joints[:, tested],
-        [joint.type == "prismatic" for joint in joints],
-        [moved[:, [column[f"{joint.name}.zero"]]] for joint in joints],
+    return stack, model, (moved * whiten[:, :, None])[counts]
+
+
+def _flagged_from_some_row_on(fitted: Fitted) -> Mask:
+    """Flagged rows of targets whose first or last rows are flagged, and hardly any other: these are no accidents."""
+    flagged, target = fitted.estimate.outliers, fitted.estimate.problem.rows.samples.target
+    result = np.zeros_like(flagged)
+    for t in np.unique(target):
+        for own in (np.flatnonzero(target == t), np.flatnonzero(target == t)[::-1]):
+            before, k = np.cumsum(flagged[own]), np.arange(1, len(own) + 1)
+            behind, rest = before[-1] - before, len(own) - k
+            block = (behind >= _SOME_FLAGGED) & (behind > 0.5 * rest) & (before < 0.1 * k)
+            result[own] |= flagged[own] & np.any(block)
+    return result
+
+
+def _grid(q: Array, slides: bool) -> float:
+    """The largest step of which values (N,) of a joint are multiples, to 1 % [rad, m]; 0 where there is none."""
+    steps = [*np.radians(_STEPS), *_STEPS / 10.0] if not slides else _STEPS / 10.0
+    if len(np.unique(q)) < _SOME_FLAGGED:
+        return 0.0
+    return max(
+        (one for one in steps if np.all(np.abs(q / one - np.round(q / one)) < 0.01)), default=0.0
     )
-    for i, one in found[:1]:
-        values = {"quantity": "position" if joints[i].type == "prismatic" else "angle"}
-        sure = {"share": one.share, "chance": one.chance, "p": one.p}
-        yield Reason.of(Why.JOINT_PATTERN, **values, joint=joints[i].name, **sure)
-    test = drift(stack, np.linspace(0.0, 1.0, len(rows)))
-    if test is not None:
-        yield Reason.of(Why.DRIFT, share=test.share, chance=test.chance, p=test.p)
 
 
 def disagreeing_setups(fitted: Fitted) -> tuple[Reason, ...]:

@@ -10,8 +10,8 @@ others: its residual r has the covariance I + A C A^T when nothing is wrong, les
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,9 @@ _CUT, _CUT_WITHIN = 1e-6, 1e-2
 #: Rounds in which the components' noise is found; in each it is taken as at least this share of the largest.
 _ROUNDS, _UNEVEN = 4, 0.01
 
+#: A step has so many rows before and behind it at least; it is looked for at so many of them, then around the best.
+_SIDE, _TRIED = 3, 60
+
 #: Degrees of freedom below the one, and a share of a residual below the other, are rounding.
 _SOME_FREEDOM, _ROUNDING = 1e-6, 1e-12
 
@@ -47,6 +50,11 @@ class Explained:
     chance: float  # what as many random regressors explain on average
     columns: int  # independent further regressors
     freedom: int  # of what is left after them
+
+    @property
+    def told(self) -> dict[str, float]:
+        """What a reason says of it."""
+        return {"share": self.share, "chance": self.chance, "p": self.p}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,19 +109,60 @@ def joint_patterns(
 
 
 def drift(stack: Stack, order: Array) -> Explained | None:
-    """The drift of the residuals in the order of the rows, (N,); None where chance gives such a one.
-
-    Between poses and within repeats it is tested apart, and the probabilities are combined by Fisher's method.
-    """
+    """The drift of the residuals in the order of the rows, (N,); None where chance gives such a one."""
     if not len(stack.r):
         return None
-    Z = stack.times(order[:, None] - np.mean(order), stack.ones)
-    tests = [one for one in (_between(stack)(Z), _within(stack, Z)) if one.columns]
-    p = tests[0].p if len(tests) == 1 else 1.0
-    if len(tests) == 2:
-        logs = [np.log(max(one.p, np.finfo(float).tiny)) for one in tests]
-        p = float(chdtrc(4.0, -2.0 * sum(logs)))
-    return min(tests, key=lambda one: one.p) if p < FALSE_ALARM else None
+    found = _combined(stack)(stack.times(order[:, None] - np.mean(order), stack.ones))
+    return found if found.p < FALSE_ALARM else None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Step:
+    """Residuals that are displaced from some row on."""
+
+    row: int  # The first displaced one
+    size: float  # By how much, in the unit of the directions
+    test: Explained  # Its probability is for all rows that were tried
+    Z: Array  # (M, k), its regressors
+
+
+def step(stack: Stack, rows: Integers, along: Array) -> Step | None:
+    """From which of some rows (K,) on, in their order, residuals are displaced in directions (M, k); None by chance."""
+    most = len(rows) - _SIDE
+    if most < _SIDE:
+        return None
+    test, number = _combined(stack), np.arange(len(stack.poses))[:, None]
+    stride = max((most - _SIDE) // _TRIED, 1)
+    tried: dict[int, Explained] = {}
+
+    def best_of(some: Iterable[int]) -> int:
+        tried.update({k: test(stack.times(1.0 * (number >= rows[k]), along)) for k in some})
+        return min(tried, key=lambda k: (tried[k].p, -tried[k].F))
+
+    best = best_of(range(_SIDE, most + 1, stride))
+    best = best_of(range(max(best - stride + 1, _SIDE), min(best + stride, most + 1)))
+    found = replace(tried[best], p=min(tried[best].p * (most - _SIDE + 1), 1.0))
+    if found.p >= FALSE_ALARM:
+        return None
+    Z = stack.times(1.0 * (number >= rows[best]), along)
+    fitted = np.linalg.lstsq(np.column_stack([stack.A, Z]), stack.r, rcond=None)[0]
+    return Step(int(rows[best]), float(np.linalg.norm(fitted[-Z.shape[1] :])), found, Z)
+
+
+def _combined(stack: Stack) -> Callable[[Array], Explained]:
+    """The test between poses and within repeats, their probabilities combined by Fisher's method."""
+    between, within = _between(stack), _within(stack)
+
+    def test(Z: Array) -> Explained:
+        tests = between(Z), within(Z)
+        told = [one for one in tests if one.columns] or [tests[0]]
+        surest = min(told, key=lambda one: one.p)
+        if len(told) == 1:
+            return surest
+        logs = [np.log(max(one.p, np.finfo(float).tiny)) for one in told]
+        return replace(surest, p=float(chdtrc(4.0, -2.0 * sum(logs))))
+
+    return test
 
 
 def _between(stack: Stack) -> Callable[[Array], Explained]:
@@ -130,10 +179,12 @@ def _between(stack: Stack) -> Callable[[Array], Explained]:
     return test
 
 
-def _within(stack: Stack, Z: Array) -> Explained:
+def _within(stack: Stack) -> Callable[[Array], Explained]:
     """The test on what differs between repeats; without repeats there is nothing to test."""
     cells, (found, component) = stack.cells, np.unique(stack.component_of, return_inverse=True)
     counts = np.bincount(cells)
+    if counts.max() == 1:
+        return lambda _: Explained(0.0, 1.0, 0.0, 0.0, 0, 0)
 
     def centred(values: Array) -> Array:
         means = (_means(cells, values).T / np.sqrt(counts)).T
@@ -143,9 +194,14 @@ def _within(stack: Stack, Z: Array) -> Explained:
     # Every cell loses one degree of freedom: its mean.
     freedom = np.bincount(component, 1.0 - 1.0 / counts[cells], count)
     even = _levelled(np.bincount(component, r**2, count), freedom)[component]
-    A, Z = stack.A * even[:, None], Z * even[:, None]
+    A = stack.A * even[:, None]
     base = range_of(centred(A), norms_of(A), _CUT_WITHIN)
-    return f_test(base, even * r, centred(Z), norms_of(Z), int(cells.max()) + 1)
+
+    def test(Z: Array) -> Explained:
+        Z = Z * even[:, None]
+        return f_test(base, even * r, centred(Z), norms_of(Z), int(cells.max()) + 1)
+
+    return test
 
 
 def f_test(base: Array, r: Array, Z: Array, sizes: Array, lost: int = 0) -> Explained:

@@ -82,6 +82,10 @@ SENTENCES = {
     "as sigma if it is so.",
     Why.NOISE_ABOVE_SIGMA: "What the model leaves over is {ratio:.0f} times the noise that the table or the cell "
     "states: {after} in each coordinate against {before}. Is that noise right, and are the joint values exact?",
+    Why.JOINTS_COARSE: "The values of '{joint}' are multiples of {beyond}, and rounding explains {share:%.0f} % of "
+    "what the model leaves over: give the joint values as precisely as the controller knows them.",
+    Why.TARGET_STEP: f"{_NOT_NOISE}from row {{row}} on the target '{{target}}' sits {{moved_m:mm.2f}} mm elsewhere in "
+    f"the tip, which {_SHARE}. Was it knocked, or mounted anew? Then it is another target from there on.",
     Why.GAIN: "On unseen rows ({method}{outliers_aside}) the error falls {change}.",
     Why.LARGER_MODEL: "With the larger model '{model}' it would be {after}. No URDF can hold that; predict() does.",
     Why.VALIDATION_GAIN: "On the {rows} validation rows{rows_aside} it falls {change}.",

@@ -144,3 +144,31 @@ def test_noise_that_no_instrument_has(make_scene, sigma):
         after, ratio = (told[Why.NOISE_ABOVE_SIGMA][name] for name in ("after_m", "ratio"))
         assert after > 1e-3
         assert ratio == pytest.approx(after / sigma)
+
+
+def test_joint_values_on_a_grid_that_explains_the_noise(make_scene):
+    """To 0.1 deg: named where the arm stood elsewhere, not where it was sent to round values and reached them."""
+    scene = arm(make_scene, 68)
+    sent = np.radians(np.round(np.degrees(random_joint_values(scene.robot, 60, 8)), 1))
+    stood = sent + np.radians(np.random.default_rng(9).uniform(-0.05, 0.05, sent.shape))
+    m = table_of(scene, stood, np.random.default_rng(8))
+    told = reasons(calibrate(scene.robot, replace(m, joints=sent), model="dh"))
+    assert told[Why.JOINTS_COARSE]["by_rad"] == pytest.approx(np.radians(0.1))
+    exact = calibrate(scene.robot, table_of(scene, sent, np.random.default_rng(8)), model="dh")
+    assert list(reasons(exact)) == [Why.GAIN]
+
+
+@pytest.mark.parametrize(("row", "by"), [(35, 3e-3), (55, 1e-3)])
+def test_a_target_that_was_knocked(make_scene, row, by):
+    """Half way no row is flagged; of the last quarter all are."""
+    scene = arm(make_scene, 69)
+    q = random_joint_values(scene.robot, 70, 9)
+    knocked = (np.arange(70) >= row - 1)[:, None] * np.array([0.0, by, 0.0])
+    moved = np.einsum("nij,nj->ni", scene.robot.poses(q)[:, :3, :3], knocked)
+    m = table_of(scene, q, np.random.default_rng(9), moved)
+    result = calibrate(scene.robot, m, model="dh")
+    told = reasons(result)[Why.TARGET_STEP]
+    assert result.verdict.use == "use with care"
+    assert told["row"] == row
+    assert told["moved_m"] == pytest.approx(by, rel=0.05)
+    assert Why.DRIFT not in reasons(result)

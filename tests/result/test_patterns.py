@@ -18,6 +18,7 @@ from calib.result.patterns import (
     norms_of,
     prediction_square,
     range_of,
+    step,
     unpredicted,
 )
 from calib.robot.robot import Robot
@@ -92,6 +93,10 @@ class Table:
     def drift(self, pattern=0.0):
         return drift(self.stack(pattern), self.order)
 
+    def step(self, pattern=0.0):
+        n = len(self.poses)
+        return step(self.stack(pattern), np.arange(n), np.tile(np.eye(3), (n, 1)))
+
 
 AXES = [np.tile(np.eye(3), (60, 1))] * 6
 
@@ -116,6 +121,7 @@ def test_clean_tables_raise_no_more_than_one_alarm_in_a_hundred(table):
     most = stats.binom.ppf(0.999, 40, FALSE_ALARM)
     assert alarms(Table.patterns, 40, **table) <= most
     assert alarms(Table.drift, 40, **table) <= most
+    assert alarms(Table.step, 40, **table) <= most
 
 
 @pytest.mark.slow
@@ -150,6 +156,17 @@ def test_a_drift_is_found(repeats, shared, size):
     found = table.drift(size * table.order[:, None] * np.array([1.0, 0.0, 0.5]))
     assert found is not None
     assert found.p < 1e-3
+
+
+@pytest.mark.parametrize(("poses", "repeats", "row"), [(90, 1, 40), (45, 2, 31), (600, 1, 577)])
+def test_a_step_is_found_at_its_row(poses, repeats, row):
+    table = Table(np.random.default_rng(12), poses, repeats=repeats, columns=10)
+    by = np.array([4.0, 0.0, -3.0])
+    found = table.step((np.arange(poses * repeats) >= row)[:, None] * by)
+    assert found is not None
+    assert found.row == row
+    assert found.size == pytest.approx(5.0, abs=1.0)
+    assert found.test.p < 1e-9
 
 
 def points(robot: Robot, q: np.ndarray, target: np.ndarray) -> np.ndarray:
