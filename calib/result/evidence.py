@@ -6,17 +6,27 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import stdtr
 
 from calib.estimate.fitting import PAPER, Fitted, fit
 from calib.estimate.problem import Priors, Problem
 from calib.estimate.registration import ENOUGH
 from calib.estimate.selection import only_there
 from calib.estimate.setup import LENGTHS, Rows, joined_setups
+from calib.estimate.stages import PriorTerms, Stage
 from calib.estimate.statistics import Errors, pose_means
 from calib.model.error_model import error_model
 from calib.model.kinematics import FRAME, TARGET, ErrorModel, Kinematics
 from calib.result.calibration import Calibration
-from calib.result.patterns import Stack, drift, joint_patterns, prediction_square, step, unpredicted
+from calib.result.patterns import (
+    FALSE_ALARM,
+    Stack,
+    drift,
+    joint_patterns,
+    prediction_square,
+    step,
+    unpredicted,
+)
 from calib.result.support import shares_of_ranges, spread_of
 from calib.result.verdict import Evidence, Reason, Why
 from calib.robot.readback import column_ranges, spread_poses
@@ -43,6 +53,9 @@ _ROUNDING_NOISE, _FITTED, _TELLING = 1e-6, 1.0, 10.0
 #: Noise so many times as large as stated, to which arms add what they do not repeat [m, rad], is not the instrument's;
 #: without a statement, noise of a length beyond the last is no usual instrument's [m].
 _ABOVE, _STEADY_M, _STEADY_RAD, _LARGE_NOISE = 5.0, 3e-5, 1e-4, 1e-3
+
+#: No arm is longer or shorter by more than this share, in all its lengths: it is the instrument's scale.
+_SCALED = 2e-3
 
 #: Steps of joint values that are looked for [deg], [0.1 rad], [0.1 m]; and which share of the noise rounding to them
 #: explains where it matters: values to which the arm was sent, and which it reached, are as round.
@@ -116,6 +129,8 @@ def _doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
             yield Reason.of(Why.REPEATS_AGREE, within_m=within, noise_m=result.sigma)
     if not fitted.task.distances and not any(kind.size for kind in rows.present):
         yield Reason.of(Why.NO_LENGTH)
+    else:
+        yield from _scaled_lengths(few)
 
 
 def thin(fitted: Fitted) -> Fitted:
@@ -284,6 +299,44 @@ def _grid(q: Array, slides: bool) -> float:
     return max(
         (one for one in steps if np.all(np.abs(q / one - np.round(q / one)) < 0.01)), default=0.0
     )
+
+
+def _scaled_lengths(fitted: Fitted) -> Iterator[Reason]:
+    """That all lengths are longer or shorter by one share, an unknown beside corrections whose size is found anew.
+
+    Its standard error is mostly that of the other corrections, which tell their size with few degrees of freedom.
+    """
+    estimate, model, task = fitted.estimate, fitted.kinematics.model, fitted.task
+    problem, rows, x = estimate.problem, estimate.problem.rows, estimate.x
+    own = ~model.family(FRAME, TARGET) & (np.array(model.units) == "m")
+    if task.solver == PAPER or task.cell.priors.sizes != "data" or not np.any(own):
+        return
+    T = fitted.kinematics.poses(x, rows.samples)
+    grown = np.zeros((len(rows), 6, 1))
+    grown[:, :3, 0] = T[:, :3, 3] - fitted.placed().T_frame_base[rows.samples.frame, :3, 3]
+    linear, column = problem.linear(x), (rows.derivative(T, grown)[:, :, 0] / rows.scales).T
+    columns = np.concatenate([linear.columns[:-1], column[None], linear.columns[-1:]])
+    wider = replace(
+        linear, x=np.append(x, 0.0), columns=columns, C=np.pad(linear.C, ((0, 0), (0, 1)))
+    )
+    prior = PriorTerms.of(task.cell, model, task.setup, fitted.setup, lenient=task.lenient)
+    prior = prior.at_bounds({k: float(x[k]) for k in estimate.at_bound})
+    prior = replace(
+        prior,
+        families=np.pad(prior.families, ((0, 0), (0, 1))),
+        precision=np.append(prior.precision, 0.0),
+        centre=np.append(prior.centre, 0.0),
+    )
+    weights, noise = problem.weights[None], np.array([estimate.noise])
+    sizes = np.array([[estimate.sizes[name] for name in prior.names]])
+    stage = Stage(prior, weights > 0.0, weights, np.ones(weights.shape), noise, sizes)
+    stage = stage.by_likelihood(wider, robust=False)
+    found, covariance, _ = (one[0] for one in stage.fit(wider))
+    told = 1.0 - np.diag(covariance)[:-1] * stage.priors.precision[0, :-1]
+    scale, std = float(found[-1]), float(np.sqrt(covariance[-1, -1]))
+    p = 2.0 * float(stdtr(max(float(np.sum(told[own])) - 1.0, 1.0), -abs(scale) / std))
+    if abs(scale) > _SCALED and p < FALSE_ALARM:
+        yield Reason.of(Why.LENGTHS_SCALED, scale=scale, std=std, p=p)
 
 
 def disagreeing_setups(fitted: Fitted) -> tuple[Reason, ...]:

@@ -86,6 +86,8 @@ SENTENCES = {
     "what the model leaves over: give the joint values as precisely as the controller knows them.",
     Why.TARGET_STEP: f"{_NOT_NOISE}from row {{row}} on the target '{{target}}' sits {{moved_m:mm.2f}} mm elsewhere in "
     f"the tip, which {_SHARE}. Was it knocked, or mounted anew? Then it is another target from there on.",
+    Why.LENGTHS_SCALED: "All lengths of the robot together are {scale:%+.2f} % off (standard error {std:%.2f} %), "
+    "which no arm is: check the instrument's scale: the size of a printed board, a tracker's temperature, the unit.",
     Why.GAIN: "On unseen rows ({method}{outliers_aside}) the error falls {change}.",
     Why.LARGER_MODEL: "With the larger model '{model}' it would be {after}. No URDF can hold that; predict() does.",
     Why.VALIDATION_GAIN: "On the {rows} validation rows{rows_aside} it falls {change}.",

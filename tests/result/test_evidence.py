@@ -172,3 +172,17 @@ def test_a_target_that_was_knocked(make_scene, row, by):
     assert told["row"] == row
     assert told["moved_m"] == pytest.approx(by, rel=0.05)
     assert Why.DRIFT not in reasons(result)
+
+
+@pytest.mark.parametrize("scale", [0.0, 0.01, -0.01])
+def test_a_scale_of_the_instrument(make_scene, scale):
+    """A board printed 1 % too large: the fit makes every link longer, and unseen rows agree."""
+    scene = arm(make_scene, 70)
+    q = random_joint_values(scene.robot, 60, 10)
+    m = table_of(scene, q, np.random.default_rng(10))
+    result = calibrate(scene.robot, replace(m, points=(1.0 + scale) * m.points), model="dh")
+    told = reasons(result).get(Why.LENGTHS_SCALED)
+    assert (result.verdict.use == "use") == (told is None) == (scale == 0.0)
+    if told is not None:
+        assert told["scale"] == pytest.approx(scale, abs=3.0 * told["std"])
+        assert told["std"] < 1e-3
