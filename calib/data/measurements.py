@@ -79,11 +79,12 @@ class Measurements:
     #: What kinds from outside measure, shape (N,) each, in SI units, by the column's name.
     readings: Mapping[str, Array] = field(default_factory=dict)
     unmeasured: tuple[int, ...] = ()  #: The numbers of rows left out, for they hold no measurement.
+    copies: tuple[int, ...] = ()  #: Those of rows left out by `without_copies`.
 
     def __post_init__(self) -> None:
         """Copy the arrays, fill in what was not given, and check that all of it fits together."""
         fill, count = partial(object.__setattr__, self), len(np.asarray(self.points))
-        for name in ("joint_names", "prismatic", "ignored", "unmeasured"):
+        for name in ("joint_names", "prismatic", "ignored", "unmeasured", "copies"):
             fill(name, tuple(getattr(self, name)))
         fill("rows", tuple(self.rows) or tuple(range(1, count + 1)))
         for name, word in _WORDS.items():
@@ -356,6 +357,18 @@ class Measurements:
             left[name] = None if values is None else values[chosen]
         left["readings"] = {name: values[chosen] for name, values in self.readings.items()}
         return replace(self, **left)
+
+    def without_copies(self) -> Measurements:
+        """Without rows that are another one to the last digit, joint values and measurement, as no repeats are."""
+        arrays = (self.joints, self.points, self.rotations, self.distances, *self.readings.values())
+        numbers = np.hstack([a.reshape(len(self), -1) for a in arrays if a is not None])
+        words = zip(self.kinds, self.groups, self.targets, strict=True)
+        every = [(*own, row.tobytes()) for own, row in zip(words, numbers, strict=True)]
+        first = {key: i for i, key in reversed([*enumerate(every)])}
+        copy = np.array([first[key] < i for i, key in enumerate(every)]) & ~self.paired
+        copy &= self.where(lambda kind: kind.size > 0)
+        copies = tuple(compress(self.rows, copy.tolist()))
+        return replace(self.select(~copy), copies=copies) if copies else self
 
     def joints_for(self, names: Sequence[str]) -> Array:
         """The values of these joints in this order, shape (N, len(names)), [rad] or [m], read-only.

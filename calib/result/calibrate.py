@@ -85,7 +85,7 @@ def calibrate(
         MeasurementError: Too few rows, or columns that the robot needs are missing.
         SolverError: No finite result.
     """
-    cell = Cell() if cell is None else cell
+    cell, measurements = Cell() if cell is None else cell, measurements.without_copies()
     cell = replace(cell, model=model) if isinstance(model, str) else cell
     fits = fit_table(robot, measurements, cell, model=model, solver=solver, robust=robust)
     result = _assembled(measurements, fits)

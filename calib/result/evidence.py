@@ -50,16 +50,17 @@ _FAR_LESS, _SCATTER_SHARE = 0.6, 0.5
 #: many standard deviations was fitted; with fewer degrees of freedom neither scatter nor patterns are told.
 _ROUNDING_NOISE, _FITTED, _TELLING = 1e-6, 1.0, 10.0
 
-#: Noise so many times as large as stated, to which arms add what they do not repeat [m, rad], is not the instrument's;
-#: without a statement, noise of a length beyond the last is no usual instrument's [m].
-_ABOVE, _STEADY_M, _STEADY_RAD, _LARGE_NOISE = 5.0, 3e-5, 1e-4, 1e-3
+#: Noise so many times as large as stated is not the instrument's; without a statement, none beyond the second [m]. And
+#: what arms add to the one stated, for they do not repeat better [m, rad].
+_ABOVE, _LARGE_NOISE = 5.0, 1e-3
+_STEADY = ("sigma", "m", 3e-5), ("sigma_angle", "rad", 1e-4)
 
 #: No arm is longer or shorter by more than this share, in all its lengths: it is the instrument's scale.
 _SCALED = 2e-3
 
-#: Steps of joint values that are looked for [deg], [0.1 rad], [0.1 m]; and which share of the noise rounding to them
-#: explains where it matters: values to which the arm was sent, and which it reached, are as round.
-_STEPS = np.array([10.0, 5.0, 1.0, 0.5, 0.1, 0.05, 0.01])
+#: Steps of joint values that are looked for [deg], [0.1 rad], [0.1 m], in so many values; and which share of the noise
+#: rounding to them explains where it matters: values to which the arm was sent, and which it reached, are as round.
+_STEPS, _SOME_VALUES = np.array([10.0, 5.0, 1.0, 0.5, 0.1, 0.05, 0.01]), 4
 _ROUNDED = 0.5, 3.0
 
 
@@ -71,15 +72,18 @@ def evidence_of(result: Calibration, rows: Rows, hint: Reason | None) -> Evidenc
     assert calibrated is not None
     notes = []
     if larger is not None and larger.cross_validation is not None:
-        errors = larger.cross_validation.errors_without_outliers
-        notes.append(Reason.of(Why.LARGER_MODEL, model=larger.name, after=errors))
+        errors, own = (v.errors_without_outliers for v in (larger.cross_validation, calibrated))
+        why = Why.LARGER_NO_CLOSER if errors.rms >= own.rms else Why.LARGER_MODEL
+        notes.append(Reason.of(why, model=larger.name, after=errors))
+    if m.copies:
+        notes.append(Reason.of(Why.ROWS_COPIED, rows=len(m.copies), row=m.copies[0]))
     if result.outside:
         one = max(result.outside, key=lambda row: row.beyond[0].by)
         far, number = one.beyond[0], int(np.array(m.rows)[m.validation][one.index])
         values = {"joint": far.joint, "by_m" if far.prismatic else "by_rad": far.by}
         notes.append(Reason.of(Why.OUTSIDE, rows=len(result.outside), row=number, **values))
     suspects = {o.row for o in result.suspects}
-    own = ~model.family(FRAME, TARGET) & np.isin(model.units, ("m", "rad"))
+    moved = ~model.family(FRAME, TARGET) & np.isin(model.units, ("m", "rad"))
     return Evidence(
         nominal=nominal,
         calibrated=calibrated,
@@ -99,7 +103,7 @@ def evidence_of(result: Calibration, rows: Rows, hint: Reason | None) -> Evidenc
         notes=tuple(notes),
         parameters=len(model),
         whole=(4 * len(fitted.task.robot.inputs) + fitted.setup.count) * bool(result.candidates),
-        largest=float(np.max(np.abs(result.x[own]), initial=0.0)),
+        largest=float(np.max(np.abs(result.x[moved]), initial=0.0)),
         noise=result.sigma,
         hint=hint,
     )
@@ -112,15 +116,21 @@ def _doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
     still = np.flatnonzero(np.ptp(rows.joints, axis=0) < least)
     if len(still):
         yield Reason.of(Why.JOINTS_STILL, joints=", ".join(robot.joint_names[j] for j in still))
+    numbers = np.array(result.measurements.rows)[result.measurements.estimation]
+    told = [*_patterns(few, numbers[rows.evenly(ENOUGH)])]
     named = not result.candidates and result.solver != PAPER
-    yield from tuple(_missing_model(few) if named else ()) or _large_noise(result)
+    # What follows a joint is no noise either, where no larger model had its chance.
+    lacks = named and result.larger is None and any(one.why == Why.JOINT_PATTERN for one in told)
+    missing = [*_missing_model(few)] if named else []
+    yield from missing or (() if lacks else _large_noise(result))
     yield from _corner(few)
-    shown = rows.evenly(ENOUGH)
-    yield from _patterns(
-        few, np.array(result.measurements.rows)[result.measurements.estimation][shown]
-    )
+    yield from told
     yield from disagreeing_setups(few)
     yield from _flagged_setup(fitted)
+    for one in result.larger.parameters if result.larger else ():
+        # Twice as far as its interval reaches: there are as many chances as joints.
+        if one.name.endswith(".compliance") and 2.0 * one.high < one.value:
+            yield Reason.of(Why.COMPLIANCE_NEGATIVE, joint=one.name.removesuffix(".compliance"))
     # Repeats that agree far better with each other than with the model.
     repeats = result.repeats
     if repeats is not None and len(repeats.within) and repeats.freedoms[0] >= _TELLING:
@@ -183,24 +193,19 @@ def _missing_model(fitted: Fitted) -> Iterator[Reason]:
 
 def _large_noise(result: Calibration) -> Iterator[Reason]:
     """That the larger model too leaves more noise than is stated; where none is, more than instruments have."""
-    rows, m, cell = result.fitted.estimate.problem.rows, result.measurements, result.cell
+    rows, m = result.fitted.estimate.problem.rows, result.measurements
     fits = [one for one in (result.in_memory.geometry, result.in_memory.larger) if one is not None]
-    least = np.min([one.estimate.noise for one in fits], axis=0)
-    for unit, columns, by_row, by_cell, steady in (
-        ("m", slice(0, LENGTHS), m.sigma, cell.sigma, _STEADY_M),
-        ("rad", slice(LENGTHS, None), m.sigma_angle, cell.sigma_angle, _STEADY_RAD),
-    ):
-        known = np.full(len(rows), by_cell is not None)
-        known |= np.zeros_like(known) if by_row is None else np.isfinite(by_row[m.estimation])
-        for c in np.unique(rows.instruments[:, columns][rows.used[:, columns]]):
-            own = np.any(rows.instruments == c, axis=1)
-            sigma = float(np.median((rows.sigma if unit == "m" else rows.sigma_angle)[own]))
-            noise, stated = float(least[c]) * sigma, bool(np.all(known[own]))
-            if stated and noise > _ABOVE * np.hypot(sigma, steady):
-                told = {f"before_{unit}": sigma, f"after_{unit}": noise, "ratio": noise / sigma}
-                yield Reason.of(Why.NOISE_ABOVE_SIGMA, **told)
-            elif unit == "m" and not stated and noise > _LARGE_NOISE:
-                yield Reason.of(Why.NOISE_LARGE, noise_m=noise)
+    for c, ratio in enumerate(np.min([one.estimate.noise for one in fits], axis=0)):
+        own, columns = np.nonzero(rows.instruments == c)
+        name, unit, steady = _STEADY[int(columns[0] >= LENGTHS)]
+        by_row, sigma = getattr(m, name), float(np.median(getattr(rows, name)[own]))
+        noise, stated = float(ratio) * sigma, getattr(result.cell, name) is not None
+        stated |= by_row is not None and bool(np.all(np.isfinite(by_row[m.estimation][own])))
+        if stated and noise > _ABOVE * np.hypot(sigma, steady):
+            told = {f"before_{unit}": sigma, f"after_{unit}": noise, "ratio": noise / sigma}
+            yield Reason.of(Why.NOISE_ABOVE_SIGMA, **told)
+        elif not stated and unit == "m" and noise > _LARGE_NOISE:
+            yield Reason.of(Why.NOISE_LARGE, noise_m=noise)
 
 
 def _corner(fitted: Fitted) -> Iterator[Reason]:
@@ -216,10 +221,7 @@ def _corner(fitted: Fitted) -> Iterator[Reason]:
 
 
 def _patterns(fitted: Fitted, numbers: Integers) -> Iterator[Reason]:
-    """That residuals are not noise: rounded joint values, a target that moved, a joint's pattern, a drift.
-
-    ``numbers`` has the number of each row as a person sees it, (N,).
-    """
+    """Whether residuals are noise: rounded joints, targets that moved, a joint's pattern, a drift; rows by numbers."""
     rows, inputs = fitted.estimate.problem.rows, fitted.task.robot.inputs
     if fitted.estimate.freedom < _TELLING:
         return
@@ -239,11 +241,10 @@ def _patterns(fitted: Fitted, numbers: Integers) -> Iterator[Reason]:
         yield Reason.of(Why.JOINTS_COARSE, **values)
     order = np.linspace(0.0, 1.0, len(rows))
     drifts, here = drift(stack, order), np.isin(np.arange(len(rows)), stack.row_of)
-    for t, (name, place) in enumerate(
-        zip(fitted.setup.targets, fitted.setup.places[1], strict=True)
-    ):
+    for t, name in enumerate(fitted.setup.targets):
+        displaced = [one.place == fitted.setup.places[1][t] for one in model.parameters]
         own = np.flatnonzero((rows.samples.target == t) & here)
-        jump = step(stack, own, moved[:, [one.place == place for one in model.parameters]])
+        jump = step(stack, own, moved[:, displaced])
         if jump and (drifts is None or jump.test.share > drifts.share):
             values = {"target": name, "row": int(numbers[jump.row]), "moved_m": jump.size}
             yield Reason.of(Why.TARGET_STEP, **values, **jump.test.told)
@@ -294,11 +295,8 @@ def _flagged_from_some_row_on(fitted: Fitted) -> Mask:
 def _grid(q: Array, slides: bool) -> float:
     """The largest step of which values (N,) of a joint are multiples, to 1 % [rad, m]; 0 where there is none."""
     steps = [*np.radians(_STEPS), *_STEPS / 10.0] if not slides else _STEPS / 10.0
-    if len(np.unique(q)) < _SOME_FLAGGED:
-        return 0.0
-    return max(
-        (one for one in steps if np.all(np.abs(q / one - np.round(q / one)) < 0.01)), default=0.0
-    )
+    fits = [one for one in steps if np.all(np.abs(q / one - np.round(q / one)) < 0.01)]
+    return max(fits, default=0.0) if len(np.unique(q)) >= _SOME_VALUES else 0.0
 
 
 def _scaled_lengths(fitted: Fitted) -> Iterator[Reason]:
@@ -316,9 +314,8 @@ def _scaled_lengths(fitted: Fitted) -> Iterator[Reason]:
     grown[:, :3, 0] = T[:, :3, 3] - fitted.placed().T_frame_base[rows.samples.frame, :3, 3]
     linear, column = problem.linear(x), (rows.derivative(T, grown)[:, :, 0] / rows.scales).T
     columns = np.concatenate([linear.columns[:-1], column[None], linear.columns[-1:]])
-    wider = replace(
-        linear, x=np.append(x, 0.0), columns=columns, C=np.pad(linear.C, ((0, 0), (0, 1)))
-    )
+    C = np.pad(linear.C, ((0, 0), (0, 1)))
+    wider = replace(linear, x=np.append(x, 0.0), columns=columns, C=C)
     prior = PriorTerms.of(task.cell, model, task.setup, fitted.setup, lenient=task.lenient)
     prior = prior.at_bounds({k: float(x[k]) for k in estimate.at_bound})
     prior = replace(

@@ -88,8 +88,12 @@ SENTENCES = {
     f"the tip, which {_SHARE}. Was it knocked, or mounted anew? Then it is another target from there on.",
     Why.LENGTHS_SCALED: "All lengths of the robot together are {scale:%+.2f} % off (standard error {std:%.2f} %), "
     "which no arm is: check the instrument's scale: the size of a printed board, a tracker's temperature, the unit.",
+    Why.COMPLIANCE_NEGATIVE: "'{joint}' would move against its load: that is no compliance. Are masses, payload and "
+    "gravity's direction right?",
     Why.GAIN: "On unseen rows ({method}{outliers_aside}) the error falls {change}.",
     Why.LARGER_MODEL: "With the larger model '{model}' it would be {after}. No URDF can hold that; predict() does.",
+    Why.LARGER_NO_CLOSER: "With the larger model '{model}' it would be {after}: positions come no closer by it.",
+    Why.ROWS_COPIED: "{rows} rows, row {row} first, are copies of others to the last digit, and were left out.",
     Why.VALIDATION_GAIN: "On the {rows} validation rows{rows_aside} it falls {change}.",
     Why.OUTSIDE: "{rows} validation rows lie outside of the joint values that were fitted, where errors may be larger: "
     "'{joint}' of row {row} by {beyond}.",

@@ -15,6 +15,7 @@ from calib.estimate.fitting import Task
 from calib.estimate.selection import LADDER, Selection, select
 from calib.estimate.setup import rows_of
 from calib.result.calibrate import _validated, calibrate
+from calib.result.verdict import Why
 
 
 def scene_of(make_scene: Callable[..., Any], seed: int, model: str, **given: Any) -> Any:
@@ -103,3 +104,4 @@ def test_a_larger_model_that_predicts_worse_when_refitted_is_dropped(calibrated)
     assert named.larger is not None
     one, other = named.larger.cross_validation, named.cross_validation
     assert one.errors_without_outliers.rms > other.errors_without_outliers.rms
+    assert Why.LARGER_NO_CLOSER in {reason.why for reason in named.verdict.reasons}
