@@ -60,8 +60,7 @@ _SCALED = 2e-3
 
 #: Steps of joint values that are looked for [deg], [0.1 rad], [0.1 m], in so many values; and which share of the noise
 #: rounding to them explains where it matters: values to which the arm was sent, and which it reached, are as round.
-_STEPS, _SOME_VALUES = np.array([10.0, 5.0, 1.0, 0.5, 0.1, 0.05, 0.01]), 4
-_ROUNDED = 0.5, 3.0
+_STEPS, _SOME_VALUES, _ROUNDED = np.array([10.0, 5.0, 1.0, 0.5, 0.1, 0.05, 0.01]), 4, (0.5, 3.0)
 
 
 def evidence_of(result: Calibration, rows: Rows, hint: Reason | None) -> Evidence:
@@ -121,8 +120,7 @@ def _doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
     named = not result.candidates and result.solver != PAPER
     # What follows a joint is no noise either, where no larger model had its chance.
     lacks = named and result.larger is None and any(one.why == Why.JOINT_PATTERN for one in told)
-    missing = [*_missing_model(few)] if named else []
-    yield from missing or (() if lacks else _large_noise(result))
+    yield from (named and [*_missing_model(few)]) or (() if lacks else _large_noise(result))
     yield from _corner(few)
     yield from told
     yield from disagreeing_setups(few)
@@ -223,9 +221,8 @@ def _corner(fitted: Fitted) -> Iterator[Reason]:
 def _patterns(fitted: Fitted, numbers: Integers) -> Iterator[Reason]:
     """Whether residuals are noise: rounded joints, targets that moved, a joint's pattern, a drift; rows by numbers."""
     rows, inputs = fitted.estimate.problem.rows, fitted.task.robot.inputs
-    if fitted.estimate.freedom < _TELLING:
-        return
-    if np.median(fitted.estimate.problem.scales[rows.used]) < _ROUNDING_NOISE:
+    noise = np.median(fitted.estimate.problem.scales[rows.used])
+    if fitted.estimate.freedom < _TELLING or noise < _ROUNDING_NOISE:
         return
     stack, model, moved = _stack(fitted)
     column = {name: k for k, name in enumerate(model.names)}
@@ -239,18 +236,21 @@ def _patterns(fitted: Fitted, numbers: Integers) -> Iterator[Reason]:
         values = {"joint": inputs[tested[worst]].name, "share": min(float(np.sum(rounding)), 1.0)}
         values |= {"by_m" if slides[worst] else "by_rad": float(grids[worst])}
         yield Reason.of(Why.JOINTS_COARSE, **values)
-    order = np.linspace(0.0, 1.0, len(rows))
-    drifts, here = drift(stack, order), np.isin(np.arange(len(rows)), stack.row_of)
+    order, here = np.linspace(0.0, 1.0, len(rows)), np.isin(np.arange(len(rows)), stack.row_of)
+    # Rows may be in the order of a joint's values: what follows those is no drift and no step.
+    found = joint_patterns(stack, rows.joints[:, tested], slides, along)
+    rest = stack.beyond(*(Z for *_, Z in found))
+    drifts = drift(rest, order)
     for t, name in enumerate(fitted.setup.targets):
-        displaced = [one.place == fitted.setup.places[1][t] for one in model.parameters]
-        own = np.flatnonzero((rows.samples.target == t) & here)
-        jump = step(stack, own, moved[:, displaced])
+        own = [one.place == fitted.setup.places[1][t] for one in model.parameters]
+        jump = step(rest, np.flatnonzero((rows.samples.target == t) & here), moved[:, own])
         if jump and (drifts is None or jump.test.share > drifts.share):
             values = {"target": name, "row": int(numbers[jump.row]), "moved_m": jump.size}
             yield Reason.of(Why.TARGET_STEP, **values, **jump.test.told)
-            stack = replace(stack, A=np.column_stack([stack.A, jump.Z]))
-            drifts = drift(stack, order)
-    for i, one in joint_patterns(stack, rows.joints[:, tested], slides, along)[:1]:
+            stack, rest = stack.beyond(jump.Z), rest.beyond(jump.Z)
+            found = joint_patterns(stack, rows.joints[:, tested], slides, along)
+            drifts = drift(rest, order)
+    for i, one, _ in found[:1]:
         values = {"quantity": "position" if slides[i] else "angle", "joint": inputs[tested[i]].name}
         yield Reason.of(Why.JOINT_PATTERN, **values, **one.told)
     if drifts is not None:
@@ -300,10 +300,7 @@ def _grid(q: Array, slides: bool) -> float:
 
 
 def _scaled_lengths(fitted: Fitted) -> Iterator[Reason]:
-    """That all lengths are longer or shorter by one share, an unknown beside corrections whose size is found anew.
-
-    Its standard error is mostly that of the other corrections, which tell their size with few degrees of freedom.
-    """
+    """That all lengths are off by one share: an unknown beside their own corrections, whose size is found anew."""
     estimate, model, task = fitted.estimate, fitted.kinematics.model, fitted.task
     problem, rows, x = estimate.problem, estimate.problem.rows, estimate.x
     own = ~model.family(FRAME, TARGET) & (np.array(model.units) == "m")
@@ -329,6 +326,7 @@ def _scaled_lengths(fitted: Fitted) -> Iterator[Reason]:
     stage = Stage(prior, weights > 0.0, weights, np.ones(weights.shape), noise, sizes)
     stage = stage.by_likelihood(wider, robust=False)
     found, covariance, _ = (one[0] for one in stage.fit(wider))
+    # The error is mostly that of the corrections, which tell their size with few degrees of freedom.
     told = 1.0 - np.diag(covariance)[:-1] * stage.priors.precision[0, :-1]
     scale, std = float(found[-1]), float(np.sqrt(covariance[-1, -1]))
     p = 2.0 * float(stdtr(max(float(np.sum(told[own])) - 1.0, 1.0), -abs(scale) / std))

@@ -80,6 +80,10 @@ class Stack:
         pairs = np.column_stack([self.poses[self.row_of], self.component_of])
         return np.asarray(np.unique(pairs, axis=0, return_inverse=True)[1]).reshape(-1)
 
+    def beyond(self, *Z: Array) -> Stack:
+        """The same, with further regressors (M, k) taken out."""
+        return replace(self, A=np.column_stack([self.A, *Z]))
+
     def times(self, functions: Array, directions: Array) -> Array:
         """Functions of the row (N, f), each times each direction (M, k): shape (M, f k)."""
         product = functions[self.row_of][:, :, None] * directions[:, None, :]
@@ -88,7 +92,7 @@ class Stack:
 
 def joint_patterns(
     stack: Stack, joints: Array, prismatic: Sequence[bool], directions: Sequence[Array]
-) -> list[tuple[int, Explained]]:
+) -> list[tuple[int, Explained, Array]]:
     """The joints whose value, ``joints`` (N, m), residuals follow beyond a constant of each component; surest first.
 
     The regressors are sin q, cos q and q, or q and q^2 where a joint slides, times the directions (M, k) of what
@@ -102,9 +106,9 @@ def joint_patterns(
         middle = q - np.mean(q)
         middle = middle / max(float(np.max(np.abs(middle), initial=0.0)), np.finfo(float).tiny)
         functions = [middle, middle**2] if slides else [np.sin(q), np.cos(q), middle]
-        explained = test(stack.times(np.column_stack(functions), along))
+        explained = test(Z := stack.times(np.column_stack(functions), along))
         if explained.p < FALSE_ALARM / len(prismatic):
-            found.append((i, explained))
+            found.append((i, explained, Z))
     return sorted(found, key=lambda one: (one[1].p, -one[1].F))
 
 

@@ -165,7 +165,7 @@ def verdict(e: Evidence) -> Verdict:
     against = _those(
         (right and not odd and not sparse, Reason.of(Why.NOTHING_TO_GAIN, before=before)),
         (after.rms > _ABSURD, Reason.of(Why.STILL_FAR_OFF, **both)),
-        ((chance and few) or (right and sparse), Reason.of(Why.TOO_FEW, **short)),
+        ((gain < _CHANCE and few) or (right and sparse), Reason.of(Why.TOO_FEW, **short)),
         (gain <= 0.0, Reason.of(Why.NO_BETTER, **both)),
     )[:1]
     unfit = bool(fresh.n) and not falls

@@ -141,7 +141,7 @@ def test_a_pattern_along_fixed_axes_is_found_and_named(joint):
     found = table.patterns(pattern, along=AXES)
     assert found[0][0] == joint
     assert found[0][1].share > 0.3
-    assert [test.p for _, test in found] == sorted(test.p for _, test in found)
+    assert [test.p for _, test, _ in found] == sorted(test.p for _, test, _ in found)
 
 
 @pytest.mark.parametrize(
