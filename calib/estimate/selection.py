@@ -147,8 +147,7 @@ def _left_over(
     left, samples = rows.select(mask), rows.samples
     loose = placed.as_known(*placed.seen_by(samples.select(seen)))
     if loose.count:
-        kept = ~outliers[mask]  # unless they are more than half of a set-up's rows
-        kept = left.with_partners(kept if left.keeps_frames(kept) else np.ones_like(kept))
+        kept = left.without(outliers[mask])
         placed = register_poses(T_base_tip[kept], loose, left.select(kept))
     return left.residual(placed.seen(T_base_tip, left.samples))
 
@@ -206,7 +205,7 @@ def nominal_cross_validation(task: Task, rows: Rows, outliers: Mask) -> CrossVal
     folds, unknown = Folds.of_task(task, rows), task.setup.unknown
     given = np.array([not directions for directions in unknown])
     setup = replace(task.setup, frame_given=given, target_given=~task.setup.target_unknown)
-    T_base_tip, some = task.robot.poses(rows.joints), rows.evenly(ENOUGH)
+    T_base_tip, some = task.robot.poses(rows.joints), rows.evenly(ENOUGH) & rows.without(outliers)
     residuals = []
     for mask in folds.masks:
         kept = ~mask & some

@@ -173,6 +173,11 @@ class Rows:
         every = np.bincount(self.samples.frame)
         return bool(np.all(2 * np.bincount(self.samples.frame, kept, len(every)) >= every))
 
+    def without(self, outliers: Mask) -> Mask:
+        """The rows that are no outliers, shape (N,); all where those are more than half of a set-up's."""
+        kept = self.with_partners(~outliers)
+        return kept if self.keeps_frames(kept) else np.ones_like(kept)
+
     def evenly(self, most: int) -> Mask:
         """All rows, or about so many, the same share of each frame, target and kind, shape (N,); whole pairs.
 

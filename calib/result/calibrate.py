@@ -33,7 +33,7 @@ from calib.model.error_model import OWN, split_name
 from calib.model.kinematics import Parameter, Samples
 from calib.model.observability import Observability
 from calib.result.calibration import Calibration, Fit, RowNames, Source
-from calib.result.evidence import evidence_of
+from calib.result.evidence import doubts_of, evidence_of
 from calib.result.prediction import (
     Larger,
     Outlier,
@@ -46,7 +46,7 @@ from calib.result.support import better_setup, compare_weights, outside
 from calib.result.verdict import NO, Reason, Verdict, verdict
 from calib.robot.kernel import one_blas_thread
 from calib.robot.readback import spread_poses
-from calib.robot.robot import Robot, read_only
+from calib.robot.robot import Robot, gravity_loads, read_only
 from calib.units import Array
 
 __all__ = ["Calibration", "calibrate"]
@@ -187,7 +187,11 @@ def _validated(
         larger=larger,
         candidates=candidates,
     )
-    return replace(result, verdict=verdict(evidence_of(result, rows, hint)))
+    doubts = doubts_of(result, rows)
+    if larger is not None:
+        judged = verdict(evidence_of(result, larger, rows, doubts, hint))
+        result = replace(result, larger=replace(larger, verdict=judged))
+    return replace(result, verdict=verdict(evidence_of(result, result, rows, doubts, hint)))
 
 
 def _solved(fitted: Fitted) -> tuple[dict[str, Any], Observability]:
@@ -196,7 +200,12 @@ def _solved(fitted: Fitted) -> tuple[dict[str, Any], Observability]:
     observability = estimated.problem.observability(estimated.x)
     placed = tells_place(kind.name for kind in rows.present)
     motion = None if placed else base_motion(fitted.kinematics, estimated.x, rows.samples)
-    solved = {
+    task, samples = fitted.task, rows.samples
+    q = spread_poses(task.robot)
+    load = None
+    if any(term.factor and term.factor.loaded for term in fitted.kinematics.model.terms):
+        load = gravity_loads(task.robot, q, task.cell.payload, task.cell.gravity)
+    solved: dict[str, Any] = {
         "kinematics": fitted.kinematics,
         "x": estimated.x,
         "covariance": estimated.covariance,
@@ -206,6 +215,9 @@ def _solved(fitted: Fitted) -> tuple[dict[str, Any], Observability]:
         "base_motion": motion,
         "cross_validation": None,
     }
+    zero = Solved(**solved, expected_measured=0.0, expected_everywhere=0.0)
+    solved["expected_measured"] = zero.expected_error(samples)
+    solved["expected_everywhere"] = zero.expected_error(Samples.at(q, load))
     return solved, observability
 
 
@@ -245,7 +257,6 @@ def _assembled(m: Measurements, fits: Fits) -> Calibration:
     ranges = inside.min(axis=0, initial=np.inf), inside.max(axis=0, initial=-np.inf)
     types = [joint.type for joint in robot.inputs]
     solved, observability = _solved(fitted)
-    expected = Solved(**solved).expected_error
     no_poses, no_rows = np.zeros(0, dtype=int), read_only(np.zeros(0))
     lowered = np.any(estimated.outliers) and task.solver != "paper"
     return Calibration(
@@ -277,8 +288,6 @@ def _assembled(m: Measurements, fits: Fits) -> Calibration:
         robustness=compare_weights(fitted) if lowered else None,
         repeats=_repeats(fitted),
         outside=outside(joints[mask], joints[~mask], robot.joint_names, types),
-        expected_measured=expected(problem.rows.samples),
-        expected_everywhere=expected(Samples.at(spread_poses(robot))),
         nominal_cross_validation=None,
         observability=observability,
         # With their errors, but without those of each row.

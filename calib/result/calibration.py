@@ -111,10 +111,6 @@ class Calibration(Solved):
     )  #: What lowering weights does; None if none was, or by ``"paper"``
     repeats: Repeats | None  #: Scatter of rows that repeat a pose; None where none does
     outside: tuple[OutsideRow, ...]  #: Validation rows outside of the joint values fitted
-    #: Standard deviation of the predicted point at the measured poses, rms [m]. From the covariance, so it knows
-    #: nothing of errors that the model lacks
-    expected_measured: float
-    expected_everywhere: float  #: The same over joint values spread over the limits [m]
     #: Of the nominal robot, its target (and frame, if estimated) fitted to the other rows
     nominal_cross_validation: CrossValidation | None
     observability: Observability  #: Rank, and what the measured poses cannot tell apart

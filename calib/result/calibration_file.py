@@ -113,6 +113,8 @@ _LAYOUT: JsonLayout = JsonLayout(
             ),
             "base_motion": Key("base_motion", None, lambda v: v and np.reshape(v, (6, -1))),
             "sizes": _SIZES,
+            "expected_measured": "expected.measured_rms_m",
+            "expected_everywhere": "expected.everywhere_rms_m",
         },
         Larger: {"gravity": "gravity_m_s2"},
         Calibration: {
@@ -132,8 +134,6 @@ _LAYOUT: JsonLayout = JsonLayout(
             "sizes": replace(_SIZES, path="noise.sizes"),
             "sigma": "noise.sigma_m",
             "sigma_angle": "noise.sigma_angle_rad",
-            "expected_measured": "expected.measured_rms_m",
-            "expected_everywhere": "expected.everywhere_rms_m",
             **{name: f"model.{name}" for name in ("frozen", "candidates")},
             "ties": Key(
                 "model.ties",

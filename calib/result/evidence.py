@@ -14,7 +14,7 @@ from calib.estimate.registration import ENOUGH
 from calib.estimate.selection import only_there
 from calib.estimate.setup import LENGTHS, Rows, joined_setups
 from calib.estimate.stages import PriorTerms, Stage
-from calib.estimate.statistics import Errors, pose_means
+from calib.estimate.statistics import Errors, pose_means, rms
 from calib.model.error_model import error_model
 from calib.model.kinematics import FRAME, TARGET, ErrorModel, Kinematics
 from calib.result.calibration import Calibration
@@ -27,6 +27,7 @@ from calib.result.patterns import (
     step,
     unpredicted,
 )
+from calib.result.prediction import Larger, Solved, without_rigid_motion
 from calib.result.support import shares_of_ranges, spread_of
 from calib.result.verdict import Evidence, Reason, Why
 from calib.robot.readback import column_ranges, spread_poses
@@ -63,24 +64,23 @@ _SCALED = 2e-3
 _STEPS, _SOME_VALUES, _ROUNDED = np.array([10.0, 5.0, 1.0, 0.5, 0.1, 0.05, 0.01]), 4, (0.5, 3.0)
 
 
-def evidence_of(result: Calibration, rows: Rows, hint: Reason | None) -> Evidence:
-    """All that the verdict on a cross-validated result is based on; the hint is a set-up that explains more."""
-    fitted, m, larger, model = result.fitted, result.measurements, result.larger, result.model
-    nominal, calibrated = result.nominal_cross_validation, result.cross_validation
+def evidence_of(
+    result: Calibration,
+    part: Solved,
+    rows: Rows,
+    doubts: tuple[Reason, ...],
+    hint: Reason | None,
+) -> Evidence:
+    """All that the verdict on a part of a result is based on: the result itself for its URDF, or its larger model.
+
+    The result is cross-validated, and the hint a set-up that explains more.
+    """
+    fits, m, model = result.in_memory, result.measurements, part.model
+    larger = part if isinstance(part, Larger) else None
+    fitted = fits.larger if larger is not None and fits.larger is not None else fits.geometry
+    nominal, calibrated = result.nominal_cross_validation, part.cross_validation
     assert nominal is not None
     assert calibrated is not None
-    notes = []
-    if larger is not None and larger.cross_validation is not None:
-        errors, own = (v.errors_without_outliers for v in (larger.cross_validation, calibrated))
-        why = Why.LARGER_NO_CLOSER if errors.rms >= own.rms else Why.LARGER_MODEL
-        notes.append(Reason.of(why, model=larger.name, after=errors))
-    if m.copies:
-        notes.append(Reason.of(Why.ROWS_COPIED, rows=len(m.copies), row=m.copies[0]))
-    if result.outside:
-        one = max(result.outside, key=lambda row: row.beyond[0].by)
-        far, number = one.beyond[0], int(np.array(m.rows)[m.validation][one.index])
-        values = {"joint": far.joint, "by_m" if far.prismatic else "by_rad": far.by}
-        notes.append(Reason.of(Why.OUTSIDE, rows=len(result.outside), row=number, **values))
     suspects = {o.row for o in result.suspects}
     moved = ~model.family(FRAME, TARGET) & np.isin(model.units, ("m", "rad"))
     return Evidence(
@@ -90,27 +90,63 @@ def evidence_of(result: Calibration, rows: Rows, hint: Reason | None) -> Evidenc
         used=rows.used,
         repeats=rows.poses,
         pairs=rows.partner >= 0,
-        outliers=fitted.estimate.outliers,
+        outliers=result.fitted.estimate.outliers,
         validation=validation_errors(
             m.validation,
             np.array([row in suspects for row in m.rows]),
             result.residual_nominal,
-            result.residual_calibrated,
+            result.residual_calibrated if larger is None else larger.residual,
             result.used,
         ),
-        doubts=tuple(_doubts(result, rows)),
-        notes=tuple(notes),
+        doubts=doubts,
+        notes=tuple(_notes(result)) if larger is None else (),
         parameters=len(model),
         whole=(4 * len(fitted.task.robot.inputs) + fitted.setup.count) * bool(result.candidates),
-        largest=float(np.max(np.abs(result.x[moved]), initial=0.0)),
+        largest=float(np.max(np.abs(part.x[moved]), initial=0.0)),
         noise=result.sigma,
+        expected=part.expected_everywhere,
+        moved=_moved(result, larger=larger is not None),
         hint=hint,
     )
 
 
-def _doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
-    """What was found besides errors."""
-    fitted, few, robot = result.fitted, thin(result.fitted), result.fitted.task.robot
+def _notes(result: Calibration) -> Iterator[Reason]:
+    """What is told of the corrected robot besides, and decides nothing."""
+    larger, m = result.larger, result.measurements
+    if larger is not None and larger.cross_validation is not None and larger.verdict is not None:
+        errors, own = larger.cross_validation.errors_without_outliers, result.cross_validation
+        closer = own is None or not errors.rms >= own.errors_without_outliers.rms
+        why = Why.LARGER_MODEL if closer else Why.LARGER_NO_CLOSER
+        yield Reason.of(why, model=larger.name, after=errors, use=larger.verdict.use)
+    if m.copies:
+        yield Reason.of(Why.ROWS_COPIED, rows=len(m.copies), row=m.copies[0])
+    if result.outside:
+        one = max(result.outside, key=lambda row: row.beyond[0].by)
+        far, number = one.beyond[0], int(np.array(m.rows)[m.validation][one.index])
+        values = {"joint": far.joint, "by_m" if far.prismatic else "by_rad": far.by}
+        yield Reason.of(Why.OUTSIDE, rows=len(result.outside), row=number, **values)
+
+
+def _moved(result: Calibration, *, larger: bool) -> float:
+    """How far the calibrated robot puts the target from where the nominal one does, over the joint limits, rms [m]."""
+    robot, placed = result.nominal, result.nominal_setup
+    q = spread_poses(robot)
+    points = result.predict(q, larger=larger)
+    T = robot.poses(q) @ placed.T_tip_target[0]
+    if result.tells_place:
+        return rms(np.linalg.norm((placed.T_frame_base[0] @ T)[:, :3, 3] - points, axis=1))
+    moves = without_rigid_motion(points, (T[:, :3, 3] - points)[:, :, None])
+    return rms(np.linalg.norm(moves[:, :, 0], axis=1))
+
+
+def doubts_of(result: Calibration, rows: Rows) -> tuple[Reason, ...]:
+    """What was found besides errors: in what the best model leaves over, and in how it was measured."""
+    return tuple(_doubts(result, result.in_memory.larger or result.fitted, rows))
+
+
+def _doubts(result: Calibration, fitted: Fitted, rows: Rows) -> Iterator[Reason]:
+    """See `doubts_of`."""
+    few, robot = thin(fitted), fitted.task.robot
     least = np.array([_STILL_M if j.type == "prismatic" else _STILL_RAD for j in robot.inputs])
     still = np.flatnonzero(np.ptp(rows.joints, axis=0) < least)
     if len(still):
@@ -130,11 +166,11 @@ def _doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
         if one.name.endswith(".compliance") and 2.0 * one.high < one.value:
             yield Reason.of(Why.COMPLIANCE_NEGATIVE, joint=one.name.removesuffix(".compliance"))
     # Repeats that agree far better with each other than with the model.
-    repeats = result.repeats
+    repeats, noise = result.repeats, float(fitted.estimate.noise[0] * np.median(rows.sigma))
     if repeats is not None and len(repeats.within) and repeats.freedoms[0] >= _TELLING:
         within = float(repeats.within[0])
-        if within < _SCATTER_SHARE * result.sigma and result.sigma >= _ROUNDING_NOISE:
-            yield Reason.of(Why.REPEATS_AGREE, within_m=within, noise_m=result.sigma)
+        if within < _SCATTER_SHARE * noise and noise >= _ROUNDING_NOISE:
+            yield Reason.of(Why.REPEATS_AGREE, within_m=within, noise_m=noise)
     if not fitted.task.distances and not any(kind.size for kind in rows.present):
         yield Reason.of(Why.NO_LENGTH)
     else:

@@ -17,9 +17,10 @@ import numpy as np
 import calib.data.kinds as registry
 from calib.estimate.fitting import Fitted
 from calib.estimate.setup import Setup
-from calib.estimate.statistics import CrossValidation, interval_factor
+from calib.estimate.statistics import CrossValidation, interval_factor, rms
 from calib.model.kinematics import FRAME, TARGET, ErrorModel, Kinematics, Samples
 from calib.model.observability import Observability
+from calib.result.verdict import Verdict
 from calib.robot.robot import Payload, Robot, gravity_loads, read_only
 from calib.units import Array
 
@@ -71,6 +72,23 @@ class Solved:
     #: measured poses; None where the rows tell where the base stands
     base_motion: Array | None
     cross_validation: CrossValidation | None  #: On left-out fitted rows; None without
+    #: Standard deviation of the predicted point at the measured poses, rms [m]. From the covariance, so it knows
+    #: nothing of errors that the model lacks
+    expected_measured: float
+    expected_everywhere: float  #: The same over joint values spread over the limits [m]
+
+    @property
+    def new_point(self) -> tuple[float, float]:
+        """The error to expect of a new point, rms [m]: at poses like those measured, and over the joint limits.
+
+        The first is that of left-out rows, outliers aside, and knows what the model lacks; to get the second the
+        variances of the prediction change. By the covariance alone without cross-validation, or without lengths.
+        """
+        here, everywhere = self.expected_measured, self.expected_everywhere
+        left_out = self.cross_validation and self.cross_validation.errors_without_outliers
+        if not left_out or not left_out.n:
+            return here, everywhere
+        return left_out.rms, float(np.sqrt(max(left_out.rms**2 - here**2, 0.0) + everywhere**2))
 
     @property
     def model(self) -> ErrorModel:
@@ -96,8 +114,7 @@ class Solved:
     def expected_error(self, samples: Samples) -> float:
         """Standard deviation of the predicted position over some samples, rms [m]; in the base as `pose_std`."""
         some = samples.select(slice(0, _MOST_EXPECTED))
-        std = self.pose_std(some, in_base=self.base_motion is not None)
-        return float(np.sqrt(np.mean(std[:, 0] ** 2)))
+        return rms(self.pose_std(some, in_base=self.base_motion is not None)[:, 0])
 
     def tips(self, samples: Samples) -> Array:
         """T_base_tip by the parameters, the joints' own errors included, shape (N, 4, 4), [m]."""
@@ -113,6 +130,7 @@ class Larger(Solved):
     residual: Array  #: shape (N, D), measured minus predicted, all rows [m], [rad]
     payload: Payload | None  #: What the tip carried; None where nothing was said
     gravity: Array  #: shape (3,), in the URDF's root frame [m/s^2]
+    verdict: Verdict | None = None  #: None without cross-validation
 
     @property
     def name(self) -> str:

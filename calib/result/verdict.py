@@ -8,6 +8,7 @@ from enum import Enum
 from typing import Any
 
 import numpy as np
+from scipy.special import stdtr
 
 from calib.estimate.statistics import CrossValidation, Errors
 from calib.units import Array, Integers, Mask
@@ -23,8 +24,13 @@ _FEW, _MANY_OUTLIERS, _ANOTHER_MEASUREMENT = 2.0, 0.15, 10.0
 _ABSURD, _ABSURD_ANGLE, _TOO_FAR = 0.02, 0.17, 0.1
 
 #: A nominal error below this many standard deviations, rms over all scalars, is that of a robot that is right; a gain
-#: of fewer standard errors may be chance; relative differences below the third are rounding.
-_AT_THE_NOISE, _CHANCE, _ROUNDING = 1.45, 2.0, 1e-6
+#: that chance gives with this probability may be chance; relative differences below the third are rounding.
+_AT_THE_NOISE, _CHANCE, _ROUNDING = 1.45, 0.03, 1e-6
+
+#: A gain is proven where errors on left-out rows fall to this share of the nominal ones, and where no more than the
+#: second of the nominal errors over the joint limits is expected to remain. Errors of all rows, outliers too, differ by
+#: less than the third where the outliers are accidents; an expected error so many times the nominal one is no robot's.
+_FALLS, _REMAINS, _ALIKE, _FAR_MORE = 0.9, 0.5, 1.1, 3.0
 
 
 class Why(Enum):
@@ -37,16 +43,17 @@ class Why(Enum):
     PARAMETER_ABSURD, NOISE_ABSURD, ORIENTATION_ABSURD, SIZE_LOST = range(10, 14)
     # It is no better
     NOTHING_TO_GAIN, STILL_FAR_OFF, TOO_FEW, NO_BETTER, VALIDATION_NO_BETTER = range(20, 25)
+    WORSE_WITH_OUTLIERS, UNKNOWN_ELSEWHERE = range(25, 27)
     # Care is needed
     MAY_BE_CHANCE, FEW_NUMBERS, FAR_OFF_BEFORE, JOINTS_STILL, MODEL_LACKS = range(30, 35)
     CORNER, JOINT_PATTERN, DRIFT, SETUP_UNPREDICTED, SETUP_FLAGGED = range(35, 40)
     REPEATS_AGREE, NO_LENGTH, PARAMETER_FAR, VALIDATION_UNLIKE, MANY_OUTLIERS = range(40, 45)
     NOISE_LARGE, NOISE_ABOVE_SIGMA, JOINTS_COARSE, TARGET_STEP = range(45, 49)
-    LENGTHS_SCALED, COMPLIANCE_NEGATIVE = range(49, 51)
+    LENGTHS_SCALED, COMPLIANCE_NEGATIVE, SMALL_GAIN = range(49, 52)
     # What it buys
-    GAIN, LARGER_MODEL, VALIDATION_GAIN, OUTSIDE, LARGER_NO_CLOSER, ROWS_COPIED = range(51, 57)
+    GAIN, LARGER_MODEL, VALIDATION_GAIN, OUTSIDE, LARGER_NO_CLOSER, ROWS_COPIED = range(60, 66)
     # What explains fresh rows
-    FRAME_MOVED, TARGET_MOVED = range(60, 62)
+    FRAME_MOVED, TARGET_MOVED = range(70, 72)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +108,8 @@ class Evidence:
     parameters: int
     largest: float  # Change of a parameter of the robot [m or rad]
     noise: float  # Of one length [m]
+    expected: float  # Standard deviation of its predictions over the joint limits, rms [m]
+    moved: float  # How far they are from the nominal robot's, rms [m]
     whole: int = 0  # Parameters of a full geometry, where `auto` may have taken less
     doubts: tuple[Reason, ...] = ()  # What was found besides errors
     notes: tuple[Reason, ...] = ()  # Told in the end, and decide nothing
@@ -110,10 +119,11 @@ class Evidence:
         """The squared error of each row, in units of the noise, shape (N,)."""
         return np.asarray(np.sum(np.where(self.used, v.residual / self.scales, 0.0) ** 2, axis=1))
 
-    def gain(self) -> float:
-        """Mean fall of the squared error on left-out rows, outliers aside, in standard errors of that mean.
+    def gain(self) -> tuple[float, float]:
+        """Mean fall of the squared error on left-out rows, outliers aside, in standard errors; and its chance.
 
-        Paired by poses, and repeats do not count as evidence of their own; 0 where nothing changes.
+        Paired by poses, and repeats do not count as evidence of their own; 0 where nothing changes. The chance is that
+        of as large a mean by Student's t where there is no fall.
         """
         good, squares = ~self.outliers & np.any(self.used, axis=1), []
         for v in (self.nominal, self.calibrated):
@@ -122,15 +132,29 @@ class Evidence:
             squares.append(np.bincount(poses, self.whitened(v)[good]) / counts)
         fall = squares[0] - squares[1]
         mean = float(np.mean(fall)) if len(fall) else 0.0
-        if abs(mean) < _ROUNDING * float(np.mean(squares[0])):
-            return 0.0
+        if not self.largest or abs(mean) < _ROUNDING * float(np.mean(squares[0])):
+            return 0.0, 1.0
         if len(fall) < 2:
-            return float(np.sign(mean))
-        return mean / max(float(np.std(fall, ddof=1)) / float(np.sqrt(len(fall))), 1e-30)
+            return float(np.sign(mean)), 1.0
+        gain = mean / max(float(np.std(fall, ddof=1)) / float(np.sqrt(len(fall))), 1e-30)
+        return gain, float(stdtr(len(fall) - 1, -gain))
+
+    def remains(self) -> float:
+        """The share of the nominal robot's error over the joint limits that is expected to remain."""
+        return float(self.expected / max(np.hypot(self.expected, self.moved), 1e-30))
 
 
 #: Doubts whether what a model leaves over is the measurements' noise.
 _NOT_NOISE = (Why.MODEL_LACKS, Why.NOISE_LARGE, Why.NOISE_ABOVE_SIGMA)
+
+#: What can be improved where the gain is proven, and is no reason against it.
+_REMAINING = (
+    Why.JOINTS_STILL,
+    Why.MODEL_LACKS,
+    Why.CORNER,
+    Why.JOINT_PATTERN,
+    Why.REPEATS_AGREE,
+)
 
 
 def verdict(e: Evidence) -> Verdict:
@@ -149,48 +173,70 @@ def verdict(e: Evidence) -> Verdict:
     )
     if wrong:
         return Verdict(NO, (wrong[0],))  # nothing else that is told of such a fit means anything
-    gain, size, flagged, rows = e.gain(), _size(e), int(np.sum(e.outliers)), len(e.outliers)
-    few, chance = size["numbers"] < _FEW * e.parameters, 0.0 < gain < _CHANCE
+    (gain, p), size, rows = e.gain(), _size(e), len(e.outliers)
+    few, chance = size["numbers"] < _FEW * e.parameters, gain > 0.0 and p > _CHANCE
     nominal, fresh, aside = e.validation
     of_fresh: dict[str, Any] = {"rows": fresh.n, "aside": aside, "before": nominal, "after": fresh}
     falls = fresh.rms < (1.0 - _ROUNDING) * nominal.rms
-    good = ~e.outliers
+    good, flagged = ~e.outliers, int(np.sum(e.outliers))
     count = max(int(np.sum(e.used[good])), 1)
     quiet = np.sqrt(np.sum(e.whitened(e.nominal)[good]) / count) < _AT_THE_NOISE
-    many = flagged > _MANY_OUTLIERS * rows
+    many, every = flagged > _MANY_OUTLIERS * rows, (e.nominal.errors, e.calibrated.errors)
+    of_all: dict[str, Any] = {"flagged": flagged, "rows": rows} | dict(
+        zip(("before", "after"), every, strict=True)
+    )
     # What a model leaves over is noise only if a larger one does not leave far less, and if an instrument has such.
     odd = many or any(doubt.why in _NOT_NOISE for doubt in e.doubts)
-    right, sparse = gain < _CHANCE and quiet, size["numbers"] < _FEW * max(e.parameters, e.whole)
+    still = gain <= 0.0 or chance
+    right, sparse = still and quiet, size["numbers"] < _FEW * max(e.parameters, e.whole)
     short = both | size | {"parameters": max(e.parameters, e.whole), "gain": gain}
+    elsewhere = {"expected_m": e.expected, "remains": e.remains()}
+    lost = e.expected > _FAR_MORE * _typical(before) and e.remains() > _REMAINS
     against = _those(
         (right and not odd and not sparse, Reason.of(Why.NOTHING_TO_GAIN, before=before)),
         (after.rms > _ABSURD, Reason.of(Why.STILL_FAR_OFF, **both)),
-        ((gain < _CHANCE and few) or (right and sparse), Reason.of(Why.TOO_FEW, **short)),
+        ((still and few) or (right and sparse), Reason.of(Why.TOO_FEW, **short)),
         (gain <= 0.0, Reason.of(Why.NO_BETTER, **both)),
+        (
+            bool(flagged) and _typical(every[1]) > _ALIKE * _typical(every[0]),
+            Reason.of(Why.WORSE_WITH_OUTLIERS, **of_all),
+        ),
+        (lost, Reason.of(Why.UNKNOWN_ELSEWHERE, **elsewhere)),
     )[:1]
     unfit = bool(fresh.n) and not falls
     against += _those((unfit, Reason.of(Why.VALIDATION_NO_BETTER, **of_fresh)))
     unlike = bool(fresh.n) and fresh.rms > _ANOTHER_MEASUREMENT * after.rms > 0.0
+    proven = not still and e.remains() < _REMAINS and _typical(after) < _FALLS * _typical(before)
+    fewer = few and not against, Reason.of(Why.FEW_NUMBERS, **size, parameters=e.parameters)
     careful = [
         *_those(
             (chance and not against, Reason.of(Why.MAY_BE_CHANCE, gain=gain)),
-            (few and not against, Reason.of(Why.FEW_NUMBERS, **size, parameters=e.parameters)),
             (before.rms > _ABSURD, Reason.of(Why.FAR_OFF_BEFORE, before=before)),
         ),
-        *e.doubts,
+        *(doubt for doubt in e.doubts if doubt.why not in _REMAINING),
         *_those(
             (e.largest > _TOO_FAR, Reason.of(Why.PARAMETER_FAR, largest=e.largest)),
             (unlike, Reason.of(Why.VALIDATION_UNLIKE, rows=fresh.n, before=fresh, after=after)),
-            (many, Reason.of(Why.MANY_OUTLIERS, flagged=flagged, rows=rows)),
+            (many, Reason.of(Why.MANY_OUTLIERS, **of_all)),
         ),
     ]
+    # Where unseen rows prove the gain, these say what is left.
+    remaining = _those(fewer) + [doubt for doubt in e.doubts if doubt.why in _REMAINING]
     gained = {"method": e.calibrated.method, "outliers": flagged, "before": before, "after": after}
     gains = _those(
         (gain > 0.0, Reason.of(Why.GAIN, **gained)),
         (bool(fresh.n) and falls, Reason.of(Why.VALIDATION_GAIN, **of_fresh)),
     )
+    unproven = not proven and not against
+    careful += remaining * unproven
+    careful += [Reason.of(Why.SMALL_GAIN, **elsewhere)] * (unproven and not careful)
     use = NO if against else CARE if careful else USE
-    return Verdict(use, (*against, *careful, *gains, *e.notes))
+    return Verdict(use, (*against, *careful, *gains, *remaining * (not unproven), *e.notes))
+
+
+def _typical(errors: Errors) -> float:
+    """Rms of lengths, or of angles where no length was measured."""
+    return errors.rms if errors.n else errors.rms_angle
 
 
 def _those(*told: tuple[bool, Reason]) -> list[Reason]:

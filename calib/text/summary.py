@@ -35,7 +35,7 @@ _LONGEST_NAME = 46
 _MOST_ROWS, _MOST_PLACES, _MOST_NAMES = 12, 6, 6
 
 #: Labels of `facts` that the report asks for.
-EXPECTED, SCATTER = "Expected error, if the model is complete", "Scatter of repeats"
+EXPECTED, SCATTER = "Error to expect of a new point", "Scatter of repeats"
 SIZES = "Size of the robot's errors"
 
 #: Degrees of freedom from which on the noise is that of the rows.
@@ -108,8 +108,9 @@ def facts(c: Calibration) -> dict[str, str]:
     if c.repeats is not None and np.isfinite(c.repeats.within[0]):
         scatter, freedom = c.repeats.within[0], c.repeats.freedoms[0]
         result[SCATTER] = f"{mm(scatter)} mm per {of} ({freedom:.0f} d.o.f.)."
+    here, everywhere = c.new_point
     result[EXPECTED] = (
-        f"{mm(c.expected_measured)} mm rms at the measured poses, {mm(c.expected_everywhere)} mm over the joint limits."
+        f"{mm(here)} mm rms near the measured poses, {mm(everywhere)} mm over the joint limits."
     )
     if c.sizes:
         shown = [(family, size, *FAMILIES[family].unit.shown) for family, size in c.sizes.items()]

@@ -76,7 +76,15 @@ SENTENCES = {
     "priors on, or choose a smaller model.",
     Why.VALIDATION_UNLIKE: "The calibrated robot is {before} off on the {rows} validation rows and {after} on left-out "
     "rows: was the target or the frame another one?",
-    Why.MANY_OUTLIERS: "{flagged} of {rows} rows are flagged as outliers: too many to be accidents.",
+    Why.MANY_OUTLIERS: "{flagged} of {rows} rows are flagged as outliers: too many to be accidents. With them the "
+    "error on unseen rows goes {change}.",
+    Why.WORSE_WITH_OUTLIERS: "On all unseen rows, the {flagged} flagged ones too, the error rises {change}: they are "
+    "no accidents, but errors that the model lacks.",
+    Why.UNKNOWN_ELSEWHERE: "Over the joint limits {expected_m:mm.1f} mm rms are to be expected, {remains:%.0f} % of "
+    "the nominal robot's error there: these poses do not tell the parameters. Measure all over the workspace, or take "
+    "a smaller model.",
+    Why.SMALL_GAIN: "The error falls by little, or only near the measured poses: over the joint limits "
+    "{remains:%.0f} % of it are expected to remain.",
     Why.NOISE_LARGE: "What the model leaves over is {noise_m:mm.1f} mm a coordinate, more than instruments have: are "
     "the joint values exact, taken at standstill and of the same pose as the measurement? Give the instrument's noise "
     "as sigma if it is so.",
@@ -91,7 +99,8 @@ SENTENCES = {
     Why.COMPLIANCE_NEGATIVE: "'{joint}' would move against its load: that is no compliance. Are masses, payload and "
     "gravity's direction right?",
     Why.GAIN: "On unseen rows ({method}{outliers_aside}) the error falls {change}.",
-    Why.LARGER_MODEL: "With the larger model '{model}' it would be {after}. No URDF can hold that; predict() does.",
+    Why.LARGER_MODEL: "With the larger model '{model}' it would be {after} ({use}). No URDF can hold that; "
+    "predict() does.",
     Why.LARGER_NO_CLOSER: "With the larger model '{model}' it would be {after}: positions come no closer by it.",
     Why.ROWS_COPIED: "{rows} rows, row {row} first, are copies of others to the last digit, and were left out.",
     Why.VALIDATION_GAIN: "On the {rows} validation rows{rows_aside} it falls {change}.",

@@ -47,6 +47,8 @@ def larger(robot: Robot, families: str, seed: int = 3) -> Larger:
         parameters=(),
         payload=Payload(3.0, read_only([0.02, 0.0, 0.1])),
         gravity=read_only(GRAVITY),
+        expected_measured=0.0,
+        expected_everywhere=0.0,
         **nothing,
     )
 

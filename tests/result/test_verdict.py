@@ -39,6 +39,8 @@ GOOD = Evidence(
     parameters=27,
     largest=5e-3,
     noise=1e-4,
+    expected=0.2e-3,
+    moved=2.5e-3,
 )
 RIGHT = {"nominal": validated(1e-4, 2), "calibrated": validated(1e-4, 3)}
 LOUD = Reason.of(Why.NOISE_LARGE, noise_m=4e-3)
@@ -78,8 +80,11 @@ def test_a_good_calibration_is_to_be_used_and_says_by_how_much():
             Why.MAY_BE_CHANCE,
         ),
         ({"nominal": validated(0.26)}, "use with care", Why.FAR_OFF_BEFORE),
-        ({"parameters": 60}, "use with care", Why.FEW_NUMBERS),
-        ({"doubts": (STILL, LACKS)}, "use with care", Why.JOINTS_STILL),
+        ({"parameters": 60, "expected": 3e-3}, "use with care", Why.FEW_NUMBERS),
+        ({"doubts": (STILL, LACKS), "moved": 1e-4}, "use with care", Why.JOINTS_STILL),
+        ({"moved": 1e-4}, "use with care", Why.SMALL_GAIN),
+        ({"expected": 0.139, "moved": 0.1}, "do not use", Why.UNKNOWN_ELSEWHERE),
+        ({"largest": 0.0}, "do not use", Why.NO_BETTER),
         (RIGHT, "do not use", Why.NOTHING_TO_GAIN),
         (
             {"nominal": validated(0.5), "calibrated": validated(0.05, 3)},
@@ -142,8 +147,8 @@ def test_scalars_that_were_not_measured_do_not_count():
     used[:, 0] = True
 
     def poses(**change) -> tuple[int, int, int]:
-        reason = verdict(replace(GOOD, used=used, parameters=40, **change)).reasons[0]
-        assert reason.why == Why.FEW_NUMBERS
+        found = verdict(replace(GOOD, used=used, parameters=40, **change)).reasons
+        (reason,) = (one for one in found if one.why == Why.FEW_NUMBERS)
         return tuple(reason.values[name] for name in ("poses", "pairs", "numbers"))
 
     assert poses() == (30, 0, 30)
