@@ -306,6 +306,11 @@ ALLOWED = {
         "zeros+compliance",
         "dh+compliance",
         "hayati+compliance",
+        # Lever arms tell what bends as masses do, and so does a gain at few poses.
+        "zeros+gravity",
+        "dh+gravity",
+        "hayati+gravity",
+        "dh+gain",
     ),
 }
 

@@ -296,7 +296,7 @@ def select(task: Task, rows: Rows) -> Selection:
     The search begins with the largest model, whose priors shrink what the data do not support to nothing, and goes
     where the evidence is higher: one family less or more, or another set.
     """
-    _check_names(task)
+    check_names(task)
     task = replace(task, lenient=True)
     models = {name: model_of(replace(task, model=name)).names for name in LADDER}
     # Those with something to estimate, once each: hayati without near-parallel axes is dh.
@@ -391,7 +391,7 @@ def _moves(task: Task, family: str, rows: Rows) -> bool:
     return bool(np.max(np.abs(moved), initial=0.0) > _NO_MOTION)
 
 
-def _check_names(task: Task) -> None:
+def check_names(task: Task) -> None:
     """Refuse names in the cell that no model of the ladder has."""
     cell, every = task.cell, ("+".join(("placement", *joint_families())), *LADDER[1:4])
     others = (other for other, _ in cell.ties.values())

@@ -20,6 +20,7 @@ from calib.estimate.fitting import Fitted, Task, fit
 from calib.estimate.registration import nominal_setup, register_unseen
 from calib.estimate.selection import (
     Candidate,
+    check_names,
     cross_validation,
     judged_by,
     nominal_cross_validation,
@@ -89,7 +90,7 @@ def calibrate(
     cell = replace(cell, model=model) if isinstance(model, str) else cell
     fits = fit_table(robot, measurements, cell, model=model, solver=solver, robust=robust)
     result = _assembled(measurements, fits)
-    if validate:
+    if validate and not fits.hint:
         return _validated(result, fits.rows, fits.hint, progress)
     return replace(result, verdict=Verdict(NO, (fits.hint,))) if fits.hint else result
 
@@ -125,14 +126,16 @@ def fit_table(
     unseen = setup.as_known(frames, targets)
     began = time.perf_counter()
     model = cell.model if model is None else model
+    hint = better_setup(robot, cell, setup, rows)
     told, distances = setup.as_known(~frames, ~targets), known_distances(cell, setup)
-    fitted, larger, candidates = _fitted(
-        Task(robot, cell, told, model, distances, solver, robust), rows
-    )
+    task = Task(robot, cell, told, model, distances, solver, robust)
+    if hint and model == AUTO:  # nothing that is told of such a fit means anything
+        check_names(task)
+        task = replace(task, model="zeros", lenient=True)
+    fitted, larger, candidates = _fitted(task, rows)
     fitted = fitted.with_unseen(unseen, others)
     larger = larger and larger.with_unseen(unseen, others)
     seconds = time.perf_counter() - began
-    hint = better_setup(robot, cell, setup, rows)
     return Fits(fitted, larger, candidates, every, rows, unseen, hint, seconds)
 
 

@@ -13,12 +13,13 @@ from typing import Any
 
 import numpy as np
 
+import calib.data.kinds as registry
 from calib.data.cell import Cell
 from calib.errors import MeasurementError
 from calib.estimate.fitting import Fitted, fit
 from calib.estimate.registration import register
 from calib.estimate.selection import linear_cross_validation
-from calib.estimate.setup import Rows, Setup
+from calib.estimate.setup import LENGTHS, Rows, Setup
 from calib.estimate.statistics import Errors
 from calib.model.error_model import DIRECTIONS
 from calib.result.prediction import without_rigid_motion
@@ -163,13 +164,16 @@ Trial = tuple[float, Robot, Setup, Rows, Why, dict[str, Any]]
 
 
 def better_setup(robot: Robot, cell: Cell, setup: Setup, rows: Rows) -> Reason | None:
-    """The set-up which explains points of one target in one frame far better than the one given, if there is one."""
-    several = len(setup.targets) > 1 or len(setup.groups) > 1
-    if several or any(kind.name != "point" for kind in rows.present):
+    """The set-up which explains positions far better than the one given, if there is one.
+
+    Of poses the positions alone are looked at, of several targets and frames all together.
+    """
+    if not all(kind.name in ("point", "pose") for kind in rows.present):
         return None
     chosen = np.zeros(len(rows), dtype=bool)
     chosen[np.linspace(0, len(rows) - 1, min(len(rows), _ROWS)).astype(int)] = True
-    rows = rows.select(chosen)
+    turned = rows.select(chosen)
+    rows = _as_points(turned)
 
     def rms(robot: Robot, setup: Setup, rows: Rows) -> float:
         """Error of the nominal robot where target (and frame, if asked) are registered [m]."""
@@ -182,7 +186,11 @@ def better_setup(robot: Robot, cell: Cell, setup: Setup, rows: Rows) -> Reason |
     if given < PLAUSIBLE:
         return None
     best, found = np.inf, None
-    for factor, other, asked, changed, why, values in _trials(robot, cell, setup, rows):
+    inverse = _inverted(turned)
+    more = [inverse] if inverse is not None else []
+    for factor, other, asked, changed, why, values in itertools.chain(
+        _trials(robot, cell, setup, rows), ((1.2, robot, _loose(setup), *one) for one in more)
+    ):
         error = rms(other, asked, changed)
         if factor * error < best:
             best, found = factor * error, Reason.of(why, given_m=given, error_m=error, **values)
@@ -193,7 +201,7 @@ def better_setup(robot: Robot, cell: Cell, setup: Setup, rows: Rows) -> Reason |
 
 def _trials(robot: Robot, cell: Cell, setup: Setup, rows: Rows) -> Iterator[Trial]:
     """The usual mistakes, undone."""
-    asked = replace(setup, target_unknown=np.array([True]))
+    asked = _loose(setup)
     if not setup.estimate_target:
         yield 1.0, robot, asked, rows, Why.TARGET_ELSEWHERE, {}
     if not cell.estimate_frame and cell.T_frame_base is None:
@@ -204,16 +212,41 @@ def _trials(robot: Robot, cell: Cell, setup: Setup, rows: Rows) -> Iterator[Tria
                 yield 1.0, robot.rebuilt(base=link), asked, rows, Why.OTHER_BASE, {"link": link}
         if len(rows) >= 4:
             # A frame of its own always fits a little better: it must do more than that.
-            own = replace(asked, unknown=(DIRECTIONS,))
+            own = replace(asked, unknown=(DIRECTIONS,) * len(setup.groups))
             yield 2.0, robot, own, rows, Why.OWN_FRAME, {}
     # A frame that is estimated too makes a trial a hundred times dearer: then one joint at a time.
     most = len(robot.inputs) if not any(setup.unknown) else 1
     for factor, joints, why, values in _joint_trials(robot, rows.joints, most):
         turned = replace(rows, samples=replace(rows.samples, q=joints))
         yield factor, robot, asked, turned, why, values
+    for later, some in ((True, slice(1, None)), (False, slice(None, -1))):
+        kept = rows.select(some)
+        others = rows.joints[:-1] if later else rows.joints[1:]
+        shifted = replace(kept, samples=replace(kept.samples, q=others))
+        yield 1.2, robot, asked, shifted, Why.ROWS_SHIFTED, {"later": later}
     turns = any(len(directions) == len(DIRECTIONS) for directions in setup.unknown)
     for points, why, values in _point_trials(rows.measured, turns=turns):
         yield 1.2, robot, asked, replace(rows, measured=points), why, values
+
+
+def _loose(setup: Setup) -> Setup:
+    """With every target to be found."""
+    return replace(setup, target_unknown=np.ones(len(setup.targets), dtype=bool))
+
+
+def _as_points(rows: Rows) -> Rows:
+    """The positions of poses."""
+    kinds = np.full_like(rows.kinds, registry.names().index("point"))
+    return replace(rows, kinds=kinds, measured=rows.measured[:, :LENGTHS])
+
+
+def _inverted(rows: Rows) -> tuple[Rows, Why, dict[str, Any]] | None:
+    """Poses of the frame in the target, turned round; None where not every row is a pose."""
+    if not np.all(rows.where(lambda kind: kind.orientation)):
+        return None
+    R = rows.measured[:, LENGTHS:12].reshape(-1, 3, 3)
+    points = -np.einsum("nji,nj->ni", R, rows.measured[:, :LENGTHS])
+    return replace(_as_points(rows), measured=points), Why.POSES_INVERSE, {}
 
 
 def _point_trials(points: Array, *, turns: bool) -> Iterator[tuple[Array, Why, dict[str, Any]]]:
@@ -227,6 +260,9 @@ def _point_trials(points: Array, *, turns: bool) -> Iterator[tuple[Array, Why, d
         yield points * np.where(np.arange(3) == i, -1.0, 1.0), Why.SIGN_TURNED, {"column": axis}
     for (unit, header), size in _LENGTHS.items():
         yield size * points, Why.WRONG_UNIT, {"what": "points", "unit": unit, "header": header}
+        for i, axis in enumerate("xyz"):
+            values = {"what": f"values of '{axis}'", "unit": unit, "header": header}
+            yield points * np.where(np.arange(3) == i, size, 1.0), Why.WRONG_UNIT, values
 
 
 def _joint_trials(
@@ -246,6 +282,7 @@ def _joint_trials(
     for i, j in itertools.combinations(range(n), 2):
         order = [{i: j, j: i}.get(k, k) for k in range(n)]
         yield 1.2, q[:, order], Why.COLUMNS_SWAPPED, {"first": names[i], "second": names[j]}
+    yield 1.2, q[:, ::-1], Why.COLUMNS_REVERSED, {}
     for (unit, header), size in _ANGLES.items():
         values = {"what": "joints", "unit": unit, "header": header}
         yield 1.2, np.where(turns, size, 1.0) * q, Why.WRONG_UNIT, values

@@ -39,6 +39,7 @@ class Why(Enum):
     # Another set-up explains the rows
     TARGET_ELSEWHERE, WRONG_UNIT, OTHER_BASE, OWN_FRAME, JOINTS_TURNED = range(5)
     JOINT_ZERO, COLUMNS_SWAPPED, SIGN_TURNED, POINTS_MIRRORED = range(5, 9)
+    POSES_INVERSE, COLUMNS_REVERSED, ROWS_SHIFTED = range(80, 83)
     # No arm has such errors
     PARAMETER_ABSURD, NOISE_ABSURD, ORIENTATION_ABSURD, SIZE_LOST = range(10, 14)
     # It is no better

@@ -30,6 +30,12 @@ SENTENCES = {
     Why.JOINTS_TURNED: _OFF + "these joints turned the other way: {joints}. Check their signs.",
     Why.JOINT_ZERO: _OFF + "{add_rad:deg.0f} deg are added to '{joint}': check its zero.",
     Why.COLUMNS_SWAPPED: _OFF + "the columns '{first}' and '{second}' are swapped.",
+    Why.POSES_INVERSE: _OFF
+    + "the poses are inverse: give the target in the measurement frame, not the frame in the "
+    "target (what solvePnP gives is the board in the camera).",
+    Why.COLUMNS_REVERSED: _OFF + "the joint columns stand in reversed order.",
+    Why.ROWS_SHIFTED: _OFF
+    + "joint values and measurements are shifted by one row against each other.",
     Why.SIGN_TURNED: _OFF + "the sign of '{column}' is wrong.",
     Why.POINTS_MIRRORED: _OFF
     + "the points are mirrored: two of the columns x, y and z are swapped, or one has the "

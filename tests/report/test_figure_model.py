@@ -114,8 +114,8 @@ def test_the_ladder_names_every_model_and_marks_the_chosen(calibrations):
     assert names == [f"{one.name} ({one.parameters})" for one in c.candidates]
     rms = [1e3 * one.cross_validation.errors_without_outliers.rms for one in c.candidates]
     assert sorted(patch.get_width() for patch in left.patches) == pytest.approx(sorted(rms))
-    best = max(one.log_likelihood for one in c.candidates)
-    gains = [one.log_likelihood - best for one in c.candidates]
+    best = max(one.evidence for one in c.candidates)
+    gains = [one.evidence - best for one in c.candidates]
     assert sorted(patch.get_width() for patch in right.patches) == pytest.approx(sorted(gains))
     assert {text.get_text() for text in left.texts} == {f"{value:.3f}" for value in rms}
     labels = [text.get_text() for text in figure.legends[0].get_texts()]
