@@ -120,17 +120,19 @@ class Evidence:
         """The squared error of each row, in units of the noise, shape (N,)."""
         return np.asarray(np.sum(np.where(self.used, v.residual / self.scales, 0.0) ** 2, axis=1))
 
-    def gain(self) -> tuple[float, float]:
+    def gain(self, *, of_all: bool = False) -> tuple[float, float]:
         """Mean fall of the squared error on left-out rows, outliers aside, in standard errors; and its chance.
 
-        Paired by poses, and repeats do not count as evidence of their own; 0 where nothing changes. The chance is that
-        of as large a mean by Student's t where there is no fall.
+        Of all rows that of the error itself, to which an accident adds no more than the correction is there. Paired by
+        poses, and repeats do not count as evidence of their own; 0 where nothing changes. The chance is that of as
+        large a mean by Student's t where there is no fall.
         """
-        good, squares = ~self.outliers & np.any(self.used, axis=1), []
+        some, squares = (of_all | ~self.outliers) & np.any(self.used, axis=1), []
         for v in (self.nominal, self.calibrated):
-            _, poses = np.unique(v.poses[good], return_inverse=True)
+            _, poses = np.unique(v.poses[some], return_inverse=True)
             counts = np.maximum(np.bincount(poses), 1)
-            squares.append(np.bincount(poses, self.whitened(v)[good]) / counts)
+            error = self.whitened(v)[some]
+            squares.append(np.bincount(poses, np.sqrt(error) if of_all else error) / counts)
         fall = squares[0] - squares[1]
         mean = float(np.mean(fall)) if len(fall) else 0.0
         if not self.largest or abs(mean) < _ROUNDING * float(np.mean(squares[0])):
@@ -208,6 +210,9 @@ def verdict(e: Evidence) -> Verdict:
     against += _those((unfit, Reason.of(Why.VALIDATION_NO_BETTER, **of_fresh)))
     unlike = bool(fresh.n) and fresh.rms > _ANOTHER_MEASUREMENT * after.rms > 0.0
     proven = not still and e.remains() < _REMAINS and _typical(after) < _FALLS * _typical(before)
+    # Of many flagged rows the figure of all rows decides whether they are accidents.
+    accidents = many and e.gain(of_all=True)[1] < _CHANCE
+    of_many = Reason.of(Why.MANY_OUTLIERS, **of_all)
     fewer = few and not against, Reason.of(Why.FEW_NUMBERS, **size, parameters=e.parameters)
     careful = [
         *_those(
@@ -218,11 +223,12 @@ def verdict(e: Evidence) -> Verdict:
         *_those(
             (e.largest > _TOO_FAR, Reason.of(Why.PARAMETER_FAR, largest=e.largest)),
             (unlike, Reason.of(Why.VALIDATION_UNLIKE, rows=fresh.n, before=fresh, after=after)),
-            (many, Reason.of(Why.MANY_OUTLIERS, **of_all)),
+            (many and not accidents, of_many),
         ),
     ]
     # Where unseen rows prove the gain, these say what is left.
-    remaining = _those(fewer) + [doubt for doubt in e.doubts if doubt.why in _REMAINING]
+    remaining = _those(fewer, (accidents, of_many))
+    remaining += [doubt for doubt in e.doubts if doubt.why in _REMAINING]
     gained = {"method": e.calibrated.method, "outliers": flagged, "before": before, "after": after}
     gains = _those(
         (gain > 0.0, Reason.of(Why.GAIN, **gained)),
