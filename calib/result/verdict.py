@@ -210,8 +210,9 @@ def verdict(e: Evidence) -> Verdict:
     against += _those((unfit, Reason.of(Why.VALIDATION_NO_BETTER, **of_fresh)))
     unlike = bool(fresh.n) and fresh.rms > _ANOTHER_MEASUREMENT * after.rms > 0.0
     proven = not still and e.remains() < _REMAINS and _typical(after) < _FALLS * _typical(before)
-    # Of many flagged rows the figure of all rows decides whether they are accidents.
-    accidents = many and e.gain(of_all=True)[1] < _CHANCE
+    # Many flagged rows are accidents where they are as far off the nominal robot, and the error of all rows falls.
+    far = [np.sum(e.whitened(v)[e.outliers]) for v in (e.nominal, e.calibrated)]
+    accidents = many and far[1] < _ALIKE**2 * far[0] and e.gain(of_all=True)[1] < _CHANCE
     of_many = Reason.of(Why.MANY_OUTLIERS, **of_all)
     fewer = few and not against, Reason.of(Why.FEW_NUMBERS, **size, parameters=e.parameters)
     careful = [

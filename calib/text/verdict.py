@@ -82,7 +82,7 @@ SENTENCES = {
     "priors on, or choose a smaller model.",
     Why.VALIDATION_UNLIKE: "The calibrated robot is {before} off on the {rows} validation rows and {after} on left-out "
     "rows: was the target or the frame another one?",
-    Why.MANY_OUTLIERS: "{flagged} of {rows} rows are flagged as outliers: too many to be accidents. With them the "
+    Why.MANY_OUTLIERS: "{flagged} of {rows} rows are flagged as outliers: what happened to so many? With them the "
     "error on unseen rows goes {change}.",
     Why.WORSE_WITH_OUTLIERS: "On all unseen rows, the {flagged} flagged ones too, the error rises {change}: they are "
     "no accidents, but errors that the model lacks.",

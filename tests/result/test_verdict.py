@@ -42,12 +42,19 @@ GOOD = Evidence(
     expected=0.2e-3,
     moved=2.5e-3,
 )
+FLAGGED = np.arange(ROWS) < 6
 RIGHT = {"nominal": validated(1e-4, 2), "calibrated": validated(1e-4, 3)}
 LOUD = Reason.of(Why.NOISE_LARGE, noise_m=4e-3)
 LACKS = Reason.of(Why.MODEL_LACKS, model="dh", noise_m=1e-4, less_m=2e-5)
 STILL = Reason.of(Why.JOINTS_STILL, joints="elbow_joint")
 SIZELESS = Reason.of(Why.NO_LENGTH)
 HINT = Reason.of(Why.OTHER_BASE, given_m=0.5, error_m=2e-3, link="base")
+
+
+def with_errors_at(found: CrossValidation, size: float) -> CrossValidation:
+    """With the flagged rows so far off."""
+    residual = np.where(FLAGGED[:, None], size / np.sqrt(3.0), found.residual)
+    return replace(found, residual=residual, errors=Errors.of(residual))
 
 
 def codes(found: Verdict) -> list[Why]:
@@ -103,7 +110,11 @@ def test_a_good_calibration_is_to_be_used_and_says_by_how_much():
         ({"largest": 4.6}, "use with care", Why.PARAMETER_FAR),
         ({"largest": 4.6, "doubts": (SIZELESS,)}, "do not use", Why.SIZE_LOST),
         ({"doubts": (SIZELESS,)}, "use with care", Why.NO_LENGTH),
-        ({"outliers": np.arange(ROWS) < 6}, "use with care", Why.MANY_OUTLIERS),
+        (
+            {"outliers": FLAGGED, "calibrated": with_errors_at(GOOD.calibrated, 4e-3)},
+            "use with care",
+            Why.MANY_OUTLIERS,
+        ),
         ({"validation": (errors(51e-3), errors(50e-3), 0)}, "use with care", Why.VALIDATION_UNLIKE),
     ],
 )
@@ -114,6 +125,18 @@ def test_each_doubt_is_said_first(change, use, why):
     assert (len(result.reasons) == 1) == (why in absurd)
     # A gain is said even where there are doubts.
     assert Why.GAIN in codes(result) or use == "do not use"
+
+
+def test_many_flagged_rows_are_accidents_where_they_are_as_far_off_the_nominal_robot():
+    accidents = [with_errors_at(v, 20e-3) for v in (GOOD.nominal, GOOD.calibrated)]
+    e = replace(GOOD, outliers=FLAGGED, nominal=accidents[0], calibrated=accidents[1])
+    result = verdict(e)
+    assert (result.use, codes(result)) == (
+        "use",
+        [Why.GAIN, Why.VALIDATION_GAIN, Why.MANY_OUTLIERS],
+    )
+    result = verdict(replace(e, nominal=GOOD.nominal))
+    assert (result.use, codes(result)[0]) == ("do not use", Why.WORSE_WITH_OUTLIERS)
 
 
 def test_orientations_that_no_instrument_measures_are_a_wrong_set_up():
