@@ -188,6 +188,10 @@ def verdict(e: Evidence) -> Verdict:
     of_all: dict[str, Any] = {"flagged": flagged, "rows": rows} | dict(
         zip(("before", "after"), every, strict=True)
     )
+    # Many flagged rows are accidents where they are as far off the nominal robot, and the error of all rows falls.
+    far = [np.sum(e.whitened(v)[e.outliers]) for v in (e.nominal, e.calibrated)]
+    accidents = many and far[1] < _ALIKE**2 * far[0] and e.gain(of_all=True)[1] < _CHANCE
+    of_many = Reason.of(Why.MANY_OUTLIERS, **of_all)
     # What a model leaves over is noise only if a larger one does not leave far less, and if an instrument has such.
     odd = many or any(doubt.why in _NOT_NOISE for doubt in e.doubts)
     still = gain <= 0.0 or chance
@@ -204,16 +208,13 @@ def verdict(e: Evidence) -> Verdict:
             bool(flagged) and _typical(every[1]) > _ALIKE * _typical(every[0]),
             Reason.of(Why.WORSE_WITH_OUTLIERS, **of_all),
         ),
+        (still and many and not accidents, of_many),
         (lost, Reason.of(Why.UNKNOWN_ELSEWHERE, **elsewhere)),
     )[:1]
     unfit = bool(fresh.n) and not falls
     against += _those((unfit, Reason.of(Why.VALIDATION_NO_BETTER, **of_fresh)))
     unlike = bool(fresh.n) and fresh.rms > _ANOTHER_MEASUREMENT * after.rms > 0.0
     proven = not still and e.remains() < _REMAINS and _typical(after) < _FALLS * _typical(before)
-    # Many flagged rows are accidents where they are as far off the nominal robot, and the error of all rows falls.
-    far = [np.sum(e.whitened(v)[e.outliers]) for v in (e.nominal, e.calibrated)]
-    accidents = many and far[1] < _ALIKE**2 * far[0] and e.gain(of_all=True)[1] < _CHANCE
-    of_many = Reason.of(Why.MANY_OUTLIERS, **of_all)
     fewer = few and not against, Reason.of(Why.FEW_NUMBERS, **size, parameters=e.parameters)
     careful = [
         *_those(
@@ -224,7 +225,7 @@ def verdict(e: Evidence) -> Verdict:
         *_those(
             (e.largest > _TOO_FAR, Reason.of(Why.PARAMETER_FAR, largest=e.largest)),
             (unlike, Reason.of(Why.VALIDATION_UNLIKE, rows=fresh.n, before=fresh, after=after)),
-            (many and not accidents, of_many),
+            (many and not accidents and of_many not in against, of_many),
         ),
     ]
     # Where unseen rows prove the gain, these say what is left.
