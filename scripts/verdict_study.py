@@ -23,7 +23,7 @@ from calib.data.measurements import Measurements
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
 from calib.result.evaluation import evaluate
-from calib.result.verdict import CARE, NO, USE
+from calib.result.verdict import CARE, NO, USE, Verdict
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import Payload, Robot
 from calib.simulation.truth import Truth, draw_truth
@@ -62,10 +62,15 @@ class Found:
         share = self.corrected / self.nominal
         return "halved" if share < 0.5 else "falls" if share < 1.0 - 1e-6 else "does not fall"
 
+    @property
+    def verdict(self) -> Verdict:
+        """On the URDF."""
+        assert self.result.verdict is not None
+        return self.result.verdict
+
     def __str__(self) -> str:
         """One line."""
-        verdict = self.result.verdict
-        assert verdict is not None
+        verdict = self.verdict
         size, told = f"{1e3 * self.nominal:.3f} -> {1e3 * self.corrected:.3f} mm", verdict.reasons
         return f"{self.outcome}: {size}, {verdict.use}: {', '.join(one.code for one in told)}"
 
@@ -122,11 +127,11 @@ def _seen(truth: Truth, q: Array, sigma: float, rng: np.random.Generator) -> Arr
 
 def table(found: list[Found]) -> Iterator[str]:
     """Outcomes against verdicts; and expected errors."""
-    counts = Counter((one.outcome, one.result.verdict.use) for one in found if one.result.verdict)
+    counts = Counter((one.outcome, one.verdict.use) for one in found)
     yield f"{'':14}" + "".join(f"{use:>15}" for use in (USE, CARE, NO))
     for outcome in ("halved", "falls", "does not fall"):
         yield f"{outcome:14}" + "".join(f"{counts[outcome, use]:15}" for use in (USE, CARE, NO))
-    rises = [one.result.verdict.use for one in found if one.corrected > one.nominal * (1 + 1e-6)]
+    rises = [one.verdict.use for one in found if one.corrected > one.nominal * (1 + 1e-6)]
     yield f"rises          {rises.count(NO)} of {len(rises)} {NO}"
     ratios = defaultdict(list)
     for one in found:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any
 
@@ -142,6 +142,21 @@ class Evidence:
         gain = mean / max(float(np.std(fall, ddof=1)) / float(np.sqrt(len(fall))), 1e-30)
         return gain, float(stdtr(len(fall) - 1, -gain))
 
+    @property
+    def quiet(self) -> bool:
+        """Whether the nominal robot is as far off as its noise, outliers aside."""
+        good = ~self.outliers
+        square = np.sum(self.whitened(self.nominal)[good]) / max(int(np.sum(self.used[good])), 1)
+        return bool(np.sqrt(square) < _AT_THE_NOISE)
+
+    @property
+    def accidental(self) -> bool:
+        """Whether flagged rows are as far off the nominal robot, and the error of all rows falls."""
+        before, after = (
+            np.sum(self.whitened(v)[self.outliers]) for v in (self.nominal, self.calibrated)
+        )
+        return bool(after < _ALIKE**2 * before and self.gain(of_all=True)[1] < _CHANCE)
+
     def remains(self) -> float:
         """The share of the nominal robot's error over the joint limits that is expected to remain."""
         return float(self.expected / max(np.hypot(self.expected, self.moved), 1e-30))
@@ -162,85 +177,86 @@ _REMAINING = (
 
 def verdict(e: Evidence) -> Verdict:
     """Judge a calibration by its errors on rows that it did not see."""
+    if wrong := _absurd(e):
+        return Verdict(NO, (wrong[0],))  # nothing else that is told of such a fit means anything
     before, after = e.nominal.errors_without_outliers, e.calibrated.errors_without_outliers
     both: dict[str, Any] = {"before": before, "after": after, "method": e.calibrated.method}
-    turned = bool(after.n_angle) and after.rms_angle > _ABSURD_ANGLE
-    far = before.rms > _ABSURD and e.largest > _TOO_FAR
-    sizeless = any(doubt.why == Why.NO_LENGTH for doubt in e.doubts)
-    wrong = [e.hint] if e.hint else []
-    wrong += _those(
-        (sizeless and e.largest > _TOO_FAR, Reason.of(Why.SIZE_LOST, largest=e.largest)),
-        (far, Reason.of(Why.PARAMETER_ABSURD, before=before, largest=e.largest)),
-        (e.noise > _ABSURD, Reason.of(Why.NOISE_ABSURD, noise_m=e.noise)),
-        (turned, Reason.of(Why.ORIENTATION_ABSURD, after=after)),
-    )
-    if wrong:
-        return Verdict(NO, (wrong[0],))  # nothing else that is told of such a fit means anything
-    (gain, p), size, rows = e.gain(), _size(e), len(e.outliers)
-    few, chance = size["numbers"] < _FEW * e.parameters, gain > 0.0 and p > _CHANCE
-    nominal, fresh, aside = e.validation
-    of_fresh: dict[str, Any] = {"rows": fresh.n, "aside": aside, "before": nominal, "after": fresh}
-    falls = fresh.rms < (1.0 - _ROUNDING) * nominal.rms
-    good, flagged = ~e.outliers, int(np.sum(e.outliers))
-    count = max(int(np.sum(e.used[good])), 1)
-    quiet = np.sqrt(np.sum(e.whitened(e.nominal)[good]) / count) < _AT_THE_NOISE
-    many, every = flagged > _MANY_OUTLIERS * rows, (e.nominal.errors, e.calibrated.errors)
-    of_all: dict[str, Any] = {"flagged": flagged, "rows": rows} | dict(
-        zip(("before", "after"), every, strict=True)
-    )
-    # Many flagged rows are accidents where they are as far off the nominal robot, and the error of all rows falls.
-    far = [np.sum(e.whitened(v)[e.outliers]) for v in (e.nominal, e.calibrated)]
-    accidents = many and far[1] < _ALIKE**2 * far[0] and e.gain(of_all=True)[1] < _CHANCE
-    of_many = Reason.of(Why.MANY_OUTLIERS, **of_all)
+    (gain, p), size, flagged = e.gain(), _size(e), int(np.sum(e.outliers))
+    whole = max(e.parameters, e.whole)
+    few, sparse = (size["numbers"] < _FEW * count for count in (e.parameters, whole))
+    still, quiet = gain <= 0.0 or p > _CHANCE, e.quiet
+    every = {"before": e.nominal.errors, "after": e.calibrated.errors}
+    of_many = Reason.of(Why.MANY_OUTLIERS, flagged=flagged, rows=len(e.outliers), **every)
+    many = flagged > _MANY_OUTLIERS * len(e.outliers)
+    accidents = many and e.accidental
     # What a model leaves over is noise only if a larger one does not leave far less, and if an instrument has such.
     odd = many or any(doubt.why in _NOT_NOISE for doubt in e.doubts)
-    still = gain <= 0.0 or chance
-    right, sparse = still and quiet, size["numbers"] < _FEW * max(e.parameters, e.whole)
-    short = both | size | {"parameters": max(e.parameters, e.whole), "gain": gain}
-    elsewhere = {"expected_m": e.expected, "remains": e.remains()}
     lost = e.expected > _FAR_MORE * _typical(before) and e.remains() > _REMAINS
+    elsewhere = {"expected_m": e.expected, "remains": e.remains()}
     against = _those(
-        (right and not odd and not sparse, Reason.of(Why.NOTHING_TO_GAIN, before=before)),
+        (still and quiet and not odd and not sparse, Reason.of(Why.NOTHING_TO_GAIN, before=before)),
         (after.rms > _ABSURD, Reason.of(Why.STILL_FAR_OFF, **both)),
-        ((still and few) or (right and sparse), Reason.of(Why.TOO_FEW, **short)),
+        (
+            still and (few or (quiet and sparse)),
+            Reason.of(Why.TOO_FEW, **both | size, parameters=whole, gain=gain),
+        ),
         (gain <= 0.0, Reason.of(Why.NO_BETTER, **both)),
         (
-            bool(flagged) and _typical(every[1]) > _ALIKE * _typical(every[0]),
-            Reason.of(Why.WORSE_WITH_OUTLIERS, **of_all),
+            bool(flagged) and _typical(every["after"]) > _ALIKE * _typical(every["before"]),
+            replace(of_many, why=Why.WORSE_WITH_OUTLIERS),
         ),
         (still and many and not accidents, of_many),
         (lost, Reason.of(Why.UNKNOWN_ELSEWHERE, **elsewhere)),
     )[:1]
-    unfit = bool(fresh.n) and not falls
+    nominal, fresh, aside = e.validation
+    falls = fresh.rms < (1.0 - _ROUNDING) * nominal.rms
+    of_fresh: dict[str, Any] = {"rows": fresh.n, "aside": aside, "before": nominal, "after": fresh}
+    unfit, unlike = bool(fresh.n) and not falls, fresh.rms > _ANOTHER_MEASUREMENT * after.rms > 0.0
     against += _those((unfit, Reason.of(Why.VALIDATION_NO_BETTER, **of_fresh)))
-    unlike = bool(fresh.n) and fresh.rms > _ANOTHER_MEASUREMENT * after.rms > 0.0
-    proven = not still and e.remains() < _REMAINS and _typical(after) < _FALLS * _typical(before)
-    fewer = few and not against, Reason.of(Why.FEW_NUMBERS, **size, parameters=e.parameters)
     careful = [
         *_those(
-            (chance and not against, Reason.of(Why.MAY_BE_CHANCE, gain=gain)),
+            (gain > 0.0 and still and not against, Reason.of(Why.MAY_BE_CHANCE, gain=gain)),
             (before.rms > _ABSURD, Reason.of(Why.FAR_OFF_BEFORE, before=before)),
         ),
         *(doubt for doubt in e.doubts if doubt.why not in _REMAINING),
         *_those(
             (e.largest > _TOO_FAR, Reason.of(Why.PARAMETER_FAR, largest=e.largest)),
-            (unlike, Reason.of(Why.VALIDATION_UNLIKE, rows=fresh.n, before=fresh, after=after)),
+            (
+                bool(fresh.n) and unlike,
+                Reason.of(Why.VALIDATION_UNLIKE, rows=fresh.n, before=fresh, after=after),
+            ),
             (many and not accidents and of_many not in against, of_many),
         ),
     ]
     # Where unseen rows prove the gain, these say what is left.
-    remaining = _those(fewer, (accidents, of_many))
+    fewer = Reason.of(Why.FEW_NUMBERS, **size, parameters=e.parameters)
+    remaining = _those((few and not against, fewer), (accidents, of_many))
     remaining += [doubt for doubt in e.doubts if doubt.why in _REMAINING]
-    gained = {"method": e.calibrated.method, "outliers": flagged, "before": before, "after": after}
     gains = _those(
-        (gain > 0.0, Reason.of(Why.GAIN, **gained)),
+        (gain > 0.0, Reason.of(Why.GAIN, **both, outliers=flagged)),
         (bool(fresh.n) and falls, Reason.of(Why.VALIDATION_GAIN, **of_fresh)),
     )
-    unproven = not proven and not against
-    careful += remaining * unproven
-    careful += [Reason.of(Why.SMALL_GAIN, **elsewhere)] * (unproven and not careful)
+    proven = not still and e.remains() < _REMAINS and _typical(after) < _FALLS * _typical(before)
+    if not proven and not against:
+        careful += remaining
+        careful = careful or [Reason.of(Why.SMALL_GAIN, **elsewhere)]
+        remaining = []
     use = NO if against else CARE if careful else USE
-    return Verdict(use, (*against, *careful, *gains, *remaining * (not unproven), *e.notes))
+    return Verdict(use, (*against, *careful, *gains, *remaining, *e.notes))
+
+
+def _absurd(e: Evidence) -> list[Reason]:
+    """Another set-up that explains the rows, or errors that no arm has."""
+    before, after = e.nominal.errors_without_outliers, e.calibrated.errors_without_outliers
+    turned = bool(after.n_angle) and after.rms_angle > _ABSURD_ANGLE
+    far = before.rms > _ABSURD and e.largest > _TOO_FAR
+    sizeless = any(doubt.why == Why.NO_LENGTH for doubt in e.doubts) and e.largest > _TOO_FAR
+    return ([e.hint] if e.hint else []) + _those(
+        (sizeless, Reason.of(Why.SIZE_LOST, largest=e.largest)),
+        (far, Reason.of(Why.PARAMETER_ABSURD, before=before, largest=e.largest)),
+        (e.noise > _ABSURD, Reason.of(Why.NOISE_ABSURD, noise_m=e.noise)),
+        (turned, Reason.of(Why.ORIENTATION_ABSURD, after=after)),
+    )
 
 
 def _typical(errors: Errors) -> float:
