@@ -59,8 +59,9 @@ class Found:
     @property
     def outcome(self) -> str:
         """What became of the error."""
-        share = self.corrected / self.nominal
-        return "halved" if share < 0.5 else "falls" if share < 1.0 - 1e-6 else "does not fall"
+        if self.corrected < 0.5 * self.nominal:
+            return "halved"
+        return "falls" if self.corrected < (1.0 - 1e-6) * self.nominal else "does not fall"
 
     @property
     def verdict(self) -> Verdict:

@@ -30,7 +30,7 @@ _AT_THE_NOISE, _CHANCE, _ROUNDING = 1.45, 0.03, 1e-6
 #: A gain is proven where errors on left-out rows fall to this share of the nominal ones, and where no more than the
 #: second of the nominal errors over the joint limits is expected to remain. Errors of all rows, outliers too, differ by
 #: less than the third where the outliers are accidents; an expected error so many times the nominal one is no robot's.
-_FALLS, _REMAINS, _ALIKE, _FAR_MORE = 0.9, 0.5, 1.1, 3.0
+_FALLS, _REMAINS, _ALIKE, _FAR_MORE = 0.9, 0.4, 1.1, 3.0
 
 
 class Why(Enum):
