@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from calib.calibration import Calibration, calibrate
 from calib.data.cell import Cell
@@ -25,6 +26,10 @@ Array = NDArray[np.float64]
 Mistake = Callable[[Measurements], Measurements]
 
 ROWS, NOISE = 30, 5e-5
+
+#: What is told of the robot and not of the table; what only tables of poses can have.
+ANOTHER_TIP = "another tip"
+OF_POSES = ("poses inverse", "quaternions w first", "quaternions w last", "orientations inverse")
 
 #: What was measured; then whether the frame is unknown.
 TABLES = ("points", "poses", "targets", "groups")
@@ -42,6 +47,11 @@ def _inverse(m: Measurements) -> Measurements:
     assert m.rotations is not None
     back = np.swapaxes(m.rotations, 1, 2)
     return replace(m, points=-np.einsum("nij,nj->ni", back, m.points), rotations=back)
+
+
+def _turned(change: Callable[[Rotation], Rotation]) -> Mistake:
+    """Orientations that are written otherwise."""
+    return lambda m: replace(m, rotations=change(Rotation.from_matrix(m.rotations)).as_matrix())
 
 
 def _times(column: int, factor: float) -> Callable[[Array], Array]:
@@ -64,6 +74,21 @@ MISTAKES: dict[str, tuple[Mistake, set[str], set[str]]] = {
     "x in inches": (_points(_times(0, 25.4)), {"wrong_unit"}, {"wrong_unit"}),
     "x and y swapped": (_points(lambda p: p[:, [1, 0, 2]]), {"columns_swapped"}, {"points_mirrored"}),
     "y mirrored": (_points(_times(1, -1.0)), {"sign_turned"}, {"points_mirrored"}),
+    "two joints turned": (_joints(lambda q: q * [1, -1, 1, 1, -1, 1]), {"joints_turned"}, {"joints_turned"}),
+    "a joint's column constant": (
+        _joints(lambda q: np.where(np.arange(6) == 3, 0.5, q)), {"joint_constant"}, {"joint_constant"},
+    ),
+    "base's column constant": (
+        _joints(lambda q: np.where(np.arange(6) == 0, 0.5, q)), {"joint_constant"}, {"joint_constant"},
+    ),
+    ANOTHER_TIP: (lambda m: m, {"other_tip"}, {"other_tip"}),
+    "quaternions w first": (
+        _turned(lambda R: Rotation.from_quat(R.as_quat(scalar_first=True))), {"scalar_elsewhere"}, {"scalar_elsewhere"},
+    ),
+    "quaternions w last": (
+        _turned(lambda R: Rotation.from_quat(R.as_quat(), scalar_first=True)), {"scalar_elsewhere"}, {"scalar_elsewhere"},
+    ),
+    "orientations inverse": (_turned(Rotation.inv), {"orientations_inverse"}, {"orientations_inverse"}),
     "poses inverse": (_inverse, {"poses_inverse"}, {"poses_inverse"}),
 }  # fmt: skip
 
@@ -112,10 +137,11 @@ def main() -> None:
         line = f"{what:<25}"
         for free in (False, True):
             for kind in TABLES:
-                if mistake is _inverse and kind != "poses":
+                if what in OF_POSES and kind != "poses":
                     line += f"{'-':>22}"
                     continue
                 robot, m, cell = table(kind, free=free)
+                robot = robot.rebuilt(tip="wrist_2_link") if what == ANOTHER_TIP else robot
                 code, use = named(calibrate(robot, mistake(m), cell=cell))
                 found = code in (unknown if free else known)
                 right, cells, used = right + found, cells + 1, used + (use == "use")

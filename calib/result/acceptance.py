@@ -22,7 +22,6 @@ from scipy.special import betaincinv
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.errors import CalibError, MeasurementError, choices
-from calib.estimate.setup import rows_of
 from calib.result.calibration import Calibration
 from calib.result.evaluation import (
     PLACES,
@@ -214,8 +213,7 @@ def assess(
     hint: Reason | None = None
     if c is None:
         found = {"urdf": evaluate(robot, table, cell)}
-        every, setup = rows_of(robot, table, cell)
-        hint = better_setup(robot, cell, setup, every.select(registering(table)))
+        hint = better_setup(robot, cell, table.select(registering(table)))
     else:
         states = {
             "nominal": (nominal, c.nominal_setup, None),

@@ -126,7 +126,7 @@ def fit_table(
     unseen = setup.as_known(frames, targets)
     began = time.perf_counter()
     model = cell.model if model is None else model
-    hint = better_setup(robot, cell, setup, rows)
+    hint = better_setup(robot, cell, measurements.select(measurements.estimation))
     told, distances = setup.as_known(~frames, ~targets), known_distances(cell, setup)
     task = Task(robot, cell, told, model, distances, solver, robust)
     if hint and model == AUTO:  # nothing that is told of such a fit means anything

@@ -12,14 +12,16 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 import calib.data.kinds as registry
 from calib.data.cell import Cell
+from calib.data.measurements import Measurements
 from calib.errors import MeasurementError
 from calib.estimate.fitting import Fitted, fit
 from calib.estimate.registration import register
 from calib.estimate.selection import linear_cross_validation
-from calib.estimate.setup import LENGTHS, Rows, Setup
+from calib.estimate.setup import LENGTHS, Rows, Setup, rows_of
 from calib.estimate.statistics import Errors
 from calib.model.error_model import DIRECTIONS
 from calib.result.prediction import without_rigid_motion
@@ -154,6 +156,9 @@ PLAUSIBLE, _FAR_BETTER, _EXPLAINED = 0.02, 0.2, 0.05
 #: registration: five digits are enough to compare.
 _MOST_SIGNS, _ROWS, _TOLERANCE = 7, 60, 1e-6
 
+#: The same of angles [rad]; how far round a joint without values it is sought in turn [rad], at so many values.
+_PLAUSIBLE_ANGLE, _REACHES, _TRIED = 0.1, (np.pi, np.pi, np.pi, 0.2, 0.2, 0.02, 0.002), 41
+
 #: Factors where numbers are in one unit and their header says another; the zeros that conventions differ by [deg].
 _LENGTHS = {("in", "mm"): 25.4, ("mm", "in"): 1.0 / 25.4, ("m", "mm"): 1e3, ("mm", "m"): 1e-3}
 _ANGLES = {("rad", "deg"): np.degrees(1.0), ("deg", "rad"): np.radians(1.0)}
@@ -163,40 +168,64 @@ _TURNS_DEG = (90.0, -90.0, 180.0)
 Trial = tuple[float, Robot, Setup, Rows, Why, dict[str, Any]]
 
 
-def better_setup(robot: Robot, cell: Cell, setup: Setup, rows: Rows) -> Reason | None:
-    """The set-up which explains positions far better than the one given, if there is one.
+def better_setup(robot: Robot, cell: Cell, table: Measurements) -> Reason | None:
+    """The set-up which explains the rows of a table far better than the one given, if there is one.
 
-    Of poses the positions alone are looked at, of several targets and frames all together.
+    Of poses the positions come first, of several targets and frames all are looked at together.
     """
-    if not all(kind.name in ("point", "pose") for kind in rows.present):
+    if not np.all(table.of_kind("point", "pose")):
         return None
-    chosen = np.zeros(len(rows), dtype=bool)
-    chosen[np.linspace(0, len(rows) - 1, min(len(rows), _ROWS)).astype(int)] = True
-    turned = rows.select(chosen)
-    rows = _as_points(turned)
-
-    def rms(robot: Robot, setup: Setup, rows: Rows) -> float:
-        """Error of the nominal robot where target (and frame, if asked) are registered [m]."""
-        T_base_tip = robot.poses(rows.joints)
-        placed = register(T_base_tip, setup, rows, tolerance=_TOLERANCE)
-        residual = rows.residual(placed.seen(T_base_tip, rows.samples))
-        return float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
-
-    given = rms(robot, setup, rows)
+    chosen = np.zeros(len(table), dtype=bool)
+    chosen[np.linspace(0, len(table) - 1, min(len(table), _ROWS)).astype(int)] = True
+    table = table.select(chosen)
+    poses, setup = rows_of(robot, table, cell)
+    rows = _as_points(poses)
+    given = _misfit(robot, setup, rows)[0]
     if given < PLAUSIBLE:
-        return None
+        return _other_orientations(robot, setup, poses)
     best, found = np.inf, None
-    inverse = _inverted(turned)
+    inverse = _inverted(poses)
     more = [inverse] if inverse is not None else []
     for factor, other, asked, changed, why, values in itertools.chain(
-        _trials(robot, cell, setup, rows), ((1.2, robot, _loose(setup), *one) for one in more)
+        _trials(robot, cell, setup, rows),
+        _tips(robot, cell, table),
+        _constant_joints(robot, setup, rows),
+        ((1.2, robot, _loose(setup), *one) for one in more),
     ):
-        error = rms(other, asked, changed)
+        error = _misfit(other, asked, changed)[0]
         if factor * error < best:
             best, found = factor * error, Reason.of(why, given_m=given, error_m=error, **values)
     if found is None or best > _FAR_BETTER * given or found.values["error_m"] > _EXPLAINED:
         return None
     return found
+
+
+def _misfit(robot: Robot, setup: Setup, rows: Rows) -> tuple[float, float]:
+    """Errors of the robot where target (and frame, if asked) are registered, rms [m], [rad]."""
+    T_base_tip = robot.poses(rows.joints)
+    placed = register(T_base_tip, setup, rows, tolerance=_TOLERANCE)
+    square = np.mean(rows.residual(placed.seen(T_base_tip, rows.samples)) ** 2, axis=0)
+    return float(np.sqrt(np.sum(square[:LENGTHS]))), float(np.sqrt(np.sum(square[LENGTHS:])))
+
+
+def _other_orientations(robot: Robot, setup: Setup, rows: Rows) -> Reason | None:
+    """Orientations as other software writes them, where those given make no sense and these do."""
+    if not np.all(rows.where(lambda kind: kind.orientation)):
+        return None
+    given, best, found = _misfit(robot, setup, rows)[1], np.inf, None
+    if given < _PLAUSIBLE_ANGLE:
+        return None
+    turned = Rotation.from_matrix(rows.measured[:, LENGTHS:12].reshape(-1, 3, 3))
+    wxyz = turned.as_quat(scalar_first=True)
+    trials = {"last": Rotation.from_quat(wxyz), "first": Rotation.from_quat(np.roll(wxyz, -2, 1))}
+    for scalar, other in (*trials.items(), ("", turned.inv())):
+        columns = np.hstack([rows.measured[:, :LENGTHS], other.as_matrix().reshape(-1, 9)])
+        error = _misfit(robot, setup, replace(rows, measured=columns))[1]
+        if error < best:
+            why = Why.SCALAR_ELSEWHERE if scalar else Why.ORIENTATIONS_INVERSE
+            best, values = error, {"scalar": scalar} if scalar else {}
+            found = Reason.of(why, given_rad=given, error_rad=error, **values)
+    return found if best < _FAR_BETTER * given else None
 
 
 def _trials(robot: Robot, cell: Cell, setup: Setup, rows: Rows) -> Iterator[Trial]:
@@ -214,8 +243,8 @@ def _trials(robot: Robot, cell: Cell, setup: Setup, rows: Rows) -> Iterator[Tria
             # A frame of its own always fits a little better: it must do more than that.
             own = replace(asked, unknown=(DIRECTIONS,) * len(setup.groups))
             yield 2.0, robot, own, rows, Why.OWN_FRAME, {}
-    # A frame that is estimated too makes a trial a hundred times dearer: then one joint at a time.
-    most = len(robot.inputs) if not any(setup.unknown) else 1
+    # A frame that is estimated too makes a trial a hundred times dearer: then two joints at a time.
+    most = len(robot.inputs) if not any(setup.unknown) else 2
     for factor, joints, why, values in _joint_trials(robot, rows.joints, most):
         turned = replace(rows, samples=replace(rows.samples, q=joints))
         yield factor, robot, asked, turned, why, values
@@ -227,6 +256,38 @@ def _trials(robot: Robot, cell: Cell, setup: Setup, rows: Rows) -> Iterator[Tria
     turns = any(len(directions) == len(DIRECTIONS) for directions in setup.unknown)
     for points, why, values in _point_trials(rows.measured, turns=turns):
         yield 1.2, robot, asked, replace(rows, measured=points), why, values
+
+
+def _tips(robot: Robot, cell: Cell, table: Measurements) -> Iterator[Trial]:
+    """Other links that carry the target: one for each set of joints that the table has values of."""
+    fixed = {joint.name for joint in robot.urdf.joints if joint.type == "fixed"}
+    seen = {frozenset(robot.joint_names)}
+    for link in robot.urdf.links:
+        moving = frozenset(itertools.chain(*robot.urdf.chain(robot.base, link))) - fixed
+        # On the axes of two joints a target stands still, as points in a wrong unit nearly do.
+        if len(moving) > 2 and moving not in seen and moving <= set(table.joint_names):
+            seen.add(moving)
+            other = robot.rebuilt(tip=link)
+            rows, setup = rows_of(other, table, cell)
+            yield 1.5, other, _loose(setup), _as_points(rows), Why.OTHER_TIP, {"link": link}
+
+
+def _constant_joints(robot: Robot, setup: Setup, rows: Rows) -> Iterator[Trial]:
+    """Joints whose column holds one value, where they would have been at each row to explain it."""
+    asked = _loose(setup)
+    for j in np.flatnonzero(np.ptp(rows.joints, axis=0) == 0.0).tolist():
+        turned, every = rows, np.arange(len(rows))
+        for reach in _REACHES:
+            T_base_tip = robot.poses(turned.joints)
+            placed = register(T_base_tip, asked, turned, tolerance=_TOLERANCE)
+            q = np.repeat(turned.joints, _TRIED, axis=0)
+            q[:, j] += np.tile(np.linspace(-reach, reach, _TRIED), len(rows))
+            again = turned.select(np.repeat(every, _TRIED))
+            error = again.residual(placed.seen(robot.poses(q), again.samples))
+            nearest = np.argmin(np.sum(error**2, axis=1).reshape(-1, _TRIED), axis=1)
+            found = q[every * _TRIED + nearest]
+            turned = replace(turned, samples=replace(turned.samples, q=found))
+        yield 1.5, robot, asked, turned, Why.JOINT_CONSTANT, {"joint": robot.joint_names[j]}
 
 
 def _loose(setup: Setup) -> Setup:

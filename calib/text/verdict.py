@@ -15,6 +15,7 @@ from calib.result.verdict import Reason, Why
 _NAMED = 3
 
 _OFF = "The nominal robot is {given_m:mm.0f} mm rms off, which no uncalibrated arm is, and only {error_m:mm.1f} mm if "
+_TURNED = "The nominal robot's orientations are {given_rad:deg.0f} deg rms off, and only {error_rad:deg.1f} deg if "
 _ANEW = "The rms is {given_m:mm.3g} mm with frame and target of the result, and only {error_m:mm.3g} mm if the "
 _NOT_NOISE = "What the model leaves over is not noise: "
 _SHARE = "explains {share:%.0f} % of it (chance: {chance:%.0f} %, {chance_p})"
@@ -36,6 +37,13 @@ SENTENCES = {
     Why.COLUMNS_REVERSED: _OFF + "the joint columns stand in reversed order.",
     Why.ROWS_SHIFTED: _OFF
     + "joint values and measurements are shifted by one row against each other.",
+    Why.OTHER_TIP: _OFF + "the target moves with '{link}': try --tip {link}.",
+    Why.JOINT_CONSTANT: _OFF
+    + "'{joint}' moved, and its column holds one value: give the values it had.",
+    Why.SCALAR_ELSEWHERE: _TURNED
+    + "the quaternions' scalar stands {scalar}: give it in the column qw.",
+    Why.ORIENTATIONS_INVERSE: _TURNED
+    + "they are inverse: give those of the target in the measurement frame.",
     Why.SIGN_TURNED: _OFF + "the sign of '{column}' is wrong.",
     Why.POINTS_MIRRORED: _OFF
     + "the points are mirrored: two of the columns x, y and z are swapped, or one has the "

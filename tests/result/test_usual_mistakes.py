@@ -10,21 +10,14 @@ import pytest
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.estimate.setup import rows_of
 from calib.example import PAPER_TARGET, paper_urdf
 from calib.result.calibrate import calibrate
 from calib.result.support import better_setup
-from calib.result.verdict import Reason, Why
+from calib.result.verdict import Why
 from calib.robot.robot import Robot, read_only
 
 TURN = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
 WRONG = Cell(target=read_only([0.07, -0.07, 0.02252]))
-
-
-def found(robot: Robot, cell: Cell, table: Measurements) -> Reason | None:
-    """What explains a table better than the robot and the cell do."""
-    rows, setup = rows_of(robot, table, cell)
-    return better_setup(robot, cell, setup, rows)
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +48,7 @@ def test_nothing_is_told_where_nothing_fits_better(ur3: Robot, thirty: Measureme
         (Cell(T_frame_base=read_only(np.eye(4))), moved),
         (Cell(), replace(thirty, joints=read_only(rng.uniform(-3, 3, (30, 6))))),
     ):
-        assert found(ur3, cell, rows) is None
+        assert better_setup(ur3, cell, rows) is None
 
 
 ELBOW, LIFT, PAN = "elbow_joint", "shoulder_lift_joint", "shoulder_pan_joint"
@@ -79,7 +72,7 @@ WRISTS = ["wrist_1_joint", "wrist_2_joint", "wrist_3_joint"]
     ],
 )
 def test_each_usual_mistake_is_named(ur3: Robot, thirty: Measurements, mistake, why, values):
-    told = found(ur3, Cell(), spoilt(thirty, **mistake))
+    told = better_setup(ur3, Cell(), spoilt(thirty, **mistake))
     assert told.why == why
     assert 2e-3 < told.values["error_m"] < 3e-3
     assert all(one in " ".join(map(str, told.values.values())) for one in values)
@@ -87,17 +80,17 @@ def test_each_usual_mistake_is_named(ur3: Robot, thirty: Measurements, mistake, 
 
 def test_a_wrong_base_a_trackers_frame_and_a_target_that_is_fixed(ur3: Robot, thirty: Measurements):
     world = Robot.load(paper_urdf(), tip="tool0")
-    base = found(world, Cell(), thirty)
+    base = better_setup(world, Cell(), thirty)
     assert (base.why, base.values["link"]) == (Why.OTHER_BASE, "base")
     assert base.values["given_m"] == pytest.approx(0.529, abs=1e-3)
-    assert found(ur3, Cell(), seen_elsewhere(thirty)).why == Why.OWN_FRAME
+    assert better_setup(ur3, Cell(), seen_elsewhere(thirty)).why == Why.OWN_FRAME
     for mistake in (
         {"p": [1, 0, 2]},
         {"points": [1, 1, -1]},
     ):  # a frame that may turn cannot tell them apart
         mirrored = spoilt(seen_elsewhere(thirty), **mistake)
-        assert found(ur3, Cell(estimate_frame=True), mirrored).why == Why.POINTS_MIRRORED
+        assert better_setup(ur3, Cell(estimate_frame=True), mirrored).why == Why.POINTS_MIRRORED
     fixed = replace(WRONG, estimate_target=False)
-    assert found(ur3, fixed, thirty).why == Why.TARGET_ELSEWHERE
+    assert better_setup(ur3, fixed, thirty).why == Why.TARGET_ELSEWHERE
     judged = calibrate(world, thirty.select(np.arange(30) < 14), model="zeros").verdict
     assert (judged.use, judged.reasons[0].values["link"]) == ("do not use", "base")
