@@ -192,8 +192,9 @@ def verdict(e: Evidence) -> Verdict:
     accidents = many and e.accidental
     # What a model leaves over is noise only if a larger one does not leave far less, and if an instrument has such.
     odd = many or any(doubt.why in _NOT_NOISE for doubt in e.doubts)
-    lost = e.expected > _FAR_MORE * _typical(before) and e.remains() > _REMAINS
     elsewhere = {"expected_m": e.expected, "remains": e.remains()}
+    lost, remains = e.expected > _FAR_MORE * _typical(before), e.remains() > _REMAINS
+    unknown = Reason.of(Why.UNKNOWN_ELSEWHERE, **elsewhere)
     against = _those(
         (still and quiet and not odd and not sparse, Reason.of(Why.NOTHING_TO_GAIN, before=before)),
         (after.rms > _ABSURD, Reason.of(Why.STILL_FAR_OFF, **both)),
@@ -207,7 +208,7 @@ def verdict(e: Evidence) -> Verdict:
             replace(of_many, why=Why.WORSE_WITH_OUTLIERS),
         ),
         (still and many and not accidents, of_many),
-        (lost, Reason.of(Why.UNKNOWN_ELSEWHERE, **elsewhere)),
+        (lost and remains, unknown),
     )[:1]
     nominal, fresh, aside = e.validation
     falls = fresh.rms < (1.0 - _ROUNDING) * nominal.rms
@@ -218,6 +219,7 @@ def verdict(e: Evidence) -> Verdict:
         *_those(
             (gain > 0.0 and still and not against, Reason.of(Why.MAY_BE_CHANCE, gain=gain)),
             (before.rms > _ABSURD, Reason.of(Why.FAR_OFF_BEFORE, before=before)),
+            (lost and not against, unknown),
         ),
         *(doubt for doubt in e.doubts if doubt.why not in _REMAINING),
         *_those(
@@ -237,7 +239,7 @@ def verdict(e: Evidence) -> Verdict:
         (gain > 0.0, Reason.of(Why.GAIN, **both, outliers=flagged)),
         (bool(fresh.n) and falls, Reason.of(Why.VALIDATION_GAIN, **of_fresh)),
     )
-    proven = not still and e.remains() < _REMAINS and _typical(after) < _FALLS * _typical(before)
+    proven = not (still or remains) and _typical(after) < _FALLS * _typical(before)
     if not proven and not against:
         careful += remaining
         careful = careful or [Reason.of(Why.SMALL_GAIN, **elsewhere)]
