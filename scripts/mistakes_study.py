@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 from calib.calibration import Calibration, calibrate
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
+from calib.result.verdict import USE
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import Robot
 from calib.simulation.truth import draw_truth
@@ -86,7 +87,8 @@ MISTAKES: dict[str, tuple[Mistake, set[str], set[str]]] = {
         _turned(lambda R: Rotation.from_quat(R.as_quat(scalar_first=True))), {"scalar_elsewhere"}, {"scalar_elsewhere"},
     ),
     "quaternions w last": (
-        _turned(lambda R: Rotation.from_quat(R.as_quat(), scalar_first=True)), {"scalar_elsewhere"}, {"scalar_elsewhere"},
+        _turned(lambda R: Rotation.from_quat(R.as_quat(), scalar_first=True)),
+        {"scalar_elsewhere"}, {"scalar_elsewhere"},
     ),
     "orientations inverse": (_turned(Rotation.inv), {"orientations_inverse"}, {"orientations_inverse"}),
     "poses inverse": (_inverse, {"poses_inverse"}, {"poses_inverse"}),
@@ -126,28 +128,32 @@ def named(result: Calibration) -> tuple[str, str]:
     return result.verdict.reasons[0].code, result.verdict.use
 
 
+def line(what: str, *, free: bool) -> list[tuple[str, str, bool] | None]:
+    """The code, the use and whether the code names the mistake, in each kind of table; None where it has none."""
+    mistake, *codes = MISTAKES[what]
+    found: list[tuple[str, str, bool] | None] = []
+    for kind in TABLES:
+        if what in OF_POSES and kind != "poses":
+            found.append(None)
+            continue
+        robot, m, cell = table(kind, free=free)
+        robot = robot.rebuilt(tip="wrist_2_link") if what == ANOTHER_TIP else robot
+        code, use = named(calibrate(robot, mistake(m), cell=cell))
+        found.append((code, use, code in codes[free]))
+    return found
+
+
 def main() -> None:
     """Print the table, and the shares."""
-    right = cells = used = 0
-    print(
-        "mistake                  "
-        + "".join(f"{t + f:>22}" for f in ("", ", free") for t in TABLES)
-    )
-    for what, (mistake, known, unknown) in MISTAKES.items():
-        line = f"{what:<25}"
-        for free in (False, True):
-            for kind in TABLES:
-                if what in OF_POSES and kind != "poses":
-                    line += f"{'-':>22}"
-                    continue
-                robot, m, cell = table(kind, free=free)
-                robot = robot.rebuilt(tip="wrist_2_link") if what == ANOTHER_TIP else robot
-                code, use = named(calibrate(robot, mistake(m), cell=cell))
-                found = code in (unknown if free else known)
-                right, cells, used = right + found, cells + 1, used + (use == "use")
-                line += f"{code + ' ' * found + '+' * found:>22}"
-        print(line, flush=True)
-    print(f"named by their cause: {right} of {cells}; 'use': {used}")
+    every = []
+    print(" " * 25 + "".join(f"{t + f:>22}" for f in ("", ", free") for t in TABLES))
+    for what in MISTAKES:
+        cells = [*line(what, free=False), *line(what, free=True)]
+        every += [cell for cell in cells if cell]
+        texts = (cell[0] + " +" * cell[2] if cell else "-" for cell in cells)
+        print(f"{what:<25}" + "".join(f"{text:>22}" for text in texts), flush=True)
+    right, used = sum(cell[2] for cell in every), sum(cell[1] == USE for cell in every)
+    print(f"named by their cause: {right} of {len(every)}; 'use': {used}")
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ nominal arm is off by centimetres, the usual mistakes are tried on it, with the 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -183,21 +183,27 @@ def better_setup(robot: Robot, cell: Cell, table: Measurements) -> Reason | None
     given = _misfit(robot, setup, rows)[0]
     if given < PLAUSIBLE:
         return _other_orientations(robot, setup, poses)
-    best, found = np.inf, None
     inverse = _inverted(poses)
     more = [inverse] if inverse is not None else []
-    for factor, other, asked, changed, why, values in itertools.chain(
+    usual = itertools.chain(
         _trials(robot, cell, setup, rows),
         _tips(robot, cell, table),
         _constant_joints(robot, setup, rows),
         ((1.2, robot, _loose(setup), *one) for one in more),
-    ):
-        error = _misfit(other, asked, changed)[0]
-        if factor * error < best:
-            best, found = factor * error, Reason.of(why, given_m=given, error_m=error, **values)
-    if found is None or best > _FAR_BETTER * given or found.values["error_m"] > _EXPLAINED:
-        return None
-    return found
+    )
+    # A frame that is estimated too makes a trial a hundred times dearer: then two joints at most, and in the end.
+    n = len(robot.inputs) if len(robot.inputs) <= _MOST_SIGNS else 1
+    counts = ((1,), (2,)) if any(setup.unknown) else (range(1, n + 1),)
+    first, *others = (_turned_joints(robot, setup, rows, some) for some in counts)
+    for trials in (itertools.chain(usual, first), *others):
+        best, found = np.inf, None
+        for factor, other, asked, changed, why, values in trials:
+            error = _misfit(other, asked, changed)[0]
+            if factor * error < best:
+                best, found = factor * error, Reason.of(why, given_m=given, error_m=error, **values)
+        if found and best <= _FAR_BETTER * given and found.values["error_m"] <= _EXPLAINED:
+            return found
+    return None
 
 
 def _misfit(robot: Robot, setup: Setup, rows: Rows) -> tuple[float, float]:
@@ -243,11 +249,9 @@ def _trials(robot: Robot, cell: Cell, setup: Setup, rows: Rows) -> Iterator[Tria
             # A frame of its own always fits a little better: it must do more than that.
             own = replace(asked, unknown=(DIRECTIONS,) * len(setup.groups))
             yield 2.0, robot, own, rows, Why.OWN_FRAME, {}
-    # A frame that is estimated too makes a trial a hundred times dearer: then two joints at a time.
-    most = len(robot.inputs) if not any(setup.unknown) else 2
-    for factor, joints, why, values in _joint_trials(robot, rows.joints, most):
+    for joints, why, values in _joint_trials(robot, rows.joints):
         turned = replace(rows, samples=replace(rows.samples, q=joints))
-        yield factor, robot, asked, turned, why, values
+        yield 1.2, robot, asked, turned, why, values
     for later, some in ((True, slice(1, None)), (False, slice(None, -1))):
         kept = rows.select(some)
         others = rows.joints[:-1] if later else rows.joints[1:]
@@ -326,24 +330,30 @@ def _point_trials(points: Array, *, turns: bool) -> Iterator[tuple[Array, Why, d
             yield points * np.where(np.arange(3) == i, size, 1.0), Why.WRONG_UNIT, values
 
 
-def _joint_trials(
-    robot: Robot, q: Array, most: int
-) -> Iterator[tuple[float, Array, Why, dict[str, Any]]]:
-    """Joints of another convention, in other units, and in each other's columns; q has shape (N, n)."""
+def _turned_joints(
+    robot: Robot, setup: Setup, rows: Rows, counts: Iterable[int]
+) -> Iterator[Trial]:
+    """So many joints at a time with the other sign."""
+    every = range(len(robot.inputs))
+    for some in itertools.chain(*(itertools.combinations(every, count) for count in counts)):
+        q = rows.joints * np.where(np.isin(every, some), -1.0, 1.0)
+        turned = replace(rows, samples=replace(rows.samples, q=q))
+        values = {"joints": ", ".join(robot.joint_names[i] for i in some)}
+        factor = 1.0 + 0.2 * len(some)
+        yield factor, robot, _loose(setup), turned, Why.JOINTS_TURNED, values
+
+
+def _joint_trials(robot: Robot, q: Array) -> Iterator[tuple[Array, Why, dict[str, Any]]]:
+    """Joints of another zero, in other units, and in each other's columns; q has shape (N, n)."""
     names, n = robot.joint_names, len(robot.inputs)
     turns = np.array([joint.type != "prismatic" for joint in robot.inputs])
-    for count in range(1, (most if n <= _MOST_SIGNS else 1) + 1):
-        for some in itertools.combinations(range(n), count):
-            signs = np.where(np.isin(np.arange(n), some), -1.0, 1.0)
-            listed = ", ".join(names[i] for i in some)
-            yield 1.0 + 0.2 * count, signs * q, Why.JOINTS_TURNED, {"joints": listed}
     for i, turn in itertools.product(np.flatnonzero(turns).tolist(), np.radians(_TURNS_DEG)):
         values = {"add_rad": float(turn), "joint": names[i]}
-        yield 1.2, q + turn * np.eye(n)[i], Why.JOINT_ZERO, values
+        yield q + turn * np.eye(n)[i], Why.JOINT_ZERO, values
     for i, j in itertools.combinations(range(n), 2):
         order = [{i: j, j: i}.get(k, k) for k in range(n)]
-        yield 1.2, q[:, order], Why.COLUMNS_SWAPPED, {"first": names[i], "second": names[j]}
-    yield 1.2, q[:, ::-1], Why.COLUMNS_REVERSED, {}
+        yield q[:, order], Why.COLUMNS_SWAPPED, {"first": names[i], "second": names[j]}
+    yield q[:, ::-1], Why.COLUMNS_REVERSED, {}
     for (unit, header), size in _ANGLES.items():
         values = {"what": "joints", "unit": unit, "header": header}
-        yield 1.2, np.where(turns, size, 1.0) * q, Why.WRONG_UNIT, values
+        yield np.where(turns, size, 1.0) * q, Why.WRONG_UNIT, values

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import importlib
+import sys
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
@@ -14,7 +18,9 @@ from calib.example import PAPER_TARGET, paper_urdf
 from calib.result.calibrate import calibrate
 from calib.result.support import better_setup
 from calib.result.verdict import Why
+from calib.robot.readback import random_joint_values
 from calib.robot.robot import Robot, read_only
+from calib.simulation.truth import draw_truth
 
 TURN = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
 WRONG = Cell(target=read_only([0.07, -0.07, 0.02252]))
@@ -94,3 +100,45 @@ def test_a_wrong_base_a_trackers_frame_and_a_target_that_is_fixed(ur3: Robot, th
     assert better_setup(ur3, fixed, thirty).why == Why.TARGET_ELSEWHERE
     judged = calibrate(world, thirty.select(np.arange(30) < 14), model="zeros").verdict
     assert (judged.use, judged.reasons[0].values["link"]) == ("do not use", "base")
+
+
+def test_a_joint_without_values_and_a_tip_before_the_last_joints(ur3: Robot, thirty: Measurements):
+    for joint in (0, 3):
+        told = better_setup(ur3, Cell(), spoilt(thirty, joints=1.0 - np.eye(6)[joint]))
+        assert (told.why, told.values["joint"]) == (Why.JOINT_CONSTANT, ur3.joint_names[joint])
+    told = better_setup(ur3.rebuilt(tip="wrist_1_link"), Cell(), thirty)
+    assert told.why == Why.OTHER_TIP
+    other = ur3.rebuilt(tip=told.values["link"])
+    assert other.joint_names == ur3.joint_names
+
+
+@pytest.mark.parametrize(
+    ("change", "why", "values"),
+    [
+        (lambda q: Rotation.from_quat(np.roll(q, 1, 1)), Why.SCALAR_ELSEWHERE, {"scalar": "first"}),
+        (lambda q: Rotation.from_quat(np.roll(q, -1, 1)), Why.SCALAR_ELSEWHERE, {"scalar": "last"}),
+        (lambda q: Rotation.from_quat(q).inv(), Why.ORIENTATIONS_INVERSE, {}),
+    ],
+)
+def test_orientations_that_are_written_otherwise(ur3: Robot, change, why, values):
+    truth, q = draw_truth(ur3, "dh", {}, 1), random_joint_values(ur3, 20, 1)
+    T = truth.poses(q)
+    table = Measurements(
+        ur3.joint_names, q, T[:, :3, 3], kinds=("pose",) * 20, rotations=T[:, :3, :3]
+    )
+    assert better_setup(ur3, Cell(), table) is None
+    quaternions = Rotation.from_matrix(T[:, :3, :3]).as_quat()
+    told = better_setup(ur3, Cell(), replace(table, rotations=change(quaternions).as_matrix()))
+    assert told.why == why
+    assert values.items() <= told.values.items()
+    assert told.values["error_rad"] < 0.05 < 1.0 < told.values["given_rad"]
+
+
+@pytest.mark.slow
+def test_every_mistake_of_the_study_is_named_by_its_cause():
+    sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
+    study = importlib.import_module("mistakes_study")
+    cells = [cell for what in study.MISTAKES for cell in study.line(what, free=False) if cell]
+    assert len(cells) == 60
+    assert np.mean([right for *_, right in cells]) >= 0.9
+    assert all(use == "do not use" for _, use, _ in cells)
