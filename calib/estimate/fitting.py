@@ -339,7 +339,11 @@ def _finish(problem: Problem, stage: Stage, solution: Solution, spread: float = 
     # Without priors there is nothing to keep a6 small beside the target, and so no trace to remove.
     held = prior.sizes != "off"
     cleaned = ~model.family(FRAME, TARGET) & np.isin(model.units, ("m", "rad")) & held
-    x = np.where(cleaned & (np.abs(solution.x) < _NOTHING), 0.0, solution.x)
+    traces = cleaned & (np.abs(solution.x) < _NOTHING)
+    x = np.where(traces, 0.0, solution.x)
+    if np.any(traces):  # frames and targets make up for them
+        A, placed = linear.A[linear.used], model.family(FRAME, TARGET)
+        x[placed] += np.linalg.lstsq(A[:, placed], A[:, traces] @ solution.x[traces], rcond=1e-9)[0]
     x[list(prior.fixed)] = prior.centre[list(prior.fixed)]
     scores = linear.scores(solution.x[None], of_least_squares, effective, stage.noise)
     own = np.where(prior.flat, 0.0, priors.precision)

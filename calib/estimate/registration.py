@@ -84,15 +84,14 @@ def register_poses(
 
 def nominal_setup(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
     """Frames and targets as given; those that were not given as the nominal robot registers them, gross rows aside."""
-    return _without_gross(T_base_tip, setup.as_known(setup.frame_given, setup.target_given), rows)
+    return _without_gross(T_base_tip, setup.not_given(), rows)
 
 
 def register_unseen(T_base_tip: Array, placed: Setup, unseen: Setup, rows: Rows) -> Setup:
     """A set-up with what is unknown in ``unseen`` where rows that no fit has seen put it, gross ones aside."""
     if not unseen.count:
         return placed
-    frames = np.array([bool(directions) for directions in unseen.unknown])
-    own = frames[rows.samples.frame] | unseen.target_unknown[rows.samples.target]
+    own = unseen.unknown_at(rows.samples)
     loose = unseen.placed(placed.T_frame_base, placed.T_tip_target)
     found = _without_gross(T_base_tip[own], loose, rows.select(own))
     return placed.placed(found.T_frame_base, found.T_tip_target)
@@ -120,7 +119,8 @@ def _without_gross(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
 
 
 def _check_enough(setup: Setup, rows: Rows) -> None:
-    """Refuse fewer numbers than unknowns, in all and for each frame."""
+    """Refuse fewer numbers than unknowns of what rows see, in all and for each frame."""
+    setup = setup.as_known(*map(np.logical_not, setup.seen_by(rows.samples)))
     points = rows.where(lambda kind: kind.coordinates and not kind.orientation)
     frame = rows.samples.frame
     whole = [len(directions) == _ALL for directions in setup.unknown]

@@ -303,6 +303,16 @@ class Setup:
         frames = np.isin(np.arange(len(self.groups)), samples.frame)
         return frames, np.isin(np.arange(len(self.targets)), samples.target)
 
+    def unknown_at(self, samples: Samples) -> Mask:
+        """Which samples see an unknown frame or target, shape (N,)."""
+        frames = np.array([bool(directions) for directions in self.unknown])
+        return np.asarray(frames[samples.frame] | self.target_unknown[samples.target])
+
+    def not_given(self, seen: Samples | None = None) -> Setup:
+        """The same with what was given taken for known, and so what some samples see."""
+        rest = self.as_known(self.frame_given, self.target_given)
+        return rest if seen is None else rest.as_known(*rest.seen_by(seen))
+
     def as_known(self, frames: Mask, targets: Mask) -> Setup:
         """The same, with some frames and targets taken for known."""
         pairs = zip(frames, self.unknown, strict=True)

@@ -24,7 +24,6 @@ from calib.data.measurements import Measurements
 from calib.errors import CalibError, MeasurementError, choices
 from calib.result.calibration import Calibration
 from calib.result.evaluation import (
-    PLACES,
     Accuracy,
     Evaluation,
     PoseAccuracy,
@@ -226,8 +225,7 @@ def assess(
             for who, (one, known, larger) in states.items()
         }
         seen = fitted_rows(c, robot, table, cell)
-        if set(which) == set(PLACES):
-            hint = moved(found["calibration"].robot, table, cell, c.setup)
+        hint = moved(found["calibration"].robot, table, cell, c.setup, which)
     judged = judge or ("urdf" if c is None else "calibration")
     if judged not in found:
         raise CalibError(

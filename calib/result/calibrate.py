@@ -237,8 +237,8 @@ def _assembled(m: Measurements, fits: Fits) -> Calibration:
             gravity=cell.gravity,
         )
     T_base_tip, joints = robot.poses(every.joints), every.joints
-    unseen = fits.unseen.as_known(fits.unseen.frame_given, fits.unseen.target_given)
     placed = nominal_setup(T_base_tip[mask], task.setup, every.select(mask))
+    unseen = fits.unseen.not_given()
     placed = register_unseen(T_base_tip[~mask], placed, unseen, every.select(~mask))
     residual = fitted.residual(every)
     scores, weights = np.empty(len(mask)), np.zeros(len(mask))

@@ -24,8 +24,9 @@ from scipy.spatial import KDTree
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
+from calib.data.table import DEFAULT_TARGET
 from calib.errors import CalibError, MeasurementError, ModelError, choices
-from calib.estimate.registration import nominal_setup
+from calib.estimate.registration import nominal_setup, register_unseen
 from calib.estimate.setup import Setup, rows_of
 from calib.estimate.statistics import Errors
 from calib.model.error_model import DIRECTIONS
@@ -76,7 +77,7 @@ def evaluate(
     """Compare a robot with measurements.
 
     Target and measurement frame are used as the cell gives them; what it does not give is registered to the
-    estimation rows (to all rows where there are none).
+    estimation rows; to the others where none of them sees it.
 
     Args:
         robot: The robot, nominal or corrected.
@@ -103,6 +104,8 @@ def evaluate(
     poses = robot.poses(q) if larger is None else larger.tips(Samples.at(q, every.samples.load))
     chosen = registering(measurements)
     placed = nominal_setup(poses[chosen], setup, every.select(chosen))
+    unseen = setup.not_given(every.samples.select(chosen))
+    found = register_unseen(poses[~chosen], placed, unseen, every.select(~chosen))
     frames = zip(setup.unknown, setup.frame_given, strict=True)
     unknown = {
         "target": bool(np.any(setup.target_unknown & ~setup.target_given)),
@@ -111,9 +114,9 @@ def evaluate(
     return Evaluation(
         robot=robot,
         measurements=measurements,
-        setup=placed,
+        setup=found,
         registered=tuple(name for name, missing in unknown.items() if missing),
-        residual=read_only(every.residual(placed.seen(poses, every.samples))),
+        residual=read_only(every.residual(found.seen(poses, every.samples))),
         used=every.used,
     )
 
@@ -126,14 +129,15 @@ def registering(m: Measurements) -> Mask:
 def _at_known(setup: Setup, known: Setup, which: tuple[str, ...]) -> Setup:
     """A table's set-up with the frames and targets of an earlier result.
 
-    The only one of a result stands for the only one of a table, whatever their names are.
+    The only one of a result stands for the only one of a table; but a target that is named otherwise is another.
     """
 
     def found(
         what: str, own: tuple[str, ...], names: tuple[str, ...], poses: Array, into: Array
     ) -> Mask:
         """Put known poses in place, by name or the only one for the only one; which were found."""
-        alone = len(own) == len(names) == 1
+        another = what == "target" and own[0] != DEFAULT_TARGET
+        alone = len(own) == len(names) == 1 and not another
         there = np.array([what in which and (alone or name in names) for name in own])
         for k in np.flatnonzero(there):
             into[k] = poses[0 if alone else names.index(own[k])]
@@ -158,20 +162,29 @@ def _at_known(setup: Setup, known: Setup, which: tuple[str, ...]) -> Setup:
     )
 
 
-def moved(robot: Robot, measurements: Measurements, cell: Cell, known: Setup) -> Reason | None:
+def moved(
+    robot: Robot,
+    measurements: Measurements,
+    cell: Cell,
+    known: Setup,
+    which: tuple[str, ...] = PLACES,
+) -> Reason | None:
     """Which of frame and target explains the errors of fresh rows by far when found anew."""
-    before = evaluate(robot, measurements, cell, known=known)
+    before = evaluate(robot, measurements, cell, known=known, which=which)
     rms, best = before.errors["all"].rms, None
-    if before.registered or not rms > _SMALL:
+    if not rms > _SMALL:
         return None
     least = rms / _BETTER
     anew = replace(cell, estimate_frame=True, frame_directions=DIRECTIONS)
-    for why, kept, open_cell in (
-        (Why.FRAME_MOVED, "target", anew),
-        (Why.TARGET_MOVED, "frame", replace(cell, estimate_target=True)),
+    for why, place, open_cell in (
+        (Why.FRAME_MOVED, "frame", anew),
+        (Why.TARGET_MOVED, "target", replace(cell, estimate_target=True)),
     ):
+        if place in before.registered:
+            continue
+        kept = tuple(one for one in which if one != place)
         try:
-            after = evaluate(robot, measurements, open_cell, known=known, which=(kept,))
+            after = evaluate(robot, measurements, open_cell, known=known, which=kept)
         except CalibError:
             continue  # too few rows to find it
         unknowns, error = after.setup.count, after.errors["all"].rms
@@ -284,6 +297,7 @@ def accuracy(evaluation: Evaluation, *, seen: bool | Mask = False) -> Accuracy:
     if not np.any(told):
         raise MeasurementError(f"{m.source or 'Measurements'}: no row measures anything.")
     base = registering(m)
+    base = base | setup.not_given(rows.samples.select(base)).unknown_at(rows.samples)
     fitted = told & (seen if isinstance(seen, np.ndarray) else base & seen)
     judged = judged_rows(m, told, fitted, rows.poses, registered=bool(evaluation.registered))
     apart = not np.any(judged & base)

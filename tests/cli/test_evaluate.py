@@ -153,6 +153,11 @@ def test_a_tracker_that_moved_is_named(call, folder: Path, tmp_path: Path):
     anew = call(folder, *words, "--frame", "estimate", "--tolerance", "3 mm")
     assert anew.code == 0
     assert "did the tracker" not in anew.out
+    named = write(tmp_path / "named.csv", [[*header, "target"], *([*row, "B"] for row in moved)])
+    call(
+        folder, *EVALUATE[:2], named, *RESULT, "--frame", "estimate", "--json", tmp_path / "b.json"
+    )
+    assert load(tmp_path / "b.json")["registered"] == ["target", "frame"]
 
 
 def test_commands_are_not_taken_for_measurements(call, folder: Path, tmp_path: Path):

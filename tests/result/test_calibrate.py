@@ -301,7 +301,7 @@ def test_without_positions_the_arm_is_right_as_one_body(calibrated, name):
     [("points", TRACKERS), ("poses", TRACKERS), ("distances", SOCKETS), ("fixed", SOCKETS)],
 )
 def test_a_set_up_of_validation_rows_alone_is_registered_to_them(make_scene, kind, frames, model):
-    """Without noise, but for the priors' pull, the rows agree with a frame of their own; no parameter stands for it."""
+    """Without noise the rows agree with a frame of their own, found again by evaluate; no parameter stands for it."""
     scene = make_scene(51, frames=frames, targets=TARGETS[:1], length=3e-4, angle=3e-3)
     table = in_each(getattr(scene, kind), 30)
     table = replace(table, sets=tuple("validate" if g == "2" else "estimate" for g in table.groups))
@@ -309,9 +309,14 @@ def test_a_set_up_of_validation_rows_alone_is_registered_to_them(make_scene, kin
     cell = Cell(estimate_frame=kind in ("points", "poses"), distances=known)
     c = calibrate(scene.robot, table, cell=cell, model=model, validate=False)
     assert not [name for name in c.model.names if "[2]" in name]
-    errors = c.errors["larger" if c.larger else "calibrated"]["validation"]
-    assert errors.rms < 1e-8
+    assert c.errors["larger" if c.larger else "calibrated"]["validation"].rms < 1e-9
     assert c.errors["nominal"]["validation"].rms < 0.05
+    for known, larger in ((c.setup, None), (None, c.larger))[: 1 + bool(c.larger)]:
+        anew = {"known": known, "larger": larger, "which": ("target",)}
+        robot = c.nominal if larger else c.robot
+        assert evaluate(robot, table, cell, **anew).errors["all"].rms < 1e-9
+    nominal = evaluate(c.nominal, table, cell).residual
+    np.testing.assert_allclose(nominal, c.residual_nominal, rtol=0, atol=1e-9)
     assert c.summary().count("registered to its validation rows") == 1
 
 
@@ -320,7 +325,7 @@ def test_a_target_of_validation_rows_alone_is_registered_to_them(make_scene):
     table = two_targets(scene.points)
     sets = tuple("validate" if t == "t1" else "estimate" for t in table.targets)
     c = calibrate(scene.robot, replace(table, sets=sets), model="dh", validate=False)
-    assert c.errors["calibrated"]["validation"].rms < 1e-8
+    assert c.errors["calibrated"]["validation"].rms < 1e-9
     assert not [name for name in c.model.names if "[t1]" in name]
     assert "Target 't1': registered to its validation rows" in c.summary()
 

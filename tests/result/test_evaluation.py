@@ -12,9 +12,11 @@ from calib.data.measurements import Measurements
 from calib.errors import ModelError
 from calib.estimate.setup import Setup
 from calib.result.acceptance import assess
-from calib.result.evaluation import evaluate, moved
+from calib.result.calibrate import calibrate
+from calib.result.evaluation import accuracy, evaluate, moved
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import Robot
+from tests.fits import FREE, TARGETS, TRACKERS
 
 
 def part(setup: Setup, frames: list[int] | None = None, targets: list[int] | None = None) -> Setup:
@@ -78,6 +80,38 @@ def test_a_new_socket_is_found(calibrated):
     found = evaluate(c.robot, c.measurements, known=known)
     assert found.registered == ("frame",)
     assert found.errors["all"].rms < 1.05 * c.errors["calibrated"]["estimation"].rms + 1e-5
+
+
+@pytest.mark.parametrize("model", ["dh", "dh+gain"])
+def test_another_target_seen_from_another_place_is_registered_when_asked(make_scene, model):
+    """Of a target of another name and a frame found anew all robots are right without noise; the frame is hinted at."""
+    bent = {"model": model, "other": {"gain": 1e-3} if "+" in model else None}
+    scene = make_scene(61, frames=TRACKERS, targets=TARGETS, length=3e-4, angle=3e-3, **bent)
+    c = calibrate(scene.robot, scene.points(60), cell=FREE, model=model, validate=False)
+    fresh = scene.points(20, 1, 1)
+    anew = assess(c.robot, fresh, FREE, c, which=("target",))
+    assert {one.registered for one in anew.found.values()} == {("target", "frame")}
+    best = anew.found["larger" if c.larger else "calibration"]
+    assert best.errors["all"].rms < 1e-9
+    assert anew.found["nominal"].errors["all"].rms > 1e-3
+    assert anew.hint is None
+    known = replace(fresh, groups=("0",) * 20)
+    off = assess(c.robot, known, FREE, c, which=("frame", "target"))
+    assert off.found["calibration"].registered == ("target",)
+    assert off.found["calibration"].errors["all"].rms > 0.1
+    assert off.hint is not None
+    assert off.hint.code == "frame_moved"
+
+
+def test_rows_that_found_a_set_up_do_not_judge_it_free_of_charge(calibrated):
+    """A socket that validation rows alone touch is registered to them, which their random errors pay for."""
+    _, c = calibrated("sockets")
+    sets = tuple("validate" if g == "2" else "estimate" for g in c.measurements.groups)
+    found = evaluate(c.robot, replace(c.measurements, sets=sets), c.cell)
+    one = accuracy(found)
+    assert found.errors["validation"].rms < 2 * c.errors["calibrated"]["estimation"].rms
+    assert (one.registered, one.rows) == (("target", "frame"), "validation")
+    assert one.factor > 1.0
 
 
 def test_the_usual_mistakes_are_looked_for_in_points_only(calibrated):
