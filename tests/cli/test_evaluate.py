@@ -157,7 +157,7 @@ def test_a_tracker_that_moved_is_named(call, folder: Path, tmp_path: Path):
     call(
         folder, *EVALUATE[:2], named, *RESULT, "--frame", "estimate", "--json", tmp_path / "b.json"
     )
-    assert load(tmp_path / "b.json")["registered"] == ["target", "frame"]
+    assert load(tmp_path / "b.json")["frames"]["registered"] == ["target", "frame"]
 
 
 def test_commands_are_not_taken_for_measurements(call, folder: Path, tmp_path: Path):
