@@ -325,17 +325,31 @@ def select(task: Task, rows: Rows) -> Selection:
     return Selection(geometry, larger, candidates, judge)
 
 
-def judged_by(task: Task, rows: Rows, judge: Fitted) -> Fitted:
-    """A fit with the weights of its own or of the judge, a larger model: whichever predicts rows better.
+def judged_by(own: Fitted, rows: Rows, judge: Fitted) -> Fitted:
+    """The fit, with the weights of its own or of the judge, a larger model: whichever predicts rows better.
 
     Where a model lacks something, what it leaves over at good rows may be far more than at others. Rows that both call
-    outliers are set aside.
+    outliers are set aside; where the judge predicts rows better, no others are outliers.
     """
-    both = fit(task, rows, started=judge.setup), fit(task, rows, judge=judge)
-    aside = both[0].estimate.outliers & both[1].estimate.outliers
-    left_out = [linear_cross_validation(one, aside).errors_without_outliers for one in both]
-    own, other = (e.rms if e.n else e.rms_angle for e in left_out)
-    return both[int(other < own)]
+    other, told = fit(own.task, rows, judge=judge), judge.estimate
+    aside = own.estimate.outliers & told.outliers
+    errors = [
+        linear_cross_validation(f, aside).errors_without_outliers for f in (own, other, judge)
+    ]
+    before, after, judged = (e.rms if e.n else e.rms_angle for e in errors)
+    found = other if after < before else own
+    estimate = found.estimate
+    scores = np.minimum(estimate.scores, told.scores * estimate.flag_limit / told.flag_limit)
+    scores = read_only(scores if judged < before else estimate.scores)
+    return replace(found, estimate=replace(estimate, scores=scores))
+
+
+def widest(own: Fitted, rows: Rows) -> Fitted:
+    """The fit of a geometry with all families of the joints' own errors that rows of a table can tell."""
+    task = own.task
+    families = [f for f in joint_families() if _moves(task, f, rows)]
+    task = replace(task, model="+".join((str(task.model), *families)), lenient=True)
+    return fit(task, rows, started=own.setup)
 
 
 def _climbed(

@@ -25,6 +25,7 @@ from calib.estimate.selection import (
     judged_by,
     nominal_cross_validation,
     select,
+    widest,
 )
 from calib.estimate.setup import Rows, Setup, known_distances, rows_of
 from calib.estimate.solvers import Solver
@@ -51,6 +52,9 @@ from calib.robot.robot import Robot, gravity_loads, read_only
 from calib.units import Array
 
 __all__ = ["Calibration", "calibrate"]
+
+#: A smaller share of outliers is not worth the time that a larger model takes.
+_FEW = 0.01
 
 
 @one_blas_thread()
@@ -133,6 +137,8 @@ def fit_table(
         check_names(task)
         task = replace(task, model="zeros", lenient=True)
     fitted, larger, candidates = _fitted(task, rows)
+    if isinstance(model, str) and not (hint or larger or candidates):
+        fitted = _judged(fitted, measurements)
     fitted = fitted.with_unseen(unseen, others)
     larger = larger and larger.with_unseen(unseen, others)
     seconds = time.perf_counter() - began
@@ -151,7 +157,19 @@ def _fitted(task: Task, rows: Rows) -> tuple[Fitted, Fitted | None, tuple[Candid
         candidates, judge = (), fit(task, rows)
     if base == judge.kinematics.model.name:
         return judge, None, candidates
-    return judged_by(replace(task, model=base, lenient=True), rows, judge), judge, candidates
+    own = fit(replace(task, model=base, lenient=True), rows, started=judge.setup)
+    return judged_by(own, rows, judge), judge, candidates
+
+
+def _judged(fitted: Fitted, m: Measurements) -> Fitted:
+    """A named geometry's fit; where it has outliers, judged by a larger model, which needs the joints' loads."""
+    task, flagged = fitted.task, fitted.estimate.outliers
+    if task.solver == "paper" or task.cell.priors.sizes == "off" or np.mean(flagged) < _FEW:
+        return fitted
+    every, _ = rows_of(task.robot, m, replace(task.cell, model=AUTO))
+    judge = widest(fitted, rows := every.select(m.estimation))
+    none_is_good = np.all(judge.estimate.outliers[flagged])
+    return fitted if none_is_good else judged_by(fitted, rows, judge)
 
 
 def _validated(
