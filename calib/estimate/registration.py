@@ -89,8 +89,6 @@ def nominal_setup(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
 
 def register_unseen(T_base_tip: Array, placed: Setup, unseen: Setup, rows: Rows) -> Setup:
     """A set-up with what is unknown in ``unseen`` where rows that no fit has seen put it, gross ones aside."""
-    if not unseen.count:
-        return placed
     own = unseen.unknown_at(rows.samples)
     loose = unseen.placed(placed.T_frame_base, placed.T_tip_target)
     found = _without_gross(T_base_tip[own], loose, rows.select(own))
