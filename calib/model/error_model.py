@@ -261,7 +261,7 @@ def joint_parameters(robot: Robot, family: str, gravity: ArrayLike = GRAVITY) ->
     units = [(j, row.sliding if j.type == "prismatic" else row.unit) for j in joints]
     factors = [(j, u, f) for j, u in units for f in row.factors if u is not None]
     if any(f.later for f in row.factors):
-        points = _later_points(robot, gravity)
+        points = _later_points(robot, tuple(np.asarray(gravity, dtype=np.float64).tolist()))
         factors = [
             (j, u, factor_of(f"{f.name}[{point}]"))
             for j, u, f in factors
@@ -273,7 +273,8 @@ def joint_parameters(robot: Robot, family: str, gravity: ArrayLike = GRAVITY) ->
     ]
 
 
-def _later_points(robot: Robot, gravity: ArrayLike) -> dict[str, list[str]]:
+@lru_cache(maxsize=16)
+def _later_points(robot: Robot, gravity: tuple[float, ...]) -> dict[str, list[str]]:
     """The points at which a mass loads each joint: of those that it cannot tell apart the first."""
     levers = gravity_loads(robot, spread_poses(robot, _POSES), None, gravity)[:, :, 1:]
     names = (*(joint.name for joint in robot.joints), *ENDS)

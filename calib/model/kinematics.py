@@ -277,7 +277,8 @@ class Kinematics:
         if len(columns):
             terms = [self.model.terms[t] for t in chosen]
             moved = joint_displacements(self.robot, terms, samples.q, samples.load)
-            moved = moved @ mixing[:, columns]
+            if self.model.terms is not self.model.parameters:  # else each moves its own
+                moved = moved @ mixing[:, columns]
             values = values + moved @ x[columns]
         return kernel.Stood(values, samples.frame, samples.target, moved, columns)
 
@@ -286,14 +287,14 @@ def joint_displacements(
     robot: Robot, terms: Sequence[Parameter], q: Array, load: Array | None
 ) -> Array:
     """How far a unit of each term, with a ``factor``, moves each joint of the chain, shape (N, n, len(terms))."""
-    joints = tuple(joint.name for joint in robot.joints)
+    joints, names = tuple(joint.name for joint in robot.joints), robot.joint_names
     moved = np.zeros((len(q), len(joints), len(terms)))
     for k, term in enumerate(terms):
         assert term.factor is not None
         if family_of(term.family).every_joint:
             driven: Array = np.eye(len(joints))[joints.index(term.place)]
         else:
-            driven = robot.coupling[:, robot.joint_names.index(term.place)]
-        state = JointState(term.place, robot.joint_names, q, joints, load, term.factor.point)
+            driven = robot.coupling[:, names.index(term.place)]
+        state = JointState(term.place, names, q, joints, load, term.factor.point)
         moved[:, :, k] = term.factor.value(state)[:, None] * driven
     return moved
