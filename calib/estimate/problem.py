@@ -32,7 +32,7 @@ from calib.units import Array, Mask
 
 #: How far the logarithm of a size may fall and rise in one step, how often, and a rise of the log likelihood that is
 #: none; and normal equations that are kept.
-_STEP_DOWN, _STEP_UP, _ITERATIONS, _NO_RISE, _KEPT = 1.5, 1.0, 30, 1e-9, 3
+_STEP_DOWN, _STEP_UP, _ITERATIONS, _NO_RISE, _KEPT = 3.0, 1.0, 30, 1e-12, 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -217,8 +217,6 @@ def sizes_by_reml(
         information[held[:, :, None] | held[:, None]] = 0.0
         pivots[held] = 1.0
         step = np.linalg.solve(information, score[:, :, None])[:, :, 0]
-        # Of a size that is too large, with nothing else in the way, that gives the right one at once.
-        step = np.where(step < 0.0, 0.5 * np.log(np.maximum(1.0 + 2.0 * step, 1e-9)), step)
         step = np.clip(step, -_STEP_DOWN, _STEP_UP)
         # Where a size vanishes nothing tells how small it is: steps that raise the likelihood no more are not taken.
         step[np.abs(np.sum(step * score, axis=1)) < _NO_RISE] = 0.0
