@@ -30,8 +30,7 @@ from calib.model.observability import Observability, analyse
 from calib.robot.kernel import over_blocks
 from calib.units import Array, Mask
 
-#: How far the logarithm of a size may fall and rise in one step, how often, and a rise of the log likelihood that is
-#: none; and normal equations that are kept.
+#: How far a size's logarithm may fall and rise in a step, how often; a rise in likelihood that is none; equations kept.
 _STEP_DOWN, _STEP_UP, _ITERATIONS, _NO_RISE, _KEPT = 3.0, 1.0, 30, 1e-12, 3
 
 

@@ -9,8 +9,7 @@ from __future__ import annotations
 import io
 import logging
 from collections.abc import Callable, Mapping
-from functools import lru_cache, reduce
-from operator import xor
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -59,38 +58,27 @@ def spread_poses(robot: Robot, count: int = SPREAD) -> NDArray[np.float64]:
     return spread_between(column_ranges(robot), count)
 
 
-def spread_between(ranges: Array, count: int) -> Array:
-    """Rows of an unscrambled Sobol sequence between the bounds ``ranges``, shape (m, 2); shape (count, m)."""
-    low, high = ranges.T
-    return read_only(low + _sobol(count, len(low)) * (high - low))
-
-
-#: A primitive polynomial and the first odd numbers of each of 21 dimensions (S. Joe, F. Y. Kuo, 2008), as in SciPy.
-_DIMENSIONS = (
+#: A primitive polynomial and odd numbers of each dimension (S. Joe, F. Kuo, 2008): scipy.stats takes a fit to import.
+_SOBOL = (
     "2 1, 3 1, 7 1 3, 11 1 3 1, 13 1 1 1, 19 1 1 3 3, 25 1 3 5 13, 37 1 1 5 5 17, 41 1 1 5 5 5, "
-    "47 1 1 7 11 19, 55 1 1 5 1 1, 59 1 1 1 3 11, 61 1 3 5 5 31, 67 1 3 3 9 7 49, 91 1 1 1 15 21 "
-    "21, 97 1 3 1 13 27 49, 103 1 1 1 15 7 5, 109 1 3 1 15 13 25, 115 1 1 5 5 19 61, 131 1 3 7 11 "
-    "23 15 103, 137 1 3 7 13 13 15 69"
+    "47 1 1 7 11 19, 55 1 1 5 1 1, 59 1 1 1 3 11, 61 1 3 5 5 31, 67 1 3 3 9 7 49, 91 1 1 1 15 21 21"
 )
 
 
-def _sobol(count: int, size: int) -> Array:
-    """Points 1 to count of the sequence, shape (count, size): point 0 is the corner of all lower limits."""
-    if size > 21:  # only then: SciPy's distributions take as long to import as a fit
-        from scipy.stats import qmc
-
-        return np.asarray(qmc.Sobol(size, scramble=False).fast_forward(1).random(count))
-    numbers, bits = np.arange(1, count + 1), count.bit_length()
-    points = np.zeros((size, count), dtype=np.int_)
-    for row, dimension in zip(points, _DIMENSIONS.split(", "), strict=False):
+def spread_between(ranges: Array, count: int) -> Array:
+    """Rows of a Sobol sequence between the bounds ``ranges``, (m, 2), columns beyond 15 random; shape (count, m)."""
+    numbers, bits = np.arange(1, count + 1), count.bit_length()  # 0 is the corner of lower limits
+    points = np.random.default_rng(_SEED).integers(2**bits, size=(len(ranges), count))
+    for row, dimension in zip(points, _SOBOL.split(", "), strict=False):
         polynomial, *odd = map(int, dimension.split())
-        degree = len(odd)
+        degree, row[:] = len(odd), 0
+        taps = [j for j in range(1, degree + 1) if polynomial >> degree - j & 1]
         for k in range(bits):
             if k >= degree:
-                taps = [j for j in range(1, degree + 1) if polynomial >> degree - j & 1]
-                odd.append(reduce(xor, (odd[k - j] << j for j in taps), odd[k - degree]))
+                terms = (odd[k - degree], *(odd[k - j] << j for j in taps))
+                odd.append(int(np.bitwise_xor.reduce(terms)))
             row ^= ((numbers ^ numbers >> 1) >> k & 1) * (odd[k] << bits - 1 - k)
-    return np.asarray(points.T / 2.0**bits)
+    return read_only(ranges[:, 0] + points.T / 2.0**bits * (ranges[:, 1] - ranges[:, 0]))
 
 
 def _ends_of_columns(robot: Robot, ends_of: Callable[[UrdfJoint], tuple[float, float]]) -> Array:
