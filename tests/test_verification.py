@@ -1,4 +1,4 @@
-"""Small versions of scripts/verification_study.py, whose table stands in docs/verification.md."""
+"""Small versions of the studies of scripts/ whose tables stand in docs/verification.md."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ import pytest
 SCRIPTS = Path(__file__).parents[1] / "scripts"
 sys.path.insert(0, str(SCRIPTS))
 
+from selection_study import errors_by_model, table_of_truth  # noqa: E402
+from verdict_study import calibration  # noqa: E402
 from verification_runs import points_run, touching_run  # noqa: E402
 from verification_study import ALLOWED, STUDIES, markdown, ratio, run_one, run_study  # noqa: E402
 from verification_truth import ROBOTS, JointErrors, Truth, example_files, joints_of  # noqa: E402
@@ -182,3 +184,21 @@ def test_the_table_is_markdown():
     text = markdown(study.title, 2, lines)
     assert text.splitlines()[4].startswith("| case | bar | found | met |")
     assert "`dh`, N = 30" in text
+
+
+def test_the_verdict_is_use_where_the_error_halves_and_no_use_where_it_does_not_fall():
+    """Of seeds that no threshold was chosen by."""
+    some = [calibration(seed) for seed in range(2000, 2025)]
+    halved = [one.verdict.use for one in some if one.outcome == "halved"]
+    assert len(halved) > 7
+    assert halved.count("use") >= 0.8 * len(halved)
+    assert all(one.verdict.use != "use" for one in some if one.outcome == "does not fall")
+    ratios = [one.expected["geometry"] for one in some if len(one.result.rows) > 15]
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize(("true", "count"), [("frames", 12), ("zeros", 30), ("dh+compliance", 60)])
+def test_auto_predicts_as_well_as_the_best_fixed_model(true, count):
+    found = [errors_by_model(table_of_truth("ur5", true, count, seed)) for seed in range(4)]
+    mean = {model: np.mean([one[model] for one in found]) for model in found[0]}
+    assert mean.pop("auto") <= 1.1 * min(mean.values())
