@@ -1,7 +1,8 @@
 """What `auto` chooses, against fixed models: over truths from nothing to everything wrong, and under gravity.
 
-``truths 32``: so many robots of each arm, truth and number of points; the mean error on unseen poses of what `auto`
-predicts, over that of the fixed model whose mean is the least. ``gravity 200``: arms with compliance and masses whose
+``truths 32 12 30``: so many robots of each arm, each truth and each of these numbers of points (else of all); the mean
+error on unseen poses of what `auto` predicts, over that of the fixed model whose mean is the least.
+``gravity 200``: arms with compliance and masses whose
 URDFs have none, against a fit that knows masses, payload and structure; and arms without compliance.
 """
 
@@ -132,10 +133,10 @@ def errors_by_model(table: Table) -> dict[str, float]:
     return found
 
 
-def truths(runs: int) -> Iterator[str]:
+def truths(runs: int, *counts: int) -> Iterator[str]:
     """A line for each truth and number of points."""
     for name, true in TRUTHS.items():
-        for count in COUNTS:
+        for count in counts or COUNTS:
             found = defaultdict(list)
             for arm in ARMS:
                 for seed in range(runs):
@@ -185,7 +186,8 @@ def gravity(runs: int) -> Iterator[str]:
 
 def main() -> None:
     """Either of the two."""
-    for line in {"truths": truths, "gravity": gravity}[sys.argv[1]](int(sys.argv[2])):
+    study = {"truths": truths, "gravity": gravity}[sys.argv[1]]
+    for line in study(*map(int, sys.argv[2:])):
         print(line, flush=True)
 
 
