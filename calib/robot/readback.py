@@ -58,27 +58,16 @@ def spread_poses(robot: Robot, count: int = SPREAD) -> NDArray[np.float64]:
     return spread_between(column_ranges(robot), count)
 
 
-#: A primitive polynomial and odd numbers of each dimension (S. Joe, F. Kuo, 2008): scipy.stats takes a fit to import.
-_SOBOL = (
-    "2 1, 3 1, 7 1 3, 11 1 3 1, 13 1 1 1, 19 1 1 3 3, 25 1 3 5 13, 37 1 1 5 5 17, 41 1 1 5 5 5, "
-    "47 1 1 7 11 19, 55 1 1 5 1 1, 59 1 1 1 3 11, 61 1 3 5 5 31, 67 1 3 3 9 7 49, 91 1 1 1 15 21 21"
-)
-
-
 def spread_between(ranges: Array, count: int) -> Array:
-    """Rows of a Sobol sequence between the bounds ``ranges``, (m, 2), columns beyond 15 random; shape (count, m)."""
-    numbers, bits = np.arange(1, count + 1), count.bit_length()  # 0 is the corner of lower limits
-    points = np.random.default_rng(_SEED).integers(2**bits, size=(len(ranges), count))
-    for row, dimension in zip(points, _SOBOL.split(", "), strict=False):
-        polynomial, *odd = map(int, dimension.split())
-        degree, row[:] = len(odd), 0
-        taps = [j for j in range(1, degree + 1) if polynomial >> degree - j & 1]
-        for k in range(bits):
-            if k >= degree:
-                terms = (odd[k - degree], *(odd[k - j] << j for j in taps))
-                odd.append(int(np.bitwise_xor.reduce(terms)))
-            row ^= ((numbers ^ numbers >> 1) >> k & 1) * (odd[k] << bits - 1 - k)
-    return read_only(ranges[:, 0] + points.T / 2.0**bits * (ranges[:, 1] - ranges[:, 0]))
+    """Rows of an unscrambled Sobol sequence between the bounds ``ranges``, shape (m, 2); shape (count, m)."""
+    from scipy.stats import qmc
+
+    low, high = ranges.T
+    sequence = qmc.Sobol(len(low), scramble=False)
+    sequence.fast_forward(
+        1
+    )  # its first point is the corner where every joint is at its lower limit
+    return read_only(low + sequence.random(count) * (high - low))
 
 
 def _ends_of_columns(robot: Robot, ends_of: Callable[[UrdfJoint], tuple[float, float]]) -> Array:

@@ -4,18 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.stats import qmc
 
 from calib import example
 from calib.data.measurements import Measurements
 from calib.errors import CalibError
-from calib.robot.readback import (
-    column_limits,
-    column_ranges,
-    full_ranges,
-    joint_ranges,
-    spread_between,
-)
+from calib.robot.readback import column_limits, column_ranges, full_ranges, joint_ranges
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from calib.units import Angle, Length
@@ -113,12 +106,3 @@ def test_ranges_of_the_paper_s_rows(ur3):
 def test_ranges_that_cannot_be_are_refused(leg, given, said):
     with pytest.raises(CalibError, match=said):
         joint_ranges(leg, given)
-
-
-@pytest.mark.parametrize("count", [1, 20, 1000])
-def test_the_spread_is_a_sobol_sequence(count):
-    expected = qmc.Sobol(15, scramble=False).fast_forward(1).random(count)
-    found = spread_between(np.tile([0.0, 1.0], (17, 1)), count)
-    np.testing.assert_array_equal(found[:, :15], expected)
-    assert found.shape == (count, 17)
-    assert 0.0 <= found.min() <= found.max() < 1.0
