@@ -263,8 +263,8 @@ _CLEARLY = 0.05
 #: What a unit of an error moves every joint by less than moves nothing [rad, m].
 _NO_MOTION = 1e-6
 
-#: The weights are found anew with the model that they chose, so often.
-_JUDGED = 2
+#: The weights are found anew with the model that they chose, so often; and about so many rows choose it.
+_JUDGED, _CHOSEN_BY = 2, 2000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -294,9 +294,10 @@ def select(task: Task, rows: Rows) -> Selection:
     """Choose geometry and larger model for some rows; `ModelError` for a name in the cell that no model has.
 
     The search begins with the largest model, whose priors shrink what the data do not support to nothing, and goes
-    where the evidence is higher: one family less or more, or another set.
+    where the evidence is higher: one family less or more, or another set. Of many rows some are enough to choose by.
     """
     check_names(task)
+    every, rows = rows, rows.select(rows.evenly(_CHOSEN_BY))
     task = replace(task, lenient=True)
     models = {name: model_of(replace(task, model=name)).names for name in LADDER}
     # Those with something to estimate, once each: hayati without near-parallel axes is dh.
@@ -319,6 +320,8 @@ def select(task: Task, rows: Rows) -> Selection:
         start, judge = best, found
         if alike:
             break
+    if len(rows) < len(every):
+        judge = fit(replace(task, model=best), every, started=judge.setup)
     larger = best if "+" in best else ""
     marks = {geometry: "geometry", larger: "larger"}
     candidates = tuple(replace(c, chosen=marks.get(c.name, "")) for c in tried.values())
