@@ -212,12 +212,9 @@ def one_plain(count: int) -> dict[str, float]:
 ONE = {"pass": one_pass, "fit": one_fit, "calibration": one_calibration, "plain": one_plain}
 
 
-def alone(what: str, count: int, threads: int | None = None) -> dict[str, float]:
-    """One of these in a process of its own, with some threads or as many as there are cores."""
+def alone(what: str, count: int) -> dict[str, float]:
+    """One of these in a process of its own, with one thread."""
     environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
-    environment.pop("OMP_NUM_THREADS", None)
-    if threads is not None:
-        environment["OMP_NUM_THREADS"] = str(threads)
     ran = subprocess.run(
         [sys.executable, __file__, "--one", what, str(count)],
         env=environment,
@@ -229,28 +226,21 @@ def alone(what: str, count: int, threads: int | None = None) -> dict[str, float]
 
 
 def of_passes(count: int, limit: str | None) -> list[str]:
-    """One pass of many rows, by one thread and by all, beside a hand-written one."""
+    """One pass of many rows by one thread, beside a hand-written one."""
+    own = alone("pass", count)["seconds"]
     lines = [
-        f"| one pass over {count:,} rows: residual, 27 columns, normal matrix | 1 thread | {cores()} threads |",
-        "|---|---|---|",
+        f"| one pass over {count:,} rows: residual, 27 columns, normal matrix | 1 thread |",
+        "|---|---|",
+        f"| calib | {1e3 * own:.0f} ms |",
     ]
-    own = [alone("pass", count, threads)["seconds"] for threads in (1, None)]
-    lines.append(f"| calib | {1e3 * own[0]:.0f} ms | {1e3 * own[1]:.0f} ms |")
-    if limit is not None:
-        hand = [by_hand(limit, count, threads) for threads in (1, cores())]
-        lines += [
-            f"| C++ by hand, for this arm and these 27 parameters only | {1e3 * hand[0]:.0f} ms | "
-            f"{1e3 * hand[1]:.0f} ms |",
-            f"| ratio | {own[0] / hand[0]:.1f} | {own[1] / hand[1]:.1f} |",
-        ]
-    return lines
+    return lines + ([f"| C++ by hand | {1e3 * by_hand(limit, count):.0f} ms |"] if limit else [])
 
 
-def by_hand(program: str, count: int, threads: int) -> float:
+def by_hand(program: str, count: int) -> float:
     """The best time that a program prints for a pass [s]."""
     printed = subprocess.run(
         [program, str(count)],
-        env=os.environ | {"OMP_NUM_THREADS": str(threads)},
+        env=os.environ | {"OMP_NUM_THREADS": "1"},
         capture_output=True,
         text=True,
         check=True,
