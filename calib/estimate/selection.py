@@ -33,7 +33,7 @@ from calib.estimate.stages import FEWEST_FREEDOM, PriorTerms, Stage, staged
 from calib.estimate.statistics import CrossValidation, Errors
 from calib.jobs import Progress
 from calib.model.error_model import DIRECTIONS, joint_parameters
-from calib.model.families import joint_families
+from calib.model.families import family_of, joint_families
 from calib.model.kinematics import ErrorModel, Kinematics, joint_displacements
 from calib.model.observability import Observability
 from calib.robot.readback import spread_poses
@@ -263,6 +263,9 @@ _CLEARLY = 0.05
 #: What a unit of an error moves every joint by less than moves nothing [rad, m].
 _NO_MOTION = 1e-6
 
+#: A family whose size vanishes to this share of what is usual is left out at once.
+_NO_SIZE = 1e-2
+
 #: The weights are found anew with the model that they chose, so often; and about so many rows choose it.
 _JUDGED, _CHOSEN_BY = 2, 2000
 
@@ -310,6 +313,10 @@ def select(task: Task, rows: Rows) -> Selection:
     else:
         start = "+".join((geometries[-1], *families))
     judge = fit(replace(task, model=start), rows)
+    base, *has = start.split("+")
+    sizes = judge.estimate.sizes
+    there = [f for f in has if sizes.get(f, np.inf) > _NO_SIZE * family_of(f).prior]
+    start = "+".join((base, *there))
     for _ in range(_JUDGED):
         tried: dict[str, Candidate] = {}
         value = partial(_value, task, rows, judge, tried)
