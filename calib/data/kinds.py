@@ -118,6 +118,11 @@ class Kind:
         return self.position or (self.lengths == 3 and not self.readings)
 
     @property
+    def measures_length(self) -> bool:
+        """Whether a row compares the arm with a unit of length: a socket or a touched plane does not."""
+        return self.position or any(reading.quantity == "length" for reading in self.readings)
+
+    @property
     def free(self) -> bool:
         """Whether the target may be anywhere, and each row says something by itself: poses can be chosen for it."""
         return self.measure is not None and not self.paired

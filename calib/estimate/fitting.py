@@ -168,7 +168,7 @@ def fit(
         started = replace(found, target_unknown=setup.target_unknown)
     model = started.aligned(model)
     kinematics = Kinematics(task.robot, model, started.T_frame_base, started.T_tip_target)
-    problem = Problem.first(kinematics, rows, task.distances)
+    problem = Problem.first(kinematics, rows, task.distances).with_size_held()
     if task.solver == PAPER:
         estimated = _by_the_paper(problem, task, started)
     else:
@@ -336,6 +336,9 @@ def _finish(problem: Problem, stage: Stage, solution: Solution, spread: float = 
     # The estimate itself stays: weights that targets share would be less sharp where they lie to each other.
     told = _shared_by_stops(problem.rows, linear, stage, float(freedom[0]))
     _, covariance = told.posterior(np.sqrt(spread) * stage.noise, priors)
+    if problem.gauge is not None:  # the arm's size is as uncertain as it was
+        growth = problem.gauge.growth
+        covariance = covariance + problem.gauge.variance(priors.precision[0]) * np.outer(growth, growth)
     # Without priors there is nothing to keep a6 small beside the target, and so no trace to remove.
     held = prior.sizes != "off"
     cleaned = ~model.family(FRAME, TARGET) & np.isin(model.units, ("m", "rad")) & held

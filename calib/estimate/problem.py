@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh
 from scipy.linalg.lapack import dpotrf, dtrtri
 
+from calib.estimate.gauge import TOLERANCE, SizeGauge, measures_length, size_gauge
 from calib.estimate.setup import LENGTHS, KnownDistance, Rows
 from calib.estimate.solvers import triangle
 from calib.estimate.statistics import as_of_a_point, deleted_norms
@@ -51,6 +52,7 @@ class Normal:
     yy: Array  # (B, C), y_c^T W y_c
     count: Array  # (B, C), number of scalar measurements, by weight
     known: tuple[Array, Array, float]  # C^T C, C^T z and z^T z
+    held: Array  # (p,), the row of C of a combination that is held at zero by choice, not by measurement; else zeros
 
     def posterior(self, noise: Array, priors: Priors) -> tuple[Array, Array]:
         """Mean (B, p) and covariance (B, p, p) of x, none of what nothing tells, at each instrument's sigma, (B, C)."""
@@ -79,7 +81,8 @@ class Normal:
         """The restricted log likelihood of noise and sizes, but for a constant of the flat parameters, shape (B,).
 
         -1/2 [sum_c N_c log sigma_c^2 - sum_k log own_k + log det M + y^T P y], with the posterior's precision M and
-        ``own``, (B, p), the precision of the parameters that are not flat.
+        ``own``, (B, p), the precision of the parameters that are not flat. A combination that is held is a condition,
+        not an observation: the prior's density of it being zero is divided out.
         """
         scaled, scale = self._scaled(noise, priors)
         values = np.linalg.eigvalsh(scaled)
@@ -92,7 +95,12 @@ class Normal:
         square += np.sum(self.residual_square(x) / np.square(noise), axis=1)
         of_priors = np.sum(np.log(np.where(own > 0.0, own, 1.0)), axis=1)
         of_noise = 2.0 * np.sum(self.count * np.log(noise), axis=1)
-        return np.asarray(-0.5 * (of_noise - of_priors + log_det + square))
+        of_held = np.log1p(np.sum(self.held_variance(own), axis=1))
+        return np.asarray(-0.5 * (of_noise - of_priors + log_det + square - of_held))
+
+    def held_variance(self, own: Array) -> Array:
+        """The prior variance of each term of the combination that is held, over its tolerance squared, shape (B, p)."""
+        return np.where(own > 0.0, self.held**2 / np.where(own > 0.0, own, 1.0), 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,8 +112,9 @@ class Linear:
     used: Mask  # (N, D), which scalars there are
     instruments: NDArray[np.int8]  # (N, D), which noise each has; -1 for none
     smallest: tuple[float, ...]  # Smallest noise believed of each instrument, in units of its sigma
-    C: Array  # (K, p), of the known distances, whitened
+    C: Array  # (K, p), of the known distances and of what is held, whitened
     z: Array  # (K,), what C x should be
+    held: Array  # (p,), see `Normal`
     _made: list[tuple[Array, Normal]] = field(init=False, repr=False, default_factory=list)
 
     def __len__(self) -> int:
@@ -156,7 +165,7 @@ class Linear:
         # [A r] are at hand; what is asked for is [A y] with y = r + A x.
         H, g, rr = both[..., :p, :p], both[..., :p, p], both[..., p, p]
         Hx, known = H @ self.x, (self.C.T @ self.C, self.C.T @ self.z, float(self.z @ self.z))
-        made = Normal(H, g + Hx, rr + (2.0 * g + Hx) @ self.x, count, known)
+        made = Normal(H, g + Hx, rr + (2.0 * g + Hx) @ self.x, count, known, self.held)
         self._made[:] = [(weights.copy(), made), *self._made[: _KEPT - 1]]
         return made
 
@@ -204,7 +213,8 @@ def sizes_by_reml(
     precision = np.broadcast_to(priors.precision, (len(logs), members.shape[1]))
     for _ in range(_ITERATIONS):
         at, high = logs[going], highest[going]
-        some = Normal(data.H[going], data.g[going], data.yy[going], data.count[going], data.known)
+        parts = (values[going] for values in (data.H, data.g, data.yy, data.count))
+        some = Normal(*parts, data.known, data.held)
         score, information = _score(some, members, Priors(precision[going], priors.centre), at)
         score -= spread * at
         pivots = diagonal(information)
@@ -248,6 +258,8 @@ def _score(data: Normal, members: Array, priors: Priors, logs: Array) -> tuple[A
         both = (covariance[:, None] * turned).sum(axis=3)
         square = (m**2 + diagonal(covariance)) @ members.T
         score[:, C:] = square / sizes**2 - members.sum(axis=1)
+        of_held = data.held_variance(own)
+        score[:, C:] += (of_held @ members.T) / (1.0 + of_held.sum(axis=1, keepdims=True))
         information[:, :C, C:] = 2.0 * (both @ members.T) / sizes[:, None] ** 2
         information[:, C:, :C] = information[:, :C, C:].swapaxes(1, 2)
         root = np.sqrt(own)  # 1 / tau, 0 for those of no family
@@ -294,6 +306,7 @@ class Problem:
     centre: Array  # (p,), the priors' means
     distances: tuple[KnownDistance, ...]  # Known distances between frames
     smallest: tuple[float, ...]  # Smallest noise believed of each instrument, in units of its sigma
+    gauge: SizeGauge | None = None  # The size of the arm, where nothing measures a length
     _last: list[Linear] = field(default_factory=list, repr=False)
 
     @classmethod
@@ -307,6 +320,14 @@ class Problem:
         seen = set(rows.samples.frame.tolist())
         distances = tuple(d for d in distances if {d.first, d.second} <= seen)
         return cls(kinematics, rows, scales, ones, nothing, nothing, distances, smallest)
+
+    def with_size_held(self) -> Problem:
+        """The problem with the arm's size held at the nominal one, where nothing measures a length."""
+        if measures_length(self.rows, self.distances):
+            return self
+        linear = self.linear(np.zeros(self.size))
+        residual = linear.residual(linear.x)
+        return replace(self, gauge=size_gauge(self.kinematics, self.rows, linear.A, residual))
 
     @property
     def size(self) -> int:
@@ -337,7 +358,8 @@ class Problem:
             columns[:-1, :width, own] = part.derivative(poses, twists).transpose(2, 1, 0) / scale
             columns[-1][:width, own] = part.residual(poses).T / scale
         r, C = self.constraints(x)
-        made = (columns, rows.used, rows.instruments, self.smallest, C, r + C @ x)
+        held = C[-1] if self.gauge is not None else np.zeros(self.size)
+        made = (columns, rows.used, rows.instruments, self.smallest, C, r + C @ x, held)
         self._last.append(Linear(x.copy(), *made))
         return self._last[0]
 
@@ -346,11 +368,25 @@ class Problem:
         model, rows = self.kinematics.model, self.rows
         counts = rows.used & (self.weights > 0.0)[:, None]
         seen = (self.linear(x).A * rows.scales[:, :1, None])[counts]
+        if self.gauge is not None:  # growth changes what is measured by shares of the residuals, which tell nothing
+            growth = self.gauge.growth
+            seen = seen - np.outer(seen @ growth, growth) / (growth @ growth)
         sigma = np.array([known.sigma for known in self.distances])
-        known = self.constraints(x)[1] * sigma[:, None]
+        known = self._between(x)[1] * sigma[:, None]
         return analyse(np.concatenate([seen, known]), model.names, model.units)
 
     def constraints(self, x: Array) -> tuple[Array, Array]:
+        """What is known besides the rows, minus what is predicted, over its sigma, (K,), and the prediction's derivative.
+
+        The known distances, and last the size of the arm, if it is held; the derivative has the shape (K, p).
+        """
+        r, J = self._between(x)
+        if self.gauge is None:
+            return r, J
+        held = self.gauge.held / TOLERANCE
+        return np.append(r, -held @ x), np.vstack([J, held])
+
+    def _between(self, x: Array) -> tuple[Array, Array]:
         """Known minus predicted distances over their sigma, (K,), and the derivative of the prediction, (K, p).
 
         A point held at the origin of frame f stands at c_f = -R^T t in the base, with T_frame_base = (R, t).

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import stdtr
 
 from calib.estimate.fitting import PAPER, Fitted, fit
+from calib.estimate.gauge import measures_length
 from calib.estimate.problem import Priors, Problem
 from calib.estimate.registration import ENOUGH
 from calib.estimate.selection import only_there
@@ -171,7 +172,7 @@ def _doubts(result: Calibration, fitted: Fitted, rows: Rows) -> Iterator[Reason]
         within = float(repeats.within[0])
         if within < _SCATTER_SHARE * noise and noise >= _ROUNDING_NOISE:
             yield Reason.of(Why.REPEATS_AGREE, within_m=within, noise_m=noise)
-    if not fitted.task.distances and not any(kind.size for kind in rows.present):
+    if not measures_length(rows, fitted.task.distances):
         yield Reason.of(Why.NO_LENGTH)
     else:
         yield from _scaled_lengths(few)
@@ -190,6 +191,7 @@ def thin(fitted: Fitted) -> Fitted:
         scales=problem.scales[some][:, : rows.width],
         precision=problem.precision,
         centre=problem.centre,
+        gauge=problem.gauge,
     )
     scores, weights = estimate.scores[some], estimate.weights[some]
     return replace(fitted, estimate=replace(estimate, problem=few, scores=scores, weights=weights))

@@ -24,6 +24,9 @@ from calib.result.verdict import Verdict
 from calib.robot.robot import Payload, Robot, gravity_loads, read_only
 from calib.units import Array
 
+#: Points that lie nearer to a line than this tell nothing of a turn about it [m].
+_SHORT_LEVER = 1e-2
+
 #: Poses over which expected errors are averaged, and that say what a motion of the base makes up for: more change none.
 _MOST_EXPECTED, _ENOUGH = 1000, 20_000
 
@@ -231,8 +234,8 @@ def best_motion(points: Array, moves: Array) -> Array:
     columns[:, :, :3] = np.eye(3)
     columns[:, :, 3:] = np.cross(np.eye(3), (points - middle)[:, None, :]).transpose(0, 2, 1)
     flat = moves.reshape(-1, moves.shape[2])
-    # Points on a line tell nothing of a turn about it: the shortest solution has none.
-    motion = np.linalg.lstsq(columns.reshape(-1, 6), flat, rcond=1e-9)[0]
+    # Two sockets tell nothing of a turn about the line through them: the shortest solution has none.
+    motion = np.linalg.lstsq(columns.reshape(-1, 6), flat, rcond=_SHORT_LEVER)[0]
     motion[:3] -= np.cross(motion[3:], middle, axisa=0).T
     return np.asarray(motion)
 

@@ -42,7 +42,7 @@ class Why(Enum):
     POSES_INVERSE, COLUMNS_REVERSED, ROWS_SHIFTED, OTHER_TIP = range(80, 84)
     JOINT_CONSTANT, SCALAR_ELSEWHERE, ORIENTATIONS_INVERSE = range(84, 87)
     # No arm has such errors
-    PARAMETER_ABSURD, NOISE_ABSURD, ORIENTATION_ABSURD, SIZE_LOST = range(10, 14)
+    PARAMETER_ABSURD, NOISE_ABSURD, ORIENTATION_ABSURD = range(10, 13)
     # It is no better
     NOTHING_TO_GAIN, STILL_FAR_OFF, TOO_FEW, NO_BETTER, VALIDATION_NO_BETTER = range(20, 25)
     WORSE_WITH_OUTLIERS, UNKNOWN_ELSEWHERE = range(25, 27)
@@ -173,6 +173,7 @@ _REMAINING = (
     Why.CORNER,
     Why.JOINT_PATTERN,
     Why.REPEATS_AGREE,
+    Why.NO_LENGTH,
 )
 
 
@@ -253,9 +254,7 @@ def _absurd(e: Evidence) -> list[Reason]:
     before, after = e.nominal.errors_without_outliers, e.calibrated.errors_without_outliers
     turned = bool(after.n_angle) and after.rms_angle > _ABSURD_ANGLE
     far = before.rms > _ABSURD and e.largest > _TOO_FAR
-    sizeless = any(doubt.why == Why.NO_LENGTH for doubt in e.doubts) and e.largest > _TOO_FAR
     return ([e.hint] if e.hint else []) + _those(
-        (sizeless, Reason.of(Why.SIZE_LOST, largest=e.largest)),
         (far, Reason.of(Why.PARAMETER_ABSURD, before=before, largest=e.largest)),
         (e.noise > _ABSURD, Reason.of(Why.NOISE_ABSURD, noise_m=e.noise)),
         (turned, Reason.of(Why.ORIENTATION_ABSURD, after=after)),

@@ -54,9 +54,6 @@ SENTENCES = {
     f"explains: {_RIGHT}, the measurements in the base frame (otherwise: --frame estimate)?",
     Why.ORIENTATION_ABSURD: "On unseen rows the calibrated robot's orientations are {after_rad:deg.0f} deg rms off: "
     "are they inverse, is the quaternion's scalar in the column qw, are rx, ry, rz a rotation vector?",
-    Why.SIZE_LOST: "Nothing that was measured is a length, and the fit has changed the size of the arm: a parameter "
-    "has moved by {largest:mm.0f} mm or mrad. Measure a distance between two sockets, and give it in the cell file "
-    "([[distances]]).",
     Why.NOTHING_TO_GAIN: "Nothing to gain: the robot as it is meets these rows to {before} on unseen rows, which is "
     "about their noise. Keep its URDF.",
     Why.STILL_FAR_OFF: "On unseen rows ({method}) the calibrated robot is {after_m:mm.0f} mm rms off.",
@@ -84,7 +81,7 @@ SENTENCES = {
     "with the others. " + _CHANGED,
     Why.REPEATS_AGREE: "Repeats of a pose scatter by {within_m:mm.3f} mm a coordinate, the model leaves "
     "{noise_m:mm.3f} mm: these are errors that the model lacks.",
-    Why.NO_LENGTH: "Nothing that was measured is a length, so the size of the arm is the nominal one's: measure a "
+    Why.NO_LENGTH: "Nothing that was measured is a length, so the size of the arm is kept as it was: to find it, measure a "
     "distance between two sockets, and give it in the cell file ([[distances]]).",
     Why.PARAMETER_FAR: "A parameter has moved by {largest:mm.0f} mm or mrad, which is no error of an arm. Keep the "
     "priors on, or choose a smaller model.",

@@ -32,26 +32,27 @@ def instruments_of(A, count):
     return result
 
 
-def normal_of(A, y, weights, instruments, known=None):
-    """The normal equations, as the linearised problem at 0 makes them."""
+def normal_of(A, y, weights, instruments, known=None, held=None):
+    """The normal equations, as the linearised problem at 0 makes them; held: a row of C that is a condition."""
     columns = np.concatenate([A, y[:, :, None]], axis=2).transpose(2, 1, 0).copy()
     p, count = A.shape[2], int(instruments.max()) + 1
     C, z = (np.zeros((0, p)), np.zeros(0)) if known is None else known
     x, used = np.zeros(p), instruments >= 0
-    linear = Linear(x, columns, used, instruments, (0.0,) * count, C, z)
+    held = np.zeros(p) if held is None else held
+    linear = Linear(x, columns, used, instruments, (0.0,) * count, C, z, held)
     return linear.data(weights[None])
 
 
-def linearised(A, y, count=1, weights=None, known=None):
+def linearised(A, y, count=1, weights=None, known=None, held=None):
     weights = np.ones(len(A)) if weights is None else weights
-    return normal_of(A, y, weights, instruments_of(A, count), known)
+    return normal_of(A, y, weights, instruments_of(A, count), known, held)
 
 
 def several(found):
     """Problems one after the other as one of several."""
     names = ("H", "g", "yy", "count")
     parts = (np.concatenate([getattr(one, name) for one in found]) for name in names)
-    return Normal(*parts, found[0].known)
+    return Normal(*parts, found[0].known, found[0].held)
 
 
 def reml(data, noise, sizes=(0.01, 0.01), smallest=1e-6, families=FAMILIES, **further):
@@ -128,6 +129,22 @@ def test_log_likelihood_against_the_dense_restricted_likelihood(count, more):
     np.testing.assert_allclose(np.diff(mine), np.diff(dense), rtol=1e-9)
 
 
+def test_what_is_held_is_a_condition_and_no_observation():
+    """The likelihood of y given h x = 0: that of y and h x, over that of h x alone, whose variance the sizes are."""
+    rng = np.random.default_rng(1)
+    A, y = data_of(rng, 10, 0.05, (0.3, 0.1))
+    held = np.where(FAMILIES[0], rng.normal(size=P), 0.0) / 1e-3
+    C, z = held[None], np.zeros(1)
+    data = linearised(A, y, known=(C, z), held=held)
+    mine, dense = [], []
+    for noise, sizes in product([(0.05,), (0.2,)], [(0.3, 0.1), (0.01, 2.0)]):
+        of_held = 1.0 + np.sum(held**2) * sizes[0] ** 2
+        both = restricted_log_likelihood(noise, sizes, A, y, C=C, z=z)
+        mine.append(at(data, FLAT, noise, sizes))
+        dense.append(both + 0.5 * np.log(of_held))
+    np.testing.assert_allclose(np.diff(mine), np.diff(dense), rtol=1e-8)
+
+
 @pytest.mark.parametrize("count", [1, 2])
 @pytest.mark.parametrize("more", [False, True])
 def test_score_and_information_against_the_likelihood(count, more):
@@ -138,7 +155,8 @@ def test_score_and_information_against_the_likelihood(count, more):
     if more:
         held, centre, C, z = further_knowledge(rng)
         known, constraints = Priors(held, centre), (C, z)
-    data = linearised(A, y, count, known=constraints)
+    row = constraints[0][1] if more else None
+    data = linearised(A, y, count, known=constraints, held=row)
     logs = np.log(np.array([*(0.07, 0.3)[:count], 0.2, 0.15]))
     score, information = (f[0] for f in _score(data, MEMBERS, known, logs[None]))
 

@@ -1,0 +1,130 @@
+"""The size of the arm where nothing measures a length: a gauge, which the fit holds at the nominal size.
+
+A ball in a socket, a plane that is touched, two hands that meet: such rows say where the target does not move, in no
+unit. If all lengths of the arm grow by a share s, the same joint values meet the same sockets, further apart; and the
+residuals, which are lengths, grow by s too. Least squares would shrink the arm to a point, where all errors are zero.
+So the fit holds
+
+    g(x) = sum_k l_k x_k / sum_k l_k^2 = 0
+
+over the robot's parameters x_k in metres, where l_k is what parameter k changes by when the arm grows by its own size
+(of DH rows: a_k and d_k themselves). g is the relative change of the root of the sum of squared lengths, to first order.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.estimate.setup import KnownDistance, Rows
+from calib.estimate.statistics import rms
+from calib.model.kinematics import FRAME, TARGET, Kinematics
+from calib.robot.readback import spread_poses
+from calib.robot.robot import read_only
+from calib.units import Array, Mask
+
+#: Poses over which the growth of an arm is found; a tip is moved by a combination of lengths at any of them.
+_POSES = 60
+
+#: The parameters can let an arm grow where they reproduce the growth of the tip's position but for this share of it.
+_CAN_GROW = 0.01
+
+#: Growth changes nothing that is measured where predictions change by no more than so many residuals, or by no more than
+#: this share of the growth itself, which is below what calibration needs.
+_RESIDUALS = 3.0
+_NEGLIGIBLE = 1e-3
+
+#: The relative change of size that is allowed beside zero, as a standard deviation: far below any instrument's.
+TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SizeGauge:
+    """The direction in which an arm grows, unseen by any row, and the combination of parameters that is held."""
+
+    growth: Array  #: shape (p,), the change of x when arm, frames and targets grow by their own size, 1
+    held: Array  #: shape (p,), the gradient of g: g(x) = held @ x, and held @ growth = 1
+
+    def variance(self, precision: Array) -> float:
+        """The variance of g before any measurement, from the priors' precision (p,) of independent parameters."""
+        used = (self.held != 0.0) & (precision > 0.0)
+        return float(np.sum(self.held[used] ** 2 / precision[used]))
+
+
+def measures_length(rows: Rows, distances: tuple[KnownDistance, ...]) -> bool:
+    """Whether any row, or a known distance between two frames, compares the arm with a unit of length."""
+    return bool(distances) or any(kind.measures_length for kind in rows.present)
+
+
+def size_gauge(
+    kinematics: Kinematics,
+    rows: Rows,
+    derivative: Array,
+    residual: Array,
+) -> SizeGauge | None:
+    """Find the growth that rows without a measured length cannot see.
+
+    Args:
+        kinematics: The robot under its error model, frames and targets as registered.
+        rows: N rows, none of which measures a length.
+        derivative: shape (N, D, p), of the predicted scalars by x, at x = 0, in units of each scalar's sigma.
+        residual: shape (N, D), measured minus predicted at x = 0, in the same units.
+
+    Returns:
+        The gauge; None where the parameters cannot let the arm grow, or where a known target or frame tells its size.
+    """
+    model = kinematics.model
+    lengths = ~model.family(FRAME, TARGET) & (np.array(model.units) == "m")
+    chain_growth, reach = _growth_of_chain(kinematics, lengths)
+    if chain_growth is None:
+        return None
+    growth = np.zeros(len(model))
+    growth[lengths] = chain_growth
+    used = rows.used
+    placed = model.family(FRAME, TARGET)
+    change = (derivative @ growth)[used]
+    growth[placed] = -np.linalg.lstsq(derivative[used][:, placed], change, rcond=1e-9)[0]
+    seen = rms((derivative @ growth)[used])
+    unseen = _RESIDUALS * rms(residual[used]) + _NEGLIGIBLE * reach / rms(rows.scales[used])
+    if seen > unseen:
+        return None
+    held = np.where(lengths, growth, 0.0) / np.sum(growth[lengths] ** 2)
+    return SizeGauge(read_only(growth), read_only(held))
+
+
+def _growth_of_chain(kinematics: Kinematics, lengths: Mask) -> tuple[Array | None, float]:
+    """Solve for the robot's parameters that let the chain grow by its own size: p_tip(q) grows by p_tip(q).
+
+    Where the base starts and how far the tip lies from the last joint is left to frame and target.
+
+    Returns:
+        The change of each of the K parameters in metres, shape (K,), None where they cannot let it grow; and how far
+        the tip is from its mean, rms [m].
+    """
+    q = spread_poses(kinematics.robot, _POSES)
+    tips = kinematics.robot.poses(q)
+    position = tips[:, :3, 3]
+    reach = rms(np.linalg.norm(position - position.mean(axis=0), axis=1))
+    anywhere = np.broadcast_to(np.eye(3), (len(tips), 3, 3))
+    ends = np.concatenate([anywhere, tips[:, :3, :3]], axis=2).reshape(-1, 6)
+    lengths_between = np.column_stack([position.ravel(), _tip_motion(kinematics, lengths, q).reshape(len(ends), -1)])
+    lengths_between -= ends @ np.linalg.lstsq(ends, lengths_between, rcond=None)[0]
+    wanted, columns = lengths_between[:, 0], lengths_between[:, 1:]
+    solution = np.linalg.lstsq(columns, wanted, rcond=1e-9)[0]
+    missed = (wanted - columns @ solution).reshape(-1, 3)
+    if rms(np.linalg.norm(missed, axis=1)) > _CAN_GROW * reach:
+        return None, reach
+    return solution, reach
+
+
+def _tip_motion(kinematics: Kinematics, lengths: Mask, q: Array) -> Array:
+    """Differentiate the tip's position in the base, at q (N, m), by the K parameters in metres, shape (N, 3, K)."""
+    model = kinematics.model
+    others = [name for name, is_length in zip(model.names, lengths, strict=True) if not is_length]
+    origins = [
+        np.broadcast_to(np.eye(4), stack.shape)
+        for stack in (kinematics.T_frame_base, kinematics.T_tip_target)
+    ]
+    chain = Kinematics(kinematics.robot, model.without(others), *origins)
+    return chain.twists(np.zeros(len(chain.model)), q, rotation=False)[1]
