@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from calib.calibration import Calibration, calibrate
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.result.verdict import USE
+from calib.diagnosis.reasons import USE
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import Robot
 from calib.simulation.truth import draw_truth

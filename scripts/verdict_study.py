@@ -20,10 +20,10 @@ from selection_study import ARMS, TRUTHS, without_masses
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
+from calib.diagnosis.reasons import CARE, NO, USE, Verdict
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
 from calib.result.evaluation import evaluate
-from calib.result.verdict import CARE, NO, USE, Verdict
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import Payload, Robot
 from calib.simulation.truth import Truth, draw_truth

@@ -172,15 +172,16 @@ class Scene:
 
     def reach(self, count: int, frame: int, target: int, axes: list[int]) -> np.ndarray:
         """Joint values that bring some coordinates of the target to 0, noise aside: Newton from random poses."""
-        found = np.zeros((0, len(self.robot.joint_names)))
+        joints = len(self.robot.joint_names)
+        found = np.zeros((0, joints))
         for _ in range(30):
             q = random_joint_values(self.robot, 2 * count, int(self.rng.integers(2**31)))
             goal = self._noise(len(q), len(axes))
             for _ in range(30):
                 # All differences in one call.
-                steps = np.vstack([np.zeros(6), 1e-7 * np.eye(6)])
-                at = self._at((q + steps[:, None]).reshape(-1, 6), frame, target)
-                here, *moved = at[:, axes].reshape(7, len(q), len(axes))
+                steps = np.vstack([np.zeros(joints), 1e-7 * np.eye(joints)])
+                at = self._at((q + steps[:, None]).reshape(-1, joints), frame, target)
+                here, *moved = at[:, axes].reshape(joints + 1, len(q), len(axes))
                 J = np.stack([(there - here) / 1e-7 for there in moved], axis=2)
                 step = np.einsum("nij,nj->ni", np.linalg.pinv(J, rcond=1e-3), here - goal)
                 q = q - np.clip(step, -0.5, 0.5)

@@ -343,6 +343,9 @@ class Cell:
     frame_directions: tuple[str, ...] = DIRECTIONS
     #: Standard deviation of one measured angle [rad]; None: found from the data.
     sigma_angle: float | None = None
+    #: Whether the instrument's scale was certified or checked against a known length; else lengths of the arm may
+    #: hide an error of it.
+    scale_certified: bool = False
     kind: str | None = None  #: Kind of all measurements; None: as the table says.
     #: Parameters that follow others, ``x_name = factor * x_other``: for each name the other's and the factor.
     ties: Mapping[str, tuple[str, float]] = field(default_factory=_none)

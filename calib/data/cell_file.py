@@ -255,6 +255,7 @@ FIELDS: dict[str, Field] = {
     "frame_rpy_deg": Field("rotation", _RPY),
     "sigma_mm": Field("sigma", MM),
     "sigma_angle_deg": Field("sigma_angle", DEGREES),
+    "scale_certified": Field("scale_certified", _of_type(bool, "true or false")),
     "priors": Field("sizes", TEXT),
     "gravity_m_per_s2": Field("gravity", NUMBERS),
     "targets_mm": Field("targets", _named("targets_mm", POINT)),

@@ -338,7 +338,9 @@ def _finish(problem: Problem, stage: Stage, solution: Solution, spread: float = 
     _, covariance = told.posterior(np.sqrt(spread) * stage.noise, priors)
     if problem.gauge is not None:  # the arm's size is as uncertain as it was
         growth = problem.gauge.growth
-        covariance = covariance + problem.gauge.variance(priors.precision[0]) * np.outer(growth, growth)
+        covariance = covariance + problem.gauge.variance(priors.precision[0]) * np.outer(
+            growth, growth
+        )
     # Without priors there is nothing to keep a6 small beside the target, and so no trace to remove.
     held = prior.sizes != "off"
     cleaned = ~model.family(FRAME, TARGET) & np.isin(model.units, ("m", "rad")) & held

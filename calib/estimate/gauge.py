@@ -43,7 +43,9 @@ TOLERANCE = 1e-6
 class SizeGauge:
     """The direction in which an arm grows, unseen by any row, and the combination of parameters that is held."""
 
-    growth: Array  #: shape (p,), the change of x when arm, frames and targets grow by their own size, 1
+    growth: (
+        Array  #: shape (p,), the change of x when arm, frames and targets grow by their own size, 1
+    )
     held: Array  #: shape (p,), the gradient of g: g(x) = held @ x, and held @ growth = 1
 
     def variance(self, precision: Array) -> float:
@@ -108,14 +110,16 @@ def _growth_of_chain(kinematics: Kinematics, lengths: Mask) -> tuple[Array | Non
     reach = rms(np.linalg.norm(position - position.mean(axis=0), axis=1))
     anywhere = np.broadcast_to(np.eye(3), (len(tips), 3, 3))
     ends = np.concatenate([anywhere, tips[:, :3, :3]], axis=2).reshape(-1, 6)
-    lengths_between = np.column_stack([position.ravel(), _tip_motion(kinematics, lengths, q).reshape(len(ends), -1)])
+    lengths_between = np.column_stack(
+        [position.ravel(), _tip_motion(kinematics, lengths, q).reshape(len(ends), -1)]
+    )
     lengths_between -= ends @ np.linalg.lstsq(ends, lengths_between, rcond=None)[0]
     wanted, columns = lengths_between[:, 0], lengths_between[:, 1:]
     solution = np.linalg.lstsq(columns, wanted, rcond=1e-9)[0]
     missed = (wanted - columns @ solution).reshape(-1, 3)
     if rms(np.linalg.norm(missed, axis=1)) > _CAN_GROW * reach:
         return None, reach
-    return solution, reach
+    return np.asarray(solution), reach
 
 
 def _tip_motion(kinematics: Kinematics, lengths: Mask, q: Array) -> Array:

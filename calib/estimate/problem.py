@@ -213,8 +213,8 @@ def sizes_by_reml(
     precision = np.broadcast_to(priors.precision, (len(logs), members.shape[1]))
     for _ in range(_ITERATIONS):
         at, high = logs[going], highest[going]
-        parts = (values[going] for values in (data.H, data.g, data.yy, data.count))
-        some = Normal(*parts, data.known, data.held)
+        H, g, yy, count = (values[going] for values in (data.H, data.g, data.yy, data.count))
+        some = Normal(H, g, yy, count, data.known, data.held)
         score, information = _score(some, members, Priors(precision[going], priors.centre), at)
         score -= spread * at
         pivots = diagonal(information)
@@ -368,7 +368,9 @@ class Problem:
         model, rows = self.kinematics.model, self.rows
         counts = rows.used & (self.weights > 0.0)[:, None]
         seen = (self.linear(x).A * rows.scales[:, :1, None])[counts]
-        if self.gauge is not None:  # growth changes what is measured by shares of the residuals, which tell nothing
+        if (
+            self.gauge is not None
+        ):  # growth changes what is measured by shares of the residuals, which tell nothing
             growth = self.gauge.growth
             seen = seen - np.outer(seen @ growth, growth) / (growth @ growth)
         sigma = np.array([known.sigma for known in self.distances])

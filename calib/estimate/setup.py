@@ -449,8 +449,10 @@ def known_distances(cell: Cell, setup: Setup) -> tuple[KnownDistance, ...]:
 
 def joined_setups(rows: Rows, distances: Sequence[KnownDistance]) -> Integers:
     """The set-up of each row, those with a known distance between them taken for one, shape (N,)."""
-    frames = np.arange(int(rows.samples.frame.max()) + 1)
-    return _joined(frames, [(d.first, d.second) for d in distances])[rows.samples.frame]
+    pairs = [(d.first, d.second) for d in distances]
+    # A distance may be to a frame that these rows do not see.
+    last = max(int(rows.samples.frame.max()), *(max(pair) for pair in pairs), 0)
+    return _joined(np.arange(last + 1), pairs)[rows.samples.frame]
 
 
 def _numbers(words: Sequence[str], names: Sequence[str]) -> Integers:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 import calib.text.summary as texts
 from calib.data.kinds import get as kind_named
+from calib.diagnosis.reasons import Why
 from calib.errors import FileError
 from calib.estimate.statistics import interval_factor
 from calib.files import write_atomically
@@ -27,7 +28,6 @@ from calib.model.dh import DHRow, dh_table
 from calib.report.figure_base import angles_of, lengths_of
 from calib.result.calibration import Calibration
 from calib.result.calibration_file import versions
-from calib.result.verdict import Why
 from calib.robot.robot import rigid_inverse
 from calib.text.lines import deg, mm, number
 from calib.text.verdict import outside_text, reason_text, robustness_text

@@ -21,6 +21,9 @@ from scipy.special import betaincinv
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
+from calib.diagnosis.coverage import OutsideRow
+from calib.diagnosis.reasons import Reason
+from calib.diagnosis.usual_mistakes import better_setup
 from calib.errors import CalibError, MeasurementError, choices
 from calib.result.calibration import Calibration
 from calib.result.evaluation import (
@@ -33,8 +36,6 @@ from calib.result.evaluation import (
     moved,
     registering,
 )
-from calib.result.support import OutsideRow, better_setup
-from calib.result.verdict import Reason
 from calib.robot.robot import Robot
 from calib.units import Mask, split_header
 

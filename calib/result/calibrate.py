@@ -16,12 +16,17 @@ from numpy.typing import NDArray
 
 from calib.data.cell import AUTO, Cell
 from calib.data.measurements import Measurements
+from calib.diagnosis.coverage import outside
+from calib.diagnosis.reasons import NO, Reason, Verdict
+from calib.diagnosis.usual_mistakes import better_setup
+from calib.diagnosis.verdict import verdict
 from calib.estimate.fitting import Fitted, Task, fit
 from calib.estimate.registration import nominal_setup, register_unseen
 from calib.estimate.selection import (
     Candidate,
     check_names,
     cross_validation,
+    extrapolation,
     judged_by,
     nominal_cross_validation,
     select,
@@ -35,7 +40,8 @@ from calib.model.error_model import OWN, split_name
 from calib.model.kinematics import Parameter, Samples
 from calib.model.observability import Observability
 from calib.result.calibration import Calibration, Fit, RowNames, Source
-from calib.result.evidence import doubts_of, evidence_of
+from calib.result.doubts import doubts_of
+from calib.result.evidence import evidence_of
 from calib.result.prediction import (
     Larger,
     Outlier,
@@ -44,8 +50,7 @@ from calib.result.prediction import (
     parameter_estimates,
     tells_place,
 )
-from calib.result.support import better_setup, compare_weights, outside
-from calib.result.verdict import NO, Reason, Verdict, verdict
+from calib.result.robustness import compare_weights
 from calib.robot.kernel import one_blas_thread
 from calib.robot.readback import spread_poses
 from calib.robot.robot import Robot, gravity_loads, read_only
@@ -236,6 +241,7 @@ def _solved(fitted: Fitted) -> tuple[dict[str, Any], Observability]:
         "base_motion": motion,
         "cross_validation": None,
     }
+    solved["extrapolation"] = extrapolation(fitted)
     zero = Solved(**solved, expected_measured=0.0, expected_everywhere=0.0)
     solved["expected_measured"] = zero.expected_error(samples)
     solved["expected_everywhere"] = zero.expected_error(Samples.at(q, load))

@@ -15,6 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.data.table import SETS
+from calib.diagnosis.coverage import OutsideRow, outside
+from calib.diagnosis.reasons import Verdict
 from calib.errors import ModelError, choices
 from calib.estimate.fitting import Fitted
 from calib.estimate.selection import Candidate
@@ -24,8 +26,7 @@ from calib.estimate.statistics import CrossValidation, Errors, Repeats
 from calib.model.kinematics import TARGET, Samples
 from calib.model.observability import Observability
 from calib.result.prediction import Larger, Outlier, ParameterEstimate, Solved, tells_place
-from calib.result.support import OutsideRow, Robustness, outside
-from calib.result.verdict import Verdict
+from calib.result.robustness import Robustness
 from calib.robot.robot import Payload, Robot, rigid_inverse
 from calib.units import Array, Mask
 

@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from calib.diagnosis.coverage import OutsideRow
+from calib.diagnosis.reasons import Reason
 from calib.errors import CalibError, FileError
 from calib.estimate.selection import Candidate
 from calib.estimate.statistics import CrossValidation, Errors, Repeats
@@ -34,15 +36,14 @@ from calib.model.kinematics import ErrorModel, Kinematics, Parameter
 from calib.model.observability import Observability
 from calib.result.calibration import Calibration, Source
 from calib.result.prediction import Larger, Outlier, Solved
-from calib.result.support import OutsideRow, Robustness
-from calib.result.verdict import Reason
+from calib.result.robustness import Robustness
 from calib.robot.robot import Payload, Robot, read_only
 from calib.robot.urdf import Urdf
 from calib.units import Array
 from calib.version import __version__
 
 #: The layout of a result.
-SCHEMA = 4
+SCHEMA = 5
 
 
 def _ranges(found: Any) -> Array:  # noqa: ANN401
@@ -115,6 +116,7 @@ _LAYOUT: JsonLayout = JsonLayout(
             "sizes": _SIZES,
             "expected_measured": "expected.measured_rms_m",
             "expected_everywhere": "expected.everywhere_rms_m",
+            "extrapolation": "expected.extrapolation",
         },
         Larger: {"gravity": "gravity_m_s2"},
         Calibration: {

@@ -33,13 +33,13 @@ from scipy import stats
 from scipy.linalg import block_diag, eigh
 from scipy.spatial.transform import Rotation
 
+from calib.diagnosis.reasons import NO
 from calib.errors import ModelError
 from calib.model.error_model import DIRECTIONS
 from calib.model.kinematics import FRAME, TARGET, Kinematics
 from calib.model.observability import steps
 from calib.result.calibration import Calibration
 from calib.result.calibration_file import read_result
-from calib.result.verdict import NO
 from calib.robot.readback import spread_between, spread_poses
 from calib.robot.robot import Robot
 from calib.units import Array

@@ -25,6 +25,7 @@ from scipy.spatial import KDTree
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.data.table import DEFAULT_TARGET
+from calib.diagnosis.reasons import Reason, Why
 from calib.errors import CalibError, MeasurementError, ModelError, choices
 from calib.estimate.registration import nominal_setup, register_unseen
 from calib.estimate.setup import Setup, rows_of
@@ -33,7 +34,6 @@ from calib.model.error_model import DIRECTIONS
 from calib.model.kinematics import Samples
 from calib.result.calibration import Calibration
 from calib.result.prediction import Larger
-from calib.result.verdict import Reason, Why
 from calib.robot.kernel import one_blas_thread
 from calib.robot.robot import Robot, read_only
 from calib.units import Array, Mask

@@ -15,12 +15,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import calib.data.kinds as registry
+from calib.diagnosis.reasons import Verdict
 from calib.estimate.fitting import Fitted
 from calib.estimate.setup import Setup
 from calib.estimate.statistics import CrossValidation, interval_factor, rms
 from calib.model.kinematics import FRAME, TARGET, ErrorModel, Kinematics, Samples
 from calib.model.observability import Observability
-from calib.result.verdict import Verdict
 from calib.robot.robot import Payload, Robot, gravity_loads, read_only
 from calib.units import Array
 
@@ -79,19 +79,32 @@ class Solved:
     #: nothing of errors that the model lacks
     expected_measured: float
     expected_everywhere: float  #: The same over joint values spread over the limits [m]
+    #: How many times as large as by the covariance the squared errors are where it is extrapolated; 1 or more
+    extrapolation: float
+
+    @property
+    def expected_elsewhere(self) -> float:
+        """Standard deviation of the predicted point over the joint limits, rms [m], what the model lacks counted too.
+
+        Errors that the model lacks do not average out over rows: beyond the measured poses the variance that the
+        covariance adds is ``extrapolation`` times as large.
+        """
+        here, everywhere = self.expected_measured**2, self.expected_everywhere**2
+        beyond = everywhere - here
+        return float(np.sqrt(here + beyond * (self.extrapolation if beyond > 0.0 else 1.0)))
 
     @property
     def new_point(self) -> tuple[float, float]:
         """The error to expect of a new point, rms [m]: at poses like those measured, and over the joint limits.
 
-        The first is that of left-out rows, outliers aside, and knows what the model lacks; to get the second the
+        The first is that of held-out rows, outliers aside, and knows what the model lacks; to get the second the
         variances of the prediction change. By the covariance alone without cross-validation, or without lengths.
         """
-        here, everywhere = self.expected_measured, self.expected_everywhere
-        left_out = self.cross_validation and self.cross_validation.errors_without_outliers
-        if not left_out or not left_out.n:
+        here, everywhere = self.expected_measured, self.expected_elsewhere
+        held_out = self.cross_validation and self.cross_validation.errors_without_outliers
+        if not held_out or not held_out.n:
             return here, everywhere
-        return left_out.rms, float(np.sqrt(max(left_out.rms**2 - here**2, 0.0) + everywhere**2))
+        return held_out.rms, float(np.sqrt(max(held_out.rms**2 - here**2, 0.0) + everywhere**2))
 
     @property
     def model(self) -> ErrorModel:

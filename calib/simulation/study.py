@@ -18,6 +18,7 @@ from calib.data.cell import Cell, Tracker
 from calib.design.candidates import draw, planning_ranges
 from calib.design.forecast import Forecast, Sensitivity, Workspace
 from calib.design.optimal import PlanRequest, choose_poses
+from calib.diagnosis.reasons import NO
 from calib.errors import CalibError, ModelError
 from calib.estimate.fitting import Fitted
 from calib.estimate.statistics import rms
@@ -25,7 +26,6 @@ from calib.jobs import Progress, batch_size, run
 from calib.model.kinematics import Samples
 from calib.result.calibrate import calibrate, fit_table
 from calib.result.prediction import without_rigid_motion
-from calib.result.verdict import NO
 from calib.robot.robot import gravity_loads, rigid_inverse
 from calib.simulation.scenario import DEFAULT_TRACKER, Scenario, Simulated
 from calib.simulation.truth import Truth

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import string
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from calib.result.support import OutsideRow, Robustness
-from calib.result.verdict import Reason, Why
+from calib.diagnosis.coverage import OutsideRow
+from calib.diagnosis.reasons import Reason, Why
+from calib.result.robustness import Robustness
 
 #: Rows that a sentence names one by one.
 _NAMED = 3
@@ -19,6 +20,7 @@ _TURNED = "The nominal robot's orientations are {given_rad:deg.0f} deg rms off, 
 _ANEW = "The rms is {given_m:mm.3g} mm with frame and target of the result, and only {error_m:mm.3g} mm if the "
 _NOT_NOISE = "What the model leaves over is not noise: "
 _SHARE = "explains {share:%.0f} % of it (chance: {chance:%.0f} %, {chance_p})"
+_FALLS = "Taken out, it lowers the error of held-out blocks of rows by {falls:%.0f} %."
 _CHANGED = "Did the arm, its tool or the instrument change in between?"
 _RIGHT = "are base and tip, the joint columns and their signs right"
 
@@ -54,6 +56,9 @@ SENTENCES = {
     f"explains: {_RIGHT}, the measurements in the base frame (otherwise: --frame estimate)?",
     Why.ORIENTATION_ABSURD: "On unseen rows the calibrated robot's orientations are {after_rad:deg.0f} deg rms off: "
     "are they inverse, is the quaternion's scalar in the column qw, are rx, ry, rz a rotation vector?",
+    Why.NO_URDF_HOLDS: "No URDF can hold these errors: corrected, the robot is {after} off on unseen rows ({method}), as it "
+    "was {before}; the non-geometric model '{model}' leaves {less}. Keep the URDF, and send compensated commands (calib "
+    "compensate with the result file).",
     Why.NOTHING_TO_GAIN: "Nothing to gain: the robot as it is meets these rows to {before} on unseen rows, which is "
     "about their noise. Keep its URDF.",
     Why.STILL_FAR_OFF: "On unseen rows ({method}) the calibrated robot is {after_m:mm.0f} mm rms off.",
@@ -62,6 +67,19 @@ SENTENCES = {
     Why.NO_BETTER: "On unseen rows ({method}) the calibrated robot is no better than the nominal one, frame and "
     "target fitted for both: {after} against {before}.",
     Why.VALIDATION_NO_BETTER: "On the {rows} validation rows the error does not fall: {change}.",
+    Why.TARGET_FAR: "The target{named} is {far_m:mm.0f} mm from where it was given: check the sign and the order of the "
+    "numbers, and the tip.",
+    Why.BASE_MOVED: "The base does not stand where the measurement frame puts it: it is off by {moved_m:mm.1f} mm and "
+    "{turned_rad:deg.2f} deg, which moves the points by {effect_m:mm.1f} mm rms, all other corrections of the arm by "
+    "{arm_m:mm.1f} mm. If the measurements are not in the frame of the base to that, add --frame estimate.",
+    Why.MUCH_REMAINS: "Much remains: on unseen rows {remains:%.0f} % of the error, noise aside ({change}).{better}",
+    Why.VALIDATION_SMALL_GAIN: "On the {rows} validation rows{rows_aside} the error falls by next to nothing: {change}.",
+    Why.JOINTS_LAG: _NOT_NOISE
+    + "it follows the last move of the joints, which "
+    + _SHARE
+    + ": they miss about "
+    "{of_move:%.2f} % of it, '{joint}' most. Take the measurements at standstill, and the joint values with them; "
+    "approach poses from one side if gears have play.",
     Why.MAY_BE_CHANCE: "The gain on unseen rows is within chance: {gain:.1f} standard errors.",
     Why.FEW_NUMBERS: "{measured} with {numbers} numbers for {parameters} parameters are few: the result leans on the "
     "priors. Measure more poses.",
@@ -69,12 +87,12 @@ SENTENCES = {
     "is. Is it the right URDF?",
     Why.JOINTS_STILL: "Hardly moved over these rows: {joints}. The result holds near these positions only; measure "
     "poses that move every joint.",
-    Why.MODEL_LACKS: "The model '{model}' leaves {noise_m:mm.3f} mm a coordinate, all placements would leave "
-    "{less_m:mm.3f} mm: the robot has errors that this model lacks. Try --model auto or --model placement.",
-    Why.CORNER: "The poses cover a corner of the workspace only: their tips spread over {spread:%.0f} % of the "
-    "distance that the joint limits allow, and '{joint}' uses {used:%.0f} % of its range. Measure all over it.",
+    Why.MODEL_LACKS: "The model '{model}' leaves {noise_m:mm.3f} mm a coordinate, '{larger}' would leave "
+    "{less_m:mm.3f} mm: the robot has errors that this model lacks. Try --model auto.",
+    Why.CORNER: "Measured was a part of what the arm can reach: {ranges}. It is good there; beyond is unknown. Tips spread "
+    "over {spread:%.0f} % of the distance that the joint limits allow.",
     Why.JOINT_PATTERN: _NOT_NOISE + "the {quantity} of '{joint}' " + _SHARE + ".",
-    Why.DRIFT: f"{_NOT_NOISE}it drifts in the order of the rows, which {_SHARE}. Did something warm up, or move?",
+    Why.DRIFT: f"{_NOT_NOISE}it drifts in the order of the rows, which {_SHARE}. {_FALLS} Did something warm up, or move?",
     Why.SETUP_UNPREDICTED: "The other set-ups do not predict set-up '{setup}': a fit without it leaves errors there "
     "{ratio:.1f} times those expected. " + _CHANGED,
     Why.SETUP_FLAGGED: "{flagged} of the {rows} rows of set-up '{setup}' are flagged as outliers: it does not agree "
@@ -104,7 +122,7 @@ SENTENCES = {
     Why.JOINTS_COARSE: "The values of '{joint}' are multiples of {beyond}, and rounding explains {share:%.0f} % of "
     "what the model leaves over: give the joint values as precisely as the controller knows them.",
     Why.TARGET_STEP: f"{_NOT_NOISE}from row {{row}} on the target '{{target}}' sits {{moved_m:mm.2f}} mm elsewhere in "
-    f"the tip, which {_SHARE}. Was it knocked, or mounted anew? Then it is another target from there on.",
+    f"the tip, which {_SHARE}. {_FALLS} Was it knocked, or mounted anew? Then it is another target from there on.",
     Why.LENGTHS_SCALED: "All lengths of the robot together are {scale:%+.2f} % off (standard error {std:%.2f} %), "
     "which no arm is: check the instrument's scale: the size of a printed board, a tracker's temperature, the unit.",
     Why.COMPLIANCE_NEGATIVE: "'{joint}' would move against its load: that is no compliance. Are masses, payload and "
@@ -113,6 +131,8 @@ SENTENCES = {
     Why.LARGER_MODEL: "With the larger model '{model}' it would be {after} ({use}). No URDF can hold that; "
     "predict() does.",
     Why.LARGER_NO_CLOSER: "With the larger model '{model}' it would be {after}: positions come no closer by it.",
+    Why.SCALE_HIDDEN: "A scale error of the instrument of up to {scale:%.2f} % ({effect_m:mm.2f} mm at {reach_m:mm.0f} mm from the "
+    "base) could hide in the arm's lengths. If its scale is certified, say so in the cell file: scale_certified = true.",
     Why.ROWS_COPIED: "{rows} rows, row {row} first, are copies of others to the last digit, and were left out.",
     Why.VALIDATION_GAIN: "On the {rows} validation rows{rows_aside} it falls {change}.",
     Why.OUTSIDE: "{rows} validation rows lie outside of the joint values that were fitted, where errors may be larger: "
@@ -137,8 +157,13 @@ def reason_text(reason: Reason) -> str:
     measured = [f"{v[of]} {words}" for of, words in _MEASURED if v.get(of)]
     p = v.get("p", 1.0)
     beyond = [f"{k * v[f'by_{si}']:.3g} {unit}" for si, k, unit in units if f"by_{si}" in v]
+    more = {"named": f" '{v['target']}'" if v.get("target") else "", "ranges": _ranges(v)}
+    if "less_m" in v and "model" in v:
+        more["less"] = f"{1e3 * v['less_m']:.3f} mm rms"
     words = {
         **v,
+        **more,
+        "better": _BETTER.format(**v, **more) if "less" in more and "remains" in v else "",
         "before": f"{' and '.join(before)} rms",
         "after": f"{' and '.join(after)} rms",
         "change": f"from {' and '.join(first)} to {' and '.join(after)} rms",
@@ -148,7 +173,36 @@ def reason_text(reason: Reason) -> str:
         "outliers_aside": ", outliers aside" * bool(v.get("outliers")),
         "rows_aside": f" ({v['aside']} more aside)" if v.get("aside") else "",
     }
-    return _Units().vformat(SENTENCES[reason.why], (), words)
+    text = _Units().vformat(SENTENCES[reason.why], (), words)
+    return " ".join([text, *(_as_well(reason, other) for other in v.get("others", ()))])
+
+
+#: What stands behind a reason that much remains, where another model leaves far less.
+_BETTER = (
+    " The non-geometric model '{model}' leaves {less}: no URDF can hold the rest; send compensated commands (calib "
+    "compensate with the result file)."
+)
+
+
+def _as_well(reason: Reason, other: Mapping[str, Any]) -> str:
+    """Another set-up that explains the rows as well as the one that a reason names."""
+    values = {"given_m": reason.values["given_m"], **other}
+    sentence = SENTENCES[Why[str(other["code"]).upper()]].removeprefix(_OFF)
+    text = _Units().vformat(sentence, (), values)
+    return f"As well ({1e3 * other['error_m']:.1f} mm): {text}"
+
+
+def _ranges(v: Mapping[str, Any]) -> str:
+    """Which part of their ranges joints moved in."""
+    ends = (v.get(name, ()) for name in ("joints", "shares", "lows", "highs", "slides"))
+    if isinstance(v.get("joints"), str) or "shares" not in v:
+        return ""
+    parts = []
+    for joint, share, low, high, slides in zip(*ends, strict=True):
+        scale, unit = (1e3, "mm") if slides else (float(np.degrees(1.0)), "deg")
+        reach = f"{scale * low:.0f} to {scale * high:.0f} {unit}"
+        parts.append(f"'{joint}' from {reach}, {100.0 * share:.0f} % of its range")
+    return ", ".join(parts)
 
 
 _MEASURED = (("poses", "poses"), ("pairs", "pairs of poses"))

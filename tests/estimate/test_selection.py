@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from calib.data.cell import Cell, Priors
+from calib.diagnosis.reasons import Why
 from calib.errors import ModelError
 from calib.estimate.fitting import Task
 from calib.estimate.selection import LADDER, Selection, select
 from calib.estimate.setup import rows_of
 from calib.result.calibrate import _validated, calibrate
-from calib.result.verdict import Why
 
 
 def scene_of(make_scene: Callable[..., Any], seed: int, model: str, **given: Any) -> Any:

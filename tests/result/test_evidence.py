@@ -11,9 +11,9 @@ import pytest
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
+from calib.diagnosis.reasons import Why
 from calib.result.calibrate import Calibration, calibrate
 from calib.result.evidence import disagreeing_setups, validation_errors
-from calib.result.verdict import Why
 from calib.robot.readback import random_joint_values
 
 ALL = np.ones((10, 3), dtype=bool)

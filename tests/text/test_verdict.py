@@ -6,8 +6,8 @@ from string import Formatter
 
 import pytest
 
-from calib.result.support import Beyond, OutsideRow
-from calib.result.verdict import Reason, Why
+from calib.diagnosis.coverage import Beyond, OutsideRow
+from calib.diagnosis.reasons import Reason, Why
 from calib.text.verdict import SENTENCES, outside_text, reason_text
 
 

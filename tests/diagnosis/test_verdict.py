@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.diagnosis.reasons import Reason, Verdict, Why
+from calib.diagnosis.verdict import Evidence, verdict
 from calib.estimate.statistics import CrossValidation, Errors
-from calib.result.verdict import Evidence, Reason, Verdict, Why, verdict
 
 ROWS = 30
 

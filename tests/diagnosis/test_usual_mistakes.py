@@ -14,10 +14,10 @@ from scipy.spatial.transform import Rotation
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
+from calib.diagnosis.reasons import Why
+from calib.diagnosis.usual_mistakes import better_setup
 from calib.example import PAPER_TARGET, paper_urdf
 from calib.result.calibrate import calibrate
-from calib.result.support import better_setup
-from calib.result.verdict import Why
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import Robot, read_only
 from calib.simulation.truth import draw_truth

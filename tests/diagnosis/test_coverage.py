@@ -7,11 +7,11 @@ import pytest
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
+from calib.diagnosis.coverage import outside, spread_of
 from calib.example import paper_measurements
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
 from calib.result.calibrate import Calibration, calibrate
-from calib.result.support import outside, spread_of
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import Robot
 

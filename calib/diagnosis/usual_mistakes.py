@@ -1,14 +1,13 @@
-"""What a result rests on: the poses that were measured, the rows whose weight was lowered, the set-up as it was given.
+"""The usual mistakes of a set-up: where a nominal arm is off by centimetres, each is undone in turn.
 
-A fit answers for what was measured; robust weights rest on the belief that a few rows are accidents; and where a
-nominal arm is off by centimetres, the usual mistakes are tried on it, with the target registered anew.
+The target is found anew for each. Explanations that the rows cannot tell apart are all named.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,140 +16,23 @@ from scipy.spatial.transform import Rotation
 import calib.data.kinds as registry
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.errors import MeasurementError
-from calib.estimate.fitting import Fitted, fit
+from calib.diagnosis.reasons import Reason, Why
 from calib.estimate.registration import register
-from calib.estimate.selection import linear_cross_validation
 from calib.estimate.setup import LENGTHS, Rows, Setup, rows_of
-from calib.estimate.statistics import Errors
 from calib.model.error_model import DIRECTIONS
-from calib.result.prediction import without_rigid_motion
-from calib.result.verdict import Reason, Why
 from calib.robot.robot import Robot
 from calib.units import Array
 
-#: A joint value is outside when it is further from the measured range than this share of it; less is none [rad or m].
-_MARGIN, _STILL = 0.05, 1e-3
+#: Nominal errors below this need no other explanation than an uncalibrated arm [m].
+PLAUSIBLE = 0.02
 
+#: Another set-up must lower the error to this share of it, and to so much [m], to be named.
+_FAR_BETTER = 0.2
+_EXPLAINED = 0.05
 
-@dataclass(frozen=True, slots=True)
-class Beyond:
-    """A joint value outside the measured range."""
-
-    joint: str  # The joint's name
-    prismatic: bool  # Whether it slides
-    by: float  # How far beyond the nearest measured value [rad or m]
-
-
-@dataclass(frozen=True, slots=True)
-class OutsideRow:
-    """A row with joint values outside the measured range."""
-
-    index: int  # Which of the rows asked for, from 0 on
-    beyond: tuple[Beyond, ...]  # The joint furthest out first, in shares of their measured range
-
-
-def outside(
-    measured: Array, asked: Array, names: Sequence[str], types: Sequence[str]
-) -> tuple[OutsideRow, ...]:
-    """The rows asked for, (K, m), with joint values outside the range of the measured ones, (N, m) [rad or m].
-
-    A continuous joint's range is what the largest gap on the circle leaves; a margin of 5 % is allowed.
-    """
-    if not len(measured) or not len(asked):
-        return ()
-    far, spans = np.zeros(asked.shape), np.zeros(len(names))
-    for j, kind in enumerate(types):
-        low, spans[j] = _range(measured[:, j], kind)
-        after = asked[:, j] - low - spans[j]
-        far[:, j] = np.maximum(0.0, np.maximum(low - asked[:, j], after))
-        if kind == "continuous":
-            after = np.mod(asked[:, j] - low, 2.0 * np.pi) - spans[j]
-            nearest = np.minimum(after, 2.0 * np.pi - spans[j] - after)
-            far[:, j] = np.where(after <= 0.0, 0.0, nearest)
-    spans = np.maximum(spans, _STILL)
-    out = far > np.maximum(_MARGIN * spans, _STILL)
-    result = []
-    for i in np.flatnonzero(out.any(axis=1)):
-        order = [j for j in np.argsort(-far[i] / spans, kind="stable") if out[i, j]]
-        beyond = (Beyond(names[j], types[j] == "prismatic", float(far[i, j])) for j in order)
-        result.append(OutsideRow(int(i), tuple(beyond)))
-    return tuple(result)
-
-
-def spread_of(tips: Array, everywhere: Array) -> float:
-    """Root mean square distance of measured tips (N, 3) from their mean, over that of tips all over the workspace."""
-    one, other = (
-        float(np.sum((points - points.mean(axis=0)) ** 2)) / max(len(points) - 1, 1)
-        for points in (tips, everywhere)
-    )
-    # An arm whose tip cannot move at all has been measured everywhere.
-    return float(np.sqrt(one / other)) if other > 0.0 else 1.0
-
-
-def shares_of_ranges(joints: Array, ranges: Array, types: Sequence[str]) -> Array:
-    """The share of each joint's range (m, 2), a full turn at most, that rows (N, m) use, 0 to 1, (m,)."""
-    spans = np.array([_range(q, kind)[1] for q, kind in zip(joints.T, types, strict=True)])
-    turning = np.array([kind != "prismatic" for kind in types])
-    room = np.minimum(ranges[:, 1] - ranges[:, 0], np.where(turning, 2.0 * np.pi, np.inf))
-    some = (room > 0.0) & np.isfinite(room)
-    return np.where(some, np.minimum(spans / np.where(some, room, 1.0), 1.0), 1.0)
-
-
-def _range(q: Array, kind: str) -> tuple[float, float]:
-    """Where the measured values begin, and how far they reach from there."""
-    if kind != "continuous":
-        return float(q.min()), float(np.ptp(q))
-    turned = np.sort(np.mod(q, 2.0 * np.pi))
-    gaps = np.diff(turned, append=turned[0] + 2.0 * np.pi)
-    widest = int(np.argmax(gaps))
-    return float(turned[(widest + 1) % len(turned)]), float(2.0 * np.pi - gaps[widest])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Robustness:
-    """The fit with the weights of doubtful rows lowered, beside the one with every row in full."""
-
-    lowered: bool  # Whether it is the calibration that has the weights lowered, or the fit that it is compared with
-    moved_rms: float  # How far the other fit's predictions at the measured poses lie from the calibration's [m]
-    moved_max: float  # The same at most [m]
-    # Of rows not flagged, left out of a linearised fit, with weights lowered
-    errors_lowered: Errors
-    errors_full: Errors  # The same with every row in full
-
-
-def compare_weights(fitted: Fitted) -> Robustness:
-    """Fit once more with robust weights where there were none, or without where there were, and compare."""
-    estimate, rows = fitted.estimate, fitted.estimate.problem.rows
-    task = replace(fitted.task, robust=not fitted.task.robust)
-    other = fit(task, replace(rows, weights=None), started=fitted.setup)
-    samples = rows.samples
-    as_one_body = not any(kind.position for kind in rows.present)
-    if as_one_body:
-        samples = replace(samples, frame=np.zeros_like(samples.frame))
-    here = fitted.kinematics.points(estimate.x, samples)
-    moves = (other.kinematics.points(other.estimate.x, samples) - here)[:, :, None]
-    if as_one_body:
-        moves = without_rigid_motion(here, moves)
-    flagged, both = estimate.outliers, (fitted, other) if fitted.task.robust else (other, fitted)
-    try:
-        left = [linear_cross_validation(one).residual[~flagged] for one in both]
-        lowered, full = (Errors.of(residual, rows.used[~flagged]) for residual in left)
-    except MeasurementError:  # rows of a single pose, of which none can be left out
-        lowered = full = Errors.of(np.zeros((0, rows.width)))
-    moved = np.linalg.norm(moves[:, :, 0], axis=1)
-    return Robustness(
-        lowered=fitted.task.robust,
-        moved_rms=float(np.sqrt(np.mean(moved**2))),
-        moved_max=float(np.max(moved)),
-        errors_lowered=lowered,
-        errors_full=full,
-    )
-
-
-#: Nominal errors below this need no other explanation than an uncalibrated arm [m]; another set-up must lower the error
-#: to this share, and to this [m], to be named.
-PLAUSIBLE, _FAR_BETTER, _EXPLAINED = 0.02, 0.2, 0.05
+#: Explanations whose errors are within this factor cannot be told apart: an uncalibrated arm is as far off.
+_AS_GOOD = 1.5
+_ROUNDING = 1e-6
 
 #: Joints up to which every combination of turned signs is tried, rows that are looked at, and the tolerance of a
 #: registration: five digits are enough to compare.
@@ -196,14 +78,28 @@ def better_setup(robot: Robot, cell: Cell, table: Measurements) -> Reason | None
     counts = ((1,), (2,)) if any(setup.unknown) else (range(1, n + 1),)
     first, *others = (_turned_joints(robot, setup, rows, some) for some in counts)
     for trials in (itertools.chain(usual, first), *others):
-        best, found = np.inf, None
-        for factor, other, asked, changed, why, values in trials:
-            error = _misfit(other, asked, changed)[0]
-            if factor * error < best:
-                best, found = factor * error, Reason.of(why, given_m=given, error_m=error, **values)
-        if found and best <= _FAR_BETTER * given and found.values["error_m"] <= _EXPLAINED:
-            return found
+        explanations = [
+            (factor * error, Reason.of(why, given_m=given, error_m=error, **values))
+            for factor, other, asked, changed, why, values in trials
+            if (error := _misfit(other, asked, changed)[0]) <= _EXPLAINED
+        ]
+        explanations = [one for one in explanations if one[0] <= _FAR_BETTER * given]
+        if explanations:
+            return _all_as_good(explanations)
     return None
+
+
+def _all_as_good(explanations: list[tuple[float, Reason]]) -> Reason:
+    """The best of some explanations, by what their errors count, and with it those that the rows cannot tell from it."""
+    ordered = sorted(explanations, key=lambda one: one[0])
+    best = ordered[0][1]
+    limit = _AS_GOOD * best.values["error_m"] + _ROUNDING
+    others = [
+        {"code": reason.code, **{k: v for k, v in reason.values.items() if k != "given_m"}}
+        for _, reason in ordered[1:]
+        if reason.values["error_m"] <= limit
+    ]
+    return replace(best, values={**best.values, "others": others}) if others else best
 
 
 def _misfit(robot: Robot, setup: Setup, rows: Rows) -> tuple[float, float]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from calib.result.patterns import (
+from calib.diagnosis.patterns import (
     FALSE_ALARM,
     Explained,
     Stack,

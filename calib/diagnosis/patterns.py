@@ -120,6 +120,20 @@ def drift(stack: Stack, order: Array) -> Explained | None:
     return found if found.p < FALSE_ALARM else None
 
 
+def lag(stack: Stack, moves: Array) -> tuple[Array, Explained] | None:
+    """The share of its last move that each joint misses, (k,), from the regressors of a whole one, (M, k).
+
+    None where chance explains as much.
+    """
+    if not len(stack.r):
+        return None
+    explained = _combined(stack)(moves)
+    if explained.p >= FALSE_ALARM:
+        return None
+    fitted = np.linalg.lstsq(np.column_stack([stack.A, moves]), stack.r, rcond=None)[0]
+    return np.asarray(-fitted[-moves.shape[1] :]), explained
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
     """Residuals that are displaced from some row on."""

@@ -1,0 +1,410 @@
+"""The verdict: whether the corrected robot should be used, and why, in codes and numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.special import stdtr
+
+from calib.diagnosis.reasons import CARE, NO, USE, Reason, Verdict, Why
+from calib.estimate.statistics import CrossValidation, Errors
+from calib.units import Array, Integers, Mask
+
+#: Scalar measurements for each parameter below which a fit leans on its priors.
+_FEW = 2.0
+
+#: A share of flagged rows above which they are no accident.
+_MANY_OUTLIERS = 0.15
+
+#: Validation rows so many times as far off as held-out rows were not measured like them.
+_ANOTHER_MEASUREMENT = 10.0
+
+#: Errors and noise beyond these are no uncalibrated arm's and no instrument's: the set-up is wrong [m], [rad].
+_ABSURD = 0.02
+_ABSURD_ANGLE = 0.17
+
+#: A change of a parameter beyond this is no error of an arm [m or rad].
+_TOO_FAR = 0.1
+
+#: A nominal error below this many standard deviations, rms over all scalars, is that of a robot that is right.
+_AT_THE_NOISE = 1.45
+
+#: A gain that chance gives with this probability may be chance.
+_CHANCE = 0.03
+
+#: Relative differences below this are rounding.
+_ROUNDING = 1e-6
+
+#: A gain is worth something where held-out errors, and those of validation rows, fall to this share.
+_FALLS = 0.9
+
+#: A gain is proven where no more than this share of the nominal error remains: of held-out rows, the noise taken off, and
+#: of what is to be expected over the joint limits.
+_REMAINS = 0.4
+
+#: Errors of all rows, outliers too, differ by less than this where the outliers are accidents.
+_ALIKE = 1.1
+
+#: A named model that lacks what another has is to be used with care where more than this share of the error remains.
+_LACKING = 0.2
+
+#: An expected error so many times the nominal one is no robot's.
+_FAR_MORE = 3.0
+
+#: Another model that leaves this share of the error, or less, has what this one lacks.
+_FAR_LESS = 0.6
+
+#: Taking a drift or a step out matters where the error of held-out blocks of rows falls by this share.
+_MATTERS = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """What the verdict is based on; N rows of up to D scalars [m], [rad].
+
+    The nominal robot is cross-validated with frame and target fitted as for the calibrated one.
+    """
+
+    nominal: CrossValidation
+    calibrated: CrossValidation
+    scales: Array  # (N, D), the noise of each scalar
+    used: Mask  # (N, D), which scalars were measured
+    #: (N, D), the least noise that any model left of each scalar, over ``scales``; what is above it is lack of model.
+    floor: Array
+    repeats: Integers  # (N,), rows of one number are repeats of one measurement
+    pairs: Mask  # (N,), which rows hold the distance between two poses
+    outliers: Mask  # (N,), flagged by the fit to all of them
+    # On validation rows: of the nominal and the calibrated robot, and how many more rows were left out as accidents
+    validation: tuple[Errors, Errors, int]
+    parameters: int
+    changes: bool  # Whether any parameter of the robot has changed
+    largest: float  # Largest change of a parameter of the robot in metres or radians [m or rad]
+    noise: float  # Of one length [m]
+    expected: float  # Standard deviation of its predictions over the joint limits, rms [m]
+    moved: float  # How far they are from the nominal robot's, rms [m]
+    whole: int = 0  # Parameters of a full geometry, where `auto` may have taken less
+    doubts: tuple[Reason, ...] = ()  # What was found besides errors
+    notes: tuple[Reason, ...] = ()  # Told in the end, and decide nothing
+    hint: Reason | None = None  # Which set-up would explain the measurements better
+    # Of the URDF: name and held-out errors of the non-geometric model, if there is one
+    non_geometric: tuple[str, Errors] | None = None
+
+    def whitened(self, v: CrossValidation) -> Array:
+        """The squared error of each row, in units of the noise, shape (N,)."""
+        return np.asarray(np.sum(np.where(self.used, v.residual / self.scales, 0.0) ** 2, axis=1))
+
+    def gain(self, *, of_all: bool = False) -> tuple[float, float]:
+        """Mean fall of the squared error on left-out rows, outliers aside, in standard errors; and its chance.
+
+        Of all rows that of the error itself, to which an accident adds no more than the correction is there. Paired by
+        poses, and repeats do not count as evidence of their own; 0 where nothing changes. The chance is that of as
+        large a mean by Student's t where there is no fall.
+        """
+        some, squares = (of_all | ~self.outliers) & np.any(self.used, axis=1), []
+        for v in (self.nominal, self.calibrated):
+            _, poses = np.unique(v.poses[some], return_inverse=True)
+            counts = np.maximum(np.bincount(poses), 1)
+            error = self.whitened(v)[some]
+            squares.append(np.bincount(poses, np.sqrt(error) if of_all else error) / counts)
+        fall = squares[0] - squares[1]
+        mean = float(np.mean(fall)) if len(fall) else 0.0
+        if not self.changes or abs(mean) < _ROUNDING * float(np.mean(squares[0])):
+            return 0.0, 1.0
+        if len(fall) < 2:
+            return float(np.sign(mean)), 1.0
+        gain = mean / max(float(np.std(fall, ddof=1)) / float(np.sqrt(len(fall))), 1e-30)
+        return gain, float(stdtr(len(fall) - 1, -gain))
+
+    @property
+    def quiet(self) -> bool:
+        """Whether the nominal robot is as far off as the noise that the best model leaves, outliers aside."""
+        square, noise = self._squares(self.nominal)
+        return bool(square < _AT_THE_NOISE**2 * noise)
+
+    def _squares(self, v: CrossValidation) -> tuple[float, float]:
+        """Whitened squared errors of a scalar, outliers aside, and what of them is noise."""
+        good = ~self.outliers
+        count = max(int(np.sum(self.used[good])), 1)
+        noise = np.sum(np.where(self.used, self.floor, 0.0)[good] ** 2)
+        return float(np.sum(self.whitened(v)[good]) / count), float(noise / count)
+
+    @property
+    def accidental(self) -> bool:
+        """Whether flagged rows are as far off the nominal robot, and the error of all rows falls."""
+        before, after = (
+            np.sum(self.whitened(v)[self.outliers]) for v in (self.nominal, self.calibrated)
+        )
+        return bool(after < _ALIKE**2 * before and self.gain(of_all=True)[1] < _CHANCE)
+
+    def remains_everywhere(self) -> float:
+        """The share of the nominal robot's error over the joint limits that is expected to remain."""
+        return float(self.expected / max(np.hypot(self.expected, self.moved), 1e-30))
+
+    def remains_held_out(self) -> float:
+        """The share of the nominal robot's error on held-out rows that remains, the noise taken off both."""
+        (before, noise), (after, _) = map(self._squares, (self.nominal, self.calibrated))
+        left, was = max(after - noise, 0.0), max(before - noise, 1e-30)
+        return float(np.sqrt(left / was))
+
+
+#: Doubts whether what a model leaves over is the measurements' noise.
+_NOT_NOISE = (Why.MODEL_LACKS, Why.NOISE_LARGE, Why.NOISE_ABOVE_SIGMA)
+
+#: What can be improved where the gain is proven, and is no reason against it.
+_REMAINING = (
+    Why.JOINTS_STILL,
+    Why.MODEL_LACKS,
+    Why.CORNER,
+    Why.JOINT_PATTERN,
+    Why.REPEATS_AGREE,
+    Why.NO_LENGTH,
+)
+
+#: What is said and decides nothing.
+_INFORMATION = (Why.SCALE_HIDDEN,)
+
+#: Doubts about what was given, which come before all others.
+_GIVEN = (Why.TARGET_FAR, Why.BASE_MOVED)
+
+
+@dataclass(frozen=True, slots=True)
+class _Figures:
+    """What the rules compare."""
+
+    before: Errors  # Of the nominal robot on held-out rows, outliers aside
+    after: Errors  # Of the calibrated one
+    before_all: Errors  # Outliers too
+    after_all: Errors
+    fresh_before: Errors  # On validation rows
+    fresh_after: Errors
+    gain: float  # In standard errors
+    unproven: bool  # Whether chance gives such a gain
+    few: bool  # Too few numbers for this model
+    sparse: bool  # Too few for a full geometry
+    flagged: int
+    many: bool  # Whether more rows are flagged than accidents explain
+    accidents: bool  # Whether they are accidents all the same
+    plausible: bool  # Whether the noise may be the instrument's
+    lost: bool  # Whether more error is to be expected over the joint limits than any robot has
+    held_out: float  # Share of the error that remains on held-out rows
+    everywhere: float  # And over the joint limits
+
+    @classmethod
+    def of(cls, e: Evidence) -> _Figures:
+        """Work them out."""
+        gain, chance = e.gain()
+        numbers, flagged = _size(e)["numbers"], int(np.sum(e.outliers))
+        before = e.nominal.errors_without_outliers
+        many = flagged > _MANY_OUTLIERS * len(e.outliers)
+        return cls(
+            before=before,
+            after=e.calibrated.errors_without_outliers,
+            before_all=e.nominal.errors,
+            after_all=e.calibrated.errors,
+            fresh_before=e.validation[0],
+            fresh_after=e.validation[1],
+            gain=gain,
+            unproven=gain <= 0.0 or chance > _CHANCE,
+            few=numbers < _FEW * e.parameters,
+            sparse=numbers < _FEW * max(e.parameters, e.whole),
+            flagged=flagged,
+            many=many,
+            accidents=many and e.accidental,
+            # What a model leaves over is noise only if a larger one does not leave far less.
+            plausible=not many and not any(doubt.why in _NOT_NOISE for doubt in e.doubts),
+            lost=e.expected > _FAR_MORE * _typical(before),
+            held_out=e.remains_held_out(),
+            everywhere=e.remains_everywhere(),
+        )
+
+    @property
+    def fresh_falls(self) -> bool:
+        """Whether the error on validation rows falls at all."""
+        return self.fresh_after.rms < (1.0 - _ROUNDING) * self.fresh_before.rms
+
+    @property
+    def fresh_falls_little(self) -> bool:
+        """Whether it falls, and by next to nothing."""
+        return self.fresh_falls and self.fresh_after.rms > _FALLS * self.fresh_before.rms
+
+    @property
+    def proven(self) -> bool:
+        """Whether unseen rows prove a gain that is worth something, here and over the joint limits."""
+        falls = _typical(self.after) < _FALLS * _typical(self.before)
+        little = max(self.held_out, self.everywhere) <= _REMAINS
+        return falls and little and not self.unproven and not self.fresh_falls_little
+
+
+def verdict(e: Evidence) -> Verdict:
+    """Judge a calibration by its errors on rows that it did not see."""
+    if wrong := _absurd(e):
+        return Verdict(NO, (wrong[0],))  # nothing else that is told of such a fit means anything
+    f = _Figures.of(e)
+    against = _against(e, f)
+    careful, remaining = _careful(e, f, against), _remaining(e, f, against)
+    if not f.proven and not against:
+        careful += remaining
+        remaining = []
+        careful = careful or [Reason.of(Why.SMALL_GAIN, **_elsewhere(e, f))]
+    use = NO if against else CARE if careful else USE
+    information = [doubt for doubt in e.doubts if not _matters(doubt)]
+    return Verdict(use, (*against, *careful, *_gains(e, f), *remaining, *information, *e.notes))
+
+
+def _against(e: Evidence, f: _Figures) -> list[Reason]:
+    """Why the corrected robot is not to be used: the weightiest reason, and what validation rows say."""
+    both = _both(e, f)
+    nothing = f.unproven and e.quiet and f.plausible and not f.sparse
+    too_few = f.unproven and (f.few or (e.quiet and f.sparse))
+    worse = bool(f.flagged) and _typical(f.after_all) > _ALIKE * _typical(f.before_all)
+    size = {**_size(e), "parameters": max(e.parameters, e.whole), "gain": f.gain}
+    unfit = bool(f.fresh_after.n) and not f.fresh_falls
+    first = _applicable(
+        (nothing, Reason.of(Why.NOTHING_TO_GAIN, before=f.before)),
+        (f.after.rms > _ABSURD, Reason.of(Why.STILL_FAR_OFF, **both)),
+        (f.unproven and _has_better(e, f), _better(Why.NO_URDF_HOLDS, e, f)),
+        (too_few, Reason.of(Why.TOO_FEW, **both | size)),
+        (f.gain <= 0.0, Reason.of(Why.NO_BETTER, **both)),
+        (worse, replace(_of_many(e, f), why=Why.WORSE_WITH_OUTLIERS)),
+        (f.unproven and f.many and not f.accidents, _of_many(e, f)),
+        (f.lost and f.everywhere > _REMAINS, Reason.of(Why.UNKNOWN_ELSEWHERE, **_elsewhere(e, f))),
+    )[:1]
+    return first + _applicable((unfit, Reason.of(Why.VALIDATION_NO_BETTER, **_of_fresh(e, f))))
+
+
+def _careful(e: Evidence, f: _Figures, against: list[Reason]) -> list[Reason]:
+    """Why it is to be used with care, what was given first."""
+    later = _later(f)
+    doubts = [doubt for doubt in e.doubts if doubt.why not in later and _matters(doubt)]
+    given = [doubt for doubt in doubts if doubt.why in _GIVEN]
+    much = not f.unproven and f.held_out > _REMAINS and not against
+    unlike = bool(f.fresh_after.n) and f.fresh_after.rms > _ANOTHER_MEASUREMENT * f.after.rms > 0.0
+    of_unlike = {"rows": f.fresh_after.n, "before": f.fresh_after, "after": f.after}
+    many = f.many and not f.accidents and _of_many(e, f) not in against
+    return [
+        *given,
+        *_applicable(
+            (much, _better(Why.MUCH_REMAINS, e, f)),
+            (
+                f.gain > 0.0 and f.unproven and not against,
+                Reason.of(Why.MAY_BE_CHANCE, gain=f.gain),
+            ),
+            (f.before.rms > _ABSURD, Reason.of(Why.FAR_OFF_BEFORE, before=f.before)),
+            (f.lost and not against, Reason.of(Why.UNKNOWN_ELSEWHERE, **_elsewhere(e, f))),
+            (
+                f.fresh_falls_little and not against,
+                Reason.of(Why.VALIDATION_SMALL_GAIN, **_of_fresh(e, f)),
+            ),
+        ),
+        *(doubt for doubt in doubts if doubt.why not in _GIVEN),
+        *_applicable(
+            (e.largest > _TOO_FAR, Reason.of(Why.PARAMETER_FAR, largest=e.largest)),
+            (unlike, Reason.of(Why.VALIDATION_UNLIKE, **of_unlike)),
+            (many, _of_many(e, f)),
+        ),
+    ]
+
+
+def _remaining(e: Evidence, f: _Figures, against: list[Reason]) -> list[Reason]:
+    """What is left to improve where unseen rows prove the gain."""
+    fewer = Reason.of(Why.FEW_NUMBERS, **_size(e), parameters=e.parameters)
+    first = _applicable((f.few and not against, fewer), (f.accidents, _of_many(e, f)))
+    return first + [doubt for doubt in e.doubts if doubt.why in _later(f)]
+
+
+def _later(f: _Figures) -> tuple[Why, ...]:
+    """The doubts that say what is left to improve, where the gain is proven."""
+    lacking = f.held_out > _LACKING
+    return tuple(why for why in _REMAINING if not (lacking and why == Why.MODEL_LACKS))
+
+
+def _gains(e: Evidence, f: _Figures) -> list[Reason]:
+    """What the correction buys."""
+    fresh = bool(f.fresh_after.n) and f.fresh_falls and not f.fresh_falls_little
+    return _applicable(
+        (f.gain > 0.0, Reason.of(Why.GAIN, **_both(e, f), outliers=f.flagged)),
+        (fresh, Reason.of(Why.VALIDATION_GAIN, **_of_fresh(e, f))),
+    )
+
+
+def _both(e: Evidence, f: _Figures) -> dict[str, Any]:
+    """Errors on held-out rows, and how these were held out."""
+    return {"before": f.before, "after": f.after, "method": e.calibrated.method}
+
+
+def _of_fresh(e: Evidence, f: _Figures) -> dict[str, Any]:
+    """Errors on validation rows."""
+    aside = e.validation[2]
+    return {
+        "rows": f.fresh_after.n,
+        "aside": aside,
+        "before": f.fresh_before,
+        "after": f.fresh_after,
+    }
+
+
+def _of_many(e: Evidence, f: _Figures) -> Reason:
+    """How many rows are flagged, and the errors with them."""
+    rows = {"flagged": f.flagged, "rows": len(e.outliers)}
+    return Reason.of(Why.MANY_OUTLIERS, **rows, before=f.before_all, after=f.after_all)
+
+
+def _elsewhere(e: Evidence, f: _Figures) -> dict[str, float]:
+    """What is to be expected over the joint limits."""
+    return {"expected_m": e.expected, "remains": f.everywhere}
+
+
+def _has_better(e: Evidence, f: _Figures) -> bool:
+    """Whether the non-geometric model leaves far less on held-out rows."""
+    if e.non_geometric is None:
+        return False
+    return _typical(e.non_geometric[1]) < _FAR_LESS * _typical(f.after)
+
+
+def _better(why: Why, e: Evidence, f: _Figures) -> Reason:
+    """What remains, and what the non-geometric model would leave, if that is far less."""
+    values: dict[str, Any] = {**_both(e, f), "remains": f.held_out}
+    if _has_better(e, f) and e.non_geometric is not None:
+        model, less = e.non_geometric
+        values |= {"model": model, "less": less}
+    return Reason.of(why, **values)
+
+
+def _matters(doubt: Reason) -> bool:
+    """Whether a doubt is one: a drift or a step that explains no held-out rows is information."""
+    return doubt.why not in _INFORMATION and bool(doubt.values.get("falls", 1.0) >= _MATTERS)
+
+
+def _absurd(e: Evidence) -> list[Reason]:
+    """Another set-up that explains the rows, or errors that no arm has."""
+    before, after = e.nominal.errors_without_outliers, e.calibrated.errors_without_outliers
+    turned = bool(after.n_angle) and after.rms_angle > _ABSURD_ANGLE
+    far = before.rms > _ABSURD and e.largest > _TOO_FAR
+    return ([e.hint] if e.hint else []) + _applicable(
+        (far, Reason.of(Why.PARAMETER_ABSURD, before=before, largest=e.largest)),
+        (e.noise > _ABSURD, Reason.of(Why.NOISE_ABSURD, noise_m=e.noise)),
+        (turned, Reason.of(Why.ORIENTATION_ABSURD, after=after)),
+    )
+
+
+def _typical(errors: Errors) -> float:
+    """Rms of lengths, or of angles where no length was measured."""
+    return errors.rms if errors.n else errors.rms_angle
+
+
+def _applicable(*rules: tuple[bool, Reason]) -> list[Reason]:
+    """The reasons whose condition holds, in their order."""
+    return [reason for holds, reason in rules if holds]
+
+
+def _size(e: Evidence) -> dict[str, int]:
+    """At how many different poses and pairs of poses how many scalars were measured, repeats counted once."""
+    single = np.any(e.used, axis=1) & ~e.pairs
+    first = np.unique(e.repeats, return_index=True)[1]
+    return {
+        "poses": len(np.unique(e.repeats[single])),
+        "pairs": len(np.unique(e.repeats[e.pairs])),
+        "numbers": int(np.sum(e.used[first])),
+    }

@@ -1,0 +1,243 @@
+"""Doubts about a result besides its errors: what was given, how it was measured, what its best model leaves over."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from calib.diagnosis.coverage import shares_of_ranges, spread_of
+from calib.diagnosis.further_unknowns import (
+    UNLIKELY,
+    has_priors,
+    instrument_scale,
+    motion_of_base,
+)
+from calib.diagnosis.patterns import FALSE_ALARM
+from calib.diagnosis.reasons import Reason, Why
+from calib.diagnosis.residual_patterns import (
+    ROUNDING_NOISE,
+    TELLING,
+    Order,
+    residual_patterns,
+)
+from calib.diagnosis.setups import disagreeing_setups, flagged_setup
+from calib.estimate.fitting import PAPER, Fitted, fit, model_of
+from calib.estimate.gauge import measures_length
+from calib.estimate.problem import Problem
+from calib.estimate.registration import ENOUGH
+from calib.estimate.setup import LENGTHS, Rows
+from calib.model.families import FAMILIES, joint_families
+from calib.result.calibration import Calibration
+from calib.robot.readback import column_ranges, spread_poses
+from calib.robot.robot import Robot
+from calib.units import Mask
+
+#: A joint that moves less than this over the rows tells little of itself [rad], [m].
+_STILL_RAD = 0.35
+_STILL_M = 0.05
+
+#: Tips that spread less than this share of what the joints allow are a corner. Random poses reach 0.8 to 1.2, the
+#: paper's 0.43, a 20 cm cube of a UR3's workspace 0.28.
+_CORNER = 1.0 / 3.0
+
+#: The model lacks something where a larger one leaves this share of the noise.
+_FAR_LESS = 0.6
+
+#: Or where repeats scatter by this share of it.
+_SCATTER_SHARE = 0.5
+
+#: Noise so many times as large as stated is not the instrument's.
+_ABOVE = 5.0
+
+#: Noise that no instrument has, where none is stated [m].
+_LARGE_NOISE = 1e-3
+
+#: What arms add to the noise that is stated, for they do not repeat better [m], [rad].
+_STEADY = ("sigma", "m", 3e-5), ("sigma_angle", "rad", 1e-4)
+
+#: No arm is longer or shorter by more than this share, in all its lengths: it is the instrument's scale.
+_SCALED = 2e-3
+
+#: A base that has moved is named where that moves the rows by this share of what the arm's own corrections do.
+_LIKE_THE_ARM = 0.5
+
+#: A given target that is further from where it was found was not given as it is [m].
+_ELSEWHERE = 5e-3
+
+#: A joint that uses less than this share of its range was measured in a part of it.
+_NARROW = 1.0 / 3.0
+
+
+def doubts_of(result: Calibration, rows: Rows) -> tuple[Reason, ...]:
+    """What speaks against a result besides errors: what was given, how it was measured, what its best model leaves."""
+    return tuple(_doubts(result, result.in_memory.larger or result.fitted, rows))
+
+
+def _doubts(result: Calibration, fitted: Fitted, rows: Rows) -> Iterator[Reason]:
+    """See `doubts_of`."""
+    few, chosen = thin(fitted)
+    yield from _given(result, few)
+    yield from _still(fitted.task.robot, rows)
+    if _named_model(result):
+        yield from _missing_model(few)
+    yield from _corner(few)
+    yield from residual_patterns(few, _order(result, chosen))
+    yield from disagreeing_setups(few)
+    yield from flagged_setup(fitted)
+    yield from _negative_compliances(result)
+    yield from _agreeing_repeats(result, fitted)
+    if not measures_length(rows, fitted.task.distances):
+        yield Reason.of(Why.NO_LENGTH)
+
+
+def _named_model(result: Calibration) -> bool:
+    """Whether the model was named, so that a larger one was not tried."""
+    return not result.candidates and result.solver != PAPER
+
+
+def _given(result: Calibration, fitted: Fitted) -> Iterator[Reason]:
+    """That a target, the base in a known frame or the instrument's scale is not what was given."""
+    given, found = result.nominal_setup, result.setup
+    for t, name in enumerate(found.targets):
+        if not (found.target_given[t] and found.target_unknown[t]):
+            continue
+        far = float(np.linalg.norm(found.T_tip_target[t, :3, 3] - given.T_tip_target[t, :3, 3]))
+        if far > _ELSEWHERE:
+            yield Reason.of(Why.TARGET_FAR, target=name, far_m=far)
+    if not has_priors(fitted):
+        return
+    base = motion_of_base(fitted)
+    if base is not None and base.p < UNLIKELY and base.effect > _LIKE_THE_ARM * base.effect_of_arm:
+        values = {"moved_m": base.moved, "turned_rad": base.turned}
+        effects = {"effect_m": base.effect, "arm_m": base.effect_of_arm}
+        yield Reason.of(Why.BASE_MOVED, **values, **effects)
+    scale = instrument_scale(fitted)
+    if scale is None:
+        return
+    if abs(scale.share) > _SCALED and scale.p < FALSE_ALARM:
+        yield Reason.of(Why.LENGTHS_SCALED, scale=scale.share, std=scale.std, p=scale.p)
+    elif scale.measured and not result.cell.scale_certified:
+        values = {"scale": scale.hidden, "reach_m": scale.reach}
+        yield Reason.of(Why.SCALE_HIDDEN, **values, effect_m=scale.hidden * scale.reach)
+
+
+def _still(robot: Robot, rows: Rows) -> Iterator[Reason]:
+    """That joints hardly moved."""
+    least = np.array([_STILL_M if j.type == "prismatic" else _STILL_RAD for j in robot.inputs])
+    still = np.flatnonzero(np.ptp(rows.joints, axis=0) < least)
+    if len(still):
+        yield Reason.of(Why.JOINTS_STILL, joints=", ".join(robot.joint_names[j] for j in still))
+
+
+def _negative_compliances(result: Calibration) -> Iterator[Reason]:
+    """That a joint would move against its load."""
+    for one in result.larger.parameters if result.larger else ():
+        # Twice as far as its interval reaches: there are as many chances as joints.
+        if one.name.endswith(".compliance") and 2.0 * one.high < one.value:
+            yield Reason.of(Why.COMPLIANCE_NEGATIVE, joint=one.name.removesuffix(".compliance"))
+
+
+def _agreeing_repeats(result: Calibration, fitted: Fitted) -> Iterator[Reason]:
+    """That repeats agree far better with each other than with the model."""
+    sigma = float(np.median(fitted.estimate.problem.rows.sigma))
+    repeats, noise = result.repeats, float(fitted.estimate.noise[0]) * sigma
+    if repeats is None or not len(repeats.within) or repeats.freedoms[0] < TELLING:
+        return
+    within = float(repeats.within[0])
+    if within < _SCATTER_SHARE * noise and noise >= ROUNDING_NOISE:
+        yield Reason.of(Why.REPEATS_AGREE, within_m=within, noise_m=noise)
+
+
+def thin(fitted: Fitted) -> tuple[Fitted, Mask]:
+    """The fit with about `ENOUGH` of its rows, spread evenly over frames and targets, and which these are, (N,)."""
+    problem, estimate = fitted.estimate.problem, fitted.estimate
+    some = problem.rows.evenly(ENOUGH)
+    if np.all(some):
+        return fitted, some
+    rows = problem.rows.select(some)
+    few = replace(
+        Problem.first(problem.kinematics, rows, problem.distances),
+        weights=problem.weights[some],
+        scales=problem.scales[some][:, : rows.width],
+        precision=problem.precision,
+        centre=problem.centre,
+        gauge=problem.gauge,
+    )
+    scores, weights = estimate.scores[some], estimate.weights[some]
+    thinned = replace(estimate, problem=few, scores=scores, weights=weights)
+    return replace(fitted, estimate=thinned), some
+
+
+def _order(result: Calibration, chosen: Mask) -> Order:
+    """In which order the chosen ones of the fitted rows were measured: that of the table, all its rows."""
+    m = result.measurements
+    q = m.joints_for(result.nominal.joint_names)
+    moves = np.diff(q, axis=0, prepend=q[:1])
+    rows = np.flatnonzero(m.estimation)[chosen]
+    return Order(np.array(m.rows)[rows], moves[rows])
+
+
+def _missing_model(fitted: Fitted) -> Iterator[Reason]:
+    """That full placements, or these with the joints' own errors, would leave far less than this fit leaves."""
+    task, rows, name = fitted.task, fitted.estimate.problem.rows, fitted.kinematics.model.name
+    free = replace(task.cell, frozen=(), ties={}, bounds={}, parameter_priors={})
+    own = [f for f in joint_families() if not FAMILIES[f].loaded]
+    least, lacking = fitted.estimate.noise[0], ""
+    for model in ("placement", "+".join(("placement", *own))):
+        full = replace(task, model=model, cell=free, solver="lm", lenient=True)
+        if name.startswith(model) or rows.count < 2 * len(model_of(full)):
+            continue
+        noise = fit(full, rows, started=fitted.setup).estimate.noise[0]
+        if noise <= _FAR_LESS * least:
+            least, lacking = noise, model
+    if lacking:
+        unit = float(np.median(rows.sigma))
+        noises = {"noise_m": unit * fitted.estimate.noise[0], "less_m": unit * least}
+        yield Reason.of(Why.MODEL_LACKS, model=name, larger=lacking, **noises)
+
+
+def noise_doubts(
+    result: Calibration, fitted: Fitted, doubts: tuple[Reason, ...]
+) -> Iterator[Reason]:
+    """That a fit leaves more noise than is stated; where none is stated, more than instruments have."""
+    codes = {doubt.why for doubt in doubts}
+    if Why.MODEL_LACKS in codes:
+        return
+    # What follows a joint is no noise either, where no larger model had its chance.
+    if _named_model(result) and result.larger is None and Why.JOINT_PATTERN in codes:
+        return
+    rows, m = fitted.estimate.problem.rows, result.measurements
+    for c, ratio in enumerate(fitted.estimate.noise):
+        own, columns = np.nonzero(rows.instruments == c)
+        name, unit, steady = _STEADY[int(columns[0] >= LENGTHS)]
+        by_row, sigma = getattr(m, name), float(np.median(getattr(rows, name)[own]))
+        noise, stated = float(ratio) * sigma, getattr(result.cell, name) is not None
+        stated |= by_row is not None and bool(np.all(np.isfinite(by_row[m.estimation][own])))
+        if stated and noise > _ABOVE * np.hypot(sigma, steady):
+            values = {f"before_{unit}": sigma, f"after_{unit}": noise, "ratio": noise / sigma}
+            yield Reason.of(Why.NOISE_ABOVE_SIGMA, **values)
+        elif not stated and unit == "m" and noise > _LARGE_NOISE:
+            yield Reason.of(Why.NOISE_LARGE, noise_m=noise)
+
+
+def _corner(fitted: Fitted) -> Iterator[Reason]:
+    """That the poses cover a part of the joints' ranges, or a corner of the workspace, and which."""
+    robot, rows = fitted.task.robot, fitted.estimate.problem.rows
+    q = rows.joints[fitted.estimate.weights > 0.0]
+    spread = spread_of(*(robot.poses(one)[:, :3, 3] for one in (q, spread_poses(robot))))
+    shares = shares_of_ranges(q, column_ranges(robot), [j.type for j in robot.inputs])
+    narrow = np.flatnonzero(shares < _NARROW).tolist()
+    if spread >= _CORNER and not narrow:
+        return
+    narrow = sorted(narrow or [int(np.argmin(shares))], key=lambda j: shares[j])
+    yield Reason.of(
+        Why.CORNER,
+        spread=spread,
+        joints=[robot.joint_names[j] for j in narrow],
+        shares=[float(shares[j]) for j in narrow],
+        lows=[float(q[:, j].min()) for j in narrow],
+        highs=[float(q[:, j].max()) for j in narrow],
+        slides=[robot.inputs[j].type == "prismatic" for j in narrow],
+    )
