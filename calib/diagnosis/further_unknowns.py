@@ -113,6 +113,9 @@ def _with_columns(linear: Linear, columns: Array, of_known: Array) -> Linear:
     )
 
 
+#: A pattern predicts rows where taking it out lowers the error of held-out blocks by this share.
+PREDICTS = 0.1
+
 #: Held-out blocks of consecutive rows.
 _BLOCKS = 8
 

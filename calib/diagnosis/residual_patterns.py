@@ -1,7 +1,7 @@
 """Patterns in what a fit leaves over, each with its cause: rounded or lagging joints, a moved target, a drift.
 
-The tests are those of `calib.diagnosis.patterns`; here are the regressors. With a drift or a step stands by how much the
-error of held-out blocks of consecutive rows falls when it is taken out: what predicts nothing explains nothing.
+The tests are those of `calib.diagnosis.patterns`; here are the regressors. With a drift or a step stands by how much
+the error of held-out blocks of consecutive rows falls when it is taken out: what predicts nothing explains nothing.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.diagnosis.further_unknowns import fall_on_blocks
+from calib.diagnosis.further_unknowns import PREDICTS, fall_on_blocks
 from calib.diagnosis.patterns import (
     Explained,
     Stack,
@@ -178,9 +178,15 @@ def _lagging_joints(residuals: Residuals, order: Order) -> Iterator[Reason]:
     if lagging is not None:
         shares, explained = lagging
         worst = int(np.argmax(np.abs(shares)))
-        name = residuals.fitted.task.robot.inputs[joints[worst]].name
-        values = {"joint": name, "of_move": float(np.sqrt(np.mean(shares**2)))}
-        yield Reason.of(Why.JOINTS_LAG, **values, **explained.told)
+        fitted = residuals.fitted
+        name = fitted.task.robot.inputs[joints[worst]].name
+        zeros = [f"{fitted.task.robot.inputs[i].name}.zero" for i in joints]
+        columns = residuals.columns[:, :, [residuals.displacements.index(z) for z in zeros]]
+        columns = columns * order.moves[:, None, joints]
+        falls = fall_on_blocks(fitted, columns, residuals.weights)
+        if falls >= PREDICTS:
+            values = {"joint": name, "of_move": float(np.sqrt(np.mean(shares**2))), "falls": falls}
+            yield Reason.of(Why.JOINTS_LAG, **values, **explained.told)
 
 
 def _moved_target(

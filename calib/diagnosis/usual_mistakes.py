@@ -90,7 +90,7 @@ def better_setup(robot: Robot, cell: Cell, table: Measurements) -> Reason | None
 
 
 def _all_as_good(explanations: list[tuple[float, Reason]]) -> Reason:
-    """The best of some explanations, by what their errors count, and with it those that the rows cannot tell from it."""
+    """The best of some explanations, by what their errors count, and those that the rows cannot tell from it."""
     ordered = sorted(explanations, key=lambda one: one[0])
     best = ordered[0][1]
     limit = _AS_GOOD * best.values["error_m"] + _ROUNDING

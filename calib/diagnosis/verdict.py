@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.special import stdtr
 
+from calib.diagnosis.further_unknowns import PREDICTS
 from calib.diagnosis.reasons import CARE, NO, USE, Reason, Verdict, Why
 from calib.estimate.statistics import CrossValidation, Errors
 from calib.units import Array, Integers, Mask
@@ -40,14 +41,14 @@ _ROUNDING = 1e-6
 #: A gain is worth something where held-out errors, and those of validation rows, fall to this share.
 _FALLS = 0.9
 
-#: A gain is proven where no more than this share of the nominal error remains: of held-out rows, the noise taken off, and
-#: of what is to be expected over the joint limits.
+#: A gain is proven where no more than this share of the nominal error remains: of held-out rows, the noise taken off,
+#: and of what is to be expected over the joint limits.
 _REMAINS = 0.4
 
 #: Errors of all rows, outliers too, differ by less than this where the outliers are accidents.
 _ALIKE = 1.1
 
-#: A named model that lacks what another has is to be used with care where more than this share of the error remains.
+#: Where another geometry leaves far less, a named one is to be used with care if more than this share remains.
 _LACKING = 0.2
 
 #: An expected error so many times the nominal one is no robot's.
@@ -55,9 +56,6 @@ _FAR_MORE = 3.0
 
 #: Another model that leaves this share of the error, or less, has what this one lacks.
 _FAR_LESS = 0.6
-
-#: Taking a drift or a step out matters where the error of held-out blocks of rows falls by this share.
-_MATTERS = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,10 +141,14 @@ class Evidence:
         return float(self.expected / max(np.hypot(self.expected, self.moved), 1e-30))
 
     def remains_held_out(self) -> float:
-        """The share of the nominal robot's error on held-out rows that remains, the noise taken off both."""
+        """The share of the nominal robot's error on held-out rows that remains, the noise taken off both.
+
+        Of M squared scalars the noise is uncertain by sqrt(2 / M): what may be that does not remain.
+        """
         (before, noise), (after, _) = map(self._squares, (self.nominal, self.calibrated))
-        left, was = max(after - noise, 0.0), max(before - noise, 1e-30)
-        return float(np.sqrt(left / was))
+        count = max(int(np.sum(self.used[~self.outliers])), 1)
+        left = after - noise * (1.0 + np.sqrt(2.0 / count))
+        return float(np.sqrt(max(left, 0.0) / max(before - noise, 1e-30)))
 
 
 #: Doubts whether what a model leaves over is the measurements' noise.
@@ -276,8 +278,7 @@ def _against(e: Evidence, f: _Figures) -> list[Reason]:
 
 def _careful(e: Evidence, f: _Figures, against: list[Reason]) -> list[Reason]:
     """Why it is to be used with care, what was given first."""
-    later = _later(f)
-    doubts = [doubt for doubt in e.doubts if doubt.why not in later and _matters(doubt)]
+    doubts = [doubt for doubt in e.doubts if not _remains(doubt, f) and _matters(doubt)]
     given = [doubt for doubt in doubts if doubt.why in _GIVEN]
     much = not f.unproven and f.held_out > _REMAINS and not against
     unlike = bool(f.fresh_after.n) and f.fresh_after.rms > _ANOTHER_MEASUREMENT * f.after.rms > 0.0
@@ -311,13 +312,13 @@ def _remaining(e: Evidence, f: _Figures, against: list[Reason]) -> list[Reason]:
     """What is left to improve where unseen rows prove the gain."""
     fewer = Reason.of(Why.FEW_NUMBERS, **_size(e), parameters=e.parameters)
     first = _applicable((f.few and not against, fewer), (f.accidents, _of_many(e, f)))
-    return first + [doubt for doubt in e.doubts if doubt.why in _later(f)]
+    return first + [doubt for doubt in e.doubts if _remains(doubt, f)]
 
 
-def _later(f: _Figures) -> tuple[Why, ...]:
-    """The doubts that say what is left to improve, where the gain is proven."""
-    lacking = f.held_out > _LACKING
-    return tuple(why for why in _REMAINING if not (lacking and why == Why.MODEL_LACKS))
+def _remains(doubt: Reason, f: _Figures) -> bool:
+    """Whether a doubt says what is left to improve, where the gain is proven."""
+    lacking = doubt.why == Why.MODEL_LACKS and "+" not in doubt.values["larger"]
+    return doubt.why in _REMAINING and not (lacking and f.held_out > _LACKING)
 
 
 def _gains(e: Evidence, f: _Figures) -> list[Reason]:
@@ -374,7 +375,7 @@ def _better(why: Why, e: Evidence, f: _Figures) -> Reason:
 
 def _matters(doubt: Reason) -> bool:
     """Whether a doubt is one: a drift or a step that explains no held-out rows is information."""
-    return doubt.why not in _INFORMATION and bool(doubt.values.get("falls", 1.0) >= _MATTERS)
+    return doubt.why not in _INFORMATION and bool(doubt.values.get("falls", 1.0) >= PREDICTS)
 
 
 def _absurd(e: Evidence) -> list[Reason]:

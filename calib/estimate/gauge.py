@@ -8,7 +8,7 @@ So the fit holds
     g(x) = sum_k l_k x_k / sum_k l_k^2 = 0
 
 over the robot's parameters x_k in metres, where l_k is what parameter k changes by when the arm grows by its own size
-(of DH rows: a_k and d_k themselves). g is the relative change of the root of the sum of squared lengths, to first order.
+(of DH rows: a_k and d_k themselves). To first order g is the relative change of the root of the sum of squared lengths.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from calib.units import Array, Mask
 #: Poses over which the growth of an arm is found; a tip is moved by a combination of lengths at any of them.
 _POSES = 60
 
-#: The parameters can let an arm grow where they reproduce the growth of the tip's position but for this share of it.
+#: The parameters can let an arm grow where they reproduce the growth of the tip's path but for this share of it.
 _CAN_GROW = 0.01
 
-#: Growth changes nothing that is measured where predictions change by no more than so many residuals, or by no more than
-#: this share of the growth itself, which is below what calibration needs.
+#: Growth changes nothing that is measured where predictions change by no more than so many residuals, or than this
+#: share of the growth itself, which is below what calibration needs.
 _RESIDUALS = 3.0
 _NEGLIGIBLE = 1e-3
 

@@ -378,9 +378,10 @@ class Problem:
         return analyse(np.concatenate([seen, known]), model.names, model.units)
 
     def constraints(self, x: Array) -> tuple[Array, Array]:
-        """What is known besides the rows, minus what is predicted, over its sigma, (K,), and the prediction's derivative.
+        """What is known besides the rows, minus what is predicted, over its sigma, (K,).
 
-        The known distances, and last the size of the arm, if it is held; the derivative has the shape (K, p).
+        These are the known distances, and last the size of the arm, if it is held. Also returned is the derivative of
+        the prediction, (K, p).
         """
         r, J = self._between(x)
         if self.gauge is None:

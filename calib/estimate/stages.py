@@ -66,7 +66,9 @@ class PriorTerms:
         bounds = np.array([cell.bounds.get(name, (-np.inf, np.inf)) for name in model.names])
         return cls(
             names=names,
-            families=np.array([model.family(f) & ~alone for f in names]).reshape(-1, len(model)),
+            families=np.array([model.family(f) & ~alone for f in names], dtype=bool).reshape(
+                -1, len(model)
+            ),
             start=tuple(_WEAK if priors.sizes == "off" else priors.of(f) for f in names),
             precision=np.where(alone, 1.0 / std**2, np.where(placed, 1.0 / _WEAK**2, 0.0)),
             centre=np.where(alone, nominal, 0.0),

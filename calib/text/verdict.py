@@ -20,7 +20,7 @@ _TURNED = "The nominal robot's orientations are {given_rad:deg.0f} deg rms off, 
 _ANEW = "The rms is {given_m:mm.3g} mm with frame and target of the result, and only {error_m:mm.3g} mm if the "
 _NOT_NOISE = "What the model leaves over is not noise: "
 _SHARE = "explains {share:%.0f} % of it (chance: {chance:%.0f} %, {chance_p})"
-_FALLS = "Taken out, it lowers the error of held-out blocks of rows by {falls:%.0f} %."
+_FALLS = "Without it the error of held-out blocks of rows {falls_by}."
 _CHANGED = "Did the arm, its tool or the instrument change in between?"
 _RIGHT = "are base and tip, the joint columns and their signs right"
 
@@ -56,9 +56,9 @@ SENTENCES = {
     f"explains: {_RIGHT}, the measurements in the base frame (otherwise: --frame estimate)?",
     Why.ORIENTATION_ABSURD: "On unseen rows the calibrated robot's orientations are {after_rad:deg.0f} deg rms off: "
     "are they inverse, is the quaternion's scalar in the column qw, are rx, ry, rz a rotation vector?",
-    Why.NO_URDF_HOLDS: "No URDF can hold these errors: corrected, the robot is {after} off on unseen rows ({method}), as it "
-    "was {before}; the non-geometric model '{model}' leaves {less}. Keep the URDF, and send compensated commands (calib "
-    "compensate with the result file).",
+    Why.NO_URDF_HOLDS: "No URDF can hold these errors: on unseen rows ({method}) the corrected robot is {after} off, and "
+    "was {before}; the non-geometric model '{model}' leaves {less}. Keep the URDF, and send compensated commands "
+    "(calib compensate with the result file).",
     Why.NOTHING_TO_GAIN: "Nothing to gain: the robot as it is meets these rows to {before} on unseen rows, which is "
     "about their noise. Keep its URDF.",
     Why.STILL_FAR_OFF: "On unseen rows ({method}) the calibrated robot is {after_m:mm.0f} mm rms off.",
@@ -67,19 +67,19 @@ SENTENCES = {
     Why.NO_BETTER: "On unseen rows ({method}) the calibrated robot is no better than the nominal one, frame and "
     "target fitted for both: {after} against {before}.",
     Why.VALIDATION_NO_BETTER: "On the {rows} validation rows the error does not fall: {change}.",
-    Why.TARGET_FAR: "The target{named} is {far_m:mm.0f} mm from where it was given: check the sign and the order of the "
-    "numbers, and the tip.",
+    Why.TARGET_FAR: "The target{named} is {far_m:mm.0f} mm from where it was given: check the sign and the order of "
+    "the numbers, and the tip.",
     Why.BASE_MOVED: "The base does not stand where the measurement frame puts it: it is off by {moved_m:mm.1f} mm and "
     "{turned_rad:deg.2f} deg, which moves the points by {effect_m:mm.1f} mm rms, all other corrections of the arm by "
     "{arm_m:mm.1f} mm. If the measurements are not in the frame of the base to that, add --frame estimate.",
     Why.MUCH_REMAINS: "Much remains: on unseen rows {remains:%.0f} % of the error, noise aside ({change}).{better}",
-    Why.VALIDATION_SMALL_GAIN: "On the {rows} validation rows{rows_aside} the error falls by next to nothing: {change}.",
+    Why.VALIDATION_SMALL_GAIN: "On the {rows} validation rows{rows_aside} the error hardly falls: {change}.",
     Why.JOINTS_LAG: _NOT_NOISE
     + "it follows the last move of the joints, which "
     + _SHARE
     + ": they miss about "
-    "{of_move:%.2f} % of it, '{joint}' most. Take the measurements at standstill, and the joint values with them; "
-    "approach poses from one side if gears have play.",
+    f"{{of_move:%.2f}} % of it, '{{joint}}' most. {_FALLS} Measure at standstill, and read the joint values then; if "
+    "gears have play, approach poses from one side.",
     Why.MAY_BE_CHANCE: "The gain on unseen rows is within chance: {gain:.1f} standard errors.",
     Why.FEW_NUMBERS: "{measured} with {numbers} numbers for {parameters} parameters are few: the result leans on the "
     "priors. Measure more poses.",
@@ -89,18 +89,19 @@ SENTENCES = {
     "poses that move every joint.",
     Why.MODEL_LACKS: "The model '{model}' leaves {noise_m:mm.3f} mm a coordinate, '{larger}' would leave "
     "{less_m:mm.3f} mm: the robot has errors that this model lacks. Try --model auto.",
-    Why.CORNER: "Measured was a part of what the arm can reach: {ranges}. It is good there; beyond is unknown. Tips spread "
-    "over {spread:%.0f} % of the distance that the joint limits allow.",
+    Why.CORNER: "Measured was a part of what the arm can reach: {ranges}. It is good there; beyond is unknown. Tips "
+    "spread over {spread:%.0f} % of the distance that the joint limits allow.",
     Why.JOINT_PATTERN: _NOT_NOISE + "the {quantity} of '{joint}' " + _SHARE + ".",
-    Why.DRIFT: f"{_NOT_NOISE}it drifts in the order of the rows, which {_SHARE}. {_FALLS} Did something warm up, or move?",
+    Why.DRIFT: f"{_NOT_NOISE}it drifts in the order of the rows, which {_SHARE}. {_FALLS} Did something warm up, or "
+    "move?",
     Why.SETUP_UNPREDICTED: "The other set-ups do not predict set-up '{setup}': a fit without it leaves errors there "
     "{ratio:.1f} times those expected. " + _CHANGED,
     Why.SETUP_FLAGGED: "{flagged} of the {rows} rows of set-up '{setup}' are flagged as outliers: it does not agree "
     "with the others. " + _CHANGED,
     Why.REPEATS_AGREE: "Repeats of a pose scatter by {within_m:mm.3f} mm a coordinate, the model leaves "
     "{noise_m:mm.3f} mm: these are errors that the model lacks.",
-    Why.NO_LENGTH: "Nothing that was measured is a length, so the size of the arm is kept as it was: to find it, measure a "
-    "distance between two sockets, and give it in the cell file ([[distances]]).",
+    Why.NO_LENGTH: "Nothing that was measured is a length, so the size of the arm is kept as it was: to find it, "
+    "measure a distance between two sockets, and give it in the cell file ([[distances]]).",
     Why.PARAMETER_FAR: "A parameter has moved by {largest:mm.0f} mm or mrad, which is no error of an arm. Keep the "
     "priors on, or choose a smaller model.",
     Why.VALIDATION_UNLIKE: "The calibrated robot is {before} off on the {rows} validation rows and {after} on left-out "
@@ -131,8 +132,9 @@ SENTENCES = {
     Why.LARGER_MODEL: "With the larger model '{model}' it would be {after} ({use}). No URDF can hold that; "
     "predict() does.",
     Why.LARGER_NO_CLOSER: "With the larger model '{model}' it would be {after}: positions come no closer by it.",
-    Why.SCALE_HIDDEN: "A scale error of the instrument of up to {scale:%.2f} % ({effect_m:mm.2f} mm at {reach_m:mm.0f} mm from the "
-    "base) could hide in the arm's lengths. If its scale is certified, say so in the cell file: scale_certified = true.",
+    Why.SCALE_HIDDEN: "A scale error of the instrument of up to {scale:%.2f} % ({effect_m:mm.2f} mm at "
+    "{reach_m:mm.0f} mm from the base) could hide in the arm's lengths. If its scale is certified, say so in the cell "
+    "file: scale_certified = true.",
     Why.ROWS_COPIED: "{rows} rows, row {row} first, are copies of others to the last digit, and were left out.",
     Why.VALIDATION_GAIN: "On the {rows} validation rows{rows_aside} it falls {change}.",
     Why.OUTSIDE: "{rows} validation rows lie outside of the joint values that were fitted, where errors may be larger: "
@@ -163,6 +165,9 @@ def reason_text(reason: Reason) -> str:
     words = {
         **v,
         **more,
+        "falls_by": f"falls by {100.0 * v.get('falls', 0.0):.0f} %"
+        if v.get("falls", 0.0) > 0.0
+        else "does not fall",
         "better": _BETTER.format(**v, **more) if "less" in more and "remains" in v else "",
         "before": f"{' and '.join(before)} rms",
         "after": f"{' and '.join(after)} rms",

@@ -33,11 +33,13 @@ GOOD = Evidence(
     calibrated=validated(0.2e-3, 1),
     scales=np.full((ROWS, 3), 1e-4),
     used=np.ones((ROWS, 3), dtype=bool),
+    floor=np.ones((ROWS, 3)),
     repeats=np.arange(ROWS),
     pairs=np.zeros(ROWS, dtype=bool),
     outliers=np.arange(ROWS) < 2,
     validation=(errors(2.7e-3), errors(0.25e-3), 0),
     parameters=27,
+    changes=True,
     largest=5e-3,
     noise=1e-4,
     expected=0.2e-3,
@@ -46,16 +48,25 @@ GOOD = Evidence(
 FLAGGED = np.arange(ROWS) < 6
 RIGHT = {"nominal": validated(1e-4, 2), "calibrated": validated(1e-4, 3)}
 LOUD = Reason.of(Why.NOISE_LARGE, noise_m=4e-3)
-LACKS = Reason.of(Why.MODEL_LACKS, model="dh", noise_m=1e-4, less_m=2e-5)
+LACKS = Reason.of(Why.MODEL_LACKS, model="dh", larger="placement", noise_m=1e-4, less_m=2e-5)
 STILL = Reason.of(Why.JOINTS_STILL, joints="elbow_joint")
-SIZELESS = Reason.of(Why.NO_LENGTH)
+FAR = Reason.of(Why.TARGET_FAR, target="", far_m=0.282)
 HINT = Reason.of(Why.OTHER_BASE, given_m=0.5, error_m=2e-3, link="base")
+
+
+def drifting(falls: float) -> Reason:
+    """A drift that explains so much of held-out blocks."""
+    return Reason.of(Why.DRIFT, share=0.3, chance=0.05, p=1e-4, falls=falls)
 
 
 def with_errors_at(found: CrossValidation, size: float) -> CrossValidation:
     """With the flagged rows so far off."""
     residual = np.where(FLAGGED[:, None], size / np.sqrt(3.0), found.residual)
     return replace(found, residual=residual, errors=Errors.of(residual))
+
+
+#: The non-geometric model that explains a robot whose geometry is right.
+GAINS = ("frames+gain", errors(0.067e-3))
 
 
 def codes(found: Verdict) -> list[Why]:
@@ -92,7 +103,7 @@ def test_a_good_calibration_is_to_be_used_and_says_by_how_much():
         ({"doubts": (STILL, LACKS), "moved": 1e-4}, "use with care", Why.JOINTS_STILL),
         ({"moved": 1e-4}, "use with care", Why.SMALL_GAIN),
         ({"expected": 0.139, "moved": 0.1}, "do not use", Why.UNKNOWN_ELSEWHERE),
-        ({"largest": 0.0}, "do not use", Why.NO_BETTER),
+        ({"changes": False}, "do not use", Why.NO_BETTER),
         (RIGHT, "do not use", Why.NOTHING_TO_GAIN),
         (
             {"nominal": validated(0.5), "calibrated": validated(0.05, 3)},
@@ -109,20 +120,41 @@ def test_a_good_calibration_is_to_be_used_and_says_by_how_much():
         ({**RIGHT, "outliers": np.arange(ROWS) < 6}, "do not use", Why.NO_BETTER),
         ({**RIGHT, "doubts": (LOUD,)}, "do not use", Why.NO_BETTER),
         ({"largest": 4.6}, "use with care", Why.PARAMETER_FAR),
-        ({"largest": 4.6, "doubts": (SIZELESS,)}, "do not use", Why.SIZE_LOST),
-        ({"doubts": (SIZELESS,)}, "use with care", Why.NO_LENGTH),
+        ({"doubts": (FAR,)}, "use with care", Why.TARGET_FAR),
+        ({"doubts": (LOUD, FAR)}, "use with care", Why.TARGET_FAR),
+        ({"calibrated": validated(1.1e-3, 1)}, "use with care", Why.MUCH_REMAINS),
+        (
+            {"validation": (errors(2.7e-3), errors(2.5e-3), 0)},
+            "use with care",
+            Why.VALIDATION_SMALL_GAIN,
+        ),
+        (
+            {"calibrated": validated(0.9e-3, 1), "doubts": (LACKS,)},
+            "use with care",
+            Why.MODEL_LACKS,
+        ),
+        ({"doubts": (drifting(0.1),)}, "use with care", Why.DRIFT),
+        (
+            {
+                "nominal": validated(3.16e-3, 2),
+                "calibrated": validated(3.15e-3, 3),
+                "non_geometric": GAINS,
+            },
+            "do not use",
+            Why.NO_URDF_HOLDS,
+        ),
         (
             {"outliers": FLAGGED, "calibrated": with_errors_at(GOOD.calibrated, 4e-3)},
             "use with care",
             Why.MANY_OUTLIERS,
         ),
-        ({"validation": (errors(51e-3), errors(50e-3), 0)}, "use with care", Why.VALIDATION_UNLIKE),
+        ({"validation": (errors(51e-3), errors(40e-3), 0)}, "use with care", Why.VALIDATION_UNLIKE),
     ],
 )
 def test_each_doubt_is_said_first(change, use, why):
     result = verdict(replace(GOOD, **change))
     assert (result.use, result.reasons[0].why) == (use, why)
-    absurd = {Why.NOISE_ABSURD, Why.OTHER_BASE, Why.PARAMETER_ABSURD, Why.SIZE_LOST}
+    absurd = {Why.NOISE_ABSURD, Why.OTHER_BASE, Why.PARAMETER_ABSURD}
     assert (len(result.reasons) == 1) == (why in absurd)
     # A gain is said even where there are doubts.
     assert Why.GAIN in codes(result) or use == "do not use"
@@ -181,3 +213,41 @@ def test_scalars_that_were_not_measured_do_not_count():
     assert poses(pairs=np.arange(ROWS) < ROWS // 2) == (0, 15, 15)
     assert poses(pairs=np.arange(ROWS) < 10) == (5, 10, 15)
     assert verdict(replace(GOOD, parameters=40)).use == "use"
+
+
+def test_a_larger_model_that_moves_joints_alone_is_judged_by_what_it_changes():
+    """Gains are no lengths and no angles: none of its parameters in metres or radians has moved."""
+    assert verdict(replace(GOOD, largest=0.0)).use == "use"
+
+
+def test_what_remains_is_counted_without_the_noise_that_the_best_model_leaves():
+    """Nominal 2.5 mm, corrected 0.2 mm, all of it noise or none of it."""
+    noise = 0.2e-3 / np.sqrt(3.0) / 1e-4
+    assert replace(GOOD, floor=np.full((ROWS, 3), noise)).remains_held_out() < 0.03
+    clean = replace(GOOD, floor=np.full((ROWS, 3), 0.01)).remains_held_out()
+    assert clean == pytest.approx(0.2 / 2.5, rel=0.05)
+    # A robot whose errors only a larger model explains is no robot at its noise.
+    assert replace(GOOD, **RIGHT).quiet
+    assert not replace(GOOD, **RIGHT, floor=np.full((ROWS, 3), 0.3)).quiet
+
+
+def test_much_remains_names_the_model_that_leaves_far_less():
+    (reason, *_) = verdict(
+        replace(GOOD, calibrated=validated(1.1e-3, 1), non_geometric=("dh+gain", errors(1e-4)))
+    ).reasons
+    assert reason.why == Why.MUCH_REMAINS
+    assert (reason.values["model"], reason.values["less_m"]) == ("dh+gain", pytest.approx(1e-4))
+    assert reason.values["remains"] == pytest.approx(1.1 / 2.5, rel=0.1)
+    (reason, *_) = verdict(
+        replace(GOOD, calibrated=validated(1.1e-3, 1), non_geometric=("dh+gain", errors(1e-3)))
+    ).reasons
+    assert "model" not in reason.values
+
+
+def test_a_drift_that_predicts_nothing_and_a_hidden_scale_are_information():
+    hidden = Reason.of(Why.SCALE_HIDDEN, scale=1e-3, reach_m=0.6, effect_m=6e-4)
+    result = verdict(replace(GOOD, doubts=(drifting(0.09), hidden)))
+    assert (result.use, codes(result)[-2:]) == ("use", [Why.DRIFT, Why.SCALE_HIDDEN])
+    # Nor where the gain is not proven.
+    result = verdict(replace(GOOD, moved=1e-4, doubts=(drifting(-0.2),)))
+    assert codes(result)[0] == Why.SMALL_GAIN

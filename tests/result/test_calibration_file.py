@@ -141,7 +141,7 @@ def test_the_values_are_those_of_the_calibration(
     result_json: dict[str, Any], default_result: Calibration
 ):
     c = default_result
-    assert result_json["schema"] == 4
+    assert result_json["schema"] == 5
     for who, sets in c.errors.items():
         for name, errors in sets.items():
             stored = result_json["errors"][who][name]
@@ -269,7 +269,7 @@ def test_a_result_read_back_meets_every_row_as_the_fit_did(case: Any, tmp_path: 
 def test_another_schema(tmp_path: Path, text: str):
     path = tmp_path / "r.json"
     path.write_text(text, encoding="utf-8")
-    said = r"r\.json: its 'schema' is (None|2); a result of calib .* has 4\..*calib calibrate ROBOT DATA --json r"
+    said = r"r\.json: its 'schema' is (None|2); a result of calib .* has 5\..*calib calibrate ROBOT DATA --json r"
     with pytest.raises(FileError, match=said):
         read_result(path)
 

@@ -14,6 +14,7 @@ from calib.text.verdict import SENTENCES, outside_text, reason_text
 @pytest.mark.parametrize("why", Why)
 def test_every_code_has_a_sentence(why):
     made = {"before", "after", "change", "chance_p", "measured", "beyond", "outliers_aside"}
+    made |= {"named", "ranges", "better", "falls_by"}
     names = {one[1].split(":")[0] for one in Formatter().parse(SENTENCES[why]) if one[1]}
     values = dict.fromkeys(names - made - {"rows_aside"}, 0.5)
     more = {"before_m": 2e-3, "after_m": 1e-3, "p": 1e-9, "by_rad": 0.3, "poses": 3}

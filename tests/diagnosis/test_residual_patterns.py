@@ -1,0 +1,61 @@
+"""Patterns in what a fit leaves over, each with its cause."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.data.cell import Cell
+from calib.data.measurements import Measurements
+from calib.diagnosis.reasons import Why
+from calib.result.calibrate import calibrate
+from calib.robot.readback import random_joint_values
+from tests.judged import arm, judged, reasons, table_of
+
+
+def test_a_tracker_that_drifts(make_scene):
+    way = np.linspace(0.0, 1.0, 90)[:, None] * np.array([4e-4, -3e-4, 2e-4])
+    result = judged(make_scene, 63, rows=90, bias=way)
+    assert result.verdict.use == "use with care"
+    assert reasons(result)[Why.DRIFT]["p"] < 0.003
+
+
+def test_a_joint_whose_error_follows_its_angle(make_scene):
+    given = {"model": "dh+gain", "other": {"gain": 1.5e-3}}
+    result = judged(make_scene, 64, rows=90, given=given)
+    assert result.verdict.use == "use"
+    assert reasons(result)[Why.JOINT_PATTERN]["quantity"] == "angle"
+
+
+def rounded(m: Measurements) -> Measurements:
+    return replace(m, joints=np.radians(np.round(np.degrees(m.joints))))
+
+
+def test_noise_that_no_instrument_has(make_scene):
+    """Joint values to 1 deg: the gain on unseen rows is real, but what is left is not the tracker's."""
+    noise = reasons(judged(make_scene, 68, rounded))[Why.NOISE_LARGE]["noise_m"]
+    assert noise > 1e-3
+    told = reasons(judged(make_scene, 68, rounded, cell=Cell(sigma=3e-5)))
+    assert told[Why.NOISE_ABOVE_SIGMA]["ratio"] == pytest.approx(noise / 3e-5, rel=0.01)
+    assert told[Why.JOINTS_COARSE]["by_rad"] == pytest.approx(np.radians(1.0))
+    scene = arm(make_scene, 68)
+    q = np.radians(np.round(np.degrees(random_joint_values(scene.robot, 60, 8)), 1))
+    m = table_of(scene, q, np.random.default_rng(8))
+    assert list(reasons(calibrate(scene.robot, m, model="dh"))) == [Why.GAIN, Why.SCALE_HIDDEN]
+
+
+@pytest.mark.parametrize(("row", "by"), [(35, 3e-3), (55, 1e-3)])
+def test_a_target_that_was_knocked(make_scene, row, by):
+    """Half way no row is flagged; of the last quarter all are."""
+    robot, knock = arm(make_scene, 69).robot, np.array([0.0, by, 0.0])
+
+    def knocked(m: Measurements) -> Measurements:
+        later = (np.arange(len(m)) >= row - 1)[:, None]
+        return replace(m, points=m.points + later * (robot.poses(m.joints)[:, :3, :3] @ knock))
+
+    result = judged(make_scene, 69, knocked)
+    told = reasons(result)[Why.TARGET_STEP]
+    assert (result.verdict.use, told["row"]) == ("use with care", row)
+    assert told["moved_m"] == pytest.approx(by, rel=0.05)

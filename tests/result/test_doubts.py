@@ -1,0 +1,71 @@
+"""Doubts about a result besides its errors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.data.cell import Cell
+from calib.data.measurements import Measurements
+from calib.diagnosis.reasons import Why
+from calib.result.calibrate import calibrate
+from calib.robot.readback import random_joint_values
+from tests.judged import arm, judged, reasons, table_of
+
+
+def test_good_data_give_no_reason_for_care(make_scene):
+    result = judged(make_scene, 61)
+    assert result.verdict.use == "use"
+    assert list(reasons(result)) == [Why.GAIN, Why.SCALE_HIDDEN]
+
+
+def test_a_corner_of_the_workspace(make_scene):
+    scene = arm(make_scene, 62)
+    rng = np.random.default_rng(2)
+    q = np.array([0.3, -1.2, 1.4, -0.8, 0.6, 0.2]) + 0.25 * rng.uniform(-1, 1, (70, 6))
+    result = calibrate(scene.robot, table_of(scene, q, rng), model="dh")
+    assert reasons(result)[Why.CORNER]["spread"] < 1 / 3
+
+
+def test_sockets_without_a_known_distance_tell_no_length(calibrated):
+    scene, good = calibrated("sockets")
+    assert Why.NO_LENGTH not in reasons(good)
+    unknown = calibrate(scene.robot, good.measurements, cell=replace(good.cell, distances=()))
+    assert Why.NO_LENGTH in reasons(unknown)
+    assert unknown.verdict.use == "use"
+
+
+def test_a_model_that_lacks_what_placements_have(make_scene):
+    result = judged(make_scene, 67, model="zeros", given={"model": "placement"})
+    told = reasons(result)[Why.MODEL_LACKS]
+    assert (told["model"], told["less_m"] < 0.6 * told["noise_m"]) == ("zeros", True)
+
+
+@pytest.mark.parametrize("scale", [0.01, -0.01])
+def test_a_scale_of_the_instrument(make_scene, scale):
+    """A board printed 1 % too large: the fit makes every link longer, and unseen rows agree."""
+    result = judged(make_scene, 70, lambda m: replace(m, points=(1.0 + scale) * m.points))
+    told = reasons(result)[Why.LENGTHS_SCALED]
+    assert told["scale"] == pytest.approx(scale, abs=3.0 * told["std"])
+    assert result.verdict.use == "use with care"
+
+
+def test_a_joint_that_moves_against_its_load_where_gravity_is_turned(make_scene):
+    scene = arm(make_scene, 71, model="dh+compliance", other={"compliance": 2e-4})
+    scene.x[scene.kinematics.model.family("compliance")] = 1e-4
+    m = table_of(scene, random_joint_values(scene.robot, 70, 11), np.random.default_rng(11))
+    up, down = (Cell(model="dh+compliance", gravity=(0.0, 0.0, g)) for g in (9.81, -9.81))
+    assert Why.COMPLIANCE_NEGATIVE in reasons(calibrate(scene.robot, m, cell=up))
+    assert Why.COMPLIANCE_NEGATIVE not in reasons(calibrate(scene.robot, m, cell=down))
+
+
+def test_copies_of_rows_are_left_out(make_scene):
+    def twice(m: Measurements) -> Measurements:
+        each = np.arange(80) // 2
+        return Measurements(m.joint_names, joints=m.joints[each], points=m.points[each])
+
+    one, other = judged(make_scene, 72, rows=40), judged(make_scene, 72, twice, rows=40)
+    np.testing.assert_array_equal(one.x, other.x)
+    assert reasons(other)[Why.ROWS_COPIED] == {"rows": 40, "row": 2}
