@@ -2,8 +2,9 @@
 
     .venv/bin/python scripts/edges_study.py [SEEDS] [NAME ...]
 
-Each case is measured with typical errors of geometry besides, at so many seeds and three arms. One line a table: left-out
-errors before and after, the verdict and its reasons. No case may be told `use`, and its own reason comes first.
+Each case is measured with typical errors of geometry besides, at so many seeds and three arms. One line a table:
+held-out errors before and after, the verdict and its reasons. But for scales, which nothing tells, no case may be told
+`use`, and its own reason comes first.
 """
 
 from __future__ import annotations
@@ -36,6 +37,21 @@ ROWS, NOISE = 40, 5e-5
 ELBOW = 2
 
 
+def no_errors(_robot: Robot) -> dict[str, float]:
+    """No error by name."""
+    return {}
+
+
+def as_they_are(q: Array) -> Array:
+    """Joint values as they are."""
+    return q
+
+
+def at_the_frame(_rng: np.random.Generator) -> Array:
+    """A base that stands where the known frame has it."""
+    return np.eye(4)
+
+
 @dataclass(frozen=True)
 class Edge:
     """A case: what is wrong with the robot, with the table, and with what calib is given."""
@@ -43,20 +59,12 @@ class Edge:
     codes: tuple[str, ...]  # Of which one is the first reason
     model: str = "dh"  # In which errors the robot is wrong
     sizes: dict[str, float] = field(default_factory=dict)  # Of families that are not typical
-    errors: Callable[[Robot], dict[str, float]] = lambda robot: {}
-    joints: Callable[[Array], Array] = lambda q: (
-        q
-    )  # The joint values that the arm had, from those in the table
-    T: Callable[[np.random.Generator], Array] = lambda rng: np.eye(
-        4
-    )  # The base in the frame of the points
+    errors: Callable[[Robot], dict[str, float]] = no_errors
+    had: Callable[[Array], Array] = as_they_are  # From joint values read to those the arm had
+    read: Callable[[Array], Array] = as_they_are  # From joint values read to those in the table
+    T: Callable[[np.random.Generator], Array] = at_the_frame  # The base in the frame of the points
     scale: float = 1.0  # Of all that was measured
-    read: Callable[[Array], Array] = lambda q: (
-        q
-    )  # The joint values in the table, from those the arm had
-    given: Callable[[Array, np.random.Generator], Array] | None = (
-        None  # The target given, from the true one
-    )
+    given: Callable[[Array, np.random.Generator], Array] | None = None  # Target, from the true one
     cell: Cell = field(default_factory=Cell)
 
 
@@ -114,7 +122,7 @@ EDGES = {
         errors=lambda robot: {f"{robot.joint_names[ELBOW]}.gain": 0.01},
     ),
     "zeros alone": Edge(left_by_geometry("model_lacks"), cell=Cell(model="zeros")),
-    "lag of 0.1 %": Edge(left_by_geometry("joint_lags"), joints=lagging(1e-3)),
+    "lag of 0.1 %": Edge(left_by_geometry("joint_lags"), had=lagging(1e-3)),
     "gains of 5e-3": Edge(left_by_geometry(), "dh+gain", {"gain": 5e-3}),
     "gains of 5e-3 alone": Edge(left_by_geometry(), "frames+gain", {"gain": 5e-3}),
     "base 10 mm off": Edge(("base_moved",), T=moved(10e-3)),
@@ -139,7 +147,7 @@ def calibration(edge: Edge, arm: str, seed: int) -> Calibration:
     rng = np.random.default_rng([11, seed])
     q = random_joint_values(robot, ROWS, seed + 50)
     T_frame_base = edge.T(rng)
-    true = truth.points(edge.joints(q)) @ T_frame_base[:3, :3].T + T_frame_base[:3, 3]
+    true = truth.points(edge.had(q)) @ T_frame_base[:3, :3].T + T_frame_base[:3, 3]
     points = edge.scale * true + NOISE * rng.normal(size=true.shape)
     sets = tuple("validate" if k % 4 == 3 else "estimate" for k in range(ROWS))
     cell = edge.cell

@@ -56,8 +56,8 @@ SENTENCES = {
     f"explains: {_RIGHT}, the measurements in the base frame (otherwise: --frame estimate)?",
     Why.ORIENTATION_ABSURD: "On unseen rows the calibrated robot's orientations are {after_rad:deg.0f} deg rms off: "
     "are they inverse, is the quaternion's scalar in the column qw, are rx, ry, rz a rotation vector?",
-    Why.NO_URDF_HOLDS: "No URDF can hold these errors: on unseen rows ({method}) the corrected robot is {after} off, and "
-    "was {before}; the non-geometric model '{model}' leaves {less}. Keep the URDF, and send compensated commands "
+    Why.NO_URDF_HOLDS: "No URDF can hold these errors: on unseen rows ({method}) the corrected robot is {after} off, "
+    "and was {before}; the non-geometric model '{model}' leaves {less}. Keep the URDF, and send compensated commands "
     "(calib compensate with the result file).",
     Why.NOTHING_TO_GAIN: "Nothing to gain: the robot as it is meets these rows to {before} on unseen rows, which is "
     "about their noise. Keep its URDF.",
