@@ -80,8 +80,8 @@ class Evidence:
     changes: bool  # Whether any parameter of the robot has changed
     largest: float  # Largest change of a parameter of the robot in metres or radians [m or rad]
     noise: float  # Of one length [m]
-    expected: float  # Standard deviation of its predictions over the joint limits, rms [m]
-    moved: float  # How far they are from the nominal robot's, rms [m]
+    expected: float  # Error to expect of its predictions over the joint limits, rms [m]
+    expected_of_nominal: float  # The same of the nominal robot's [m]
     whole: int = 0  # Parameters of a full geometry, where `auto` may have taken less
     doubts: tuple[Reason, ...] = ()  # What was found besides errors
     notes: tuple[Reason, ...] = ()  # Told in the end, and decide nothing
@@ -138,7 +138,7 @@ class Evidence:
 
     def remains_everywhere(self) -> float:
         """The share of the nominal robot's error over the joint limits that is expected to remain."""
-        return float(self.expected / max(np.hypot(self.expected, self.moved), 1e-30))
+        return self.expected / max(self.expected_of_nominal, self.expected, 1e-30)
 
     def remains_held_out(self) -> float:
         """The share of the nominal robot's error on held-out rows that remains, the noise taken off both.

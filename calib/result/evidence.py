@@ -10,7 +10,7 @@ from calib.diagnosis.reasons import NO, Reason, Why
 from calib.diagnosis.verdict import Evidence
 from calib.estimate.fitting import Fitted
 from calib.estimate.setup import Rows
-from calib.estimate.statistics import Errors, rms
+from calib.estimate.statistics import Errors
 from calib.model.kinematics import FRAME, TARGET
 from calib.result.calibration import Calibration
 from calib.result.doubts import noise_doubts
@@ -41,7 +41,8 @@ def evidence_of(
     assert calibrated is not None
     suspects = {o.row for o in result.suspects}
     of_robot = ~model.family(FRAME, TARGET)
-    moved = of_robot & np.isin(model.units, ("m", "rad"))
+    geometry = of_robot & np.isin(model.units, ("m", "rad"))
+    expected, expected_of_nominal = _over_joint_limits(result, part)
     return Evidence(
         nominal=nominal,
         calibrated=calibrated,
@@ -63,10 +64,10 @@ def evidence_of(
         parameters=len(model),
         whole=(4 * len(fitted.task.robot.inputs) + fitted.setup.count) * bool(result.candidates),
         changes=bool(np.any(part.x[of_robot])),
-        largest=float(np.max(np.abs(part.x[moved]), initial=0.0)),
+        largest=float(np.max(np.abs(part.x[geometry]), initial=0.0)),
         noise=result.sigma,
-        expected=part.expected_elsewhere,
-        moved=_moved(result, larger=larger is not None),
+        expected=expected,
+        expected_of_nominal=expected_of_nominal,
         hint=hint,
         non_geometric=_non_geometric(result) if larger is None else None,
     )
@@ -111,16 +112,29 @@ def _notes(result: Calibration) -> Iterator[Reason]:
         yield Reason.of(Why.OUTSIDE, rows=len(result.outside), row=number, **values)
 
 
-def _moved(result: Calibration, *, larger: bool) -> float:
-    """How far the calibrated robot puts the target from where the nominal one does, over the joint limits, rms [m]."""
-    robot, placed = result.nominal, result.nominal_setup
-    q = spread_poses(robot)
-    points = result.predict(q, larger=larger)
-    T = robot.poses(q) @ placed.T_tip_target[0]
-    if result.tells_place:
-        return rms(np.linalg.norm((placed.T_frame_base[0] @ T)[:, :3, 3] - points, axis=1))
-    moves = without_rigid_motion(points, (T[:, :3, 3] - points)[:, :, None])
-    return rms(np.linalg.norm(moves[:, :, 0], axis=1))
+def _over_joint_limits(result: Calibration, part: Solved) -> tuple[float, float]:
+    """What a part of a result and the nominal robot are expected to be off by over the joint limits, rms [m].
+
+    With the variance v of a prediction there, v_0 at the measured poses and the factor f by which extrapolated errors
+    exceed their variance, the part is off by e^2 = v_0 + f (v - v_0). It is d away from the nominal robot, of which
+    (f - 1) (v - v_0) is error of its own: the nominal robot is off by d^2 - (f - 1) (v - v_0) + v. Where the frame is
+    registered anew for each table, motions of the base do not count.
+    """
+    robot, nominal = result.nominal, result.nominal_setup
+    samples = result.samples(spread_poses(robot))
+    poses, twists = part.kinematics.twists(part.x, samples, rotation=False)
+    T_nominal = nominal.seen(robot.poses(samples.q), samples)
+    points, columns = poses[:, :3, 3], twists
+    away = (T_nominal[:, :3, 3] - points)[:, :, None]
+    if result.frame_estimated or not result.tells_place:
+        away, columns = (without_rigid_motion(points, moves) for moves in (away, columns))
+    d = float(np.mean(np.sum(away**2, axis=(1, 2))))
+    v = float(np.mean(np.einsum("nip,pq,niq->n", columns, part.covariance, columns, optimize=True)))
+    v_0 = min(part.expected_measured**2, v)
+    beyond = v - v_0
+    expected = v_0 + part.extrapolation * beyond
+    off = max(d - (part.extrapolation - 1.0) * beyond + v, expected)
+    return float(np.sqrt(expected)), float(np.sqrt(off))
 
 
 def validation_errors(

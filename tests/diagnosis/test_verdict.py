@@ -43,7 +43,7 @@ GOOD = Evidence(
     largest=5e-3,
     noise=1e-4,
     expected=0.2e-3,
-    moved=2.5e-3,
+    expected_of_nominal=2.5e-3,
 )
 FLAGGED = np.arange(ROWS) < 6
 RIGHT = {"nominal": validated(1e-4, 2), "calibrated": validated(1e-4, 3)}
@@ -100,9 +100,13 @@ def test_a_good_calibration_is_to_be_used_and_says_by_how_much():
         ),
         ({"nominal": validated(0.26)}, "use with care", Why.FAR_OFF_BEFORE),
         ({"parameters": 60, "expected": 3e-3}, "use with care", Why.FEW_NUMBERS),
-        ({"doubts": (STILL, LACKS), "moved": 1e-4}, "use with care", Why.JOINTS_STILL),
-        ({"moved": 1e-4}, "use with care", Why.SMALL_GAIN),
-        ({"expected": 0.139, "moved": 0.1}, "do not use", Why.UNKNOWN_ELSEWHERE),
+        (
+            {"doubts": (STILL, LACKS), "expected_of_nominal": 2.2e-4},
+            "use with care",
+            Why.JOINTS_STILL,
+        ),
+        ({"expected_of_nominal": 2.2e-4}, "use with care", Why.SMALL_GAIN),
+        ({"expected": 0.139, "expected_of_nominal": 0.17}, "do not use", Why.UNKNOWN_ELSEWHERE),
         ({"changes": False}, "do not use", Why.NO_BETTER),
         (RIGHT, "do not use", Why.NOTHING_TO_GAIN),
         (
@@ -249,5 +253,5 @@ def test_a_drift_that_predicts_nothing_and_a_hidden_scale_are_information():
     result = verdict(replace(GOOD, doubts=(drifting(0.09), hidden)))
     assert (result.use, codes(result)[-2:]) == ("use", [Why.DRIFT, Why.SCALE_HIDDEN])
     # Nor where the gain is not proven.
-    result = verdict(replace(GOOD, moved=1e-4, doubts=(drifting(-0.2),)))
+    result = verdict(replace(GOOD, expected_of_nominal=2.2e-4, doubts=(drifting(-0.2),)))
     assert codes(result)[0] == Why.SMALL_GAIN

@@ -1,4 +1,4 @@
-"""The size of an arm that no row measures: which direction it is, that the fit holds it, and that nothing else suffers."""
+"""The size of an arm that no row measures: which direction it is, and that the fit holds it at no other cost."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_growth_is_that_of_all_lengths(sockets, model):
     rest = (moved - wanted).ravel()
     rest = rest - ends @ np.linalg.lstsq(ends, rest, rcond=None)[0]
     assert np.abs(rest).max() < 1e-7
-    # What is measured changes by the share of the residuals, which are lengths too, as the sockets and the target follow.
+    # What is measured changes by the share of the residuals, which are lengths too; sockets and target follow.
     linear = problem.linear(np.zeros(problem.size))
     placed = linear.A.reshape(-1, problem.size)[:, problem.kinematics.model.family(FRAME, TARGET)]
     residual = linear.residual(linear.x).ravel()
