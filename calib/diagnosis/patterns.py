@@ -102,14 +102,18 @@ def joint_patterns(
         return []
     test, found = _between(stack), []
     for i, (q, slides, along) in enumerate(zip(joints.T, prismatic, directions, strict=True)):
-        # Centred and of size 1, so that q and q^2 do not look alike.
-        middle = q - np.mean(q)
-        middle = middle / max(float(np.max(np.abs(middle), initial=0.0)), np.finfo(float).tiny)
-        functions = [middle, middle**2] if slides else [np.sin(q), np.cos(q), middle]
-        explained = test(Z := stack.times(np.column_stack(functions), along))
+        explained = test(Z := stack.times(functions_of_joint(q, slides=slides), along))
         if explained.p < FALSE_ALARM / len(prismatic):
             found.append((i, explained, Z))
     return sorted(found, key=lambda one: (one[1].p, -one[1].F))
+
+
+def functions_of_joint(q: Array, *, slides: bool) -> Array:
+    """The functions of a joint's value, (N,) [rad] or [m], that its errors follow, shape (N, 3 or 2)."""
+    # Centred and of size 1, so that q and q^2 do not look alike.
+    middle = q - np.mean(q)
+    middle = middle / max(float(np.max(np.abs(middle), initial=0.0)), np.finfo(float).tiny)
+    return np.column_stack([middle, middle**2] if slides else [np.sin(q), np.cos(q), middle])
 
 
 def drift(stack: Stack, order: Array) -> Explained | None:

@@ -16,6 +16,7 @@ from calib.diagnosis.patterns import (
     Explained,
     Stack,
     drift,
+    functions_of_joint,
     joint_patterns,
     lag,
     step,
@@ -171,10 +172,19 @@ def _rounded_joints(residuals: Residuals) -> Iterator[Reason]:
 
 
 def _lagging_joints(residuals: Residuals, order: Order) -> Iterator[Reason]:
-    """That joints were measured before they had arrived: they miss a share of their last move."""
-    joints = residuals.joints
-    moves = [residuals.stack.times(order.moves[:, [i]], residuals.along(i)) for i in joints]
-    lagging = lag(residuals.stack, np.hstack(moves)) if moves else None
+    """That joints were measured before they had arrived: they miss a share of their last move.
+
+    Moves go with the values that joints move to: what follows those is no lag.
+    """
+    joints, stack = residuals.joints, residuals.stack
+    q, slides = residuals.fitted.estimate.problem.rows.joints, residuals.slides(joints)
+    of_values = (
+        stack.times(functions_of_joint(q[:, i], slides=s), residuals.along(i))
+        for i, s in zip(joints, slides, strict=True)
+    )
+    rest = stack.beyond(*of_values)
+    moves = [rest.times(order.moves[:, [i]], residuals.along(i)) for i in joints]
+    lagging = lag(rest, np.hstack(moves)) if moves else None
     if lagging is not None:
         shares, explained = lagging
         worst = int(np.argmax(np.abs(shares)))

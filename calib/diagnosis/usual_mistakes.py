@@ -17,6 +17,7 @@ import calib.data.kinds as registry
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Reason, Why
+from calib.errors import MeasurementError
 from calib.estimate.registration import register
 from calib.estimate.setup import LENGTHS, Rows, Setup, rows_of
 from calib.model.error_model import DIRECTIONS
@@ -48,6 +49,32 @@ _TURNS_DEG = (90.0, -90.0, 180.0)
 
 #: A mistake undone: what its error counts times, robot, set-up, rows, and what it would mean.
 Trial = tuple[float, Robot, Setup, Rows, Why, dict[str, Any]]
+
+
+#: Positions that differ by less are one [m]; a tip that moves by more than this cannot have stayed there [m].
+_ONE_PLACE = 1e-6
+_FAR_APART = 1e-2
+
+
+def check_positions(robot: Robot, rows: Rows, source: str) -> None:
+    """Refuse measured positions that are all the same, though the joint values move the tip: any fit of them collapses.
+
+    Raises:
+        MeasurementError: They are; the text names the file ``source`` and the place.
+    """
+    chosen = rows.where(lambda kind: kind.position)
+    if np.sum(chosen) < 2:
+        return
+    points, tips = rows.measured[chosen, :LENGTHS], robot.poses(rows.joints[chosen])[:, :3, 3]
+    apart = float(np.max(np.ptp(tips, axis=0)))
+    if np.max(np.ptp(points, axis=0)) > _ONE_PLACE or apart < _FAR_APART:
+        return
+    place = ", ".join(f"{1e3 * value:.3f}" for value in points[0])
+    raise MeasurementError(
+        f"{source or 'Measurements'}: all {len(points)} measured positions are ({place}) mm, while the joint values "
+        f"move the tip by up to {1e3 * apart:.0f} mm. Give what was measured at each pose; if the target stayed in a "
+        "socket, say --kind fixed and leave x, y and z out."
+    )
 
 
 def better_setup(robot: Robot, cell: Cell, table: Measurements) -> Reason | None:

@@ -152,7 +152,7 @@ class Evidence:
 
 
 #: Doubts whether what a model leaves over is the measurements' noise.
-_NOT_NOISE = (Why.MODEL_LACKS, Why.NOISE_LARGE, Why.NOISE_ABOVE_SIGMA)
+_NOT_NOISE = (Why.MODEL_LACKS, Why.NOISE_LARGE, Why.NOISE_ABOVE_SIGMA, Why.JOINTS_LAG)
 
 #: What can be improved where the gain is proven, and is no reason against it.
 _REMAINING = (

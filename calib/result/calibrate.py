@@ -18,7 +18,7 @@ from calib.data.cell import AUTO, Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.coverage import outside
 from calib.diagnosis.reasons import NO, Reason, Verdict
-from calib.diagnosis.usual_mistakes import better_setup
+from calib.diagnosis.usual_mistakes import better_setup, check_positions
 from calib.diagnosis.verdict import verdict
 from calib.estimate.fitting import Fitted, Task, fit
 from calib.estimate.registration import nominal_setup, register_unseen
@@ -131,6 +131,7 @@ def fit_table(
     """The fits alone, without what a result says of them; arguments and errors are those of `calibrate`."""
     every, setup = rows_of(robot, measurements, cell)
     rows, others = (every.select(m) for m in (measurements.estimation, measurements.validation))
+    check_positions(robot, rows, measurements.source)
     frames, targets = setup.seen_by(rows.samples)
     unseen = setup.as_known(frames, targets)
     began = time.perf_counter()

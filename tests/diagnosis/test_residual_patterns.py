@@ -22,11 +22,41 @@ def test_a_tracker_that_drifts(make_scene):
     assert reasons(result)[Why.DRIFT]["p"] < 0.003
 
 
+def test_joints_that_had_not_arrived(make_scene):
+    """They miss 0.05 % of the move from the row before, validation rows among these."""
+
+    def late(m: Measurements) -> Measurements:
+        back = 5e-4 * np.diff(m.joints, axis=0, prepend=m.joints[:1])
+        sets = tuple("validate" if k % 5 == 4 else "estimate" for k in range(len(m)))
+        return replace(m, joints=m.joints + back, sets=sets)
+
+    lagging = judged(make_scene, 63, late, rows=90)
+    reason = reasons(lagging)[Why.JOINTS_LAG]
+    assert lagging.verdict.use == "use with care"
+    assert reason["of_move"] == pytest.approx(5e-4, rel=0.15)
+    assert reason["falls"] > 0.5
+    assert Why.JOINTS_LAG not in reasons(judged(make_scene, 63, rows=90))
+
+
+def test_a_drift_matters_where_it_predicts_rows(make_scene):
+    """The value that says so is that of blocks of consecutive rows."""
+    way = np.linspace(0.0, 1.0, 90)[:, None] * np.array([4e-4, -3e-4, 2e-4])
+    drifting = judged(make_scene, 63, rows=90, bias=way)
+    assert reasons(drifting)[Why.DRIFT]["falls"] > 0.3
+    knocked = np.where(np.arange(90)[:, None] < 89, 0.0, [0.0, 0.0, 4e-4])
+    assert Why.DRIFT not in reasons(judged(make_scene, 63, rows=90, bias=knocked))
+
+
 def test_a_joint_whose_error_follows_its_angle(make_scene):
     given = {"model": "dh+gain", "other": {"gain": 1.5e-3}}
     result = judged(make_scene, 64, rows=90, given=given)
-    assert result.verdict.use == "use"
+    assert (result.verdict.use, result.verdict.reasons[0].why) == (
+        "use with care",
+        Why.MUCH_REMAINS,
+    )
     assert reasons(result)[Why.JOINT_PATTERN]["quantity"] == "angle"
+    # Where joints go, they came from elsewhere: that is no lag.
+    assert Why.JOINTS_LAG not in reasons(result)
 
 
 def rounded(m: Measurements) -> Measurements:

@@ -15,7 +15,9 @@ from scipy.spatial.transform import Rotation
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Why
-from calib.diagnosis.usual_mistakes import better_setup
+from calib.diagnosis.usual_mistakes import better_setup, check_positions
+from calib.errors import MeasurementError
+from calib.estimate.setup import rows_of
 from calib.example import PAPER_TARGET, paper_urdf
 from calib.result.calibrate import calibrate
 from calib.robot.readback import random_joint_values
@@ -82,6 +84,29 @@ def test_each_usual_mistake_is_named(ur3: Robot, thirty: Measurements, mistake, 
     assert told.why == why
     assert 2e-3 < told.values["error_m"] < 3e-3
     assert all(one in " ".join(map(str, told.values.values())) for one in values)
+
+
+def test_all_explanations_that_the_rows_cannot_tell_apart_are_named(
+    ur3: Robot, thirty: Measurements
+):
+    """The last joint's sign, and a zero of 180 deg: the target is found for either, at another place."""
+    reason = better_setup(ur3, Cell(), spoilt(thirty, joints=[1, 1, 1, 1, 1, -1]))
+    named = [{"code": reason.code, **reason.values}, *reason.values["others"]]
+    assert {one["code"] for one in named} == {"joints_turned", "joint_zero"}
+    assert all(one["error_m"] < 1.5 * reason.values["error_m"] + 1e-6 for one in named)
+    assert any(one.get("joints") == WRISTS[2] for one in named)
+    # Of a mistake that only one thing explains nothing else is named.
+    alone = better_setup(ur3, Cell(), spoilt(thirty, joints=[1, 1, -1, 1, 1, 1]))
+    assert "others" not in alone.values
+
+
+def test_positions_that_are_all_one_are_refused_before_any_fit(ur3: Robot, thirty: Measurements):
+    still = replace(thirty, points=np.tile(thirty.points[:1], (30, 1)))
+    with pytest.raises(MeasurementError, match="all 30 measured positions are"):
+        calibrate(ur3, still)
+    one_pose = replace(still, joints=np.tile(thirty.joints[:1], (30, 1)))
+    rows, _ = rows_of(ur3, one_pose, Cell())
+    check_positions(ur3, rows, "")
 
 
 def test_a_wrong_base_a_trackers_frame_and_a_target_that_is_fixed(ur3: Robot, thirty: Measurements):

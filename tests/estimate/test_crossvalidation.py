@@ -202,3 +202,34 @@ def test_set_ups_that_were_not_seen_are_registered_to_their_good_rows(make_scene
     left = cross_validation(fitted, outliers).residual
     assert np.sqrt(np.mean(left[40:][~outliers[40:]] ** 2)) < 1e-4
     np.testing.assert_allclose(left[44], 0.02, atol=5e-4)
+
+
+def extrapolated(scene: Any, table: Measurements) -> float:
+    task, rows = task_of(scene, table, Cell(model="dh"))
+    return selection.extrapolation(fit(task, rows))
+
+
+def test_noise_is_extrapolated_as_the_covariance_says(make_scene):
+    """Of one table by chance within a few tenths; on the mean of several it is 1, but for being no less than that."""
+    factors = []
+    for seed in range(8):
+        scene = make_scene(seed, length=3e-4, angle=3e-3, noise=1e-4, frames=[np.eye(4)])
+        factors.append(extrapolated(scene, scene.points(40)))
+    assert min(factors) >= 1.0
+    assert np.mean(factors) < 1.35
+
+
+def test_what_a_model_lacks_does_not_average_out(make_scene):
+    """Errors of gears that the geometry cannot have: of many rows the covariance knows next to nothing of them."""
+    scene = make_scene(
+        1,
+        model="dh+gain",
+        length=3e-4,
+        angle=3e-3,
+        noise=2e-5,
+        frames=[np.eye(4)],
+        other={"gain": 1e-3},
+    )
+    table = scene.points(400)
+    few, many = (extrapolated(scene, table.select(np.arange(400) < n)) for n in (40, 400))
+    assert many > max(2.0 * few, 5.0)

@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.calibration import calibrate
-from calib.data.cell import Cell
+from calib.data.cell import Cell, GroupDistance
 from calib.data.measurements import Measurements
 from calib.errors import ModelError, UrdfError
 from calib.estimate.statistics import Errors
@@ -319,6 +319,22 @@ def test_a_set_up_of_validation_rows_alone_is_registered_to_them(make_scene, kin
     nominal = evaluate(c.nominal, table, cell).residual
     np.testing.assert_allclose(nominal, c.residual_nominal, rtol=0, atol=1e-9)
     assert c.summary().count("registered to its validation rows") == 1
+
+
+def test_a_known_distance_to_a_socket_that_only_validation_rows_see(make_scene):
+    """It joins no set-ups of fitted rows, and is no constraint of the fit."""
+    scene = make_scene(51, frames=SOCKETS, targets=TARGETS[:1], length=3e-4, angle=3e-3, noise=5e-5)
+    table = in_each(scene.fixed, 20)
+    table = replace(table, sets=tuple("validate" if g == "2" else "estimate" for g in table.groups))
+    c = [-T[:3, :3].T @ T[:3, 3] for T in SOCKETS]
+    lengths = [float(np.linalg.norm(c[0] - c[k])) for k in (1, 2)]
+    known = tuple(
+        GroupDistance("0", other, length, 2e-5) for other, length in zip("12", lengths, strict=True)
+    )
+    result = calibrate(scene.robot, table, cell=Cell(distances=known), model="dh")
+    assert result.verdict.use == "use"
+    assert len(result.fitted.estimate.problem.distances) == 1
+    assert result.errors["calibrated"]["validation"].rms < 2e-4
 
 
 def test_a_target_of_validation_rows_alone_is_registered_to_them(make_scene):

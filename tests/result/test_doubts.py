@@ -21,6 +21,41 @@ def test_good_data_give_no_reason_for_care(make_scene):
     assert list(reasons(result)) == [Why.GAIN, Why.SCALE_HIDDEN]
 
 
+def test_a_target_that_is_not_where_it_was_given(make_scene):
+    """Said first; within the reach of a drawing's error it is nothing to say."""
+    scene = arm(make_scene, 61)
+    place = scene.kinematics.T_tip_target[0, :3, 3]
+    wrong = judged(make_scene, 61, cell=Cell(model="dh", target=place + np.array([0.2, -0.2, 0.0])))
+    assert (wrong.verdict.use, wrong.verdict.reasons[0].why) == ("use with care", Why.TARGET_FAR)
+    assert wrong.verdict.reasons[0].values["far_m"] == pytest.approx(0.2 * np.sqrt(2.0), abs=2e-3)
+    near = judged(make_scene, 61, cell=Cell(model="dh", target=place + np.array([3e-3, 0.0, 0.0])))
+    assert Why.TARGET_FAR not in reasons(near)
+
+
+def test_a_base_that_does_not_stand_where_the_known_frame_puts_it(make_scene):
+    """A base 6 mm off becomes arm geometry, and unseen rows agree."""
+    moved = judged(
+        make_scene,
+        61,
+        lambda m: replace(m, points=m.points + np.array([6e-3, 0.0, 0.0])),
+        model="placement",
+    )
+    first = moved.verdict.reasons[0]
+    assert (moved.verdict.use, first.why) == ("use with care", Why.BASE_MOVED)
+    assert first.values["moved_m"] == pytest.approx(6e-3, abs=5e-4)
+    assert moved.cross_validation.errors.rms < 2e-4
+    free = Cell(model="dh", estimate_frame=True)
+    assert Why.BASE_MOVED not in reasons(judged(make_scene, 61, cell=free))
+
+
+def test_a_certified_scale_hides_nothing(make_scene):
+    hidden = reasons(judged(make_scene, 61))[Why.SCALE_HIDDEN]
+    assert 2e-4 < hidden["scale"] < 5e-3
+    assert hidden["effect_m"] == pytest.approx(hidden["scale"] * hidden["reach_m"])
+    certified = Cell(model="dh", scale_certified=True)
+    assert Why.SCALE_HIDDEN not in reasons(judged(make_scene, 61, cell=certified))
+
+
 def test_a_corner_of_the_workspace(make_scene):
     scene = arm(make_scene, 62)
     rng = np.random.default_rng(2)
