@@ -24,6 +24,7 @@ ORDER = (
     "model",
     "data",
     "estimate",
+    "diagnosis",
     "result",
     "design",
     "simulation",
