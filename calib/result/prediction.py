@@ -80,7 +80,7 @@ class Solved:
     expected_measured: float
     expected_everywhere: float  #: The same over joint values spread over the limits [m]
     #: How many times as large as by the covariance the squared errors are where it is extrapolated; 1 or more
-    extrapolation: float
+    extrapolation: float = 1.0
 
     @property
     def expected_elsewhere(self) -> float:
