@@ -33,6 +33,7 @@ ORDER = (
     "text",
     "report",
     "calibration",
+    "conversion",
     "fleets",
     "viewer",
     "cli",

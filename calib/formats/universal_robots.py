@@ -49,6 +49,7 @@ from calib.formats.ur_arms import (
     ur_robot,
 )
 from calib.model.dh import STANDARD, dh_table
+from calib.result.verdict import Verdict
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import Robot, read_only
 from calib.units import NUMBER, Array
@@ -210,6 +211,9 @@ class Source:
     model: UrModel | None = None
     conf: Conf | None = None
     notes: tuple[Note, ...] = ()
+    verdict: Verdict | None = (
+        None  #: That of a result; None of any other file, and where nothing was judged.
+    )
 
 
 def read_ur(

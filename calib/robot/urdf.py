@@ -28,6 +28,9 @@ SAME = 1e-14  #: Entries of two poses that differ by no more are the same [m; ro
 
 _ZERO_AXIS = 1e-9
 
+#: How a comment begins that states the verdict on a corrected URDF.
+_VERDICT = "calib verdict: "
+
 
 def read_only(values: ArrayLike) -> Array:
     """A copy of the values as a float64 array that cannot be written to."""
@@ -111,6 +114,13 @@ class Urdf:
         children = {joint.child for joint in self.joints}
         return next(link for link in self.links if link not in children)
 
+    @property
+    def verdict(self) -> str:
+        """The verdict that a comment of the file states, as `with_verdict` wrote it; empty if there is none."""
+        stated = [comment.text.strip() for comment in self._document.comments]
+        found = [text.removeprefix(_VERDICT) for text in stated if text.startswith(_VERDICT)]
+        return found[0] if found else ""
+
     def elements(self) -> AnyElement:
         """The whole file as elements, a new tree at each call."""
         return self._document.elements()
@@ -191,6 +201,26 @@ class Urdf:
             before = close - len(outer)
             patch = (before, before, b"".join(inner + step * deep + line for deep, line in lines))
         return self._patched([patch])
+
+    def with_verdict(self, text: str) -> Urdf:
+        """The URDF with a verdict as a comment on a line before ``<robot>``, in place of one that it states already.
+
+        Args:
+            text: The verdict and its reason, which `verdict` reads back; empty for a URDF without such a comment.
+
+        Returns:
+            The URDF; all its other bytes are those of this one.
+        """
+        document = self._document
+        patches = [
+            (comment.start, document.line_after(comment.end), b"")
+            for comment in document.comments
+            if comment.text.strip().startswith(_VERDICT)
+        ]
+        if text:
+            first = document.root.start
+            patches.append((first, first, document.comment(_VERDICT + text)))
+        return self._patched(patches) if patches else self
 
     def write(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
         """Write the bytes to a file, whole or not at all."""

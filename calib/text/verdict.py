@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from calib.result.support import OutsideRow, Robustness
-from calib.result.verdict import Reason, Why
+from calib.result.verdict import NO, Reason, Verdict, Why
 
 #: Rows that a sentence names one by one.
 _NAMED = 3
@@ -152,6 +152,37 @@ def reason_text(reason: Reason) -> str:
         "rows_aside": f" ({v['aside']} more aside)" if v.get("aside") else "",
     }
     return _Units().vformat(SENTENCES[reason.why], (), words)
+
+
+def against(verdict: Verdict | None) -> str:
+    """What speaks against using a result: that its verdict is ``do not use``, and the first reason, in one line.
+
+    Args:
+        verdict: The verdict; None where nothing was judged.
+
+    Returns:
+        Such as ``do not use (no_better): On unseen rows ...``; empty for any other verdict, and for none.
+    """
+    if verdict is None or verdict.use != NO:
+        return ""
+    reasons = [f"({first.code}): {reason_text(first)}" for first in verdict.reasons[:1]]
+    return " ".join([NO, *reasons])
+
+
+def refusal(name: str, verdict: str) -> str:
+    """The message of a `calib.errors.VerdictError`.
+
+    Args:
+        name: The file that the verdict is on.
+        verdict: What speaks against it, as `against` has it.
+
+    Returns:
+        The verdict, that nothing was written because of it, and how it is written nonetheless, in one line.
+    """
+    return (
+        f"the verdict on {name} is: {verdict} Because of it nothing was written for a robot; --accept (in Python "
+        "accept=True) writes it nonetheless."
+    )
 
 
 _MEASURED = (("poses", "poses"), ("pairs", "pairs of poses"))
