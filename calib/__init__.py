@@ -22,9 +22,9 @@ if TYPE_CHECKING:
         compare as compare,
     )
     from calib.circle_points.survey import base_frame as base_frame
-    from calib.conversion import convert as convert
     from calib.compensation.commands import Commands as Commands, compensate as compensate
     from calib.compensation.program import Program as Program
+    from calib.conversion import convert as convert
     from calib.data.cell import Cell as Cell
     from calib.data.measurements import Measurements as Measurements
     from calib.design.optimal import PlanRequest as PlanRequest

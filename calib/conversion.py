@@ -1,7 +1,7 @@
 """convert as users have it: a verdict ``do not use`` is obeyed before anything is written.
 
-The verdict stands in a result, or in a comment of a URDF that was written in spite of it (`Urdf.verdict`); it goes along
-into a URDF, and into no other format, which has no place for it.
+The verdict stands in a result, or in a comment of a URDF that was written in spite of it (`Urdf.verdict`). It goes
+along into a URDF; the other formats have no place for it.
 """
 
 from __future__ import annotations

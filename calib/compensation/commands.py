@@ -178,7 +178,7 @@ def compensate(
         accept: Whether commands are made also where the verdict on the model that is used is ``do not use``.
 
     Raises:
-        VerdictError: That verdict is ``do not use``, or a corrected robot's URDF states it, and ``accept`` is not given.
+        VerdictError: That verdict is ``do not use``, or a corrected robot's URDF states it, and it is not accepted.
         ModelError: A tool, frame or joint that does not exist, a program of another robot, or no nominal robot.
     """
     pair = pair_of(calibration, nominal, tool=tool, frame=frame, larger=larger)

@@ -304,8 +304,8 @@ def _written(folder: Path, fingerprint: str, row: FleetRow, files: dict[str, byt
             f"{folder / strange[0]} exists already, and no fleet has written it. Move it away."
         )
     earlier = [name for name in _files_made(folder) if name not in files]
-    table = {"schema": SCHEMA, "fingerprint": fingerprint, "files": [*files]}
-    table["row"] = ROWS.table(row)
+    parts = {"files": [*files], "row": ROWS.table(row)}
+    table = {"schema": SCHEMA, "fingerprint": fingerprint, **parts}
     begun = table | {"fingerprint": "", "files": [*files, *earlier]}
     write_atomically(folder / MADE, json_bytes(begun), overwrite=True)
     for name in earlier:

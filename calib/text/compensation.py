@@ -65,8 +65,8 @@ def no_commands(found: Commands) -> str:
     """The message about rows without a command: why they have none."""
     lines = _findings(found, [(one,) if one else () for one in found.reasons])
     advice = _elsewhere(found) or (
-        "Check --tool, --poses-in and the units; --tolerance takes rows of which little is left, --match position those "
-        "whose orientation may be free; --skip leaves rows empty, but for the reason."
+        "Check --tool, --poses-in and the units; --tolerance takes rows of which little is left, --match position "
+        "those whose orientation may be free; --skip leaves rows empty, but for the reason."
     )
     head = f"{sum(~found.reached)} of {len(found)} rows have no command, and nothing was written:"
     return "\n".join([head, *lines, fill(advice)])

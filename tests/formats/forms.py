@@ -8,9 +8,9 @@ import numpy as np
 
 import calib.example
 from calib.calibration import calibrate
+from calib.conversion import convert
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.conversion import convert
 from calib.formats.convert import Options
 from calib.result.calibration_file import write_result
 from calib.robot.robot import Robot
