@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, get_type_hints
 
 import typer
+from typer.core import TyperCommand
 
 from calib.cli.exit_status import ExitStatus
 from calib.errors import CalibError, VerdictError
@@ -229,6 +230,31 @@ class TableOptions:
     points: PointsFile = None
     points_unit: PointsUnit = None
     columns: Columns = None
+
+
+class Verb(TyperCommand):
+    """A command that refuses two values for an option that has one, of which the last would win silently."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401  typer's own class
+        """Parse the words of a call; a wrong call ends the program with exit status 2.
+
+        Args:
+            ctx: The call.
+            args: Its words, behind the verb's name.
+
+        Returns:
+            The words that are left over.
+        """
+        _, _, given = self.make_parser(ctx).parse_args(args=[*args])
+        for option in self.get_params(ctx):
+            # A switch such as --force may come again; --robust beside --no-robust may not.
+            switch = getattr(option, "is_flag", False) and not option.secondary_opts
+            if option.nargs == 1 and not (switch or getattr(option, "multiple", True)):
+                times = given.count(option)
+                if times > 1:
+                    names = "/".join((*option.opts, *option.secondary_opts))
+                    ctx.fail(f"Option '{names}' is given {times} times. Give it once.")
+        return super().parse_args(ctx, args)
 
 
 def verb(text: str) -> Callable[[Callable[..., None]], Callable[..., None]]:

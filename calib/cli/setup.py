@@ -279,7 +279,7 @@ def executor_of(
 
             client = Client(dask, timeout="10s", set_as_default=False)  # type: ignore[no-untyped-call]
         except ImportError as error:
-            raise CalibError('Dask is not installed: run pip install "calib[dask]".') from error
+            raise CalibError("Dask is not installed: pip install distributed.") from error
         except (OSError, ValueError) as error:
             raise CalibError(
                 f'--dask "{dask}": no Dask scheduler answers there: {error}.'

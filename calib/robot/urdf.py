@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import hashlib
 import importlib.metadata
 import os
@@ -446,8 +447,30 @@ def find_urdf(source: str | Path) -> Path:
     for name in (f"{source}_robot.urdf", f"{source}.urdf"):
         if name in urdfs:
             return urdfs[name]
-    known = sorted(name.removesuffix(".urdf").removesuffix("_robot") for name in urdfs)
+    known = sorted({name.removesuffix(".urdf").removesuffix("_robot") for name in urdfs})
     raise UrdfError(
-        f"'{source}' is neither a file here nor a robot of example-robot-data{did_you_mean(str(source), known)}. Give "
-        f"the path of a URDF or xacro, or one of {choices(dict.fromkeys(known), limit=12)}."
+        f"'{source}' is neither a file here nor a robot of example-robot-data{_similar(str(source), known)}. Give "
+        f"the path of a URDF or xacro, or one of {choices(known)}."
     )
+
+
+def _similar(name: str, known: list[str]) -> str:
+    """Names of robots like the one given, as the end of a message, none of them as if it were the one that is meant.
+
+    A ``ur10e`` is no ``ur10``: its first link is 53 mm longer.
+
+    Args:
+        name: The name given.
+        known: The names of the robots that there are.
+
+    Returns:
+        Those that begin with the name, or that it begins with; else those that differ by few letters.
+    """
+    given = name.casefold()
+    found = [
+        robot
+        for robot in known
+        if robot.casefold().startswith(given) or given.startswith(robot.casefold())
+    ]
+    found = found or difflib.get_close_matches(given, known, n=3)
+    return f" (similar names there, which may be other robots: {choices(found)})" if found else ""
