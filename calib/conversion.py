@@ -45,8 +45,9 @@ def convert(
     stated = _stated(found)
     if stated and not accept:
         raise VerdictError(refusal(f"'{source}'", stated))
-    robot = replace(found.robot, urdf=found.robot.urdf.with_verdict(stated))
-    found = replace(found, robot=robot)
+    urdf = found.robot.urdf.with_verdict(stated)
+    if urdf != found.robot.urdf:
+        found = replace(found, robot=replace(found.robot, urdf=urdf))
     return Conversion(found, name, path, FORMATS[name].write(found, path, options), stated)
 
 

@@ -247,16 +247,18 @@ def _write_ur_yaml(source: Source, path: Path, options: Options) -> Notes:
     """A kinematics.yaml with the robot's own hash."""
     hash, own = source.hash, options.hash_from
     notes: Notes = ()
+    numbers = source.numbers
     if own is not None:
         read = read_ur(own, urcontrol=options.urcontrol, model=source.model)
-        hash, notes = read.hash, read.notes
+        hash, notes, numbers = read.hash, read.notes, read.numbers
     if hash is None:
         raise CalibError(
             f"{path}: a kinematics.yaml has the hash of the robot's own calibration, which the ROS driver "
             "compares with what the controller reports. Give the robot's own kinematics.yaml (from ros2 launch "
             "ur_calibration calibration_correction.launch.py) or its calibration.conf as --hash-from."
         )
-    return notes + write_ur_yaml(source, path, hash, overwrite=options.overwrite).notes
+    written = write_ur_yaml(source, path, hash, like=numbers, overwrite=options.overwrite)
+    return notes + written.notes
 
 
 def _write_ur_conf(source: Source, path: Path, options: Options) -> Notes:

@@ -291,7 +291,7 @@ def test_what_is_left_may_be_accepted(ur3):
     program = replace(program, match="position")
     refused = compensate(off(ur3), program, nominal=ur3)
     assert not refused.reached.any()
-    taken = compensate(off(ur3), program, nominal=ur3, accept=(2.0 * refused.left[0, 0], 1.0))
+    taken = compensate(off(ur3), program, nominal=ur3, tolerance=(2.0 * refused.left[0, 0], 1.0))
     assert taken.reached.all()
     assert taken.left[0, 0] == refused.left[0, 0]
     assert np.isnan(taken.q_nominal).all()

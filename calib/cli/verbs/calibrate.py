@@ -88,7 +88,9 @@ def calibrate(
         for path in written:
             typer.echo(f"Written: {path}")
         if outputs.output is None and result.verdict is None:
-            typer.echo("No URDF was written. There is no verdict on one: --no-validate leaves it out.")
+            typer.echo(
+                "No URDF was written. There is no verdict on one: --no-validate leaves it out."
+            )
         elif outputs.output is None and not stated:
             typer.echo("No URDF was written; add -o corrected.urdf to write it.")
     if outputs.output is None or not stated:
