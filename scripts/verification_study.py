@@ -404,7 +404,7 @@ def robots(case: str, rng: np.random.Generator) -> Found:
     result = calibrate(robot, table, model="dh", validate=False)
     error = np.linalg.norm(result.predict(unseen) - truth.points(unseen), axis=1)
     with tempfile.TemporaryDirectory() as folder:
-        written = result.write_urdf(Path(folder) / "corrected.urdf", target_link=True, accept=True)
+        written = result.write_urdf(Path(folder) / "corrected.urdf", target_link=True)
         again = Robot.load(written, base=robot.base, tip="calib_target", held=robot.held)
         by_file = np.linalg.norm(again.poses(unseen)[:, :3, 3] - truth.points(unseen), axis=1)
     return {

@@ -125,6 +125,11 @@ class Fleet:
         """The robots that have no corrected URDF, because their verdict is ``do not use``."""
         return tuple(row for row in self.rows if row.urdf == WITHHELD)
 
+    @property
+    def accepted(self) -> tuple[FleetRow, ...]:
+        """The robots whose corrected URDF was written in spite of the verdict ``do not use``."""
+        return tuple(row for row in self.rows if row.urdf == ACCEPTED)
+
     def table(self) -> dict[str, Any]:
         """All of it as in ``fleet.json``, SI units, the unit in the keys."""
         parts = {"robots": map(ROWS.table, self.rows), "odd": map(asdict, self.odd)}

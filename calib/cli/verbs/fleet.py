@@ -111,9 +111,12 @@ def fleet(
             typer.echo(f"Written: {out / name}")
     if found.failed:
         typer.echo(f"calib: {len(found.failed)} of {len(found.rows)} robots failed.", err=True)
-    if found.withheld:
-        names = choices(row.name for row in found.withheld)
-        said = f"the verdict on {names} is 'do not use', and no URDF was written; --accept writes it nonetheless."
-        typer.echo(f"calib: {said}", err=True)
+    for rows, said in (
+        (found.withheld, "No URDF was written for it; --accept writes it nonetheless."),
+        (found.accepted, "It was accepted."),
+    ):
+        if rows:
+            names = choices(row.name for row in rows)
+            typer.echo(f"calib: the verdict on {names} is 'do not use'. {said}", err=True)
     if found.failed or found.withheld:
         raise typer.Exit(ExitStatus.REFUSED if found.failed else ExitStatus.NOT_ACCEPTED)
