@@ -141,9 +141,9 @@ class Examples:
 
 
 @pytest.fixture(scope="session")
-def examples(tmp_pathfactory: pytest.TempPathFactory) -> Examples:
+def examples(tmp_path_factory: pytest.TempPathFactory) -> Examples:
     """Every example of docs/command-line.md, run in the order of the text in one folder."""
-    folder = fill(tmp_pathfactory.mktemp("examples"))
+    folder = fill(tmp_path_factory.mktemp("examples"))
     text = (DOCS / "command-line.md").read_text(encoding="utf-8")
     calls = [
         line
