@@ -41,14 +41,15 @@ def convert(
         CalibError: Something that the format needs was not given.
     """
     options, path = options or Options(), Path(path)
-    found, name = read_source(source, path, options)
-    stated = _stated(found)
+    content, name = read_source(source, path, options)
+    stated = _stated(content)
     if stated and not accept:
         raise VerdictError(refusal(f"'{source}'", stated))
-    urdf = found.robot.urdf.with_verdict(stated)
-    if urdf != found.robot.urdf:
-        found = replace(found, robot=replace(found.robot, urdf=urdf))
-    return Conversion(found, name, path, FORMATS[name].write(found, path, options), stated)
+    urdf = content.robot.urdf.with_verdict(stated)
+    if urdf != content.robot.urdf:
+        content = replace(content, robot=replace(content.robot, urdf=urdf))
+    notes = FORMATS[name].write(content, path, options)
+    return Conversion(content, name, path, notes, stated)
 
 
 def _stated(source: Source) -> str:

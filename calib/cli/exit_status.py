@@ -6,7 +6,7 @@ from enum import IntEnum
 
 
 class ExitStatus(IntEnum):
-    """What a call of the program ends with."""
+    """Exit status of a call of the program."""
 
     DONE = 0  #: Everything was done.
     REFUSED = 1  #: An error, or a robot of a fleet that failed.

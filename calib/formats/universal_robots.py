@@ -184,7 +184,7 @@ def read_numbers(path: PathLike, data: bytes | None = None) -> tuple[Array, str 
     top = parse_yaml(read_bytes(path, what) if data is None else data, str(path), what)
     links = top.get("kinematics")
     links = links if isinstance(links, dict) else {}
-    found = []
+    numbers = []
     for link in LINKS:
         values = links.get(link)
         if not isinstance(values, dict) or not _LARGEST_POSE.keys() <= values.keys():
@@ -192,14 +192,14 @@ def read_numbers(path: PathLike, data: bytes | None = None) -> tuple[Array, str 
                 f"{path}: under 'kinematics' there is no '{link}' with {choices(_LARGEST_POSE)}; a "
                 f"kinematics.yaml has {choices(LINKS)}."
             )
-        found.append(
+        numbers.append(
             [
                 _number(f"{path}: {key} of '{link}'", str(values[key]), most)
                 for key, most in _LARGEST_POSE.items()
             ]
         )
     hash = links.get("hash")
-    return read_only(found), str(hash) if hash else None
+    return read_only(numbers), str(hash) if hash else None
 
 
 def kinematics_bytes(chain: Array, hash: str, like: Array | None = None) -> bytes:
@@ -227,8 +227,8 @@ def kinematics_bytes(chain: Array, hash: str, like: Array | None = None) -> byte
         values = np.array([*T[:3, 3], *pin.rpy.matrixToRpy(T[:3, :3])])
         values = np.where(np.abs(values) < _ROUNDING, 0.0, values)
         if like is not None:
-            own = like[LINKS.index(link)]
-            values = np.where(np.abs(values - own) < _ROUNDING, own, values)
+            before = like[LINKS.index(link)]
+            values = np.where(np.abs(values - before) < _ROUNDING, before, values)
         table[link] = dict(zip(_LARGEST_POSE, values.tolist(), strict=True))
     table["hash"] = hash
     text = yaml.safe_dump({"kinematics": table}, sort_keys=False)

@@ -83,8 +83,8 @@ class Urdf:
     def verdict(self) -> str:
         """The verdict that a comment of the file states, as `with_verdict` wrote it; empty if there is none."""
         stated = [comment.text.strip() for comment in self._document.comments]
-        found = [text.removeprefix(_VERDICT) for text in stated if text.startswith(_VERDICT)]
-        return found[0] if found else ""
+        verdicts = [text.removeprefix(_VERDICT) for text in stated if text.startswith(_VERDICT)]
+        return verdicts[0] if verdicts else ""
 
     def elements(self) -> AnyElement:
         """The whole file as elements, a new tree at each call."""
@@ -289,10 +289,12 @@ def _similar(name: str, known: list[str]) -> str:
         Those that begin with the name, or that it begins with; else those that differ by few letters.
     """
     given = name.casefold()
-    found = [
+    similar = [
         robot
         for robot in known
         if robot.casefold().startswith(given) or given.startswith(robot.casefold())
     ]
-    found = found or difflib.get_close_matches(given, known, n=3)
-    return f" (similar names there, which may be other robots: {choices(found)})" if found else ""
+    similar = similar or difflib.get_close_matches(given, known, n=3)
+    if not similar:
+        return ""
+    return f" (similar names there, which may be other robots: {choices(similar)})"

@@ -261,7 +261,7 @@ def _check_units(document: Document, joints: tuple[UrdfJoint, ...]) -> None:
 
 
 def _looks_like_degrees(joint: UrdfJoint) -> bool:
-    """Whether a revolute joint's limits are round numbers that would be many turns, up to two of them in degrees."""
+    """Tell limits in degrees by round numbers that would be many turns in radians, and are two at most in degrees."""
     if joint.lower is None or joint.upper is None:
         return False
     ends = np.array([joint.lower, joint.upper])

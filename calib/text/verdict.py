@@ -155,7 +155,7 @@ def reason_text(reason: Reason) -> str:
 
 
 def against(verdict: Verdict | None) -> str:
-    """What speaks against using a result: that its verdict is ``do not use``, and the first reason, in one line.
+    """Word the verdict ``do not use`` and its first reason in one line.
 
     Args:
         verdict: The verdict; None where nothing was judged.
