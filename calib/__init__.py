@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from calib.circle_points.survey import base_frame as base_frame
     from calib.compensation.commands import Commands as Commands, compensate as compensate
     from calib.compensation.program import Program as Program
+    from calib.conversion import convert as convert
     from calib.data.cell import Cell as Cell
     from calib.data.measurements import Measurements as Measurements
     from calib.design.optimal import PlanRequest as PlanRequest
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
     from calib.errors import CalibError as CalibError
     from calib.estimate.selection import inspect as inspect
     from calib.fleets.fleet import fleet as fleet
-    from calib.formats.convert import convert as convert
     from calib.result.evaluation import Evaluation as Evaluation, evaluate as evaluate
     from calib.result.uncertainty import bootstrap as bootstrap
     from calib.robot.robot import Robot as Robot
@@ -47,6 +47,7 @@ _NAMES = {
     "calib.circle_points.survey": "base_frame",
     "calib.compensation.commands": "Commands compensate",
     "calib.compensation.program": "Program",
+    "calib.conversion": "convert",
     "calib.data.cell": "Cell",
     "calib.data.measurements": "Measurements",
     "calib.design.optimal": "PlanRequest",
@@ -55,7 +56,6 @@ _NAMES = {
     "calib.errors": "CalibError",
     "calib.estimate.selection": "inspect",
     "calib.fleets.fleet": "fleet",
-    "calib.formats.convert": "convert",
     "calib.result.evaluation": "Evaluation evaluate",
     "calib.result.uncertainty": "bootstrap",
     "calib.robot.robot": "Robot",

@@ -11,13 +11,14 @@ from typing import Any, ParamSpec, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import ModelError, UrdfError, choices
+from calib.errors import ModelError, UrdfError, VerdictError, choices
 from calib.model.kinematics import Samples
 from calib.result.calibrate import calibrate as calibrate_values
 from calib.result.calibration import Calibration as CalibrationValues
 from calib.result.comparison import Comparison as ComparisonValues, compare as compare_values
 from calib.robot.readback import check_written, random_joint_values
 from calib.robot.urdf import Urdf
+from calib.text.verdict import against, refusal
 
 __all__ = ["TARGET_LINK", "Calibration", "Comparison", "calibrate", "compare"]
 
@@ -66,7 +67,10 @@ class Calibration(CalibrationValues):
         return summary(self)
 
     def checked_urdf(self, *, target_link: bool = False) -> Urdf:
-        """What `write_urdf` writes, read back with Pinocchio and yourdfpy as it does; it raises the same."""
+        """What `write_urdf` writes, read back with Pinocchio and yourdfpy as it does; it raises the same.
+
+        A verdict ``do not use`` stands in it as a comment; it is not obeyed here.
+        """
         robot = self.robot
         if target_link and len(self.setup.targets) > 1:
             raise ModelError(
@@ -76,23 +80,40 @@ class Calibration(CalibrationValues):
         if target_link:
             urdf = _with_target_link(robot.urdf, robot.tip, self.setup.T_tip_target[0])
             robot = replace(robot, urdf=urdf)
+        robot = replace(robot, urdf=robot.urdf.with_verdict(against(self.verdict)))
         q = random_joint_values(robot)
         # Straight from the parameters, by the path that the fit took, not through the corrected robot.
         check_written(robot, self.tips(Samples.at(q)), q)
         return robot.urdf
 
     def write_urdf(
-        self, path: str | Path, *, overwrite: bool = False, target_link: bool = False
+        self,
+        path: str | Path,
+        *,
+        overwrite: bool = False,
+        target_link: bool = False,
+        accept: bool = False,
     ) -> Path:
         """Write the corrected URDF, the geometry alone, after reading it back with Pinocchio and yourdfpy.
 
-        With ``target_link`` it has a link ``calib_target`` at the target, fixed to the tip.
+        Args:
+            path: The file.
+            overwrite: Whether a file that exists is replaced.
+            target_link: Whether it has a link ``calib_target`` at the target, fixed to the tip.
+            accept: Whether it is written also where the verdict is ``do not use``; the verdict then stands in it as a
+                comment before ``<robot>``.
+
+        Returns:
+            The path.
 
         Raises:
+            VerdictError: The verdict is ``do not use``, and ``accept`` is not given.
             UrdfError: A reader disagrees with the model in memory by more than 1e-9 m or rad.
             ModelError: Several targets, which one link cannot stand for.
             FileError: The file exists, or cannot be written.
         """
+        if not accept and (stated := against(self.verdict)):
+            raise VerdictError(refusal(f"'{path}'", stated))
         return self.checked_urdf(target_link=target_link).write(path, overwrite=overwrite)
 
     def write_json(self, path: str | Path, *, overwrite: bool = False) -> Path:

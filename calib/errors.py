@@ -52,6 +52,10 @@ class FileError(CalibError):
     """A file cannot be read or written: it exists already, its folder does not, or it changed."""
 
 
+class VerdictError(CalibError):
+    """A result whose verdict is ``do not use`` was to be made into something for a robot, and was not accepted."""
+
+
 def choices(names: Iterable[str], limit: int = 12) -> str:
     """The allowed names as text for a message: at most ``limit`` of them, then how many more."""
     listed = list(names)

@@ -128,6 +128,14 @@ def make_folder(path: str | os.PathLike[str]) -> Path:
     return Path(path)
 
 
+def remove(path: str | os.PathLike[str]) -> None:
+    """Remove a file, if there is one; FileError where that cannot be."""
+    try:
+        Path(path).unlink(missing_ok=True)
+    except OSError as error:
+        raise FileError(f"'{path}' cannot be removed: {_reason(error)}; remove it.") from error
+
+
 def _reason(error: Exception) -> str:
     """What the system says, without the name of the temporary file."""
     return str(getattr(error, "strerror", None) or error)

@@ -314,7 +314,7 @@ def of_starts(times: int) -> list[str]:
     with tempfile.TemporaryDirectory() as folder:
         table = ROOT / "calib" / "example" / "ur3_leica.csv"
         fitting = [
-            "fit",
+            "calibrate",
             str(ROOT / "urdf" / "ur3.urdf"),
             str(table),
             "--base",

@@ -34,6 +34,7 @@ ORDER = (
     "text",
     "report",
     "calibration",
+    "conversion",
     "fleets",
     "viewer",
     "cli",

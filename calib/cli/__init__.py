@@ -10,6 +10,8 @@ import io
 import os
 import sys
 
+from calib.cli.exit_status import ExitStatus
+
 __all__ = ["main"]
 
 
@@ -18,12 +20,15 @@ def main() -> None:
     try:
         _run()
     except KeyboardInterrupt:  # before a verb runs, which says itself what stays of its work
-        code, said = 130, "interrupted; no file was left half written."
+        code, said = ExitStatus.INTERRUPTED, "interrupted; no file was left half written."
     except OSError as error:  # a full disk behind `>`
         # What could not be printed must not be tried again at the end.
         sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115
         where = f"'{error.filename}'" if error.filename else "the printed text"
-        code, said = 1, f"{where} cannot be read or written: {error.strerror or error}."
+        code, said = (
+            ExitStatus.REFUSED,
+            f"{where} cannot be read or written: {error.strerror or error}.",
+        )
     else:
         return
     sys.stderr.write(f"calib: {said}\n")

@@ -12,8 +12,10 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, get_type_hints
 
 import typer
+from typer.core import TyperCommand
 
-from calib.errors import CalibError
+from calib.cli.exit_status import ExitStatus
+from calib.errors import CalibError, VerdictError
 
 RobotFile = Annotated[
     str,
@@ -179,6 +181,12 @@ TargetLink = Annotated[
 Robust = Annotated[bool, typer.Option(help="Give outliers no weight.")]
 Validate = Annotated[bool, typer.Option(help="Cross-validate; without it there is no verdict.")]
 Seed = Annotated[int, typer.Option(min=0, metavar="S", help="The same seed gives the same result.")]
+Accept = Annotated[
+    bool,
+    typer.Option(
+        "--accept", help="Write for the robot also where the verdict is 'do not use'; else exit 3."
+    ),
+]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite files that exist.")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")]
 Debug = Annotated[bool, typer.Option("--debug", help="Show the trace of an error.")]
@@ -224,6 +232,31 @@ class TableOptions:
     columns: Columns = None
 
 
+class Verb(TyperCommand):
+    """A command that refuses two values for an option that has one, of which the last would win silently."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401  typer's own class
+        """Parse the words of a call; a wrong call ends the program with exit status 2.
+
+        Args:
+            ctx: The call.
+            args: Its words, behind the verb's name.
+
+        Returns:
+            The words that are left over.
+        """
+        _, _, given = self.make_parser(ctx).parse_args(args=[*args])
+        for option in self.get_params(ctx):
+            # A switch such as --force may come again; --robust beside --no-robust may not.
+            switch = getattr(option, "is_flag", False) and not option.secondary_opts
+            if option.nargs == 1 and not (switch or getattr(option, "multiple", True)):
+                times = given.count(option)
+                if times > 1:
+                    names = "/".join((*option.opts, *option.secondary_opts))
+                    ctx.fail(f"Option '{names}' is given {times} times. Give it once.")
+        return super().parse_args(ctx, args)
+
+
 def verb(text: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """A function as a verb of the command line with this ``--help``, ``--debug``, and errors as `reporting` puts them.
 
@@ -264,7 +297,7 @@ def verb(text: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
 
 @contextmanager
 def reporting(*, debug: bool) -> Iterator[None]:
-    """Errors as one line on stderr and exit code 1; with ``debug`` the trace before it.
+    """Errors as one line on stderr and their exit status; with ``debug`` the trace before it.
 
     The text of a `KeyboardInterrupt` says what stays of the work.
     """
@@ -275,11 +308,11 @@ def reporting(*, debug: bool) -> Iterator[None]:
     except BrokenPipeError as error:
         # The reader of our output (head, less) has gone: nothing to say to it.
         sys.stderr.close()
-        raise typer.Exit(0) from error
+        raise typer.Exit(ExitStatus.DONE) from error
     except KeyboardInterrupt as error:
         said = f"interrupted; no file was left half written. {error}".rstrip()
         typer.echo(f"calib: {said}", err=True)
-        raise typer.Exit(130) from error
+        raise typer.Exit(ExitStatus.INTERRUPTED) from error
     except OSError:  # said by `calib.cli.main`
         raise
     except Exception as error:
@@ -291,4 +324,5 @@ def reporting(*, debug: bool) -> Iterator[None]:
         if debug:
             traceback.print_exc()
         typer.echo(f"calib: {said}", err=True)
-        raise typer.Exit(1) from error
+        obeyed = isinstance(error, VerdictError)
+        raise typer.Exit(ExitStatus.NOT_ACCEPTED if obeyed else ExitStatus.REFUSED) from error

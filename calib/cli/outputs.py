@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from calib.cli.options import Dask, Force, SampleWorkers, TargetLink
+from calib.cli.options import Accept, Dask, Force, SampleWorkers, TargetLink
 from calib.cli.setup import check_outputs
 from calib.cli.terminal import command_line, progress_bar
 from calib.errors import CalibError
@@ -55,6 +55,7 @@ class Outputs:
         typer.Option("--figure-format", help="The kind of file of --figures. Default: png."),
     ] = None
     target_link: TargetLink = False
+    accept: Accept = False
     force: Force = False
 
     def check(self, inputs: list[str | Path]) -> None:
@@ -72,14 +73,21 @@ class Outputs:
     def write(
         self, result: Calibration, tables: dict[str, Any], *, quiet: bool
     ) -> Iterator[Path | str]:
-        """Write what was asked for, one after the other; ``tables`` go into the result file too."""
+        """Write what was asked for, one after the other; ``tables`` go into the result file too.
+
+        The corrected URDF is left out where the verdict is ``do not use`` and was not accepted.
+        """
         force, kind = self.force, self.figure_format or "png"
         if self.figures is not None and not force:
             from calib.report.figures import drawings, figure_files
 
             figure_files(drawings(result), self.figures, kind)
-        if self.output is not None:
-            yield result.write_urdf(self.output, overwrite=force, target_link=self.target_link)
+        from calib.text.verdict import against
+
+        if self.output is not None and (self.accept or not against(result.verdict)):
+            yield result.write_urdf(
+                self.output, overwrite=force, target_link=self.target_link, accept=self.accept
+            )
         if self.json is not None:
             from calib.result.calibration_file import write_result
 

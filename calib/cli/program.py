@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import typer
 
+from calib.cli.options import Verb
 from calib.cli.verbs.base_frame import base_frame
 from calib.cli.verbs.calibrate import calibrate
 from calib.cli.verbs.compare import compare
@@ -29,9 +30,9 @@ app = typer.Typer(
 )
 verbs = (demo, calibrate, fleet, evaluate, compare, compensate, inspect, base_frame, plan, simulate)
 for verb in (*verbs, convert, view, workspace):
-    app.command()(verb)
+    app.command(cls=Verb)(verb)
 # Its name before, kept for one release.
-app.command("fit", hidden=True)(calibrate)
+app.command("fit", cls=Verb, hidden=True)(calibrate)
 
 
 def _print_version(wanted: bool) -> None:

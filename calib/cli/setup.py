@@ -229,6 +229,17 @@ def with_target_link(robot: Robot, cell: Cell) -> Cell:
     return cell.with_target(point, estimate=cell.estimate_target)
 
 
+def say_accepted(name: str, stated: str) -> None:
+    """Say on stderr, to those too who want nothing printed, which verdict ``do not use`` was accepted.
+
+    Args:
+        name: The file that the verdict is on.
+        stated: The verdict, as `calib.text.verdict.against` has it; nothing is said where it is empty.
+    """
+    if stated:
+        typer.echo(f"calib: the verdict on {name} is: {stated} It was accepted.", err=True)
+
+
 def say_ignored(measurements: Measurements, robot: Robot) -> None:
     """Name the rows and columns that were not used; a joint among these hints at a wrong base or tip."""
     from calib.units import split_header
@@ -268,7 +279,7 @@ def executor_of(
 
             client = Client(dask, timeout="10s", set_as_default=False)  # type: ignore[no-untyped-call]
         except ImportError as error:
-            raise CalibError('Dask is not installed: run pip install "calib[dask]".') from error
+            raise CalibError("Dask is not installed: pip install distributed.") from error
         except (OSError, ValueError) as error:
             raise CalibError(
                 f'--dask "{dask}": no Dask scheduler answers there: {error}.'

@@ -76,14 +76,17 @@ def styled(text: str) -> Iterator[tuple[str, str]]:
 
 
 def say_table(title: str, heads: list[str], rows: list[list[str]]) -> None:
-    """Print a table: on a terminal long names are folded and verdicts coloured; elsewhere it is plain text."""
+    """Print a table: on a terminal long names are folded and verdicts coloured; elsewhere it is plain text.
+
+    Its first four columns are words, the others numbers.
+    """
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
     table = Table(box=None, pad_edge=False, header_style="bold")
     for k, head in enumerate(heads):
-        table.add_column(head, justify="left" if k < 3 else "right", overflow="fold")
+        table.add_column(head, justify="left" if k < 4 else "right", overflow="fold")
     for row in rows:
         table.add_row(*(Text(cell, VERDICTS.get(cell, "")) for cell in row))
     # A file is as wide as its longest name.

@@ -38,6 +38,8 @@ from calib.compensation.nominal_actual import Pair, pair_of
 from calib.compensation.program import CORRECTION, Program
 from calib.data.kinds import to_quaternions
 from calib.data.table import POINT, QUATERNION, ROLL_PITCH_YAW, ROTATION_VECTOR, STATUS
+from calib.diagnosis.reasons import NO
+from calib.errors import VerdictError
 from calib.files import csv_bytes, write_atomically
 from calib.result.calibration import Calibration
 from calib.robot.readback import column_limits
@@ -156,8 +158,9 @@ def compensate(
     nominal: Robot | None = None,
     tool: ArrayLike | str | None = None,
     frame: ArrayLike | str | None = None,
-    accept: tuple[float, float] = (1e-8, 1e-8),
+    tolerance: tuple[float, float] = (1e-8, 1e-8),
     larger: bool | Payload = True,
+    accept: bool = False,
 ) -> Commands:
     """What to command so that the true robot does what a program wants.
 
@@ -169,17 +172,21 @@ def compensate(
             of the calibration ("" for the only one), where the calibrated model has it; default the tip itself.
         frame: The base in the frame that poses are given and sent in, shape (4, 4) [m], or the name of a set-up of the
             calibration ("" for the only one); default the base.
-        accept: What may be left of the error: position [m], angle [rad]; no less than 1e-9.
+        tolerance: What may be left of the error: position [m], angle [rad]; no less than 1e-9.
         larger: Whether to use the non-geometric model, where there is one, else the geometry that the URDF holds; or
             the payload to use it with, in place of the one at its calibration.
+        accept: Whether commands are made also where the verdict on the model that is used is ``do not use``.
 
     Raises:
+        VerdictError: That verdict is ``do not use``, or a corrected robot's URDF states it, and it is not accepted.
         ModelError: A tool, frame or joint that does not exist, a program of another robot, or no nominal robot.
     """
     pair = pair_of(calibration, nominal, tool=tool, frame=frame, larger=larger)
+    if not accept:
+        _check_verdict(pair)
     robot = pair.nominal.robot
     count = len(robot.joint_names)
-    accept = (max(accept[0], _EXACT), max(accept[1], _EXACT))
+    tolerance = (max(tolerance[0], _EXACT), max(tolerance[1], _EXACT))
     usual = POSE if count >= 6 else AXIS if count == 5 else POSITION
     # Where all is reached the length that weighs an angle is one of scale: the arm's own.
     matching = Matching(program.match or (usual if program.oriented else POSITION), pair.reach)
@@ -188,7 +195,7 @@ def compensate(
     T_send, left_by_pose = _poses_to_send(pair, T_wanted, starts, solved, matching)
     before = Solved(starts.q, *pair.actual.motion(starts.q))
     left = matching.misses(solved.T_base_tool, T_wanted)
-    reasons = _reasons(pair, matching, before, solved, ~_within(left, accept), left)
+    reasons = _reasons(pair, matching, before, solved, ~_within(left, tolerance), left)
     reached = np.array([reason is None for reason in reasons])
     nominal_reaches = _within(matching.misses(starts.T_base_tool, T_wanted), _NOMINAL)
     commands = Commands(
@@ -206,7 +213,23 @@ def compensate(
         reasons=tuple(reasons),
         warnings=((),) * len(reasons),
     )
-    return replace(commands, warnings=_warnings(commands, accept))
+    return replace(commands, warnings=_warnings(commands, tolerance))
+
+
+def _check_verdict(pair: Pair) -> None:
+    """Refuse commands by a model whose verdict is ``do not use``; `VerdictError`."""
+    if pair.result is None:
+        source, stated = pair.actual.robot.urdf.source, pair.actual.robot.urdf.verdict
+    else:
+        judged = pair.result.verdict_on(larger=pair.larger)
+        source = pair.result.source.name or "these measurements"
+        against = judged is not None and judged.use == NO
+        stated = f"{NO} (the summary() of the result says why)" if against else ""
+    if stated:
+        raise VerdictError(
+            f"The verdict on {source} is: {stated}. No commands are made by it; accept=True (on the command line "
+            "--accept) makes them nonetheless."
+        )
 
 
 def _within(misses: Array, allowed: tuple[float, float]) -> Mask:
@@ -305,8 +328,10 @@ def _reasons(
     return found
 
 
-def _warnings(commands: Commands, accept: tuple[float, float]) -> tuple[tuple[Finding, ...], ...]:
-    """For each row that is reached what to know of its command; ``accept``: the error that may be left [m], [rad]."""
+def _warnings(
+    commands: Commands, tolerance: tuple[float, float]
+) -> tuple[tuple[Finding, ...], ...]:
+    """For each row that is reached what to know of its command; ``tolerance``: what may be left [m], [rad]."""
     pair, program, robot = commands.pair, commands.program, commands.nominal
     rows = np.flatnonzero(commands.reached)
     q, q_nominal = commands.q[rows], commands.q_nominal[rows]
@@ -345,7 +370,7 @@ def _warnings(commands: Commands, accept: tuple[float, float]) -> tuple[tuple[Fi
     over = (near & (planned.max(axis=1) > _TURNED_OVER)) | (after.max(axis=1) > most)
     say("jump", over, after, [program.labels[rows[i]] for i in last])
     by_pose, left = commands.left_by_pose[rows], commands.left[rows]
-    say("ambiguous pose", ~_within(by_pose - left, accept), by_pose)
+    say("ambiguous pose", ~_within(by_pose - left, tolerance), by_pose)
     for outside in [] if pair.result is None else pair.result.outside_of_measured(q):
         for one in outside.beyond:
             far = Finding("outside measured range", (float(one.by),), one.joint)

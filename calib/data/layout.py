@@ -21,6 +21,7 @@ from calib.data.table import (
     POINT,
     QUATERNION,
     ROTATION_VECTOR,
+    SETS,
     STATUS,
     TORQUE,
     Column,
@@ -267,6 +268,7 @@ def read_values(table: Table, layout: Layout, elsewhere: Points | None = None) -
         found = elsewhere.of_rows(table.source, [every[i] for i in at], names)
         points[at] = elsewhere.points[found]
         measured[at] = np.array(found, dtype=np.intp) >= 0
+    _check_sets(table, layout, words.get("set", ()), measured)
     words = {name: list(compress(found, measured)) for name, found in words.items()}
     _check_units(
         table, layout, {n: np.where(measured[:, None], v, np.nan) for n, v in grid.items()}
@@ -307,6 +309,19 @@ def read_values(table: Table, layout: Layout, elsewhere: Points | None = None) -
         "torques": torques,
         "unmeasured": list(compress(every, ~measured)),
     }
+
+
+def _check_sets(table: Table, layout: Layout, sets: Sequence[str], measured: Mask) -> None:
+    """Refuse words of the column ``set``, one for each row, that are no set in a row that is measured."""
+    for word in set(sets) - set(SETS):
+        column = layout.words["set"]
+        what = (
+            f"'{word}' is no set; allowed are {choices(SETS)}. Correct it; if the column means something else, "
+            f'--columns "{column.label}=-" leaves it out.'
+        )
+        for i in np.flatnonzero(measured).tolist():
+            if sets[i] == word:
+                table.fail(i, column, what, layout.words.get("row"))
 
 
 def _words(table: Table, layout: Layout, told: Mapping[str, Mask]) -> dict[str, list[str]]:

@@ -10,6 +10,7 @@ import codecs
 import csv
 import hashlib
 import io
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -62,6 +63,9 @@ _FAR_M, _NEAR_M = 100.0, 5e-3
 #: The unit that headers are proposed in, and tables written in.
 COMMON: Mapping[Quantity, str] = {"length": "mm", "angle": "deg", "torque": "Nm", "force": "N"}
 
+#: The line before the header that tells Excel what stands between the cells.
+_SEPARATOR_LINE = re.compile(r'"?sep=([,;\t])"?[\s,;]*$', re.IGNORECASE)
+
 _EXAMPLE = "such as: set,joint_1 [deg],joint_2 [deg],x [mm],y [mm],z [mm]"
 
 
@@ -91,7 +95,10 @@ class Column:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Table:
-    """A text table: comma, semicolon or tab separated, one header line, blank and # lines skipped."""
+    """A text table: comma, semicolon or tab separated, one header line, blank and # lines skipped.
+
+    A line ``sep=;`` before the header names the separator, as it does for Excel.
+    """
 
     source: str  #: The file's name, for messages.
     sha256: str  #: Of the file's bytes.
@@ -113,10 +120,15 @@ class Table:
             for at, line in enumerate(io.StringIO(text), 1)
             if line.strip(" \t,;\n") and not line.lstrip().startswith(("#", '"#'))
         ]
+        named = _SEPARATOR_LINE.match(kept[0][1]) if kept else None
+        if named is not None:
+            del kept[0]
         if not kept:
             message = f"{path}: the file is empty. A table begins with a header line, {_EXAMPLE}"
             raise MeasurementError(message)
         separator = max(SEPARATORS, key=kept[0][1].count)  # in a tie, the first: the comma
+        if named is not None and named[1] in kept[0][1]:
+            separator = named[1]
         reader = csv.reader(
             (line for _, line in kept), delimiter=separator, skipinitialspace=True, strict=True
         )

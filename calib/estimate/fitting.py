@@ -33,9 +33,15 @@ _ROUGH, _FINE = 0.1, 1e-9
 #: A stage's solution within this is looked for by the linearised problem first, in steps of 1 mm and 1 mrad.
 _CLOSE = 5.0
 
-#: A change below this is none: weak priors leave traces of that size on what takes part with the target [m, rad]. A
-#: parameter at its bound is let go where that lowers the squares by more than this.
-_NOTHING, _TELLING = 1e-8, 1e-6
+#: A change below this is none: weak priors leave traces of that size on what takes part with the target [m, rad].
+_NOTHING = 1e-8
+
+#: Nor is one below this share of its standard deviation: the weak prior of an estimated frame leaves such a trace on
+#: the first joint, which nothing tells from the frame, and the joint's origin would be rewritten by 1e-8.
+_TRACE = 3e-4
+
+#: A parameter at its bound is let go where that lowers the squares by more than this.
+_TELLING = 1e-6
 
 #: Covariance of the minimum of summed fourth powers over that of summed squares, for normal noise in 3-D.
 _FOURTH_POWERS = 1.4
@@ -344,7 +350,8 @@ def _finish(problem: Problem, stage: Stage, solution: Solution, spread: float = 
     # Without priors there is nothing to keep a6 small beside the target, and so no trace to remove.
     held = prior.sizes != "off"
     cleaned = ~model.family(FRAME, TARGET) & np.isin(model.units, ("m", "rad")) & held
-    traces = cleaned & (np.abs(solution.x) < _NOTHING)
+    least = np.maximum(_NOTHING, _TRACE * np.sqrt(np.diagonal(covariance[0])))
+    traces = cleaned & (np.abs(solution.x) < least)
     x = np.where(traces, 0.0, solution.x)
     if np.any(traces):  # frames and targets make up for them
         A, placed = linear.A[linear.used], model.family(FRAME, TARGET)

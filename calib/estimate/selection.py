@@ -96,8 +96,8 @@ class Folds:
         result = cls.of(rows.blocks, setups if whole else None, told)
         if len(result.masks) < 2:
             raise MeasurementError(
-                "Rows of one pose cannot be cross-validated: none is left to fit. Measure more poses, or name a model "
-                "and do without (--model zeros --no-validate)."
+                "These are rows of one pose, which tell nothing of the robot: its errors there cannot be told from the "
+                "target's place, and none is left to validate with. Measure more poses; calib plan chooses them."
             )
         return result
 

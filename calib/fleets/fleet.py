@@ -26,8 +26,17 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.data.table import Table
 from calib.errors import CalibError
-from calib.files import json_bytes, make_folder, plain, write_atomically
-from calib.fleets.record import FAILED, ROWS, FleetRow, Odd, csv_bytes, odd_ones
+from calib.files import json_bytes, make_folder, plain, remove, write_atomically
+from calib.fleets.record import (
+    ACCEPTED,
+    FAILED,
+    ROWS,
+    WITHHELD,
+    FleetRow,
+    Odd,
+    csv_bytes,
+    odd_ones,
+)
 from calib.jobs import run
 from calib.report.report import write_report
 from calib.robot.robot import Robot
@@ -37,8 +46,11 @@ from calib.version import __version__
 #: The tables of a fleet: for a spreadsheet, and for a program; see docs/fleet.md.
 CSV, JSON = "fleet.csv", "fleet.json"
 
+#: The corrected URDF in a robot's folder.
+_URDF = "corrected.urdf"
+
 #: Beside a robot's files, written last; counted up when the files of a robot change.
-MADE, SCHEMA = "made.json", "fleet robot 3"
+MADE, SCHEMA = "made.json", "fleet robot 4"
 
 #: A robot's name is that of its folder.
 _NAME = re.compile(r"[^\W_](?:[\w .+-]{0,98}[\w+-])?")
@@ -90,6 +102,7 @@ class FleetOptions:
     validate: bool = True  #: As of `calibrate`
     reports: bool = True  #: Whether each gets a report, which takes longer than the fit
     target_link: bool = False  #: Whether the corrected URDFs get a link at the target
+    accept: bool = False  #: Whether URDFs are written also where the verdict is ``do not use``
     command: str = ""  #: For the reports: the command that made them
 
 
@@ -106,6 +119,16 @@ class Fleet:
     def failed(self) -> tuple[FleetRow, ...]:
         """The robots without a result of these inputs."""
         return tuple(row for row in self.rows if row.status == FAILED)
+
+    @property
+    def withheld(self) -> tuple[FleetRow, ...]:
+        """The robots that have no corrected URDF, because their verdict is ``do not use``."""
+        return tuple(row for row in self.rows if row.urdf == WITHHELD)
+
+    @property
+    def accepted(self) -> tuple[FleetRow, ...]:
+        """The robots whose corrected URDF was written in spite of the verdict ``do not use``."""
+        return tuple(row for row in self.rows if row.urdf == ACCEPTED)
 
     def table(self) -> dict[str, Any]:
         """All of it as in ``fleet.json``, SI units, the unit in the keys."""
@@ -126,7 +149,8 @@ def fleet(
     """Calibrate many robots into a folder: one of its own for each, and the tables ``fleet.csv`` and ``fleet.json``.
 
     A robot whose folder an earlier run has made of the same inputs, options and version is kept as it is. Of one that
-    fails the folder stays as it was.
+    fails the folder stays as it was. One whose verdict is ``do not use`` gets no corrected URDF, unless
+    ``options.accept`` is set, and an earlier one is removed.
 
     Args:
         robots: The robots.
@@ -165,8 +189,12 @@ def fleet(
             # By all that the files hang on, the sources' names too, which no comparison counts.
             table = {f: getattr(rows, f) for f in Measurements.__dataclass_fields__}
             own = (robot.name, arm, arm.urdf.source, table, cell)
-            told = fingerprint(*own, replace(how, command=""), __version__, SCHEMA)
+            # What is accepted changes only the robots that there is something to accept of.
+            alike = replace(how, command="", accept=False)
+            told = fingerprint(*own, alike, __version__, SCHEMA)
             row = None if force else _finished(path / robot.name, told)
+            if row is not None and row.urdf == (WITHHELD if how.accept else ACCEPTED):
+                row = None
             if row is None:
                 sent.append((robot.name, told))
                 yield robot.name, (arm, rows, cell)
@@ -210,15 +238,17 @@ def _calibrated(
     try:
         result = calibrate(robot, rows, cell=cell, **how)
         with tempfile.TemporaryDirectory() as folder:
-            there = Path(folder)
-            result.write_urdf(there / "corrected.urdf", target_link=options.target_link)
+            there, row = Path(folder), FleetRow.of(name, result, accept=options.accept)
+            if row.urdf != WITHHELD:
+                target = options.target_link
+                result.write_urdf(there / _URDF, target_link=target, accept=True)
             result.write_json(there / "result.json")
             text = f"{result.summary()}\n"
             (there / "summary.txt").write_bytes(text.encode("utf-8", "backslashreplace"))
             if options.reports:
                 command = f"{options.command}  # {name}" if options.command else ""
                 write_report(result, there / "report.html", command=command)
-            return FleetRow.of(name, result), {p.name: p.read_bytes() for p in there.iterdir()}
+            return row, {p.name: p.read_bytes() for p in there.iterdir()}
     except Exception as error:  # noqa: BLE001  a fault with one robot must not cost the others
         return _told(error)
 
@@ -267,15 +297,34 @@ def _finished(folder: Path, fingerprint: str) -> FleetRow | None:
 
 
 def _written(folder: Path, fingerprint: str, row: FleetRow, files: dict[str, bytes]) -> FleetRow:
-    """Write a robot's files, first that they are a fleet's and not finished, at last that they are."""
+    """Write a robot's files, first that they are a fleet's and not finished, at last that they are.
+
+    Files of an earlier result that this one does not have are removed: a URDF must not pass for this result's.
+    """
     make_folder(folder)
-    strange = [name for name in files if (folder / name).exists()]
+    # A URDF that is not written for its verdict must not be somebody's either, beside this result.
+    strange = [name for name in (*files, _URDF) if (folder / name).exists()]
     if strange and not (folder / MADE).exists():
         raise CalibError(
             f"{folder / strange[0]} exists already, and no fleet has written it. Move it away."
         )
-    table = {"schema": SCHEMA, "fingerprint": "", "files": [*files], "row": ROWS.table(row)}
-    own = {MADE: json_bytes(table), **files}
-    for name, data in (*own.items(), (MADE, json_bytes(table | {"fingerprint": fingerprint}))):
+    earlier = [name for name in _files_made(folder) if name not in files]
+    parts = {"files": [*files], "row": ROWS.table(row)}
+    table = {"schema": SCHEMA, "fingerprint": fingerprint, **parts}
+    begun = table | {"fingerprint": "", "files": [*files, *earlier]}
+    write_atomically(folder / MADE, json_bytes(begun), overwrite=True)
+    for name in earlier:
+        remove(folder / name)
+    for name, data in (*files.items(), (MADE, json_bytes(table))):
         write_atomically(folder / name, data, overwrite=True)
     return row
+
+
+def _files_made(folder: Path) -> list[str]:
+    """Names of the files that an earlier fleet has written into a robot's folder, finished or not."""
+    try:
+        names = json.loads((folder / MADE).read_bytes())["files"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return []
+    # What calib wrote are plain names: a list that somebody changed reaches no other folder.
+    return [n for n in names if isinstance(n, str) and Path(n).name == n and n != MADE]

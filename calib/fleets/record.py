@@ -29,6 +29,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from calib.data.measurements import Measurements
+from calib.diagnosis.reasons import NO
 from calib.files import JsonLayout
 from calib.model.kinematics import FRAME, TARGET
 from calib.result.calibration import Calibration
@@ -37,6 +38,10 @@ from calib.units import Array, Mask
 
 #: How it went.
 DONE, FAILED = "done", "failed"
+
+#: What became of a corrected URDF: written as its verdict allows; not written, because the verdict is ``do not use``;
+#: written in spite of that verdict, which was accepted.
+WRITTEN, WITHHELD, ACCEPTED = "written", "withheld", "accepted"
 
 #: With fewer robots nothing is said of what is usual.
 FEWEST = 5
@@ -80,6 +85,7 @@ class FleetRow:
     status: str  #: `DONE` or `FAILED`
     message: str = ""  #: Why it failed
     verdict: str = ""  #: ``"use"``, ``"use with care"`` or ``"do not use"``
+    urdf: str = ""  #: What became of its corrected URDF: `WRITTEN`, `WITHHELD` or `ACCEPTED`
     model: str = ""  #: The geometry's parameter set
     larger: str = ""  #: The larger model
     rows: int = 0  #: Rows that were fitted
@@ -99,8 +105,19 @@ class FleetRow:
     parameters: tuple[FleetParameter, ...] = ()  #: Those of the geometry, frames aside
 
     @classmethod
-    def of(cls, name: str, c: Calibration) -> FleetRow:
-        """The row of a calibration."""
+    def of(cls, name: str, c: Calibration, *, accept: bool = False) -> FleetRow:
+        """The row of a calibration.
+
+        Args:
+            name: The robot's name.
+            c: The calibration, in memory.
+            accept: Whether its URDF is written also where the verdict is ``do not use``.
+
+        Returns:
+            The row.
+        """
+        rejected = c.verdict is not None and c.verdict.use == NO
+        urdf = (ACCEPTED if accept else WITHHELD) if rejected else WRITTEN
         errors, v = c.errors, c.cross_validation
         validation = errors["calibrated"]["validation"]
         left_out = math.nan if v is None else v.errors_without_outliers.rms
@@ -109,6 +126,7 @@ class FleetRow:
             name=name,
             status=DONE,
             verdict="" if c.verdict is None else c.verdict.use,
+            urdf=urdf,
             model=c.model.name,
             larger="" if c.larger is None else c.larger.name,
             rows=int(c.measurements.estimation.sum()),

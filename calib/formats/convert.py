@@ -57,24 +57,29 @@ class Conversion:
     format: str
     path: Path
     notes: Notes
+    against: str = ""  #: The verdict ``do not use`` and its reason, where one was accepted.
 
 
-def convert(source: str, path: str | Path, options: Options | None = None) -> Conversion:
-    """Read a file or the name of a robot, and write it in the format that the file's ending or ``options.to`` says.
+def read_source(source: str, path: Path, options: Options) -> tuple[Source, str]:
+    """Read a file or the name of a robot, and choose the format that it is to be written in.
 
-    What is written is read back and compared with the robot before it appears.
+    Args:
+        source: A file that `KINDS` has a row for, or the name of a robot.
+        path: The file to write.
+        options: What goes with the conversion.
+
+    Returns:
+        What was read, and one of `FORMATS`.
 
     Raises:
-        FileError: A file cannot be read or written.
-        UrdfError: A URDF cannot be read, or, read back, is not the robot.
-        ModelError: The robot has no form in this format, or things do not fit each other.
-        CalibError: Something that the format needs was not given.
+        FileError: The file cannot be read.
+        UrdfError: A URDF cannot be read.
+        ModelError: Things do not fit each other.
+        CalibError: Something was not given that is needed.
     """
-    options, path = options or Options(), Path(path)
     kind = source_kind(source)
     name = chosen_format(path, options.to, kind)
-    found = KINDS[kind].read(source, options)
-    return Conversion(found, name, path, FORMATS[name].write(found, path, options))
+    return KINDS[kind].read(source, options), name
 
 
 def source_kind(source: str) -> str:
@@ -141,7 +146,8 @@ def _result(source: str, options: Options) -> Source:
         nominal = result.uncorrected(arm) if corrected else arm
         robot = arm if corrected else result.corrected(arm)
     notes = () if result.larger is None else (Note("geometry alone", (result.larger.name,)),)
-    return Source("result", robot, nominal, model=_arm(nominal, options), notes=notes)
+    model = _arm(nominal, options)
+    return Source("result", robot, nominal, model=model, notes=notes, verdict=result.verdict)
 
 
 def _origins(source: str, options: Options) -> Source:
@@ -217,6 +223,7 @@ def _write_urdf(source: Source, path: Path, options: Options) -> Notes:
     written = robot
     if source.kind == "robot" and source.nominal is not None:
         written = source.nominal.with_placements(robot.placements)
+    written = replace(written, urdf=written.urdf.with_verdict(robot.urdf.verdict))
     check_written(written, robot.poses(q), q)
     written.urdf.write(path, overwrite=options.overwrite)
     return ()
@@ -240,16 +247,18 @@ def _write_ur_yaml(source: Source, path: Path, options: Options) -> Notes:
     """A kinematics.yaml with the robot's own hash."""
     hash, own = source.hash, options.hash_from
     notes: Notes = ()
+    numbers = source.numbers
     if own is not None:
         read = read_ur(own, urcontrol=options.urcontrol, model=source.model)
-        hash, notes = read.hash, read.notes
+        hash, notes, numbers = read.hash, read.notes, read.numbers
     if hash is None:
         raise CalibError(
             f"{path}: a kinematics.yaml has the hash of the robot's own calibration, which the ROS driver "
             "compares with what the controller reports. Give the robot's own kinematics.yaml (from ros2 launch "
             "ur_calibration calibration_correction.launch.py) or its calibration.conf as --hash-from."
         )
-    return notes + write_ur_yaml(source, path, hash, overwrite=options.overwrite).notes
+    written = write_ur_yaml(source, path, hash, like=numbers, overwrite=options.overwrite)
+    return notes + written.notes
 
 
 def _write_ur_conf(source: Source, path: Path, options: Options) -> Notes:

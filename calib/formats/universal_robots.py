@@ -28,6 +28,7 @@ import pinocchio as pin
 import yaml
 
 from calib.compensation.nominal_actual import check_same_joints
+from calib.diagnosis.reasons import Verdict
 from calib.errors import FileError, ModelError, choices
 from calib.files import read_bytes, write_atomically
 from calib.formats.dh_files import Code, Note
@@ -159,29 +160,63 @@ def _number(where: str, word: str, largest: float) -> float:
 
 def read_kinematics(path: PathLike, data: bytes | None = None) -> tuple[Array, str | None]:
     """The chain of a ``kinematics.yaml``, or one to be written, shape (7, 4, 4) [m], and its hash; or `FileError`."""
+    numbers, hash = read_numbers(path, data)
+    chain = np.tile(np.eye(4), (7, 1, 1))
+    for (*xyz, roll, pitch, yaw), T in zip(numbers, chain, strict=False):
+        T[:3, :3], T[:3, 3] = pin.rpy.rpyToMatrix(roll, pitch, yaw), xyz
+    return read_only(chain), hash
+
+
+def read_numbers(path: PathLike, data: bytes | None = None) -> tuple[Array, str | None]:
+    """The numbers of a ``kinematics.yaml`` as they stand in it, or will, and its hash.
+
+    Args:
+        path: The file.
+        data: Its bytes, where it is not written yet.
+
+    Returns:
+        x, y, z [m], roll, pitch and yaw [rad] of the six links, shape (6, 6); the hash, None where there is none.
+
+    Raises:
+        FileError: It cannot be read, or has not these numbers.
+    """
     what = "kinematics.yaml"
     top = parse_yaml(read_bytes(path, what) if data is None else data, str(path), what)
     links = top.get("kinematics")
     links = links if isinstance(links, dict) else {}
-    chain = np.tile(np.eye(4), (7, 1, 1))
-    for link, T in zip(LINKS, chain, strict=False):
+    numbers = []
+    for link in LINKS:
         values = links.get(link)
         if not isinstance(values, dict) or not _LARGEST_POSE.keys() <= values.keys():
             raise FileError(
                 f"{path}: under 'kinematics' there is no '{link}' with {choices(_LARGEST_POSE)}; a "
                 f"kinematics.yaml has {choices(LINKS)}."
             )
-        numbers = [
-            _number(f"{path}: {key} of '{link}'", str(values[key]), most)
-            for key, most in _LARGEST_POSE.items()
-        ]
-        T[:3, :3], T[:3, 3] = pin.rpy.rpyToMatrix(*numbers[3:]), numbers[:3]
+        numbers.append(
+            [
+                _number(f"{path}: {key} of '{link}'", str(values[key]), most)
+                for key, most in _LARGEST_POSE.items()
+            ]
+        )
     hash = links.get("hash")
-    return read_only(chain), str(hash) if hash else None
+    return read_only(numbers), str(hash) if hash else None
 
 
-def kinematics_bytes(chain: Array, hash: str) -> bytes:
-    """A ``kinematics.yaml`` of the first six of a chain (7, 4, 4) [m]; its numbers read back exactly."""
+def kinematics_bytes(chain: Array, hash: str, like: Array | None = None) -> bytes:
+    """A ``kinematics.yaml`` of a chain.
+
+    Args:
+        chain: shape (7, 4, 4), [m], of which the first six are written.
+        hash: The hash of the robot's own calibration.
+        like: shape (6, 6), numbers of the robot's own file [m], [rad], as of `read_numbers`; a number that differs from
+            its own by rounding stays as it stands there.
+
+    Returns:
+        The bytes of the file; its numbers read back exactly, but for rounding, which is written as 0.
+
+    Raises:
+        FileError: The hash is none.
+    """
     if not re.fullmatch(r"[\w.+-]+", hash):
         raise FileError(
             f"The hash is '{hash[:40]}', not one such as 'calib_12788084448423163542'. Take the line from the robot's "
@@ -189,7 +224,11 @@ def kinematics_bytes(chain: Array, hash: str) -> bytes:
         )
     table: dict[str, object] = {}
     for link, T in zip(LINKS, chain, strict=False):
-        values = np.array([*T[:3, 3], *pin.rpy.matrixToRpy(T[:3, :3])]) + 0.0
+        values = np.array([*T[:3, 3], *pin.rpy.matrixToRpy(T[:3, :3])])
+        values = np.where(np.abs(values) < _ROUNDING, 0.0, values)
+        if like is not None:
+            before = like[LINKS.index(link)]
+            values = np.where(np.abs(values - before) < _ROUNDING, before, values)
         table[link] = dict(zip(_LARGEST_POSE, values.tolist(), strict=True))
     table["hash"] = hash
     text = yaml.safe_dump({"kinematics": table}, sort_keys=False)
@@ -209,7 +248,10 @@ class Source:
     hash: str | None = None
     model: UrModel | None = None
     conf: Conf | None = None
+    numbers: Array | None = None  #: Those of a ``kinematics.yaml``, see `read_numbers`.
     notes: tuple[Note, ...] = ()
+    #: That of a result; None of any other file, and where nothing was judged.
+    verdict: Verdict | None = None
 
 
 def read_ur(
@@ -230,6 +272,7 @@ def read_ur(
     """
     conf = Conf.read(path) if Path(path).suffix.lower() == ".conf" else None
     own, hash = read_kinematics(path) if conf is None else (None, None)
+    numbers = read_numbers(path)[0] if conf is None else None
 
     def chain_of(one: UrModel) -> Array:
         """The chain that the file makes of an arm; a yaml has the same for each."""
@@ -269,7 +312,8 @@ def read_ur(
     if any(kinematics_hash(one.rows) == hash for one in MODELS):
         notes.append(Note("nominal hash", (str(path),)))
     kind = "ur-yaml" if conf is None else "ur-conf"
-    return Source(kind, nominal.with_placements(placements), nominal, hash, arm, conf, tuple(notes))
+    corrected = nominal.with_placements(placements)
+    return Source(kind, corrected, nominal, hash, arm, conf, numbers, tuple(notes))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -286,11 +330,26 @@ class UrWritten:
 
 
 def write_ur_yaml(
-    source: Source, path: PathLike, hash: str, *, overwrite: bool = False
+    source: Source,
+    path: PathLike,
+    hash: str,
+    *,
+    like: Array | None = None,
+    overwrite: bool = False,
 ) -> UrWritten:
     """Write a robot as the ``kinematics.yaml`` that the ROS driver and Universal Robots' description take.
 
-    ``hash`` is that of the robot's own file. The file is read back and compared before it appears.
+    The file is read back and compared before it appears.
+
+    Args:
+        source: What is written.
+        path: The file.
+        hash: That of the robot's own file.
+        like: The numbers of that file, see `kinematics_bytes`; None: those of the source, if it is such a file.
+        overwrite: Whether a file that exists is replaced.
+
+    Returns:
+        What was written, and what the file cannot hold.
 
     Raises:
         ModelError: No Universal Robots arm, no correction of it, or a file that does not read back.
@@ -299,7 +358,7 @@ def write_ur_yaml(
     mounted, chain = _chain_of(source, path)
     chain = at_flange(chain)
     T_tool = _rounded(chain[6])
-    data = kinematics_bytes(chain, hash)
+    data = kinematics_bytes(chain, hash, source.numbers if like is None else like)
     back, _ = read_kinematics(path, data)
     _check(source.robot, mounted, path, [np.eye(4), back, T_tool], _EXACT)
     written = write_atomically(path, data, overwrite=overwrite)

@@ -185,6 +185,19 @@ class Calibration(Solved):
         """Whether any row tells where the base stands; otherwise predictions are in the base."""
         return tells_place(self.rows.kinds)
 
+    def verdict_on(self, *, larger: bool) -> Verdict | None:
+        """The verdict on the non-geometric model, where it is asked for and was judged, or on the geometry.
+
+        Args:
+            larger: Whether the non-geometric model is to be used, as of `part`.
+
+        Returns:
+            The verdict; None where nothing was judged.
+        """
+        if larger and self.larger is not None and self.larger.verdict is not None:
+            return self.larger.verdict
+        return self.verdict
+
     def part(self, *, larger: bool) -> Solved:
         """What to predict with: the larger model, where it is asked for and there is one, or the geometry."""
         return self.larger if larger and self.larger is not None else self

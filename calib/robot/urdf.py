@@ -2,64 +2,32 @@
 
 from __future__ import annotations
 
+import difflib
 import hashlib
 import importlib.metadata
 import os
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 from xml.etree.ElementTree import Element as AnyElement
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike
 
 from calib.errors import UrdfError, choices, did_you_mean
 from calib.files import check_no_xacro, read_bytes, write_atomically
-from calib.robot.urdf_xml import XACRO_FIX, Document, Element
+from calib.robot.urdf_tree import UrdfJoint, read_only, read_tree
+from calib.robot.urdf_xml import Document
 from calib.robot.xacro_file import XacroCall, flattened, is_xacro
-from calib.units import NUMBER, Array
+from calib.units import Array
 
-JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
+__all__ = ["Urdf", "UrdfJoint", "find_urdf", "read_only", "read_urdf", "robot_data_urdfs"]
 
 SAME = 1e-14  #: Entries of two poses that differ by no more are the same [m; rotation matrices: 1].
 
-_ZERO_AXIS = 1e-9
-
-
-def read_only(values: ArrayLike) -> Array:
-    """A copy of the values as a float64 array that cannot be written to."""
-    array = np.array(values, dtype=np.float64)
-    array.setflags(write=False)
-    return array
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class UrdfJoint:
-    """A joint as the URDF states it."""
-
-    name: str  #: Name of the joint.
-    type: str  #: One of `JOINT_TYPES`.
-    parent: str  #: Name of the parent link.
-    child: str  #: Name of the child link.
-    xyz: Array  #: Translation of the origin in the parent link, (3,) [m].
-    rpy: Array  #: Rotation of the origin about the fixed x, y, z axes, (3,) [rad].
-    axis: Array  #: Unit vector in the joint's frame, (3,); (1, 0, 0) for fixed and floating joints.
-    mimic: str | None  #: Name of the joint that drives this one, or None.
-    lower: float | None  #: Lower limit [rad or m]; None where none is stated or the type has none.
-    upper: float | None  #: Upper limit, likewise.
-    mimic_multiplier: float = 1.0  #: Factor of the driving joint's value.
-    mimic_offset: float = 0.0  #: Added to it [rad or m].
-
-    @property
-    def T_parent_joint(self) -> Array:
-        """The origin: pose of the joint's frame in the parent link, (4, 4)."""
-        T = np.eye(4)
-        T[:3, :3] = pin.rpy.rpyToMatrix(*self.rpy)
-        T[:3, 3] = self.xyz
-        return read_only(T)
+#: How a comment begins that states the verdict on a corrected URDF.
+_VERDICT = "calib verdict: "
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +59,7 @@ class Urdf:
             UrdfError: It is not a URDF that can be calibrated; the text says where and why.
         """
         document = Document.from_bytes(data, source)
-        joints, links = _read_tree(document)
+        joints, links = read_tree(document)
         name = document.root.attributes.get("name", "")
         return cls(data, source, path, name, joints, links, document)
 
@@ -110,6 +78,13 @@ class Urdf:
         """The link that is no joint's child."""
         children = {joint.child for joint in self.joints}
         return next(link for link in self.links if link not in children)
+
+    @property
+    def verdict(self) -> str:
+        """The verdict that a comment of the file states, as `with_verdict` wrote it; empty if there is none."""
+        stated = [comment.text.strip() for comment in self._document.comments]
+        verdicts = [text.removeprefix(_VERDICT) for text in stated if text.startswith(_VERDICT)]
+        return verdicts[0] if verdicts else ""
 
     def elements(self) -> AnyElement:
         """The whole file as elements, a new tree at each call."""
@@ -192,6 +167,26 @@ class Urdf:
             patch = (before, before, b"".join(inner + step * deep + line for deep, line in lines))
         return self._patched([patch])
 
+    def with_verdict(self, text: str) -> Urdf:
+        """The URDF with a verdict as a comment on a line before ``<robot>``, in place of one that it states already.
+
+        Args:
+            text: The verdict and its reason, which `verdict` reads back; empty for a URDF without such a comment.
+
+        Returns:
+            The URDF; all its other bytes are those of this one.
+        """
+        document = self._document
+        patches = [
+            (comment.start, document.line_after(comment.end), b"")
+            for comment in document.comments
+            if comment.text.strip().startswith(_VERDICT)
+        ]
+        if text:
+            first = document.root.start
+            patches.append((first, first, document.comment(_VERDICT + text)))
+        return self._patched(patches) if patches else self
+
     def write(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
         """Write the bytes to a file, whole or not at all."""
         check_no_xacro(path)
@@ -224,148 +219,6 @@ class Urdf:
             hint = f": that is a joint, a link is wanted; the joint moves '{child}'"
         raise UrdfError(
             f"{self.source} has no link '{name}'{hint}. Its links: {choices(self.links)}"
-        )
-
-
-def _read_tree(document: Document) -> tuple[tuple[UrdfJoint, ...], tuple[str, ...]]:
-    """The joints and the names of the links, both in the file's order."""
-    root = document.root
-    elements = root.all("joint")
-    if root.tag != "robot":
-        known = {"sdf": "SDF (Gazebo)", "mujoco": "MJCF (MuJoCo)", "COLLADA": "a COLLADA mesh"}
-        looks = f", it looks like {known[root.tag]}" if root.tag in known else ""
-        text = f"the outermost element is <{root.tag}>{looks}; a URDF has <robot>"
-        raise document.at(root, text)
-    if not elements:
-        text = "<robot> has no <joint>; a URDF with the joints themselves is wanted"
-        raise document.at(root, text)
-    links = _unique_names(document, root.all("link"))
-    _unique_names(document, elements)
-    joints = tuple(_joint(document, element) for element in elements)
-    _check_tree(document, joints, links)
-    return joints, links
-
-
-def _unique_names(document: Document, elements: list[Element]) -> tuple[str, ...]:
-    """The names of links or joints, which must be there once each."""
-    lines: dict[str, int] = {}
-    for element in elements:
-        name = element.attributes.get("name", "")
-        if not name:
-            text = f'a <{element.tag}> has no name; give it name="..."'
-            raise document.at(element, text)
-        if name in lines:
-            text = (
-                f"a second {element.tag} '{name}', the first is in line {lines[name]}; rename one"
-            )
-            raise document.at(element, text)
-        lines[name] = element.line
-    return tuple(lines)
-
-
-def _joint(document: Document, element: Element) -> UrdfJoint:
-    """What a ``<joint>`` states."""
-    kind = element.attributes.get("type", "")
-    if kind not in JOINT_TYPES:
-        text = f" has the type '{kind}'; the types are {choices(JOINT_TYPES)}"
-        raise _fault(document, element, text)
-    numbers = partial(_numbers, document, element)
-    axis, zeros = (1.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-    direction = read_only(axis if kind in ("fixed", "floating") else numbers("axis", "xyz", axis))
-    length = float(np.linalg.norm(direction))
-    if length < _ZERO_AXIS:
-        text = ': the axis is zero; give its direction, xyz="0 0 1" for example'
-        raise _fault(document, element, text)
-    limits = [np.nan, np.nan]
-    if kind in ("revolute", "prismatic"):
-        limits = [numbers("limit", key, (np.nan,))[0] for key in ("lower", "upper")]
-    lower, upper = (None if np.isnan(value) else value for value in limits)
-    return UrdfJoint(
-        name=element.attributes["name"],
-        type=kind,
-        parent=_link(document, element, "parent"),
-        child=_link(document, element, "child"),
-        xyz=read_only(numbers("origin", "xyz", zeros)),
-        rpy=read_only(numbers("origin", "rpy", zeros)),
-        axis=read_only(direction / length),
-        mimic=_link(document, element, "mimic", "joint") if element.all("mimic") else None,
-        lower=lower,
-        upper=upper,
-        mimic_multiplier=numbers("mimic", "multiplier", (1.0,))[0],
-        mimic_offset=numbers("mimic", "offset", (0.0,))[0],
-    )
-
-
-def _fault(
-    document: Document, element: Element, text: str, part: Element | None = None
-) -> UrdfError:
-    """An error about a joint, with the line of one of its parts."""
-    return document.at(part or element, f"joint '{element.attributes['name']}'{text}")
-
-
-def _part(document: Document, element: Element, tag: str) -> Element | None:
-    """The joint's child of that name, None without; refused if there are several."""
-    found = element.all(tag)
-    if len(found) > 1:
-        raise _fault(document, element, f" has {len(found)} <{tag}>; keep one")
-    return found[0] if found else None
-
-
-def _link(document: Document, element: Element, tag: str, key: str = "link") -> str:
-    """The value of ``<tag key="...">``, which must be there."""
-    part = _part(document, element, tag)
-    value = part.attributes.get(key, "") if part else ""
-    if not value:
-        raise _fault(document, element, f' lacks <{tag} {key}="...">')
-    return value
-
-
-def _numbers(
-    document: Document, element: Element, tag: str, key: str, default: tuple[float, ...]
-) -> tuple[float, ...]:
-    """The finite numbers of ``<tag key="...">``, as many as the default, which is for none."""
-    part = _part(document, element, tag)
-    if part is None or key not in part.attributes:
-        return default
-    text = part.attributes[key]
-    words = re.split("[ \t\r\n]+", text.strip(" \t\r\n"))  # XML's white space only
-    if len(words) == len(default) and all(NUMBER.fullmatch(word) for word in words):
-        values = tuple(float(word) for word in words)
-        if np.isfinite(values).all():
-            return values
-    wanted = f"{len(default)} finite numbers" if len(default) > 1 else "a finite number"
-    xacro = f"; this is xacro, {XACRO_FIX}" if "${" in text or "$(" in text else ""
-    raise _fault(document, element, f": {key} of <{tag}> is '{text}', {wanted} wanted{xacro}", part)
-
-
-def _check_tree(document: Document, joints: tuple[UrdfJoint, ...], links: tuple[str, ...]) -> None:
-    """Refuse links that do not exist or have two parents, several roots, and loops."""
-    above: dict[str, UrdfJoint] = {}
-    for joint, element in zip(joints, document.root.all("joint"), strict=True):
-        for link in (joint.parent, joint.child):
-            if link not in links:
-                text = f"joint '{joint.name}' names the link '{link}', which does not exist"
-                raise document.at(element, text + did_you_mean(link, links))
-        if joint.child in above:
-            text = (
-                f"link '{joint.child}' is the child of both '{above[joint.child].name}' and "
-                f"'{joint.name}'; a URDF is a tree, a closed loop cannot be written in it"
-            )
-            raise document.at(element, text)
-        above[joint.child] = joint
-    roots = [link for link in links if link not in above]
-    if len(roots) > 1:
-        raise UrdfError(
-            f"{document.source} has {len(roots)} root links: {choices(roots)}; join them by fixed "
-            "joints so that one is left"
-        )
-    reached = set(roots)
-    while new := {j.child for j in joints if j.parent in reached} - reached:
-        reached |= new
-    loop = sorted(joint.name for joint in joints if joint.child not in reached)
-    if loop:
-        raise UrdfError(
-            f"{document.source}: the joints {choices(loop)} form a loop; a URDF is a tree"
         )
 
 
@@ -416,8 +269,32 @@ def find_urdf(source: str | Path) -> Path:
     for name in (f"{source}_robot.urdf", f"{source}.urdf"):
         if name in urdfs:
             return urdfs[name]
-    known = sorted(name.removesuffix(".urdf").removesuffix("_robot") for name in urdfs)
+    known = sorted({name.removesuffix(".urdf").removesuffix("_robot") for name in urdfs})
     raise UrdfError(
-        f"'{source}' is neither a file here nor a robot of example-robot-data{did_you_mean(str(source), known)}. Give "
-        f"the path of a URDF or xacro, or one of {choices(dict.fromkeys(known), limit=12)}."
+        f"'{source}' is neither a file here nor a robot of example-robot-data{_similar(str(source), known)}. Give "
+        f"the path of a URDF or xacro, or one of {choices(known)}."
     )
+
+
+def _similar(name: str, known: list[str]) -> str:
+    """Names of robots like the one given, as the end of a message, none of them as if it were the one that is meant.
+
+    A ``ur10e`` is no ``ur10``: its first link is 53 mm longer.
+
+    Args:
+        name: The name given.
+        known: The names of the robots that there are.
+
+    Returns:
+        Those that begin with the name, or that it begins with; else those that differ by few letters.
+    """
+    given = name.casefold()
+    similar = [
+        robot
+        for robot in known
+        if robot.casefold().startswith(given) or given.startswith(robot.casefold())
+    ]
+    similar = similar or difflib.get_close_matches(given, known, n=3)
+    if not similar:
+        return ""
+    return f" (similar names there, which may be other robots: {choices(similar)})"

@@ -20,6 +20,9 @@ _DEPTH = 3  # robot / joint / origin: nothing below is of interest
 _START_TAG = re.compile(rb"""<([^\s/>"']+)[^<>"']*(?:(?:"[^"]*"|'[^']*')[^<>"']*)*>""")
 _ATTRIBUTE = re.compile(rb"""(\s+)([^\s=<>"'/]+)\s*=\s*("[^"]*"|'[^']*')""")
 
+#: Characters that XML 1.0 does not allow anywhere.
+_NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+
 
 @dataclass(slots=True)
 class Element:
@@ -39,6 +42,15 @@ class Element:
 
 
 @dataclass(frozen=True, slots=True)
+class Comment:
+    """A comment of the file."""
+
+    text: str  #: What stands between its ends.
+    start: int  #: First byte of ``<!--``.
+    end: int  #: Byte after ``-->``.
+
+
+@dataclass(frozen=True, slots=True)
 class Document:
     """The bytes of an XML file with its upper levels of elements; ``source`` names it in messages."""
 
@@ -46,6 +58,7 @@ class Document:
     source: str
     encoding: str
     root: Element
+    comments: tuple[Comment, ...]
 
     @classmethod
     def from_bytes(cls, data: bytes, source: str) -> Document:
@@ -89,6 +102,24 @@ class Document:
             return None
         return (b"\r\n" if self.data[newline - 1 : newline] == b"\r" else b"\n") + head
 
+    def line_after(self, position: int) -> int:
+        """Byte after the line end at ``position``; the position itself if anything else is there."""
+        for line_end in (b"\r\n", b"\n"):
+            if self.data.startswith(line_end, position):
+                return position + len(line_end)
+        return position
+
+    def comment(self, text: str) -> bytes:
+        """A comment on a line of its own, in the file's encoding and line ends.
+
+        XML allows no ``--`` in a comment: the hyphens are written apart. A character that XML does not allow becomes
+        a question mark.
+        """
+        line = _NOT_XML.sub("?", " ".join(text.split()))
+        line = re.sub("-(?=-)", "- ", line)
+        line_end = b"\r\n" if b"\r\n" in self.data else b"\n"
+        return b"<!-- " + line.encode(self.encoding, "xmlcharrefreplace") + b" -->" + line_end
+
     def quoted(self, value: str) -> bytes:
         """An attribute value in quotes, escaped, in the encoding of the file."""
         return quoteattr(value).encode(self.encoding, "xmlcharrefreplace")
@@ -115,12 +146,13 @@ class Document:
         return b"".join([*pieces, tag[last:]])
 
 
-def _scan(data: bytes, source: str) -> tuple[str, Element]:
-    """The encoding, and the outermost element with those below it."""
+def _scan(data: bytes, source: str) -> tuple[str, Element, tuple[Comment, ...]]:
+    """The encoding, the outermost element with those below it, and the comments."""
     parser = expat.ParserCreate()
     encodings, xacro = ["utf-8"], {"xacro"}
     above: list[Element] = []  # the elements that are open
     root: list[Element] = []
+    comments: list[Comment] = []
     depth = 0
 
     def start(tag: str, attributes: dict[str, str]) -> None:
@@ -150,8 +182,13 @@ def _scan(data: bytes, source: str) -> tuple[str, Element]:
             if data[element.end - 2 : element.end] != b"/>":
                 element.close = parser.CurrentByteIndex
 
+    def comment(text: str) -> None:
+        first = parser.CurrentByteIndex
+        comments.append(Comment(text, first, data.index(b"-->", first) + len(b"-->")))
+
     parser.XmlDeclHandler = lambda _version, encoding, _alone: encodings.append(encoding or "utf-8")
     parser.StartElementHandler = start
     parser.EndElementHandler = end
+    parser.CommentHandler = comment
     parser.Parse(data, True)
-    return encodings[-1], root[0]
+    return encodings[-1], root[0], tuple(comments)

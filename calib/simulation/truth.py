@@ -97,7 +97,8 @@ class Truth:
         robot = self.robot
         q = random_joint_values(robot)
         check_written(robot, robot.poses(q), q)
-        return robot.urdf.write(path, overwrite=overwrite)
+        # What it states of a calibration was said of another geometry.
+        return robot.urdf.with_verdict("").write(path, overwrite=overwrite)
 
     def value(self, name: str) -> float:
         """The value of one error, in its unit; a `ModelError` if there is none of this name."""

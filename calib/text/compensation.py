@@ -65,8 +65,8 @@ def no_commands(found: Commands) -> str:
     """The message about rows without a command: why they have none."""
     lines = _findings(found, [(one,) if one else () for one in found.reasons])
     advice = _elsewhere(found) or (
-        "Check --tool, --poses-in and the units; --accept takes rows of which little is left, --match position those "
-        "whose orientation may be free; --skip leaves rows empty, but for the reason."
+        "Check --tool, --poses-in and the units; --tolerance takes rows of which little is left, --match position "
+        "those whose orientation may be free; --skip leaves rows empty, but for the reason."
     )
     head = f"{sum(~found.reached)} of {len(found)} rows have no command, and nothing was written:"
     return "\n".join([head, *lines, fill(advice)])
@@ -89,10 +89,13 @@ def _expected(found: Commands, name: str) -> str:
     """The verdict of the result and its error on rows that it had not seen: what to expect on the robot."""
     result, larger = found.pair.result, found.pair.larger
     if result is None:
-        return fill(
+        lines = [
             f"The true robot is {name}, a URDF: with --calibration the errors to expect are known."
-        )
-    part, verdict = result.part(larger=larger), result.verdict
+        ]
+        if stated := found.pair.actual.robot.urdf.verdict:
+            lines.insert(0, f"Verdict on {name}: {stated}")
+        return "\n".join(map(fill, lines))
+    part, verdict = result.part(larger=larger), result.verdict_on(larger=larger)
     own = f"non-geometric model '{part.model.name}'" if larger else "joint origins"
     if verdict is None:
         return f"Verdict: none ({name}, {own}), the result was not validated."

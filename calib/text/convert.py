@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -49,6 +50,7 @@ def text(done: Conversion, name: str) -> str:
     hash = f", {found.hash}" if found.hash else ""
     parts = [
         f"Read: {name}, {found.kind}{arm}{hash}, '{robot.base}' to '{robot.tip}', {len(robot.joints)} joints.",
+        *_verdict(done, name),
         _moved(done),
         # Reader and writer may say the same.
         *dict.fromkeys(map(note_text, (*found.notes, *done.notes))),
@@ -72,6 +74,17 @@ def note_text(note: Note) -> str:
     """A note in words, in mm and mrad."""
     values = (v if isinstance(v, str) else 1e3 * v + 0.0 for v in note.values)
     return _NOTES[note.code].format(*values)
+
+
+def _verdict(done: Conversion, name: str) -> Iterator[str]:
+    """The verdict on what was read, if it is a result, or a URDF that states one."""
+    verdict = done.source.verdict
+    if done.against:
+        yield f"Verdict on {name}: {done.against}"
+    elif verdict is not None:
+        yield f"Verdict on {name}: {verdict.use}"
+    elif done.source.kind == "result":
+        yield f"Verdict on {name}: none, the result was not validated."
 
 
 def _moved(done: Conversion) -> str:

@@ -14,6 +14,10 @@ from calib.text.lines import fill
 #: More robots than this are counted, and those are listed that need somebody to look at them.
 LISTED = 40
 
+_WITHHELD = (
+    "No corrected URDF, for the verdict is 'do not use' (summary.txt says why; --accept writes it):"
+)
+
 _SIZES = {
     "nominal": "nominal_rms_m",
     "calibrated": "calibrated_rms_m",
@@ -55,8 +59,9 @@ def fleet_cells(fleet: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
         numbers = (robot[key] for key in _SIZES.values())
         cells = ["" if value is None else f"{1e3 * value:.3f}" for value in numbers]
         counts = [str(robot["rows"]), str(robot["outliers"])]
-        rows.append([robot["name"], robot["verdict"] or "-", model, *cells, *counts])
-    return ["robot", "verdict", "model", *_SIZES, "rows", "out"], rows
+        words = [robot["verdict"] or "-", robot["urdf"] or "-", model]
+        rows.append([robot["name"], *words, *cells, *counts])
+    return ["robot", "verdict", "urdf", "model", *_SIZES, "rows", "out"], rows
 
 
 def fleet_text(fleet: Mapping[str, Any], kept: int) -> Iterator[str]:
@@ -67,6 +72,7 @@ def fleet_text(fleet: Mapping[str, Any], kept: int) -> Iterator[str]:
     for one in fleet["odd"]:
         (twice if one["figure"] == "data" else odd).setdefault(one["name"], []).append(one["text"])
     done = [robot for robot in fleet["robots"] if not robot["message"]]
+    withheld = [robot["name"] for robot in fleet["robots"] if robot["urdf"] == "withheld"]
     for robot in fleet["robots"]:
         if robot["message"]:
             failed.setdefault(robot["message"], []).append(robot["name"])
@@ -76,6 +82,7 @@ def fleet_text(fleet: Mapping[str, Any], kept: int) -> Iterator[str]:
             "Data given twice, which count once in what is usual:",
             [f"{name}: {'; '.join(texts)}" for name, texts in twice.items()],
         ),
+        (_WITHHELD, [", ".join(withheld)] * bool(withheld)),
         ("Failed:", [f"{', '.join(names)}: {text}" for text, names in failed.items()]),
     ):
         if lines:
@@ -90,5 +97,6 @@ def fleet_text(fleet: Mapping[str, Any], kept: int) -> Iterator[str]:
         + f", {kept} of them by an earlier run" * bool(kept)
         + f"; {len(odd)} odd"
         + f", {len(twice)} with the data of another" * bool(twice)
+        + f", {len(withheld)} without a corrected URDF" * bool(withheld)
         + f", {count - len(done)} failed."
     )

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from calib.diagnosis.coverage import OutsideRow
-from calib.diagnosis.reasons import Reason, Why
+from calib.diagnosis.reasons import NO, Reason, Verdict, Why
 from calib.result.robustness import Robustness
 
 #: Rows that a sentence names one by one.
@@ -208,6 +208,37 @@ def _ranges(v: Mapping[str, Any]) -> str:
         reach = f"{scale * low:.0f} to {scale * high:.0f} {unit}"
         parts.append(f"'{joint}' from {reach}, {100.0 * share:.0f} % of its range")
     return ", ".join(parts)
+
+
+def against(verdict: Verdict | None) -> str:
+    """Word the verdict ``do not use`` and its first reason in one line.
+
+    Args:
+        verdict: The verdict; None where nothing was judged.
+
+    Returns:
+        Such as ``do not use (no_better): On unseen rows ...``; empty for any other verdict, and for none.
+    """
+    if verdict is None or verdict.use != NO:
+        return ""
+    reasons = [f"({first.code}): {reason_text(first)}" for first in verdict.reasons[:1]]
+    return " ".join([NO, *reasons])
+
+
+def refusal(name: str, verdict: str) -> str:
+    """The message of a `calib.errors.VerdictError`.
+
+    Args:
+        name: The file that the verdict is on.
+        verdict: What speaks against it, as `against` has it.
+
+    Returns:
+        The verdict, that nothing was written because of it, and how it is written nonetheless, in one line.
+    """
+    return (
+        f"the verdict on {name} is: {verdict} Because of it nothing was written for a robot; --accept (in Python "
+        "accept=True) writes it nonetheless."
+    )
 
 
 _MEASURED = (("poses", "poses"), ("pairs", "pairs of poses"))

@@ -89,7 +89,7 @@ def fill(folder: Path) -> Path:
     example = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)[0]
     (folder / "cell.toml").write_text(example, encoding="utf-8")
     _split(folder)
-    _factory(folder)
+    factory(folder)
     rows = "name,robot,data,target\nSN-1,robot.urdf,data.csv,\nSN-2,robot.urdf,data.csv,70 -70 22.5 mm\n"
     (folder / "manifest.csv").write_text(rows, encoding="utf-8")
     robot = Robot.load(paper_urdf(), base="base", tip="tool0")
@@ -98,7 +98,7 @@ def fill(folder: Path) -> Path:
     return folder
 
 
-def _factory(folder: Path) -> None:
+def factory(folder: Path) -> None:
     """The calibration.conf of a UR3 as its factory wrote it."""
     delta = next(case for case in CALIBRATIONS if case["robot"] == "UR3")["delta"]
     lines = [f"delta_{key} = {delta[key]}" for key in ("theta", "a", "d", "alpha")]

@@ -192,15 +192,16 @@ def test_rows_that_cannot_be_reached(call, folder: Path):
     assert [row["status"] for row in table(folder / "c.csv")] == ["ok", "no command: unreachable"]
 
 
-def test_a_result_not_to_be_used_says_so_even_when_quiet(call, folder: Path):
+def test_an_accepted_verdict_is_said_even_when_quiet(call, folder: Path):
     content = json.loads((folder / "result.json").read_text())
     content["verdict"]["use"] = "do not use"
     (folder / "bad.json").write_text(json.dumps(content))
     words = ("compensate", "robot.urdf", "program.csv", "--calibration", "bad.json")
-    done = call(folder, *words, "--quiet")
+    done = call(folder, *words, "--accept", "--quiet")
     assert (done.code, done.out) == (0, "")
-    assert "the verdict of bad.json is 'do not use'" in done.err
-    assert call(folder, *words).out.startswith("Verdict: do not use (bad.json, joint origins)")
+    assert "the verdict on 'bad.json' is: do not use (" in done.err
+    text = call(folder, *words, "--accept").out
+    assert text.startswith("Verdict: do not use (bad.json, joint origins)")
 
 
 @pytest.mark.parametrize(
@@ -208,7 +209,7 @@ def test_a_result_not_to_be_used_says_so_even_when_quiet(call, folder: Path):
     [
         ((), "Give one of --calibration"),
         ((*RESULT, "--payload", "5 kg", "--geometry"), "which --geometry leaves out"),
-        ((*RESULT, "--accept", "5 kg"), '--accept was given as "5 kg"'),
+        ((*RESULT, "--tolerance", "5 kg"), '--tolerance was given as "5 kg"'),
         ((*RESULT, "-o", "data.csv"), "exists already; overwrite it"),
     ],
 )

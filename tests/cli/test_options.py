@@ -6,8 +6,9 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from calib.cli.options import FitOptions, Robust, TableOptions, reporting, verb
-from calib.errors import FileError
+from calib.cli.exit_status import ExitStatus
+from calib.cli.options import FitOptions, Robust, TableOptions, Verb, reporting, verb
+from calib.errors import FileError, VerdictError
 
 FAULT = "calib: a fault of calib itself: IndexError: list index out of range. Report it with what --debug shows.\n"
 
@@ -32,6 +33,13 @@ def test_what_a_user_can_mend_is_one_line_with_a_trace_before_it_if_asked(capsys
     assert ended.value.exit_code == 1
     assert said.endswith("calib: a.csv is not there.\n")
     assert ("Traceback" in said) == debug
+
+
+def test_a_verdict_that_is_obeyed_has_an_exit_status_of_its_own(capsys):
+    with pytest.raises(typer.Exit) as ended, reporting(debug=False):
+        raise VerdictError("the verdict is against it.")
+    assert ended.value.exit_code == ExitStatus.NOT_ACCEPTED
+    assert capsys.readouterr().err == "calib: the verdict is against it.\n"
 
 
 @verb("What it does.")
@@ -71,11 +79,15 @@ def shown(robot: str, setup: FitOptions, table: TableOptions, robust: Robust = T
         ),
         (["a", "--priors", "best"], 2, "'best' is not one of 'data', 'given', 'off'."),
         (["--help"], 0, "What it does."),
+        (["a", "--tip", "t", "--tip", "u"], 2, "Option '--tip' is given 2 times. Give it once."),
+        (["a", "--tip=t", "b", "--tip=t"], 2, "Option '--tip' is given 2 times."),
+        (["a", "--robust", "--no-robust"], 2, "'--robust/--no-robust' is given 2 times."),
+        (["a", "--fix-target", "--fix-target"], 0, "('a', None, None, True, None, None, True)"),
     ],
 )
 def test_classes_of_options_stand_for_their_fields(words, code, said):
     app = typer.Typer(add_completion=False, rich_markup_mode=None)
-    app.command()(shown)
+    app.command(cls=Verb)(shown)
     done = CliRunner().invoke(app, words)
     assert done.exit_code == code
     assert said in " ".join(done.output.split())

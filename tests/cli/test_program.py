@@ -104,7 +104,8 @@ def test_the_printed_text_is_plain_and_fits_100_columns(examples):
 
 @pytest.mark.slow
 def test_a_reader_that_goes_away_does_not_cost_the_files(program, shop: Path):
-    words = ("fit", "robot.urdf", "data.csv", "--no-validate", "-o", "c.urdf", "--json", "r.json")
+    words = ("fit", "robot.urdf", "data.csv", "--base", "base", "--no-validate")
+    words = (*words, "-o", "c.urdf", "--json", "r.json")
     assert closed_pipe(program, shop, *words) == (0, "")
     assert (shop / "c.urdf").is_file()
     assert (shop / "r.json").is_file()
@@ -113,7 +114,7 @@ def test_a_reader_that_goes_away_does_not_cost_the_files(program, shop: Path):
 @pytest.mark.slow
 def test_a_program_that_is_started_without_stdout_and_stderr(program, shop: Path):
     call = ["sh", "-c", 'exec "$@" >&- 2>&-', "sh", *program]
-    words = ("fit", "robot.urdf", "data.csv", "--no-validate", "-o", "c.urdf")
+    words = ("fit", "robot.urdf", "data.csv", "--base", "base", "--no-validate", "-o", "c.urdf")
     assert subprocess.run([*call, *words], cwd=shop).returncode == 0
     assert (shop / "c.urdf").read_bytes().startswith((shop / "robot.urdf").read_bytes()[:20])
 

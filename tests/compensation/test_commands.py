@@ -19,6 +19,7 @@ from calib.compensation.commands import (
 from calib.compensation.inverse import Matching, Solved, solve
 from calib.compensation.nominal_actual import Arm, pair_of
 from calib.compensation.program import Program, read_program
+from calib.errors import VerdictError
 from calib.robot.readback import column_limits, random_joint_values
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
@@ -291,7 +292,7 @@ def test_what_is_left_may_be_accepted(ur3):
     program = replace(program, match="position")
     refused = compensate(off(ur3), program, nominal=ur3)
     assert not refused.reached.any()
-    taken = compensate(off(ur3), program, nominal=ur3, accept=(2.0 * refused.left[0, 0], 1.0))
+    taken = compensate(off(ur3), program, nominal=ur3, tolerance=(2.0 * refused.left[0, 0], 1.0))
     assert taken.reached.all()
     assert taken.left[0, 0] == refused.left[0, 0]
     assert np.isnan(taken.q_nominal).all()
@@ -399,3 +400,13 @@ def test_a_jump_is_said_also_across_rows_without_a_command(ur3):
     moved = np.abs(found.q[42] - found.q[33]).max()
     assert warned(found, "jump")[42] == ("jump", (moved,), "elbow_joint", "row 34")
     assert word.numbers[0] > np.radians(10.0)
+
+
+def test_commands_are_not_made_by_what_is_not_to_be_used(ur3):
+    stated = off(ur3)
+    stated = replace(stated, urdf=stated.urdf.with_verdict("do not use (no_better): Worse."))
+    program = Program.of_joints(GOOD)
+    with pytest.raises(VerdictError, match=r"no_better\): Worse\..*accept=True"):
+        compensate(stated, program, nominal=ur3)
+    accepted = compensate(stated, program, nominal=ur3, accept=True)
+    np.testing.assert_array_equal(accepted.q, compensate(off(ur3), program, nominal=ur3).q)

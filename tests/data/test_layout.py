@@ -87,3 +87,39 @@ def test_a_list_of_points_that_is_not_complete_yet(table, listed):
     )
     only = listed("# Units: mm", "P3 1 2 300")
     refused(path, "no measured row is 'estimate', all 1 are 'validate'", points=only)
+
+
+# Excel's first line
+
+
+@pytest.mark.parametrize("line", ["sep=;", '"sep=;"', "SEP=;", "sep=;;;"])
+def test_a_line_that_names_the_separator_is_no_header(table, line: str):
+    rows = [row.replace(",", ";").replace("100", "100,5") for row in (HEADER, *ROWS)]
+    m = Measurements.read(table(line, *rows))
+    assert m.rows == (1, 3)
+    assert m.points[0, 0] == pytest.approx(0.1005)
+
+
+def test_the_line_is_counted_and_a_separator_that_does_not_occur_is_not_believed(table):
+    m = Measurements.read(table("sep=;", HEADER, *ROWS))
+    assert m.rows == (1, 3)
+    refused(
+        table("sep=,", HEADER, "1,estimate,P1,x,1,2,3,4,5,6"), "line 3 (row 1), column 'a [deg]'"
+    )
+
+
+# What is no set
+
+
+def test_a_word_that_is_no_set_is_named_with_its_column_and_remedy(table):
+    rows = [row.replace("estimate", "teach_pendant") for row in ROWS]
+    file = table(HEADER.replace("set", "Set"), *rows)
+    refused(file, "line 2 (row 1), column 'Set': 'teach_pendant' is no set; allowed are 'estimate'")
+    refused(file, '--columns "Set=-" leaves it out')
+    m = Measurements.read(file, columns={"Set": "-"})
+    assert m.sets == ("estimate", "estimate")
+
+
+def test_a_row_that_is_not_measured_may_be_of_no_set(table):
+    rows = [ROWS[0], ROWS[1].replace("estimate", "later"), *ROWS[2:]]
+    assert Measurements.read(table(HEADER, *rows)).sets == ("estimate", "validate")

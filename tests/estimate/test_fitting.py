@@ -257,3 +257,23 @@ def test_a_parameter_set_and_a_solver_of_ones_own(ur3, monkeypatch, make_scene):
     assert found.solver == "gauss-newton"
     other = calibrate(ur3, table, model="shoulder")
     np.testing.assert_allclose(found.x, other.x, atol=1e-9)
+
+
+@pytest.mark.parametrize("model", ["dh", "placement"])
+def test_what_an_estimated_frame_takes_leaves_no_trace_on_the_first_joint(
+    ur3, paper_table, model, monkeypatch
+):
+    """A turn of the first joint is one of the frame: what the frame's weak prior leaves of it there is nothing."""
+    cell = Cell(estimate_frame=True, model=model)
+    result = calibrate(ur3, paper_table, cell=cell, validate=False)
+    first = ur3.joints[0].name
+    own = {"theta1"} if model == "dh" else {f"{first}.rz", f"{first}.ry"}
+    assert {p.delta for p in result.parameters if p.name in own} == {0.0}
+    turned, joint = (robot.urdf.joint(first) for robot in (result.robot, ur3))
+    np.testing.assert_array_equal(turned.rpy, joint.rpy)
+    # Without that there is one, and the frame makes up for it.
+    monkeypatch.setattr("calib.estimate.fitting._TRACE", 0.0)
+    traced = calibrate(ur3, paper_table, cell=cell, validate=False)
+    assert any(1e-8 < abs(p.delta) < 1e-7 for p in traced.parameters if p.name in own)
+    apart = np.abs(traced.residual_calibrated - result.residual_calibrated).max()
+    assert apart < 1e-9

@@ -15,7 +15,9 @@ import pytest
 
 from calib.errors import CalibError
 from calib.fleets.fleet import FleetOptions, FleetRobot, fleet
-from calib.fleets.record import DONE, FAILED
+from calib.fleets.record import ACCEPTED, DONE, FAILED, WITHHELD, WRITTEN
+from calib.robot.urdf import Urdf
+from calib.simulation.scenario import Scenario
 from tests.fleets.arms import CELL, arms, files
 
 QUICK = FleetOptions(validate=False, reports=False)
@@ -158,3 +160,76 @@ def test_the_example_of_the_document_runs(shop, tmp_path):
         *("SN-1", "SN-2", "SN-3"),
         *("SN-1", "SN-3"),
     ]
+
+
+# A verdict that is obeyed
+
+
+@pytest.fixture
+def right(tmp_path, ur3) -> list[FleetRobot]:
+    """A robot with errors, and one that its URDF describes: there is nothing to gain, and it is not to be used."""
+    wrong = arms(tmp_path, ur3, [0])
+    what = Scenario(ur3, cell=CELL, model="frames")
+    made = what.draw(0).measure(what.random_poses(14, 0), 0)
+    made.measurements.write(tmp_path / "right.csv")
+    of = FleetRobot.of_files
+    return [*wrong, of("right", tmp_path / "robot.urdf", tmp_path / "right.csv", CELL)]
+
+
+JUDGED = FleetOptions(reports=False)
+
+
+def test_a_robot_that_is_not_to_be_used_gets_no_urdf_unless_it_is_accepted(right, tmp_path):
+    out = tmp_path / "out"
+    found = fleet(right, out, JUDGED)
+    assert [row.urdf for row in found.rows] == [WRITTEN, WITHHELD]
+    assert [row.name for row in found.withheld] == ["right"]
+    assert not found.failed
+    assert set(files(out / "right")) == MADE - {"corrected.urdf"}
+    assert set(files(out / "arm-0")) == MADE
+    assert fleet(right, out, JUDGED).kept == 2
+    # Only the robot that there is something to accept of is made again.
+    accepted = fleet(right, out, replace(JUDGED, accept=True))
+    assert accepted.kept == 1
+    assert [row.urdf for row in accepted.rows] == [WRITTEN, ACCEPTED]
+    assert Urdf.read(out / "right" / "corrected.urdf").verdict.startswith("do not use (")
+    assert Urdf.read(out / "arm-0" / "corrected.urdf").verdict == ""
+    assert fleet(right, out, replace(JUDGED, accept=True)).kept == 2
+    # And without it the URDF is gone again.
+    assert fleet(right, out, JUDGED).kept == 1
+    assert set(files(out / "right")) == MADE - {"corrected.urdf"}
+
+
+def test_a_urdf_of_an_earlier_result_does_not_stay(right, tmp_path):
+    out, data = tmp_path / "out", tmp_path / "right.csv"
+    good = (tmp_path / "arm-0.csv").read_bytes()
+    bad = data.read_bytes()
+    data.write_bytes(good)
+    fleet(right, out, replace(JUDGED, reports=True))
+    (out / "right" / "notes.txt").write_text("somebody's own")
+    assert set(files(out / "right")) == {*MADE, "report.html", "notes.txt"}
+    data.write_bytes(bad)
+    fleet(right, out, JUDGED)
+    assert set(files(out / "right")) == {*MADE - {"corrected.urdf"}, "notes.txt"}
+
+
+def test_a_list_of_files_that_was_changed_removes_nothing_elsewhere(right, tmp_path):
+    out = tmp_path / "out"
+    fleet(right[1:], out, replace(JUDGED, accept=True))
+    made = out / "right" / "made.json"
+    table = json.loads(made.read_text())
+    (tmp_path / "precious.txt").write_text("keep me")
+    table["files"] += ["../../precious.txt", str(tmp_path / "precious.txt"), "made.json", 3]
+    made.write_text(json.dumps(table))
+    fleet(right[1:], out, JUDGED)
+    assert (tmp_path / "precious.txt").read_text() == "keep me"
+    assert set(files(out / "right")) == MADE - {"corrected.urdf"}
+
+
+def test_somebody_s_urdf_is_not_left_beside_a_result_that_has_none(right, tmp_path):
+    folder = tmp_path / "out" / "right"
+    folder.mkdir(parents=True)
+    (folder / "corrected.urdf").write_text("somebody's")
+    found = fleet(right[1:], tmp_path / "out", JUDGED)
+    assert "corrected.urdf exists already" in found.failed[0].message
+    assert set(files(folder)) == {"corrected.urdf"}

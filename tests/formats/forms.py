@@ -8,9 +8,10 @@ import numpy as np
 
 import calib.example
 from calib.calibration import calibrate
+from calib.conversion import convert
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.formats.convert import Options, convert
+from calib.formats.convert import Options
 from calib.result.calibration_file import write_result
 from calib.robot.robot import Robot
 from tests.formats.ur_cases import CALIBRATIONS, rows, write_deltas

@@ -14,8 +14,9 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 import calib.example
+from calib.conversion import convert
 from calib.errors import CalibError, FileError, ModelError, UrdfError
-from calib.formats.convert import FORMATS, KINDS, Options, chosen_format, convert, source_kind
+from calib.formats.convert import FORMATS, KINDS, Options, chosen_format, source_kind
 from calib.formats.universal_robots import Source
 from calib.formats.ur_arms import chain_of_rows, chain_poses, ur_model
 from calib.result.calibration_file import write_result

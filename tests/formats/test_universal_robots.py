@@ -15,6 +15,7 @@ from calib.formats.universal_robots import (
     kinematics_bytes,
     read_kinematics,
     read_nominal,
+    read_numbers,
     read_ur,
     write_ur_conf,
     write_ur_yaml,
@@ -334,3 +335,32 @@ def test_a_hash_that_is_none():
         kinematics_bytes(CHAIN, "a b")
     data = kinematics_bytes(CHAIN, "null")
     assert read_kinematics("k.yaml", data)[1] == "null"
+
+
+def test_numbers_that_are_rounding_are_zero_and_those_that_did_not_change_stay():
+    numbers, _ = read_numbers("k.yaml", kinematics_bytes(CHAIN, OWN_HASH))
+    assert not np.any((numbers != 0.0) & (np.abs(numbers) < 1e-12))
+    own = numbers + 3e-13  # the same numbers, as another program wrote them
+    moved = np.array(CHAIN)
+    moved[2, 0, 3] += 1e-6
+    found, _ = read_numbers("k.yaml", kinematics_bytes(moved, OWN_HASH, own))
+    changed = np.argwhere(found != own).tolist()
+    assert changed == [[2, 0]]
+    assert found[2, 0] == pytest.approx(numbers[2, 0] + 1e-6, abs=1e-15)
+
+
+def test_a_file_that_is_read_and_written_is_the_same(written, tmp_path):
+    source = read_ur(written, model="UR3")
+    again = write_ur_yaml(source, tmp_path / "again.yaml", source.hash).path
+    assert again.read_bytes() == written.read_bytes()
+    # With the origins of the first joint as they were, its line is that of the robot's own file.
+    robot = displaced(source.robot, 1e-4)
+    placements = np.array(robot.placements)
+    placements[0] = source.robot.placements[0]
+    robot = source.robot.with_placements(placements)
+    changed = write_ur_yaml(
+        of(robot, source.robot), tmp_path / "c.yaml", source.hash, like=source.numbers
+    )
+    found, numbers = (read_numbers(one)[0] for one in (changed.path, written))
+    np.testing.assert_array_equal(found[0], numbers[0])
+    assert (found[1:] != numbers[1:]).any(axis=1).all()

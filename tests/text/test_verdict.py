@@ -7,8 +7,8 @@ from string import Formatter
 import pytest
 
 from calib.diagnosis.coverage import Beyond, OutsideRow
-from calib.diagnosis.reasons import Reason, Why
-from calib.text.verdict import SENTENCES, outside_text, reason_text
+from calib.diagnosis.reasons import CARE, NO, USE, Reason, Verdict, Why
+from calib.text.verdict import SENTENCES, against, outside_text, reason_text, refusal
 
 
 @pytest.mark.parametrize("why", Why)
@@ -38,3 +38,13 @@ def test_rows_outside():
         outside_text(rows[:1], [7]) == "row 7: 'a' 5.73 deg, 'b' 300 mm beyond the measured range"
     )
     assert outside_text(rows, range(5)).endswith("; and 2 more rows")
+
+
+def test_only_do_not_use_speaks_against_a_result():
+    reasons = (Reason.of(Why.SIZE_LOST, largest=0.2), Reason.of(Why.NO_LENGTH))
+    assert [against(Verdict(use, reasons)) for use in (USE, CARE)] == ["", ""]
+    assert against(None) == ""
+    assert against(Verdict(NO, ())) == "do not use"
+    said = against(Verdict(NO, reasons))
+    assert said == f"do not use (size_lost): {reason_text(reasons[0])}"
+    assert said in refusal("'c.urdf'", said)

@@ -18,9 +18,9 @@ from calib.cli.options import (
     verb,
 )
 from calib.cli.outputs import Intervals, Outputs
-from calib.cli.setup import executor_of, load_with_data, read_cell, say_ignored
+from calib.cli.setup import executor_of, load_with_data, read_cell, say_accepted, say_ignored
 from calib.cli.terminal import progress_bar, say
-from calib.errors import CalibError
+from calib.errors import CalibError, VerdictError
 
 
 @verb("""Calibrate a robot from measurements.
@@ -38,7 +38,7 @@ Examples:
 The table holds one row a pose: a column for each joint, such as "joint_1 [deg]", and the measured point "x [mm]",
 "y [mm]", "z [mm]". Orientations, distances, balls in sockets and touched planes can be measured too; see
 docs/data-format.md. An optional column "set" says which rows are for estimation ("estimate") and which for validation
-("validate").
+("validate"). Where the verdict is "do not use", no URDF is written, and the exit status is 3; --accept writes it.
 """)
 def calibrate(
     robot: RobotFile,
@@ -77,6 +77,9 @@ def calibrate(
                 progress=progress,
             )
         texts, tables = intervals.compute(result, executor, quiet=quiet)
+    from calib.text.verdict import against, refusal
+
+    stated = against(result.verdict)
     # Files first: a reader of the text that goes away (head, less) must not cost the results.
     written = list(outputs.write(result, tables, quiet=quiet))
     if not quiet:
@@ -84,10 +87,15 @@ def calibrate(
         say("\n\n".join([result.summary(), *texts]) + "\n")
         for path in written:
             typer.echo(f"Written: {path}")
-        if outputs.output is None:
+        if outputs.output is None and result.verdict is None:
+            typer.echo(
+                "No URDF was written. There is no verdict on one: --no-validate leaves it out."
+            )
+        elif outputs.output is None and not stated:
             typer.echo("No URDF was written; add -o corrected.urdf to write it.")
-    if outputs.output and result.verdict is not None and result.verdict.use == "do not use":
-        from calib.text.verdict import reason_text
-
-        why = reason_text(result.verdict.reasons[0])
-        typer.echo(f"calib: the verdict on {outputs.output} is 'do not use': {why}", err=True)
+    if outputs.output is None or not stated:
+        return
+    if not outputs.accept:
+        earlier = " The file of that name is an earlier one." * outputs.output.exists()
+        raise VerdictError(refusal(f"'{outputs.output}'", stated) + earlier)
+    say_accepted(f"'{outputs.output}'", stated)

@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 
 import typer
 
-from calib.cli.options import Columns, Force, Hold, PayloadMass, Quiet, RobotFile, verb
-from calib.errors import CalibError
+from calib.cli.options import Accept, Columns, Force, Hold, PayloadMass, Quiet, RobotFile, verb
+from calib.errors import CalibError, VerdictError
 
 Forms = Literal["rotation-vector", "quaternion", "rpy"]
 _TOOL = '"X Y Z UNIT [RX RY RZ UNIT]"|target[:NAME]'
@@ -30,7 +30,8 @@ Examples:
 
 ROBOT is the robot as its controller has it. PROGRAM is a table of joint values planned for that robot, or of poses of
 its tool, or of both: then the poses are wanted, and the joint values say where to start. If a row cannot be reached,
-nothing is written, unless --skip leaves such rows empty.
+nothing is written, unless --skip leaves such rows empty; and nothing where the verdict on the calibration is
+'do not use' (exit status 3), unless --accept is given.
 """)
 def compensate(
     robot: RobotFile,
@@ -46,7 +47,9 @@ def compensate(
     start: Annotated[
         list[str] | None, typer.Option(metavar='"JOINT=VALUE UNIT"', help=_START)
     ] = None,
-    accept: Annotated[str, typer.Option(help="Error that may be left.")] = "1e-8 m 1e-8 rad",
+    tolerance: Annotated[
+        str, typer.Option(metavar='"LENGTH [ANGLE]"', help="Error that may be left of a row.")
+    ] = "1e-8 m 1e-8 rad",
     skip: Annotated[bool, typer.Option("--skip", help="Rows out of reach stay empty.")] = False,
     send: Annotated[Literal["both", "joints", "poses"], typer.Option(help=_SEND)] = "both",
     orientation: Annotated[Forms, typer.Option(help="Form of orientations.")] = "rotation-vector",
@@ -56,6 +59,7 @@ def compensate(
     tip: Annotated[str | None, typer.Option(help="Tip link. Default: the result's.")] = None,
     hold: Hold = None,
     columns: Columns = None,
+    accept: Accept = False,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
@@ -68,6 +72,7 @@ def compensate(
     from calib.result.calibration_file import read_result
     from calib.robot.robot import Robot
     from calib.text.compensation import no_commands, text
+    from calib.text.verdict import against, refusal
 
     source = calibration or corrected
     if source is None or (calibration and corrected):
@@ -77,17 +82,23 @@ def compensate(
     words.check_outputs([output], [robot, program, source], force=force)
     renamed, held = words.parse_columns(columns or []), words.parse_held(hold or [])
     actual: Calibration | Robot
-    carried = None
+    carried, without = None, ""
     if calibration is not None:
         actual = read_result(calibration)
         chain = actual.nominal
         held = {**chain.held, **held}
         nominal = Robot.load(robot, base or chain.base, tip or chain.tip, held=held)
         carried = actual.larger.payload if actual.larger else None
+        stated = against(actual.verdict_on(larger=not geometry))
+        if stated and not against(actual.verdict):
+            without = " --geometry leaves out the non-geometric model, which this verdict is on."
     else:
         nominal = Robot.load(robot, base, tip, Table.read(program).names(renamed), held)
         actual = Robot.load(str(corrected), nominal.base, nominal.tip, held=held)
-    left = words.parse_pair(accept, "--accept", "0.05 mm 0.01 deg")
+        stated = actual.urdf.verdict
+    if stated and not accept:
+        raise VerdictError(refusal(f"'{source}'", stated) + without)
+    left = words.parse_pair(tolerance, "--tolerance", "0.05 mm 0.01 deg")
     near = words.parse_held(start or [], "--start")
     found = compensated(
         actual,
@@ -95,15 +106,14 @@ def compensate(
         nominal=nominal,
         tool=words.parse_tool(tool) if tool else None,
         frame={"base": None, "measured": ""}.get(poses_in, poses_in),
-        accept=(left[0] or 1e-8, left[1] or 1e-8),
+        tolerance=(left[0] or 1e-8, left[1] or 1e-8),
         larger=words.parse_payload(payload, carried) if payload else not geometry,
+        accept=accept,
     )
     if not found.reached.all() and (not skip or not found.reached.any()):
         raise CalibError(no_commands(found))
     if output is not None:
         write_commands(found, output, send=send, orientation=orientation, overwrite=force)
-    name, result = Path(source).name, found.pair.result
     if not quiet:
-        typer.echo(text(found, name, output))
-    elif result and result.verdict and result.verdict.use == "do not use":
-        typer.echo(f"calib: the verdict of {name} is 'do not use'.", err=True)
+        typer.echo(text(found, Path(source).name, output))
+    words.say_accepted(f"'{source}'", stated)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.options import Base, Force, Hold, Quiet, verb
+from calib.cli.options import Accept, Base, Force, Hold, Quiet, verb
 
 _SOURCE = "result.json, calibration.conf, kinematics.yaml, origins.yaml, a URDF or xacro, or a robot's name."
 _FORMATS = (
@@ -30,7 +30,8 @@ Examples:
   calib convert result.json --to ur-yaml --hash-from own_kinematics.yaml -o kinematics.yaml
   calib convert corrected.urdf --robot robot.urdf --to hayati -o rows.csv
 
-What is written is read back and compared with the robot before it appears; what a format cannot hold is said.
+What is written is read back and compared with the robot before it appears; what a format cannot hold is said. A result
+whose verdict is 'do not use', or a URDF that states it, is refused with exit status 3, unless --accept is given.
 """)
 def convert(
     source: Annotated[str, typer.Argument(metavar="SOURCE", help=_SOURCE)],
@@ -52,18 +53,21 @@ def convert(
         str | None, typer.Option(help="Link that the chain ends at. Default: that of SOURCE.")
     ] = None,
     hold: Hold = None,
+    accept: Accept = False,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
     """See the text of `verb`."""
-    from calib.cli.setup import check_outputs, parse_held
-    from calib.formats.convert import Options, convert as converted
+    from calib.cli.setup import check_outputs, parse_held, say_accepted
+    from calib.conversion import convert as converted
+    from calib.formats.convert import Options
     from calib.text.convert import text
 
     inputs = [source, *(path for path in (robot, urcontrol, hash_from, update) if path)]
     check_outputs([output], inputs, force=force)
     held = parse_held(hold or [])
     options = Options(to, robot, ur_model, urcontrol, hash_from, update, base, tip, held, force)
-    done = converted(source, output, options)
+    done = converted(source, output, options, accept=accept)
     if not quiet:
         typer.echo(text(done, source))
+    say_accepted(f"'{source}'", done.against)

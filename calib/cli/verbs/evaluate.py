@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
+from calib.cli.exit_status import ExitStatus
 from calib.cli.options import (
     CellOptions,
     DataFile,
@@ -29,8 +30,8 @@ class _Options(CellOptions):
     target: ResultTarget = None
 
 
-#: A tolerance as it could be typed, and the exit code where one was not shown to be kept.
-_EXAMPLE, NOT_PASSED = "0.5 mm 0.1 deg", 3
+#: A tolerance as it could be typed.
+_EXAMPLE = "0.5 mm 0.1 deg"
 _METAVAR = '"LENGTH [ANGLE]"'
 
 
@@ -116,4 +117,4 @@ def evaluate(
         if written is not None:
             typer.echo(f"\nWritten: {written}")
     if found.accepted is not None and found.accepted.outcome != "pass":
-        raise typer.Exit(NOT_PASSED)
+        raise typer.Exit(ExitStatus.NOT_ACCEPTED)

@@ -7,7 +7,9 @@ from typing import Annotated
 
 import typer
 
+from calib.cli.exit_status import ExitStatus
 from calib.cli.options import (
+    Accept,
     Columns,
     Dask,
     FitOptions,
@@ -21,7 +23,7 @@ from calib.cli.options import (
     verb,
 )
 from calib.cli.setup import executor_of
-from calib.errors import FileError
+from calib.errors import FileError, choices
 
 
 @verb("""Calibrate a batch of robots and flag outliers.
@@ -36,7 +38,8 @@ The manifest has a robot a row: its name, its robot (a URDF, a xacro, or a name 
 cell, points, points_unit, base, tip, target, frame, model, kind, payload, hold and columns of it, as the options of
 'calib calibrate' do. Options on the line are for all robots; what a row says wins. Each robot gets a folder with
 corrected.urdf, result.json, report.html and summary.txt; fleet.csv and fleet.json compare them. Given again, the same
-command keeps what is finished and unchanged. The exit code is 1 if a robot failed. See docs/fleet.md.
+command keeps what is finished and unchanged. The exit status is 1 if a robot failed; otherwise 3 if one got no
+corrected.urdf because its verdict is 'do not use', which --accept writes nonetheless. See docs/fleet.md.
 """)
 def fleet(
     manifest: Annotated[
@@ -63,6 +66,7 @@ def fleet(
     ] = True,
     workers: Workers = None,
     dask: Dask = None,
+    accept: Accept = False,
     force: Annotated[
         bool, typer.Option("--force", help="Calibrate all robots anew, finished ones too.")
     ] = False,
@@ -76,7 +80,15 @@ def fleet(
     if manifest.resolve() == (out / CSV).resolve():
         raise FileError(f"{manifest} would be the table of results too; choose another --out.")
     robots = read_manifest(manifest, setup, columns or (), points_unit)
-    options = FleetOptions(solver, robust, validate, reports, target_link, command_line())
+    options = FleetOptions(
+        solver=solver,
+        robust=robust,
+        validate=validate,
+        reports=reports,
+        target_link=target_link,
+        accept=accept,
+        command=command_line(),
+    )
     try:
         with (
             executor_of(workers, dask, len(robots)) as executor,
@@ -99,4 +111,12 @@ def fleet(
             typer.echo(f"Written: {out / name}")
     if found.failed:
         typer.echo(f"calib: {len(found.failed)} of {len(found.rows)} robots failed.", err=True)
-        raise typer.Exit(1)
+    for rows, said in (
+        (found.withheld, "No URDF was written for it; --accept writes it nonetheless."),
+        (found.accepted, "It was accepted."),
+    ):
+        if rows:
+            names = choices(row.name for row in rows)
+            typer.echo(f"calib: the verdict on {names} is 'do not use'. {said}", err=True)
+    if found.failed or found.withheld:
+        raise typer.Exit(ExitStatus.REFUSED if found.failed else ExitStatus.NOT_ACCEPTED)

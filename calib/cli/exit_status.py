@@ -1,0 +1,16 @@
+"""The exit statuses of the program, in one place; docs/command-line.md has them as a table."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+
+class ExitStatus(IntEnum):
+    """Exit status of a call of the program."""
+
+    DONE = 0  #: Everything was done.
+    REFUSED = 1  #: An error, or a robot of a fleet that failed.
+    WRONG_CALL = 2  #: An option or argument that there is not, or a value that it does not take.
+    #: The verdict ``do not use`` was obeyed, or a tolerance was not shown to be kept.
+    NOT_ACCEPTED = 3
+    INTERRUPTED = 130  #: Ctrl-C.

@@ -1,0 +1,60 @@
+"""convert as users have it: a verdict ``do not use`` is obeyed before anything is written.
+
+The verdict stands in a result, or in a comment of a URDF that was written in spite of it (`Urdf.verdict`). It goes
+along into a URDF; the other formats have no place for it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from calib.errors import VerdictError
+from calib.formats.convert import FORMATS, Conversion, Options, read_source
+from calib.formats.universal_robots import Source
+from calib.text.verdict import against, refusal
+
+__all__ = ["convert"]
+
+
+def convert(
+    source: str, path: str | Path, options: Options | None = None, *, accept: bool = False
+) -> Conversion:
+    """Read a file or the name of a robot, and write it in the format that the file's ending or ``options.to`` says.
+
+    What is written is read back and compared with the robot before it appears.
+
+    Args:
+        source: A result, a controller's file, an origins file, a URDF or xacro, or the name of a robot.
+        path: The file to write.
+        options: What goes with the conversion.
+        accept: Whether it is written also where the verdict is ``do not use``; a URDF then states it in a comment.
+
+    Returns:
+        What was read and written, and what there is to say about it.
+
+    Raises:
+        VerdictError: The verdict on the source is ``do not use``, and ``accept`` is not given.
+        FileError: A file cannot be read or written.
+        UrdfError: A URDF cannot be read, or, read back, is not the robot.
+        ModelError: The robot has no form in this format, or things do not fit each other.
+        CalibError: Something that the format needs was not given.
+    """
+    options, path = options or Options(), Path(path)
+    content, name = read_source(source, path, options)
+    stated = _stated(content)
+    if stated and not accept:
+        raise VerdictError(refusal(f"'{source}'", stated))
+    urdf = content.robot.urdf.with_verdict(stated)
+    if urdf != content.robot.urdf:
+        content = replace(content, robot=replace(content.robot, urdf=urdf))
+    notes = FORMATS[name].write(content, path, options)
+    return Conversion(content, name, path, notes, stated)
+
+
+def _stated(source: Source) -> str:
+    """The verdict ``do not use`` on what was read, and its reason; empty where there is none.
+
+    A URDF states its own. What the URDF states that another file is applied to was said of an earlier calibration.
+    """
+    return source.robot.urdf.verdict if source.kind == "robot" else against(source.verdict)

@@ -1,0 +1,272 @@
+"""The kinematic tree that a URDF states: its joints and links, checked, with the place and the remedy of each fault.
+
+A URDF is in metres and radians. One whose joints all lie tens of metres apart is in millimetres, one with angles of
+many turns in degrees; both are refused, for every number that is computed from them would be wrong.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from calib.errors import UrdfError, choices, did_you_mean
+from calib.robot.urdf_xml import XACRO_FIX, Document, Element
+from calib.units import NUMBER, Array
+
+JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
+
+_ZERO_AXIS = 1e-9
+
+#: No robot has half of its joints further than this from their parents [m]; in millimetres all robots have.
+_FAR = 10.0
+
+#: No origin is turned by more than two turns [rad]; in degrees most are.
+_TURNED = 4.0 * np.pi
+
+#: Between these a limit of a joint may be one in degrees [rad, deg]; such limits are multiples of the third.
+_TURNS, _MOST_DEGREES, _STEP_DEGREES = 4.0 * np.pi, 720.0, 5.0
+
+#: A joint without a limit, and what it is given.
+_LIMITS = {
+    "revolute": 'lower="-3.14" upper="3.14" effort="0" velocity="0"/>, in rad, or the type "continuous"',
+    "prismatic": 'lower="0" upper="1" effort="0" velocity="0"/>, in m',
+}
+
+
+def read_only(values: ArrayLike) -> Array:
+    """A copy of the values as a float64 array that cannot be written to."""
+    array = np.array(values, dtype=np.float64)
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UrdfJoint:
+    """A joint as the URDF states it."""
+
+    name: str  #: Name of the joint.
+    type: str  #: One of `JOINT_TYPES`.
+    parent: str  #: Name of the parent link.
+    child: str  #: Name of the child link.
+    xyz: Array  #: Translation of the origin in the parent link, (3,) [m].
+    rpy: Array  #: Rotation of the origin about the fixed x, y, z axes, (3,) [rad].
+    axis: Array  #: Unit vector in the joint's frame, (3,); (1, 0, 0) for fixed and floating joints.
+    mimic: str | None  #: Name of the joint that drives this one, or None.
+    lower: float | None  #: Lower limit [rad or m]; None where none is stated or the type has none.
+    upper: float | None  #: Upper limit, likewise.
+    mimic_multiplier: float = 1.0  #: Factor of the driving joint's value.
+    mimic_offset: float = 0.0  #: Added to it [rad or m].
+
+    @property
+    def T_parent_joint(self) -> Array:
+        """The origin: pose of the joint's frame in the parent link, (4, 4)."""
+        T = np.eye(4)
+        T[:3, :3] = pin.rpy.rpyToMatrix(*self.rpy)
+        T[:3, 3] = self.xyz
+        return read_only(T)
+
+
+def read_tree(document: Document) -> tuple[tuple[UrdfJoint, ...], tuple[str, ...]]:
+    """The joints and the names of the links, both in the file's order."""
+    root = document.root
+    elements = root.all("joint")
+    if root.tag != "robot":
+        known = {"sdf": "SDF (Gazebo)", "mujoco": "MJCF (MuJoCo)", "COLLADA": "a COLLADA mesh"}
+        looks = f", it looks like {known[root.tag]}" if root.tag in known else ""
+        text = f"the outermost element is <{root.tag}>{looks}; a URDF has <robot>"
+        raise document.at(root, text)
+    if not elements:
+        text = "<robot> has no <joint>; a URDF with the joints themselves is wanted"
+        raise document.at(root, text)
+    links = _unique_names(document, root.all("link"))
+    _unique_names(document, elements)
+    joints = tuple(_joint(document, element) for element in elements)
+    _check_tree(document, joints, links)
+    _check_units(document, joints)
+    return joints, links
+
+
+def _unique_names(document: Document, elements: list[Element]) -> tuple[str, ...]:
+    """The names of links or joints, which must be there once each."""
+    lines: dict[str, int] = {}
+    for element in elements:
+        name = element.attributes.get("name", "")
+        if not name:
+            text = f'a <{element.tag}> has no name; give it name="..."'
+            raise document.at(element, text)
+        if name in lines:
+            text = (
+                f"a second {element.tag} '{name}', the first is in line {lines[name]}; rename one"
+            )
+            raise document.at(element, text)
+        lines[name] = element.line
+    return tuple(lines)
+
+
+def _joint(document: Document, element: Element) -> UrdfJoint:
+    """What a ``<joint>`` states."""
+    kind = element.attributes.get("type", "")
+    if kind not in JOINT_TYPES:
+        text = f" has the type '{kind}'; the types are {choices(JOINT_TYPES)}"
+        raise _fault(document, element, text)
+    numbers = partial(_numbers, document, element)
+    axis, zeros = (1.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    direction = read_only(axis if kind in ("fixed", "floating") else numbers("axis", "xyz", axis))
+    length = float(np.linalg.norm(direction))
+    if length < _ZERO_AXIS:
+        text = ': the axis is zero; give its direction, xyz="0 0 1" for example'
+        raise _fault(document, element, text)
+    _check_limit(document, element, kind)
+    limits = [np.nan, np.nan]
+    if kind in ("revolute", "prismatic"):
+        limits = [numbers("limit", key, (np.nan,))[0] for key in ("lower", "upper")]
+    lower, upper = (None if np.isnan(value) else value for value in limits)
+    return UrdfJoint(
+        name=element.attributes["name"],
+        type=kind,
+        parent=_link(document, element, "parent"),
+        child=_link(document, element, "child"),
+        xyz=read_only(numbers("origin", "xyz", zeros)),
+        rpy=read_only(numbers("origin", "rpy", zeros)),
+        axis=read_only(direction / length),
+        mimic=_link(document, element, "mimic", "joint") if element.all("mimic") else None,
+        lower=lower,
+        upper=upper,
+        mimic_multiplier=numbers("mimic", "multiplier", (1.0,))[0],
+        mimic_offset=numbers("mimic", "offset", (0.0,))[0],
+    )
+
+
+def _check_limit(document: Document, element: Element, kind: str) -> None:
+    """Refuse a joint whose ``<limit>`` is missing or is not whole, as every reader of URDFs does."""
+    limit = _part(document, element, "limit")
+    if limit is None:
+        if kind in _LIMITS:
+            text = f" is {kind} and has no <limit>; give it <limit {_LIMITS[kind]}"
+            raise _fault(document, element, text)
+        return
+    for key in ("effort", "velocity"):
+        if key not in limit.attributes:
+            text = f': its <limit> has no {key}; add {key}="0" if it is not known'
+            raise _fault(document, element, text, limit)
+        _numbers(document, element, "limit", key, (0.0,))
+
+
+def _fault(
+    document: Document, element: Element, text: str, part: Element | None = None
+) -> UrdfError:
+    """An error about a joint, with the line of one of its parts."""
+    return document.at(part or element, f"joint '{element.attributes['name']}'{text}")
+
+
+def _part(document: Document, element: Element, tag: str) -> Element | None:
+    """The joint's child of that name, None without; refused if there are several."""
+    found = element.all(tag)
+    if len(found) > 1:
+        raise _fault(document, element, f" has {len(found)} <{tag}>; keep one")
+    return found[0] if found else None
+
+
+def _link(document: Document, element: Element, tag: str, key: str = "link") -> str:
+    """The value of ``<tag key="...">``, which must be there."""
+    part = _part(document, element, tag)
+    value = part.attributes.get(key, "") if part else ""
+    if not value:
+        raise _fault(document, element, f' lacks <{tag} {key}="...">')
+    return value
+
+
+def _numbers(
+    document: Document, element: Element, tag: str, key: str, default: tuple[float, ...]
+) -> tuple[float, ...]:
+    """The finite numbers of ``<tag key="...">``, as many as the default, which is for none."""
+    part = _part(document, element, tag)
+    if part is None or key not in part.attributes:
+        return default
+    text = part.attributes[key]
+    words = re.split("[ \t\r\n]+", text.strip(" \t\r\n"))  # XML's white space only
+    if len(words) == len(default) and all(NUMBER.fullmatch(word) for word in words):
+        values = tuple(float(word) for word in words)
+        if np.isfinite(values).all():
+            return values
+    wanted = f"{len(default)} finite numbers" if len(default) > 1 else "a finite number"
+    xacro = f"; this is xacro, {XACRO_FIX}" if "${" in text or "$(" in text else ""
+    raise _fault(document, element, f": {key} of <{tag}> is '{text}', {wanted} wanted{xacro}", part)
+
+
+def _check_tree(document: Document, joints: tuple[UrdfJoint, ...], links: tuple[str, ...]) -> None:
+    """Refuse links that do not exist or have two parents, several roots, and loops."""
+    above: dict[str, UrdfJoint] = {}
+    for joint, element in zip(joints, document.root.all("joint"), strict=True):
+        for link in (joint.parent, joint.child):
+            if link not in links:
+                text = f"joint '{joint.name}' names the link '{link}', which does not exist"
+                raise document.at(element, text + did_you_mean(link, links))
+        if joint.child in above:
+            text = (
+                f"link '{joint.child}' is the child of both '{above[joint.child].name}' and "
+                f"'{joint.name}'; a URDF is a tree, a closed loop cannot be written in it"
+            )
+            raise document.at(element, text)
+        above[joint.child] = joint
+    roots = [link for link in links if link not in above]
+    if len(roots) > 1:
+        raise UrdfError(
+            f"{document.source} has {len(roots)} root links: {choices(roots)}; join them by fixed "
+            "joints so that one is left"
+        )
+    reached = set(roots)
+    while new := {j.child for j in joints if j.parent in reached} - reached:
+        reached |= new
+    loop = sorted(joint.name for joint in joints if joint.child not in reached)
+    if loop:
+        raise UrdfError(
+            f"{document.source}: the joints {choices(loop)} form a loop; a URDF is a tree"
+        )
+
+
+def _check_units(document: Document, joints: tuple[UrdfJoint, ...]) -> None:
+    """Refuse lengths in millimetres and angles in degrees, where all that is stated says so."""
+    lengths = [float(np.linalg.norm(joint.xyz)) for joint in joints]
+    typical = float(np.median([length for length in lengths if length > 0.0] or [0.0]))
+    if typical > _FAR:
+        raise UrdfError(
+            f"{document.source}: half of the joints lie more than {typical:.0f} m from their parents; lengths of a "
+            "URDF are in metres, and these look like millimetres. Divide every xyz by 1000, and the limits of "
+            "prismatic joints too"
+        )
+    for joint, element in zip(joints, document.root.all("joint"), strict=True):
+        if np.abs(joint.rpy).max() > _TURNED:
+            angles = " ".join(f"{angle:g}" for angle in joint.rpy)
+            text = (
+                f": rpy of <origin> is '{angles}'; angles of a URDF are in radians, and these look like degrees. "
+                "Multiply every rpy by pi/180, and the limits of revolute joints too"
+            )
+            raise _fault(document, element, text)
+    turning = [joint for joint in joints if joint.type == "revolute"]
+    in_degrees = [joint for joint in turning if _looks_like_degrees(joint)]
+    if 2 * len(in_degrees) > len(turning):
+        first = in_degrees[0]
+        element = document.root.all("joint")[joints.index(first)]
+        text = (
+            f" has the limits {first.lower:g} to {first.upper:g}; limits of a URDF are in radians, and these look like "
+            "degrees. Multiply them by pi/180; a joint that turns without end is of the type continuous"
+        )
+        raise _fault(document, element, text)
+
+
+def _looks_like_degrees(joint: UrdfJoint) -> bool:
+    """Tell limits in degrees by round numbers that would be many turns in radians, and are two at most in degrees."""
+    if joint.lower is None or joint.upper is None:
+        return False
+    ends = np.array([joint.lower, joint.upper])
+    size = float(np.abs(ends).max())
+    # 100 and 1000 stand for no limit at all.
+    placeholder = float(np.log10(max(size, 1.0))).is_integer()
+    round_numbers = not np.any(ends % _STEP_DEGREES)
+    return _TURNS < size <= _MOST_DEGREES and round_numbers and not placeholder

@@ -1,0 +1,79 @@
+"""convert obeys the verdict of a result, and that which a URDF states."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from calib.conversion import convert
+from calib.diagnosis.reasons import CARE, NO, Reason, Verdict, Why
+from calib.errors import VerdictError
+from calib.formats.convert import FORMATS, Options
+from calib.result.calibration_file import read_result, write_result
+from calib.robot.urdf import Urdf
+from calib.text.convert import text
+from tests.formats.forms import write_forms
+
+LOST = Reason.of(Why.SIZE_LOST, largest=0.2)
+ENDINGS = {"urdf": ".urdf", "ur-yaml": ".yaml", "ur-conf": ".conf", "origins": ".yaml"}
+
+
+@pytest.fixture(scope="module")
+def shop(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One robot in every form, and its result with other verdicts."""
+    folder = write_forms(tmp_path_factory.mktemp("forms"))
+    result = read_result(folder / "result.json")
+    for name, use in (("bad", NO), ("care", CARE)):
+        write_result(replace(result, verdict=Verdict(use, (LOST,))), folder / f"{name}.json")
+    write_result(replace(result, verdict=None), folder / "none.json")
+    convert(str(folder / "bad.json"), folder / "bad.urdf", accept=True)
+    return folder
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_no_format_is_written_of_what_is_not_to_be_used(shop: Path, tmp_path: Path, name: str):
+    path = tmp_path / f"made{ENDINGS.get(name, '.csv')}"
+    options = Options(to=name, hash_from=shop / "calibration.conf", ur_model="UR3")
+    with pytest.raises(VerdictError, match="size_lost"):
+        convert(str(shop / "bad.json"), path, options)
+    assert not path.exists()
+    done = convert(str(shop / "bad.json"), path, options, accept=True)
+    assert done.against.startswith("do not use (size_lost): ")
+    assert path.exists()
+
+
+def test_a_urdf_states_the_verdict_and_is_else_the_same(shop: Path, tmp_path: Path):
+    convert(str(shop / "none.json"), tmp_path / "plain.urdf")
+    stated = Urdf.read(shop / "bad.urdf")
+    assert "size_lost" in stated.verdict
+    assert stated.with_verdict("").data == (tmp_path / "plain.urdf").read_bytes()
+
+
+def test_a_urdf_that_states_it_is_refused_like_the_result(shop: Path, tmp_path: Path):
+    source, options = str(shop / "bad.urdf"), Options(base="base", tip="tool0")
+    for to in ("origins", "urdf"):
+        path = tmp_path / f"made{ENDINGS[to]}"
+        with pytest.raises(VerdictError, match="size_lost"):
+            convert(source, path, replace(options, to=to))
+        assert not path.exists()
+    nominal = replace(options, robot=str(shop / "robot.urdf"))
+    convert(source, tmp_path / "again.urdf", nominal, accept=True)
+    assert Urdf.read(tmp_path / "again.urdf").verdict == Urdf.read(source).verdict
+
+
+def test_a_file_on_a_urdf_that_states_an_earlier_verdict_does_not_inherit_it(shop, tmp_path):
+    options = Options(robot=str(shop / "bad.urdf"), base="base", tip="tool0")
+    convert(str(shop / "origins.yaml"), tmp_path / "made.urdf", options)
+    assert Urdf.read(tmp_path / "made.urdf").verdict == ""
+
+
+@pytest.mark.parametrize(
+    ("source", "said"),
+    [("care.json", "use with care"), ("none.json", "none, the result was not validated")],
+)
+def test_the_verdict_is_printed(shop: Path, tmp_path: Path, source: str, said: str):
+    done = convert(str(shop / source), tmp_path / "made.csv", Options(to="dh"))
+    assert done.against == ""
+    assert f"Verdict on {source}: {said}" in " ".join(text(done, source).split())
