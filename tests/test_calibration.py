@@ -15,7 +15,7 @@ from calib.robot.urdf import Urdf
 from calib.simulation.scenario import Scenario
 from tests.fleets.arms import CELL
 
-LOST = Reason.of(Why.SIZE_LOST, largest=0.2)
+LOST = Reason.of(Why.PARAMETER_FAR, largest=0.2)
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,7 @@ def judged(result: Calibration, use: str) -> Calibration:
 def test_a_urdf_that_is_not_to_be_used_is_not_written(result: Calibration, tmp_path: Path):
     path = tmp_path / "c.urdf"
     with pytest.raises(
-        VerdictError, match=r"do not use \(size_lost\).*--accept.*accept=True"
+        VerdictError, match=r"do not use \(parameter_far\).*--accept.*accept=True"
     ) as caught:
         judged(result, NO).write_urdf(path)
     assert isinstance(caught.value, CalibError)
@@ -44,7 +44,7 @@ def test_what_is_accepted_states_its_verdict_and_is_else_the_same(result: Calibr
     plain = result.write_urdf(tmp_path / "plain.urdf").read_bytes()
     accepted = judged(result, NO).write_urdf(tmp_path / "c.urdf", accept=True, target_link=True)
     urdf = Urdf.read(accepted)
-    assert urdf.verdict.startswith("do not use (size_lost): Nothing that was measured is a length")
+    assert urdf.verdict.startswith("do not use (parameter_far): A parameter has moved")
     assert "moved by 200 mm or mrad" in urdf.verdict
     without = judged(result, USE).write_urdf(tmp_path / "t.urdf", target_link=True).read_bytes()
     assert urdf.with_verdict("").data == without
@@ -64,4 +64,4 @@ def test_what_an_earlier_calibration_stated_does_not_stay(result: Calibration, t
     assert later.write_urdf(tmp_path / "a.urdf").read_bytes() == result.robot.urdf.data
     again = judged(later, NO).write_urdf(tmp_path / "b.urdf", accept=True)
     assert again.read_bytes().count(b"calib verdict") == 1
-    assert "size_lost" in Urdf.read(again).verdict
+    assert "parameter_far" in Urdf.read(again).verdict

@@ -16,7 +16,7 @@ from calib.robot.urdf import Urdf
 from calib.text.convert import text
 from tests.formats.forms import write_forms
 
-LOST = Reason.of(Why.SIZE_LOST, largest=0.2)
+LOST = Reason.of(Why.PARAMETER_FAR, largest=0.2)
 ENDINGS = {"urdf": ".urdf", "ur-yaml": ".yaml", "ur-conf": ".conf", "origins": ".yaml"}
 
 
@@ -36,18 +36,18 @@ def shop(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_no_format_is_written_of_what_is_not_to_be_used(shop: Path, tmp_path: Path, name: str):
     path = tmp_path / f"made{ENDINGS.get(name, '.csv')}"
     options = Options(to=name, hash_from=shop / "calibration.conf", ur_model="UR3")
-    with pytest.raises(VerdictError, match="size_lost"):
+    with pytest.raises(VerdictError, match="parameter_far"):
         convert(str(shop / "bad.json"), path, options)
     assert not path.exists()
     done = convert(str(shop / "bad.json"), path, options, accept=True)
-    assert done.against.startswith("do not use (size_lost): ")
+    assert done.against.startswith("do not use (parameter_far): ")
     assert path.exists()
 
 
 def test_a_urdf_states_the_verdict_and_is_else_the_same(shop: Path, tmp_path: Path):
     convert(str(shop / "none.json"), tmp_path / "plain.urdf")
     stated = Urdf.read(shop / "bad.urdf")
-    assert "size_lost" in stated.verdict
+    assert "parameter_far" in stated.verdict
     assert stated.with_verdict("").data == (tmp_path / "plain.urdf").read_bytes()
 
 
@@ -55,7 +55,7 @@ def test_a_urdf_that_states_it_is_refused_like_the_result(shop: Path, tmp_path: 
     source, options = str(shop / "bad.urdf"), Options(base="base", tip="tool0")
     for to in ("origins", "urdf"):
         path = tmp_path / f"made{ENDINGS[to]}"
-        with pytest.raises(VerdictError, match="size_lost"):
+        with pytest.raises(VerdictError, match="parameter_far"):
             convert(source, path, replace(options, to=to))
         assert not path.exists()
     nominal = replace(options, robot=str(shop / "robot.urdf"))

@@ -41,10 +41,10 @@ def test_rows_outside():
 
 
 def test_only_do_not_use_speaks_against_a_result():
-    reasons = (Reason.of(Why.SIZE_LOST, largest=0.2), Reason.of(Why.NO_LENGTH))
+    reasons = (Reason.of(Why.PARAMETER_FAR, largest=0.2), Reason.of(Why.NO_LENGTH))
     assert [against(Verdict(use, reasons)) for use in (USE, CARE)] == ["", ""]
     assert against(None) == ""
     assert against(Verdict(NO, ())) == "do not use"
     said = against(Verdict(NO, reasons))
-    assert said == f"do not use (size_lost): {reason_text(reasons[0])}"
+    assert said == f"do not use (parameter_far): {reason_text(reasons[0])}"
     assert said in refusal("'c.urdf'", said)
