@@ -29,7 +29,7 @@ from calib.estimate.selection import (
 )
 from calib.estimate.setup import Rows, Setup, known_distances, rows_of
 from calib.estimate.solvers import Solver
-from calib.estimate.statistics import CrossValidation, Limits, Repeats, repeats
+from calib.estimate.statistics import CrossValidation, Limits, Repeats, repeats, rms
 from calib.jobs import Progress
 from calib.model.error_model import OWN, split_name
 from calib.model.kinematics import Parameter, Samples
@@ -297,6 +297,8 @@ def _assembled(m: Measurements, fits: Fits) -> Calibration:
         freedom=estimated.freedom,
         sigma=_median(scales[:, :3]),
         sigma_angle=_median(scales[:, 3:]),
+        sigma_given=_stated(m.sigma, cell.sigma, mask),
+        sigma_angle_given=_stated(m.sigma_angle, cell.sigma_angle, mask),
         residual_nominal=read_only(every.residual(placed.seen(T_base_tip, every.samples))),
         residual_calibrated=read_only(residual),
         used=every.used,
@@ -329,6 +331,13 @@ def _median(values: Array) -> float:
     """The median of what is no NaN; NaN of nothing."""
     there = values[~np.isnan(values)]
     return float(np.median(there)) if there.size else float("nan")
+
+
+def _stated(by_row: Array | None, by_cell: float | None, fitted: NDArray[np.bool_]) -> float:
+    """The noise of the fitted rows as their table or else the cell states it, rms; NaN where a row's is not stated."""
+    general = np.full(len(fitted), np.nan if by_cell is None else by_cell)
+    stated = general if by_row is None else np.where(np.isfinite(by_row), by_row, general)
+    return rms(stated[fitted])
 
 
 def _repeats(fitted: Fitted) -> Repeats | None:
