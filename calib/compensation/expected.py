@@ -74,6 +74,7 @@ class ExpectedErrors:
     #: the errors of all rows come from the same few unknowns.
     low: float
     high: float
+    freedom: float  #: Degrees of freedom of the mean square error over all rows: how many unknowns they share.
     in_measured_frame: (
         float | None
     )  #: Mean error of the same program in the measurement frame [m]; None: it is that.
@@ -111,7 +112,8 @@ def expected_errors(pair: Pair, q: Array) -> ExpectedErrors:
     errors = _mean_errors(arrived.covariance, lacking)
     held_out = part.cross_validation
     rows = 0 if held_out is None else held_out.errors_without_outliers.n
-    low, high = _band(arrived, float(lacking[0]), rows, float(errors[:, 0].mean()))
+    freedom = _freedom(arrived, float(lacking[0]), rows)
+    low, high = _band(float(errors[:, 0].mean()), freedom)
     measured = None
     if views[1].in_base != views[2].in_base:
         measured = float(_mean_errors(tool.covariance, lacking)[:, 0].mean())
@@ -120,6 +122,7 @@ def expected_errors(pair: Pair, q: Array) -> ExpectedErrors:
         contributions=_contributions(lacking[0], part.expected_measured**2, target, tool, arrived),
         low=low,
         high=high,
+        freedom=freedom,
         in_measured_frame=measured,
         noise=_instrument(result)[0],
         validated=held_out is not None,
@@ -168,27 +171,31 @@ def _mean_errors(covariance: Array, lacking: Array) -> Array:
     return np.asarray(np.sqrt(2.0 * trace / freedom) * ratio)
 
 
-def _band(arrived: PoseCovariance, lacking: float, rows: int, mean: float) -> tuple[float, float]:
-    """Ends of the range of the mean error over all rows [m], for `BAND` of robots.
+def _freedom(arrived: PoseCovariance, lacking: float, rows: int) -> float:
+    """Degrees of freedom of the mean square error over the program, taken for a multiple of chi-squared.
 
-    The mean square is that of what the model lacks, s^2, estimated from some rows, and sum_k g_k z_k^2 of the unknowns
-    that all rows share, with standard normal z. It is taken for a multiple of chi-squared with
-    (s^2 + sum g)^2 / (s^4 / rows + sum g^2) degrees of freedom.
+    It is the sum of what the model lacks, s^2, estimated from held-out rows, and of sum_k g_k z_k^2 of the unknowns
+    that the program's rows share, with standard normal z:
+
+        n  =  (s^2 + sum g)^2 / (s^4 / rows + sum g^2)
 
     Args:
         arrived: The tool in the frame of the program.
         lacking: Mean square of what the model lacks [m^2].
         rows: Number of held-out rows.
-        mean: The mean error that is expected [m].
     """
     total = lacking + float(np.sum(arrived.shared))
-    if total <= 0.0:
+    spread = lacking**2 / max(rows, 1) + float(np.sum(arrived.shared**2))
+    return total**2 / spread if spread > 0.0 else np.inf
+
+
+def _band(mean: float, freedom: float) -> tuple[float, float]:
+    """Ends of the range of a mean error that is expected, for `BAND` of robots: by chi-squared [m]."""
+    if not np.isfinite(freedom):
         return mean, mean
-    freedom = total**2 / (lacking**2 / max(rows, 1) + float(np.sum(arrived.shared**2)))
     tail = 0.5 * (1.0 - BAND)
-    quantiles = chdtri(freedom, np.array([1.0 - tail, tail])) / freedom
-    low, high = (mean * np.sqrt(quantiles)).tolist()
-    return low, high
+    low, high = mean * np.sqrt(chdtri(freedom, np.array([1.0 - tail, tail])) / freedom)
+    return float(low), float(high)
 
 
 def _contributions(

@@ -178,6 +178,7 @@ def better_setup(robot: Robot, cell: Cell, table: Measurements) -> Reason | None
     chosen = np.zeros(len(table), dtype=bool)
     chosen[np.linspace(0, len(table) - 1, min(len(table), _ROWS)).astype(int)] = True
     table = table.select(chosen)
+    cell = _naming_only(cell, table)
     poses, setup = rows_of(robot, table, cell)
     rows = _as_points(poses)
     given = _misfit(robot, setup, rows)[0]
@@ -204,6 +205,13 @@ def better_setup(robot: Robot, cell: Cell, table: Measurements) -> Reason | None
         if found and best <= _FAR_BETTER * given and found.values["error_m"] <= _EXPLAINED:
             return found
     return None
+
+
+def _naming_only(cell: Cell, table: Measurements) -> Cell:
+    """The cell without the targets and frames that it names and no row of the table sees."""
+    targets = {name: place for name, place in cell.targets.items() if name in table.targets}
+    frames = {name: pose for name, pose in cell.frames.items() if name in table.groups}
+    return replace(cell, targets=targets, frames=frames)
 
 
 def _misfit(robot: Robot, setup: Setup, rows: Rows) -> tuple[float, float]:
