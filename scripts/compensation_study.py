@@ -24,12 +24,12 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
-from scipy.special import chdtr, gammaln
+from scipy.special import chdtr
 from selection_study import without_masses
 
 from calib.calibration import Calibration, calibrate
 from calib.compensation.commands import Commands, compensate
-from calib.compensation.expected import ExpectedErrors
+from calib.compensation.expected import ExpectedErrors, mean_of_chi
 from calib.compensation.inverse import Matching, solve
 from calib.compensation.nominal_actual import Arm
 from calib.compensation.program import Program
@@ -236,8 +236,7 @@ class Outcome:
     def possible(self) -> float:
         """Probability of an expected error within `NEAR` of the true one, if its distribution is exactly right."""
         n = self.expected.freedom
-        mean = np.sqrt(2.0) * np.exp(gammaln(0.5 * (n + 1.0)) - gammaln(0.5 * n))
-        near = (mean / np.array([1.0 - NEAR, 1.0 + NEAR])) ** 2
+        near = (mean_of_chi(n) / np.array([1.0 - NEAR, 1.0 + NEAR])) ** 2
         return float(chdtr(n, near[0]) - chdtr(n, near[1]))
 
 

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import chdtri, fdtri, gammaln
 
 from calib.compensation.nominal_actual import Pair
@@ -167,8 +168,7 @@ def _mean_errors(covariance: Array, lacking: Array) -> Array:
     trace = np.trace(blocks, axis1=2, axis2=3)
     square = np.sum(blocks**2, axis=(2, 3))
     freedom = np.maximum(trace**2 / np.maximum(square, np.finfo(np.float64).tiny), 1.0)
-    ratio = np.exp(gammaln(0.5 * (freedom + 1.0)) - gammaln(0.5 * freedom))
-    return np.asarray(np.sqrt(2.0 * trace / freedom) * ratio)
+    return np.asarray(np.sqrt(trace / freedom) * mean_of_chi(freedom))
 
 
 def _freedom(arrived: PoseCovariance, lacking: float, rows: int) -> float:
@@ -190,12 +190,26 @@ def _freedom(arrived: PoseCovariance, lacking: float, rows: int) -> float:
 
 
 def _band(mean: float, freedom: float) -> tuple[float, float]:
-    """Ends of the range of a mean error that is expected, for `BAND` of robots: by chi-squared [m]."""
+    """Ends of the range of the mean error over all rows [m], for `BAND` of robots.
+
+    Robots' mean errors are taken for a multiple of chi, the root of chi-squared, whose mean is the one expected.
+
+    Args:
+        mean: The mean error that is expected [m].
+        freedom: See `_freedom`.
+    """
     if not np.isfinite(freedom):
         return mean, mean
     tail = 0.5 * (1.0 - BAND)
-    low, high = mean * np.sqrt(chdtri(freedom, np.array([1.0 - tail, tail])) / freedom)
+    quantiles = np.sqrt(chdtri(freedom, np.array([1.0 - tail, tail])))
+    low, high = mean * quantiles / mean_of_chi(freedom)
     return float(low), float(high)
+
+
+def mean_of_chi(freedom: ArrayLike) -> Array:
+    """Mean of the chi distribution, sqrt(2) Gamma((n + 1) / 2) / Gamma(n / 2), with n > 0 degrees of freedom."""
+    n = np.asarray(freedom, dtype=np.float64)
+    return np.asarray(np.sqrt(2.0) * np.exp(gammaln(0.5 * (n + 1.0)) - gammaln(0.5 * n)))
 
 
 def _contributions(
