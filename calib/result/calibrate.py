@@ -334,10 +334,11 @@ def _median(values: Array) -> float:
 
 
 def _stated(by_row: Array | None, by_cell: float | None, fitted: NDArray[np.bool_]) -> float:
-    """The noise of the fitted rows as their table or else the cell states it, rms; NaN where a row's is not stated."""
-    general = np.full(len(fitted), np.nan if by_cell is None else by_cell)
-    stated = general if by_row is None else np.where(np.isfinite(by_row), by_row, general)
-    return rms(stated[fitted])
+    """The noise of fitted rows as their table states it, rms, else as the cell does; NaN where neither does."""
+    if by_row is None:
+        return float("nan") if by_cell is None else by_cell
+    stated = by_row[fitted & np.isfinite(by_row)]  # the second row of a pair states none
+    return rms(stated) if len(stated) else float("nan")
 
 
 def _repeats(fitted: Fitted) -> Repeats | None:

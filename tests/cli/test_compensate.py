@@ -157,7 +157,7 @@ def test_what_is_printed_with_an_estimated_frame(call, large: Path):
     words = ("compensate", "robot.urdf", "program.csv", *RESULT)
     text = said(call(large, *words))
     assert text.startswith("Verdict: none (result.json, non-geometric model 'dh+compliance')")
-    assert "The measurement frame was estimated with the robot" in text
+    assert "the base in the measurement frame" in text
     left = said(call(large, *words, "--poses-in", "left"))
     assert "Poses are in the measured frame of 'left'." in left
     assert "Set the controller's work object to (" in left

@@ -17,6 +17,7 @@ from calib.compensation.pose_covariance import (
 )
 from calib.data.cell import Cell, Priors
 from calib.data.measurements import Measurements
+from calib.estimate.selection import Candidate
 from calib.model.error_model import DIRECTIONS
 from calib.model.families import FAMILIES
 from calib.model.kinematics import FRAME, Samples
@@ -155,13 +156,16 @@ def test_what_the_model_leaves_out_of_the_first_joint_has_its_prior():
 
 
 def test_sizes_that_the_model_lacks_are_those_of_the_largest_candidate():
-    found = made("auto")
-    zeros = replace(found, sizes={"zero": 1e-3}, setup=in_a_frame().setup)
-    largest = max(found.candidates, key=lambda one: one.parameters)
-    lone = replace(zeros, model=None) if False else zeros
-    covariance = unmodelled_base(lone, lone)
-    if "d1" in found.model.names:
-        assert np.sqrt(covariance[3, 3]) == pytest.approx(largest.sizes["angle"])
+    tried = [
+        Candidate("dh", 29, 0.0, made("paper").cross_validation, {"angle": 1e-3}, 0.0),
+        Candidate("placement", 39, 0.0, made("paper").cross_validation, {"angle": 2e-3}, 0.0),
+        Candidate("zeros", 12, 0.0, made("paper").cross_validation, {"zero": 3e-3}, 0.0),
+    ]
+    found = replace(in_a_frame(), sizes={"zero": 1e-3}, candidates=tuple(tried))
+    covariance = unmodelled_base(found, found)
+    assert covariance[3, 3] == pytest.approx(2e-3**2)
+    own = replace(found, sizes={"zero": 1e-3, "angle": 5e-3})
+    assert unmodelled_base(own, own)[3, 3] == pytest.approx(5e-3**2)
 
 
 def test_without_priors_what_nothing_tells_is_as_large_as_errors_of_arms():
