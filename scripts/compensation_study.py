@@ -230,7 +230,8 @@ class Outcome:
     @property
     def inside(self) -> bool:
         """Whether the true error is within the range that is told."""
-        return self.expected.low <= self.true <= self.expected.high
+        low, high = self.expected.band
+        return low <= self.true <= high
 
     @property
     def possible(self) -> float:

@@ -30,6 +30,7 @@ from calib.compensation.pose_covariance import (
     unknown_base_directions,
     unmodelled_base,
 )
+from calib.estimate.statistics import CrossValidation
 from calib.model.kinematics import Samples
 from calib.result.calibration import Calibration
 from calib.result.prediction import Solved
@@ -43,7 +44,7 @@ poses of the program add; a tool that is not the measured target; the base, wher
 NoiseSource = Literal["stated", "repeats", "unknown"]
 """How the instrument's noise is known: from cell or table, from repeated poses, or not at all: then it is error."""
 
-#: Share of robots whose mean error lies between ``low`` and ``high``.
+#: Share of robots whose mean error lies in `ExpectedErrors.band`.
 BAND = 0.8
 
 #: Probability that noise alone lets held-out errors exceed it by so much; what is likelier is no lack of the model.
@@ -57,7 +58,7 @@ _LARGEST_RATIO = 0.25
 
 
 class Contribution(NamedTuple):
-    """What a source adds to the mean square of the position error."""
+    """Part of the mean square of the position error that one source adds."""
 
     source: Source
     square: float  #: [m^2]
@@ -67,20 +68,18 @@ class Contribution(NamedTuple):
 class ExpectedErrors:
     """Errors to expect of N commands, in the frame of the program."""
 
-    errors: (
-        Array  #: shape (N, 2), mean distance [m] and angle [rad] of the tool from its wanted pose.
-    )
-    contributions: tuple[Contribution, ...]  #: One of each source, in the order of `Source`.
-    #: Ends of the range of the mean error over all rows for `BAND` of robots [m]. It differs from robot to robot, for
-    #: the errors of all rows come from the same few unknowns.
-    low: float
-    high: float
-    freedom: float  #: Degrees of freedom of the mean square error over all rows: how many unknowns they share.
-    in_measured_frame: (
-        float | None
-    )  #: Mean error of the same program in the measurement frame [m]; None: it is that.
+    #: shape (N, 2), mean distance [m] and angle [rad] of the tool from its wanted pose.
+    errors: Array
+    #: One of each source, in the order of `Source`.
+    contributions: tuple[Contribution, ...]
+    #: Degrees of freedom of the mean square error over all rows: how many unknowns they share.
+    freedom: float
+    #: Mean error of the same program in the measurement frame [m]; None: it is that.
+    in_measured_frame: float | None
+    #: How the instrument's noise is known.
     noise: NoiseSource
-    validated: bool  #: Whether there are held-out errors; else nothing tells what the model lacks.
+    #: Whether there are held-out errors; else nothing tells what the model lacks.
+    validated: bool
 
     @property
     def mean(self) -> float:
@@ -88,9 +87,23 @@ class ExpectedErrors:
         return float(np.mean(self.errors[:, 0]))
 
     @property
+    def band(self) -> tuple[float, float]:
+        """Ends of the range of the mean error over all rows for `BAND` of robots [m].
+
+        It differs from robot to robot, for the errors of all rows come from the same few unknowns. It is taken for a
+        multiple of chi, the root of chi-squared, whose mean is the one expected.
+        """
+        if not np.isfinite(self.freedom):
+            return self.mean, self.mean
+        tail = 0.5 * (1.0 - BAND)
+        quantiles = np.sqrt(chdtri(self.freedom, np.array([1.0 - tail, tail])))
+        low, high = self.mean * quantiles / mean_of_chi(self.freedom)
+        return float(low), float(high)
+
+    @property
     def largest(self) -> Source:
         """The source that adds most."""
-        return max(self.contributions, key=lambda one: one.square).source
+        return max(self.contributions, key=lambda added: added.square).source
 
 
 def expected_errors(pair: Pair, q: Array) -> ExpectedErrors:
@@ -110,39 +123,23 @@ def expected_errors(pair: Pair, q: Array) -> ExpectedErrors:
     views = _views(pair, result, part, q)
     target, tool, arrived = (pose_covariance(part, view) for view in views)
     lacking = _lacking(result, part, float(target.mean_square[1]))
-    errors = _mean_errors(arrived.covariance, lacking)
-    held_out = part.cross_validation
-    rows = 0 if held_out is None else held_out.errors_without_outliers.n
-    freedom = _freedom(arrived, float(lacking[0]), rows)
-    low, high = _band(float(errors[:, 0].mean()), freedom)
     measured = None
     if views[1].in_base != views[2].in_base:
         measured = float(_mean_errors(tool.covariance, lacking)[:, 0].mean())
     return ExpectedErrors(
-        errors=read_only(errors),
+        errors=read_only(_mean_errors(arrived.covariance, lacking)),
         contributions=_contributions(lacking[0], part.expected_measured**2, target, tool, arrived),
-        low=low,
-        high=high,
-        freedom=freedom,
+        freedom=_freedom(arrived, float(lacking[0]), part.cross_validation),
         in_measured_frame=measured,
         noise=_instrument(result)[0],
-        validated=held_out is not None,
+        validated=part.cross_validation is not None,
     )
 
 
 def _views(pair: Pair, result: Calibration, part: Solved, q: Array) -> tuple[View, View, View]:
     """The measured target in the measurement frame; the tool there; and the tool in the frame of the program."""
-    setup, count = part.setup, len(q)
-    T_tip_tool = pair.actual.T_tip_tool
-    if pair.target is None:
-        away = np.linalg.norm(setup.T_tip_target[:, :3, 3] - T_tip_tool[:3, 3], axis=1)
-        target = int(np.argmin(away))
-    else:
-        target = setup.targets.index(pair.target)
-    group = 0 if pair.set_up is None else setup.groups.index(pair.set_up)
-    load = None if pair.actual.load is None else pair.actual.load(q)
-    samples = Samples(q, np.full(count, group), np.full(count, target), load)
-    exact = T_tip_tool if pair.target is None else None
+    samples = _samples(pair, part, q)
+    T_tip_tool = pair.actual.T_tip_tool if pair.target is None else None
     in_base, unknown = pair.set_up is None, bool(unknown_base_directions(result))
     # Where no positions were measured there is no other frame than the base, as far as the measurements tell it.
     as_measured = in_base and not (unknown and result.tells_place)
@@ -151,9 +148,22 @@ def _views(pair: Pair, result: Calibration, part: Solved, q: Array) -> tuple[Vie
     base = unmodelled_base(result, part) if in_base and unknown else known
     return (
         View(samples, None, as_measured, gauge),
-        View(samples, exact, as_measured, gauge),
-        View(samples, exact, in_base, base),
+        View(samples, T_tip_tool, as_measured, gauge),
+        View(samples, T_tip_tool, in_base, base),
     )
+
+
+def _samples(pair: Pair, part: Solved, q: Array) -> Samples:
+    """Joint values (N, m) with loads, seen from the program's frame or the first at the target nearest to the tool."""
+    setup = part.setup
+    if pair.target is None:
+        away = setup.T_tip_target[:, :3, 3] - pair.actual.T_tip_tool[:3, 3]
+        target = int(np.argmin(np.linalg.norm(away, axis=1)))
+    else:
+        target = setup.targets.index(pair.target)
+    group = 0 if pair.set_up is None else setup.groups.index(pair.set_up)
+    load = None if pair.actual.load is None else pair.actual.load(q)
+    return Samples(q, np.full(len(q), group), np.full(len(q), target), load)
 
 
 def _mean_errors(covariance: Array, lacking: Array) -> Array:
@@ -171,7 +181,7 @@ def _mean_errors(covariance: Array, lacking: Array) -> Array:
     return np.asarray(np.sqrt(trace / freedom) * mean_of_chi(freedom))
 
 
-def _freedom(arrived: PoseCovariance, lacking: float, rows: int) -> float:
+def _freedom(arrived: PoseCovariance, lacking: float, held_out: CrossValidation | None) -> float:
     """Degrees of freedom of the mean square error over the program, taken for a multiple of chi-squared.
 
     It is the sum of what the model lacks, s^2, estimated from held-out rows, and of sum_k g_k z_k^2 of the unknowns
@@ -181,29 +191,13 @@ def _freedom(arrived: PoseCovariance, lacking: float, rows: int) -> float:
 
     Args:
         arrived: The tool in the frame of the program.
-        lacking: Mean square of what the model lacks [m^2].
-        rows: Number of held-out rows.
+        lacking: Mean square of what the model lacks [m^2]; 0 without held-out rows.
+        held_out: Errors of held-out rows.
     """
+    rows = 1 if held_out is None else max(held_out.errors_without_outliers.n, 1)
     total = lacking + float(np.sum(arrived.shared))
-    spread = lacking**2 / max(rows, 1) + float(np.sum(arrived.shared**2))
+    spread = lacking**2 / rows + float(np.sum(arrived.shared**2))
     return total**2 / spread if spread > 0.0 else np.inf
-
-
-def _band(mean: float, freedom: float) -> tuple[float, float]:
-    """Ends of the range of the mean error over all rows [m], for `BAND` of robots.
-
-    Robots' mean errors are taken for a multiple of chi, the root of chi-squared, whose mean is the one expected.
-
-    Args:
-        mean: The mean error that is expected [m].
-        freedom: See `_freedom`.
-    """
-    if not np.isfinite(freedom):
-        return mean, mean
-    tail = 0.5 * (1.0 - BAND)
-    quantiles = np.sqrt(chdtri(freedom, np.array([1.0 - tail, tail])))
-    low, high = mean * quantiles / mean_of_chi(freedom)
-    return float(low), float(high)
 
 
 def mean_of_chi(freedom: ArrayLike) -> Array:
@@ -219,7 +213,7 @@ def _contributions(
     tool: PoseCovariance,
     arrived: PoseCovariance,
 ) -> tuple[Contribution, ...]:
-    """What each source adds, none below 0; together they are the mean square of the positions' errors [m^2].
+    """Contributions of all sources, none below 0: together the mean square of the positions' errors.
 
     Args:
         lacking: Mean square of what the model lacks [m^2].
@@ -228,12 +222,12 @@ def _contributions(
         tool: The tool there.
         arrived: The tool in the frame of the program.
     """
-    views = [float(one.mean_square[0]) for one in (target, tool, arrived)]
+    views = [float(view.mean_square[0]) for view in (target, tool, arrived)]
     # A pose or tool that is known better than the one before it takes its share off the sources before.
     totals = np.minimum.accumulate([near, *views][::-1])[::-1]
-    added = np.diff(totals, prepend=0.0).tolist()
+    squares = [lacking, *np.diff(totals, prepend=0.0).tolist()]
     sources: tuple[Source, ...] = ("model", "parameters", "poses", "tool", "base")
-    return tuple(Contribution(*one) for one in zip(sources, [lacking, *added], strict=True))
+    return tuple(map(Contribution, sources, squares))
 
 
 def _lacking(result: Calibration, part: Solved, predicted_angle: float) -> Array:
@@ -279,11 +273,11 @@ class _Residuals(NamedTuple):
         if not np.isfinite(sigma):
             return 3.0 * max(v - u, 0.0)
         kept = 0.5 * (1.0 + float(np.sqrt(1.0 - 4.0 * min(u / v, _LARGEST_RATIO))))
-        own = self.rows * self.scalars * kept
+        scalars = self.rows * self.scalars * kept
         if np.isfinite(freedom):
-            chance = float(fdtri(own, freedom, 1.0 - _CHANCE))
+            chance = float(fdtri(scalars, freedom, 1.0 - _CHANCE))
         else:
-            chance = float(chdtri(own, _CHANCE)) / own
+            chance = float(chdtri(scalars, _CHANCE)) / scalars
         variance = v * kept
         return 3.0 * (variance - sigma**2) if variance > chance * sigma**2 else 0.0
 

@@ -49,7 +49,7 @@ class View(NamedTuple):
 
 
 class PoseCovariance(NamedTuple):
-    """How well N poses are known."""
+    """Covariance of N predicted poses."""
 
     covariance: Array  #: shape (N, 6, 6), of each pose along the axes of its frame, linear part first [m, rad].
     #: shape (k,), variances of independent unknowns that all rows share: the mean square of the positions' errors is
@@ -92,7 +92,7 @@ def unknown_base_directions(result: Calibration) -> tuple[str, ...]:
 
 
 def unmodelled_base(result: Calibration, part: Solved) -> Array:
-    """Covariance of what a model leaves out of the first joint's placement, as a motion of the base, shape (6, 6).
+    """Covariance of the first joint's placement, as far as a model leaves it out, as a motion of the base (6, 6).
 
     Every direction of the placement counts that neither a parameter of the model nor a frozen one has, with the prior
     standard deviation of its family, along the directions of the base that no measurement tells.
@@ -109,18 +109,18 @@ def unmodelled_base(result: Calibration, part: Solved) -> Array:
     if robot.carriers[0] is None:
         return np.zeros((6, 6))
     placement = error_model(robot, "placement", target=False).parameters
-    modelled = [one for one in part.model.terms if one.factor is None]
+    modelled = [term for term in part.model.terms if term.factor is None]
     modelled += _frozen(result, part)
-    directions = np.array([one.direction for one in modelled if one.place == joint]).reshape(-1, 6)
-    left_out = np.eye(6) - np.linalg.pinv(directions) @ directions
+    spanned = np.array([t.direction for t in modelled if t.place == joint]).reshape(-1, 6)
+    left_out = np.eye(6) - np.linalg.pinv(spanned) @ spanned
     T_base_joint = rigid_inverse(robot.T_root_base) @ robot.placements[0]
     into_base = pin.SE3(T_base_joint).toActionMatrix() @ left_out
     unknown = np.isin(DIRECTIONS, unknown_base_directions(result))
     covariance = np.zeros((6, 6))
-    for one in placement:
-        if one.place == joint:
-            motion = unknown * (into_base @ one.direction) * _prior_std(result, part, one.family)
-            covariance += np.outer(motion, motion)
+    for error in placement:
+        if error.place == joint:
+            motion = unknown * (into_base @ error.direction)
+            covariance += np.outer(motion, motion) * _prior_std(result, part, error.family) ** 2
     return covariance
 
 

@@ -133,7 +133,7 @@ def _expected_errors(found: Commands) -> str:
     expected = found.expected
     if expected is None:
         return ""
-    errors = _MM * expected.errors[:, 0]
+    errors, (low, high) = _MM * expected.errors[:, 0], expected.band
     labels = [
         label for label, there in zip(found.program.labels, found.reached, strict=True) if there
     ]
@@ -141,7 +141,7 @@ def _expected_errors(found: Commands) -> str:
         fill(
             f"Expect position errors of {_MM * expected.mean:.3f} mm (mean over the rows), {errors.max():.3f} mm at "
             f"{labels[int(np.argmax(errors))]}. Of ten calibrations like this one, {10 * BAND:.0f} have a mean between "
-            f"{_MM * expected.low:.3f} and {_MM * expected.high:.3f} mm."
+            f"{_MM * low:.3f} and {_MM * high:.3f} mm."
         ),
         _sources(expected),
     ]

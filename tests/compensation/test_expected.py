@@ -13,7 +13,6 @@ from calib.compensation.expected import (
     BAND,
     ExpectedErrors,
     Source,
-    _band,
     _contributions,
     _freedom,
     _mean_errors,
@@ -67,22 +66,29 @@ def test_the_mean_of_unlike_axes_is_that_of_draws():
     assert _mean_errors(covariance, np.zeros(2))[0, 0] == pytest.approx(drawn, rel=0.02)
 
 
+def with_mean(mean: float, freedom: float) -> ExpectedErrors:
+    """Expected errors of one row."""
+    return ExpectedErrors(np.array([[mean, 0.0]]), (), freedom, None, "stated", validated=True)
+
+
 @pytest.mark.parametrize("shared", [(1.0,), (1.0, 0.7, 0.2), (1.0,) * 12])
 def test_the_range_holds_its_share_of_draws(shared):
     rng = np.random.default_rng(2)
     variances = np.array(shared)
     root_mean_squares = np.sqrt(rng.normal(size=(50_000, len(shared))) ** 2 @ variances)
-    freedom = _freedom(PoseCovariance(np.zeros((1, 6, 6)), variances), 0.0, 0)
-    low, high = _band(float(root_mean_squares.mean()), freedom)
+    freedom = _freedom(PoseCovariance(np.zeros((1, 6, 6)), variances), 0.0, None)
+    low, high = with_mean(float(root_mean_squares.mean()), freedom).band
     inside = np.mean((root_mean_squares > low) & (root_mean_squares < high))
     assert inside == pytest.approx(BAND, abs=0.03)
 
 
 def test_what_the_model_lacks_has_as_many_unknowns_as_held_out_rows():
     nothing = PoseCovariance(np.zeros((1, 6, 6)), np.zeros(4))
-    assert _freedom(nothing, 2e-8, 30) == pytest.approx(30.0)
-    assert _freedom(nothing, 0.0, 30) == np.inf
-    assert _band(1e-3, np.inf) == (1e-3, 1e-3)
+    held_out = made("paper").cross_validation
+    rows = held_out.errors_without_outliers.n
+    assert _freedom(nothing, 2e-8, held_out) == pytest.approx(rows)
+    assert _freedom(nothing, 0.0, held_out) == np.inf
+    assert with_mean(1e-3, np.inf).band == (1e-3, 1e-3)
 
 
 def test_contributions_are_the_mean_square_and_none_is_negative():
@@ -137,7 +143,8 @@ def test_every_kind_of_result_has_errors_to_expect(case: str):
             found = expected_errors(pair_of(result, tool=tool, frame=frame), q)
             assert found.errors.shape == (4, 2)
             assert (found.errors >= 0.0).all()
-            assert found.low <= found.mean <= found.high
+            low, high = found.band
+            assert low <= found.mean <= high
             added = squares(found)
             assert min(added.values()) >= 0.0
             if frame is not None:

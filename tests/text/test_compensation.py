@@ -66,7 +66,8 @@ def test_the_expected_error_stands_once_and_its_sources_below(found: Commands):
     mean = 1e3 * found.expected.mean
     assert printed.count("Expect position errors of ") == 1
     assert f"Expect position errors of {mean:.3f} mm" in printed
-    assert f"{1e3 * found.expected.low:.3f} and {1e3 * found.expected.high:.3f} mm" in printed
+    low, high = found.expected.band
+    assert f"{1e3 * low:.3f} and {1e3 * high:.3f} mm" in printed
     shares = [int(word) for word in re.findall(r"(\d+) %", printed)]
     assert sum(shares) == pytest.approx(100, abs=2)
 
