@@ -72,7 +72,8 @@ class ExpectedErrors:
     errors: Array
     #: One of each source, in the order of `Source`.
     contributions: tuple[Contribution, ...]
-    #: Degrees of freedom of the mean square error over all rows: how many unknowns they share.
+    #: Degrees of freedom of the mean square error over all rows: how many unknowns they share, and how well their
+    #: variances are known.
     freedom: float
     #: Mean error of the same program in the measurement frame [m]; None: it is that.
     in_measured_frame: float | None
@@ -129,7 +130,7 @@ def expected_errors(pair: Pair, q: Array) -> ExpectedErrors:
     return ExpectedErrors(
         errors=read_only(_mean_errors(arrived.covariance, lacking)),
         contributions=_contributions(lacking[0], part.expected_measured**2, target, tool, arrived),
-        freedom=_freedom(arrived, float(lacking[0]), part.cross_validation),
+        freedom=_freedom(result, arrived, float(lacking[0]), part.cross_validation),
         in_measured_frame=measured,
         noise=_instrument(result)[0],
         validated=part.cross_validation is not None,
@@ -181,23 +182,31 @@ def _mean_errors(covariance: Array, lacking: Array) -> Array:
     return np.asarray(np.sqrt(trace / freedom) * mean_of_chi(freedom))
 
 
-def _freedom(arrived: PoseCovariance, lacking: float, held_out: CrossValidation | None) -> float:
+def _freedom(
+    result: Calibration, arrived: PoseCovariance, lacking: float, held_out: CrossValidation | None
+) -> float:
     """Degrees of freedom of the mean square error over the program, taken for a multiple of chi-squared.
 
     It is the sum of what the model lacks, s^2, estimated from held-out rows, and of sum_k g_k z_k^2 of the unknowns
-    that the program's rows share, with standard normal z:
+    that the program's rows share, with standard normal z. Their variances g are estimates too: what comes from the
+    priors, b, of prior standard deviations that as many errors tell as there are joints, the rest of the noise.
 
-        n  =  (s^2 + sum g)^2 / (s^4 / rows + sum g^2)
+        n  =  (s^2 + sum g)^2 / (s^4 / rows + sum g^2 + b^2 / joints + (sum g - b)^2 / freedom of the noise)
 
     Args:
+        result: The calibration.
         arrived: The tool in the frame of the program.
         lacking: Mean square of what the model lacks [m^2]; 0 without held-out rows.
         held_out: Errors of held-out rows.
     """
     rows = 1 if held_out is None else max(held_out.errors_without_outliers.n, 1)
-    total = lacking + float(np.sum(arrived.shared))
+    shared = float(np.sum(arrived.shared))
+    by_priors = min(arrived.by_priors, shared)
     spread = lacking**2 / rows + float(np.sum(arrived.shared**2))
-    return total**2 / spread if spread > 0.0 else np.inf
+    spread += (shared - by_priors) ** 2 / max(result.freedom, 1.0)
+    if result.sizes_from == "data":
+        spread += by_priors**2 / len(result.nominal.inputs)
+    return (lacking + shared) ** 2 / spread if spread > 0.0 else np.inf
 
 
 def mean_of_chi(freedom: ArrayLike) -> Array:

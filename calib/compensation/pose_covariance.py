@@ -55,6 +55,8 @@ class PoseCovariance(NamedTuple):
     #: shape (k,), variances of independent unknowns that all rows share: the mean square of the positions' errors is
     #: sum_k shared_k z_k^2 with standard normal z [m^2].
     shared: Array
+    #: Mean square of the positions' errors, as far as it comes from the priors and not from the noise [m^2].
+    by_priors: float
 
     @property
     def mean_square(self) -> Array:
@@ -65,7 +67,7 @@ class PoseCovariance(NamedTuple):
 
 def pose_covariance(part: Solved, view: View) -> PoseCovariance:
     """Covariance of the poses of a view by the parameters of a result's geometry or non-geometric model."""
-    derivative, root = _derivative(part, view), _root_of_unknowns(part, view)
+    derivative, root = _derivative(part, view), _root(_covariance(part, view))
     unknowns, count = len(root), len(view.samples)
     covariances, gram = [], np.zeros((unknowns, unknowns))
     for first in range(0, count, _AT_A_TIME):
@@ -75,7 +77,8 @@ def pose_covariance(part: Solved, view: View) -> PoseCovariance:
         lengths = J[:, :3].reshape(-1, unknowns)
         gram += lengths.T @ lengths / count
     shared = np.maximum(np.linalg.eigvalsh(gram), 0.0)
-    return PoseCovariance(np.concatenate(covariances), shared)
+    by_priors = float(np.sum(gram * (root.T @ _prior_precision(part, view) @ root)))
+    return PoseCovariance(np.concatenate(covariances), shared, by_priors)
 
 
 def unknown_base_directions(result: Calibration) -> tuple[str, ...]:
@@ -167,9 +170,15 @@ def _derivative(part: Solved, view: View) -> Callable[[Samples], Array]:
     return derivative
 
 
-def _root_of_unknowns(part: Solved, view: View) -> Array:
-    """R with R R^T the covariance of parameters and base, shape (p + 6, p + 6)."""
-    covariance = _covariance(part)
+def _root(covariance: Array) -> Array:
+    """R with R R^T a covariance, which may be singular."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def _covariance(part: Solved, view: View) -> Array:
+    """Covariance of the p parameters and of a motion of the base besides, shape (p + 6, p + 6)."""
+    covariance = _determined(part)
     if view.T_tip_tool is not None:
         of_target = part.model.family(TARGET)
         covariance = np.where(of_target[:, None] | of_target, 0.0, covariance)
@@ -178,11 +187,25 @@ def _root_of_unknowns(part: Solved, view: View) -> Array:
     joint[:p, :p] = covariance
     if view.base is not None:
         joint[p:, p:] = view.base
-    values, vectors = np.linalg.eigh(joint)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+    return joint
 
 
-def _covariance(part: Solved) -> Array:
+def _prior_precision(part: Solved, view: View) -> Array:
+    """Inverse of the priors' covariance of the same, shape (p + 6, p + 6); 0 where there is none.
+
+    Of the covariance C = (H + L)^-1, with the measurements' H and the priors' L, the share C L C is the priors'.
+    """
+    p = len(part.x)
+    precision = np.zeros((p + 6, p + 6))
+    prior_std = _typical(part) if not part.sizes else [one.prior_std for one in part.parameters]
+    variances = np.square(np.array(prior_std, dtype=np.float64))
+    precision[range(p), range(p)] = np.where(variances > 0.0, 1.0 / variances, 0.0)
+    if view.base is not None:
+        precision[p:, p:] = np.linalg.pinv(view.base, hermitian=True)
+    return precision
+
+
+def _determined(part: Solved) -> Array:
     """Covariance of the parameters.
 
     Without priors, what no measurement determines has a standard deviation of a metre or a radian: it is taken to be as
@@ -191,9 +214,14 @@ def _covariance(part: Solved) -> Array:
     of_robot = ~part.model.family(FRAME, TARGET)
     if part.sizes or not np.any(of_robot):
         return part.covariance
-    families = [one.family for one in part.model.parameters if one.family in FAMILIES]
-    typical = np.diag([FAMILIES[name].typical ** 2 for name in families])
+    typical = np.diag(np.square(_typical(part)[of_robot]))
     columns = part.covariance[:, of_robot]
     return np.asarray(
         part.covariance - columns @ np.linalg.solve(columns[of_robot] + typical, columns.T)
     )
+
+
+def _typical(part: Solved) -> Array:
+    """Standard deviations of errors of their family, shape (p,); NaN of frames and targets."""
+    families = [FAMILIES.get(parameter.family) for parameter in part.model.parameters]
+    return np.array([np.nan if family is None else family.typical for family in families])
