@@ -125,7 +125,7 @@ def expected_errors(pair: Pair, q: Array) -> ExpectedErrors:
     target, tool, arrived = (pose_covariance(part, view) for view in views)
     lacking = _lacking(result, part, float(target.mean_square[1]))
     measured = None
-    if views[1].in_base != views[2].in_base:
+    if views[2].in_base and not views[1].in_base:
         measured = float(_mean_errors(tool.covariance, lacking)[:, 0].mean())
     return ExpectedErrors(
         errors=read_only(_mean_errors(arrived.covariance, lacking)),
@@ -142,14 +142,14 @@ def _views(pair: Pair, result: Calibration, part: Solved, q: Array) -> tuple[Vie
     samples = _samples(pair, part, q)
     T_tip_tool = pair.actual.T_tip_tool if pair.target is None else None
     in_base, unknown = pair.set_up is None, bool(unknown_base_directions(result))
-    # Where no positions were measured there is no other frame than the base, as far as the measurements tell it.
-    as_measured = in_base and not (unknown and result.tells_place)
     known = np.zeros((6, 6))
-    gauge = None if as_measured and unknown else known
     base = unmodelled_base(result, part) if in_base and unknown else known
+    # Where no positions were measured, what the measurements tell is the base but for its motion as one body.
+    as_base = not result.tells_place or (in_base and not unknown)
+    gauge = known if result.tells_place else None
     return (
-        View(samples, None, as_measured, gauge),
-        View(samples, T_tip_tool, as_measured, gauge),
+        View(samples, None, as_base, gauge),
+        View(samples, T_tip_tool, as_base, gauge),
         View(samples, T_tip_tool, in_base, base),
     )
 

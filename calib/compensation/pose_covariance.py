@@ -88,7 +88,8 @@ def unknown_base_directions(result: Calibration) -> tuple[str, ...]:
     """
     rows, setup = result.rows, result.setup
     common = set(DIRECTIONS)
-    for group, kind, fitted in zip(rows.groups, rows.kinds, rows.estimation, strict=True):
+    seen = set(zip(rows.groups, rows.kinds, rows.estimation.tolist(), strict=True))
+    for group, kind, fitted in seen:
         if fitted and registry.get(kind).position:
             common &= set(setup.unknown[setup.groups.index(group)])
     return tuple(one for one in DIRECTIONS if one in common)

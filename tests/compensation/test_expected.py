@@ -71,30 +71,42 @@ def with_mean(mean: float, freedom: float) -> ExpectedErrors:
     return ExpectedErrors(np.array([[mean, 0.0]]), (), freedom, None, "stated", validated=True)
 
 
+def known_to(*shared: float, by_priors: float = 0.0) -> PoseCovariance:
+    """A pose known to these variances along x, each of an unknown of its own."""
+    covariance = np.diag([sum(shared), 0.0, 0.0, 0.0, 0.0, 0.0])[None]
+    return PoseCovariance(covariance, np.array(shared), by_priors)
+
+
 @pytest.mark.parametrize("shared", [(1.0,), (1.0, 0.7, 0.2), (1.0,) * 12])
 def test_the_range_holds_its_share_of_draws(shared):
     rng = np.random.default_rng(2)
-    variances = np.array(shared)
-    root_mean_squares = np.sqrt(rng.normal(size=(50_000, len(shared))) ** 2 @ variances)
-    freedom = _freedom(PoseCovariance(np.zeros((1, 6, 6)), variances), 0.0, None)
+    root_mean_squares = np.sqrt(rng.normal(size=(50_000, len(shared))) ** 2 @ shared)
+    certain = replace(made("paper"), freedom=1e9)
+    freedom = _freedom(certain, known_to(*shared), 0.0, None)
     low, high = with_mean(float(root_mean_squares.mean()), freedom).band
     inside = np.mean((root_mean_squares > low) & (root_mean_squares < high))
     assert inside == pytest.approx(BAND, abs=0.03)
 
 
-def test_what_the_model_lacks_has_as_many_unknowns_as_held_out_rows():
-    nothing = PoseCovariance(np.zeros((1, 6, 6)), np.zeros(4))
-    held_out = made("paper").cross_validation
-    rows = held_out.errors_without_outliers.n
-    assert _freedom(nothing, 2e-8, held_out) == pytest.approx(rows)
-    assert _freedom(nothing, 0.0, held_out) == np.inf
+def test_variances_are_known_as_well_as_what_tells_them():
+    result = made("paper")
+    held_out = result.cross_validation
+    assert _freedom(result, known_to(0.0), 2e-8, held_out) == pytest.approx(
+        held_out.errors_without_outliers.n
+    )
+    assert _freedom(result, known_to(0.0), 0.0, held_out) == np.inf
     assert with_mean(1e-3, np.inf).band == (1e-3, 1e-3)
+    many = (1e-3,) * 1000
+    noise = _freedom(result, known_to(*many), 0.0, None)
+    assert noise == pytest.approx(1.0 / (1e-3 + 1.0 / result.freedom))
+    priors = known_to(*many, by_priors=1.0)
+    assert result.sizes_from == "data"
+    assert _freedom(result, priors, 0.0, None) == pytest.approx(1.0 / (1e-3 + 1.0 / 6.0))
+    given = replace(result, sizes_from="given")
+    assert _freedom(given, priors, 0.0, None) == pytest.approx(1000.0)
 
 
 def test_contributions_are_the_mean_square_and_none_is_negative():
-    def known_to(square: float) -> PoseCovariance:
-        return PoseCovariance(np.diag([square, 0.0, 0.0, 0.0, 0.0, 0.0])[None], np.array([square]))
-
     rising = _contributions(1.0, 2.0, known_to(5.0), known_to(9.0), known_to(10.0))
     assert [one.square for one in rising] == pytest.approx([1.0, 2.0, 3.0, 4.0, 1.0])
     assert tuple(one.source for one in rising) == get_args(Source)
@@ -147,8 +159,9 @@ def test_every_kind_of_result_has_errors_to_expect(case: str):
             assert low <= found.mean <= high
             added = squares(found)
             assert min(added.values()) >= 0.0
-            if frame is not None:
+            if frame is not None and result.tells_place:
                 assert added["base"] == 0.0
+                assert found.in_measured_frame is None
             if isinstance(tool, str):
                 assert added["tool"] == 0.0
 

@@ -32,13 +32,13 @@ TOOL[:3, 3] = 0.05, 0.0, 0.1
 
 
 @cache
-def in_a_frame(model: str = "dh", **changes) -> Calibration:
+def in_a_frame(model: str = "dh", noise: float = 1e-4, **changes) -> Calibration:
     """A UR3 without errors, measured in a frame that is estimated."""
     robot = ur3()
     q = random_joint_values(robot, 25, 4)
     rng = np.random.default_rng(5)
     points = robot.poses(q)[:, :3, 3] + robot.poses(q)[:, :3, :3] @ [0.05, 0.04, 0.03]
-    points = points + 1e-4 * rng.normal(size=points.shape)
+    points = points + noise * rng.normal(size=points.shape)
     cell = Cell(**{"estimate_frame": True, "model": model, "priors": Priors("given"), **changes})
     return calibrate(robot, Measurements(robot.joint_names, q, points), cell=cell, validate=False)
 
@@ -101,6 +101,23 @@ def test_the_unknowns_that_rows_share_have_the_mean_square():
     assert result.shared.sum() == pytest.approx(result.mean_square[0], rel=1e-9)
     first = pose_covariance(found, view._replace(samples=found.samples(q[-2:])))
     assert first.covariance == pytest.approx(result.covariance[-2:], rel=1e-9)
+
+
+def test_what_the_priors_leave_unknown_is_told_from_noise():
+    """With noise a tenth as large only the share of the noise falls."""
+    loud, quiet = in_a_frame(), in_a_frame(noise=1e-5)
+    q = joint_values(loud)
+    for tool in (None, TOOL):
+        found = [
+            pose_covariance(one, View(one.samples(q), tool, True, np.eye(6) * 1e-8))
+            for one in (loud, quiet)
+        ]
+        by_noise = [one.mean_square[0] - one.by_priors for one in found]
+        assert found[0].by_priors == pytest.approx(found[1].by_priors, rel=0.05)
+        assert by_noise[0] > 5.0 * by_noise[1] > 0.0
+    # In the frame, at the target itself, hardly anything is left to the priors.
+    here = pose_covariance(loud, View(loud.samples(q), None, False, KNOWN_BASE))
+    assert here.by_priors < 0.1 * here.mean_square[0]
 
 
 def test_a_motion_of_the_base_moves_the_tool_as_one_body():
