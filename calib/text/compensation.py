@@ -128,14 +128,16 @@ def _verdict(found: Commands, name: str) -> str:
     return "\n".join(lines)
 
 
-def _expected_errors(found: Commands) -> str:
+def _expected_errors(commands: Commands) -> str:
     """The position error to expect, the sources that it comes from, and what lowers the largest."""
-    expected = found.expected
+    expected = commands.expected
     if expected is None:
         return ""
     errors, (low, high) = _MM * expected.errors[:, 0], expected.band
     labels = [
-        label for label, there in zip(found.program.labels, found.reached, strict=True) if there
+        label
+        for label, there in zip(commands.program.labels, commands.reached, strict=True)
+        if there
     ]
     parts = [
         fill(
@@ -145,7 +147,7 @@ def _expected_errors(found: Commands) -> str:
         ),
         _sources(expected),
     ]
-    parts += map(fill, _remedies(found, expected))
+    parts += map(fill, _remedies(commands, expected))
     return "\n\n".join(parts)
 
 
@@ -161,9 +163,9 @@ def _sources(expected: ExpectedErrors) -> str:
     return "\n".join(lines)
 
 
-def _remedies(found: Commands, expected: ExpectedErrors) -> Iterator[str]:
+def _remedies(commands: Commands, expected: ExpectedErrors) -> Iterator[str]:
     """What lowers the largest contribution, and what is not known of the errors."""
-    pair = found.pair
+    pair = commands.pair
     result = pair.result
     assert result is not None  # else nothing is expected
     if not expected.validated:
