@@ -4,23 +4,32 @@ A robot whose errors are known takes the commands that calib computes; how far i
 counted by its own forward kinematics, and where poses are sent, after the inverse kinematics of a controller that keeps
 the nominal model. The paper's rows 31 to 35 are judged by a model that was fitted to all 35.
 
+With --cells, what is expected of commands against what the true robot does: virtual cells, drawn one after the other
+from a seed, frame known and estimated by turns; a tool 100 to 200 mm from the nearest target; one target whose place is
+estimated, or three that are known. A third of the commands are made by the geometry alone.
+
     python scripts/compensation_study.py
+    python scripts/compensation_study.py --cells 200 --seed 1000
 """
 
 from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable
-from dataclasses import replace
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
+from scipy.special import chdtr
+from selection_study import without_masses
 
 from calib.calibration import Calibration, calibrate
 from calib.compensation.commands import Commands, compensate
+from calib.compensation.expected import ExpectedErrors, mean_of_chi
 from calib.compensation.inverse import Matching, solve
 from calib.compensation.nominal_actual import Arm
 from calib.compensation.program import Program
@@ -28,8 +37,9 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.example import PAPER_TARGET, paper_measurements, paper_urdf
 from calib.robot.readback import column_limits, random_joint_values
-from calib.robot.robot import Robot, read_only
+from calib.robot.robot import Payload, Robot, read_only
 from calib.simulation.scenario import Scenario
+from calib.simulation.truth import Truth, draw_truth
 
 Array = NDArray[np.float64]
 
@@ -45,7 +55,11 @@ def main() -> None:
     parser.add_argument("--poses", type=int, default=1000, help="Random poses of each robot.")
     parser.add_argument("--points", type=int, default=2000, help="Points of the straight path.")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--cells", type=int, default=0, help="Virtual cells; none of the others.")
     arguments = parser.parse_args()
+    if arguments.cells:
+        print_cells(arguments.cells, arguments.seed)
+        return
     paper = paper_calibration()
     print(f"{arguments.poses} random joint values between the limits, poses of the tip", flush=True)
     tables: list[Callable[[], None]] = [
@@ -149,6 +163,180 @@ def print_path(result: Calibration, count: int) -> None:
     print(f"\nA straight path of {count} points, 190 mm, {found.reached.sum()} with commands")
     print(f"  largest step of a joint: nominal {jumps[0]:.5f} deg, compensated {jumps[1]:.5f} deg")
     print(f"  given as poses {by_poses:.2f} s, as joint values {by_joints:.2f} s")
+
+
+# What is expected of commands, against what the true robot does.
+
+ARMS = {
+    "ur3": ("base", "tool0"),
+    "ur5": ("base_link", "tool0"),
+    "ur10": ("base_link", "tool0"),
+    "panda": ("panda_link0", "panda_link8"),
+}
+
+#: What is wrong with the true robots; real ones have errors in all placements more often than not.
+TRUTHS = (
+    *("placement", "placement", "dh", "zeros", "dh+eccentricity"),
+    *("placement+compliance", "placement+gain+eccentricity+compliance"),
+)
+
+#: Standard deviations of the errors, before a cell's own factor.
+SIZES = {
+    "length": 0.3e-3,
+    "angle": 3e-3,
+    "zero": 5e-3,
+    "gain": 5e-4,
+    "eccentricity": 0.5e-3,
+    "compliance": 2e-5,
+}
+
+#: Three targets on a plate at the tip [m].
+PLATE = {"a": (0.06, 0.0, 0.05), "b": (-0.04, 0.06, 0.05), "c": (-0.04, -0.06, 0.08)}
+
+#: Poses of a program, and how far an expected error may be from the true one.
+PROGRAM, NEAR = 200, 0.2
+
+#: What the tip carries: the fit does not know it [kg].
+CARRIED = 3.0
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """One virtual cell and its calibration."""
+
+    nominal: Robot
+    truth: Truth
+    result: Calibration
+    T_tip_tool: Array
+    program: Array  # Joint values of the nominal robot, shape (PROGRAM, m)
+    plate: bool  # Three known targets, not one that is estimated
+    geometry: bool  # Commands by the geometry alone
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What was expected of a program, and what came of it."""
+
+    group: tuple[str, ...]  # Rows of the table that it belongs to
+    true: float  # Mean error of the true robot [m]
+    expected: ExpectedErrors
+    held_out: float  # Mean error on held-out rows, which was promised before [m]
+
+    @property
+    def ratio(self) -> float:
+        """Expected over true."""
+        return self.expected.mean / self.true
+
+    @property
+    def inside(self) -> bool:
+        """Whether the true error is within the range that is told."""
+        low, high = self.expected.band
+        return low <= self.true <= high
+
+    @property
+    def possible(self) -> float:
+        """Probability of an expected error within `NEAR` of the true one, if its distribution is exactly right."""
+        n = self.expected.freedom
+        near = (mean_of_chi(n) / np.array([1.0 - NEAR, 1.0 + NEAR])) ** 2
+        return float(chdtr(n, near[0]) - chdtr(n, near[1]))
+
+
+def print_cells(count: int, seed: int) -> None:
+    """The table of expected and true errors, by groups of cells."""
+    groups = defaultdict(list)
+    cells = range(seed, seed + count)
+    for number in track(cells, "cells", console=Console(stderr=True), transient=True):
+        for outcome in outcomes(drawn(number)):
+            for name in outcome.group:
+                groups[name].append(outcome)
+    print(
+        f"{count} virtual cells from seed {seed}: expected over true mean error of {PROGRAM} poses\n"
+        f"{'':44}programs  true mm  expected/true  within 20 %  possible  below half  in range  held-out/true"
+    )
+    for name in sorted(groups):
+        print(f"{name:44}{figures_of(groups[name])}")
+
+
+def figures_of(found: Sequence[Outcome]) -> str:
+    """One line of the table."""
+    true = sum(one.true for one in found)
+    ratios = np.array([one.ratio for one in found])
+    near = np.mean(np.abs(ratios - 1.0) < NEAR)
+    possible = np.mean([one.possible for one in found])
+    inside = np.mean([one.inside for one in found])
+    return (
+        f"{len(found):8}{1e3 * true / len(found):9.3f}"
+        f"{sum(one.expected.mean for one in found) / true:15.2f}{100 * near:11.0f} %{100 * possible:8.0f} %"
+        f"{np.sum(ratios < 0.5):12}{100 * inside:8.0f} %{sum(one.held_out for one in found) / true:15.2f}"
+    )
+
+
+def outcomes(cell: Drawn) -> Iterator[Outcome]:
+    """The program in the base, and in the measurement frame where that was estimated."""
+    setup = cell.result.part(larger=not cell.geometry).setup
+    targets = "three known targets" if cell.plate else "one target"
+    wanted = cell.nominal.poses(cell.program) @ cell.T_tip_tool
+    lacks = cell.geometry and cell.result.larger is not None
+    programs: list[tuple[str, Program, str | None, Array]] = []
+    if cell.result.frame_estimated:
+        in_frame = Program.of_poses(setup.T_frame_base[0] @ wanted, cell.program)
+        programs.append(("estimated, program in it", in_frame, "", cell.truth.T_frame_base[0]))
+    where = "estimated, program in base" if cell.result.frame_estimated else "known"
+    programs.append((where, Program.of_poses(wanted, cell.program), None, np.eye(4)))
+    for name, program, frame, T in programs:
+        group = [f"frame {name}, {targets}", f"frame {name}"]
+        group += [f"frame {name}, {targets}, model lacks families"] * lacks
+        yield outcome(cell, program, frame, T, tuple(group))
+
+
+def outcome(
+    cell: Drawn, program: Program, frame: str | None, T: Array, group: tuple[str, ...]
+) -> Outcome:
+    """Commands of one program, and where the true robot goes; T: the true pose of the base in the program's frame."""
+    result, larger = cell.result, not cell.geometry
+    commands = compensate(
+        result, program, nominal=cell.nominal, tool=cell.T_tip_tool, frame=frame, larger=larger
+    )
+    assert commands.expected is not None
+    reached = commands.reached
+    arrived = T @ cell.truth.tip_poses(commands.q[reached]) @ cell.T_tip_tool
+    missed = (arrived - commands.T_wanted[reached])[:, :3, 3]
+    crossed = result.part(larger=larger).cross_validation
+    assert crossed is not None
+    true = float(np.linalg.norm(missed, axis=1).mean())
+    return Outcome(group, true, commands.expected, crossed.errors_without_outliers.mean)
+
+
+def drawn(seed: int) -> Drawn:
+    """One virtual cell, measured and calibrated; the noise is stated to the fit."""
+    rng = np.random.default_rng([26, seed])
+    free, plate, geometry = bool(seed % 2), bool(seed // 2 % 2), seed // 4 % 3 == 0
+    arm, model = str(rng.choice(list(ARMS))), str(rng.choice(TRUTHS))
+    robot = Robot.load(arm, *ARMS[arm])
+    places = {name: np.array(place) for name, place in PLATE.items()} if plate else {}
+    told = Cell(estimate_frame=free, targets=places, estimate_target=not plate)
+    carried = Payload(CARRIED, np.array([0.0, 0.0, 0.05]))
+    factor, rows = float(np.exp(rng.uniform(np.log(0.3), np.log(2.0)))), int(rng.integers(12, 61))
+    sizes = {family: factor * size for family, size in SIZES.items()}
+    truth = draw_truth(robot, model, sizes, seed, cell=replace(told, payload=carried))
+    sigma = float(np.exp(rng.uniform(np.log(2e-5), np.log(2e-4))))
+    q = random_joint_values(robot, rows, int(rng.integers(10**6)))
+    names = truth.targets
+    points = np.stack([truth.points(q, name) for name in names], axis=1).reshape(-1, 3)
+    table = Measurements(
+        robot.joint_names,
+        np.repeat(q, len(names), axis=0),
+        points + sigma * rng.normal(size=points.shape),
+        targets=names * rows,
+    )
+    known = robot if rng.integers(2) else without_masses(robot)
+    result = calibrate(known, table, cell=replace(told, sigma=sigma))
+    direction = rng.normal(size=3)
+    tool = np.eye(4)
+    away = rng.uniform(0.1, 0.2) * direction / np.linalg.norm(direction)
+    tool[:3, 3] = truth.said_T_tip_target[0, :3, 3] + away
+    program = random_joint_values(robot, PROGRAM, int(rng.integers(10**6)))
+    return Drawn(known, truth, result, tool, program, plate, geometry)
 
 
 if __name__ == "__main__":

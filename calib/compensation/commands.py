@@ -24,6 +24,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
+from calib.compensation.expected import ExpectedErrors, expected_errors
 from calib.compensation.inverse import (
     AXIS,
     POSE,
@@ -35,7 +36,7 @@ from calib.compensation.inverse import (
     start_values,
 )
 from calib.compensation.nominal_actual import Pair, pair_of
-from calib.compensation.program import CORRECTION, Program
+from calib.compensation.program import CORRECTION, EXPECTED, Program
 from calib.data.kinds import to_quaternions
 from calib.data.table import POINT, QUATERNION, ROLL_PITCH_YAW, ROTATION_VECTOR, STATUS
 from calib.diagnosis.reasons import NO
@@ -120,9 +121,8 @@ class Commands:
     left: Array  #: shape (N, 2), how far it misses at ``q`` [m], [rad]: what cannot be reached.
     #: shape (N, 2), how far it misses if ``T_send`` is sent, to a controller that stays near ``q_nominal``.
     left_by_pose: Array
-    #: shape (N, 2), standard deviation of where the true robot arrives, by the covariance of the geometry: position
-    #: [m], angle [rad]; NaN of two robots without a result.
-    std: Array
+    #: Errors to expect of the rows that have a command, in their order; None of two robots without a result.
+    expected: ExpectedErrors | None
     reasons: tuple[Finding | None, ...]  #: Why a row has no command; None where it has one.
     warnings: tuple[tuple[Finding, ...], ...]  #: For each row what to know of its command.
 
@@ -139,6 +139,14 @@ class Commands:
     def reached(self) -> NDArray[np.bool_]:
         """Which rows have a command, shape (N,)."""
         return np.array([reason is None for reason in self.reasons])
+
+    @property
+    def expected_errors(self) -> Array:
+        """Error to expect of each row, mean distance [m] and angle [rad], shape (N, 2); NaN where it is not known."""
+        errors = np.full((len(self), 2), np.nan)
+        if self.expected is not None:
+            errors[self.reached] = self.expected.errors
+        return errors
 
     @property
     def joint_corrections(self) -> Array:
@@ -209,7 +217,9 @@ def compensate(
         missed=_where(nominal_reaches, matching.misses(before.T_base_tool, T_wanted)),
         left=read_only(left),
         left_by_pose=_where(reached, left_by_pose),
-        std=_where(reached, pair.std(solved.q)),
+        expected=expected_errors(pair, solved.q[reached])
+        if pair.result and reached.any()
+        else None,
         reasons=tuple(reasons),
         warnings=((),) * len(reasons),
     )
@@ -389,7 +399,8 @@ def write_commands(
     """Write commands as a CSV table in deg and mm; docs/compensation.md describes it.
 
     First the columns of the program that went along, then joint values and poses to send, then by how much they were
-    changed, then ``ok`` or the codes of warnings or of the reason why a row has no command and its cells are empty.
+    changed, then with a result the position error to expect, then ``ok`` or the codes of warnings or of the reason why
+    a row has no command and its cells are empty.
 
     ``send`` says which of the two forms are written; a rotation vector is in rad.
 
@@ -412,6 +423,8 @@ def write_commands(
         blocks.append(([CORRECTION + n for n in names], of_joints, commands.joint_corrections))
     of_pose = (CORRECTION + "position", CORRECTION + "angle")
     blocks.append((of_pose, ("mm", "deg"), commands.pose_corrections))
+    if commands.expected is not None:
+        blocks.append(((EXPECTED,), ("mm",), commands.expected_errors[:, :1]))
     columns: list[Sequence[str]] = [(label, *cells) for label, cells in commands.program.kept]
     for headers, units, values in blocks:
         for name, symbol, column in zip(headers, units, values.T, strict=True):

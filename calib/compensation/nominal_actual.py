@@ -156,13 +156,6 @@ class Pair:
         tool = np.linalg.norm(self.actual.T_tip_tool[:3, 3])
         return float(max(lengths.sum() + tool, 1e-3))
 
-    def std(self, q: Array) -> Array:
-        """How sure it is where the actual robot puts the tool at q (N, m), shape (N, 2), [m], [rad]; NaN if unknown."""
-        if self.result is None:
-            return np.full((len(q), 2), np.nan)
-        T_tip_tool = self.actual.T_tip_tool
-        return self.result.tool_std(q, T_tip_tool, target=self.target, group=self.set_up)
-
 
 def pair_of(
     calibration: Calibration | Robot,

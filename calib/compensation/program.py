@@ -44,6 +44,9 @@ FORMS = {
 #: What stands before the names of columns that say what was changed, in a table of commands.
 CORRECTION = "correction "
 
+#: The column of the position error to expect of each row of a table of commands.
+EXPECTED = "expected error"
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Program:
@@ -168,7 +171,11 @@ def read_program(
         )
     form = forms[0] if forms and points else ()
     q, T_wanted = _numbers(table, robot, joints, points, tuple(named[name] for name in form))
-    meant = {n for one in (POINT, *FORMS) for n in one if n not in names} | {*names, STATUS}
+    meant = {n for one in (POINT, *FORMS) for n in one if n not in names} | {
+        *names,
+        EXPECTED,
+        STATUS,
+    }
     # A column without a name is kept if anything stands in it: separators at the end of each line are none.
     unread = {column.index for name, column in named.items() if name not in meant}
     unread |= {i for i, label in enumerate(table.header) if not label and i in filled}

@@ -87,6 +87,7 @@ def better_setup(robot: Robot, cell: Cell, table: Measurements) -> Reason | None
     chosen = np.zeros(len(table), dtype=bool)
     chosen[np.linspace(0, len(table) - 1, min(len(table), _ROWS)).astype(int)] = True
     table = table.select(chosen)
+    cell = _naming_only(cell, table)
     poses, setup = rows_of(robot, table, cell)
     rows = _as_points(poses)
     given = _misfit(robot, setup, rows)[0]
@@ -127,6 +128,13 @@ def _all_as_good(explanations: list[tuple[float, Reason]]) -> Reason:
         if reason.values["error_m"] <= limit
     ]
     return replace(best, values={**best.values, "others": others}) if others else best
+
+
+def _naming_only(cell: Cell, table: Measurements) -> Cell:
+    """The cell without the targets and frames that it names and no row of the table sees."""
+    targets = {name: place for name, place in cell.targets.items() if name in table.targets}
+    frames = {name: pose for name, pose in cell.frames.items() if name in table.groups}
+    return replace(cell, targets=targets, frames=frames)
 
 
 def _misfit(robot: Robot, setup: Setup, rows: Rows) -> tuple[float, float]:

@@ -34,7 +34,7 @@ from calib.estimate.selection import (
 )
 from calib.estimate.setup import Rows, Setup, known_distances, rows_of
 from calib.estimate.solvers import Solver
-from calib.estimate.statistics import CrossValidation, Limits, Repeats, repeats
+from calib.estimate.statistics import CrossValidation, Limits, Repeats, repeats, rms
 from calib.jobs import Progress
 from calib.model.error_model import OWN, split_name
 from calib.model.kinematics import Parameter, Samples
@@ -304,6 +304,8 @@ def _assembled(m: Measurements, fits: Fits) -> Calibration:
         freedom=estimated.freedom,
         sigma=_median(scales[:, :3]),
         sigma_angle=_median(scales[:, 3:]),
+        sigma_given=_stated(m.sigma, cell.sigma, mask),
+        sigma_angle_given=_stated(m.sigma_angle, cell.sigma_angle, mask),
         residual_nominal=read_only(every.residual(placed.seen(T_base_tip, every.samples))),
         residual_calibrated=read_only(residual),
         used=every.used,
@@ -336,6 +338,14 @@ def _median(values: Array) -> float:
     """The median of what is no NaN; NaN of nothing."""
     there = values[~np.isnan(values)]
     return float(np.median(there)) if there.size else float("nan")
+
+
+def _stated(by_row: Array | None, by_cell: float | None, fitted: NDArray[np.bool_]) -> float:
+    """The noise of fitted rows as their table states it, rms, else as the cell does; NaN where neither does."""
+    if by_row is None:
+        return float("nan") if by_cell is None else by_cell
+    stated = by_row[fitted & np.isfinite(by_row)]  # the second row of a pair states none
+    return rms(stated) if len(stated) else float("nan")
 
 
 def _repeats(fitted: Fitted) -> Repeats | None:

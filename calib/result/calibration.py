@@ -23,7 +23,7 @@ from calib.estimate.selection import Candidate
 from calib.estimate.setup import Setup
 from calib.estimate.solvers import Solution
 from calib.estimate.statistics import CrossValidation, Errors, Repeats
-from calib.model.kinematics import TARGET, Samples
+from calib.model.kinematics import Samples
 from calib.model.observability import Observability
 from calib.result.prediction import Larger, Outlier, ParameterEstimate, Solved, tells_place
 from calib.result.robustness import Robustness
@@ -96,6 +96,10 @@ class Calibration(Solved):
     freedom: float  #: Degrees of freedom left for the noise
     sigma: float  #: Standard deviation of one measured length (median over rows) [m]; NaN where none was measured
     sigma_angle: float  #: Of one measured angle [rad]; NaN where none was
+    #: Standard deviation of one measured length as the cell or the table states it (rms over fitted rows) [m]; NaN
+    #: where it is not stated
+    sigma_given: float = np.nan
+    sigma_angle_given: float = np.nan  #: Of one measured angle, likewise [rad]
     #: shape (N, D), measured minus predicted by the nominal robot, all rows: lengths [m] in the first columns, angles
     #: [rad] in three more where poses were measured
     residual_nominal: Array
@@ -272,31 +276,6 @@ class Calibration(Solved):
         part, samples = self.part(larger=larger), self.samples(q, target=target, group=group)
         in_base = group is None and part.base_motion is not None
         return part.pose_std(samples, in_base=in_base)[:, 0]
-
-    def tool_std(
-        self,
-        q: ArrayLike,
-        T_tip_tool: Array,
-        *,
-        target: str | None = None,
-        group: str | None = None,
-    ) -> Array:
-        """How sure it is where the corrected robot puts a tool: position [m] and angle [rad], shape (N, 2).
-
-        The tool in the tip, shape (4, 4), is known exactly, unless a target is named that it is. In the set-up's frame,
-        or in the base where none is named.
-        """
-        samples, part = self.samples(q, target=target, group=group), self
-        if target is None:
-            own = self.model.family(TARGET)
-            tools = np.broadcast_to(T_tip_tool, self.kinematics.T_tip_target.shape)
-            part = replace(
-                self,
-                kinematics=replace(self.kinematics, T_tip_target=tools),
-                x=np.where(own, 0.0, self.x),
-                covariance=np.where(own[:, None] | own, 0.0, self.covariance),
-            )
-        return part.pose_std(samples, in_base=group is None)
 
     def tip_poses(self, q: ArrayLike, *, payload: Payload | None = None) -> Array:
         """T_base_tip by the larger model, or the corrected origins where there is none; q (N, m), shape (N, 4, 4)."""

@@ -136,6 +136,8 @@ _LAYOUT: JsonLayout = JsonLayout(
             "sizes": replace(_SIZES, path="noise.sizes"),
             "sigma": "noise.sigma_m",
             "sigma_angle": "noise.sigma_angle_rad",
+            "sigma_given": "noise.sigma_given_m",
+            "sigma_angle_given": "noise.sigma_angle_given_rad",
             **{name: f"model.{name}" for name in ("frozen", "candidates")},
             "ties": Key(
                 "model.ties",

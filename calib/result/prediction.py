@@ -117,7 +117,7 @@ class Solved:
         In the base they are less ``base_motion``; else they are in each sample's own frame.
         """
         if in_base:
-            poses, twists = _in_base(self.kinematics, self.x, samples)
+            poses, twists = twists_in_base(self.kinematics, self.x, samples)
             if self.base_motion is not None:
                 twists[:, :3] -= moved_by(self.base_motion, poses[:, :3, 3])
                 twists[:, 3:] -= self.base_motion[3:]
@@ -214,12 +214,22 @@ def _pushes(fitted: Fitted) -> Array:
 def base_motion(kinematics: Kinematics, x: Array, samples: Samples) -> Array:
     """The motion of the base that makes up best for a unit of each parameter x (p,) over some poses, shape (6, p)."""
     some = samples.select(np.linspace(0, len(samples) - 1, min(len(samples), _ENOUGH)).astype(int))
-    poses, twists = _in_base(kinematics, x, some)
+    poses, twists = twists_in_base(kinematics, x, some)
     return read_only(best_motion(poses[:, :3, 3], twists[:, :3]))
 
 
-def _in_base(kinematics: Kinematics, x: Array, samples: Samples) -> tuple[Array, Array]:
-    """T_base_target, shape (N, 4, 4), and what a unit of each parameter does to it, shape (N, 6, p); frames nothing."""
+def twists_in_base(kinematics: Kinematics, x: Array, samples: Samples) -> tuple[Array, Array]:
+    """Poses of the target in the base, and their derivative: `Kinematics.twists` of a frame that is the base itself.
+
+    Args:
+        kinematics: The robot under its error model.
+        x: shape (p,), its parameters.
+        samples: N samples; their frames do not count.
+
+    Returns:
+        T_base_target, shape (N, 4, 4) [m], and the target's velocity in a unit of each parameter along the base's
+        axes, shape (N, 6, p), linear part first [m, rad]; zero for the parameters of frames.
+    """
     of_frame = kinematics.model.family(FRAME)
     frames = np.broadcast_to(np.eye(4), kinematics.T_frame_base.shape)
     in_base = replace(kinematics, T_frame_base=frames)

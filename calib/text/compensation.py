@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from calib.compensation.expected import BAND
 from calib.robot.robot import rigid_inverse
 from calib.text.lines import fill
 from calib.text.verdict import reason_text
@@ -16,6 +17,7 @@ from calib.units import Array
 
 if TYPE_CHECKING:
     from calib.compensation.commands import Code, Commands, Finding
+    from calib.compensation.expected import ExpectedErrors, Source
     from calib.robot.robot import Robot
 
 
@@ -28,6 +30,29 @@ _MATCHED = {
     "pose": "position and orientation",
     "position": "position; the orientation is left free",
     "axis": "position and direction of the tool's z axis",
+}
+
+#: A source of expected errors with a smaller share of their mean square is not shown.
+_SMALL_SHARE = 0.005
+
+#: What each source of expected errors is.
+_SOURCES: dict[Source, str] = {
+    "model": "what the model lacks, by held-out rows",
+    "parameters": "the model's parameters, near the measured poses",
+    "poses": "the program's poses away from these",
+    "tool": "the tool away from the measured target",
+    "base": "the base in the measurement frame",
+}
+
+#: What lowers the contribution of a source, where nothing else is known.
+_REMEDIES: dict[Source, str] = {
+    "model": "errors remain that no parameter of this model holds, and more poses do not lower them; "
+    "docs/troubleshooting.md.",
+    "parameters": "measure more poses, planned with calib plan --taken, or with less noise.",
+    "poses": "measure where the program is, too: calib plan --taken.",
+    "tool": "measure a target at the tool's working point and give it as --tool target; or several targets, or poses, "
+    "whose places in the tip are known (--fix-target).",
+    "base": "measure in a frame of known points on the base (--frame known).",
 }
 
 #: What each code says: {0} and {1} are its numbers in {unit}, or both as {miss}; {joint}, {row} what it is about.
@@ -52,13 +77,14 @@ def text(found: Commands, name: str, written: Path | None) -> str:
             "Send the joint values, or the poses to a controller that keeps its nominal model: one that has the "
             "corrected model would correct twice. Then measure some rows: docs/compensation.md."
         )
-    parts = [_expected(found, name), _program(found), _sizes(found), *map(fill, _notes(found))]
+    parts = [_verdict(found, name), _expected_errors(found), _program(found), _sizes(found)]
+    parts += map(fill, _notes(found))
     reasons = [(one,) if one else () for one in found.reasons]
     for what, rows in (("without a command", reasons), ("with a warning", found.warnings)):
         if any(rows):
             head = f"Rows {what}: {sum(map(bool, rows))} of {len(found)}"
             parts.append("\n".join([head, *_findings(found, rows)]))
-    return "\n\n".join([*parts, after])
+    return "\n\n".join([part for part in parts if part] + [after])
 
 
 def no_commands(found: Commands) -> str:
@@ -85,8 +111,8 @@ def finding_text(finding: Finding, robot: Robot) -> str:
     return _TEXTS[finding.code].format(*scaled, **words)
 
 
-def _expected(found: Commands, name: str) -> str:
-    """The verdict of the result and its error on rows that it had not seen: what to expect on the robot."""
+def _verdict(found: Commands, name: str) -> str:
+    """The verdict of the result, and which of its models is used."""
     result, larger = found.pair.result, found.pair.larger
     if result is None:
         lines = [
@@ -102,17 +128,71 @@ def _expected(found: Commands, name: str) -> str:
     lines = [f"Verdict: {verdict.use} ({name}, {own})"]
     if verdict.use != "use":
         lines += [fill(reason_text(reason), "  ") for reason in verdict.reasons]
-    crossed = part.cross_validation
-    unseen = result.errors["larger" if larger else "calibrated"]["validation"]
-    if not unseen.n and crossed is not None:
-        unseen = crossed.errors_without_outliers
-    if unseen.n:
-        size = f"{_MM * unseen.mean:.4f} mm (mean), at most {_MM * unseen.max:.4f} mm"
-        other = ", of another tool than the measured target more" * (found.pair.target is None)
-        lines.append(
-            fill(f"Expect position errors of {size}, as on rows left out of the fit{other}.")
-        )
     return "\n".join(lines)
+
+
+def _expected_errors(commands: Commands) -> str:
+    """The position error to expect, the sources that it comes from, and what lowers the largest."""
+    expected = commands.expected
+    if expected is None:
+        return ""
+    errors, (low, high) = _MM * expected.errors[:, 0], expected.band
+    labels = [
+        label
+        for label, there in zip(commands.program.labels, commands.reached, strict=True)
+        if there
+    ]
+    parts = [
+        fill(
+            f"Expect position errors of {_MM * expected.mean:.3f} mm (mean over the rows), {errors.max():.3f} mm at "
+            f"{labels[int(np.argmax(errors))]}. Of ten calibrations like this one, {10 * BAND:.0f} have a mean between "
+            f"{_MM * low:.3f} and {_MM * high:.3f} mm."
+        ),
+        _sources(expected),
+    ]
+    parts += map(fill, _remedies(commands, expected))
+    return "\n\n".join(parts)
+
+
+def _sources(expected: ExpectedErrors) -> str:
+    """The table of sources: the mean error that each would leave alone, and its share of the mean square."""
+    total = sum(one.square for one in expected.contributions)
+    lines = [f"{'Expected error, by its source':<58}   mean mm     share"]
+    for one in expected.contributions:
+        share = one.square / total if total > 0.0 else 0.0
+        if share >= _SMALL_SHARE:
+            alone = _MM * expected.mean * np.sqrt(share)
+            lines.append(f"{_SOURCES[one.source]:<58}{alone:>10.3f}{100.0 * share:>8.0f} %")
+    return "\n".join(lines)
+
+
+def _remedies(commands: Commands, expected: ExpectedErrors) -> Iterator[str]:
+    """What lowers the largest contribution, and what is not known of the errors."""
+    pair = commands.pair
+    result = pair.result
+    assert result is not None  # else nothing is expected
+    if not expected.validated:
+        yield (
+            "The result was not cross-validated: what its model lacks is not in these errors. Calibrate without "
+            "--no-validate."
+        )
+    largest = expected.largest
+    if largest == "model" and expected.noise == "unknown":
+        yield (
+            "To know better: the instrument's noise was not stated, and held-out errors count in full. State it at the "
+            "calibration (sigma_mm in the cell file, or a column 'sigma [mm]'), or measure some poses repeatedly."
+        )
+    elif largest == "model" and result.larger is not None and not pair.larger:
+        yield "To lower it: use the non-geometric model, without --geometry."
+    elif largest == "base" and expected.in_measured_frame is not None:
+        name = "measured" if len(result.setup.groups) == 1 else f'"{result.setup.groups[0]}"'
+        yield (
+            f"To lower it: give the program in the measurement frame, --poses-in {name} "
+            f"({_MM * expected.in_measured_frame:.3f} mm): a frame that is estimated takes up whatever displaces the "
+            "first joint in the base. Or measure in a frame of known points on the base (--frame known)."
+        )
+    else:
+        yield f"To lower it: {_REMEDIES[largest]}"
 
 
 def _program(found: Commands) -> str:
@@ -142,7 +222,7 @@ def _sizes(found: Commands) -> str:
         "error without compensation": found.missed[rows].T,
         "model residual after compensation": found.left[rows].T,
         "model residual if sent as a pose": found.left_by_pose[rows].T,
-        "standard deviation of the prediction (covariance)": found.std[rows].T,
+        "error to expect after compensation": found.expected_errors[rows].T,
         "correction of the pose to send": found.pose_corrections[rows].T,
         "correction of a joint": (joints[:, slides], joints[:, ~slides]),
     }
@@ -164,11 +244,6 @@ def _notes(found: Commands) -> Iterator[str]:
     pair, robot = found.pair, found.nominal
     if elsewhere := _elsewhere(found):
         yield elsewhere
-    if pair.set_up is None and pair.result is not None and pair.result.frame_estimated:
-        yield (
-            "The measurement frame was estimated with the robot: places in the base are known less well than those in "
-            "the measured frame, --poses-in measured."
-        )
     if pair.target is not None:
         yield (
             f"Set the controller's tool to {_place(pair.nominal.T_tip_tool)} in '{robot.tip}': the poses to send, and "

@@ -16,6 +16,7 @@ from calib.compensation.commands import (
     compensate,
     write_commands,
 )
+from calib.compensation.expected import expected_errors
 from calib.compensation.inverse import Matching, Solved, solve
 from calib.compensation.nominal_actual import Arm, pair_of
 from calib.compensation.program import Program, read_program
@@ -77,8 +78,31 @@ def test_a_result_predicts_that_its_commands_arrive(case):
     assert found.match == "position"
     assert found.reached.all()
     assert result.predict(found.q) == pytest.approx(wanted, abs=1e-9)
-    assert np.isfinite(found.std).all()
+    assert np.isfinite(found.expected_errors).all()
     assert found.pair.result is result
+
+
+def test_each_row_has_its_error_to_expect(tmp_path: Path):
+    result = made("paper")
+    q = np.vstack([result.ranges.mean(axis=1), random_joint_values(result.nominal, 2, 1)])
+    wanted = result.robot.poses(q)
+    wanted[1, :3, 3] = 2.0  # out of reach
+    found = compensate(result, Program.of_poses(wanted, q))
+    assert found.reached.tolist() == [True, False, True]
+    alone = expected_errors(found.pair, found.q[[0, 2]])
+    assert found.expected_errors[[0, 2]] == pytest.approx(alone.errors, rel=1e-9)
+    assert np.isnan(found.expected_errors[1]).all()
+    written = rows(write_commands(found, tmp_path / "c.csv"))
+    assert list(written[0])[-2:] == ["expected error [mm]", "status"]
+    cells = [row["expected error [mm]"] for row in written]
+    assert cells[1] == ""
+    assert [float(cells[0]), float(cells[2])] == pytest.approx(1e3 * alone.errors[:, 0], abs=1e-6)
+
+
+def test_of_two_robots_no_error_is_known(ur3: Robot):
+    found = compensate(off(ur3), Program.of_joints(START), nominal=ur3)
+    assert found.expected is None
+    assert np.isnan(found.expected_errors).all()
 
 
 def test_paper_rows_that_the_fit_did_not_see():

@@ -167,3 +167,14 @@ def test_every_mistake_of_the_study_is_named_by_its_cause():
     assert len(cells) == 60
     assert np.mean([right for *_, right in cells]) >= 0.9
     assert all(use == "do not use" for _, use, _ in cells)
+
+
+def test_a_cell_may_name_targets_that_few_rows_of_a_long_table_see(ur3: Robot):
+    """Of a long table some rows are looked at: with two targets by turns, every other one, those of one target."""
+    q, names = random_joint_values(ur3, 119, 1), ("left", "right") * 60
+    places = dict(zip(names, ([0.05, 0.0, 0.1], [-0.05, 0.0, 0.1]), strict=False))
+    poses = ur3.poses(q)
+    points = [T[:3, 3] + T[:3, :3] @ places[n] for T, n in zip(poses, names, strict=False)]
+    table = Measurements(ur3.joint_names, q, np.array(points), targets=names[:119])
+    cell = Cell(targets={name: read_only(place) for name, place in places.items()})
+    assert better_setup(ur3, cell, table) is None

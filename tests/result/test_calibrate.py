@@ -20,7 +20,7 @@ from calib.model.kinematics import Samples
 from calib.result.calibration_file import read_result
 from calib.result.evaluation import evaluate
 from calib.robot.readback import random_joint_values
-from calib.robot.robot import Payload, Robot, gravity_loads, rigid_inverse
+from calib.robot.robot import Payload, Robot, gravity_loads, read_only, rigid_inverse
 from calib.robot.urdf import Urdf
 from tests.fits import FREE, SOCKETS, TARGETS, TRACKERS, gaps, in_each, two_targets
 
@@ -45,6 +45,25 @@ def by_the_paper(ur3, table, paper_cell):
 
 def millimetres(errors: Errors) -> tuple[float, float, float]:
     return 1e3 * errors.max, 1e3 * errors.mean, 1e3 * errors.rms
+
+
+@pytest.mark.parametrize(
+    ("by_cell", "by_row", "stated"),
+    [
+        (None, None, np.nan),
+        (2e-4, None, 2e-4),
+        (2e-4, [1e-4, 3e-4, 3e-4, 9e-4], np.sqrt((1.0 + 9.0 + 9.0) / 3.0) * 1e-4),
+    ],
+)
+def test_the_stated_noise_is_that_of_fitted_rows(ur3, table, by_cell, by_row, stated):
+    four = replace(
+        table.select(np.arange(len(table)) < 4),
+        sets=("estimate",) * 3 + ("validate",),
+        sigma=None if by_row is None else read_only(by_row),
+    )
+    found = calibrate(ur3, four, cell=Cell(model="zeros", sigma=by_cell), validate=False)
+    assert found.sigma_given == pytest.approx(stated, nan_ok=True)
+    assert np.isnan(found.sigma_angle_given)
 
 
 def test_nominal_positions_agree_with_the_papers_table_3(default_result, table):

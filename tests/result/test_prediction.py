@@ -12,11 +12,9 @@ from calib.calibration import calibrate
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.model.error_model import error_model
-from calib.model.kinematics import FRAME
 from calib.result.calibration import Calibration
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import Robot
-from tests.hard_cases import made
 
 TARGET = np.array([0.05, -0.06, 0.04])
 ANCHOR = np.array([0.9, 0.2, 0.1])
@@ -77,37 +75,6 @@ def test_of_lengths_it_is_the_error_as_one_body(ur3: Robot, model: str, size: fl
         in_base.append(np.mean(np.sum((there - wanted) ** 2, axis=1)) / told)
     assert np.sqrt(np.mean(as_one_body)) == pytest.approx(1.0, abs=0.25)
     assert size == 0.0 or np.sqrt(np.mean(in_base)) > 2.0
-
-
-@pytest.mark.parametrize("case", ["paper", "poses", "mixed", "prismatic", "two_joints"])
-def test_a_target_as_a_tool_is_as_sure_as_the_target(case: str):
-    found = made(case)
-    q = found.measurements.joints_for(found.nominal.joint_names)[:7]
-    target, group = found.setup.targets[0], found.setup.groups[0]
-    T = found.setup.T_tip_target[0]
-    std = found.tool_std(q, T, target=target, group=group)
-    np.testing.assert_allclose(std[:, 0], found.position_std(q, group=group, larger=False))
-    # In the base the robot's place counts, which a frame that was estimated takes away.
-    if found.tells_place and np.any(found.model.family(FRAME)):
-        assert (found.tool_std(q, T, target=target)[:, 0] > std[:, 0]).all()
-
-
-def test_of_a_tool_it_is_the_scatter_of_robots_drawn_from_the_covariance():
-    found = made("paper")
-    q, tool = random_joint_values(found.nominal, 3), np.eye(4)
-    tool[:3, 3] = 0.05, 0.0, 0.1
-    own = [k for k, name in enumerate(found.model.names) if not name.startswith("target")]
-    rng = np.random.default_rng(0)
-    spread = rng.multivariate_normal(np.zeros(len(own)), found.covariance[np.ix_(own, own)], 400)
-    model = found.model.without([n for n in found.model.names if n.startswith("target")])
-    points = np.array(
-        [(model.apply(found.nominal, found.x[own] + d).poses(q) @ tool)[:, :3, 3] for d in spread]
-    )
-    expected = found.tool_std(q, tool)
-    scatter = np.sqrt(points.var(axis=0).sum(axis=1))
-    assert scatter == pytest.approx(expected[:, 0], rel=0.12)
-    # One target says little of how the tip is turned: the angle stays as unsure as its priors left it.
-    assert expected[:, 1].min() > 2e-3
 
 
 def test_each_target_counts_from_where_it_was_given(calibrated):
