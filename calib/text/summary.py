@@ -112,6 +112,9 @@ def facts(c: Calibration) -> dict[str, str]:
     result[EXPECTED] = (
         f"{mm(here)} mm rms near the measured poses, {mm(everywhere)} mm over the joint limits."
     )
+    if c.cross_validation is None and c.freedom < _TELLING:
+        # Sizes of errors that are found from nothing shrink to nothing, and what is expected with them.
+        result[EXPECTED] = "not known: too few rows tell it."
     if c.sizes:
         shown = [(family, size, *FAMILIES[family].unit.shown) for family, size in c.sizes.items()]
         sizes = [

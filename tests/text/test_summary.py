@@ -13,7 +13,9 @@ from calib.example import PAPER_TARGET_AS_PRINTED
 from calib.robot.robot import Robot, read_only
 from calib.text.lines import mm
 from calib.text.summary import (
+    EXPECTED,
     error_title,
+    facts,
     frame_sentences,
     measured_lengths,
 )
@@ -145,3 +147,11 @@ def test_sockets_and_anchors_are_points_of_the_base(calibrated, name, word):
         assert line.startswith(f"{word} '{group}': found at (")
         found = [float(v) for v in re.findall(r"-?\d+\.\d+", line)]
         np.testing.assert_allclose(found, -1e3 * T[:3, :3].T @ T[:3, 3], atol=5.1e-4)
+
+
+def test_what_too_few_rows_do_not_tell_is_not_expected(ur3, table):
+    """Rows of one pose: the sizes of the errors are found from nothing."""
+    one = calibrate(ur3, table.select(np.arange(35) < 1), model="zeros", validate=False)
+    assert facts(one)[EXPECTED].startswith("not known")
+    some = calibrate(ur3, table.select(np.arange(35) < 20), model="zeros", validate=False)
+    assert " mm over the joint limits" in facts(some)[EXPECTED]
