@@ -56,6 +56,9 @@ __all__ = ["Calibration", "calibrate"]
 #: A smaller share of outliers is not worth the time that a larger model takes.
 _FEW = 0.01
 
+#: Of more rows a part this large is asked first whether the outliers are any: a larger model costs as much as all else.
+_MANY = 300
+
 
 @one_blas_thread()
 def calibrate(
@@ -167,9 +170,22 @@ def _judged(fitted: Fitted, m: Measurements) -> Fitted:
     if task.solver == "paper" or task.cell.priors.sizes == "off" or np.mean(flagged) < _FEW:
         return fitted
     every, _ = rows_of(task.robot, m, replace(task.cell, model=AUTO))
-    judge = widest(fitted, rows := every.select(m.estimation))
+    rows = every.select(m.estimation)
+    if len(rows) > _MANY and _outliers_of_few(fitted, rows):
+        return fitted
+    judge = widest(fitted, rows)
     none_is_good = np.all(judge.estimate.outliers[flagged])
     return fitted if none_is_good else judged_by(fitted, rows, judge)
+
+
+def _outliers_of_few(fitted: Fitted, rows: Rows) -> bool:
+    """Whether a larger model fitted to a part of the rows calls every outlier one too; if not, it takes all rows."""
+    judge = widest(fitted, rows.select(rows.evenly(_MANY)))
+    flagged = fitted.estimate.outliers
+    chosen = rows.with_partners(flagged)
+    scores = judge.unseen_scores(rows.select(chosen))[flagged[chosen]]
+    limit = Limits.of(len(rows), judge.estimate.freedom).flagged
+    return bool(np.all(scores > limit))
 
 
 def _validated(
