@@ -258,7 +258,6 @@ def exchange(blocks: Array, basis: Basis, start: Indices, count: int = 0) -> tup
 
     To fewer poses than ``count`` the best ones are added before.
     """
-
     root = None if basis.target is None else _root(basis.target)
 
     def best(others: list[int]) -> int:
@@ -267,7 +266,8 @@ def exchange(blocks: Array, basis: Basis, start: Indices, count: int = 0) -> tup
         most = _most(blocks, M, root)
         most[others] = -1.0
         C = np.linalg.inv(M)
-        least = _gains(blocks[_largest(most, _SOUNDED)], C, basis.target).max()
+        likely = _largest(most, _SOUNDED)
+        least = _gains(blocks[likely[most[likely] >= 0.0]], C, basis.target).max()
         worth = np.flatnonzero(most >= least * (1.0 - _MARGIN))
         return int(worth[np.argmax(_gains(blocks[worth], C, basis.target))])
 
@@ -332,14 +332,11 @@ def _most(blocks: Array, M: Array, root: Array | None) -> Array:
         shape (n,), in the unit of `_gains`.
     """
     n, d, r = blocks.shape
-    if root is None:
-        factor = np.linalg.inv(np.linalg.cholesky(M)).T
-    else:
-        factor = np.linalg.solve(M, root)
+    factor = np.linalg.inv(np.linalg.cholesky(M)).T if root is None else np.linalg.solve(M, root)
 
-    def work(own: slice) -> Array:
-        """tr G or tr E of a part of the candidates."""
-        flat = (blocks[own].reshape(-1, r) @ factor).reshape(-1, d * factor.shape[1])
+    def work(block: slice) -> Array:
+        """The traces of a part of the candidates."""
+        flat = (blocks[block].reshape(-1, r) @ factor).reshape(-1, d * factor.shape[1])
         return np.asarray(np.einsum("nk,nk->n", flat, flat))
 
     trace = np.concatenate(over_blocks(work, n))
