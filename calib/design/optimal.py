@@ -55,8 +55,7 @@ _RANKING_STEPS = 25
 #: inverse square times the rounding of a double is how exactly `_gains` compares candidates.
 _LEASH = 1e-6
 
-#: Candidates with the largest bounds whose gains are worked out before all others', and what a bound may round.
-_SOUNDED = 32
+#: What the bound of a gain may round, as a share.
 _MARGIN = 1e-6
 
 #: Draws of random poses, of which the median is shown.
@@ -260,14 +259,13 @@ def exchange(blocks: Array, basis: Basis, start: Indices, count: int = 0) -> tup
     """
     root = None if basis.target is None else _root(basis.target)
 
-    def best(others: list[int]) -> int:
-        """The candidate that gains most beside these."""
+    def best(others: list[int], *likely: int) -> int:
+        """The candidate that gains most beside the others; the likely ones are a first guess."""
         M = basis.known + information(blocks[others])
         most = _most(blocks, M, root)
         most[others] = -1.0
         C = np.linalg.inv(M)
-        likely = _largest(most, _SOUNDED)
-        least = _gains(blocks[likely[most[likely] >= 0.0]], C, basis.target).max()
+        least = _gains(blocks[[int(np.argmax(most)), *likely]], C, basis.target).max()
         worth = np.flatnonzero(most >= least * (1.0 - _MARGIN))
         return int(worth[np.argmax(_gains(blocks[worth], C, basis.target))])
 
@@ -278,8 +276,8 @@ def exchange(blocks: Array, basis: Basis, start: Indices, count: int = 0) -> tup
     k, unchanged = 0, 0
     while unchanged < len(chosen):
         others = chosen[:k] + chosen[k + 1 :]
-        trial = [*chosen[:k], best(others), *chosen[k + 1 :]]
-        cost = _cost(basis.known + information(blocks[trial]), basis)
+        trial = [*chosen[:k], best(others, chosen[k]), *chosen[k + 1 :]]
+        cost = _cost(basis.known + information(blocks[trial]), basis) if trial != chosen else least
         # By the cost, not the gain: without one of few poses little is known, and rounding would go in circles.
         if cost < least - _LEAST_GAIN * (1.0 if basis.target is None else abs(least)):
             chosen, least, unchanged = trial, cost, 0
@@ -341,12 +339,6 @@ def _most(blocks: Array, M: Array, root: Array | None) -> Array:
 
     trace = np.concatenate(over_blocks(work, n))
     return np.asarray((1.0 + trace / d) ** d if root is None else trace)
-
-
-def _largest(values: Array, count: int) -> Indices:
-    """The places of so many of the largest values, shape (count,), in no order."""
-    count = min(count, len(values))
-    return np.argpartition(values, len(values) - count)[len(values) - count :]
 
 
 def _root(S: Array) -> Array:
