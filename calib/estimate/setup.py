@@ -300,8 +300,8 @@ class Setup:
 
     def seen_by(self, samples: Samples) -> tuple[Mask, Mask]:
         """Which frames and which targets some samples see, shapes (F,) and (T,)."""
-        frames = np.isin(np.arange(len(self.groups)), samples.frame)
-        return frames, np.isin(np.arange(len(self.targets)), samples.target)
+        frames = np.bincount(samples.frame, minlength=len(self.groups)) > 0
+        return frames, np.bincount(samples.target, minlength=len(self.targets)) > 0
 
     def unknown_at(self, samples: Samples) -> Mask:
         """Which samples see an unknown frame or target, shape (N,)."""
