@@ -55,9 +55,6 @@ _RANKING_STEPS = 25
 #: inverse square times the rounding of a double is how exactly `_gains` compares candidates.
 _LEASH = 1e-6
 
-#: What the bound of a gain may round, as a share.
-_MARGIN = 1e-6
-
 #: Draws of random poses, of which the median is shown.
 _RANDOM = 9
 
@@ -257,16 +254,16 @@ def exchange(blocks: Array, basis: Basis, start: Indices, count: int = 0) -> tup
 
     To fewer poses than ``count`` the best ones are added before.
     """
-    root = None if basis.target is None else _root(basis.target)
 
     def best(others: list[int], *likely: int) -> int:
         """The candidate that gains most beside the others; the likely ones are a first guess."""
-        M = basis.known + information(blocks[others])
-        most = _most(blocks, M, root)
+        C = np.linalg.inv(basis.known + information(blocks[others]))
+        most = _most(blocks, C, basis.target)
         most[others] = -1.0
-        C = np.linalg.inv(M)
-        least = _gains(blocks[[int(np.argmax(most)), *likely]], C, basis.target).max()
-        worth = np.flatnonzero(most >= least * (1.0 - _MARGIN))
+        first = [int(np.argmax(most)), *likely]
+        least = _gains(blocks[first], C, basis.target).max()
+        most[first] = np.inf  # the bound of the best one may round to less than its gain
+        worth = np.flatnonzero(most >= least)
         return int(worth[np.argmax(_gains(blocks[worth], C, basis.target))])
 
     chosen = start.tolist()
@@ -316,35 +313,29 @@ def short_list(rank: Array, count: int) -> Indices:
     return np.sort(np.argsort(-rank, kind="stable")[:count])
 
 
-def _most(blocks: Array, M: Array, root: Array | None) -> Array:
+def _most(blocks: Array, C: NDArray[np.floating[Any]], target: Array | None) -> Array:
     """What adding each candidate gains at most, at a fifth of the price of `_gains`.
 
         det(I + G) <= (1 + tr G / d)^d,    tr((I + G)^-1 E) <= tr E
 
     Args:
         blocks: shape (n, d, r), the derivatives of the candidates along the basis.
-        M: shape (r, r), the information of the design without them.
-        root: shape (r, k), a root of W or B, None for ``D``.
+        C: shape (r, r), the covariance of the design without them.
+        target: shape (r, r), W or B, None for ``D``.
 
     Returns:
         shape (n,), in the unit of `_gains`.
     """
     n, d, r = blocks.shape
-    factor = np.linalg.inv(np.linalg.cholesky(M)).T if root is None else np.linalg.solve(M, root)
+    K = C if target is None else C @ target @ C
 
     def work(block: slice) -> Array:
-        """The traces of a part of the candidates."""
-        flat = (blocks[block].reshape(-1, r) @ factor).reshape(-1, d * factor.shape[1])
-        return np.asarray(np.einsum("nk,nk->n", flat, flat))
+        """The traces of A K A^T of a part of the candidates A."""
+        A = blocks[block].reshape(-1, r)
+        return np.asarray(np.einsum("nk,nk->n", (A @ K).reshape(-1, d * r), A.reshape(-1, d * r)))
 
     trace = np.concatenate(over_blocks(work, n))
-    return np.asarray((1.0 + trace / d) ** d if root is None else trace)
-
-
-def _root(S: Array) -> Array:
-    """A root of a positive semidefinite matrix, S = root root^T, of S's shape."""
-    values, vectors = np.linalg.eigh(S)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+    return np.asarray((1.0 + trace / d) ** d if target is None else trace)
 
 
 def _gains(blocks: Array, C: NDArray[np.floating[Any]], target: Array | None) -> Array:
