@@ -323,10 +323,16 @@ def of_starts(times: int) -> list[str]:
             "tool0",
         ]
         written = ["-o", str(Path(folder) / "corrected.urdf"), "--force", "--quiet"]
+        report = ["--report", str(Path(folder) / "report.html")]
+        plan = ["plan", "ur3", "--base", "base", "--tip", "tool0", "--target", "70 -70 22.5 mm"]
+        demo = ["demo", "--out", str(Path(folder) / "demo"), "--force", "--quiet"]
         commands = {
             '`python -c "import calib"`': [sys.executable, "-c", "import calib"],
             "`calib --help`": [calib, "--help"],
             "`calib calibrate` on the paper's 35 rows": [calib, *fitting, *written],
+            "the same with `--report`": [calib, *fitting, *report, *written],
+            "`calib demo`": [calib, *demo],
+            "`calib plan`, 30 poses of 20,000": [calib, *plan, *written],
         }
         lines = ["| a whole process | time |", "|---|---|"]
         for name, command in track(commands.items(), "starts", console=BARS, transient=True):

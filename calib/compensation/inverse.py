@@ -18,11 +18,10 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from scipy.stats import qmc
 
 from calib.compensation.nominal_actual import Arm
 from calib.errors import ModelError, choices
-from calib.robot.readback import column_limits, full_ranges
+from calib.robot.readback import column_limits, full_ranges, spread_between
 from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.units import Array, Mask, unit_fault
 
@@ -206,10 +205,7 @@ def following(arm: Arm, T_wanted: Array, start: Array, matching: Matching) -> So
 
     Where none is found inside the limits, those from joint values spread over the limits are looked at.
     """
-    low, high = full_ranges(arm.robot).T
-    unit = qmc.Sobol(len(low), scramble=False).random_base2(6)[:_SPREAD]
-    # Half a step inside: the first of the sequence is the corner where every joint is at its limit.
-    spread = low + (high - low) * (unit + 0.5 / _SPREAD)
+    spread = spread_between(full_ranges(arm.robot), _SPREAD)
     q = np.empty((len(T_wanted), len(start)))
     for i, T in enumerate(T_wanted):
         before, good = (q[i - 1] if i else start), False

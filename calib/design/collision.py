@@ -25,6 +25,7 @@ from calib.data.cell import Box
 from calib.design.candidates import Code, Note
 from calib.errors import UrdfError
 from calib.robot.chain import full_configurations, full_model, link_frame
+from calib.robot.kernel import turns_to
 from calib.robot.meshes import LinkShape, find_mesh, link_shapes, load_mesh, mesh_folders
 from calib.robot.readback import spread_poses
 from calib.robot.robot import Robot
@@ -139,10 +140,10 @@ class CollisionModel:
         parts, unchecked = read_solids(urdf, check.package_dirs)
         links = list(parts)
         for name, place in (targets or {}).items():
-            T, half = _rod(np.zeros(3), np.asarray(place, dtype=np.float64))
-            holder = hppfcl.Capsule(check.holder_radius, 2.0 * half)
+            T, half = _rods(np.zeros((1, 3)), np.array([place], dtype=np.float64))
+            holder = hppfcl.Capsule(check.holder_radius, 2.0 * float(half[0]))
             owner = f"{name} and its holder"
-            parts.append(Solid(owner, "target", robot.tip, T.homogeneous, holder))
+            parts.append(Solid(owner, "target", robot.tip, T[0], holder))
         for box in boxes:
             parts.append(Solid(box.name, "box", robot.base, box.T_base_box, hppfcl.Box(*box.size)))
         values = robot.urdf_values(spread_poses(robot, SAMPLES))
@@ -201,23 +202,21 @@ class CollisionModel:
         """
         scene, frees = self._beams, np.ones(len(q), dtype=np.bool_)
         points = (self.robot.poses(q) @ T_tip_target)[:, :3, 3]
-        data, found = scene.room()
-        base, last = (
-            scene.model.frames[link_frame(scene.model, self.robot.base)],
-            scene.shapes.ngeoms - 1,
-        )
-        beam = scene.shapes.geometryObjects[last].geometry
         distance = np.linalg.norm(tracker - points, axis=1)
-        for i, configuration in enumerate(self._configurations(q)):
-            if distance[i] > NEST + BEAM:
-                # The rod's round ends lie between the same two planes as the beam's flat ones.
-                away = (tracker - points[i]) / distance[i]
-                T_base_beam, beam.halfLength = _rod(
-                    tracker - 0.5 * BEAM * away, points[i] + (NEST + 0.5 * BEAM) * away
-                )
-                pin.updateGeometryPlacements(scene.model, data, scene.shapes, found, configuration)
-                found.oMg[last] = data.oMi[base.parentJoint] * base.placement * T_base_beam
-                frees[i] = not pin.computeCollisions(scene.shapes, found, True)
+        # The rod's round ends lie between the same two planes as the beam's flat ones.
+        away = (tracker - points) / np.maximum(distance, BEAM)[:, None]
+        T_base_beam, half = _rods(tracker - 0.5 * BEAM * away, points + (NEST + 0.5 * BEAM) * away)
+        data, found = scene.room()
+        base = scene.model.frames[link_frame(scene.model, self.robot.base)]
+        last = scene.shapes.ngeoms - 1
+        beam = scene.shapes.geometryObjects[last].geometry
+        configurations = self._configurations(q)
+        for i in np.flatnonzero(distance > NEST + BEAM).tolist():
+            beam.halfLength = half[i]
+            pin.updateGeometryPlacements(scene.model, data, scene.shapes, found, configurations[i])
+            T_root_base = data.oMi[base.parentJoint] * base.placement
+            found.oMg[last] = T_root_base * pin.SE3(T_base_beam[i])
+            frees[i] = not pin.computeCollisions(scene.shapes, found, True)
         return frees
 
     def _configurations(self, q: ArrayLike) -> Array:
@@ -259,11 +258,18 @@ def read_solids(
     return solids, unchecked
 
 
-def _rod(start: Array, end: Array) -> tuple[pin.SE3, float]:
-    """The pose of a rod between two points [m], its axis z, the origin in its middle; and half its length."""
-    along, up = end - start, np.array([0.0, 0.0, 1.0])
-    turn = pin.Quaternion(up, along if along.any() else up)
-    return pin.SE3(turn.matrix(), 0.5 * (start + end)), 0.5 * float(np.linalg.norm(along))
+def _rods(starts: Array, ends: Array) -> tuple[Array, Array]:
+    """Rods between pairs of points (n, 3) [m]: poses (n, 4, 4), z along them, from their middles; half their lengths.
+
+    A rod of no length stands upright.
+    """
+    along = ends - starts
+    lengths = np.linalg.norm(along, axis=1)
+    along[lengths == 0.0] = 0.0, 0.0, 1.0
+    T = np.tile(np.eye(4), (len(along), 1, 1))
+    T[:, :3, :3] = turns_to(along / np.where(lengths > 0.0, lengths, 1.0)[:, None])
+    T[:, :3, 3] = 0.5 * (starts + ends)
+    return T, 0.5 * lengths
 
 
 def _geometry(

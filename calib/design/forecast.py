@@ -30,6 +30,7 @@ from calib.model.families import FAMILIES
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability, analyse
 from calib.result.prediction import without_rigid_motion
+from calib.robot.kernel import over_blocks
 from calib.robot.readback import spread_between
 from calib.robot.robot import Robot, gravity_loads, read_only
 from calib.units import Array
@@ -242,11 +243,8 @@ class Forecast:
         """What a fit of measurements at these poses, shape (N, m), [rad] or [m], will reach over a workspace."""
         measured = sensitivity.measured(q)
         root = covariance_root(measured, sensitivity.precision)
-        moves = workspace.located @ root
-        variance = np.sum(moves.reshape(-1, 3 * len(root)) ** 2, axis=1)
-        relative = np.sum((workspace.measured @ root) ** 2, axis=(1, 2))
+        variance, relative, squares = _spreads(workspace, root)
         # The squared rms is x^T B x with x ~ N(0, 1) of the independent errors.
-        squares = information(moves) / len(variance)
         draws = _chi_squares(len(squares)) @ np.maximum(np.linalg.eigvalsh(squares), 0.0)
         low, high = np.sqrt(np.quantile(draws, [0.5 - 0.5 * _RANGE, 0.5 + 0.5 * _RANGE]))
         sigma = sensitivity.noise(q)
@@ -315,6 +313,33 @@ def covariance_root(measured: Array, precision: Array) -> Array:
     rows = [measured.reshape(-1, measured.shape[2]), np.diag(np.sqrt(precision))]
     R = np.linalg.qr(np.concatenate(rows), mode="r")
     return np.asarray(solve_triangular(R, np.eye(len(R))))
+
+
+def _spreads(workspace: Workspace, root: Array) -> tuple[Array, Array, Array]:
+    """What errors of the covariance C = root root^T do over a workspace of n poses with k targets.
+
+    Args:
+        workspace: The poses.
+        root: shape (p, p), in the parameters' units.
+
+    Returns:
+        The variance of each target's position, shape (n k,) [m^2]; of what is measured at each pose, shape (n,), in
+        variances of the noise; and root^T B root, shape (p, p) [m^2], with the mean B of J^T J over the positions.
+    """
+    p = len(root)
+
+    def work(own: slice) -> tuple[Array, Array, Array]:
+        """The same of a part of the poses, the last one as a sum."""
+        moves = workspace.located[own].reshape(-1, p) @ root
+        seen = workspace.measured[own]
+        changes = (seen.reshape(-1, p) @ root).reshape(len(seen), -1)
+        by_target = moves.reshape(-1, 3 * p)
+        variance = np.einsum("nk,nk->n", by_target, by_target)
+        return variance, np.einsum("nk,nk->n", changes, changes), moves.T @ moves
+
+    variances, relatives, squares = zip(*over_blocks(work, len(workspace.located)), strict=True)
+    variance = np.concatenate(variances)
+    return variance, np.concatenate(relatives), np.sum(squares, axis=0) / len(variance)
 
 
 def information(A: Array) -> Array:

@@ -29,6 +29,7 @@ from calib.design.forecast import Forecast, Sensitivity, Workspace, information
 from calib.errors import ModelError
 from calib.jobs import Progress
 from calib.model.observability import steps
+from calib.robot.kernel import over_blocks
 from calib.robot.robot import read_only
 from calib.units import Array
 
@@ -152,12 +153,13 @@ def choose_poses(
     known += information(sensitivity.measured(taken)) if len(taken) else 0.0
     basis = Basis.of(information(measured) / len(measured), known, weights[request.criterion])
     blocks = measured @ basis.directions
-    chosen = choose(blocks, basis, count, seed, restarts if count <= _MANY else 1)
+    rank = ranking(blocks, basis)
+    chosen = choose(blocks, basis, count, seed, restarts if count <= _MANY else 1, rank)
     rng = np.random.default_rng([seed, 1])
     others = rng.permutation(np.setdiff1d(np.arange(len(q)), chosen))
     plan = foreseen(chosen)
     found: list[tuple[int, Forecast]] = []
-    short = short_list(blocks, basis, max(_LADDER_POOL, *rungs, 0))
+    short = short_list(rank, max(_LADDER_POOL, *rungs, 0))
     few, at = blocks[short], np.zeros(0, dtype=np.int_)
     for number in rungs:
         if number != count:
@@ -208,14 +210,32 @@ class Basis(NamedTuple):
         )
 
 
-def choose(blocks: Array, basis: Basis, count: int, seed: int, restarts: int = RESTARTS) -> Indices:
+def choose(
+    blocks: Array,
+    basis: Basis,
+    count: int,
+    seed: int,
+    restarts: int = RESTARTS,
+    rank: Array | None = None,
+) -> Indices:
     """The best found design of ``count`` different candidates.
 
     Exchanges on a short list from several random starts; the best of these is then exchanged with all candidates.
-    ``blocks``, shape (n, d, r), are the derivatives of the pool along the basis.
+
+    Args:
+        blocks: shape (n, d, r), the derivatives of the pool along the basis.
+        basis: The basis.
+        count: The number of poses.
+        seed: Of the random starts.
+        restarts: Their number.
+        rank: shape (n,), the pool's `ranking`; None: not known.
+
+    Returns:
+        shape (count,), the places of the candidates in the pool.
     """
     rng = np.random.default_rng(seed)
-    short = short_list(blocks, basis, max(SHORT, count))
+    rank = ranking(blocks, basis) if rank is None else rank
+    short = short_list(rank, max(SHORT, count))
     few = blocks[short]
     best, least = np.arange(count), np.inf
     for start in range(restarts):
@@ -235,11 +255,16 @@ def exchange(blocks: Array, basis: Basis, start: Indices, count: int = 0) -> tup
     To fewer poses than ``count`` the best ones are added before.
     """
 
-    def best(others: list[int]) -> int:
+    def best(others: list[int], *likely: int) -> int:
+        """The candidate that gains most beside the others; the likely ones are a first guess."""
         C = np.linalg.inv(basis.known + information(blocks[others]))
-        gain = _gains(blocks, C, basis.target)
-        gain[others] = -1.0
-        return int(np.argmax(gain))
+        most = _most(blocks, C, basis.target)
+        most[others] = -1.0
+        first = [int(np.argmax(most)), *likely]
+        least = _gains(blocks[first], C, basis.target).max()
+        most[first] = np.inf  # the bound of the best one may round to less than its gain
+        worth = np.flatnonzero(most >= least)
+        return int(worth[np.argmax(_gains(blocks[worth], C, basis.target))])
 
     chosen = start.tolist()
     while len(chosen) < count:
@@ -248,8 +273,8 @@ def exchange(blocks: Array, basis: Basis, start: Indices, count: int = 0) -> tup
     k, unchanged = 0, 0
     while unchanged < len(chosen):
         others = chosen[:k] + chosen[k + 1 :]
-        trial = [*chosen[:k], best(others), *chosen[k + 1 :]]
-        cost = _cost(basis.known + information(blocks[trial]), basis)
+        trial = [*chosen[:k], best(others, chosen[k]), *chosen[k + 1 :]]
+        cost = _cost(basis.known + information(blocks[trial]), basis) if trial != chosen else least
         # By the cost, not the gain: without one of few poses little is known, and rounding would go in circles.
         if cost < least - _LEAST_GAIN * (1.0 if basis.target is None else abs(least)):
             chosen, least, unchanged = trial, cost, 0
@@ -259,15 +284,13 @@ def exchange(blocks: Array, basis: Basis, start: Indices, count: int = 0) -> tup
     return np.array(chosen, dtype=np.int_), least
 
 
-def short_list(blocks: Array, basis: Basis, count: int) -> Indices:
-    """The candidates that a design without end would lean on: those with the largest sensitivity, in the pool's order.
+def ranking(blocks: Array, basis: Basis) -> Array:
+    """How much a design without end would lean on each candidate: its sensitivity there, shape (n,).
 
     The multiplicative algorithm (S. Silvey, D. Titterington, B. Torsney, 1978) moves the weights of candidates
     towards the optimal ones, w_i <- w_i s_i / mean(s); there, s is largest on the support.
     """
     n, rows, r = blocks.shape
-    if n <= count:
-        return np.arange(n)
     flat, power = blocks.reshape(-1, r), 1.0 if basis.target is None else 0.5
     s = weights = np.full(n, 1.0 / n)
     for _ in range(_RANKING_STEPS):
@@ -282,7 +305,37 @@ def short_list(blocks: Array, basis: Basis, count: int) -> Indices:
         s = np.sum((flat @ root).reshape(n, -1) ** 2, axis=1)
         weights = weights * (s / (weights @ s)) ** power
         weights /= weights.sum()
-    return np.sort(np.argsort(-s, kind="stable")[:count])
+    return s
+
+
+def short_list(rank: Array, count: int) -> Indices:
+    """The candidates with the largest values of `ranking`, in the pool's order."""
+    return np.sort(np.argsort(-rank, kind="stable")[:count])
+
+
+def _most(blocks: Array, C: NDArray[np.floating[Any]], target: Array | None) -> Array:
+    """What adding each candidate gains at most, at a fifth of the price of `_gains`.
+
+        det(I + G) <= (1 + tr G / d)^d,    tr((I + G)^-1 E) <= tr E
+
+    Args:
+        blocks: shape (n, d, r), the derivatives of the candidates along the basis.
+        C: shape (r, r), the covariance of the design without them.
+        target: shape (r, r), W or B, None for ``D``.
+
+    Returns:
+        shape (n,), in the unit of `_gains`.
+    """
+    n, d, r = blocks.shape
+    K = C if target is None else C @ target @ C
+
+    def work(block: slice) -> Array:
+        """The traces of A K A^T of a part of the candidates A."""
+        A = blocks[block].reshape(-1, r)
+        return np.asarray(np.einsum("nk,nk->n", (A @ K).reshape(-1, d * r), A.reshape(-1, d * r)))
+
+    trace = np.concatenate(over_blocks(work, n))
+    return np.asarray((1.0 + trace / d) ** d if target is None else trace)
 
 
 def _gains(blocks: Array, C: NDArray[np.floating[Any]], target: Array | None) -> Array:

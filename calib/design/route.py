@@ -9,6 +9,7 @@ one turn, the other side may be reached by turning it 360 deg further; else a po
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import lru_cache
 from itertools import combinations, pairwise, product
 from typing import NamedTuple
 
@@ -162,32 +163,54 @@ def _length(path: Indices, costs: Array) -> float:
 def _improved(path: Indices, costs: Array) -> Indices:
     """The path after 2-opt and or-opt, the best move first, until none gains; ends stay where they are."""
     least = _ROUNDING * max(float(costs.max()), 1e-300)
+    closed = _closed(len(path))
     while True:
         gain, first, length, place, turned = min(
-            _moves(costs[np.ix_(path, path)]), key=lambda move: move[0]
+            _moves(costs[np.ix_(path, path)], closed), key=lambda move: move[0]
         )
         if gain > -least:
             return path
         piece = path[first : first + length]
-        rest = np.delete(path, slice(first, first + length))
-        path = np.insert(rest, place, piece[::-1] if turned else piece)
+        rest = np.concatenate([path[:first], path[first + length :]])
+        piece = piece[::-1] if turned else piece
+        path = np.concatenate([rest[:place], piece, rest[place:]])
 
 
-def _moves(near: Array) -> Iterator[tuple[float, int, int, int, bool]]:
-    """The best pieces to move or turn: what the path gains in length, first place, size, new place, whether turned."""
+@lru_cache(maxsize=64)
+def _closed(size: int) -> tuple[Array, ...]:
+    """What a path of so many places forbids, as an infinite cost.
+
+    First pieces to turn that end before they begin, (size - 2, size - 2); then, for pieces of one place, two places,
+    ..., putting them inside of themselves, (first place of the piece, gap between places).
+    """
+    forbidden = [np.tri(size - 2, dtype=np.bool_)]
+    for length in range(1, min(_PIECE, size - 3) + 1):
+        first, to = np.arange(1, size - length)[:, None], np.arange(size - 1)
+        forbidden.append((to >= first - 1) & (to <= first + length - 1))
+    return tuple(read_only(np.where(mask, np.inf, 0.0)) for mask in forbidden)
+
+
+def _moves(near: Array, closed: tuple[Array, ...]) -> Iterator[tuple[float, int, int, int, bool]]:
+    """The best pieces to move or turn.
+
+    Args:
+        near: shape (size, size), symmetric, the costs between the places of the path.
+        closed: What `_closed` says of such a path.
+
+    Yields:
+        What the path gains in length, first place, size, new place, whether turned.
+    """
     size, step = len(near), np.diagonal(near, 1)  # from place i to i + 1
-    gain = near[:-2, 1:-1] + near[1:-1, 2:] - step[:-1, None] - step[None, 1:]
-    gain[np.tri(len(gain), dtype=np.bool_)] = 0.0
+    gain = near[:-2, 1:-1] + near[1:-1, 2:] - step[:-1, None] - step[1:] + closed[0]
     i, j = divmod(int(np.argmin(gain)), len(gain))
     yield float(gain[i, j]), i + 1, j - i + 1, i + 1, True
-    for length in range(1, min(_PIECE, size - 3) + 1):
-        first, to = np.arange(1, size - length), np.arange(size - 1)
-        last = first + length - 1
-        closed = near[first - 1, last + 1] - step[first - 1] - step[last]
-        within = (to >= first[:, None] - 1) & (to <= last[:, None])
+    for length, barred in enumerate(closed[1:], start=1):
+        # Rows of the pieces' first and last places; the gap that the piece leaves is closed by one step.
+        first, last = near[1 : size - length], near[length : size - 1]
+        left = np.diagonal(near, length + 1) - step[: size - length - 1] - step[length:]
+        rest = left[:, None] - step + barred
         for turned, head, tail in ((False, first, last), (True, last, first)):
-            opened = near[to[None, :], head[:, None]] + near[tail[:, None], to[None, :] + 1]
-            gain = np.where(within, 0.0, closed[:, None] + opened - step[None, :])
+            gain = head[:, :-1] + tail[:, 1:] + rest
             a, b = divmod(int(np.argmin(gain)), gain.shape[1])
             yield float(gain[a, b]), a + 1, length, b + 1 if b <= a else b + 1 - length, turned
 

@@ -217,7 +217,8 @@ def _estimate(problem: Problem, task: Task, prior: PriorTerms) -> Estimate:
     result = _within(problem, task, prior)
     for _ in range(3 * problem.size):
         beyond = np.flatnonzero((result.x < low) | (result.x > high)).tolist()
-        loose = set() if beyond else _pushed_inside(result, prior, fixed) - released
+        held = bool(fixed) and not beyond
+        loose = _pushed_inside(result, prior, fixed) - released if held else set()
         if not beyond and not loose:
             break
         fixed |= {k: float(np.clip(result.x[k], low[k], high[k])) for k in beyond}

@@ -300,8 +300,8 @@ class Setup:
 
     def seen_by(self, samples: Samples) -> tuple[Mask, Mask]:
         """Which frames and which targets some samples see, shapes (F,) and (T,)."""
-        frames = np.isin(np.arange(len(self.groups)), samples.frame)
-        return frames, np.isin(np.arange(len(self.targets)), samples.target)
+        frames = np.bincount(samples.frame, minlength=len(self.groups)) > 0
+        return frames, np.bincount(samples.target, minlength=len(self.targets)) > 0
 
     def unknown_at(self, samples: Samples) -> Mask:
         """Which samples see an unknown frame or target, shape (N,)."""
@@ -406,7 +406,7 @@ def rows_of(robot: Robot, measurements: Measurements, cell: Cell) -> tuple[Rows,
         q=q,
         frame=_numbers(m.groups, setup.groups),
         target=_numbers(m.targets, setup.targets),
-        load=_load(robot, m, cell, q) if counts else None,
+        load=joint_loads(robot, m, cell, q) if counts else None,
     )
 
     def sigma(by_row: Array | None, by_cell: float | None, first: float) -> Array:
@@ -499,8 +499,18 @@ def _partners(m: Measurements) -> Integers:
     return partner
 
 
-def _load(robot: Robot, m: Measurements, cell: Cell, q: Array) -> Array:
-    """What loads each joint: gravity and payload, or what was measured where there are torques; (N, n, n + 3)."""
+def joint_loads(robot: Robot, m: Measurements, cell: Cell, q: Array) -> Array:
+    """What loads each joint: gravity and payload, or what was measured where there are torques.
+
+    Args:
+        robot: The robot.
+        m: The measurements, N of them.
+        cell: Payload and gravity.
+        q: shape (N, m), their joint values in the robot's order.
+
+    Returns:
+        shape (N, n, n + 3), see `calib.robot.robot.gravity_loads`.
+    """
     load = gravity_loads(robot, q, cell.payload, cell.gravity)
     torques = np.empty((0, 0)) if m.torques is None else m.torques.T
     for name, measured in zip(m.joint_names, torques, strict=False):

@@ -61,6 +61,7 @@ def points(c: Calibration) -> Figure:
         ax.plot(*places[kind.mask].T, rasterized=pixels, **kind.style())
     ax.set_box_aspect(limits[1] - limits[0], zoom=0.85)
     ax.set(xlim=limits[:, 0], ylim=limits[:, 1], zlim=limits[:, 2], title="In space, base frame")
+    ax.title.set_y(1.0)  # axes in space put it lower, into the picture
     for letter, axis in zip("xyz", (ax.xaxis, ax.yaxis, ax.zaxis), strict=True):
         axis.set_label_text(f"{letter} [mm]")
         axis.labelpad = 1.5

@@ -32,7 +32,7 @@ from calib.estimate.selection import (
     select,
     widest,
 )
-from calib.estimate.setup import Rows, Setup, known_distances, rows_of
+from calib.estimate.setup import Rows, Setup, joint_loads, known_distances, rows_of
 from calib.estimate.solvers import Solver
 from calib.estimate.statistics import CrossValidation, Limits, Repeats, repeats, rms
 from calib.jobs import Progress
@@ -54,12 +54,15 @@ from calib.result.robustness import compare_weights
 from calib.robot.kernel import one_blas_thread
 from calib.robot.readback import spread_poses
 from calib.robot.robot import Robot, gravity_loads, read_only
-from calib.units import Array
+from calib.units import Array, Mask
 
 __all__ = ["Calibration", "calibrate"]
 
 #: A smaller share of outliers is not worth the time that a larger model takes.
 _FEW = 0.01
+
+#: Of more rows a part this large is asked first whether the outliers are any: a larger model costs as much as all else.
+_MANY = 300
 
 
 @one_blas_thread()
@@ -172,10 +175,30 @@ def _judged(fitted: Fitted, m: Measurements) -> Fitted:
     task, flagged = fitted.task, fitted.estimate.outliers
     if task.solver == "paper" or task.cell.priors.sizes == "off" or np.mean(flagged) < _FEW:
         return fitted
-    every, _ = rows_of(task.robot, m, replace(task.cell, model=AUTO))
-    judge = widest(fitted, rows := every.select(m.estimation))
+    m, rows = m.select(m.estimation), fitted.estimate.problem.rows
+    if len(rows) > _MANY and _outliers_of_few(fitted, m):
+        return fitted
+    rows = _loaded(fitted, m, np.ones(len(rows), dtype=bool))
+    judge = widest(fitted, rows)
     none_is_good = np.all(judge.estimate.outliers[flagged])
     return fitted if none_is_good else judged_by(fitted, rows, judge)
+
+
+def _outliers_of_few(fitted: Fitted, m: Measurements) -> bool:
+    """Whether a larger model fitted to a part of the rows calls every outlier one too; if not, it takes all rows."""
+    rows, flagged = fitted.estimate.problem.rows, fitted.estimate.outliers
+    judge = widest(fitted, _loaded(fitted, m, rows.evenly(_MANY)))
+    chosen = rows.with_partners(flagged)
+    scores = judge.unseen_scores(_loaded(fitted, m, chosen))[flagged[chosen]]
+    limit = Limits.of(len(rows), judge.estimate.freedom).flagged
+    return bool(np.all(scores > limit))
+
+
+def _loaded(fitted: Fitted, m: Measurements, chosen: Mask) -> Rows:
+    """Some rows of a fit, of its measurements ``m``, with what loads the joints there."""
+    task, rows = fitted.task, fitted.estimate.problem.rows.select(chosen)
+    load = joint_loads(task.robot, m.select(chosen), task.cell, rows.joints)
+    return replace(rows, samples=replace(rows.samples, load=load))
 
 
 def _validated(

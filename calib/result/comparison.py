@@ -29,9 +29,9 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 from scipy.linalg import block_diag, eigh
 from scipy.spatial.transform import Rotation
+from scipy.special import fdtrc, ndtri
 
 from calib.diagnosis.reasons import NO
 from calib.errors import ModelError
@@ -311,8 +311,8 @@ def drift_test(
     shares = [float(np.trace(whitening @ spread @ whitening.T)) for spread in spreads]
     freedoms = [max(one.freedom, 1.0) for one in estimates]
     freedom = sum(shares) ** 2 / sum(s**2 / f for s, f in zip(shares, freedoms, strict=True))
-    p = max(float(stats.f.sf(chi_square / k, k, freedom)), 1e-300)  # below it there are no digits
-    return DriftTest(k, chi_square, freedom, p, sigma=max(float(stats.norm.isf(p)), 0.0))
+    p = max(float(fdtrc(k, freedom, chi_square / k)), 1e-300)  # below it there are no digits
+    return DriftTest(k, chi_square, freedom, p, sigma=max(-float(ndtri(p)), 0.0))
 
 
 class _Predictions:

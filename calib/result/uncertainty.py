@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 from scipy.special import fdtri, gammaincinv
 
 from calib.errors import CalibError, ModelError
@@ -243,6 +242,9 @@ def profile(
         """The cost over the limit; finite, for the root finder."""
         over = cost_at(x) - least - rise
         return float(min(over, 1e6 * rise)) if np.isfinite(over) else 1e6 * rise
+
+    # Not above: SciPy's optimisers take longer to import than most calibrations take.
+    from scipy.optimize import brentq
 
     def end(step: float) -> float:
         """Where the cost crosses the limit, on one side."""

@@ -20,6 +20,7 @@ from typing import TypeAlias
 
 import numpy as np
 import pinocchio as pin
+from scipy.spatial.transform import Rotation
 
 from calib.errors import UrdfError, choices, did_you_mean
 from calib.robot.urdf import Urdf, UrdfJoint, read_only
@@ -144,6 +145,36 @@ def full_configurations(model: pin.Model, values: Mapping[str, Array]) -> Array:
         else:  # a continuous joint's configuration is (cos q, sin q)
             result[:, first], result[:, first + 1] = np.cos(value), np.sin(value)
     return result
+
+
+def joint_frames(
+    model: pin.Model, urdf: Urdf, values: Mapping[str, Array], wanted: Collection[int]
+) -> dict[int, Array]:
+    """The poses of joints after they moved in the URDF's root, T_root_joint (N, 4, 4) [m], by their numbers.
+
+    Args:
+        model: A `full_model` of the URDF.
+        urdf: The URDF.
+        values: What `Robot.urdf_values` says of N samples, each of shape (N,), [rad] or [m]; other joints are neutral.
+        wanted: Numbers of joints of the model.
+
+    Returns:
+        The poses of these joints, of all joints that carry them, and of 0, the root itself.
+    """
+    count = max((len(value) for value in values.values()), default=0)
+    frames: dict[int, Array] = {0: np.tile(np.eye(4), (count, 1, 1))}
+    # A joint's supports begin with the root and end with the joint itself.
+    for number in sorted({k for joint in wanted for k in model.supports[joint]} - {0}):
+        T = frames[model.parents[number]] @ model.jointPlacements[number].homogeneous
+        name = model.names[number]
+        if name in values:
+            joint, value = urdf.joint(name), values[name][:, None]
+            if joint.type == "prismatic":
+                T[:, :3, 3] += (T[:, :3, :3] @ joint.axis) * value
+            else:
+                T[:, :3, :3] = T[:, :3, :3] @ Rotation.from_rotvec(value * joint.axis).as_matrix()
+        frames[number] = T
+    return frames
 
 
 def link_frame(model: pin.Model, link: str) -> int:

@@ -59,16 +59,17 @@ class Stood:
 
 
 def turns_to(axes: Array) -> Array:
-    """For each axis, shape (n, 3), a rotation that takes z there, shape (n, 3, 3)."""
-    turns = np.empty((len(axes), 3, 3))
-    for R, (x, y, z) in zip(turns, axes.tolist(), strict=True):
-        # From the nearer of z and -z, for the other one's formula divides by next to nothing.
-        side = 1.0 if z >= 0.0 else -1.0
-        y, z = side * y, side * z
-        c = 1.0 / (1.0 + z)
-        R[:] = [[1.0 - c * x * x, -c * x * y, x], [-c * x * y, 1.0 - c * y * y, y], [-x, -y, z]]
-        R[1:] *= side
-    return turns
+    """For each unit vector, shape (n, 3), a rotation that takes z there, shape (n, 3, 3)."""
+    x, y, z = np.reshape(axes, (-1, 3)).T
+    # From the nearer of z and -z, for the other one's formula divides by next to nothing.
+    side = np.where(z >= 0.0, 1.0, -1.0)
+    y, z = side * y, side * z
+    c = 1.0 / (1.0 + z)
+    turns = np.array(
+        [[1.0 - c * x * x, -c * x * y, x], [-c * x * y, 1.0 - c * y * y, y], [-x, -y, z]]
+    )
+    turns[1:] *= side
+    return np.ascontiguousarray(np.moveaxis(turns, 2, 0))
 
 
 def poses(geometry: Geometry, stood: Stood) -> Array:

@@ -10,6 +10,7 @@ import io
 import logging
 from collections.abc import Callable, Mapping
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,6 +23,8 @@ from calib.units import Array, unit_fault
 TOLERANCE = 1e-9  #: A pose read back may differ from the model's by this [m and rad].
 SPREAD = 200  #: Joint values spread over the limits.
 _POSES, _SEED = 20, 20170401  #: Sets of joint values compared, and the seed they are drawn with.
+#: Direction numbers of a Sobol sequence, shape (bits, columns); the test of this module says how they are made.
+_DIRECTIONS = Path(__file__).with_name("sobol.npy")
 _ROUNDING = 1e-4  #: A range may pass a limit by this: 360 deg is not quite 6.28318 rad [rad or m].
 
 
@@ -59,15 +62,40 @@ def spread_poses(robot: Robot, count: int = SPREAD) -> NDArray[np.float64]:
 
 
 def spread_between(ranges: Array, count: int) -> Array:
-    """Rows of an unscrambled Sobol sequence between the bounds ``ranges``, shape (m, 2); shape (count, m)."""
+    """Rows of SciPy's unscrambled Sobol sequence between bounds, without its first point, where all are lowest.
+
+        x_n = x_(n - 1) xor v_c,    c the lowest bit that is set in n
+
+    The direction numbers v are SciPy's too, and kept in a file: its sequence stands behind its distributions, which
+    take as long to import as a calibration takes.
+
+    Args:
+        ranges: shape (m, 2), the lower and the upper bound of each column.
+        count: The number of rows.
+
+    Returns:
+        shape (count, m), read-only.
+    """
+    low, high = ranges.T
+    directions = np.load(_DIRECTIONS, allow_pickle=False)
+    bits, columns = directions.shape
+    if count < 2**bits and len(low) <= columns:
+        n = np.arange(1, count + 1)
+        lowest = np.frexp(n & -n)[1] - 1
+        x = np.bitwise_xor.accumulate(directions[lowest, : len(low)], axis=0)
+        share = x / 2.0**bits
+    else:
+        share = sobol(count, len(low))
+    return read_only(low + share * (high - low))
+
+
+def sobol(count: int, columns: int) -> Array:
+    """The points of SciPy's unscrambled Sobol sequence behind the first one, shape (count, columns), 0 to 1."""
     from scipy.stats import qmc
 
-    low, high = ranges.T
-    sequence = qmc.Sobol(len(low), scramble=False)
-    sequence.fast_forward(
-        1
-    )  # its first point is the corner where every joint is at its lower limit
-    return read_only(low + sequence.random(count) * (high - low))
+    sequence = qmc.Sobol(columns, scramble=False)
+    sequence.fast_forward(1)
+    return np.asarray(sequence.random(count))
 
 
 def _ends_of_columns(robot: Robot, ends_of: Callable[[UrdfJoint], tuple[float, float]]) -> Array:

@@ -10,7 +10,9 @@ import pytest
 from calib.design.optimal import (
     Basis,
     _gains,
+    _most,
     choose,
+    exchange,
     information,
 )
 
@@ -66,6 +68,34 @@ def test_the_candidate_added_is_the_one_that_a_recomputation_likes_best(d, crite
         before = cost(M, weight)
         expected = np.exp(before - costs[best]) if weight is None else before - costs[best]
         assert gain[best] == pytest.approx(expected, rel=1e-4)
+
+
+@pytest.mark.parametrize("d", [1, 3, 6])
+@pytest.mark.parametrize("criterion", ["D", "A", "V"])
+def test_no_candidate_gains_more_than_its_bound(d, criterion):
+    A = pool(20 + d, 1100, d, 5, spread=2.0)  # more than one block
+    basis = basis_of(A, criterion, np.full(5, 0.1))
+    blocks = A @ basis.directions
+    C = np.linalg.inv(basis.known + information(blocks[:4]))
+    gains, most = _gains(blocks, C, basis.target), _most(blocks, C, basis.target)
+    assert np.all(most >= gains * (1.0 - 1e-9))
+    assert np.median(most / gains) < (1.0 + 1e-9 if d == 1 and criterion == "D" else 20.0)
+
+
+@pytest.mark.parametrize("criterion", ["D", "A", "V"])
+def test_an_exchange_ends_where_no_other_candidate_is_better(criterion):
+    A = pool(50, 60, 2, 6, spread=1.0)
+    basis = basis_of(A, criterion, np.full(6, 0.01))
+    blocks = A @ basis.directions
+    chosen, least = exchange(blocks, basis, np.arange(5))
+    for k in range(5):
+        others = np.delete(chosen, k)
+        M = basis.known + information(blocks[others])
+        costs = [
+            cost(M + blocks[x].T @ blocks[x], basis.target)
+            for x in set(range(60)) - set(others.tolist())
+        ]
+        assert min(costs) >= least - 1e-6 * abs(least)
 
 
 # Against all designs of small pools

@@ -4,6 +4,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from calib.robot.kernel import BLOCK
 from calib.robot.robot import GRAVITY, Payload, Robot, gravity_loads
 
 STEP = 1e-5
@@ -95,3 +96,54 @@ def test_a_lever_arm_is_how_much_deeper_a_joint_moves_a_point(name, base, tip):
                 for step in (-STEP, STEP)
             )
             np.testing.assert_allclose(found, (high - low) / (2 * STEP), rtol=0, atol=1e-8)
+
+
+def by_pinocchio(robot, values, payload, gravity) -> np.ndarray:
+    """Load and lever arms at one set of joint values, from Pinocchio's own Jacobian, shape (n, n + 3)."""
+    model = pin.buildModelFromXML(robot.urdf.data.decode(robot.urdf.encoding))
+    model.gravity.linear = np.array(gravity)
+    tip, base = (
+        model.frames[model.getFrameId(link, pin.FrameType.BODY)] for link in (robot.tip, robot.base)
+    )
+    mass = pin.Inertia(payload.mass, np.array(payload.com), np.zeros((3, 3)))
+    model.appendBodyToJoint(tip.parentJoint, mass, tip.placement)
+    data, v = model.createData(), np.zeros(model.nv)
+    for name, value in values.items():
+        v[model.idx_vs[model.getJointId(name)]] = value
+    q = pin.integrate(model, pin.neutral(model), v)
+    numbers = [model.getJointId(joint.name) for joint in robot.joints]
+    columns = [model.idx_vs[number] for number in numbers]
+    load = -pin.computeGeneralizedGravity(model, data, q)[columns]
+    J = pin.computeJointJacobians(model, data, q)[:, columns]
+    points = [(number, data.oMi[number].translation) for number in numbers]
+    points += [
+        (end.parentJoint, data.oMi[end.parentJoint].act(end.placement.translation))
+        for end in (tip, base)
+    ]
+    down = np.array(gravity) / np.linalg.norm(gravity)
+    arms = [
+        [
+            (J[:3, i] + np.cross(J[3:, i], point)) @ down * (k in model.supports[carrier])
+            for carrier, point in points
+        ]
+        for i, k in enumerate(numbers)
+    ]
+    return np.column_stack([load, arms])
+
+
+@pytest.mark.parametrize(("name", "base", "tip"), ROBOTS)
+def test_many_rows_are_what_pinocchio_says_of_each(name, base, tip):
+    robot = Robot.load(name, base, tip)
+    q = np.random.default_rng(4).uniform(-1.2, 1.2, (BLOCK + 2, len(robot.joint_names)))
+    payload, gravity = Payload(2.0, (0.05, -0.02, 0.1)), (1.0, -2.0, -9.0)
+    found = gravity_loads(robot, q, payload, gravity)
+    assert found.shape == (len(q), len(robot.joints), len(robot.joints) + 3)
+    columns = robot.urdf_values(q)
+    for i in (0, BLOCK - 1, BLOCK, BLOCK + 1):
+        values = {name: float(column[i]) for name, column in columns.items()}
+        expected = by_pinocchio(robot, values, payload, gravity)
+        np.testing.assert_allclose(found[i], expected, rtol=0, atol=1e-12)
+
+
+def test_without_gravity_there_is_no_load_and_no_arm(ur3):
+    assert not gravity_loads(ur3, np.ones((2, 6)), Payload(1.0), (0.0, 0.0, 0.0)).any()

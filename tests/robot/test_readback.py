@@ -8,9 +8,12 @@ import pytest
 
 from calib.errors import UrdfError
 from calib.robot.readback import (
+    _DIRECTIONS,
     check_written,
     column_ranges,
     random_joint_values,
+    sobol,
+    spread_between,
     spread_poses,
 )
 from calib.robot.robot import Robot
@@ -94,3 +97,25 @@ def test_a_column_keeps_within_the_limits_of_its_followers(lower, upper, numbers
     for q in (random_joint_values(robot), spread_poses(robot)):
         assert q.min() >= expected[0]
         assert q.max() <= expected[1]
+
+
+# Spread joint values
+
+
+def test_kept_direction_numbers_are_those_of_scipy():
+    kept = np.load(_DIRECTIONS)
+    bits, columns = kept.shape
+    # A point whose number has one bit set differs from the one before by that bit's direction number.
+    numbers = 2 ** np.arange(bits)
+    x = (np.vstack([np.zeros(columns), sobol(2 ** (bits - 1), columns)]) * 2**bits).astype(
+        np.uint16
+    )
+    np.testing.assert_array_equal(kept, x[numbers] ^ x[numbers - 1])
+
+
+@pytest.mark.parametrize(("count", "columns"), [(1, 1), (200, 6), (256, 14), (4096, 7), (300, 33)])
+def test_spread_rows_are_scipys_sequence(count, columns):
+    low, high = -np.arange(1.0, columns + 1.0), np.full(columns, 3.0)
+    q = spread_between(np.column_stack([low, high]), count)
+    np.testing.assert_array_equal(q, low + sobol(count, columns) * (high - low))
+    assert not q.flags.writeable
