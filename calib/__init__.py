@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from calib.design.plan import Plan as Plan, plan as plan
     from calib.design.workspace import Region as Region, workspace as workspace
     from calib.errors import CalibError as CalibError
-    from calib.estimate.selection import inspect as inspect
+    from calib.estimate.inspection import inspect as inspect
     from calib.fleets.fleet import fleet as fleet
     from calib.formats.convert import convert as convert
     from calib.result.evaluation import Evaluation as Evaluation, evaluate as evaluate
@@ -53,7 +53,7 @@ _NAMES = {
     "calib.design.plan": "Plan plan",
     "calib.design.workspace": "Region workspace",
     "calib.errors": "CalibError",
-    "calib.estimate.selection": "inspect",
+    "calib.estimate.inspection": "inspect",
     "calib.fleets.fleet": "fleet",
     "calib.formats.convert": "convert",
     "calib.result.evaluation": "Evaluation evaluate",

@@ -16,17 +16,10 @@ from numpy.typing import NDArray
 
 from calib.data.cell import AUTO, Cell
 from calib.data.measurements import Measurements
+from calib.estimate.cross_validation import cross_validation, nominal_cross_validation
 from calib.estimate.fitting import Fitted, Task, fit
 from calib.estimate.registration import nominal_setup, register_unseen
-from calib.estimate.selection import (
-    Candidate,
-    check_names,
-    cross_validation,
-    judged_by,
-    nominal_cross_validation,
-    select,
-    widest,
-)
+from calib.estimate.selection import Candidate, check_names, judged_by, select, widest
 from calib.estimate.setup import Rows, Setup, known_distances, rows_of
 from calib.estimate.solvers import Solver
 from calib.estimate.statistics import CrossValidation, Limits, Repeats, repeats

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import stdtr
 
+from calib.estimate.cross_validation import only_there
 from calib.estimate.fitting import PAPER, Fitted, fit
 from calib.estimate.problem import Priors, Problem
 from calib.estimate.registration import ENOUGH
-from calib.estimate.selection import only_there
 from calib.estimate.setup import LENGTHS, Rows, joined_setups
 from calib.estimate.stages import PriorTerms, Stage
 from calib.estimate.statistics import Errors, pose_means, rms

@@ -18,9 +18,9 @@ import calib.data.kinds as registry
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.errors import MeasurementError
+from calib.estimate.cross_validation import linear_cross_validation
 from calib.estimate.fitting import Fitted, fit
 from calib.estimate.registration import register
-from calib.estimate.selection import linear_cross_validation
 from calib.estimate.setup import LENGTHS, Rows, Setup, rows_of
 from calib.estimate.statistics import Errors
 from calib.model.error_model import DIRECTIONS

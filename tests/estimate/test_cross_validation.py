@@ -11,15 +11,15 @@ import pytest
 
 from calib.data.cell import Cell, GroupDistance
 from calib.data.measurements import Measurements
-from calib.estimate import selection
-from calib.estimate.fitting import Fitted, Task, fit
-from calib.estimate.selection import (
+from calib.estimate import cross_validation as module
+from calib.estimate.cross_validation import (
     Folds,
     cross_validation,
     linear_cross_validation,
     nominal_cross_validation,
     only_there,
 )
+from calib.estimate.fitting import Fitted, Task, fit
 from calib.estimate.setup import Rows, known_distances, rows_of
 
 #: Numbers of kinds in the registry.
@@ -149,7 +149,7 @@ def with_outliers(make_scene: Any, **given: Any) -> tuple[Any, Measurements]:
 def both(fitted: Fitted) -> tuple[Any, Any]:
     """Cross-validation on the linearised problem, and by fits from the beginning."""
     linear = cross_validation(fitted, fitted.estimate.outliers)
-    with mock.patch.object(selection, "_on_the_linearised", return_value={}):
+    with mock.patch.object(module, "_on_the_linearised", return_value={}):
         return linear, cross_validation(fitted, fitted.estimate.outliers)
 
 
