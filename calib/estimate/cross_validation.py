@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from itertools import compress
 
 import numpy as np
+from scipy.special import stdtr
 
 from calib.errors import MeasurementError
 from calib.estimate.fitting import PAPER, Fitted, Task, fit, given_weights, weighting
@@ -229,3 +230,31 @@ def fold_means(fitted: Fitted, linear: Linear, masks: Sequence[Mask] | Mask) -> 
     weights = np.where(np.array(masks), 0.0, problem.weights)
     noise = np.tile(fitted.estimate.noise, (len(masks), 1))
     return linear.fit(weights, noise, Priors(problem.precision, problem.centre))[0]
+
+
+def pose_errors(validation: CrossValidation, scales: Array, kept: Mask) -> Array:
+    """Left-out error of each pose, root mean square over its rows, shape (poses,), in units of the scales.
+
+    Args:
+        validation: Errors on rows that the fit did not see.
+        scales: Standard deviation of each scalar, shape (N, D), [m] and [rad].
+        kept: Which rows count, shape (N,).
+    """
+    squares = np.sum((validation.residual / scales)[kept] ** 2, axis=1)
+    _, pose = np.unique(validation.poses[kept], return_inverse=True)
+    return np.sqrt(np.bincount(pose, squares) / np.bincount(pose))
+
+
+def chance_of_fall(falls: Array) -> float:
+    """The probability of as large a mean where there is no fall, by Student's t, one-sided.
+
+    Args:
+        falls: By how much the error of each pose falls, shape (poses,).
+    """
+    count, mean = len(falls), float(np.mean(falls))
+    if count < 2:
+        return 1.0
+    std = float(np.std(falls, ddof=1))
+    if not std > 0.0:
+        return float(mean <= 0.0)
+    return float(stdtr(count - 1, -mean / std * np.sqrt(count)))

@@ -6,14 +6,13 @@ best: it begins with the largest one. The geometry for the URDF is the best of t
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from calib.errors import MeasurementError, ModelError, choices
-from calib.estimate.cross_validation import linear_cross_validation
+from calib.estimate.cross_validation import chance_of_fall, linear_cross_validation, pose_errors
 from calib.estimate.fitting import Fitted, Task, fit, model_of
 from calib.estimate.setup import Rows
 from calib.estimate.statistics import CrossValidation
@@ -21,6 +20,7 @@ from calib.model.error_model import joint_parameters
 from calib.model.families import family_of, joint_families
 from calib.model.kinematics import joint_displacements
 from calib.robot.robot import read_only
+from calib.units import Array
 
 #: The geometries, from the smallest to the largest.
 LADDER = ("frames", "zeros", "dh", "hayati", "placement")
@@ -30,8 +30,18 @@ LADDER = ("frames", "zeros", "dh", "hayati", "placement")
 #: powers of ten, over the factor within which it is known then. Of sets with the same sizes the smaller is likelier.
 _SIZE_COSTS, _RUNG_COSTS = 2.5, 1.0
 
-#: Without priors each of these steps must lower the errors on left-out rows by this share instead.
+#: Errors on left-out rows are clearly smaller where they are smaller by this share. Without priors each of these steps
+#: must lower them by as much instead.
 _CLEARLY = 0.05
+
+#: A difference in evidence that decides: odds of 100 to 1.
+_DECISIVE = float(np.log(100.0))
+
+#: The fall of left-out errors counts where chance gives it with less than this probability.
+_CHANCE = 0.1
+
+#: The same against evidence that decides.
+_CHANCE_IF_DECIDED = 0.01
 
 #: What a unit of an error moves every joint by less than moves nothing [rad, m].
 _NO_MOTION = 1e-6
@@ -70,7 +80,8 @@ def select(task: Task, rows: Rows) -> Selection:
     """Choose geometry and larger model for some rows; `ModelError` for a name in the cell that no model has.
 
     The search begins with the largest model, whose priors shrink what the data do not support to nothing, and goes
-    where the evidence is higher: one family less or more, or another set. Of many rows some are enough to choose by.
+    where the evidence is higher: one family less or more, another set, or one family for another. Of many rows some are
+    enough to choose by.
     """
     check_names(task)
     every, rows = rows, rows.select(rows.evenly(_CHOSEN_BY))
@@ -78,23 +89,19 @@ def select(task: Task, rows: Rows) -> Selection:
     models = {name: model_of(replace(task, model=name)).names for name in LADDER}
     # Those with something to estimate, once each: hayati without near-parallel axes is dh.
     first = {columns: name for name, columns in reversed(models.items()) if columns}
-    geometries = [name for name in LADDER if name in first.values()]
-    families = [f for f in joint_families() if _moves(task, f, rows)]
+    geometries = tuple(name for name in LADDER if name in first.values())
+    families = tuple(f for f in joint_families() if _moves(task, f, rows))
     if task.cell.priors.sizes == "off":  # then there must be enough rows
         enough = [name for name in geometries if len(models[name]) <= rows.count]
         start = (enough or geometries[:1])[-1]
     else:
         start = "+".join((geometries[-1], *families))
     judge = fit(replace(task, model=start), rows)
-    base, *has = start.split("+")
-    sizes = judge.estimate.sizes
-    there = [f for f in has if sizes.get(f, np.inf) > _NO_SIZE * family_of(f).prior]
-    start = "+".join((base, *there))
+    start = without_vanished(start, judge.estimate.sizes)
     for _ in range(_JUDGED):
-        tried: dict[str, Candidate] = {}
-        value = partial(_value, task, rows, judge, tried)
-        best = _climbed(start, value, geometries, families)
-        geometry = max(geometries, key=value)
+        search = _Search(task, rows, judge, geometries, families)
+        best, geometry = search.highest(start), search.geometry()
+        best = best if "+" in best else geometry
         found = fit(replace(task, model=best), rows, started=judge.setup)
         alike = np.array_equal(found.estimate.outliers, judge.estimate.outliers)
         start, judge = best, found
@@ -103,9 +110,63 @@ def select(task: Task, rows: Rows) -> Selection:
     if len(rows) < len(every):
         judge = fit(replace(task, model=best), every, started=judge.setup)
     larger = best if "+" in best else ""
-    marks = {geometry: "geometry", larger: "larger"}
-    candidates = tuple(replace(c, chosen=marks.get(c.name, "")) for c in tried.values())
-    return Selection(geometry, larger, candidates, judge)
+    return Selection(geometry, larger, marked(search.tried.values(), geometry, larger), judge)
+
+
+def marked(candidates: Iterable[Candidate], geometry: str, larger: str) -> tuple[Candidate, ...]:
+    """The candidates with what each is chosen for.
+
+    Args:
+        candidates: All that were fitted.
+        geometry: Name of the one for the URDF.
+        larger: Name of the non-geometric one; empty where there is none.
+    """
+    uses = {geometry: "geometry", larger: "larger"}
+    return tuple(replace(c, chosen=uses.get(c.name, "")) for c in candidates)
+
+
+def alternatives(candidates: Iterable[Candidate]) -> tuple[str, ...]:
+    """Non-geometric models to turn to where refits refuse the chosen one, the highest evidence first.
+
+    Each has more evidence than the chosen geometry, and smaller errors on left-out rows of the linearised problem. Of
+    models that differ by families of vanished size, one is enough.
+
+    Args:
+        candidates: All that were fitted, marked with what they are chosen for.
+    """
+    ordered = sorted(candidates, key=lambda c: c.evidence, reverse=True)
+    (geometry,) = (c for c in ordered if c.chosen == "geometry")
+    effective = {c.name: without_vanished(c.name, c.sizes) for c in ordered}
+    seen = {effective[c.name] for c in ordered if c.chosen}
+    names = []
+    for c in ordered:
+        better = c.evidence > geometry.evidence and _left_out(c) < _left_out(geometry)
+        if better and effective[c.name] not in seen:
+            names.append(c.name)
+            seen.add(effective[c.name])
+    return tuple(names)
+
+
+def _left_out(candidate: Candidate) -> float:
+    """The error of a candidate on left-out rows, [m], or [rad] where no length was measured."""
+    errors = candidate.cross_validation.errors_without_outliers
+    return errors.rms if errors.n else errors.rms_angle
+
+
+def without_vanished(name: str, sizes: Mapping[str, float]) -> str:
+    """The name of a model without the families whose errors the data shrink to nothing.
+
+    Args:
+        name: Of the set, with families behind it.
+        sizes: Estimated standard deviation of the errors of each family, in its unit; empty without priors.
+    """
+    base, *families = name.split("+")
+    return "+".join((base, *(f for f in families if not _vanished(f, sizes))))
+
+
+def _vanished(family: str, sizes: Mapping[str, float]) -> bool:
+    """Whether the estimated size of a family's errors is next to nothing."""
+    return sizes.get(family, np.inf) <= _NO_SIZE * family_of(family).prior
 
 
 def judged_by(own: Fitted, rows: Rows, judge: Fitted) -> Fitted:
@@ -135,49 +196,129 @@ def widest(own: Fitted, rows: Rows) -> Fitted:
     return fit(task, rows, started=own.setup)
 
 
-def _climbed(
-    start: str, value: Callable[[str], float], geometries: list[str], families: list[str]
-) -> str:
-    """The model that no neighbour is better than: one family less or more, or another set."""
-    while True:
-        base, *has = start.split("+")
-        others = [[f for f in families if (f in has) != (f == one)] for one in families]
-        near = ["+".join((base, *some)) for some in others]
-        near += ["+".join((one, *has)) for one in geometries if one != base]
-        best = max(near, key=value, default=start)
-        if not value(best) > value(start):
-            return start
-        start = best
+@dataclass(frozen=True, slots=True, eq=False)
+class _Search:
+    """The models that are fitted to some rows with the weights of one judge, each once, and the way through them."""
 
+    task: Task  # Whose model is chosen
+    rows: Rows  # To choose by
+    judge: Fitted  # Whose weights of the rows hold
+    geometries: tuple[str, ...]  # The sets, from the smallest to the largest
+    families: tuple[str, ...]  # Those that the rows can tell
+    tried: dict[str, Candidate] = field(default_factory=dict)  # Those that were fitted, in order
 
-def _value(task: Task, rows: Rows, judge: Fitted, tried: dict[str, Candidate], name: str) -> float:
-    """The evidence for a model with the judge's weights; none where without priors it has too many parameters."""
-    if name not in tried:
-        try:
-            fitted = fit(replace(task, model=name), rows, judge=judge)
-        except MeasurementError:
-            return -np.inf
-        # Rows without weight are the same for all candidates; what each flags by itself is not.
-        left_out = linear_cross_validation(fitted, fitted.estimate.weights <= 0.0)
+    def highest(self, start: str) -> str:
+        """The model that no neighbour and no geometry exceeds in evidence.
+
+        Args:
+            start: Name of the model to begin with.
+        """
+        best = self._climbed(start)
+        geometry = max(self.geometries, key=self.evidence)
+        return best if self.evidence(best) >= self.evidence(geometry) else self._climbed(geometry)
+
+    def geometry(self) -> str:
+        """The set for the URDF. Without priors the evidence itself is the errors on left-out rows."""
+        fitted = [self.tried[name] for name in self.geometries if self._fits(name)]
+        if self.task.cell.priors.sizes == "off":
+            return max(fitted, key=lambda c: c.evidence).name
+        estimate = self.judge.estimate
+        scales, kept = estimate.problem.scales, estimate.weights > 0.0
+        return preferred(fitted, [pose_errors(c.cross_validation, scales, kept) for c in fitted])
+
+    def evidence(self, name: str) -> float:
+        """The evidence for a model; none where without priors the rows are too few for its parameters."""
+        return self.tried[name].evidence if self._fits(name) else -np.inf
+
+    def _climbed(self, start: str) -> str:
+        """The model that no neighbour exceeds: one family less or more, another set, or one family for another."""
+        best = max((start, *self._steps(start)), key=self.evidence)
+        if best == start:
+            best = max((start, *self._swaps(start)), key=self.evidence)
+        return start if best == start else self._climbed(best)
+
+    def _steps(self, name: str) -> list[str]:
+        """The models with one family less or more, and with another set."""
         base, *has = name.split("+")
-        steps = LADDER.index(base) + len(has)
-        if task.cell.priors.sizes == "off":
-            e = left_out.errors_without_outliers
-            found = [x for n, x in ((e.n, e.rms), (e.n_angle, e.rms_angle)) if n]
-            evidence = -float(np.mean(np.log(found))) / _CLEARLY - steps
-        else:
-            adapts = task.cell.priors.sizes == "data"
-            cost = _SIZE_COSTS * adapts * len(fitted.estimate.sizes)
-            evidence = fitted.estimate.log_likelihood - cost - _RUNG_COSTS * LADDER.index(base)
-        tried[name] = Candidate(
-            name=name,
-            parameters=len(fitted.kinematics.model),
-            log_likelihood=fitted.estimate.log_likelihood,
-            cross_validation=left_out,
-            sizes=dict(fitted.estimate.sizes),
-            evidence=evidence,
-        )
-    return tried[name].evidence
+        near = [self._named(base, {*has} ^ {family}) for family in self.families]
+        return near + [self._named(other, has) for other in self.geometries if other != base]
+
+    def _swaps(self, name: str) -> list[str]:
+        """The models with one family in place of another, where it has an effect beside all there are.
+
+        The likelihood is the highest over the sizes. So what vanishes beside the others cannot replace one of them.
+        """
+        base, *has = name.split("+")
+        swaps = []
+        for new in self.families:
+            more = self._named(base, {*has, new})
+            if new not in has and self._fits(more) and not _vanished(new, self.tried[more].sizes):
+                swaps += [self._named(base, {*has, new} - {old}) for old in has]
+        return swaps
+
+    def _named(self, base: str, families: Iterable[str]) -> str:
+        """The name of a set with families, which have one order."""
+        chosen = set(families)
+        return "+".join((base, *(f for f in self.families if f in chosen)))
+
+    def _fits(self, name: str) -> bool:
+        """Fit a model, if that is still to be done; whether the rows are enough for it."""
+        if name not in self.tried:
+            try:
+                fitted = fit(replace(self.task, model=name), self.rows, judge=self.judge)
+            except MeasurementError:
+                return False
+            self.tried[name] = _candidate(fitted)
+        return True
+
+
+def _candidate(fitted: Fitted) -> Candidate:
+    """What a fit with the judge's weights says of its model."""
+    name, estimate, sizes = str(fitted.task.model), fitted.estimate, fitted.task.cell.priors.sizes
+    # Rows without weight are the same for all candidates; what each flags by itself is not.
+    left_out = linear_cross_validation(fitted, estimate.weights <= 0.0)
+    base, *has = name.split("+")
+    rung = LADDER.index(base)
+    if sizes == "off":
+        e = left_out.errors_without_outliers
+        found = [x for n, x in ((e.n, e.rms), (e.n_angle, e.rms_angle)) if n]
+        evidence = -float(np.mean(np.log(found))) / _CLEARLY - rung - len(has)
+    else:
+        cost = _SIZE_COSTS * len(estimate.sizes) if sizes == "data" else 0.0
+        evidence = estimate.log_likelihood - cost - _RUNG_COSTS * rung
+    return Candidate(
+        name=name,
+        parameters=len(fitted.kinematics.model),
+        log_likelihood=estimate.log_likelihood,
+        cross_validation=left_out,
+        sizes=dict(estimate.sizes),
+        evidence=evidence,
+    )
+
+
+def preferred(candidates: Sequence[Candidate], errors: Sequence[Array]) -> str:
+    """The name of the candidate with the highest evidence that left-out rows do not contradict.
+
+    They do where the mean error of another one is smaller by `_CLEARLY`, and that beyond chance: with a probability of
+    less than `_CHANCE`, and less than `_CHANCE_IF_DECIDED` where the evidence against the other one is decisive.
+
+    Args:
+        candidates: One or more models of the same rows.
+        errors: Of each, the left-out error of each pose, shape (poses,), in one unit.
+    """
+    pairs = list(zip(candidates, errors, strict=True))
+    best, of_best = max(pairs, key=lambda pair: pair[0].evidence)
+    while True:
+        clearly = []
+        for other, of_other in pairs:
+            decided = best.evidence - other.evidence > _DECISIVE
+            chance = chance_of_fall(of_best - of_other)
+            smaller = np.mean(of_other) < (1.0 - _CLEARLY) * np.mean(of_best)
+            if smaller and chance < (_CHANCE_IF_DECIDED if decided else _CHANCE):
+                clearly.append((other, of_other))
+        if not clearly:
+            return best.name
+        best, of_best = min(clearly, key=lambda pair: float(np.mean(pair[1])))
 
 
 def _moves(task: Task, family: str, rows: Rows) -> bool:
