@@ -49,6 +49,9 @@ _NO_MOTION = 1e-6
 #: A family whose size vanishes to this share of what is usual is left out at once.
 _NO_SIZE = 1e-2
 
+#: So many other models are refitted at most where refits refuse the chosen one: each is another chance for a bad one.
+_ALTERNATIVES = 3
+
 #: The weights are found anew with the model that they chose, so often; and about so many rows choose it.
 _JUDGED, _CHOSEN_BY = 2, 2000
 
@@ -144,7 +147,7 @@ def alternatives(candidates: Iterable[Candidate]) -> tuple[str, ...]:
         if better and effective[c.name] not in seen:
             names.append(c.name)
             seen.add(effective[c.name])
-    return tuple(names)
+    return tuple(names[:_ALTERNATIVES])
 
 
 def _left_out(candidate: Candidate) -> float:

@@ -209,3 +209,5 @@ def test_alternatives_have_more_evidence_and_smaller_errors_than_the_geometry():
         "dh+gravity": "larger",
     }
     assert alternatives(candidates) == ("placement+eccentricity", "dh+compliance")
+    more = [a_candidate(f"{base}+gravity", 4.0, 1e-4) for base in ("zeros", "hayati", "placement")]
+    assert len(alternatives((*candidates, *more))) == 3
