@@ -35,14 +35,18 @@ _SIZE_COSTS, _RUNG_COSTS = 2.5, 1.0
 #: must lower them by as much instead.
 _CLEARLY = 0.05
 
-#: A difference in evidence that decides: odds of 100 to 1.
-_DECISIVE = float(np.log(100.0))
+#: Strong evidence: odds of 20 to 1.
+_STRONG = float(np.log(20.0))
 
-#: The fall of left-out errors counts where chance gives it with less than this probability.
+#: Left-out errors contradict the evidence where chance gives their fall with less than this probability.
 _CHANCE = 0.1
 
-#: The same against evidence that decides.
-_CHANCE_IF_DECIDED = 0.01
+#: The same where the evidence is strong.
+_CHANCE_IF_STRONG = 0.01
+
+#: With fewer poses evidence alone decides: sizes of errors that are estimated from all of them make left-out errors of
+#: larger models too small.
+_FEWEST_POSES = 16
 
 #: What a unit of an error moves every joint by less than moves nothing [rad, m].
 _NO_MOTION = 1e-6
@@ -301,10 +305,10 @@ def _candidate(fitted: Fitted) -> Candidate:
 
 
 def preferred(candidates: Sequence[Candidate], errors: Sequence[Array]) -> str:
-    """The name of the candidate with the highest evidence that left-out rows do not contradict.
+    """The name of the candidate with the highest evidence that left-out poses do not contradict.
 
     They do where the mean error of another one is smaller by `_CLEARLY`, and that beyond chance: with a probability of
-    less than `_CHANCE`, and less than `_CHANCE_IF_DECIDED` where the evidence against the other one is decisive.
+    less than `_CHANCE`, or than `_CHANCE_IF_STRONG` where there is strong evidence against the other one.
 
     Args:
         candidates: One or more models of the same rows.
@@ -312,17 +316,18 @@ def preferred(candidates: Sequence[Candidate], errors: Sequence[Array]) -> str:
     """
     pairs = list(zip(candidates, errors, strict=True))
     best, of_best = max(pairs, key=lambda pair: pair[0].evidence)
-    while True:
-        clearly = []
+    while len(of_best) >= _FEWEST_POSES:
+        clearly_better = []
         for other, of_other in pairs:
-            decided = best.evidence - other.evidence > _DECISIVE
+            strong = best.evidence - other.evidence > _STRONG
             chance = chance_of_fall(of_best - of_other)
             smaller = np.mean(of_other) < (1.0 - _CLEARLY) * np.mean(of_best)
-            if smaller and chance < (_CHANCE_IF_DECIDED if decided else _CHANCE):
-                clearly.append((other, of_other))
-        if not clearly:
-            return best.name
-        best, of_best = min(clearly, key=lambda pair: float(np.mean(pair[1])))
+            if smaller and chance < (_CHANCE_IF_STRONG if strong else _CHANCE):
+                clearly_better.append((other, of_other))
+        if not clearly_better:
+            break
+        best, of_best = min(clearly_better, key=lambda pair: float(np.mean(pair[1])))
+    return best.name
 
 
 def _moves(task: Task, family: str, rows: Rows) -> bool:

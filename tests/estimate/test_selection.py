@@ -163,13 +163,16 @@ def errors_of(mean: float, spread: float, count: int = 25) -> np.ndarray:
         ((0.0, -90.0), (errors_of(1.0, 0.0), errors_of(0.8, 0.1)), "dh"),
         # Smaller beyond chance, but by too little.
         ((0.0, -1.0), (errors_of(1.0, 0.0), errors_of(0.97, 0.01)), "zeros"),
-        # Smaller by a fifth; chance does that in 4 of 100 cases, which is enough only where evidence is undecided.
-        ((0.0, -4.0), (errors_of(1.0, 0.0), errors_of(0.8, 0.91)), "dh"),
-        ((0.0, -5.0), (errors_of(1.0, 0.0), errors_of(0.8, 0.91)), "zeros"),
+        # Smaller by a fifth; chance does that in 4 of 100 cases, which is too often against evidence of 20 to 1.
+        ((0.0, -2.9), (errors_of(1.0, 0.0), errors_of(0.8, 0.91)), "dh"),
+        ((0.0, -3.1), (errors_of(1.0, 0.0), errors_of(0.8, 0.91)), "zeros"),
         # In 20 of 100.
         ((0.0, -1.0), (errors_of(1.0, 0.0), errors_of(0.8, 2.0)), "zeros"),
         # A larger geometry does not win against a smaller one either.
         ((-2.0, 0.0), (errors_of(2.7, 0.5), errors_of(4.6, 0.4)), "zeros"),
+        # Fewer than 16 poses say nothing against the evidence.
+        ((0.0, -1.0), (errors_of(1.0, 0.0, 16), errors_of(0.8, 0.1, 16)), "dh"),
+        ((0.0, -1.0), (errors_of(1.0, 0.0, 15), errors_of(0.8, 0.1, 15)), "zeros"),
     ],
 )
 def test_a_geometry_that_left_out_rows_contradict_does_not_win(evidence, errors, name):
