@@ -4,6 +4,8 @@
 error on unseen poses of what `auto` predicts, over that of the fixed model whose mean is the least.
 ``gravity 200``: arms with compliance and masses whose
 URDFs have none, against a fit that knows masses, payload and structure; and arms without compliance.
+``geometry 400 1000``: so many robots from this seed on whose families are wrong by widely different amounts, half of
+them also by what no model holds; the geometry that `auto` takes, against that of the highest evidence.
 """
 
 from __future__ import annotations
@@ -19,6 +21,8 @@ import numpy as np
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.estimate.fitting import Fitted, fit
+from calib.estimate.selection import judged_by
+from calib.model.families import FAMILIES
 from calib.model.kinematics import Samples
 from calib.result.calibrate import fit_table
 from calib.robot.readback import random_joint_values
@@ -45,6 +49,12 @@ FIXED = (
     *("dh+eccentricity", "dh+gravity", "dh+eccentricity+gravity"),
     "placement+gain+eccentricity+gravity",
 )
+
+#: What is wrong with a robot of `geometry`; the range that each family's errors may be over the usual ones, and those
+#: of joint angles that no model holds [rad].
+WIDE = ("frames", "zeros", "dh", "placement", "dh+gain", "dh+eccentricity", "placement+gravity")
+SHARES, UNMODELLED = (0.05, 5.0), (1e-5, 3e-3)
+WIDE_COUNTS, WIDE_SIGMAS, CORNERS = (8, 10, 12, 15, 20, 30, 50, 100), (1e-5, 1e-3), (1.0, 0.5, 0.2)
 
 #: An ABB IRB 120 by its data sheet: mass [kg], its centre, the next joint's origin [m], axis and limit [rad].
 IRB120 = (
@@ -184,9 +194,68 @@ def gravity(runs: int) -> Iterator[str]:
             )
 
 
+def drawn_widely(seed: int) -> tuple[str, Table]:
+    """What is wrong with a robot, and a table of it in a part of its joints' ranges."""
+    rng = np.random.default_rng([23, seed])
+    arm, wrong = str(rng.choice(list(ARMS))), str(rng.choice(WIDE))
+    robot, cell = Robot.load(arm, *ARMS[arm]), Cell(estimate_frame=bool(rng.integers(2)))
+    sizes = {name: row.typical * log_uniform(rng, SHARES) for name, row in FAMILIES.items()}
+    truth = draw_truth(
+        robot, wrong, None if wrong == "frames" else sizes, int(rng.integers(10**6)), cell=cell
+    )
+    joints = len(robot.joint_names)
+    size = log_uniform(rng, UNMODELLED) * bool(rng.integers(2))
+    order, phase = rng.integers(2, 6, joints), rng.uniform(0.0, 2.0 * np.pi, joints)
+
+    def points(q: Array) -> Array:
+        return truth.points(q + size * np.sin(order * q + phase))
+
+    middle = random_joint_values(robot, 1, int(rng.integers(10**6)))
+    share, count = float(rng.choice(CORNERS)), int(rng.choice(WIDE_COUNTS))
+    seeds = int(rng.integers(10**6)), 98
+    q, unseen = (
+        middle + share * (random_joint_values(robot, n, s) - middle)
+        for n, s in zip((count, UNSEEN), seeds, strict=True)
+    )
+    noise = log_uniform(rng, WIDE_SIGMAS) * rng.normal(size=(count, 3))
+    made = Measurements(robot.joint_names, q, points(q) + noise)
+    return wrong.split("+")[0], Table(robot, cell, made, unseen, points(unseen))
+
+
+def log_uniform(rng: np.random.Generator, limits: tuple[float, float]) -> float:
+    """A number between two limits, each power of ten as likely."""
+    return float(np.exp(rng.uniform(*np.log(limits))))
+
+
+def geometry(runs: int, first: int = 0) -> Iterator[str]:
+    """A line for each kind of robot: error of the geometry of `auto` over that of the highest evidence."""
+    ratios = defaultdict(list)
+    for seed in range(first, first + runs):
+        wrong, table = drawn_widely(seed)
+        fits = fit_table(table.robot, table.measurements, table.cell, model="auto")
+        sets = [c for c in fits.candidates if "+" not in c.name]
+        likeliest = max(sets, key=lambda c: c.evidence).name
+        ratio = 1.0
+        if likeliest != fits.fitted.task.model:
+            task, rows = fits.fitted.task, fits.fitted.estimate.problem.rows
+            other = fit(replace(task, model=likeliest), rows)
+            judge = fits.larger or fits.fitted
+            ratio = table.error(fits.fitted) / table.error(judged_by(other, rows, judge))
+        count = len(table.measurements)
+        for group in ("all", wrong, "below 16 poses" if count < 16 else "16 poses and more"):
+            ratios[group].append(ratio)
+    for group, found in ratios.items():
+        logs = np.log(found)
+        yield (
+            f"{group:18} {len(found):4} robots: {np.exp(logs.mean()):.4f}, another geometry in "
+            f"{np.sum(logs != 0.0)}, better by 1 % in {np.sum(logs < -0.01)}, worse in "
+            f"{np.sum(logs > 0.01)}"
+        )
+
+
 def main() -> None:
-    """Either of the two."""
-    study = {"truths": truths, "gravity": gravity}[sys.argv[1]]
+    """One of the three."""
+    study = {"truths": truths, "gravity": gravity, "geometry": geometry}[sys.argv[1]]
     for line in study(*map(int, sys.argv[2:])):
         print(line, flush=True)
 

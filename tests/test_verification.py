@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import functools
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from calib.result.calibrate import fit_table
+
 SCRIPTS = Path(__file__).parents[1] / "scripts"
 sys.path.insert(0, str(SCRIPTS))
 
-from selection_study import errors_by_model, table_of_truth  # noqa: E402
+from selection_study import drawn_widely, errors_by_model, table_of_truth  # noqa: E402
 from verdict_study import calibration  # noqa: E402
 from verification_runs import points_run, touching_run  # noqa: E402
 from verification_study import ALLOWED, STUDIES, markdown, ratio, run_one, run_study  # noqa: E402
@@ -85,6 +88,20 @@ def test_auto_finds_what_is_there():
     # What bends may be told by the lever arms as well as by the masses.
     picked = found("auto", "iiwa, dh+compliance, 30", 1)[0]["picked"]
     assert picked in ("dh+compliance", "dh+gravity")
+
+
+@pytest.mark.parametrize("seed", [1104, 1337])
+def test_a_geometry_that_left_out_poses_contradict_predicts_worse(seed):
+    """Two of the robots whose likeliest set is not the one that `auto` takes."""
+    _, table = drawn_widely(seed)
+    fits = fit_table(table.robot, table.measurements, table.cell)
+    likeliest = max(
+        (c for c in fits.candidates if "+" not in c.name), key=lambda c: c.evidence
+    ).name
+    assert fits.fitted.task.model != likeliest
+    named = replace(table.cell, model=likeliest)
+    other = fit_table(table.robot, table.measurements, named)
+    assert table.error(fits.fitted) < 0.9 * table.error(other.fitted)
 
 
 def test_the_study_has_every_robot_with_two_joints_or_more():

@@ -23,8 +23,8 @@ from calib.data.table import DEFAULT_TARGET
 from calib.design.candidates import Note, planning_ranges
 from calib.errors import ModelError, choices
 from calib.estimate.fitting import Task, model_of
+from calib.estimate.inspection import GENERIC_TARGET, table_of_poses
 from calib.estimate.registration import register
-from calib.estimate.selection import GENERIC_TARGET, table_of_poses
 from calib.estimate.setup import FIRST_SIGMA_ANGLE, Rows, Setup, rows_of, setup_of
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Kinematics, Samples

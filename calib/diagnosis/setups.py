@@ -8,9 +8,9 @@ import numpy as np
 
 from calib.diagnosis.patterns import prediction_square, unpredicted
 from calib.diagnosis.reasons import Reason, Why
+from calib.estimate.cross_validation import only_there
 from calib.estimate.fitting import Fitted
 from calib.estimate.problem import Priors
-from calib.estimate.selection import only_there
 from calib.estimate.setup import joined_setups
 from calib.estimate.statistics import pose_means
 from calib.units import Mask

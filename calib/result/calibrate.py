@@ -7,7 +7,7 @@ and uncertainty, errors on rows that the fit did not see, the verdict.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,15 +20,16 @@ from calib.diagnosis.coverage import outside
 from calib.diagnosis.reasons import NO, Reason, Verdict
 from calib.diagnosis.usual_mistakes import better_setup, check_positions
 from calib.diagnosis.verdict import verdict
+from calib.estimate.cross_validation import cross_validation, nominal_cross_validation
+from calib.estimate.extrapolation import extrapolation
 from calib.estimate.fitting import Fitted, Task, fit
 from calib.estimate.registration import nominal_setup, register_unseen
 from calib.estimate.selection import (
     Candidate,
+    alternatives,
     check_names,
-    cross_validation,
-    extrapolation,
     judged_by,
-    nominal_cross_validation,
+    marked,
     select,
     widest,
 )
@@ -101,9 +102,9 @@ def calibrate(
     cell, measurements = Cell() if cell is None else cell, measurements.without_copies()
     cell = replace(cell, model=model) if isinstance(model, str) else cell
     fits = fit_table(robot, measurements, cell, model=model, solver=solver, robust=robust)
-    result = _assembled(measurements, fits)
     if validate and not fits.hint:
-        return _validated(result, fits.rows, fits.hint, progress)
+        return _validated(measurements, fits, progress)
+    result = _assembled(measurements, fits)
     return replace(result, verdict=Verdict(NO, (fits.hint,))) if fits.hint else result
 
 
@@ -201,47 +202,84 @@ def _loaded(fitted: Fitted, m: Measurements, chosen: Mask) -> Rows:
     return replace(rows, samples=replace(rows.samples, load=load))
 
 
-def _validated(
-    result: Calibration, rows: Rows, hint: Reason | None, progress: Progress | None
-) -> Calibration:
+def _validated(m: Measurements, fits: Fits, progress: Progress | None) -> Calibration:
     """The result with cross-validation, of the larger model too, and the verdict."""
-    fit, larger, candidates = result.in_memory, result.larger, result.candidates
-    task, estimate = fit.geometry.task, fit.geometry.estimate
-    parts = 1 if larger is None else 2
+    task, rows, hint = fits.fitted.task, fits.rows, fits.hint
+    outliers = fits.fitted.estimate.outliers
 
     def validated(fitted: Fitted, part: int) -> CrossValidation:
+        parts = max(part + 1, 1 if fits.larger is None else 2)
+
         def told(done: int, every: int) -> None:
             if progress is not None:
                 progress(part * every + done, parts * every)
 
-        return cross_validation(fitted, estimate.outliers, told)
+        return cross_validation(fitted, outliers, told)
 
-    of_calibrated = validated(fit.geometry, 0)
-    if larger is not None and fit.larger is not None:
-        larger = replace(larger, cross_validation=(found := validated(fit.larger, 1)))
-        left = [
-            np.sum((v.residual / estimate.problem.scales)[~estimate.outliers] ** 2)
-            for v in (found, of_calibrated)
-        ]
-        if candidates and not left[0] < left[1]:
-            # The ladder's quick cross-validation let it pass; refitted without each fold it does not.
-            candidates = tuple(
-                replace(c, chosen="") if c.name == larger.name else c for c in candidates
-            )
-            larger, fit = None, replace(fit, larger=None)
+    of_calibrated = validated(fits.fitted, 0)
+    fits, of_larger = _confirmed(m, fits, of_calibrated, validated)
+    result = _assembled(m, fits)
+    larger = result.larger and replace(result.larger, cross_validation=of_larger)
     result = replace(
         result,
-        fit=fit,
         cross_validation=of_calibrated,
-        nominal_cross_validation=nominal_cross_validation(task, rows, estimate.outliers),
+        nominal_cross_validation=nominal_cross_validation(task, rows, outliers),
         larger=larger,
-        candidates=candidates,
     )
     doubts = doubts_of(result, rows)
     if larger is not None:
         judged = verdict(evidence_of(result, larger, rows, doubts, hint))
         result = replace(result, larger=replace(larger, verdict=judged))
     return replace(result, verdict=verdict(evidence_of(result, result, rows, doubts, hint)))
+
+
+def _confirmed(
+    m: Measurements,
+    fits: Fits,
+    of_geometry: CrossValidation,
+    validated: Callable[[Fitted, int], CrossValidation],
+) -> tuple[Fits, CrossValidation | None]:
+    """The fits with the non-geometric model that refits confirm, and its cross-validation; None where none is.
+
+    The one that was chosen passed the cross-validation of the linearised problem. Refitted without each fold it has to
+    leave smaller squares than the geometry; else the next by evidence is tried. One that was given by name stays.
+
+    Args:
+        m: All rows.
+        fits: With the model that was chosen.
+        of_geometry: Cross-validation of the geometry.
+        validated: Gives that of a fit, with the number of cross-validations before it.
+    """
+    if fits.larger is None:
+        return fits, None
+    if not fits.candidates:
+        return fits, validated(fits.larger, 1)
+    estimate = fits.fitted.estimate
+
+    def squares(validation: CrossValidation) -> float:
+        whitened = validation.residual / estimate.problem.scales
+        return float(np.sum(whitened[~estimate.outliers] ** 2))
+
+    for part, fitted in enumerate(_contenders(m, fits, fits.larger), start=1):
+        found = validated(fitted, part)
+        if squares(found) < squares(of_geometry):
+            return _with_larger(fits, fitted), found
+    return _with_larger(fits, None), None
+
+
+def _contenders(m: Measurements, fits: Fits, chosen: Fitted) -> Iterator[Fitted]:
+    """The non-geometric model that was chosen, then the alternatives, each fitted when it is its turn."""
+    yield chosen
+    others = fits.every.select(m.validation)
+    for name in alternatives(fits.candidates):
+        fitted = fit(replace(chosen.task, model=name), fits.rows)
+        yield fitted.with_unseen(fits.unseen, others)
+
+
+def _with_larger(fits: Fits, larger: Fitted | None) -> Fits:
+    """The fits with another non-geometric model, or none; the candidates say so."""
+    geometry, name = str(fits.fitted.task.model), "" if larger is None else str(larger.task.model)
+    return replace(fits, larger=larger, candidates=marked(fits.candidates, geometry, name))
 
 
 def _solved(fitted: Fitted) -> tuple[dict[str, Any], Observability]:

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.errors import MeasurementError
+from calib.estimate.cross_validation import linear_cross_validation
 from calib.estimate.fitting import Fitted, fit
-from calib.estimate.selection import linear_cross_validation
 from calib.estimate.statistics import Errors
 from calib.result.prediction import without_rigid_motion
 

@@ -14,7 +14,7 @@ from calib.data.cell import TrackerNoise
 from calib.data.kinds import Kind, Reading, get, names, no_rotation, register, to_quaternions
 from calib.design.plan import write_plan
 from calib.errors import CalibError, MeasurementError
-from calib.estimate.selection import inspect
+from calib.estimate.inspection import inspect
 
 
 def line_distance(T):

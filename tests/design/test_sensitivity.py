@@ -12,7 +12,7 @@ from calib.data.cell import Cell, Priors, Tracker, TrackerNoise
 from calib.data.measurements import Measurements
 from calib.design.forecast import Sensitivity, forecast
 from calib.errors import ModelError
-from calib.estimate.selection import inspect
+from calib.estimate.inspection import inspect
 from calib.estimate.setup import FIRST_SIGMA_ANGLE
 from calib.model.kinematics import Kinematics, Samples
 from calib.result.calibrate import calibrate

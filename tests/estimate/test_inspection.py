@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.data.cell import Cell
-from calib.estimate.selection import inspect
+from calib.estimate.inspection import inspect
 
 
 @pytest.mark.parametrize(

@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+import itertools
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 import pytest
 
 from calib.data.cell import Cell, Priors
-from calib.diagnosis.reasons import Why
 from calib.errors import ModelError
 from calib.estimate.fitting import Task
-from calib.estimate.selection import LADDER, Selection, select
+from calib.estimate.selection import (
+    LADDER,
+    Candidate,
+    Selection,
+    _Search,
+    alternatives,
+    marked,
+    preferred,
+    select,
+)
 from calib.estimate.setup import rows_of
-from calib.result.calibrate import _validated, calibrate
+from calib.estimate.statistics import CrossValidation, Errors
+from calib.model.families import FAMILIES, joint_families
 
 
 def scene_of(make_scene: Callable[..., Any], seed: int, model: str, **given: Any) -> Any:
@@ -81,27 +90,127 @@ def test_names_that_no_model_has_are_refused(make_scene):
         chosen(scene, cell=cell)
 
 
-def test_a_larger_model_that_predicts_worse_when_refitted_is_dropped(calibrated):
-    """The ladder's cross-validation is a linear one; the refitted one has the last word."""
-    scene, c = calibrated("points")
-    # Priors that insist on errors of the encoders let them follow the noise.
-    cell = Cell(priors=Priors("given", eccentricity=1e-2), model="dh+eccentricity")
-    asked = calibrate(scene.robot, c.measurements, cell=cell, validate=False)
-    assert asked.larger is not None
-    marked = tuple(
-        replace(one, chosen="larger") if one.name == "dh+eccentricity" else one
-        for one in c.candidates
+def a_candidate(
+    name: str, evidence: float, left_out: float = 1e-4, sizes: Mapping[str, float] | None = None
+) -> Candidate:
+    """A candidate with one error at each of three left-out rows [m]; families have their usual sizes."""
+    residual = np.full((3, 3), left_out / np.sqrt(3.0))
+    errors = Errors.of(residual)
+    validation = CrossValidation("leave-one-out", 3, np.arange(3), residual, errors, errors)
+    usual = {family: FAMILIES[family].prior for family in name.split("+")[1:]}
+    return Candidate(name, 10, evidence, validation, usual | dict(sizes or {}), evidence)
+
+
+def searched(calibrated: Callable[..., Any], *candidates: Candidate) -> _Search:
+    """A search with all models fitted already: these, and all others with next to no evidence."""
+    fitted = calibrated("points")[1].fit.geometry
+    families = joint_families()
+    subsets = (s for n in range(len(families) + 1) for s in itertools.combinations(families, n))
+    names = ["+".join((base, *subset)) for subset in subsets for base in LADDER]
+    tried = {name: a_candidate(name, -1e3) for name in names} | {c.name: c for c in candidates}
+    rows = fitted.estimate.problem.rows
+    return _Search(fitted.task, rows, fitted, LADDER, families, tried)
+
+
+def test_the_search_climbs_by_families_and_sets(calibrated):
+    search = searched(
+        calibrated,
+        a_candidate("dh", 0.0),
+        a_candidate("dh+gain", 2.0),
+        a_candidate("dh+gain+gravity", 4.0),
+        a_candidate("placement+gain+gravity", 5.0),
     )
-    every, _ = rows_of(scene.robot, c.measurements, cell)
-    rows = every.select(c.measurements.estimation)
-    dropped = _validated(replace(asked, candidates=marked), rows, "", None)
-    assert dropped.larger is None
-    assert [(one.name, one.chosen) for one in dropped.candidates if one.chosen] == [
-        ("dh", "geometry")
+    assert search.highest("dh") == "placement+gain+gravity"
+    assert search.highest("placement+gain+eccentricity+gravity") == "placement+gain+gravity"
+
+
+def test_one_family_takes_the_place_of_another(calibrated):
+    """Neither without the one nor with both is there more evidence: only the exchange helps."""
+    here, beyond = a_candidate("dh+eccentricity", 3.0), a_candidate("dh+gravity", 5.0)
+    both = a_candidate("dh+eccentricity+gravity", 2.8)
+    assert searched(calibrated, here, beyond, both).highest("dh+eccentricity") == "dh+gravity"
+    # Gravity that vanishes beside eccentricity cannot replace it, and is not fitted in its place.
+    nothing = a_candidate("dh+eccentricity+gravity", 0.5, sizes={"gravity": 1e-7})
+    search = searched(calibrated, here, nothing)
+    del search.tried["dh+gravity"]
+    assert search.highest("dh+eccentricity") == "dh+eccentricity"
+    assert "dh+gravity" not in search.tried
+
+
+def test_the_search_goes_on_from_a_geometry_that_exceeds_what_it_found(calibrated):
+    search = searched(
+        calibrated,
+        a_candidate("frames+gain", 1.0),
+        a_candidate("zeros", 2.0),
+        a_candidate("zeros+compliance", 3.0),
+    )
+    assert search.highest("frames+gain") == "zeros+compliance"
+
+
+def errors_of(mean: float, spread: float, count: int = 25) -> np.ndarray:
+    """Errors of poses with this mean, whose differences from others of the same spread are exact."""
+    return mean + spread * np.linspace(-1.0, 1.0, count)
+
+
+@pytest.mark.parametrize(
+    ("evidence", "errors", "name"),
+    [
+        # As good on left-out rows: evidence decides.
+        ((0.0, -1.0), (errors_of(1.0, 0.0), errors_of(1.0, 0.3)), "zeros"),
+        # Smaller by a fifth, far beyond chance.
+        ((0.0, -1.0), (errors_of(1.0, 0.0), errors_of(0.8, 0.1)), "dh"),
+        # Whatever the evidence says.
+        ((0.0, -90.0), (errors_of(1.0, 0.0), errors_of(0.8, 0.1)), "dh"),
+        # Smaller beyond chance, but by too little.
+        ((0.0, -1.0), (errors_of(1.0, 0.0), errors_of(0.97, 0.01)), "zeros"),
+        # Smaller by a fifth; chance does that in 4 of 100 cases, which is too often against evidence of 20 to 1.
+        ((0.0, -2.9), (errors_of(1.0, 0.0), errors_of(0.8, 0.91)), "dh"),
+        ((0.0, -3.1), (errors_of(1.0, 0.0), errors_of(0.8, 0.91)), "zeros"),
+        # In 20 of 100.
+        ((0.0, -1.0), (errors_of(1.0, 0.0), errors_of(0.8, 2.0)), "zeros"),
+        # A larger geometry does not win against a smaller one either.
+        ((-2.0, 0.0), (errors_of(2.7, 0.5), errors_of(4.6, 0.4)), "zeros"),
+        # Fewer than 16 poses say nothing against the evidence.
+        ((0.0, -1.0), (errors_of(1.0, 0.0, 16), errors_of(0.8, 0.1, 16)), "dh"),
+        ((0.0, -1.0), (errors_of(1.0, 0.0, 15), errors_of(0.8, 0.1, 15)), "zeros"),
+    ],
+)
+def test_a_geometry_that_left_out_rows_contradict_does_not_win(evidence, errors, name):
+    candidates = [a_candidate(n, e) for n, e in zip(("zeros", "dh"), evidence, strict=True)]
+    assert preferred(candidates, errors) == name
+    assert preferred(candidates[::-1], errors[::-1]) == name
+
+
+def test_of_geometries_that_are_clearly_better_the_best_on_left_out_rows_wins():
+    candidates = [
+        a_candidate("zeros", 0.0),
+        a_candidate("dh", -1.0),
+        a_candidate("placement", -2.0),
     ]
-    # A model that was asked for by name stays.
-    named = _validated(asked, rows, "", None)
-    assert named.larger is not None
-    one, other = named.larger.cross_validation, named.cross_validation
-    assert one.errors_without_outliers.rms > other.errors_without_outliers.rms
-    assert Why.LARGER_NO_CLOSER in {reason.why for reason in named.verdict.reasons}
+    errors = [errors_of(1.0, 0.0), errors_of(0.8, 0.1), errors_of(0.75, 0.1)]
+    assert preferred(candidates, errors) == "placement"
+
+
+def test_alternatives_have_more_evidence_and_smaller_errors_than_the_geometry():
+    gone = FAMILIES["gain"].prior * 1e-3
+    candidates = marked(
+        [
+            a_candidate("dh", 0.0, 2e-4),
+            a_candidate("dh+gravity", 9.0, 1e-4),
+            a_candidate("dh+gain+gravity", 6.5, 1e-4, {"gain": gone}),  # the same model
+            a_candidate("dh+compliance", 5.0, 1e-4),
+            a_candidate("placement+eccentricity", 7.0, 1.9e-4),
+            a_candidate("dh+eccentricity", 8.0, 2.1e-4),  # worse than the geometry
+            a_candidate("zeros+gain", -1.0, 1e-4),  # less likely
+            a_candidate("placement", -2.0, 1e-4),
+        ],
+        "dh",
+        "dh+gravity",
+    )
+    assert {c.name: c.chosen for c in candidates if c.chosen} == {
+        "dh": "geometry",
+        "dh+gravity": "larger",
+    }
+    assert alternatives(candidates) == ("placement+eccentricity", "dh+compliance")
+    more = [a_candidate(f"{base}+gravity", 4.0, 1e-4) for base in ("zeros", "hayati", "placement")]
+    assert len(alternatives((*candidates, *more))) == 3

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.estimate.selection import Folds
+from calib.estimate.cross_validation import Folds
 from calib.estimate.setup import same_poses
 from calib.estimate.statistics import Errors, interval_factor, repeats
 

@@ -11,12 +11,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.calibration import calibrate
-from calib.data.cell import Cell, GroupDistance
+from calib.data.cell import Cell, GroupDistance, Priors
 from calib.data.measurements import Measurements
+from calib.diagnosis.reasons import Why
 from calib.errors import ModelError, UrdfError
+from calib.estimate.selection import marked
 from calib.estimate.statistics import Errors
 from calib.example import PAPER_TARGET_AS_PRINTED
 from calib.model.kinematics import Samples
+from calib.result.calibrate import _validated, fit_table
 from calib.result.calibration_file import read_result
 from calib.result.evaluation import evaluate
 from calib.robot.readback import random_joint_values
@@ -488,3 +491,55 @@ def test_families_that_are_named_make_the_larger_model(calibrated):
     assert len(gains) == 6
     inside = [p.low < truth[p.name] < p.high for p in gains]
     assert sum(inside) >= 4
+
+
+@pytest.fixture(scope="module")
+def refused(make_scene):
+    """Rows of a robot with joint gains, and fits whose larger model predicts left-out rows worse when refitted.
+
+    Its priors insist on errors of the encoders, which follow the noise.
+    """
+    errors = {"length": 3e-4, "angle": 3e-3, "noise": 1e-4, "other": {"gain": 2e-3}}
+    scene = make_scene(18, frames=[np.eye(4)], model="dh+gain", **errors)
+    m = replace(scene.points(48), sets=("estimate",) * 40 + ("validate",) * 8)
+    fits = fit_table(scene.robot, m, Cell())
+    insisting = Cell(priors=Priors("given", eccentricity=0.1), model="dh+eccentricity")
+    larger = fit_table(scene.robot, m, insisting).larger
+    return m, replace(
+        fits, larger=larger, candidates=marked(fits.candidates, "dh", "dh+eccentricity")
+    )
+
+
+def test_where_refits_refuse_a_larger_model_the_next_by_evidence_is_tried(refused):
+    m, fits = refused
+    done = []
+    result = _validated(m, fits, lambda *counts: done.append(counts))
+    assert (result.model.name, result.larger.name) == ("dh", "dh+gain")
+    assert {c.name: c.chosen for c in result.candidates if c.chosen} == {
+        "dh": "geometry",
+        "dh+gain": "larger",
+    }
+    left_out = result.larger.cross_validation.errors_without_outliers
+    assert left_out.rms < result.cross_validation.errors_without_outliers.rms
+    # Geometry, the one refused, and its successor.
+    assert done[-1] == (120, 120)
+    # The rows that no fit saw are predicted by the successor.
+    unseen = np.linalg.norm(result.larger.residual[m.validation], axis=1)
+    assert unseen.mean() < np.linalg.norm(result.residual_calibrated[m.validation], axis=1).mean()
+
+
+def test_where_refits_refuse_every_larger_model_there_is_none(refused):
+    m, fits = refused
+    geometries = tuple(c for c in fits.candidates if "+" not in c.name)
+    result = _validated(m, replace(fits, candidates=geometries), None)
+    assert result.larger is None
+    assert [c.name for c in result.candidates if c.chosen] == ["dh"]
+
+
+def test_a_larger_model_that_was_named_stays(refused):
+    m, fits = refused
+    result = _validated(m, replace(fits, candidates=()), None)
+    assert result.larger.name == "dh+eccentricity"
+    left_out = result.larger.cross_validation.errors_without_outliers
+    assert left_out.rms > result.cross_validation.errors_without_outliers.rms
+    assert Why.LARGER_NO_CLOSER in {reason.why for reason in result.verdict.reasons}

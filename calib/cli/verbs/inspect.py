@@ -52,7 +52,7 @@ def inspect(
     """See the text of `verb`."""
     from calib.cli.setup import load, load_with_data, read_cell, say_ignored
     from calib.design.forecast import forecast_of_table
-    from calib.estimate.selection import inspect as inspect_robot
+    from calib.estimate.inspection import inspect as inspect_robot
     from calib.text.inspection import inspection_text
 
     cell, table, foreseen = read_cell(**asdict(said)), None, None

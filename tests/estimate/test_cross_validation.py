@@ -8,19 +8,23 @@ from unittest import mock
 
 import numpy as np
 import pytest
+from scipy.stats import ttest_1samp
 
 from calib.data.cell import Cell, GroupDistance
 from calib.data.measurements import Measurements
-from calib.estimate import selection
-from calib.estimate.fitting import Fitted, Task, fit
-from calib.estimate.selection import (
+from calib.estimate import cross_validation as module
+from calib.estimate.cross_validation import (
     Folds,
+    chance_of_fall,
     cross_validation,
     linear_cross_validation,
     nominal_cross_validation,
     only_there,
+    pose_errors,
 )
+from calib.estimate.fitting import Fitted, Task, fit
 from calib.estimate.setup import Rows, known_distances, rows_of
+from calib.estimate.statistics import CrossValidation, Errors
 
 #: Numbers of kinds in the registry.
 POSE = 1
@@ -149,7 +153,7 @@ def with_outliers(make_scene: Any, **given: Any) -> tuple[Any, Measurements]:
 def both(fitted: Fitted) -> tuple[Any, Any]:
     """Cross-validation on the linearised problem, and by fits from the beginning."""
     linear = cross_validation(fitted, fitted.estimate.outliers)
-    with mock.patch.object(selection, "_on_the_linearised", return_value={}):
+    with mock.patch.object(module, "_on_the_linearised", return_value={}):
         return linear, cross_validation(fitted, fitted.estimate.outliers)
 
 
@@ -204,32 +208,24 @@ def test_set_ups_that_were_not_seen_are_registered_to_their_good_rows(make_scene
     np.testing.assert_allclose(left[44], 0.02, atol=5e-4)
 
 
-def extrapolated(scene: Any, table: Measurements) -> float:
-    task, rows = task_of(scene, table, Cell(model="dh"))
-    return selection.extrapolation(fit(task, rows))
+def test_the_error_of_a_pose_is_that_of_its_rows_in_units_of_the_noise():
+    residual = np.array([[3e-3, 0.0, 4e-3], [0.0, 6e-3, 0.0], [9.0, 9.0, 9.0], [0.0, 0.0, 2e-3]])
+    errors = Errors.of(residual)
+    found = CrossValidation("", 3, np.array([5, 5, 5, 2]), residual, errors, errors)
+    kept = np.array([True, True, False, True])
+    scales = np.full((4, 3), 1e-3)
+    expected = [2.0, np.sqrt((25.0 + 36.0) / 2.0)]
+    np.testing.assert_allclose(pose_errors(found, scales, kept), expected)
+    scales[:, 2] = 2e-3
+    np.testing.assert_allclose(pose_errors(found, scales, kept)[0], 1.0)
 
 
-def test_noise_is_extrapolated_as_the_covariance_says(make_scene):
-    """Of one table by chance within a few tenths; on the mean of several it is 1, but for being no less than that."""
-    factors = []
-    for seed in range(8):
-        scene = make_scene(seed, length=3e-4, angle=3e-3, noise=1e-4, frames=[np.eye(4)])
-        factors.append(extrapolated(scene, scene.points(40)))
-    assert min(factors) >= 1.0
-    assert np.mean(factors) < 1.35
-
-
-def test_what_a_model_lacks_does_not_average_out(make_scene):
-    """Errors of gears that the geometry cannot have: of many rows the covariance knows next to nothing of them."""
-    scene = make_scene(
-        1,
-        model="dh+gain",
-        length=3e-4,
-        angle=3e-3,
-        noise=2e-5,
-        frames=[np.eye(4)],
-        other={"gain": 1e-3},
-    )
-    table = scene.points(400)
-    few, many = (extrapolated(scene, table.select(np.arange(400) < n)) for n in (40, 400))
-    assert many > max(2.0 * few, 5.0)
+def test_the_chance_of_a_fall_is_student_s_one_sided():
+    rng = np.random.default_rng(5)
+    falls = 0.3 + rng.normal(size=12)
+    expected = ttest_1samp(falls, 0.0, alternative="greater").pvalue
+    assert chance_of_fall(falls) == pytest.approx(expected, rel=1e-9)
+    assert chance_of_fall(-falls) == pytest.approx(1.0 - expected, rel=1e-9)
+    assert chance_of_fall(np.array([1.0])) == 1.0
+    assert chance_of_fall(np.zeros(4)) == 1.0
+    assert chance_of_fall(np.ones(4)) == 0.0
