@@ -89,8 +89,8 @@ SENTENCES = {
     "poses that move every joint.",
     Why.MODEL_LACKS: "The model '{model}' leaves {noise_m:mm.3f} mm a coordinate, '{larger}' would leave "
     "{less_m:mm.3f} mm: the robot has errors that this model lacks. Try --model auto.",
-    Why.CORNER: "Measured was a part of what the arm can reach: {ranges}. It is good there; beyond is unknown. Tips "
-    "spread over {spread:%.0f} % of the distance that the joint limits allow.",
+    Why.CORNER: "Measured was only part of the joints' ranges: {ranges}. The result is good there, and unknown beyond. "
+    "Tips spread over {spread:%.0f} % of the distance that the joint limits allow.",
     Why.JOINT_PATTERN: _NOT_NOISE + "the {quantity} of '{joint}' " + _SHARE + ".",
     Why.DRIFT: f"{_NOT_NOISE}it drifts in the order of the rows, which {_SHARE}. {_FALLS} Did something warm up, or "
     "move?",
