@@ -232,11 +232,16 @@ class _Figures:
         return self.fresh_falls and self.fresh_after.rms > _FALLS * self.fresh_before.rms
 
     @property
-    def proven(self) -> bool:
-        """Whether unseen rows prove a gain that is worth something, here and over the joint limits."""
+    def proven_here(self) -> bool:
+        """Whether unseen rows prove a gain that is worth something where they were measured."""
         falls = _typical(self.after) < _FALLS * _typical(self.before)
-        little = max(self.held_out, self.everywhere) <= _REMAINS
+        little = self.held_out <= _REMAINS
         return falls and little and not self.unproven and not self.fresh_falls_little
+
+    @property
+    def proven(self) -> bool:
+        """Whether the gain is proven where rows were measured, and expected over the joint limits."""
+        return self.proven_here and self.everywhere <= _REMAINS
 
 
 def verdict(e: Evidence) -> Verdict:
@@ -265,6 +270,8 @@ def _against(e: Evidence, f: _Figures) -> list[Reason]:
     worse = bool(f.flagged) and _typical(f.after_all) > _ALIKE * _typical(f.before_all)
     size = {**_size(e), "parameters": max(e.parameters, e.whole), "gain": f.gain}
     unfit = bool(f.fresh_after.n) and not f.fresh_falls
+    here_only = f.proven_here and e.expected < _ABSURD
+    lost = f.lost and f.everywhere > _REMAINS and not here_only
     first = _applicable(
         (nothing, Reason.of(Why.NOTHING_TO_GAIN, before=f.before)),
         (f.after.rms > _ABSURD, Reason.of(Why.STILL_FAR_OFF, **both)),
@@ -273,7 +280,7 @@ def _against(e: Evidence, f: _Figures) -> list[Reason]:
         (f.gain <= 0.0, Reason.of(Why.NO_BETTER, **both)),
         (worse, replace(_of_many(e, f), why=Why.WORSE_WITH_OUTLIERS)),
         (f.unproven and f.many and not f.accidents, _of_many(e, f)),
-        (f.lost and f.everywhere > _REMAINS, Reason.of(Why.UNKNOWN_ELSEWHERE, **_elsewhere(e, f))),
+        (lost, Reason.of(Why.UNKNOWN_ELSEWHERE, **_elsewhere(e, f))),
     )[:1]
     return first + _applicable((unfit, Reason.of(Why.VALIDATION_NO_BETTER, **_of_fresh(e, f))))
 

@@ -87,17 +87,19 @@ class Folds:
         return result
 
     def validated(self, rows: Rows, residuals: Sequence[Array], outliers: Mask) -> CrossValidation:
-        """What was left over at the rows of each fold, as one value."""
+        """What was left over at the rows of each fold, as one value; nothing predicts sole postures."""
         residual = np.zeros(rows.used.shape)
         for mask, found in zip(self.masks, residuals, strict=True):
             residual[mask, : found.shape[1]] = found  # those left out may lack a kind
+        checked = rows.checked
+        good = checked & ~outliers
         return CrossValidation(
             method=self.method,
             folds=len(self.masks),
             poses=np.unique(rows.blocks, return_inverse=True)[1].reshape(-1),
             residual=read_only(residual),
-            errors=Errors.of(residual, rows.used),
-            errors_without_outliers=Errors.of(residual[~outliers], rows.used[~outliers]),
+            errors=Errors.of(residual[checked], rows.used[checked]),
+            errors_without_outliers=Errors.of(residual[good], rows.used[good]),
         )
 
 
@@ -162,7 +164,7 @@ def _on_the_linearised(fitted: Fitted, masks: tuple[Mask, ...], outliers: Mask) 
         size, parts = max(_AT_A_TIME // len(rows), 1), []
         for first in range(0, len(some), size):
             begun = Stage.first(
-                prior, ~some[first : first + size], len(linear.smallest), given_weights(rows)
+                prior, rows.checked & ~some[first : first + size], len(linear.smallest), given_weights(rows)
             )
             how = weighting(task, rows)
             stage, freedom = staged(begun, lambda _: linear, rows.poses, **how)
@@ -175,7 +177,7 @@ def _on_the_linearised(fitted: Fitted, masks: tuple[Mask, ...], outliers: Mask) 
         # The robot itself must be the linearised one at the rows that were kept.
         residual = problem.residual(one)
         apart = (linear.residual(one) * rows.scales - residual) / problem.scales
-        kept = rows.used & (~masks[k] & (estimate.weights > 0.0))[:, None]
+        kept = rows.used & (rows.checked & ~masks[k] & (estimate.weights > 0.0))[:, None]
         if not np.sqrt(np.mean(apart[kept] ** 2)) < _LINEAR:
             continue
         found[k] = residual[masks[k]]

@@ -14,6 +14,7 @@ from calib.errors import MeasurementError, ModelError, choices
 from calib.estimate.problem import Linear, Normal, Problem
 from calib.estimate.registration import register, register_unseen
 from calib.estimate.setup import KnownDistance, Rows, Setup
+from calib.estimate.sole_postures import sole_postures, updated, with_wide_priors
 from calib.estimate.solvers import SOLVERS, Solution, Solver, paper_levenberg_marquardt
 from calib.estimate.stages import PriorTerms, Stage, staged
 from calib.estimate.statistics import Limits, repeats
@@ -153,7 +154,8 @@ def fit(
     a fit of another model to them: its weights and scores of the rows hold, and where it began.
     """
     if judge is not None:
-        rows, started = replace(rows, weights=judge.estimate.problem.weights), judge.setup
+        judged = judge.estimate.problem
+        rows, started = replace(rows, weights=judged.weights, sole=judged.rows.sole), judge.setup
     if not callable(task.solver) and task.solver not in (*SOLVERS, PAPER):
         raise ModelError(
             f"There is no solver '{task.solver}'. Choose one of {choices((*SOLVERS, PAPER))}."
@@ -179,11 +181,21 @@ def fit(
         estimated = _by_the_paper(problem, task, started)
     else:
         prior = PriorTerms.of(task.cell, model, task.setup, started, lenient=task.lenient)
-        estimated = _estimate(problem, task, prior)
+        estimated = _estimate(_with_sole_named(problem, prior), task, prior)
     if judge is not None:
         names = ("weights", "scores", "flag_limit")
         estimated = replace(estimated, **{name: getattr(judge.estimate, name) for name in names})
     return Fitted(task, started, kinematics, estimated)
+
+
+def _with_sole_named(problem: Problem, prior: PriorTerms) -> Problem:
+    """The problem with the rows named that alone tell of a direction, if they are not."""
+    rows = problem.rows
+    if rows.sole is not None:
+        return problem
+    linear = problem.linear(prior.centre)
+    first = Stage.first(prior, np.ones((1, len(rows)), dtype=bool), len(problem.smallest))
+    return replace(problem, rows=replace(rows, sole=sole_postures(linear, rows, first.priors)))
 
 
 def model_of(task: Task) -> ErrorModel:
@@ -263,10 +275,35 @@ def _within(problem: Problem, task: Task, prior: PriorTerms) -> Estimate:
         last = problem.linear(x)
         return last
 
-    every = np.ones((1, len(problem.rows)), dtype=bool)
-    first = Stage.first(prior, every, len(problem.smallest), given_weights(problem.rows))
+    kept = problem.rows.checked[None]
+    first = Stage.first(prior, kept, len(problem.smallest), given_weights(problem.rows))
     stage, _ = staged(first, linear_at, problem.rows.poses, **weighting(task, problem.rows))
-    return _finish(problem, stage, solve(stage, _FINE))
+    return _with_sole_postures(_finish(problem, stage, solve(stage, _FINE)), problem, stage)
+
+
+def _with_sole_postures(estimate: Estimate, problem: Problem, stage: Stage) -> Estimate:
+    """The estimate by all other rows, updated by those of sole postures."""
+    sole = ~problem.rows.checked
+    if not np.any(sole):
+        return estimate
+    linear = problem.linear(estimate.x)
+    wide = with_wide_priors(stage)
+    of_sole = linear.scores(estimate.x[None], wide.fit(linear)[1], wide.effective, wide.noise)[0]
+    scores = np.where(sole, of_sole, estimate.scores)
+    allowed = Limits.of(len(sole), estimate.freedom).weights(scores)
+    weights = np.where(sole, allowed, estimate.weights)
+    x, covariance = updated(
+        estimate.x, estimate.covariance, stage, problem.linear, np.where(sole, allowed, 0.0)
+    )
+    x = read_only(x)
+    return replace(
+        estimate,
+        x=x,
+        solution=replace(estimate.solution, x=x),
+        covariance=read_only(covariance),
+        scores=read_only(scores),
+        weights=read_only(weights),
+    )
 
 
 def given_weights(rows: Rows) -> Array | float:

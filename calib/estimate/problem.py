@@ -366,7 +366,7 @@ class Problem:
     def observability(self, x: Array) -> Observability:
         """What rows that count and known distances tell apart at x; angles as lengths, by their standard deviations."""
         model, rows = self.kinematics.model, self.rows
-        counts = rows.used & (self.weights > 0.0)[:, None]
+        counts = rows.used & ((self.weights > 0.0) | ~rows.checked)[:, None]
         seen = (self.linear(x).A * rows.scales[:, :1, None])[counts]
         if (
             self.gauge is not None

@@ -105,6 +105,7 @@ def select(task: Task, rows: Rows) -> Selection:
     else:
         start = "+".join((geometries[-1], *families))
     judge = fit(replace(task, model=start), rows)
+    rows = judge.estimate.problem.rows
     start = without_vanished(start, judge.estimate.sizes)
     for _ in range(_JUDGED):
         search = _Search(task, rows, judge, geometries, families)
@@ -231,7 +232,7 @@ class _Search:
         if self.task.cell.priors.sizes == "off":
             return max(fitted, key=lambda c: c.evidence).name
         estimate = self.judge.estimate
-        scales, kept = estimate.problem.scales, estimate.weights > 0.0
+        scales, kept = estimate.problem.scales, self.rows.checked & (estimate.weights > 0.0)
         return preferred(fitted, [pose_errors(c.cross_validation, scales, kept) for c in fitted])
 
     def evidence(self, name: str) -> float:

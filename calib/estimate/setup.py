@@ -45,6 +45,7 @@ class Rows:
     poses: Integers  # (N,), rows of one number are repeats: one pose, one target, one frame
     blocks: Integers  # (N,), rows of one number are left out together: one pose, and both rows of a pair
     weights: Array | None = None  # (N,), that hold, repeats shared out; None: to be found
+    sole: Mask | None = None  # (N,), rows of poses that alone tell of a direction; None: to be found
     width: int = field(init=False)  # Columns of a residual: 6 with angles, 3 with positions, else 1
     used: Mask = field(init=False, repr=False)  # (N, width), which columns hold a scalar
     # (N, width), the number of each scalar's noise, -1 for none: of each kind's lengths, then of each kind's angles
@@ -98,6 +99,11 @@ class Rows:
         """The kinds that there are, in the order of their numbers."""
         return tuple(kind for kind, _, _ in self._parts)
 
+    @property
+    def checked(self) -> Mask:
+        """Which rows others can check, because theirs is no sole posture, shape (N,)."""
+        return np.ones(len(self), dtype=bool) if self.sole is None else ~self.sole
+
     def where(self, test: Callable[[Kind], bool]) -> Mask:
         """The rows of kinds that pass a test, such as ``lambda kind: kind.position``, shape (N,)."""
         result = np.zeros(len(self), dtype=bool)
@@ -116,7 +122,7 @@ class Rows:
             position[chosen] = np.arange(len(chosen))
             partner = np.where(partner >= 0, position[partner], -1)
         names = ["kinds", "measured", "sigma", "sigma_angle", "poses", "blocks"]
-        names += ["weights"] * (self.weights is not None)
+        names += [name for name in ("weights", "sole") if getattr(self, name) is not None]
         return replace(
             self,
             samples=self.samples.select(chosen),

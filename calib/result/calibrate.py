@@ -151,6 +151,7 @@ def fit_table(
         fitted = _judged(fitted, measurements)
     fitted = fitted.with_unseen(unseen, others)
     larger = larger and larger.with_unseen(unseen, others)
+    rows = replace(rows, sole=fitted.estimate.problem.rows.sole)
     seconds = time.perf_counter() - began
     return Fits(fitted, larger, candidates, every, rows, unseen, hint, seconds)
 
@@ -167,6 +168,7 @@ def _fitted(task: Task, rows: Rows) -> tuple[Fitted, Fitted | None, tuple[Candid
         candidates, judge = (), fit(task, rows)
     if base == judge.kinematics.model.name:
         return judge, None, candidates
+    rows = replace(rows, sole=judge.estimate.problem.rows.sole)
     own = fit(replace(task, model=base, lenient=True), rows, started=judge.setup)
     return judged_by(own, rows, judge), judge, candidates
 

@@ -80,6 +80,7 @@ def _doubts(result: Calibration, fitted: Fitted, rows: Rows) -> Iterator[Reason]
     few, chosen = thin(fitted)
     yield from _given(result, few)
     yield from _still(fitted.task.robot, rows)
+    yield from _sole_postures(result, rows)
     if _named_model(result):
         yield from _missing_model(few)
     yield from _corner(few)
@@ -129,6 +130,20 @@ def _still(robot: Robot, rows: Rows) -> Iterator[Reason]:
     still = np.flatnonzero(np.ptp(rows.joints, axis=0) < least)
     if len(still):
         yield Reason.of(Why.JOINTS_STILL, joints=", ".join(robot.joint_names[j] for j in still))
+
+
+def _sole_postures(result: Calibration, rows: Rows) -> Iterator[Reason]:
+    """That poses alone tell of a joint: of each its first row, and the joint that is furthest from all other rows."""
+    robot, names = result.nominal, np.array(result.measurements.rows)[result.measurements.estimation]
+    low, high = column_ranges(robot).T
+    sole, found = ~rows.checked, {}
+    for block in np.unique(rows.blocks[sole]).tolist():
+        own = rows.blocks == block
+        i = int(np.flatnonzero(own)[0])
+        apart = np.abs(rows.joints[~own] - rows.joints[i]).min(axis=0) / (high - low)
+        found[int(names[i])] = robot.joint_names[int(np.argmax(apart))]
+    if found:
+        yield Reason.of(Why.SOLE_POSTURE, rows=list(found), joints=list(found.values()))
 
 
 def _negative_compliances(result: Calibration) -> Iterator[Reason]:

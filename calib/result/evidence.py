@@ -47,7 +47,7 @@ def evidence_of(
         nominal=nominal,
         calibrated=calibrated,
         scales=fitted.estimate.problem.scales,
-        used=rows.used,
+        used=rows.used & rows.checked[:, None],
         floor=_noise_floor(result, fitted, doubts),
         repeats=rows.poses,
         pairs=rows.partner >= 0,

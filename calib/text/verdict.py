@@ -87,6 +87,7 @@ SENTENCES = {
     "is. Is it the right URDF?",
     Why.JOINTS_STILL: "Hardly moved over these rows: {joints}. The result holds near these positions only; measure "
     "poses that move every joint.",
+    Why.SOLE_POSTURE: "{sole}, and no other row can check that. Measure {anew} again, and more poses like {those}.",
     Why.MODEL_LACKS: "The model '{model}' leaves {noise_m:mm.3f} mm a coordinate, '{larger}' would leave "
     "{less_m:mm.3f} mm: the robot has errors that this model lacks. Try --model auto.",
     Why.CORNER: "Measured was only part of the joints' ranges: {ranges}. The result is good there, and unknown beyond. "
@@ -160,6 +161,8 @@ def reason_text(reason: Reason) -> str:
     p = v.get("p", 1.0)
     beyond = [f"{k * v[f'by_{si}']:.3g} {unit}" for si, k, unit in units if f"by_{si}" in v]
     more = {"named": f" '{v['target']}'" if v.get("target") else "", "ranges": _ranges(v)}
+    if "rows" in v and "joints" in v:
+        more |= _sole_postures(v["rows"], v["joints"])
     if "less_m" in v and "model" in v:
         more["less"] = f"{1e3 * v['less_m']:.3f} mm rms"
     words = {
@@ -180,6 +183,19 @@ def reason_text(reason: Reason) -> str:
     }
     text = _Units().vformat(SENTENCES[reason.why], (), words)
     return " ".join([text, *(_as_well(reason, other) for other in v.get("others", ()))])
+
+
+def _sole_postures(rows: Sequence[int], joints: Sequence[str]) -> Mapping[str, str]:
+    """Words for rows that alone tell of a joint each."""
+    pairs = list(zip(rows, joints, strict=True))
+    (row, joint), *others = pairs
+    named = [f"Row {row} alone tells of '{joint}'", *(f"row {r} of '{j}'" for r, j in others)]
+    one = not others
+    return {
+        "sole": ", ".join(named),
+        "anew": f"row {row}" if one else "them",
+        "those": "it" if one else "them",
+    }
 
 
 #: What stands behind a reason that much remains, where another model leaves far less.

@@ -1,0 +1,157 @@
+"""Sole postures: poses that alone determine a direction of the parameters, so that no other row can check them.
+
+A pose b, of one row or of several, has the derivative A_b of its predictions, in units of the noise. Without it the
+other rows and the priors, as wide as they are given, predict it with the covariance
+
+    K_b = A_b C A_b^T
+
+where C is the covariance of the parameters without b. Where the largest eigenvalue of K_b is far above 1 and far above
+those of the other poses, b is a sole posture: a joint moves there alone, say. Its leverage K / (1 + K) is next to one
+(D. A. Belsley, E. Kuh, R. E. Welsch: Regression Diagnostics, 1980).
+
+What such a pose says cannot be called an outlier by what the others say, and is no sample of the sizes of errors. So
+the other rows o alone determine noise, sizes, and the estimate x_o with its covariance C. Rows s of sole postures then
+move it where the others leave it free:
+
+    minimise  |r_s(x)|^2 / sigma^2 + |r_o(x) - r_o(x_o)|^2 / (epsilon sigma)^2 + |x - x_o|^2 / tau^2
+
+with residuals r, noise sigma, wide priors tau and a small epsilon, which keeps what the others determine; not only to
+first order, for a single posture may ask for large angles. With the derivative of the solution by r_s, the gain G,
+
+    C <- (I - G A_s) C (I - G A_s)^T + sigma^2 G G^T
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from calib.estimate.problem import Linear, Priors
+from calib.estimate.setup import Rows
+from calib.estimate.stages import Stage
+from calib.robot.kernel import over_blocks
+from calib.units import Array, Mask
+
+#: A pose is a sole posture where others predict it worse than so many standard deviations of the noise,
+_UNPREDICTED = 10.0
+
+#: and so many times worse than the typical pose: where rows are too few, all are predicted badly.
+_ABOVE_TYPICAL = 10.0
+
+#: Frames and targets that fewer scalars of other rows see are not determined without the pose, whatever joints do.
+_FEWEST_SCALARS = 18
+
+#: Bounds of leverages up to this are as good as leverages.
+_WORTH_A_LOOK = 0.5
+
+#: Leverages are below one; a larger one is rounding.
+_HIGHEST_LEVERAGE = 1.0 - 1e-9
+
+#: Priors of what a sole posture tells are so many times as wide as given: it is one sample, and cannot be checked.
+_WIDE = 3.0
+
+#: The other rows hold what they determine as if their noise were this share of itself.
+_NOISE_OF_OTHERS = 0.05
+
+#: Updates of the estimate by sole postures, each linearised at the last; a step that is none any more [m, rad].
+_UPDATES = 20
+_SETTLED = 1e-9
+
+
+def sole_postures(linear: Linear, rows: Rows, priors: Priors) -> Mask:
+    """Find the rows of sole postures.
+
+    Args:
+        linear: The problem linearised at the registered start.
+        rows: Its N rows.
+        priors: As wide as given; precision of shape (1, p).
+
+    Returns:
+        shape (N,), which rows are of a pose that alone determines a direction of the parameters.
+    """
+    weights, noise = np.ones((1, len(rows))), np.ones((1, len(linear.smallest)))
+    covariance = linear.data(weights).posterior(noise, priors)[1][0]
+    block = np.unique(rows.blocks, return_inverse=True)[1].reshape(-1)
+    # The largest eigenvalue is at most the trace.
+    leverage = np.bincount(block, _traces(linear, covariance))
+    for b in np.flatnonzero(leverage > _WORTH_A_LOOK).tolist():
+        mask = block == b
+        A = linear.A[mask][rows.used[mask]]
+        leverage[b] = np.linalg.eigvalsh(A @ covariance @ A.T)[-1]
+    leverage = np.clip(leverage, 0.0, _HIGHEST_LEVERAGE)
+    unpredicted = np.sqrt(leverage / (1.0 - leverage))
+    typical = float(np.median(unpredicted))
+    sole = unpredicted > max(_UNPREDICTED, _ABOVE_TYPICAL * typical)
+    return np.asarray(sole[block] & _seen_by_others(rows, block))
+
+
+def _traces(linear: Linear, covariance: Array) -> Array:
+    """The traces of A_i C A_i^T of each row, shape (N,), with the covariance (p, p)."""
+
+    def work(rows: slice) -> Array:
+        A = linear.A[rows]
+        return np.einsum("ndp,ndp->n", A @ covariance, A)
+
+    return np.concatenate(over_blocks(work, len(linear)))
+
+
+def _seen_by_others(rows: Rows, block: Array) -> Mask:
+    """Whether rows of other poses see the frame and the target of each row often enough, shape (N,)."""
+    scalars = np.sum(rows.used, axis=1)
+    result = np.ones(len(rows), dtype=bool)
+    for places in (rows.samples.frame, rows.samples.target):
+        pairs = np.unique(np.column_stack([places, block]), axis=0, return_inverse=True)[1].reshape(-1)
+        others = np.bincount(places, scalars)[places] - np.bincount(pairs, scalars)[pairs]
+        result &= others >= _FEWEST_SCALARS
+    return result
+
+
+def with_wide_priors(stage: Stage) -> Stage:
+    """The stage with priors several times as wide as given, and as found where that is wider still."""
+    start = np.array(stage.prior.start, dtype=np.float64)
+    return replace(stage, sizes=np.maximum(stage.sizes, _WIDE * start))
+
+
+def updated(
+    x: Array,
+    covariance: Array,
+    stage: Stage,
+    linear_at: Callable[[Array], Linear],
+    weights: Array,
+) -> tuple[Array, Array]:
+    """Update an estimate by the rows of sole postures.
+
+    Args:
+        x: shape (p,), the estimate by all other rows.
+        covariance: shape (p, p), its covariance.
+        stage: Noise and priors of the one fit that made it, in which sole postures have no weight.
+        linear_at: Gives the problem linearised at some x.
+        weights: shape (N,), of the rows of sole postures; 0 for all others.
+
+    Returns:
+        x and covariance with what sole postures say.
+    """
+    start = linear_at(x)
+    sole = weights > 0.0
+    noise = np.where(sole[:, None], 1.0, _NOISE_OF_OTHERS) * start.noise_of(stage.noise)[0]
+    whiten = (np.sqrt(np.where(sole, weights, stage.effective[0]))[:, None] / noise)[start.used]
+    prior = np.sqrt(with_wide_priors(stage).priors.precision[0])
+    # The residuals of other rows are to stay, those of sole postures to vanish.
+    held = np.where(sole[:, None], 0.0, start.residual(x))[start.used]
+    moved = x
+    for _ in range(_UPDATES):
+        linear = linear_at(moved)
+        rows = np.hstack([linear.A[linear.used].T * whiten, linear.C.T / _NOISE_OF_OTHERS]).T
+        A = np.vstack([rows, np.diag(prior)])
+        change = (linear.residual(moved)[linear.used] - held) * whiten
+        known = linear.C @ (x - moved) / _NOISE_OF_OTHERS
+        step = np.linalg.lstsq(A, np.concatenate([change, known, prior * (x - moved)]))[0]
+        moved = moved + step
+        if np.linalg.norm(step) < _SETTLED:
+            break
+    scalars = np.flatnonzero(np.broadcast_to(sole[:, None], linear.used.shape)[linear.used])
+    gain = np.linalg.pinv(A)[:, scalars]
+    kept = np.eye(len(x)) - gain @ A[scalars]
+    return moved, kept @ covariance @ kept.T + gain @ gain.T
