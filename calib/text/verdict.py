@@ -187,13 +187,16 @@ def reason_text(reason: Reason) -> str:
 
 def _sole_postures(rows: Sequence[int], joints: Sequence[str]) -> Mapping[str, str]:
     """Words for rows that alone tell of a joint each."""
-    pairs = list(zip(rows, joints, strict=True))
-    (row, joint), *others = pairs
-    named = [f"Row {row} alone tells of '{joint}'", *(f"row {r} of '{j}'" for r, j in others)]
-    one = not others
+    parts = []
+    for joint in dict.fromkeys(joints):
+        own = [str(row) for row, other in zip(rows, joints, strict=True) if other == joint]
+        several = "rows " + ", ".join(own[:-1]) + f" and {own[-1]}"
+        who, tell = (f"row {own[0]}", "tells") if len(own) == 1 else (several, "tell")
+        parts.append(f"{who} alone {tell} of joint '{joint}'")
+    text, one = "; ".join(parts), len(rows) == 1
     return {
-        "sole": ", ".join(named),
-        "anew": f"row {row}" if one else "them",
+        "sole": text[0].upper() + text[1:],
+        "anew": f"row {rows[0]}" if one else "them",
         "those": "it" if one else "them",
     }
 

@@ -107,6 +107,21 @@ def test_a_good_calibration_is_to_be_used_and_says_by_how_much():
         ),
         ({"expected_of_nominal": 2.2e-4}, "use with care", Why.SMALL_GAIN),
         ({"expected": 0.139, "expected_of_nominal": 0.17}, "do not use", Why.UNKNOWN_ELSEWHERE),
+        # Proven where rows were measured, it is good there.
+        (
+            {"expected": 0.013, "expected_of_nominal": 0.014},
+            "use with care",
+            Why.UNKNOWN_ELSEWHERE,
+        ),
+        (
+            {
+                "expected": 0.013,
+                "expected_of_nominal": 0.014,
+                "calibrated": validated(1.5e-3, 1),
+            },
+            "do not use",
+            Why.UNKNOWN_ELSEWHERE,
+        ),
         ({"changes": False}, "do not use", Why.NO_BETTER),
         (RIGHT, "do not use", Why.NOTHING_TO_GAIN),
         (
