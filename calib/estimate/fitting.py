@@ -14,7 +14,7 @@ from calib.errors import MeasurementError, ModelError, choices
 from calib.estimate.problem import Linear, Normal, Problem
 from calib.estimate.registration import register, register_unseen
 from calib.estimate.setup import KnownDistance, Rows, Setup
-from calib.estimate.sole_postures import sole_postures, updated, with_wide_priors
+from calib.estimate.sole_postures import open_scores, sole_postures, updated
 from calib.estimate.solvers import SOLVERS, Solution, Solver, paper_levenberg_marquardt
 from calib.estimate.stages import PriorTerms, Stage, staged
 from calib.estimate.statistics import Limits, repeats
@@ -286,9 +286,7 @@ def _with_sole_postures(estimate: Estimate, problem: Problem, stage: Stage) -> E
     sole = ~problem.rows.checked
     if not np.any(sole):
         return estimate
-    linear = problem.linear(estimate.x)
-    wide = with_wide_priors(stage)
-    of_sole = linear.scores(estimate.x[None], wide.fit(linear)[1], wide.effective, wide.noise)[0]
+    of_sole = open_scores(problem.linear(estimate.x), estimate.x, stage, sole)
     scores = np.where(sole, of_sole, estimate.scores)
     allowed = Limits.of(len(sole), estimate.freedom).weights(scores)
     weights = np.where(sole, allowed, estimate.weights)

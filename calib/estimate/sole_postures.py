@@ -19,6 +19,9 @@ with residuals r, noise sigma, wide priors tau and a small epsilon, which keeps 
 first order, for a single posture may ask for large angles. With the derivative of the solution by r_s, the gain G,
 
     C <- (I - G A_s) C (I - G A_s)^T + sigma^2 G G^T
+
+A row of a sole posture loses its weight only where r_s(x_o) lies beyond what wide priors allow, along the directions that
+the others leave open.
 """
 
 from __future__ import annotations
@@ -31,6 +34,7 @@ import numpy as np
 from calib.estimate.problem import Linear, Priors
 from calib.estimate.setup import Rows
 from calib.estimate.stages import Stage
+from calib.estimate.statistics import as_of_a_point
 from calib.robot.kernel import over_blocks
 from calib.units import Array, Mask
 
@@ -54,6 +58,10 @@ _WIDE = 3.0
 
 #: The other rows hold what they determine as if their noise were this share of itself.
 _NOISE_OF_OTHERS = 0.05
+
+#: A direction is open where wide priors predict it no better than this share of the worst predicted one, in standard
+#: deviations.
+_OPEN = 1.0 / 3.0
 
 #: Updates of the estimate by sole postures, each linearised at the last; a step that is none any more [m, rad].
 _UPDATES = 20
@@ -112,6 +120,31 @@ def with_wide_priors(stage: Stage) -> Stage:
     """The stage with priors several times as wide as given, and as found where that is wider still."""
     start = np.array(stage.prior.start, dtype=np.float64)
     return replace(stage, sizes=np.maximum(stage.sizes, _WIDE * start))
+
+
+def open_scores(linear: Linear, x: Array, stage: Stage, sole: Mask) -> Array:
+    """Compute how far rows of sole postures lie from what wide priors allow, along the directions that others leave open.
+
+    Args:
+        linear: The problem linearised at x.
+        x: shape (p,), the estimate by all other rows.
+        stage: Noise and priors of the one fit that made it, in which sole postures have no weight.
+        sole: shape (N,), which rows are of sole postures.
+
+    Returns:
+        shape (N,), as those of three scalars; 0 for all other rows. See `calib.estimate.statistics`.
+    """
+    covariance = with_wide_priors(stage).fit(linear)[1][0]
+    whitened = linear.residual(x) / linear.noise_of(stage.noise)[0]
+    whitened_A = linear.A / linear.noise_of(stage.noise)[0][:, :, None]
+    norms, directions = np.zeros(len(linear)), np.zeros(len(linear), dtype=np.int_)
+    for i in np.flatnonzero(sole).tolist():
+        A, r = whitened_A[i][linear.used[i]], whitened[i][linear.used[i]]
+        variances, vectors = np.linalg.eigh(A @ covariance @ A.T)
+        wide = variances >= _OPEN**2 * np.max(variances, initial=0.0)
+        norms[i] = np.linalg.norm((vectors.T @ r)[wide] / np.sqrt(1.0 + variances[wide]))
+        directions[i] = np.sum(wide)
+    return as_of_a_point(norms, directions)
 
 
 def updated(
