@@ -62,8 +62,8 @@ SENTENCES = {
     Why.NOTHING_TO_GAIN: "Nothing to gain: the robot as it is meets these rows to {before} on unseen rows, which is "
     "about their noise. Keep its URDF.",
     Why.STILL_FAR_OFF: "On unseen rows ({method}) the calibrated robot is {after_m:mm.0f} mm rms off.",
-    Why.TOO_FEW: "{measured} for {parameters} parameters are too few to show a gain: on unseen rows {before} against "
-    "{after}, {gain:.1f} standard errors. Measure more poses.",
+    Why.TOO_FEW: "{measured} for {parameters} parameters are too few to tell what they gain: on unseen rows {before} "
+    "against {after}, {gain:.1f} standard errors. Measure more poses.",
     Why.NO_BETTER: "On unseen rows ({method}) the calibrated robot is no better than the nominal one, frame and "
     "target fitted for both: {after} against {before}.",
     Why.VALIDATION_NO_BETTER: "On the {rows} validation rows the error does not fall: {change}.",
