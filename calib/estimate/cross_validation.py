@@ -164,7 +164,10 @@ def _on_the_linearised(fitted: Fitted, masks: tuple[Mask, ...], outliers: Mask) 
         size, parts = max(_AT_A_TIME // len(rows), 1), []
         for first in range(0, len(some), size):
             begun = Stage.first(
-                prior, rows.checked & ~some[first : first + size], len(linear.smallest), given_weights(rows)
+                prior,
+                rows.checked & ~some[first : first + size],
+                len(linear.smallest),
+                given_weights(rows),
             )
             how = weighting(task, rows)
             stage, freedom = staged(begun, lambda _: linear, rows.poses, **how)

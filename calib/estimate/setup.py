@@ -45,7 +45,7 @@ class Rows:
     poses: Integers  # (N,), rows of one number are repeats: one pose, one target, one frame
     blocks: Integers  # (N,), rows of one number are left out together: one pose, and both rows of a pair
     weights: Array | None = None  # (N,), that hold, repeats shared out; None: to be found
-    sole: Mask | None = None  # (N,), rows of poses that alone tell of a direction; None: to be found
+    sole: Mask | None = None  # (N,), see `calib.estimate.sole_postures`; None: to be found
     width: int = field(init=False)  # Columns of a residual: 6 with angles, 3 with positions, else 1
     used: Mask = field(init=False, repr=False)  # (N, width), which columns hold a scalar
     # (N, width), the number of each scalar's noise, -1 for none: of each kind's lengths, then of each kind's angles

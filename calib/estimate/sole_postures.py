@@ -20,8 +20,8 @@ first order, for a single posture may ask for large angles. With the derivative 
 
     C <- (I - G A_s) C (I - G A_s)^T + sigma^2 G G^T
 
-A row of a sole posture loses its weight only where r_s(x_o) lies beyond what wide priors allow, along the directions that
-the others leave open.
+A row of a sole posture loses its weight only where r_s(x_o) lies beyond what wide priors allow, along the directions
+that the others leave open.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from calib.estimate.setup import Rows
 from calib.estimate.stages import Stage
 from calib.estimate.statistics import as_of_a_point
 from calib.robot.kernel import over_blocks
-from calib.units import Array, Mask
+from calib.units import Array, Integers, Mask
 
 #: A pose is a sole posture where others predict it worse than so many standard deviations of the noise,
 _UNPREDICTED = 10.0
@@ -100,18 +100,19 @@ def _traces(linear: Linear, covariance: Array) -> Array:
 
     def work(rows: slice) -> Array:
         A = linear.A[rows]
-        return np.einsum("ndp,ndp->n", A @ covariance, A)
+        return np.asarray(np.einsum("ndp,ndp->n", A @ covariance, A))
 
     return np.concatenate(over_blocks(work, len(linear)))
 
 
-def _seen_by_others(rows: Rows, block: Array) -> Mask:
+def _seen_by_others(rows: Rows, block: Integers) -> Mask:
     """Whether rows of other poses see the frame and the target of each row often enough, shape (N,)."""
     scalars = np.sum(rows.used, axis=1)
     result = np.ones(len(rows), dtype=bool)
     for places in (rows.samples.frame, rows.samples.target):
-        pairs = np.unique(np.column_stack([places, block]), axis=0, return_inverse=True)[1].reshape(-1)
-        others = np.bincount(places, scalars)[places] - np.bincount(pairs, scalars)[pairs]
+        pairs = np.column_stack([places, block])
+        pair = np.unique(pairs, axis=0, return_inverse=True)[1].reshape(-1)
+        others = np.bincount(places, scalars)[places] - np.bincount(pair, scalars)[pair]
         result &= others >= _FEWEST_SCALARS
     return result
 
@@ -123,7 +124,7 @@ def with_wide_priors(stage: Stage) -> Stage:
 
 
 def open_scores(linear: Linear, x: Array, stage: Stage, sole: Mask) -> Array:
-    """Compute how far rows of sole postures lie from what wide priors allow, along the directions that others leave open.
+    """Score rows of sole postures: how far they lie from what wide priors allow, along directions left open by others.
 
     Args:
         linear: The problem linearised at x.

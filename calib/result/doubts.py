@@ -134,7 +134,8 @@ def _still(robot: Robot, rows: Rows) -> Iterator[Reason]:
 
 def _sole_postures(result: Calibration, rows: Rows) -> Iterator[Reason]:
     """That poses alone tell of a joint: of each its first row, and the joint that is furthest from all other rows."""
-    robot, names = result.nominal, np.array(result.measurements.rows)[result.measurements.estimation]
+    robot, m = result.nominal, result.measurements
+    names = np.array(m.rows)[m.estimation]
     low, high = column_ranges(robot).T
     sole, found = ~rows.checked, {}
     for block in np.unique(rows.blocks[sole]).tolist():

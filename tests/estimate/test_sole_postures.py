@@ -1,4 +1,4 @@
-"""Poses that alone tell of a direction: which they are, that they keep their weight, and that the rest stays as it is."""
+"""Poses that alone tell of a direction: which they are, that they keep their weight, and that all else stays."""
 
 from __future__ import annotations
 
@@ -70,8 +70,9 @@ def test_poses_that_move_it_check_each_other(ur3, truth):
 
 @pytest.mark.parametrize("count", [ROWS, 12, 8])
 def test_no_pose_is_sole_among_random_ones(ur3, truth, count):
-    table = measured(truth, random_joint_values(ur3, ROWS, 9)).select(np.arange(ROWS) >= ROWS - count)
-    assert sole_rows(fitted(table, ur3)) == []
+    table = measured(truth, random_joint_values(ur3, ROWS, 9))
+    last = table.select(np.arange(ROWS) >= ROWS - count)
+    assert sole_rows(fitted(last, ur3)) == []
 
 
 def test_repeats_of_a_pose_are_one_pose(ur3, truth):
