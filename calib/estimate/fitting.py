@@ -195,7 +195,7 @@ def _with_sole_named(problem: Problem, prior: PriorTerms) -> Problem:
         return problem
     linear = problem.linear(prior.centre)
     first = Stage.first(prior, np.ones((1, len(rows)), dtype=bool), len(problem.smallest))
-    return replace(problem, rows=replace(rows, sole=sole_postures(linear, rows, first.priors)))
+    return replace(problem, rows=replace(rows, sole=sole_postures(linear, rows, first)))
 
 
 def model_of(task: Task) -> ErrorModel:

@@ -31,7 +31,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.estimate.problem import Linear, Priors
+from calib.estimate.problem import Linear
 from calib.estimate.setup import Rows
 from calib.estimate.stages import Stage
 from calib.estimate.statistics import as_of_a_point
@@ -68,19 +68,18 @@ _UPDATES = 20
 _SETTLED = 1e-9
 
 
-def sole_postures(linear: Linear, rows: Rows, priors: Priors) -> Mask:
+def sole_postures(linear: Linear, rows: Rows, first: Stage) -> Mask:
     """Find the rows of sole postures.
 
     Args:
         linear: The problem linearised at the registered start.
         rows: Its N rows.
-        priors: As wide as given; precision of shape (1, p).
+        first: All rows in full, noise and priors as given.
 
     Returns:
         shape (N,), which rows are of a pose that alone determines a direction of the parameters.
     """
-    weights, noise = np.ones((1, len(rows))), np.ones((1, len(linear.smallest)))
-    covariance = linear.data(weights).posterior(noise, priors)[1][0]
+    covariance = first.fit(linear)[1][0]
     block = np.unique(rows.blocks, return_inverse=True)[1].reshape(-1)
     # The largest eigenvalue is at most the trace.
     leverage = np.bincount(block, _traces(linear, covariance))
