@@ -14,7 +14,12 @@ from calib.errors import MeasurementError, ModelError, choices
 from calib.estimate.problem import Linear, Normal, Problem
 from calib.estimate.registration import register, register_unseen
 from calib.estimate.setup import KnownDistance, Rows, Setup
-from calib.estimate.sole_postures import open_scores, sole_postures, updated
+from calib.estimate.sole_postures import (
+    open_directions,
+    open_scores,
+    sole_postures,
+    updated,
+)
 from calib.estimate.solvers import SOLVERS, Solution, Solver, paper_levenberg_marquardt
 from calib.estimate.stages import PriorTerms, Stage, staged
 from calib.estimate.statistics import Limits, repeats
@@ -286,12 +291,18 @@ def _with_sole_postures(estimate: Estimate, problem: Problem, stage: Stage) -> E
     sole = ~problem.rows.checked
     if not np.any(sole):
         return estimate
-    of_sole = open_scores(problem.linear(estimate.x), estimate.x, stage, sole)
+    linear = problem.linear(estimate.x)
+    projections = open_directions(linear, stage, sole)
+    of_sole = open_scores(linear, estimate.x, stage, projections)
     scores = np.where(sole, of_sole, estimate.scores)
     allowed = Limits.of(len(sole), estimate.freedom).weights(scores)
     weights = np.where(sole, allowed, estimate.weights)
     x, covariance = updated(
-        estimate.x, estimate.covariance, stage, problem.linear, np.where(sole, allowed, 0.0)
+        (estimate.x, estimate.covariance),
+        stage,
+        problem.linear,
+        np.where(sole, allowed, 0.0),
+        projections,
     )
     x = read_only(x)
     return replace(

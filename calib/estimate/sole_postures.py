@@ -122,69 +122,105 @@ def with_wide_priors(stage: Stage) -> Stage:
     return replace(stage, sizes=np.maximum(stage.sizes, _WIDE * start))
 
 
-def open_scores(linear: Linear, x: Array, stage: Stage, sole: Mask) -> Array:
+def open_directions(linear: Linear, stage: Stage, sole: Mask) -> Array:
+    """Find the directions in which rows of sole postures are not predicted by the others.
+
+    Args:
+        linear: The problem linearised at the estimate by all other rows.
+        stage: Noise and priors of the one fit that made it, in which sole postures have no weight.
+        sole: shape (N,), which rows are of sole postures.
+
+    Returns:
+        shape (N, D, D), of rows of sole postures the orthogonal projection of their scalars, in units of the noise, on
+        these directions; of all others the identity.
+    """
+    covariance = with_wide_priors(stage).fit(linear)[1][0]
+    noise = linear.noise_of(stage.noise)[0]
+    result = np.tile(np.eye(noise.shape[1]), (len(linear), 1, 1))
+    for i in np.flatnonzero(sole).tolist():
+        A = linear.A[i] / noise[i][:, None]
+        variances, vectors = np.linalg.eigh(A @ covariance @ A.T)
+        wide = vectors[:, variances >= _OPEN**2 * np.max(variances)]
+        result[i] = wide @ wide.T
+    return result
+
+
+def open_scores(linear: Linear, x: Array, stage: Stage, projections: Array) -> Array:
     """Score rows of sole postures: how far they lie from what wide priors allow, along directions left open by others.
 
     Args:
         linear: The problem linearised at x.
         x: shape (p,), the estimate by all other rows.
         stage: Noise and priors of the one fit that made it, in which sole postures have no weight.
-        sole: shape (N,), which rows are of sole postures.
+        projections: shape (N, D, D), see `open_directions`.
 
     Returns:
-        shape (N,), as those of three scalars; 0 for all other rows. See `calib.estimate.statistics`.
+        shape (N,), as those of three scalars; see `calib.estimate.statistics`.
     """
     covariance = with_wide_priors(stage).fit(linear)[1][0]
-    whitened = linear.residual(x) / linear.noise_of(stage.noise)[0]
-    whitened_A = linear.A / linear.noise_of(stage.noise)[0][:, :, None]
-    norms, directions = np.zeros(len(linear)), np.zeros(len(linear), dtype=np.int_)
-    for i in np.flatnonzero(sole).tolist():
-        A, r = whitened_A[i][linear.used[i]], whitened[i][linear.used[i]]
-        variances, vectors = np.linalg.eigh(A @ covariance @ A.T)
-        wide = variances >= _OPEN**2 * np.max(variances, initial=0.0)
-        norms[i] = np.linalg.norm((vectors.T @ r)[wide] / np.sqrt(1.0 + variances[wide]))
-        directions[i] = np.sum(wide)
-    return as_of_a_point(norms, directions)
+    noise = linear.noise_of(stage.noise)[0]
+    residual = projections @ (linear.residual(x) / noise)[:, :, None]
+    A = projections @ (linear.A / noise[:, :, None])
+    predicted = np.eye(noise.shape[1]) + A @ covariance @ A.swapaxes(1, 2)
+    squares = np.sum(residual * np.linalg.solve(predicted, residual), axis=(1, 2))
+    directions = np.rint(np.trace(projections, axis1=1, axis2=2)).astype(np.int_)
+    return as_of_a_point(np.sqrt(squares), directions)
 
 
 def updated(
-    x: Array,
-    covariance: Array,
+    estimate: tuple[Array, Array],
     stage: Stage,
     linear_at: Callable[[Array], Linear],
     weights: Array,
+    projections: Array,
 ) -> tuple[Array, Array]:
-    """Update an estimate by the rows of sole postures.
+    """Update an estimate by the rows of sole postures, in Gauss-Newton steps that are halved until the squares fall.
 
     Args:
-        x: shape (p,), the estimate by all other rows.
-        covariance: shape (p, p), its covariance.
+        estimate: x, shape (p,), by all other rows, and its covariance, shape (p, p).
         stage: Noise and priors of the one fit that made it, in which sole postures have no weight.
         linear_at: Gives the problem linearised at some x.
         weights: shape (N,), of the rows of sole postures; 0 for all others.
+        projections: shape (N, D, D), see `open_directions`.
 
     Returns:
         x and covariance with what sole postures say.
     """
-    start = linear_at(x)
-    sole = weights > 0.0
-    noise = np.where(sole[:, None], 1.0, _NOISE_OF_OTHERS) * start.noise_of(stage.noise)[0]
-    whiten = (np.sqrt(np.where(sole, weights, stage.effective[0]))[:, None] / noise)[start.used]
+    x, covariance = estimate
+    start, sole = linear_at(x), (weights > 0.0)[:, None]
+    noise = np.where(sole, 1.0, _NOISE_OF_OTHERS) * start.noise_of(stage.noise)[0]
+    root = np.sqrt(np.where(sole[:, 0], weights, stage.effective[0]))
+    whiten = root[:, None, None] * projections / noise[:, None]
     prior = np.sqrt(with_wide_priors(stage).priors.precision[0])
     # The residuals of other rows are to stay, those of sole postures to vanish.
-    held = np.where(sole[:, None], 0.0, start.residual(x))[start.used]
-    moved = x
+    held = np.where(sole, 0.0, start.residual(x))
+
+    def residual(linear: Linear) -> Array:
+        """All that is to be small at the point of linearisation."""
+        measured = (whiten @ (linear.residual(linear.x) - held)[:, :, None]).ravel()
+        known = linear.C @ (x - linear.x) / _NOISE_OF_OTHERS
+        return np.concatenate([measured, known, prior * (x - linear.x)])
+
+    def derivative(linear: Linear) -> Array:
+        """Minus that of the residual."""
+        measured = (whiten @ linear.A).reshape(-1, len(x))
+        return np.vstack([measured, linear.C / _NOISE_OF_OTHERS, np.diag(prior)])
+
+    linear = start
     for _ in range(_UPDATES):
-        linear = linear_at(moved)
-        rows = np.hstack([linear.A[linear.used].T * whiten, linear.C.T / _NOISE_OF_OTHERS]).T
-        A = np.vstack([rows, np.diag(prior)])
-        change = (linear.residual(moved)[linear.used] - held) * whiten
-        known = linear.C @ (x - moved) / _NOISE_OF_OTHERS
-        step = np.linalg.lstsq(A, np.concatenate([change, known, prior * (x - moved)]))[0]
-        moved = moved + step
+        left = residual(linear)
+        step = np.linalg.lstsq(derivative(linear), left)[0]
+        allowed = np.linalg.norm(left)
+        while (
+            np.linalg.norm(step) >= _SETTLED
+            and np.linalg.norm(residual(linear_at(linear.x + step))) > allowed
+        ):
+            step = 0.5 * step
         if np.linalg.norm(step) < _SETTLED:
             break
-    scalars = np.flatnonzero(np.broadcast_to(sole[:, None], linear.used.shape)[linear.used])
+        linear = linear_at(linear.x + step)
+    A = derivative(linear)
+    scalars = np.flatnonzero(np.broadcast_to(sole, noise.shape))
     gain = np.linalg.pinv(A)[:, scalars]
     kept = np.eye(len(x)) - gain @ A[scalars]
-    return moved, kept @ covariance @ kept.T + gain @ gain.T
+    return linear.x, kept @ covariance @ kept.T + gain @ gain.T
