@@ -107,19 +107,46 @@ def select(task: Task, rows: Rows) -> Selection:
     judge = fit(replace(task, model=start), rows)
     rows = judge.estimate.problem.rows
     start = without_vanished(start, judge.estimate.sizes)
-    for _ in range(_JUDGED):
-        search = _Search(task, rows, judge, geometries, families)
-        best, geometry = search.highest(start), search.geometry()
-        best = best if "+" in best else geometry
-        found = fit(replace(task, model=best), rows, started=judge.setup)
-        alike = np.array_equal(found.estimate.outliers, judge.estimate.outliers)
-        start, judge = best, found
-        if alike:
-            break
+    chosen = _searched(_Search(task, rows, judge, geometries, families), start)
+    search, geometry, best, judge = chosen
     if len(rows) < len(every):
         judge = fit(replace(task, model=best), every, started=judge.setup)
     larger = best if "+" in best else ""
     return Selection(geometry, larger, marked(search.tried.values(), geometry, larger), judge)
+
+
+def _searched(search: _Search, start: str) -> tuple[_Search, str, str, Fitted]:
+    """Search until the weights of the chosen model choose it again, or those of the first judge explain more rows.
+
+    Returns:
+        The last search, the names of geometry and of the model of the highest evidence, and this model's fit.
+    """
+    for last in range(_JUDGED - 1, -1, -1):
+        best, geometry = search.highest(start), search.geometry()
+        best = search.non_geometric(best, geometry) if "+" in best else geometry
+        task, judge = replace(search.task, model=best), search.judge
+        found = fit(task, search.rows, started=judge.setup)
+        if explains_more(judge, found):
+            return search, geometry, best, fit(task, search.rows, judge=judge)
+        if not last or np.array_equal(found.estimate.outliers, judge.estimate.outliers):
+            break
+        search, start = replace(search, judge=found, tried={}), best
+    return search, geometry, best, found
+
+
+def explains_more(judge: Fitted, found: Fitted) -> bool:
+    """Whether a judge explains rows that a fit calls outliers: a small model can look good because it leaves them out.
+
+    All that the judge calls outliers are outliers for the fit too, and some are not for the judge; with these it
+    predicts left-out rows better than the fit does.
+    """
+    outliers = found.estimate.outliers, judge.estimate.outliers
+    aside = outliers[0] & outliers[1]
+    if np.array_equal(aside, outliers[0]) or not np.array_equal(aside, outliers[1]):
+        return False
+    errors = [linear_cross_validation(f, aside).errors_without_outliers for f in (found, judge)]
+    of_found, of_judge = (e.rms if e.n else e.rms_angle for e in errors)
+    return of_judge < of_found
 
 
 def marked(candidates: Iterable[Candidate], geometry: str, larger: str) -> tuple[Candidate, ...]:
@@ -234,6 +261,15 @@ class _Search:
         estimate = self.judge.estimate
         scales, kept = estimate.problem.scales, self.rows.checked & (estimate.weights > 0.0)
         return preferred(fitted, [pose_errors(c.cross_validation, scales, kept) for c in fitted])
+
+    def non_geometric(self, best: str, geometry: str) -> str:
+        """The model of the highest evidence that predicts left-out rows better than the geometry; else the geometry."""
+        if self.task.cell.priors.sizes == "off":
+            return best
+        limit = _left_out(self.tried[geometry])
+        better = [c for c in self.tried.values() if "+" in c.name and _left_out(c) < limit]
+        found = max(better, key=lambda c: c.evidence, default=self.tried[geometry])
+        return found.name if found.evidence > self.tried[geometry].evidence else geometry
 
     def evidence(self, name: str) -> float:
         """The evidence for a model; none where without priors the rows are too few for its parameters."""

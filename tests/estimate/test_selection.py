@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,13 +12,14 @@ import pytest
 
 from calib.data.cell import Cell, Priors
 from calib.errors import ModelError
-from calib.estimate.fitting import Task
+from calib.estimate.fitting import Fitted, Task, fit
 from calib.estimate.selection import (
     LADDER,
     Candidate,
     Selection,
     _Search,
     alternatives,
+    explains_more,
     marked,
     preferred,
     select,
@@ -145,6 +147,40 @@ def test_the_search_goes_on_from_a_geometry_that_exceeds_what_it_found(calibrate
         a_candidate("zeros+compliance", 3.0),
     )
     assert search.highest("frames+gain") == "zeros+compliance"
+
+
+def test_a_non_geometric_model_predicts_better_than_the_geometry(calibrated):
+    """Of those that do, the one with the highest evidence."""
+    search = searched(
+        calibrated,
+        a_candidate("dh", 0.0, 1e-4),
+        a_candidate("dh+gain", 3.0, 1.1e-4),
+        a_candidate("dh+gravity", 2.0, 0.9e-4),
+        a_candidate("dh+compliance", 1.0, 0.8e-4),
+    )
+    assert search.non_geometric("dh+gain", "dh") == "dh+gravity"
+    # With less evidence than the geometry none is chosen.
+    search = searched(calibrated, a_candidate("dh", 2.5, 1e-4), a_candidate("dh+gain", 2.0, 0.9e-4))
+    assert search.non_geometric("dh+gain", "dh") == "dh"
+
+
+def with_outliers(fitted: Fitted, *rows: int) -> Fitted:
+    """A fit that calls these rows outliers."""
+    scores = np.zeros(len(fitted.estimate.scores))
+    scores[list(rows)] = 10.0 * fitted.estimate.flag_limit
+    return replace(fitted, estimate=replace(fitted.estimate, scores=scores))
+
+
+def test_a_judge_that_explains_more_rows_keeps_its_weights(make_scene):
+    scene = scene_of(make_scene, 115, "dh")
+    rows, setup = rows_of(scene.robot, scene.points(40), Cell())
+    large, small = (fit(Task(scene.robot, Cell(), setup, m), rows) for m in ("dh", "zeros"))
+    assert explains_more(with_outliers(large), with_outliers(small, 3, 5))
+    assert explains_more(with_outliers(large, 3), with_outliers(small, 3, 5))
+    # Each has an outlier of its own, or they agree, or the judge predicts worse.
+    assert not explains_more(with_outliers(large, 7), with_outliers(small, 3, 5))
+    assert not explains_more(with_outliers(large, 3, 5), with_outliers(small, 3, 5))
+    assert not explains_more(with_outliers(small), with_outliers(large, 3, 5))
 
 
 def errors_of(mean: float, spread: float, count: int = 25) -> np.ndarray:
