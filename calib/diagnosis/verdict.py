@@ -264,9 +264,7 @@ def _against(e: Evidence, f: _Figures) -> list[Reason]:
     """Why the corrected robot is not to be used: the weightiest reason, and what validation rows say."""
     both = _both(e, f)
     nothing = f.unproven and e.quiet and f.plausible and not f.sparse
-    too_few = (f.few and (f.unproven or f.held_out > _REMAINS)) or (
-        f.unproven and e.quiet and f.sparse
-    )
+    too_few = f.unproven and (f.few or (e.quiet and f.sparse))
     worse = bool(f.flagged) and _typical(f.after_all) > _ALIKE * _typical(f.before_all)
     size = {**_size(e), "parameters": max(e.parameters, e.whole), "gain": f.gain}
     unfit = bool(f.fresh_after.n) and not f.fresh_falls
