@@ -1,0 +1,318 @@
+"""Stops: targets that are seen while the robot stands still are parts of one rigid body, and share where it stopped.
+
+What the robot does not repeat, and what the model lacks, displace that body by a translation and a turn about the
+centroid of its targets, random and independent from stop to stop. Of a stop's scalars, in units of their sigma,
+
+    V = noise^2 K,        K = kappa I + rho_t J_t J_t^T + rho_r J_r J_r^T,        kappa = 1 - rho_t - rho_r
+
+with the derivatives J_t and J_r of what is predicted by that displacement, each of mean square 1 over the table: noise
+is the standard deviation of a scalar, and rho are the shares of its variance that the targets of a stop have in common.
+With G = [sqrt(rho_t) J_t, sqrt(rho_r) J_r], as in any mixed model (C. R. Henderson, 1953),
+
+    K^-1 = [I - G (kappa I + G^T G)^-1 G^T] / kappa
+
+The shares come from the residual r of generalised least squares, E[r r^T] = V - A C A^T, by equations that end where
+the restricted likelihood is highest (R. D. Anderson, 1973; S. R. Searle, G. Casella, C. E. McCulloch, Variance
+Components, 1992): with the derivatives V_i of V by theta, which are noise^2 times kappa, rho_t and rho_r,
+
+    sum_j tr(V^-1 V_i V^-1 V_j) theta_j = tr(V^-1 V_i V^-1 [r r^T + A C A^T])
+
+Repeats of a target at a stop enter with their mean: what repeats share is found by `calib.estimate.stages`. Each
+instrument, lengths and angles apart, has shares of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.estimate.setup import Rows, same_poses
+from calib.model.kinematics import Kinematics
+from calib.units import Array, Integers, Mask
+
+#: The columns of a body's translation, and of its turn.
+_TRANSLATION, _TURN = slice(0, 3), slice(3, 6)
+
+#: A scalar's own share of its variance is no less: no instrument is a thousand times better than what it measures.
+_LEAST_OWN = 1e-6
+
+#: With fewer degrees of freedom, of targets within their bodies or of the bodies, nothing is taken for shared.
+_TELLING = 6
+
+#: The shares are improved so often at most, and have settled when they change by less.
+_STEPS, _SETTLED = 20, 1e-4
+
+#: Rows whose columns are copied at a time; what is divided by instead of zero.
+_PART, _TINY = 16_384, 1e-300
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stops:
+    """The rows of stops at which several targets were seen: K rows, in M cells of one target at one of S stops."""
+
+    rows: Integers  # (K,), their numbers, cell by cell and stop by stop
+    cells: Integers  # (K,), which rows are of one cell
+    stops: Integers  # (K,), which are of one stop
+    J: Array  # (K, D, 6), the derivative of each scalar by the body's displacement, of mean square 1
+    instruments: NDArray[np.int8]  # (K, D), which noise each scalar has; -1 for none
+    _first_row: Integers = field(init=False, repr=False)  # (M,), of each cell, among these rows
+    _first_cell: Integers = field(init=False, repr=False)  # (S,), of each stop, among the cells
+    _cell_of_row: Integers = field(init=False, repr=False)  # (K,), from 0
+    _stop_of_cell: Integers = field(init=False, repr=False)  # (M,), from 0
+
+    def __post_init__(self) -> None:
+        """Find where cells and stops begin."""
+        begins = np.append(True, (np.diff(self.cells) != 0) | (np.diff(self.stops) != 0))
+        anew = np.append(True, np.diff(self.stops[begins]) != 0)
+        values = (np.flatnonzero(begins), np.flatnonzero(anew), np.cumsum(begins), np.cumsum(anew))
+        object.__setattr__(self, "_first_row", values[0])
+        object.__setattr__(self, "_first_cell", values[1])
+        object.__setattr__(self, "_cell_of_row", values[2] - 1)
+        object.__setattr__(self, "_stop_of_cell", values[3] - 1)
+
+    @classmethod
+    def of(cls, kinematics: Kinematics, rows: Rows) -> Stops | None:
+        """The stops of a table, with the bodies where a fit starts; None where no stop has several targets.
+
+        They are targets of one kind, which measures a position, seen from one frame.
+        """
+        target = rows.samples.target
+        if not len(rows) or target.min() == target.max():
+            return None
+        # The two poses of a pair are one block.
+        at = same_poses(rows.joints) if np.any(rows.partner >= 0) else rows.blocks
+        labels = np.column_stack([at, rows.samples.frame, rows.kinds])
+        stops = np.unique(labels, axis=0, return_inverse=True)[1].reshape(-1)
+        seen = np.unique(np.column_stack([stops, target]), axis=0)[:, 0]
+        chosen = (np.bincount(seen)[stops] > 1) & rows.where(lambda kind: kind.position)
+        if not np.any(chosen):
+            return None
+        own, stops = rows.select(chosen), stops[chosen]
+        T = kinematics.poses(np.zeros(len(kinematics.model)), own.samples)
+        J = np.zeros((len(own), rows.width, 6))
+        J[:, : own.width] = own.derivative(T, _twists_of_bodies(T[:, :3, 3], stops))
+        instruments = rows.instruments[chosen]
+        J = _of_unit_size(J / rows.scales[chosen][:, :, None], instruments)
+        order = np.lexsort((own.poses, stops))
+        columns = (np.flatnonzero(chosen), own.poses, stops, J, instruments)
+        return cls(*(column[order] for column in columns))
+
+    def select(self, mask: Mask) -> Stops | None:
+        """The stops of some of the table's rows, which are numbered anew; None where there are none."""
+        kept = mask[self.rows]
+        numbers = (np.cumsum(mask) - 1)[self.rows]
+        return replace(self._some(kept), rows=numbers[kept]) if np.any(kept) else None
+
+    def drawn(self, count: Integers) -> Stops:
+        """The stops of a table whose stops were drawn so often each, (N,), if the rows' weights are multiplied by that.
+
+        Rows of the double weight have half the variance, and so must have what they share.
+        """
+        often = count[self.rows, None, None]
+        return replace(self, J=np.where(often > 0, self.J / np.sqrt(np.maximum(often, 1)), 0.0))
+
+    def corrections(self, columns: Array, weights: Array, rho: Array) -> tuple[Array, Array]:
+        """What stops change in the normal equations of independent rows, and the log determinants.
+
+        Args:
+            columns: shape (q, D, N), of the table's scalars, in units of their sigma.
+            weights: shape (B, N), of its rows.
+            rho: shape (B, C, 2), the shares of each of C instruments.
+
+        Returns:
+            X^T (K^-1 - I) X with the weighted columns X of each instrument, shape (B, C, q, q); log det K, shape (B,).
+        """
+        q, (B, C, _) = len(columns), rho.shape
+        result, log_det = np.zeros((B, C, q, q)), np.zeros(B)
+        for stops in self._parts():
+            X = stops._rows_of(columns)
+            for b, c in np.argwhere(np.any(rho > 0.0, axis=2)).tolist():
+                means, J, count = stops._means(X, weights[b], c)
+                kappa, G = _own(rho[b, c]), J * _roots(rho[b, c])
+                root = np.linalg.cholesky(np.eye(6) + stops._sums(_T(G) @ G) / kappa)
+                shared = np.linalg.solve(root, stops._sums(_T(G) @ means) / kappa).reshape(-1, q)
+                flat = means.reshape(-1, q)
+                result[b, c] += (1.0 / kappa - 1.0) * (flat.T @ flat) - shared.T @ shared
+                log_det[b] += np.sum(count) * np.log(kappa)
+                log_det[b] += 2.0 * np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)))
+        return result, log_det
+
+    def whitened(self, columns: Array, weights: Array, rho: Array) -> Array:
+        """The columns (q, D, N) times the roots of their weights (N,), and of K^-1 with the shares (C, 2).
+
+        With G^T G / kappa = Q diag(s^2 - 1) Q^T,
+
+            K^-1/2 = [I - G Q diag(1 / (s + s^2)) Q^T G^T / kappa] / sqrt(kappa)
+        """
+        result: Array = columns * np.sqrt(weights)
+        for stops in self._parts():
+            X, w, cell = stops._rows_of(columns), weights[stops.rows], stops._cell_of_row
+            for c in np.flatnonzero(np.any(rho > 0.0, axis=1)).tolist():
+                means, J, _ = stops._means(X, weights, c)
+                kappa = _own(rho[c])
+                G = J * _roots(rho[c]) / np.sqrt(kappa)
+                squares, Q = np.linalg.eigh(stops._sums(_T(G) @ G))
+                s = np.sqrt(1.0 + np.maximum(squares, 0.0))[:, None]
+                shared = (Q / (s + s**2)) @ (_T(Q) @ stops._sums(_T(G) @ means))
+                found = (means - G @ shared[stops._stop_of_cell]) / np.sqrt(kappa)
+                root = np.sqrt(w / np.maximum(np.add.reduceat(w, stops._first_row), _TINY)[cell])
+                changes = (found - means)[cell] * root[:, None, None]
+                result[:, :, stops.rows] += changes.transpose(2, 1, 0)
+        return result
+
+    def moments(
+        self, columns: Array, weights: Array, c: int, x: Array, C: Array
+    ) -> tuple[Array, Array, float, float]:
+        """What the residual of a fit says of the shares of an instrument, see `shares_of`.
+
+        Args:
+            columns: shape (p + 1, D, N), the derivative A of the prediction and the residual, in units of sigma.
+            weights: shape (N,), of the rows.
+            c: The instrument's number.
+            x: shape (p,), the fit, from where the residual is that of ``columns``.
+            C: shape (p, p), its covariance.
+        """
+        parts = []
+        for stops in self._parts():
+            means, J, count = stops._means(stops._rows_of(columns), weights, c)
+            A, r = means[..., :-1], means[..., -1:] - means[..., :-1] @ x[:, None]
+            sums = stops._sums(_T(J) @ np.concatenate([J, A, r], axis=2))
+            M, along, b = sums[..., :6], sums[..., 6:-1], sums[..., -1:]
+            total = float(np.sum(r**2) + np.sum((A @ C) * A))
+            parts.append((M, b @ _T(b) + along @ C @ _T(along), total, float(np.sum(count))))
+        M, R, total, count = zip(*parts, strict=True)
+        return np.concatenate(M), np.concatenate(R), sum(total), sum(count)
+
+    def _means(self, X: Array, weights: Array, c: int) -> tuple[Array, Array, Array]:
+        """Of an instrument's scalars in each cell, all zero for others: columns, derivative by the body, and number.
+
+        The columns (K, D, q) are summed over repeats with their weights to what has the variance of one row; shapes (M,
+        D, q), (M, D, 6) and (M, D).
+        """
+        w, own = weights[self.rows, None], self.instruments == c
+        total = np.add.reduceat(w, self._first_row)
+        scale = 1.0 / np.sqrt(np.maximum(total, _TINY))
+        both = np.concatenate([X, self.J], axis=2) * (w * own)[:, :, None]
+        both = np.add.reduceat(both, self._first_row) * scale[:, :, None]
+        there = own[self._first_row] * np.minimum(total, 1.0)
+        return both[..., :-6], both[..., -6:], there
+
+    def _sums(self, values: Array) -> Array:
+        """Sums of values (M, ...) over the cells of each stop, shape (S, ...)."""
+        return np.asarray(np.add.reduceat(values, self._first_cell))
+
+    def _rows_of(self, columns: Array) -> Array:
+        """The columns (q, D, N) of these rows, shape (K, D, q)."""
+        return np.ascontiguousarray(columns[:, :, self.rows].transpose(2, 1, 0))
+
+    def _parts(self) -> list[Stops]:
+        """The stops in parts of some rows each."""
+        if len(self.rows) <= _PART:
+            return [self]
+        first = self._first_row[self._first_cell][self._stop_of_cell][self._cell_of_row]
+        part = first // _PART
+        return [self._some(part == k) for k in np.unique(part)]
+
+    def _some(self, kept: Mask) -> Stops:
+        """Some of these rows."""
+        columns = (self.rows, self.cells, self.stops, self.J, self.instruments)
+        return Stops(*(column[kept] for column in columns))
+
+
+def shares_of(M: Array, R: Array, total: float, count: float, rho: Array) -> Array:
+    """The shares (2,) of an instrument, of translations and of turns, from the moments of a residual.
+
+    Args:
+        M: shape (S, 6, 6), J^T J of each stop.
+        R: shape (S, 6, 6), J^T [r r^T + A C A^T] J.
+        total: The trace of r r^T + A C A^T over all stops.
+        count: The number of scalars.
+        rho: shape (2,), the shares to begin with.
+    """
+    bodies = int(np.sum(np.linalg.matrix_rank(M, hermitian=True)))
+    if min(bodies, count - bodies) < _TELLING:
+        return np.zeros(2)
+    for _ in range(_STEPS):
+        before, rho = rho, _improved(M, R, total, count, rho)
+        if np.max(np.abs(rho - before)) < _SETTLED * _own(rho):
+            break
+    return rho
+
+
+def _improved(M: Array, R: Array, total: float, count: float, rho: Array) -> Array:
+    """One step of `shares_of`: the equations for theta at the last shares.
+
+    With T = (kappa I + S M)^-1 and the diagonal S of G G^T = J S J^T, K^-1 J = J T.
+    """
+    kappa, S = _own(rho), _roots(rho) ** 2
+    T = np.linalg.inv(kappa * np.eye(6) + S[:, None] * M)
+    H = T * S  # K^-1 = (I - J H J^T) / kappa
+    within, seen, beside = M @ T, _T(T) @ R @ T, _T(T) @ M @ T
+    parts = (_TRANSLATION, _TURN)
+    left = np.zeros((3, 3))
+    HM = H @ M
+    left[0, 0] = (count - 2.0 * _trace(HM) + _trace(HM @ HM)) / kappa**2
+    left[0, 1:] = left[1:, 0] = [_trace(beside[:, part, part]) for part in parts]
+    left[1:, 1:] = [[np.sum(within[:, i, j] ** 2) for j in parts] for i in parts]
+    right = np.array(
+        [
+            (total - 2.0 * _trace(H @ R) + _trace(HM @ H @ R)) / kappa**2,
+            *(_trace(seen[:, part, part]) for part in parts),
+        ]
+    )
+    theta = np.zeros(3)
+    free = np.diagonal(left) > 0.0  # angles are not moved by translations
+    while True:
+        theta[~free] = 0.0
+        theta[free] = np.linalg.lstsq(left[np.ix_(free, free)], right[free], rcond=1e-12)[0]
+        if not np.any(theta[1:] < 0.0):
+            break
+        free[1 + int(np.argmin(theta[1:]))] = False
+    shared = theta[1:] / max(float(np.sum(theta)), _TINY)
+    return np.asarray(shared * min(1.0, (1.0 - _LEAST_OWN) / max(float(np.sum(shared)), _TINY)))
+
+
+def _own(rho: Array) -> float:
+    """The share kappa of a scalar's variance that is its own."""
+    return float(max(1.0 - np.sum(rho), _LEAST_OWN))
+
+
+def _roots(rho: Array) -> Array:
+    """The roots of the shares, of each direction of a displacement, shape (6,)."""
+    return np.repeat(np.sqrt(rho), 3)
+
+
+def _T(M: Array) -> Array:
+    """The transposed matrices."""
+    return M.swapaxes(-1, -2)
+
+
+def _trace(M: Array) -> float:
+    """The sum of the traces of matrices."""
+    return float(np.einsum("sii->", M))
+
+
+def _twists_of_bodies(points: Array, stops: Integers) -> Array:
+    """What displacing bodies, at the centroids of their points (K, 3), does to these, shape (K, 6, 6) [m, rad]."""
+    _, body, count = np.unique(stops, return_inverse=True, return_counts=True)
+    sums = np.stack([np.bincount(body, column) for column in points.T], axis=1)
+    lever = points - (sums / count[:, None])[body]
+    twists = np.zeros((len(points), 6, 6))
+    twists[:] = np.eye(6)
+    # Column k is e_k x lever.
+    twists[:, :3, 3:] = np.cross(np.eye(3), lever[:, None]).swapaxes(1, 2)
+    return twists
+
+
+def _of_unit_size(J: Array, instruments: NDArray[np.int8]) -> Array:
+    """The derivatives (K, D, 6), of each instrument those by translations and by turns made of mean square 1."""
+    result = np.zeros(J.shape)
+    for c in range(int(instruments.max()) + 1):
+        own = instruments == c
+        for part in (_TRANSLATION, _TURN):
+            square = float(np.sum(J[own][:, part] ** 2)) / max(int(np.sum(own)), 1)
+            if square > 0.0:
+                result[own, part] = J[own][:, part] / np.sqrt(square)
+    return result
