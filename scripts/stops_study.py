@@ -1,6 +1,6 @@
 """Several targets seen at each stop, against poses of the body that carries them, made from the same points.
 
-``points 100 30``: so many UR5s of ``dh`` errors with four markers on the hand, seen at so many stops (30 if none is
+``100 30``: so many UR5s of ``dh`` errors with four markers on the hand, seen at so many stops (30 if none is
 said) by cameras that stand anywhere; by how much each stop is missed, in units of the cameras' noise; the error on
 unseen poses of a fit to the markers over that of a fit to poses of the hand, and standard deviations over errors.
 """
@@ -119,20 +119,19 @@ def stated(fitted: Fitted) -> float:
     return float(np.sqrt(np.mean(np.sum(spread, axis=1))))
 
 
-def points(runs: int, stops: int = 30, model: str = "dh") -> Iterator[str]:
+def points(runs: int, stops: int = 30) -> Iterator[str]:
     """A line for each repeatability of the robot."""
     robot, cell = Robot.load("ur5", "base_link", "tool0"), Cell(estimate_frame=True)
     for missed in MISSED:
         found = []
         for seed in range(runs):
             hand = Hand.drawn(robot, stops, missed, seed)
-            one = fit_table(robot, hand.by_points(), cell, model=model).fitted
+            one = fit_table(robot, hand.by_points(), cell, model="dh").fitted
             table, body = hand.by_poses()
-            other = fit_table(robot, table, cell, model=model).fitted
+            other = fit_table(robot, table, cell, model="dh").fitted
             off, of_poses = errors(hand, one), errors(hand, other, body)
             own = rms(np.linalg.norm(off[:, 0], axis=1))
-            rho = getattr(one.estimate.problem, "rho", np.zeros((1, 2)))
-            found.append([rms(off), rms(of_poses), stated(one) / own, *rho[0]])
+            found.append([rms(off), rms(of_poses), stated(one) / own, *one.estimate.problem.rho[0]])
         by_points, by_poses, calm, *rho = np.array(found).T
         ratio = by_points / by_poses
         yield (
@@ -143,5 +142,5 @@ def points(runs: int, stops: int = 30, model: str = "dh") -> Iterator[str]:
 
 
 if __name__ == "__main__":
-    for line in points(*map(int, sys.argv[1:3]), *sys.argv[3:]):
+    for line in points(*map(int, sys.argv[1:3])):
         print(line, flush=True)

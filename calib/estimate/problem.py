@@ -26,7 +26,7 @@ from calib.estimate.gauge import TOLERANCE, SizeGauge, measures_length, size_gau
 from calib.estimate.setup import LENGTHS, KnownDistance, Rows
 from calib.estimate.solvers import triangle
 from calib.estimate.statistics import as_of_a_point, deleted_norms
-from calib.estimate.stop_errors import Stops, shares_of
+from calib.estimate.stop_errors import Stops
 from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability, analyse
 from calib.robot.kernel import over_blocks
@@ -216,7 +216,7 @@ class Linear:
         for b, c in np.ndindex(*rho.shape[:2]):
             step, C = x[b] - self.x, covariance[b]
             moments = self.stops.moments(self.columns, weights[b], c, step, C)
-            result[b, c] = shares_of(*moments, rho[b, c])
+            result[b, c] = moments.shares(rho[b, c])
         return result
 
 

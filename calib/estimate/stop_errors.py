@@ -49,6 +49,57 @@ _PART, _TINY = 16_384, 1e-300
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Moments:
+    """What an instrument's residual r at S stops says of its shares, in units of any noise."""
+
+    M: Array  # (S, 6, 6), J^T J
+    R: Array  # (S, 6, 6), J^T [r r^T + A C A^T] J
+    total: float  # The trace of r r^T + A C A^T, of all stops
+    count: float  # The number of scalars
+
+    def shares(self, rho: Array) -> Array:
+        """The shares of translations and of turns, shape (2,), from where the search begins."""
+        bodies = int(np.sum(np.linalg.matrix_rank(self.M, hermitian=True)))
+        if min(bodies, self.count - bodies) < _TELLING:
+            return np.zeros(2)
+        for _ in range(_STEPS):
+            before, rho = rho, _shares_of(self._components(rho))
+            if np.max(np.abs(rho - before)) < _SETTLED * _own(rho):
+                break
+        return rho
+
+    def _components(self, rho: Array) -> Array:
+        """The variances theta, (3,), by the equations at some shares, those of translations and turns not negative.
+
+        With T = (kappa I + S M)^-1, J S J^T = G G^T and H = T S, K^-1 J = J T and K^-1 = (I - J H J^T) / kappa.
+        """
+        kappa, S, M, R = _own(rho), _roots(rho) ** 2, self.M, self.R
+        T = np.linalg.inv(kappa * np.eye(6) + S[:, None] * M)
+        HM, HR, parts = (T * S) @ M, (T * S) @ R, (_TRANSLATION, _TURN)
+        left, right = np.zeros((3, 3)), np.zeros(3)
+        left[0, 0] = (self.count - 2.0 * _trace(HM) + _trace(HM @ HM)) / kappa**2
+        right[0] = (self.total - 2.0 * _trace(HR) + _trace(HM @ HR)) / kappa**2
+        across, shared, seen = M @ T, _T(T) @ M @ T, _T(T) @ R @ T
+        for k, i in enumerate(parts, 1):
+            left[0, k] = left[k, 0] = _trace(shared[:, i, i])
+            left[k, 1:] = [np.sum(across[:, i, j] ** 2) for j in parts]
+            right[k] = _trace(seen[:, i, i])
+        free = np.diagonal(left) > 0.0  # no translation moves angles
+        while True:
+            theta = np.zeros(3)
+            theta[free] = np.linalg.solve(left[np.ix_(free, free)], right[free])
+            if not np.any(theta[1:] < 0.0):
+                return theta
+            free[1 + int(np.argmin(theta[1:]))] = False
+
+
+def _shares_of(theta: Array) -> Array:
+    """The shares of the last two of three variances, which leave something to the first."""
+    shares = theta[1:] / max(float(np.sum(theta)), _TINY)
+    return np.asarray(shares / max(float(np.sum(shares)) / (1.0 - _LEAST_OWN), 1.0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Stops:
     """The rows of stops at which several targets were seen: K rows, in M cells of one target at one of S stops."""
 
@@ -96,8 +147,8 @@ class Stops:
         instruments = rows.instruments[chosen]
         J = _of_unit_size(J / rows.scales[chosen][:, :, None], instruments)
         order = np.lexsort((own.poses, stops))
-        columns = (np.flatnonzero(chosen), own.poses, stops, J, instruments)
-        return cls(*(column[order] for column in columns))
+        numbers, cells = np.flatnonzero(chosen)[order], own.poses[order]
+        return cls(numbers, cells, stops[order], J[order], instruments[order])
 
     def select(self, mask: Mask) -> Stops | None:
         """The stops of some of the table's rows, which are numbered anew; None where there are none."""
@@ -105,7 +156,7 @@ class Stops:
         numbers = (np.cumsum(mask) - 1)[self.rows]
         return replace(self._some(kept), rows=numbers[kept]) if np.any(kept) else None
 
-    def drawn(self, count: Integers) -> Stops:
+    def drawn(self, count: Array) -> Stops:
         """The stops of a table whose stops were drawn so often each, (N,), if the rows' weights are multiplied by that.
 
         Rows of the double weight have half the variance, and so must have what they share.
@@ -162,10 +213,8 @@ class Stops:
                 result[:, :, stops.rows] += changes.transpose(2, 1, 0)
         return result
 
-    def moments(
-        self, columns: Array, weights: Array, c: int, x: Array, C: Array
-    ) -> tuple[Array, Array, float, float]:
-        """What the residual of a fit says of the shares of an instrument, see `shares_of`.
+    def moments(self, columns: Array, weights: Array, c: int, x: Array, C: Array) -> Moments:
+        """What the residual of a fit says of an instrument's shares.
 
         Args:
             columns: shape (p + 1, D, N), the derivative A of the prediction and the residual, in units of sigma.
@@ -174,16 +223,17 @@ class Stops:
             x: shape (p,), the fit, from where the residual is that of ``columns``.
             C: shape (p, p), its covariance.
         """
-        parts = []
+        M, R, total, count = [], [], 0.0, 0.0
         for stops in self._parts():
-            means, J, count = stops._means(stops._rows_of(columns), weights, c)
+            means, J, there = stops._means(stops._rows_of(columns), weights, c)
             A, r = means[..., :-1], means[..., -1:] - means[..., :-1] @ x[:, None]
             sums = stops._sums(_T(J) @ np.concatenate([J, A, r], axis=2))
-            M, along, b = sums[..., :6], sums[..., 6:-1], sums[..., -1:]
-            total = float(np.sum(r**2) + np.sum((A @ C) * A))
-            parts.append((M, b @ _T(b) + along @ C @ _T(along), total, float(np.sum(count))))
-        M, R, total, count = zip(*parts, strict=True)
-        return np.concatenate(M), np.concatenate(R), sum(total), sum(count)
+            along, b = sums[..., 6:-1], sums[..., -1:]
+            M.append(sums[..., :6])
+            R.append(b @ _T(b) + along @ C @ _T(along))
+            total += float(np.sum(r**2) + np.sum((A @ C) * A))
+            count += float(np.sum(there))
+        return Moments(np.concatenate(M), np.concatenate(R), total, count)
 
     def _means(self, X: Array, weights: Array, c: int) -> tuple[Array, Array, Array]:
         """Of an instrument's scalars in each cell, all zero for others: columns, derivative by the body, and number.
@@ -217,61 +267,8 @@ class Stops:
 
     def _some(self, kept: Mask) -> Stops:
         """Some of these rows."""
-        columns = (self.rows, self.cells, self.stops, self.J, self.instruments)
-        return Stops(*(column[kept] for column in columns))
-
-
-def shares_of(M: Array, R: Array, total: float, count: float, rho: Array) -> Array:
-    """The shares (2,) of an instrument, of translations and of turns, from the moments of a residual.
-
-    Args:
-        M: shape (S, 6, 6), J^T J of each stop.
-        R: shape (S, 6, 6), J^T [r r^T + A C A^T] J.
-        total: The trace of r r^T + A C A^T over all stops.
-        count: The number of scalars.
-        rho: shape (2,), the shares to begin with.
-    """
-    bodies = int(np.sum(np.linalg.matrix_rank(M, hermitian=True)))
-    if min(bodies, count - bodies) < _TELLING:
-        return np.zeros(2)
-    for _ in range(_STEPS):
-        before, rho = rho, _improved(M, R, total, count, rho)
-        if np.max(np.abs(rho - before)) < _SETTLED * _own(rho):
-            break
-    return rho
-
-
-def _improved(M: Array, R: Array, total: float, count: float, rho: Array) -> Array:
-    """One step of `shares_of`: the equations for theta at the last shares.
-
-    With T = (kappa I + S M)^-1 and the diagonal S of G G^T = J S J^T, K^-1 J = J T.
-    """
-    kappa, S = _own(rho), _roots(rho) ** 2
-    T = np.linalg.inv(kappa * np.eye(6) + S[:, None] * M)
-    H = T * S  # K^-1 = (I - J H J^T) / kappa
-    within, seen, beside = M @ T, _T(T) @ R @ T, _T(T) @ M @ T
-    parts = (_TRANSLATION, _TURN)
-    left = np.zeros((3, 3))
-    HM = H @ M
-    left[0, 0] = (count - 2.0 * _trace(HM) + _trace(HM @ HM)) / kappa**2
-    left[0, 1:] = left[1:, 0] = [_trace(beside[:, part, part]) for part in parts]
-    left[1:, 1:] = [[np.sum(within[:, i, j] ** 2) for j in parts] for i in parts]
-    right = np.array(
-        [
-            (total - 2.0 * _trace(H @ R) + _trace(HM @ H @ R)) / kappa**2,
-            *(_trace(seen[:, part, part]) for part in parts),
-        ]
-    )
-    theta = np.zeros(3)
-    free = np.diagonal(left) > 0.0  # angles are not moved by translations
-    while True:
-        theta[~free] = 0.0
-        theta[free] = np.linalg.lstsq(left[np.ix_(free, free)], right[free], rcond=1e-12)[0]
-        if not np.any(theta[1:] < 0.0):
-            break
-        free[1 + int(np.argmin(theta[1:]))] = False
-    shared = theta[1:] / max(float(np.sum(theta)), _TINY)
-    return np.asarray(shared * min(1.0, (1.0 - _LEAST_OWN) / max(float(np.sum(shared)), _TINY)))
+        rows, cells, stops = (labels[kept] for labels in (self.rows, self.cells, self.stops))
+        return Stops(rows, cells, stops, self.J[kept], self.instruments[kept])
 
 
 def _own(rho: Array) -> float:
@@ -284,9 +281,9 @@ def _roots(rho: Array) -> Array:
     return np.repeat(np.sqrt(rho), 3)
 
 
-def _T(M: Array) -> Array:
+def _T(M: NDArray[np.floating]) -> Array:
     """The transposed matrices."""
-    return M.swapaxes(-1, -2)
+    return np.asarray(M.swapaxes(-1, -2))
 
 
 def _trace(M: Array) -> float:
@@ -302,7 +299,7 @@ def _twists_of_bodies(points: Array, stops: Integers) -> Array:
     twists = np.zeros((len(points), 6, 6))
     twists[:] = np.eye(6)
     # Column k is e_k x lever.
-    twists[:, :3, 3:] = np.cross(np.eye(3), lever[:, None]).swapaxes(1, 2)
+    twists[:, :3, 3:] = _T(np.cross(np.eye(3), lever[:, None]))
     return twists
 
 
