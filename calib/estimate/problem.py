@@ -469,8 +469,8 @@ class Problem:
         """[A r] of the M scalars, by columns, in units of their noise, (p + 1, M); R of [A r] = Q R for many rows."""
         whiten = (np.sqrt(self.weights)[:, None] * (self.rows.scales / self.scales)).T
         if self.stops is not None and np.any(self.rho):
-            columns = self.stops.whitened(columns, self.weights, self.rho)
-            whiten = (self.rows.scales / self.scales).T
+            columns = self.stops.independent(columns * whiten, self.weights, self.rho)
+            whiten = np.ones(whiten.shape)
         used = self.rows.used.T
         if len(self.weights) <= _TALL:
             return np.asarray((columns * whiten)[:, used])
@@ -481,6 +481,13 @@ class Problem:
 
         parts = over_blocks(work, len(self.weights))
         return np.asarray(triangle(np.asfortranarray(np.concatenate(parts))).T)
+
+    def independent(self, values: Array, weights: Array) -> Array:
+        """Whitened values (N, D, q), with these weights (N,) of the rows, less what the targets of a stop share."""
+        if self.stops is None or not np.any(self.rho):
+            return values
+        columns = self.stops.independent(values.transpose(2, 1, 0), weights, self.rho)
+        return np.asarray(columns.transpose(2, 1, 0))
 
     def paper_system(self, nominal: Array, unit: Array, X: Array) -> tuple[Array, Array]:
         """The paper's error e_i = |dP_i|^2 [mm^2], (N,), and its derivative, (N, p), at X = (nominal + x) unit."""

@@ -39,7 +39,7 @@ _TRANSLATION, _TURN = slice(0, 3), slice(3, 6)
 _LEAST_OWN = 1e-6
 
 #: With fewer degrees of freedom, of targets within their bodies or of the bodies, nothing is taken for shared.
-_TELLING = 6
+_TELLING = 12
 
 #: The shares are improved so often at most, and have settled when they change by less.
 _STEPS, _SETTLED = 20, 1e-4
@@ -142,10 +142,12 @@ class Stops:
             return None
         own, stops = rows.select(chosen), stops[chosen]
         T = kinematics.poses(np.zeros(len(kinematics.model)), own.samples)
-        J = np.zeros((len(own), rows.width, 6))
-        J[:, : own.width] = own.derivative(T, _twists_of_bodies(T[:, :3, 3], stops))
-        instruments = rows.instruments[chosen]
-        J = _of_unit_size(J / rows.scales[chosen][:, :, None], instruments)
+        # Repeats of a target are one point of the body.
+        counts = 1.0 / np.bincount(own.poses)[own.poses]
+        J, instruments = np.zeros((len(own), rows.width, 6)), rows.instruments[chosen]
+        twists = _twists_of_bodies(T[:, :3, 3], stops, counts)
+        J[:, : own.width] = own.derivative(T, twists) / own.scales[:, :, None]
+        J = _of_unit_size(J, instruments, counts)
         order = np.lexsort((own.poses, stops))
         numbers, cells = np.flatnonzero(chosen)[order], own.poses[order]
         return cls(numbers, cells, stops[order], J[order], instruments[order])
@@ -190,16 +192,22 @@ class Stops:
                 log_det[b] += 2.0 * np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)))
         return result, log_det
 
-    def whitened(self, columns: Array, weights: Array, rho: Array) -> Array:
-        """The columns (q, D, N) times the roots of their weights (N,), and of K^-1 with the shares (C, 2).
+    def independent(self, columns: Array, weights: Array, rho: Array) -> Array:
+        """Multiply the columns of whitened scalars by the root of K^-1, so that these are independent of each other.
 
         With G^T G / kappa = Q diag(s^2 - 1) Q^T,
 
             K^-1/2 = [I - G Q diag(1 / (s + s^2)) Q^T G^T / kappa] / sqrt(kappa)
+
+        Args:
+            columns: shape (q, D, N), in units of the noise, and times the roots of the weights.
+            weights: shape (N,), of the table's rows.
+            rho: shape (C, 2), the shares of each instrument.
         """
-        result: Array = columns * np.sqrt(weights)
+        result: Array = columns.copy()
         for stops in self._parts():
-            X, w, cell = stops._rows_of(columns), weights[stops.rows], stops._cell_of_row
+            w, cell = weights[stops.rows], stops._cell_of_row
+            X = stops._rows_of(columns) / np.sqrt(np.maximum(w, _TINY))[:, None, None]
             for c in np.flatnonzero(np.any(rho > 0.0, axis=1)).tolist():
                 means, J, _ = stops._means(X, weights, c)
                 kappa = _own(rho[c])
@@ -291,11 +299,11 @@ def _trace(M: Array) -> float:
     return float(np.einsum("sii->", M))
 
 
-def _twists_of_bodies(points: Array, stops: Integers) -> Array:
-    """What displacing bodies, at the centroids of their points (K, 3), does to these, shape (K, 6, 6) [m, rad]."""
-    _, body, count = np.unique(stops, return_inverse=True, return_counts=True)
-    sums = np.stack([np.bincount(body, column) for column in points.T], axis=1)
-    lever = points - (sums / count[:, None])[body]
+def _twists_of_bodies(points: Array, stops: Integers, counts: Array) -> Array:
+    """What displacing bodies at the centroids of their points (K, 3), which count for (K,), does to these, (K, 6, 6)."""
+    body = np.unique(stops, return_inverse=True)[1].reshape(-1)
+    sums = np.stack([np.bincount(body, counts * column) for column in points.T], axis=1)
+    lever = points - (sums / np.bincount(body, counts)[:, None])[body]
     twists = np.zeros((len(points), 6, 6))
     twists[:] = np.eye(6)
     # Column k is e_k x lever.
@@ -303,13 +311,17 @@ def _twists_of_bodies(points: Array, stops: Integers) -> Array:
     return twists
 
 
-def _of_unit_size(J: Array, instruments: NDArray[np.int8]) -> Array:
-    """The derivatives (K, D, 6), of each instrument those by translations and by turns made of mean square 1."""
+def _of_unit_size(J: Array, instruments: NDArray[np.int8], counts: Array) -> Array:
+    """The derivatives (K, D, 6) of rows that count for (K,), each instrument's by translations and by turns scaled.
+
+    What they do to a scalar has the mean square 1.
+    """
     result = np.zeros(J.shape)
     for c in range(int(instruments.max()) + 1):
-        own = instruments == c
+        own = counts[:, None] * (instruments == c)
         for part in (_TRANSLATION, _TURN):
-            square = float(np.sum(J[own][:, part] ** 2)) / max(int(np.sum(own)), 1)
+            square = float(np.sum(own[:, :, None] * J[:, :, part] ** 2))
             if square > 0.0:
-                result[own, part] = J[own][:, part] / np.sqrt(square)
+                scale = np.sqrt(np.sum(own) / square)
+                result[:, :, part] += scale * (own > 0.0)[:, :, None] * J[:, :, part]
     return result
