@@ -85,11 +85,14 @@ class Hand:
 
 def seen(kinematics: Kinematics, x: Array, q: Array) -> Array:
     """The places of all targets, shape (N, k, 3), [m]."""
+    return kinematics.points(x, of_all(kinematics, q)).reshape(len(q), -1, 3)
+
+
+def of_all(kinematics: Kinematics, q: Array) -> Samples:
+    """All targets at each of some joint values."""
     k = len(kinematics.T_tip_target)
-    q = np.repeat(q, k, axis=0)
-    target = np.tile(np.arange(k), len(q) // k)
-    samples = Samples(q, np.zeros(len(q), dtype=np.int_), target)
-    return kinematics.points(x, samples).reshape(-1, k, 3)
+    frame, target = np.zeros(k * len(q), dtype=np.int_), np.tile(np.arange(k), len(q))
+    return Samples(np.repeat(q, k, axis=0), frame, target)
 
 
 def fitted_to(body: Array, points: Array) -> tuple[Array, Array]:
@@ -112,32 +115,37 @@ def errors(hand: Hand, fitted: Fitted, body: Array | None = None) -> Array:
 
 
 def stated(fitted: Fitted) -> float:
-    """The standard deviation that a fit states for the first marker at the unseen poses, rms [m]."""
+    """The standard deviation that a fit to markers states of these at the unseen poses, rms [m]."""
     q = random_joint_values(fitted.task.robot, UNSEEN, 98)
-    _, J = fitted.kinematics.twists(fitted.estimate.x, Samples.at(q), rotation=False)
+    samples = of_all(fitted.kinematics, q)
+    _, J = fitted.kinematics.twists(fitted.estimate.x, samples, rotation=False)
     spread = np.einsum("nij,jk,nik->ni", J, fitted.estimate.covariance, J)
     return float(np.sqrt(np.mean(np.sum(spread, axis=1))))
 
 
+def compared(robot: Robot, stops: int, missed: float, seed: int) -> Array:
+    """Errors of the fit to the markers and of that to poses, what the first states, and its two shares, shape (5,)."""
+    hand, cell = Hand.drawn(robot, stops, missed, seed), Cell(estimate_frame=True)
+    one = fit_table(robot, hand.by_points(), cell, model="dh").fitted
+    table, body = hand.by_poses()
+    other = fit_table(robot, table, cell, model="dh").fitted
+    off, of_poses = (
+        rms(np.linalg.norm(e, axis=2)) for e in (errors(hand, one), errors(hand, other, body))
+    )
+    return np.array([off, of_poses, stated(one), *one.estimate.problem.rho[0]])
+
+
 def points(runs: int, stops: int = 30) -> Iterator[str]:
     """A line for each repeatability of the robot."""
-    robot, cell = Robot.load("ur5", "base_link", "tool0"), Cell(estimate_frame=True)
+    robot = Robot.load("ur5", "base_link", "tool0")
     for missed in MISSED:
-        found = []
-        for seed in range(runs):
-            hand = Hand.drawn(robot, stops, missed, seed)
-            one = fit_table(robot, hand.by_points(), cell, model="dh").fitted
-            table, body = hand.by_poses()
-            other = fit_table(robot, table, cell, model="dh").fitted
-            off, of_poses = errors(hand, one), errors(hand, other, body)
-            own = rms(np.linalg.norm(off[:, 0], axis=1))
-            found.append([rms(off), rms(of_poses), stated(one) / own, *one.estimate.problem.rho[0]])
-        by_points, by_poses, calm, *rho = np.array(found).T
+        found = np.array([compared(robot, stops, missed, seed) for seed in range(runs)])
+        by_points, by_poses, told, *rho = found.T
         ratio = by_points / by_poses
         yield (
             f"missed by {missed:4}: points over poses {rms(by_points) / rms(by_poses):.3f} rms, "
             f"{np.mean(ratio):.3f} +- {np.std(ratio) / np.sqrt(runs):.3f}; stated over error "
-            f"{np.sqrt(np.mean(calm**2)):.2f}; shares {np.mean(rho[0]):.3f}, {np.mean(rho[1]):.3f}"
+            f"{rms(told) / rms(by_points):.3f}; shares {np.mean(rho[0]):.3f}, {np.mean(rho[1]):.3f}"
         )
 
 

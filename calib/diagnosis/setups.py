@@ -34,8 +34,6 @@ def disagreeing_setups(fitted: Fitted) -> tuple[Reason, ...]:
     counts = np.any(linear.used, axis=1) & (estimate.weights > 0.0)
     # Set-ups that only rows for validation are of have nothing to predict here.
     present = np.unique(labels[counts])
-    alive = np.where(problem.weights > 0.0, 1.0, 0.0)
-    regressors = problem.independent(linear.A / noise[:, :, None], alive)
     told = []
     for own in (labels == g for g in present):
         weights = np.where(own, 0.0, problem.weights)
@@ -45,12 +43,11 @@ def disagreeing_setups(fitted: Fitted) -> tuple[Reason, ...]:
         loose = only_there(fitted, own)
         x = np.where(loose, estimate.x, x)
         rest = np.where(linear.used, linear.residual(x) / noise, 0.0)
-        rest = problem.independent(rest[:, :, None], alive)[:, :, 0]
         # Repeats count for one measurement where they share what the model lacks.
         chosen = own & counts
         at, alike = problem.weights[chosen], rows.poses[chosen]
         r, first = pose_means(rest[chosen], at, alike)
-        A, _ = pose_means(regressors[chosen], at, alike)
+        A, _ = pose_means((linear.A / noise[:, :, None])[chosen], at, alike)
         there = linear.used[chosen][first]
         A, C = A[there], covariance[np.ix_(~loose, ~loose)]
         square, degrees = prediction_square(r[there], A[:, ~loose], C, A[:, loose])

@@ -300,7 +300,10 @@ def _trace(M: Array) -> float:
 
 
 def _twists_of_bodies(points: Array, stops: Integers, counts: Array) -> Array:
-    """What displacing bodies at the centroids of their points (K, 3), which count for (K,), does to these, (K, 6, 6)."""
+    """What displacing bodies does to their points (K, 3), shape (K, 6, 6) [m, rad].
+
+    The bodies are displaced at the centroids of these, which count for ``counts``, (K,).
+    """
     body = np.unique(stops, return_inverse=True)[1].reshape(-1)
     sums = np.stack([np.bincount(body, counts * column) for column in points.T], axis=1)
     lever = points - (sums / np.bincount(body, counts)[:, None])[body]

@@ -1,4 +1,4 @@
-"""Stops with several targets: against the dense covariance, brute-force likelihood, Monte Carlo, and poses of the body."""
+"""Stops with several targets: the dense covariance, brute-force likelihood, Monte Carlo, and poses of the body."""
 
 from __future__ import annotations
 
@@ -8,25 +8,25 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.linalg import block_diag
 from scipy.optimize import minimize
 
 from calib.data.cell import Cell
-from calib.data.measurements import Measurements
+from calib.diagnosis.reasons import Why
+from calib.diagnosis.residual_patterns import Order, residual_patterns
 from calib.estimate import problem as problem_module, stop_errors
 from calib.estimate.cross_validation import fold_means
 from calib.estimate.fitting import Task, fit
 from calib.estimate.problem import Priors, Problem
 from calib.estimate.setup import rows_of
-from calib.estimate.stop_errors import Stops
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
 from calib.result.prediction import parameter_estimates
+from calib.result.uncertainty import _fit_sample
 from calib.robot.readback import random_joint_values
 from tests.fits import joined, place
 
 sys.path.append(str(Path(__file__).parents[2] / "scripts"))
-from stops_study import Hand, errors, seen, stated  # noqa: E402
+from stops_study import Hand, compared
 
 HAND = [place([0.08, 0.0, 0.05]), place([-0.07, 0.03, 0.08]), place([0.0, -0.09, 0.06])]
 HAND += [place([0.02, 0.06, 0.14], [0.3, 0.1, -0.2])]
@@ -217,7 +217,7 @@ def displaced(scene, q, rng, own, shift, turn):
     samples = [scene.samples(len(q), 0, t, q) for t in range(4)]
     points = np.stack([scene.kinematics.points(scene.x, one) for one in samples])
     lever = points - points.mean(axis=0)
-    v, w = shift * rng.normal(size=q.shape[:1] + (3,)), turn * rng.normal(size=q.shape[:1] + (3,))
+    v, w = shift * rng.normal(size=(len(q), 3)), turn * rng.normal(size=(len(q), 3))
     points = points + v + np.cross(w, lever) + own * rng.normal(size=points.shape)
     tables = [
         scene._table(one, "point", points=values)
@@ -312,3 +312,49 @@ def test_a_fit_finds_what_its_stops_share(hand):
     ]
     held = estimate.problem.precision * (estimate.x - estimate.problem.centre)
     np.testing.assert_allclose(pushes, held, atol=1e-3 * np.abs(held).max())
+
+
+def test_folds_are_fitted_with_what_stops_share(hand):
+    _, fitted = hand
+    estimate, problem = fitted.estimate, fitted.estimate.problem
+    linear, mask = problem.linear(estimate.x), problem.rows.blocks < 5
+    (x,) = fold_means(fitted, linear, mask[None])
+    noise, priors = np.array([estimate.noise]), Priors(problem.precision, problem.centre)
+    rest = linear.select(~mask)
+    found = rest.fit(problem.weights[None, ~mask], problem.rho, noise, priors)[0][0]
+    alone = rest.fit(problem.weights[None, ~mask], 0.0 * problem.rho, noise, priors)[0][0]
+    std = np.sqrt(np.diag(estimate.covariance))
+    np.testing.assert_allclose(x, found, atol=1e-6 * std.min())
+    assert np.max(np.abs(x - alone) / std) > 0.1
+
+
+def test_stops_are_drawn_whole(hand):
+    """As many again of each stop, and without priors: the least stays where it was."""
+    _, fitted = hand
+    estimate = fitted.estimate
+    problem = replace(estimate.problem, precision=1e-6 * estimate.problem.precision)
+    some = replace(fitted, estimate=replace(estimate, problem=problem))
+    drawn = np.zeros(len(estimate.x) + len(problem.distances))
+    once, twice = (_fit_sample(some, (np.full(len(problem.rows), k), drawn))[0] for k in (1, 2))
+    moved = problem.residual(twice) - problem.residual(once)
+    assert np.max(np.abs(moved)) < 1e-3 * np.min(problem.scales)
+
+
+def test_what_stops_share_is_no_pattern(ur3):
+    cell, found = Cell(estimate_frame=True), []
+    for seed in range(5):
+        rows, setup = rows_of(ur3, Hand.drawn(ur3, 30, 3.0, seed).by_points(), cell)
+        fitted = fit(Task(ur3, cell, setup, "dh"), rows)
+        order = Order(np.arange(len(rows)), np.zeros(rows.joints.shape))
+        found += [one.why for one in residual_patterns(fitted, order)]
+    # Of poses of the hand as many: joints that do not repeat displace it more along some directions.
+    assert found.count(Why.JOINT_PATTERN) + found.count(Why.DRIFT) <= 1
+
+
+@pytest.mark.slow
+def test_markers_tell_what_poses_of_their_body_tell(ur3):
+    found = np.array([compared(ur3, 25, 3.0, seed) for seed in range(30)])
+    by_points, by_poses, told = np.sqrt(np.mean(found[:, :3] ** 2, axis=0))
+    assert by_points < 1.03 * by_poses
+    assert told == pytest.approx(by_points, rel=0.1)
+    assert np.mean(found[:, 3:].sum(axis=1)) == pytest.approx(0.9, abs=0.02)
