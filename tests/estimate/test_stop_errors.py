@@ -199,6 +199,19 @@ def test_repeats_of_a_target_count_as_their_mean(make_scene):
     np.testing.assert_allclose(two.H, one.H, rtol=1e-9, atol=1e-9 * np.abs(one.H).max())
     np.testing.assert_allclose(two.g, one.g, rtol=1e-9, atol=1e-9 * np.abs(one.g).max())
     assert two.yy == pytest.approx(one.yy)
+    assert two.log_det == pytest.approx(one.log_det)
+    # Repeats that share nothing: their mean is one measurement of twice the weight.
+    alone, stops, expected = double.linear(x).data(np.ones((1, 50)), rho), single.stops, 0.0
+    G = (
+        stops.J
+        * np.sqrt(np.repeat(RHO[0], 3))
+        * np.sqrt(1.0 + (stops.rows // 10 == 1))[:, None, None]
+    )
+    for number in np.unique(stops.stops):
+        of_stop = G[stops.stops == number].reshape(-1, 6)
+        K = (1.0 - np.sum(rho)) * np.eye(12) + of_stop @ of_stop.T
+        expected += np.linalg.slogdet(K)[1]
+    assert alone.log_det[0] == pytest.approx(expected)
 
 
 def test_a_stop_that_is_drawn_twice_counts_twice(mixed):
@@ -312,6 +325,18 @@ def test_a_fit_finds_what_its_stops_share(hand):
     ]
     held = estimate.problem.precision * (estimate.x - estimate.problem.centre)
     np.testing.assert_allclose(pushes, held, atol=1e-3 * np.abs(held).max())
+
+
+def test_rows_are_judged_one_by_one(hand):
+    """By the scores that independent rows would have, at the fit of rows that are not."""
+    _, fitted = hand
+    estimate, problem = fitted.estimate, fitted.estimate.problem
+    linear, noise = problem.linear(estimate.x), np.array([estimate.noise])
+    priors = Priors(problem.precision, problem.centre)
+    _, alone, _ = linear.fit(problem.weights[None], 0.0 * problem.rho, noise, priors)
+    assert np.min(np.diag(alone[0]) / np.diag(estimate.covariance)) < 0.5
+    scores = linear.scores(estimate.x[None], alone, problem.weights[None], noise)[0]
+    np.testing.assert_allclose(estimate.scores, scores, rtol=1e-6)
 
 
 def test_folds_are_fitted_with_what_stops_share(hand):
