@@ -91,7 +91,8 @@ def estimate_beside(
     )
     weights, noise = problem.weights[None], np.array([estimate.noise])
     sizes = np.array([[estimate.sizes.get(name, 1.0) for name in prior.names]])
-    stage = Stage(prior, weights > 0.0, weights, np.ones(weights.shape), noise, sizes)
+    alone, rho = np.ones(weights.shape), problem.rho[None]
+    stage = Stage(prior, weights > 0.0, weights, alone, noise, sizes, rho)
     stage = stage.by_likelihood(wider, robust=False)
     values, covariance, _ = (of_all[0] for of_all in stage.fit(wider))
     p = len(x)
@@ -146,7 +147,7 @@ def _error_of_blocks(fitted: Fitted, linear: Linear, weights: Array) -> float:
     masks = block == np.unique(block)[:, None]
     noise = np.tile(fitted.estimate.noise, (len(masks), 1))
     priors = Priors(*(np.pad(one, (0, further)) for one in (problem.precision, problem.centre)))
-    x = linear.fit(np.where(masks, 0.0, weights), noise, priors)[0]
+    x = linear.fit(np.where(masks, 0.0, weights), problem.rho, noise, priors)[0]
     residual = linear.residual(x) / linear.noise_of(noise)
     squares = []
     for mask, of_block in zip(masks, residual, strict=True):

@@ -65,14 +65,8 @@ class Stack:
     r: Array  # (M,), its residual
     row_of: Integers  # (M,), the row of each scalar
     component_of: Integers  # (M,), which coordinate it is
-    scale: Array  # (M,), what each was multiplied by
+    ones: Array  # (M, components), a constant of each component
     poses: Integers  # (N,), the pose of each row
-
-    @property
-    def ones(self) -> Array:
-        """A constant of each component, shape (M, components)."""
-        found, component = np.unique(self.component_of, return_inverse=True)
-        return np.asarray(np.eye(len(found))[component.reshape(-1)] * self.scale[:, None])
 
     @property
     def cells(self) -> Integers:

@@ -78,13 +78,16 @@ class Residuals:
         row_of, component_of = np.nonzero(counts)
         # What the parameters did to the scalars. Directions in which an error of the size expected moves all of them
         # by less than their noise were not fitted: such a direction may be the residual itself, made larger or turned.
-        A = (problem.jacobian(estimate.x) * whiten[:, :, None])[counts]
+        J, residual = problem.jacobian(estimate.x), problem.residual(estimate.x)[:, :, None]
+        ones = np.eye(counts.shape[1])[None, :, np.unique(component_of)]
+        A, r, ones, whitened = (
+            problem.independent(values * whiten[:, :, None], weights)[counts]
+            for values in (J, residual, ones, columns)
+        )
         A = A / np.sqrt(np.maximum(problem.precision, np.finfo(float).tiny))
         basis, effects, _ = np.linalg.svd(A, full_matrices=False)
-        r = (problem.residual(estimate.x) * whiten)[counts]
         fit = basis[:, effects > _FITTED]
-        stack = Stack(fit, r, row_of, component_of, whiten[counts], problem.rows.poses)
-        whitened = (columns * whiten[:, :, None])[counts]
+        stack = Stack(fit, r[:, 0], row_of, component_of, ones, problem.rows.poses)
         return cls(fitted, stack, weights, displacements, columns, whitened)
 
     @property

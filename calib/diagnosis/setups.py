@@ -37,7 +37,9 @@ def disagreeing_setups(fitted: Fitted) -> tuple[Reason, ...]:
     told = []
     for own in (labels == g for g in present):
         weights = np.where(own, 0.0, problem.weights)
-        x, covariance, freedom = (f[0] for f in linear.fit(weights[None], of_fit, priors))
+        x, covariance, freedom = (
+            f[0] for f in linear.fit(weights[None], problem.rho, of_fit, priors)
+        )
         loose = only_there(fitted, own)
         x = np.where(loose, estimate.x, x)
         rest = np.where(linear.used, linear.residual(x) / noise, 0.0)

@@ -234,7 +234,8 @@ def fold_means(fitted: Fitted, linear: Linear, masks: Sequence[Mask] | Mask) -> 
     problem = fitted.estimate.problem
     weights = np.where(np.array(masks), 0.0, problem.weights)
     noise = np.tile(fitted.estimate.noise, (len(masks), 1))
-    return linear.fit(weights, noise, Priors(problem.precision, problem.centre))[0]
+    priors = Priors(problem.precision, problem.centre)
+    return linear.fit(weights, problem.rho, noise, priors)[0]
 
 
 def pose_errors(validation: CrossValidation, scales: Array, kept: Mask) -> Array:

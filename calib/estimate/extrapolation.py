@@ -31,7 +31,7 @@ def extrapolation(fitted: Fitted) -> float:
     noise = np.tile(estimate.noise, (len(masks), 1))
     weights = np.where(np.array(masks), 0.0, problem.weights)
     priors = Priors(problem.precision, problem.centre)
-    x, covariance, _ = linear.fit(weights, noise, priors)
+    x, covariance, _ = linear.fit(weights, problem.rho, noise, priors)
     whitened = linear.residual(x) / linear.noise_of(noise)
     A = linear.A / linear.noise_of(noise[:1])[0][:, :, None]
     beyond, expected = 0.0, 0.0

@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.data.cell import Cell, Priors
 from calib.errors import MeasurementError, ModelError, choices
-from calib.estimate.problem import Linear, Normal, Problem
+from calib.estimate.problem import Linear, Problem
 from calib.estimate.registration import register, register_unseen
 from calib.estimate.setup import KnownDistance, Rows, Setup
 from calib.estimate.sole_postures import (
@@ -22,7 +22,7 @@ from calib.estimate.sole_postures import (
 )
 from calib.estimate.solvers import SOLVERS, Solution, Solver, paper_levenberg_marquardt
 from calib.estimate.stages import PriorTerms, Stage, staged
-from calib.estimate.statistics import Limits, repeats
+from calib.estimate.statistics import Limits
 from calib.model.error_model import error_model
 from calib.model.kinematics import FRAME, TARGET, ErrorModel, Kinematics, Parameter, Samples
 from calib.model.observability import steps
@@ -339,6 +339,7 @@ def _problem_of(problem: Problem, stage: Stage) -> Problem:
         scales=scales,
         precision=priors.precision[0],
         centre=priors.centre,
+        rho=stage.rho[0],
     )
 
 
@@ -373,7 +374,7 @@ def _by_the_paper(problem: Problem, task: Task, started: Setup) -> Estimate:
     prior = PriorTerms.of(cell, model, task.setup, started, lenient=True)
     every = np.ones((1, len(problem.rows)), dtype=bool)
     stage = Stage.first(prior, every, len(problem.smallest))
-    data = linear.data(stage.effective)
+    data = linear.data(stage.effective, stage.rho)
     rank = np.linalg.matrix_rank(data.H[0, 0], hermitian=True)
     left = max(float(data.count[0, 0]) - (2.0 - _FOURTH_POWERS) * rank, 1.0)
     noise = np.sqrt(np.sum(np.square(linear.residual(solution.x))) / left)
@@ -385,10 +386,9 @@ def _finish(problem: Problem, stage: Stage, solution: Solution, spread: float = 
     """The estimate at the last stage; ``spread``: the covariance of the solver's estimator over least squares'."""
     linear, model = problem.linear(solution.x), problem.kinematics.model
     effective, prior, priors = stage.effective, stage.prior, stage.priors
-    _, of_least_squares, freedom = stage.fit(linear)
-    # The estimate itself stays: weights that targets share would be less sharp where they lie to each other.
-    told = _shared_by_stops(problem.rows, linear, stage, float(freedom[0]))
-    _, covariance = told.posterior(np.sqrt(spread) * stage.noise, priors)
+    _, of_least_squares, freedom = stage.judged(linear)
+    data = linear.data(effective, stage.rho)
+    _, covariance = data.posterior(np.sqrt(spread) * stage.noise, priors)
     if problem.gauge is not None:  # the arm's size is as uncertain as it was
         growth = problem.gauge.growth
         covariance = covariance + problem.gauge.variance(priors.precision[0]) * np.outer(
@@ -406,7 +406,7 @@ def _finish(problem: Problem, stage: Stage, solution: Solution, spread: float = 
     x[list(prior.fixed)] = prior.centre[list(prior.fixed)]
     scores = linear.scores(solution.x[None], of_least_squares, effective, stage.noise)
     own = np.where(prior.flat, 0.0, priors.precision)
-    likelihood = linear.data(effective).log_likelihood(stage.noise, priors, own)
+    likelihood = data.log_likelihood(stage.noise, priors, own)
     return Estimate(
         x=read_only(x),
         problem=_problem_of(problem, stage),
@@ -421,34 +421,3 @@ def _finish(problem: Problem, stage: Stage, solution: Solution, spread: float = 
         log_likelihood=float(likelihood[0]),
         at_bound=prior.fixed,
     )
-
-
-def _shared_by_stops(rows: Rows, linear: Linear, stage: Stage, freedom: float) -> Normal:
-    """The normal equations with the derivative as several targets of one stop let it be known.
-
-    They share where the robot stopped: the mean of n rows has the variance s^2 (1 + (n - 1) rho) / n.
-    """
-    effective, data = stage.effective[0], linear.data(stage.effective)
-    weights = stage.weights[0] * rows.where(lambda kind: kind.position)
-    alive, tiny = weights > 0.0, np.finfo(np.float64).tiny
-    if len(np.unique(rows.samples.target[alive])) < 2:
-        return data
-    labels = np.column_stack([rows.blocks, rows.samples.frame])
-    stops = np.unique(labels, axis=0, return_inverse=True)[1].reshape(-1)
-    counts = np.bincount(stops, alive)
-    if np.max(counts) < 2:
-        return data
-    paid = max(float(np.sum(effective @ linear.used)) - freedom, 0.0)
-    noise = linear.noise_of(stage.noise)[0, :, :3]
-    residual = linear.residual(linear.x)[:, :3] / noise
-    rho = repeats(residual, linear.used[:, :3], stops, weights, fitted=paid).rho
-    # Repeats have been shared out already.
-    w = np.where(alive, effective, 0.0)
-    sums = np.maximum(np.bincount(stops, w), tiny)
-    already = sums / np.maximum(np.bincount(stops, weights), tiny)
-    wider = np.maximum((1.0 + np.maximum(counts - 1.0, 0.0) * rho) * already, 1.0)
-    less = np.where(alive, 1.0 - 1.0 / np.sqrt(wider[stops]), 0.0)
-    share, columns = w / sums[stops], linear.columns.copy()
-    for column in columns[:-1, :3].reshape(-1, len(rows)):
-        column -= less * np.bincount(stops, share * column)[stops]
-    return replace(linear, columns=columns).data(stage.effective)

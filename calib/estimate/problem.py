@@ -26,6 +26,7 @@ from calib.estimate.gauge import TOLERANCE, SizeGauge, measures_length, size_gau
 from calib.estimate.setup import LENGTHS, KnownDistance, Rows
 from calib.estimate.solvers import triangle
 from calib.estimate.statistics import as_of_a_point, deleted_norms
+from calib.estimate.stop_errors import Stops
 from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability, analyse
 from calib.robot.kernel import over_blocks
@@ -53,6 +54,9 @@ class Normal:
     count: Array  # (B, C), number of scalar measurements, by weight
     known: tuple[Array, Array, float]  # C^T C, C^T z and z^T z
     held: Array  # (p,), the row of C of a combination that is held at zero by choice, not by measurement; else zeros
+    log_det: Array | float = (
+        0.0  # (B,), of the weighted scalars' covariance, in units of the noise: stops share errors
+    )
 
     def posterior(self, noise: Array, priors: Priors) -> tuple[Array, Array]:
         """Mean (B, p) and covariance (B, p, p) of x, none of what nothing tells, at each instrument's sigma, (B, C)."""
@@ -80,8 +84,9 @@ class Normal:
     def log_likelihood(self, noise: Array, priors: Priors, own: Array) -> Array:
         """The restricted log likelihood of noise and sizes, but for a constant of the flat parameters, shape (B,).
 
-        -1/2 [sum_c N_c log sigma_c^2 - sum_k log own_k + log det M + y^T P y], with the posterior's precision M and
-        ``own``, (B, p), the precision of the parameters that are not flat. A combination that is held is a condition,
+        -1/2 [sum_c N_c log sigma_c^2 + log det K - sum_k log own_k + log det M + y^T P y], with the covariance K of the
+        scalars in units of the noise, the posterior's precision M and ``own``, (B, p), the precision of the parameters
+        that are not flat. A combination that is held is a condition,
         not an observation: the prior's density of it being zero is divided out.
         """
         scaled, scale = self._scaled(noise, priors)
@@ -96,7 +101,7 @@ class Normal:
         of_priors = np.sum(np.log(np.where(own > 0.0, own, 1.0)), axis=1)
         of_noise = 2.0 * np.sum(self.count * np.log(noise), axis=1)
         of_held = np.log1p(np.sum(self.held_variance(own), axis=1))
-        return np.asarray(-0.5 * (of_noise - of_priors + log_det + square - of_held))
+        return np.asarray(-0.5 * (of_noise + self.log_det - of_priors + log_det + square - of_held))
 
     def held_variance(self, own: Array) -> Array:
         """The prior variance of each term of the combination that is held, over its tolerance squared, shape (B, p)."""
@@ -115,7 +120,8 @@ class Linear:
     C: Array  # (K, p), of the known distances and of what is held, whitened
     z: Array  # (K,), what C x should be
     held: Array  # (p,), see `Normal`
-    _made: list[tuple[Array, Normal]] = field(init=False, repr=False, default_factory=list)
+    stops: Stops | None = None  # Where several targets were seen
+    _made: list[tuple[Array, Array, Normal]] = field(init=False, repr=False, default_factory=list)
 
     def __len__(self) -> int:
         """Number of rows."""
@@ -140,12 +146,18 @@ class Linear:
     def select(self, mask: Mask) -> Linear:
         """The problem of some of the rows; known distances stay."""
         columns, instruments = self.columns[:, :, mask], self.instruments[mask]
-        return replace(self, columns=columns, used=self.used[mask], instruments=instruments)
+        stops = None if self.stops is None else self.stops.select(mask)
+        return replace(
+            self, columns=columns, used=self.used[mask], instruments=instruments, stops=stops
+        )
 
-    def data(self, weights: Array) -> Normal:
-        """The normal equations with these weights, shape (B, N); the last ones are kept, for stages ask again."""
-        for last, made in self._made:
-            if np.array_equal(last, weights):
+    def data(self, weights: Array, rho: Array) -> Normal:
+        """The normal equations with these weights, (B, N), and shares of stops, (C, 2) or (B, C, 2).
+
+        The last ones are kept, for stages ask again.
+        """
+        for last, shares, made in self._made:
+            if np.array_equal(last, weights) and np.array_equal(shares, rho):
                 return made
         p, (B, N), C = len(self.x), weights.shape, len(self.smallest)
         both, count, root = np.zeros((B, C, p + 1, p + 1)), np.zeros((B, C)), np.sqrt(weights)
@@ -162,16 +174,27 @@ class Linear:
                 return np.array([part @ part.T for part in parts])
 
             both[:, c] = np.sum(over_blocks(product, N), axis=0)
+        log_det: Array | float = 0.0
+        if self.stops is not None and np.any(rho):
+            shares = np.broadcast_to(rho, (B, C, 2))
+            changes, log_det = self.stops.corrections(self.columns, weights, shares)
+            both += changes
         # [A r] are at hand; what is asked for is [A y] with y = r + A x.
         H, g, rr = both[..., :p, :p], both[..., :p, p], both[..., p, p]
         Hx, known = H @ self.x, (self.C.T @ self.C, self.C.T @ self.z, float(self.z @ self.z))
-        made = Normal(H, g + Hx, rr + (2.0 * g + Hx) @ self.x, count, known, self.held)
-        self._made[:] = [(weights.copy(), made), *self._made[: _KEPT - 1]]
+        made = Normal(H, g + Hx, rr + (2.0 * g + Hx) @ self.x, count, known, self.held, log_det)
+        self._made[:] = [(weights.copy(), rho.copy(), made), *self._made[: _KEPT - 1]]
         return made
 
-    def fit(self, weights: Array, noise: Array, priors: Priors) -> tuple[Array, Array, Array]:
-        """The linear fit with weights, noise and priors: x (B, p), covariance (B, p, p), degrees of freedom (B,)."""
-        data = self.data(weights)
+    def fit(
+        self, weights: Array, rho: Array, noise: Array, priors: Priors
+    ) -> tuple[Array, Array, Array]:
+        """The linear fit with weights, shares of stops, noise and priors.
+
+        Returns:
+            x (B, p), its covariance (B, p, p), degrees of freedom (B,).
+        """
+        data = self.data(weights, rho)
         x, covariance = data.posterior(noise, priors)
         paid = np.sum(data.H * covariance[:, None], axis=(2, 3)) / np.square(noise)
         return x, covariance, np.sum(data.count - paid, axis=1)
@@ -184,6 +207,17 @@ class Linear:
     def norms(self, x: Array, covariance: Array, weights: Array, factors: Array) -> Array:
         """`deleted_norms` at x, shape (B, p)."""
         return deleted_norms(self.residual(x), self.A, covariance, weights, factors)
+
+    def shares(self, x: Array, covariance: Array, weights: Array, rho: Array) -> Array:
+        """The shares of stops that the residuals of fits x, (B, p), tell, shape (B, C, 2), from those of the fits."""
+        result = np.zeros(rho.shape)
+        if self.stops is None:
+            return result
+        for b, c in np.ndindex(*rho.shape[:2]):
+            step, C = x[b] - self.x, covariance[b]
+            moments = self.stops.moments(self.columns, weights[b], c, step, C)
+            result[b, c] = moments.shares(rho[b, c])
+        return result
 
 
 def sizes_by_reml(
@@ -306,7 +340,9 @@ class Problem:
     centre: Array  # (p,), the priors' means
     distances: tuple[KnownDistance, ...]  # Known distances between frames
     smallest: tuple[float, ...]  # Smallest noise believed of each instrument, in units of its sigma
+    rho: Array  # (C, 2), share of each instrument's variance that targets of a stop have in common
     gauge: SizeGauge | None = None  # The size of the arm, where nothing measures a length
+    stops: Stops | None = None  # Where several targets were seen
     _last: list[Linear] = field(default_factory=list, repr=False)
 
     @classmethod
@@ -319,7 +355,9 @@ class Problem:
         smallest = tuple(_SMALLEST_SIGMA / float(np.median(scales[mask])) for mask in own)
         seen = set(rows.samples.frame.tolist())
         distances = tuple(d for d in distances if {d.first, d.second} <= seen)
-        return cls(kinematics, rows, scales, ones, nothing, nothing, distances, smallest)
+        rho, stops = np.zeros((len(smallest), 2)), Stops.of(kinematics, rows)
+        start = (kinematics, rows, scales, ones, nothing, nothing, distances, smallest, rho)
+        return cls(*start, stops=stops)
 
     def with_size_held(self) -> Problem:
         """The problem with the arm's size held at the nominal one, where nothing measures a length."""
@@ -359,7 +397,7 @@ class Problem:
             columns[-1][:width, own] = part.residual(poses).T / scale
         r, C = self.constraints(x)
         held = C[-1] if self.gauge is not None else np.zeros(self.size)
-        made = (columns, rows.used, rows.instruments, self.smallest, C, r + C @ x, held)
+        made = (columns, rows.used, rows.instruments, self.smallest, C, r + C @ x, held, self.stops)
         self._last.append(Linear(x.copy(), *made))
         return self._last[0]
 
@@ -430,6 +468,9 @@ class Problem:
     def _whitened(self, columns: Array) -> Array:
         """[A r] of the M scalars, by columns, in units of their noise, (p + 1, M); R of [A r] = Q R for many rows."""
         whiten = (np.sqrt(self.weights)[:, None] * (self.rows.scales / self.scales)).T
+        if self.stops is not None and np.any(self.rho):
+            columns = self.stops.independent(columns * whiten, self.weights, self.rho)
+            whiten = np.ones(whiten.shape)
         used = self.rows.used.T
         if len(self.weights) <= _TALL:
             return np.asarray((columns * whiten)[:, used])
@@ -440,6 +481,13 @@ class Problem:
 
         parts = over_blocks(work, len(self.weights))
         return np.asarray(triangle(np.asfortranarray(np.concatenate(parts))).T)
+
+    def independent(self, values: Array, weights: Array) -> Array:
+        """Whitened values (N, D, q), with these weights (N,) of the rows, less what the targets of a stop share."""
+        if self.stops is None or not np.any(self.rho):
+            return values
+        columns = self.stops.independent(values.transpose(2, 1, 0), weights, self.rho)
+        return np.asarray(columns.transpose(2, 1, 0))
 
     def paper_system(self, nominal: Array, unit: Array, X: Array) -> tuple[Array, Array]:
         """The paper's error e_i = |dP_i|^2 [mm^2], (N,), and its derivative, (N, p), at X = (nominal + x) unit."""

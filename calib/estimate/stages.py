@@ -126,6 +126,7 @@ class Stage:
     share: Array  # (B, N), what a row counts for beside its repeats
     noise: Array  # (B, C), of each instrument, in units of the sigma given
     sizes: Array  # (B, K), of each family
+    rho: Array  # (B, C, 2), shares of each instrument's variance that targets of a stop have in common
 
     @classmethod
     def first(
@@ -135,7 +136,8 @@ class Stage:
         sizes = np.tile(np.array(prior.start, dtype=np.float64), (len(kept), 1))
         noise = np.ones((len(kept), instruments))
         own = np.asarray(kept * weights, np.float64)
-        return cls(prior, kept, own, np.ones(kept.shape), noise, sizes)
+        rho = np.zeros((*noise.shape, 2))
+        return cls(prior, kept, own, np.ones(kept.shape), noise, sizes, rho)
 
     @property
     def effective(self) -> Array:
@@ -150,7 +152,15 @@ class Stage:
 
     def fit(self, linear: Linear) -> tuple[Array, Array, Array]:
         """See `calib.estimate.problem.Linear.fit`."""
-        return linear.fit(self.effective, self.noise, self.priors)
+        return linear.fit(self.effective, self.rho, self.noise, self.priors)
+
+    def judged(self, linear: Linear) -> tuple[Array, Array, Array]:
+        """The fit with the covariance that it would have of independent rows, by which each row is judged alone."""
+        x, covariance, freedom = self.fit(linear)
+        if np.any(self.rho):
+            alone = replace(self, rho=np.zeros(self.rho.shape))
+            _, covariance, freedom = alone.fit(linear)
+        return x, covariance, freedom
 
     def by_median(self, linear: Linear) -> Stage:
         """Robust weights against a scale that outliers cannot move."""
@@ -181,7 +191,7 @@ class Stage:
             if robust:
                 stage = replace(stage, weights=stage._row_weights(linear))
             noise, sizes = sizes_by_reml(
-                linear.data(stage.effective),
+                linear.data(stage.effective, stage.rho),
                 prior.families[free],
                 stage.noise,
                 stage.sizes[:, free],
@@ -195,7 +205,7 @@ class Stage:
 
     def _row_weights(self, linear: Linear) -> Array:
         """The weights that the scores of the linear fit ask for."""
-        x, covariance, freedom = self.fit(linear)
+        x, covariance, freedom = self.judged(linear)
         count = np.sum(self.kept, axis=1)
         scores = linear.scores(x, covariance, self.effective, self.noise)
         found = Limits.of(count[:, None], freedom[:, None]).weights(scores) * self.kept
@@ -222,6 +232,13 @@ class Stage:
                 rho[b] = found.rho if found.freedom >= _TELLING_REPEATS else 1.0
         return replace(self, share=1.0 / (1.0 + (np.maximum(counts, 1) - 1.0) * rho[:, None]))
 
+    def by_stops(self, linear: Linear) -> Stage:
+        """The shares of stops, see `calib.estimate.stop_errors`."""
+        if linear.stops is None:
+            return self
+        x, covariance, _ = self.fit(linear)
+        return replace(self, rho=linear.shares(x, covariance, self.effective, self.rho))
+
 
 def staged(
     stage: Stage,
@@ -240,7 +257,7 @@ def staged(
     freedom = stage.fit(linear)[2]
     robust = robust and bool(np.any(freedom > FEWEST_FREEDOM))
     # What a stage has one of for each fit.
-    names = ("kept", "weights", "share", "noise", "sizes")
+    names = ("kept", "weights", "share", "noise", "sizes", "rho")
     each = {name: getattr(stage, name).copy() for name in names}
     for likely in (False, True) if robust else (True,):
         going = np.arange(len(stage.kept))  # the fits that still change
@@ -248,6 +265,7 @@ def staged(
             before = replace(stage, **{name: values[going] for name, values in each.items()})
             after = before.by_likelihood(linear, robust) if likely else before.by_median(linear)
             after = after.sharing(linear, poses, repeats)
+            after = after.by_stops(linear) if likely else after
             linear = linear_at(after)
             for name, values in each.items():
                 values[going] = getattr(after, name)
@@ -255,6 +273,8 @@ def staged(
             if likely:
                 now, then = (np.hstack([one.noise, one.sizes]) for one in (after, before))
                 same &= np.isclose(now, then, rtol=_SETTLED_SIZES).all(axis=1)
+                own, of_before = (1.0 - one.rho.sum(axis=2) for one in (after, before))
+                same &= np.isclose(own, of_before, rtol=_SETTLED_SIZES).all(axis=1)
             going = going[~same]
             if not len(going):
                 break

@@ -179,6 +179,7 @@ def thin(fitted: Fitted) -> tuple[Fitted, Mask]:
         scales=problem.scales[some][:, : rows.width],
         precision=problem.precision,
         centre=problem.centre,
+        rho=problem.rho,
         gauge=problem.gauge,
     )
     scores, weights = estimate.scores[some], estimate.weights[some]

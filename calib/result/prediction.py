@@ -204,11 +204,8 @@ def _pushes(fitted: Fitted) -> Array:
     x, problem = fitted.estimate.x, fitted.estimate.problem
     if fitted.task.solver == "paper":  # not at the least of squares, and without priors
         return np.asarray(problem.precision * (x - problem.centre))
-    between, slope = problem.constraints(x)
-    linear, given = problem.linear(x), problem.rows.scales
-    data = linear.residual(x) * np.where(problem.rows.used, given / problem.scales, 0.0) ** 2
-    push = np.einsum("nd,ndp->p", problem.weights[:, None] * data, linear.A)
-    return np.asarray(push + between @ slope)
+    residual, derivative = replace(problem, precision=np.zeros(len(x))).system(x)
+    return -residual @ derivative
 
 
 def base_motion(kinematics: Kinematics, x: Array, samples: Samples) -> Array:

@@ -174,6 +174,7 @@ def _fit_sample(fitted: Fitted, drawn: tuple[Array, Array]) -> tuple[Array, bool
     sample = replace(
         problem,
         weights=problem.weights * count,
+        stops=None if problem.stops is None else problem.stops.drawn(count),
         centre=problem.centre + wide * normal[: len(start)],
         distances=tuple(d._replace(length=d.length + d.sigma * by) for d, by in moved),
     )

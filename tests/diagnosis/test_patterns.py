@@ -84,7 +84,9 @@ class Table:
         y, A, n = (self.noise + pattern).ravel(), self.A, len(self.poses)
         r = y - A @ np.linalg.solve(A.T @ A + np.eye(A.shape[1]), A.T @ y)
         scale = np.ones(3 * n) if scale is None else scale
-        return Stack(A, r, np.repeat(np.arange(n), 3), np.tile(np.arange(3), n), scale, self.poses)
+        component = np.tile(np.arange(3), n)
+        ones = np.eye(3)[component] * scale[:, None]
+        return Stack(A, r, np.repeat(np.arange(n), 3), component, ones, self.poses)
 
     def patterns(self, pattern=0.0, along=None, **options):
         stack = self.stack(pattern, **options)
@@ -189,7 +191,7 @@ def test_eccentricity_of_an_encoder_of_a_ur3_is_found_at_its_joint(ur3, joint):
     error = points(ur3, wrong, target) - points(ur3, q, target)
     r = (error / sigma + rng.normal(size=(60, 3))).ravel()
     rows, poses = np.repeat(np.arange(60), 3), np.arange(60)
-    stack = Stack(A, r, rows, np.tile(np.arange(3), 60), np.ones(180), poses)
+    stack = Stack(A, r, rows, np.tile(np.arange(3), 60), np.tile(np.eye(3), (60, 1)), poses)
     found = joint_patterns(stack, q, [False] * 6, [axis / sigma for axis in axes])
     assert found[0][0] == joint
 

@@ -40,7 +40,7 @@ def normal_of(A, y, weights, instruments, known=None, held=None):
     x, used = np.zeros(p), instruments >= 0
     held = np.zeros(p) if held is None else held
     linear = Linear(x, columns, used, instruments, (0.0,) * count, C, z, held)
-    return linear.data(weights[None])
+    return linear.data(weights[None], np.zeros((count, 2)))
 
 
 def linearised(A, y, count=1, weights=None, known=None, held=None):

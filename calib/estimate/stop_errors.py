@@ -1,0 +1,330 @@
+"""Stops: targets that are seen while the robot stands still are parts of one rigid body, and share where it stopped.
+
+What the robot does not repeat, and what the model lacks, displace that body by a translation and a turn about the
+centroid of its targets, random and independent from stop to stop. Of a stop's scalars, in units of their sigma,
+
+    V = noise^2 K,        K = kappa I + rho_t J_t J_t^T + rho_r J_r J_r^T,        kappa = 1 - rho_t - rho_r
+
+with the derivatives J_t and J_r of what is predicted by that displacement, each of mean square 1 over the table: noise
+is the standard deviation of a scalar, and rho are the shares of its variance that the targets of a stop have in common.
+With G = [sqrt(rho_t) J_t, sqrt(rho_r) J_r], as in any mixed model (C. R. Henderson, 1953),
+
+    K^-1 = [I - G (kappa I + G^T G)^-1 G^T] / kappa
+
+The shares come from the residual r of generalised least squares, E[r r^T] = V - A C A^T, by equations that end where
+the restricted likelihood is highest (R. D. Anderson, 1973; S. R. Searle, G. Casella, C. E. McCulloch, Variance
+Components, 1992): with the derivatives V_i of V by theta, which are noise^2 times kappa, rho_t and rho_r,
+
+    sum_j tr(V^-1 V_i V^-1 V_j) theta_j = tr(V^-1 V_i V^-1 [r r^T + A C A^T])
+
+Repeats of a target at a stop enter with their mean: what repeats share is found by `calib.estimate.stages`. Each
+instrument, lengths and angles apart, has shares of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.estimate.setup import Rows, same_poses
+from calib.model.kinematics import Kinematics
+from calib.units import Array, Integers, Mask
+
+#: The columns of a body's translation, and of its turn.
+_TRANSLATION, _TURN = slice(0, 3), slice(3, 6)
+
+#: A scalar's own share of its variance is no less: no instrument is a thousand times better than what it measures.
+_LEAST_OWN = 1e-6
+
+#: With fewer degrees of freedom, of targets within their bodies or of the bodies, nothing is taken for shared.
+_TELLING = 12
+
+#: The shares are improved so often at most, and have settled when they change by less.
+_STEPS, _SETTLED = 20, 1e-4
+
+#: Rows whose columns are copied at a time; what is divided by instead of zero.
+_PART, _TINY = 16_384, 1e-300
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Moments:
+    """What an instrument's residual r at S stops says of its shares, in units of any noise."""
+
+    M: Array  # (S, 6, 6), J^T J
+    R: Array  # (S, 6, 6), J^T [r r^T + A C A^T] J
+    total: float  # The trace of r r^T + A C A^T, of all stops
+    count: float  # The number of scalars
+
+    def shares(self, rho: Array) -> Array:
+        """The shares of translations and of turns, shape (2,), from where the search begins."""
+        bodies = int(np.sum(np.linalg.matrix_rank(self.M, hermitian=True)))
+        if min(bodies, self.count - bodies) < _TELLING:
+            return np.zeros(2)
+        for _ in range(_STEPS):
+            before, rho = rho, _shares_of(self._components(rho))
+            if np.max(np.abs(rho - before)) < _SETTLED * _own(rho):
+                break
+        return rho
+
+    def _components(self, rho: Array) -> Array:
+        """The variances theta, (3,), by the equations at some shares, those of translations and turns not negative.
+
+        With T = (kappa I + S M)^-1, J S J^T = G G^T and H = T S, K^-1 J = J T and K^-1 = (I - J H J^T) / kappa.
+        """
+        kappa, S, M, R = _own(rho), _roots(rho) ** 2, self.M, self.R
+        T = np.linalg.inv(kappa * np.eye(6) + S[:, None] * M)
+        HM, HR, parts = (T * S) @ M, (T * S) @ R, (_TRANSLATION, _TURN)
+        left, right = np.zeros((3, 3)), np.zeros(3)
+        left[0, 0] = (self.count - 2.0 * _trace(HM) + _trace(HM @ HM)) / kappa**2
+        right[0] = (self.total - 2.0 * _trace(HR) + _trace(HM @ HR)) / kappa**2
+        across, shared, seen = M @ T, _T(T) @ M @ T, _T(T) @ R @ T
+        for k, i in enumerate(parts, 1):
+            left[0, k] = left[k, 0] = _trace(shared[:, i, i])
+            left[k, 1:] = [np.sum(across[:, i, j] ** 2) for j in parts]
+            right[k] = _trace(seen[:, i, i])
+        free = np.diagonal(left) > 0.0  # no translation moves angles
+        while True:
+            theta = np.zeros(3)
+            theta[free] = np.linalg.solve(left[np.ix_(free, free)], right[free])
+            if not np.any(theta[1:] < 0.0):
+                return theta
+            free[1 + int(np.argmin(theta[1:]))] = False
+
+
+def _shares_of(theta: Array) -> Array:
+    """The shares of the last two of three variances, which leave something to the first."""
+    shares = theta[1:] / max(float(np.sum(theta)), _TINY)
+    return np.asarray(shares / max(float(np.sum(shares)) / (1.0 - _LEAST_OWN), 1.0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stops:
+    """The rows of stops at which several targets were seen: K rows, in M cells of one target at one of S stops."""
+
+    rows: Integers  # (K,), their numbers, cell by cell and stop by stop
+    cells: Integers  # (K,), which rows are of one cell
+    stops: Integers  # (K,), which are of one stop
+    J: Array  # (K, D, 6), the derivative of each scalar by the body's displacement, of mean square 1
+    instruments: NDArray[np.int8]  # (K, D), which noise each scalar has; -1 for none
+    _first_row: Integers = field(init=False, repr=False)  # (M,), of each cell, among these rows
+    _first_cell: Integers = field(init=False, repr=False)  # (S,), of each stop, among the cells
+    _cell_of_row: Integers = field(init=False, repr=False)  # (K,), from 0
+    _stop_of_cell: Integers = field(init=False, repr=False)  # (M,), from 0
+
+    def __post_init__(self) -> None:
+        """Find where cells and stops begin."""
+        begins = np.append(True, (np.diff(self.cells) != 0) | (np.diff(self.stops) != 0))
+        anew = np.append(True, np.diff(self.stops[begins]) != 0)
+        values = (np.flatnonzero(begins), np.flatnonzero(anew), np.cumsum(begins), np.cumsum(anew))
+        object.__setattr__(self, "_first_row", values[0])
+        object.__setattr__(self, "_first_cell", values[1])
+        object.__setattr__(self, "_cell_of_row", values[2] - 1)
+        object.__setattr__(self, "_stop_of_cell", values[3] - 1)
+
+    @classmethod
+    def of(cls, kinematics: Kinematics, rows: Rows) -> Stops | None:
+        """The stops of a table, with the bodies where a fit starts; None where no stop has several targets.
+
+        They are targets of one kind, which measures a position, seen from one frame.
+        """
+        target = rows.samples.target
+        if not len(rows) or target.min() == target.max():
+            return None
+        # The two poses of a pair are one block.
+        at = same_poses(rows.joints) if np.any(rows.partner >= 0) else rows.blocks
+        labels = np.column_stack([at, rows.samples.frame, rows.kinds])
+        stops = np.unique(labels, axis=0, return_inverse=True)[1].reshape(-1)
+        seen = np.unique(np.column_stack([stops, target]), axis=0)[:, 0]
+        chosen = (np.bincount(seen)[stops] > 1) & rows.where(lambda kind: kind.position)
+        if not np.any(chosen):
+            return None
+        own, stops = rows.select(chosen), stops[chosen]
+        T = kinematics.poses(np.zeros(len(kinematics.model)), own.samples)
+        # Repeats of a target are one point of the body.
+        counts = 1.0 / np.bincount(own.poses)[own.poses]
+        J, instruments = np.zeros((len(own), rows.width, 6)), rows.instruments[chosen]
+        twists = _twists_of_bodies(T[:, :3, 3], stops, counts)
+        J[:, : own.width] = own.derivative(T, twists) / own.scales[:, :, None]
+        J = _of_unit_size(J, instruments, counts)
+        order = np.lexsort((own.poses, stops))
+        numbers, cells = np.flatnonzero(chosen)[order], own.poses[order]
+        return cls(numbers, cells, stops[order], J[order], instruments[order])
+
+    def select(self, mask: Mask) -> Stops | None:
+        """The stops of some of the table's rows, which are numbered anew; None where there are none."""
+        kept = mask[self.rows]
+        numbers = (np.cumsum(mask) - 1)[self.rows]
+        return replace(self._some(kept), rows=numbers[kept]) if np.any(kept) else None
+
+    def drawn(self, count: Array) -> Stops:
+        """The stops of a table whose stops were drawn so often each, (N,), if the rows' weights are multiplied by that.
+
+        Rows of the double weight have half the variance, and so must have what they share.
+        """
+        often = count[self.rows, None, None]
+        return replace(self, J=np.where(often > 0, self.J / np.sqrt(np.maximum(often, 1)), 0.0))
+
+    def corrections(self, columns: Array, weights: Array, rho: Array) -> tuple[Array, Array]:
+        """What stops change in the normal equations of independent rows, and the log determinants.
+
+        Args:
+            columns: shape (q, D, N), of the table's scalars, in units of their sigma.
+            weights: shape (B, N), of its rows.
+            rho: shape (B, C, 2), the shares of each of C instruments.
+
+        Returns:
+            X^T (K^-1 - I) X with the weighted columns X of each instrument, shape (B, C, q, q); log det K, shape (B,).
+        """
+        q, (B, C, _) = len(columns), rho.shape
+        result, log_det = np.zeros((B, C, q, q)), np.zeros(B)
+        for stops in self._parts():
+            X = stops._rows_of(columns)
+            for b, c in np.argwhere(np.any(rho > 0.0, axis=2)).tolist():
+                means, J, count = stops._means(X, weights[b], c)
+                kappa, G = _own(rho[b, c]), J * _roots(rho[b, c])
+                root = np.linalg.cholesky(np.eye(6) + stops._sums(_T(G) @ G) / kappa)
+                shared = np.linalg.solve(root, stops._sums(_T(G) @ means) / kappa).reshape(-1, q)
+                flat = means.reshape(-1, q)
+                result[b, c] += (1.0 / kappa - 1.0) * (flat.T @ flat) - shared.T @ shared
+                log_det[b] += np.sum(count) * np.log(kappa)
+                log_det[b] += 2.0 * np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)))
+        return result, log_det
+
+    def independent(self, columns: Array, weights: Array, rho: Array) -> Array:
+        """Multiply the columns of whitened scalars by the root of K^-1, so that these are independent of each other.
+
+        With G^T G / kappa = Q diag(s^2 - 1) Q^T,
+
+            K^-1/2 = [I - G Q diag(1 / (s + s^2)) Q^T G^T / kappa] / sqrt(kappa)
+
+        Args:
+            columns: shape (q, D, N), in units of the noise, and times the roots of the weights.
+            weights: shape (N,), of the table's rows.
+            rho: shape (C, 2), the shares of each instrument.
+        """
+        result: Array = columns.copy()
+        for stops in self._parts():
+            w, cell = weights[stops.rows], stops._cell_of_row
+            X = stops._rows_of(columns) / np.sqrt(np.maximum(w, _TINY))[:, None, None]
+            for c in np.flatnonzero(np.any(rho > 0.0, axis=1)).tolist():
+                means, J, _ = stops._means(X, weights, c)
+                kappa = _own(rho[c])
+                G = J * _roots(rho[c]) / np.sqrt(kappa)
+                squares, Q = np.linalg.eigh(stops._sums(_T(G) @ G))
+                s = np.sqrt(1.0 + np.maximum(squares, 0.0))[:, None]
+                shared = (Q / (s + s**2)) @ (_T(Q) @ stops._sums(_T(G) @ means))
+                found = (means - G @ shared[stops._stop_of_cell]) / np.sqrt(kappa)
+                root = np.sqrt(w / np.maximum(np.add.reduceat(w, stops._first_row), _TINY)[cell])
+                changes = (found - means)[cell] * root[:, None, None]
+                result[:, :, stops.rows] += changes.transpose(2, 1, 0)
+        return result
+
+    def moments(self, columns: Array, weights: Array, c: int, x: Array, C: Array) -> Moments:
+        """What the residual of a fit says of an instrument's shares.
+
+        Args:
+            columns: shape (p + 1, D, N), the derivative A of the prediction and the residual, in units of sigma.
+            weights: shape (N,), of the rows.
+            c: The instrument's number.
+            x: shape (p,), the fit, from where the residual is that of ``columns``.
+            C: shape (p, p), its covariance.
+        """
+        M, R, total, count = [], [], 0.0, 0.0
+        for stops in self._parts():
+            means, J, there = stops._means(stops._rows_of(columns), weights, c)
+            A, r = means[..., :-1], means[..., -1:] - means[..., :-1] @ x[:, None]
+            sums = stops._sums(_T(J) @ np.concatenate([J, A, r], axis=2))
+            along, b = sums[..., 6:-1], sums[..., -1:]
+            M.append(sums[..., :6])
+            R.append(b @ _T(b) + along @ C @ _T(along))
+            total += float(np.sum(r**2) + np.sum((A @ C) * A))
+            count += float(np.sum(there))
+        return Moments(np.concatenate(M), np.concatenate(R), total, count)
+
+    def _means(self, X: Array, weights: Array, c: int) -> tuple[Array, Array, Array]:
+        """Of an instrument's scalars in each cell, all zero for others: columns, derivative by the body, and number.
+
+        The columns (K, D, q) are summed over repeats with their weights to what has the variance of one row; shapes (M,
+        D, q), (M, D, 6) and (M, D).
+        """
+        w, own = weights[self.rows, None], self.instruments == c
+        total = np.add.reduceat(w, self._first_row)
+        scale = 1.0 / np.sqrt(np.maximum(total, _TINY))
+        both = np.concatenate([X, self.J], axis=2) * (w * own)[:, :, None]
+        both = np.add.reduceat(both, self._first_row) * scale[:, :, None]
+        there = own[self._first_row] * np.minimum(total, 1.0)
+        return both[..., :-6], both[..., -6:], there
+
+    def _sums(self, values: Array) -> Array:
+        """Sums of values (M, ...) over the cells of each stop, shape (S, ...)."""
+        return np.asarray(np.add.reduceat(values, self._first_cell))
+
+    def _rows_of(self, columns: Array) -> Array:
+        """The columns (q, D, N) of these rows, shape (K, D, q)."""
+        return np.ascontiguousarray(columns[:, :, self.rows].transpose(2, 1, 0))
+
+    def _parts(self) -> list[Stops]:
+        """The stops in parts of some rows each."""
+        if len(self.rows) <= _PART:
+            return [self]
+        first = self._first_row[self._first_cell][self._stop_of_cell][self._cell_of_row]
+        part = first // _PART
+        return [self._some(part == k) for k in np.unique(part)]
+
+    def _some(self, kept: Mask) -> Stops:
+        """Some of these rows."""
+        rows, cells, stops = (labels[kept] for labels in (self.rows, self.cells, self.stops))
+        return Stops(rows, cells, stops, self.J[kept], self.instruments[kept])
+
+
+def _own(rho: Array) -> float:
+    """The share kappa of a scalar's variance that is its own."""
+    return float(max(1.0 - np.sum(rho), _LEAST_OWN))
+
+
+def _roots(rho: Array) -> Array:
+    """The roots of the shares, of each direction of a displacement, shape (6,)."""
+    return np.repeat(np.sqrt(rho), 3)
+
+
+def _T(M: NDArray[np.floating]) -> Array:
+    """The transposed matrices."""
+    return np.asarray(M.swapaxes(-1, -2))
+
+
+def _trace(M: Array) -> float:
+    """The sum of the traces of matrices."""
+    return float(np.einsum("sii->", M))
+
+
+def _twists_of_bodies(points: Array, stops: Integers, counts: Array) -> Array:
+    """What displacing bodies does to their points (K, 3), shape (K, 6, 6) [m, rad].
+
+    The bodies are displaced at the centroids of these, which count for ``counts``, (K,).
+    """
+    body = np.unique(stops, return_inverse=True)[1].reshape(-1)
+    sums = np.stack([np.bincount(body, counts * column) for column in points.T], axis=1)
+    lever = points - (sums / np.bincount(body, counts)[:, None])[body]
+    twists = np.zeros((len(points), 6, 6))
+    twists[:] = np.eye(6)
+    # Column k is e_k x lever.
+    twists[:, :3, 3:] = _T(np.cross(np.eye(3), lever[:, None]))
+    return twists
+
+
+def _of_unit_size(J: Array, instruments: NDArray[np.int8], counts: Array) -> Array:
+    """The derivatives (K, D, 6) of rows that count for (K,), each instrument's by translations and by turns scaled.
+
+    What they do to a scalar has the mean square 1.
+    """
+    result = np.zeros(J.shape)
+    for c in range(int(instruments.max()) + 1):
+        own = counts[:, None] * (instruments == c)
+        for part in (_TRANSLATION, _TURN):
+            square = float(np.sum(own[:, :, None] * J[:, :, part] ** 2))
+            if square > 0.0:
+                scale = np.sqrt(np.sum(own) / square)
+                result[:, :, part] += scale * (own > 0.0)[:, :, None] * J[:, :, part]
+    return result
