@@ -39,7 +39,8 @@ from calib.data.measurements import Measurements
 from calib.design.plan import plan
 from calib.estimate.fitting import Task, fit
 from calib.estimate.problem import Problem
-from calib.estimate.setup import Rows, rows_of
+from calib.estimate.rows import Rows
+from calib.estimate.setup import rows_of
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
 from calib.robot.chain import pinocchio_chain

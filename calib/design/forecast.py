@@ -25,7 +25,8 @@ from calib.errors import ModelError, choices
 from calib.estimate.fitting import Task, model_of
 from calib.estimate.inspection import GENERIC_TARGET, table_of_poses
 from calib.estimate.registration import register
-from calib.estimate.setup import FIRST_SIGMA_ANGLE, Rows, Setup, rows_of, setup_of
+from calib.estimate.rows import Rows
+from calib.estimate.setup import FIRST_SIGMA_ANGLE, Setup, rows_of, setup_of
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability, analyse

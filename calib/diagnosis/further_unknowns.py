@@ -17,7 +17,7 @@ from scipy.special import fdtrc, stdtr
 
 from calib.estimate.fitting import PAPER, Fitted
 from calib.estimate.problem import Linear, Priors
-from calib.estimate.setup import Rows
+from calib.estimate.rows import Rows
 from calib.estimate.stages import PriorTerms, Stage
 from calib.estimate.statistics import rms
 from calib.model.dh import zero_poses

@@ -19,7 +19,8 @@ from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Reason, Why
 from calib.errors import MeasurementError
 from calib.estimate.registration import register
-from calib.estimate.setup import LENGTHS, Rows, Setup, rows_of
+from calib.estimate.rows import LENGTHS, Rows
+from calib.estimate.setup import Setup, rows_of
 from calib.model.error_model import DIRECTIONS
 from calib.robot.robot import Robot
 from calib.units import Array

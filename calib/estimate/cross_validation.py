@@ -17,7 +17,8 @@ from calib.errors import MeasurementError
 from calib.estimate.fitting import PAPER, Fitted, Task, fit, given_weights, weighting
 from calib.estimate.problem import Linear, Priors
 from calib.estimate.registration import ENOUGH, nominal_setup, register_poses
-from calib.estimate.setup import Rows, Setup, joined_setups
+from calib.estimate.rows import Rows
+from calib.estimate.setup import Setup, joined_setups
 from calib.estimate.stages import FEWEST_FREEDOM, PriorTerms, Stage, staged
 from calib.estimate.statistics import CrossValidation, Errors
 from calib.jobs import Progress

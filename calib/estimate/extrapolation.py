@@ -6,7 +6,7 @@ import numpy as np
 
 from calib.estimate.fitting import Fitted
 from calib.estimate.problem import Priors
-from calib.estimate.setup import Rows
+from calib.estimate.rows import Rows
 from calib.units import Mask
 
 #: The share of the rows at each end of a joint's measured values that are predicted by the others.

@@ -13,7 +13,8 @@ from calib.data.cell import Cell, Priors
 from calib.errors import MeasurementError, ModelError, choices
 from calib.estimate.problem import Linear, Problem
 from calib.estimate.registration import register, register_unseen
-from calib.estimate.setup import KnownDistance, Rows, Setup
+from calib.estimate.rows import Rows
+from calib.estimate.setup import KnownDistance, Setup
 from calib.estimate.sole_postures import (
     open_directions,
     open_scores,

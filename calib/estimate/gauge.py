@@ -17,7 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.estimate.setup import KnownDistance, Rows
+from calib.estimate.rows import Rows
+from calib.estimate.setup import KnownDistance
 from calib.estimate.statistics import rms
 from calib.model.kinematics import FRAME, TARGET, Kinematics
 from calib.robot.readback import spread_poses

@@ -23,7 +23,8 @@ from scipy.linalg import eigh
 from scipy.linalg.lapack import dpotrf, dtrtri
 
 from calib.estimate.gauge import TOLERANCE, SizeGauge, measures_length, size_gauge
-from calib.estimate.setup import LENGTHS, KnownDistance, Rows
+from calib.estimate.rows import LENGTHS, Rows
+from calib.estimate.setup import KnownDistance
 from calib.estimate.solvers import triangle
 from calib.estimate.statistics import as_of_a_point, deleted_norms
 from calib.estimate.stop_errors import Stops

@@ -14,7 +14,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calib.errors import MeasurementError
-from calib.estimate.setup import LENGTHS, NONE, Rows, Setup
+from calib.estimate.rows import LENGTHS, NONE, Rows
+from calib.estimate.setup import Setup
 from calib.estimate.solvers import levenberg_marquardt
 from calib.model.error_model import frame_and_target_model
 from calib.model.kinematics import ErrorModel

@@ -15,7 +15,7 @@ import numpy as np
 from calib.errors import MeasurementError, ModelError, choices
 from calib.estimate.cross_validation import chance_of_fall, linear_cross_validation, pose_errors
 from calib.estimate.fitting import Fitted, Task, fit, model_of
-from calib.estimate.setup import Rows
+from calib.estimate.rows import Rows
 from calib.estimate.statistics import CrossValidation
 from calib.model.error_model import joint_parameters
 from calib.model.families import family_of, joint_families

@@ -1,229 +1,26 @@
-"""The rows of a table as arrays, and its frames and targets as a fit takes them, and what of them is unknown."""
+"""Frames and targets of a table as a fit takes them, what of them is unknown, and the table's rows."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import compress
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 import calib.data.kinds as registry
 from calib.data.cell import AUTO, Cell
-from calib.data.kinds import Kind
 from calib.data.measurements import Measurements
 from calib.errors import MeasurementError, ModelError, choices
+from calib.estimate.rows import NONE, Rows, same_poses
 from calib.model.error_model import DIRECTIONS, split_name
 from calib.model.families import FAMILIES
 from calib.model.kinematics import FRAME, TARGET, ErrorModel, Parameter, Samples
 from calib.robot.robot import Robot, gravity_loads, read_only
 from calib.units import Array, Integers, Mask
-
-#: The number in place of a kind's of rows that say nothing themselves: the second ones of pairs; and the column from
-#: which on a residual has its angles, behind its lengths.
-NONE, LENGTHS = -1, 3
-
-#: Rows whose joint values differ by less than this are repeats of a pose [rad or m].
-_SAME_POSE = 1e-3
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Rows:
-    """The rows of one fit."""
-
-    samples: Samples  # Joint values, frame and target of each of N rows
-    kinds: Integers  # (N,), numbers of `calib.data.kinds`; `NONE` for the second row of a pair
-    measured: Array  # (N, K), as `calib.data.kinds.Kind` says; zero in columns that a kind lacks
-    partner: Integers  # (N,), the other row of a pair; -1 elsewhere
-    sigma: Array  # (N,), standard deviation of one length as given or first assumed [m]
-    sigma_angle: Array  # (N,), of one angle [rad]
-    poses: Integers  # (N,), rows of one number are repeats: one pose, one target, one frame
-    blocks: Integers  # (N,), rows of one number are left out together: one pose, and both rows of a pair
-    weights: Array | None = None  # (N,), that hold, repeats shared out; None: to be found
-    sole: Mask | None = None  # (N,), see `calib.estimate.sole_postures`; None: to be found
-    width: int = field(init=False)  # Columns of a residual: 6 with angles, 3 with positions, else 1
-    used: Mask = field(init=False, repr=False)  # (N, width), which columns hold a scalar
-    # (N, width), the number of each scalar's noise, -1 for none: of each kind's lengths, then of each kind's angles
-    instruments: NDArray[np.int8] = field(init=False, repr=False)
-    # The kinds that there are; which rows they have (a slice for all), and in which columns of the residual
-    _parts: tuple[tuple[Kind, Integers | slice, Integers], ...] = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        """Work out once what every evaluation of a fit asks for."""
-        rows, parts = np.arange(len(self.kinds))[:, None], []
-        for k in np.flatnonzero(np.bincount(self.kinds - NONE)[1:]).tolist():
-            kind, own = registry.at(k), self.kinds == k
-            columns = np.r_[: kind.lengths, LENGTHS : LENGTHS + kind.angles]
-            parts.append((kind, slice(None) if np.all(own) else np.flatnonzero(own), columns))
-        width = max((int(columns[-1]) + 1 for _, _, columns in parts), default=1)
-        index, number = np.full((len(rows), width), -1, dtype=np.int8), 0
-        for angles in (False, True):
-            for _, own, columns in parts:
-                wanted = columns[(columns >= LENGTHS) == angles]
-                index[rows[own], wanted] = number
-                number += bool(len(wanted))
-        used = index >= 0
-        used.setflags(write=False)
-        values = {"width": width, "used": used, "instruments": index, "_parts": tuple(parts)}
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
-
-    def __len__(self) -> int:
-        """Number of rows."""
-        return len(self.samples)
-
-    @property
-    def joints(self) -> Array:
-        """Values of the measured joints, shape (N, m), [rad] or [m]."""
-        return self.samples.q
-
-    @property
-    def count(self) -> int:
-        """Number of scalars."""
-        return int(np.sum(self.used))
-
-    @property
-    def scales(self) -> Array:
-        """Standard deviation of each column as given or first assumed, shape (N, width), [m] and [rad]."""
-        result = np.repeat(self.sigma[:, None], self.width, axis=1)
-        result[:, LENGTHS:] = self.sigma_angle[:, None]
-        return result
-
-    @property
-    def present(self) -> tuple[Kind, ...]:
-        """The kinds that there are, in the order of their numbers."""
-        return tuple(kind for kind, _, _ in self._parts)
-
-    @property
-    def checked(self) -> Mask:
-        """Which rows others can check, because theirs is no sole posture, shape (N,)."""
-        return np.ones(len(self), dtype=bool) if self.sole is None else ~self.sole
-
-    def where(self, test: Callable[[Kind], bool]) -> Mask:
-        """The rows of kinds that pass a test, such as ``lambda kind: kind.position``, shape (N,)."""
-        result = np.zeros(len(self), dtype=bool)
-        for kind, own, _ in self._parts:
-            result[own] = test(kind)
-        return result
-
-    def select(self, which: Mask | slice) -> Rows:
-        """Some of the rows, in their order; of a pair both or none."""
-        chosen = np.arange(len(self))[which]
-        if len(chosen) == len(self):
-            return self
-        partner = self.partner[chosen]
-        if np.any(partner >= 0):
-            position = np.full(len(self), -1)
-            position[chosen] = np.arange(len(chosen))
-            partner = np.where(partner >= 0, position[partner], -1)
-        names = ["kinds", "measured", "sigma", "sigma_angle", "poses", "blocks"]
-        names += [name for name in ("weights", "sole") if getattr(self, name) is not None]
-        return replace(
-            self,
-            samples=self.samples.select(chosen),
-            partner=partner,
-            **{name: getattr(self, name)[chosen] for name in names},
-        )
-
-    def residual(self, T_frame_target: Array) -> Array:
-        """Measured minus predicted, shape (N, width), [m] and [rad]."""
-        result, numbers = np.zeros((len(self), self.width)), np.arange(len(self))[:, None]
-        for kind, own, columns in self._parts:
-            seen = self._seen(kind, own, T_frame_target)
-            result[numbers[own], columns] = kind.residual_of(self.measured[own, : kind.size], seen)
-        return result
-
-    def derivative(self, T_frame_target: Array, twists: Array) -> Array:
-        """The derivative of what is predicted, minus that of the residual, shape (N, width, p).
-
-        ``twists``, (N, 6, p) or (N, 3, p) where no kind measures an orientation, are those of `Kinematics.twists`.
-        """
-        shape, numbers = (len(self), self.width, twists.shape[2]), np.arange(len(self))[:, None]
-        result: Array | None = None
-        for kind, own, columns in self._parts:
-            T, moved = (self._seen(kind, own, values) for values in (T_frame_target, twists))
-            found = kind.derivative(self.measured[own, : kind.size], T, moved)
-            if found.shape == shape:
-                return found  # the only kind, and all columns
-            result = np.zeros(shape) if result is None else result
-            result[numbers[own], columns] = found
-        return np.zeros(shape) if result is None else result
-
-    def as_measured_at(self, T_frame_target: Array) -> Rows:
-        """The rows with what a perfect instrument reads at these poses, shape (N, 4, 4), [m]."""
-        measured = self.measured.copy()
-        for kind, own, _ in self._parts:
-            if kind.measure is not None:
-                measured[own, : kind.size] = kind.measure(self._seen(kind, own, T_frame_target))
-        return replace(self, measured=measured)
-
-    def _seen(self, kind: Kind, own: Integers | slice, values: Array) -> Array:
-        """The values of the rows of one kind; of a paired kind those of both its rows."""
-        if not kind.paired:
-            return values[own]
-        return np.stack([values[own], values[self.partner[own]]], axis=1)
-
-    def with_partners(self, kept: Mask) -> Mask:
-        """The rows that are kept and the second rows of their pairs, shape (N,)."""
-        result: Mask = kept.copy()
-        result[self.partner[kept & (self.partner >= 0)]] = True
-        return result
-
-    def keeps_frames(self, kept: Mask) -> bool:
-        """Whether half of each set-up's rows or more are kept."""
-        every = np.bincount(self.samples.frame)
-        return bool(np.all(2 * np.bincount(self.samples.frame, kept, len(every)) >= every))
-
-    def without(self, outliers: Mask) -> Mask:
-        """The rows that are no outliers, shape (N,); all where those are more than half of a set-up's."""
-        kept = self.with_partners(~outliers)
-        return kept if self.keeps_frames(kept) else np.ones_like(kept)
-
-    def evenly(self, most: int) -> Mask:
-        """All rows, or about so many, the same share of each frame, target and kind, shape (N,); whole pairs.
-
-        Drawn at random, always alike: tables have cycles, and every tenth row may be of one kind of pose.
-        """
-        if len(self) <= most:
-            return np.ones(len(self), dtype=bool)
-        told = np.flatnonzero(self.kinds != NONE)
-        seen = np.stack([self.samples.frame, self.samples.target, self.kinds], axis=1)[told]
-        _, view, count = np.unique(seen, axis=0, return_inverse=True, return_counts=True)
-        view = view.reshape(-1)
-        fewest = min(100, max(most // len(count), 1))
-        quota = np.minimum(count, np.maximum(most * count // max(len(self), 1), fewest))
-        order = np.lexsort((np.random.default_rng(0).random(len(told)), view))
-        first = np.concatenate([[0], np.cumsum(count)[:-1]])
-        place = np.arange(len(told)) - first[view[order]]
-        result = np.zeros(len(self), dtype=bool)
-        result[told[order[place < quota[view[order]]]]] = True
-        return self.with_partners(result)
-
-    def parts(self, size: int) -> list[slice]:
-        """The rows in parts of so many; in one where there are pairs, which stay together."""
-        size = max(len(self), 1) if np.any(self.partner >= 0) else size
-        return [slice(k, k + size) for k in range(0, len(self), size)]
-
-
-def same_poses(joints: Array) -> Integers:
-    """Which pose each row (N, n), [rad] or [m], was measured at: repeats get the number of their first row's."""
-    unique, first, copy = np.unique(joints, axis=0, return_index=True, return_inverse=True)
-    tree, leader = cKDTree(unique), first.copy()
-    reach = 1.01 * _SAME_POSE
-    near = tree.query(unique, k=[2], p=np.inf, distance_upper_bound=reach)[0][:, 0] < reach
-    free = np.ones(len(unique), dtype=bool)
-    for i in np.flatnonzero(near)[np.argsort(first[near])].tolist():
-        if free[i]:  # a leader takes its neighbours, and they are asked no more
-            found = np.array(tree.query_ball_point(unique[i], _SAME_POSE, p=np.inf))
-            found = found[free[found]]
-            leader[found], free[found] = first[i], False
-    return np.unique(leader[copy.reshape(-1)], return_inverse=True)[1].reshape(-1)
-
 
 #: The noise assumed until the data have told theirs [m], [rad].
 FIRST_SIGMA, FIRST_SIGMA_ANGLE = 1e-4, 1e-3
@@ -479,7 +276,7 @@ def _joined(labels: Integers, pairs: Sequence[tuple[int, int]]) -> Integers:
 
 
 def _measured(m: Measurements, kinds: Integers) -> Array:
-    """What was measured, as `calib.estimate.setup.Rows` has it, shape (N, K)."""
+    """What was measured, as `calib.estimate.rows.Rows` has it, shape (N, K)."""
     present = [(registry.at(k), kinds == k) for k in np.unique(kinds).tolist() if k != NONE]
     result = np.zeros((len(m), max((kind.size for kind, _ in present), default=0)))
     for kind, rows in present:

@@ -32,7 +32,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.estimate.problem import Linear
-from calib.estimate.setup import Rows
+from calib.estimate.rows import Rows
 from calib.estimate.stages import Stage
 from calib.estimate.statistics import as_of_a_point
 from calib.robot.kernel import over_blocks

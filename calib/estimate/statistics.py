@@ -74,7 +74,7 @@ class CrossValidation:
 
     method: str  # ``"leave-one-out"``, ``"leave-one-pose-out"``, ``"leave-one-set-up-out"``, ``"10-fold"``, ...
     folds: int  # Number of fits
-    poses: Integers  # (N,), the pose of each row, see `calib.estimate.setup.same_poses`
+    poses: Integers  # (N,), the pose of each row, see `calib.estimate.rows.same_poses`
     residual: Array  # (N, D), measured minus predicted by the fit without the row [m], [rad]
     errors: Errors  # Of all rows
     errors_without_outliers: Errors  # Of the rows that the fit to all rows did not flag

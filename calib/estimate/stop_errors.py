@@ -28,7 +28,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.estimate.setup import Rows, same_poses
+from calib.estimate.rows import Rows, same_poses
 from calib.model.kinematics import Kinematics
 from calib.units import Array, Integers, Mask
 

@@ -24,6 +24,7 @@ from calib.estimate.cross_validation import cross_validation, nominal_cross_vali
 from calib.estimate.extrapolation import extrapolation
 from calib.estimate.fitting import Fitted, Task, fit
 from calib.estimate.registration import nominal_setup, register_unseen
+from calib.estimate.rows import Rows
 from calib.estimate.selection import (
     Candidate,
     alternatives,
@@ -33,7 +34,7 @@ from calib.estimate.selection import (
     select,
     widest,
 )
-from calib.estimate.setup import Rows, Setup, joint_loads, known_distances, rows_of
+from calib.estimate.setup import Setup, joint_loads, known_distances, rows_of
 from calib.estimate.solvers import Solver
 from calib.estimate.statistics import CrossValidation, Limits, Repeats, repeats, rms
 from calib.jobs import Progress

@@ -27,7 +27,7 @@ from calib.estimate.fitting import PAPER, Fitted, fit, model_of
 from calib.estimate.gauge import measures_length
 from calib.estimate.problem import Problem
 from calib.estimate.registration import ENOUGH
-from calib.estimate.setup import LENGTHS, Rows
+from calib.estimate.rows import LENGTHS, Rows
 from calib.model.families import FAMILIES, joint_families
 from calib.result.calibration import Calibration
 from calib.robot.readback import column_ranges, spread_poses

@@ -9,7 +9,7 @@ import numpy as np
 from calib.diagnosis.reasons import NO, Reason, Why
 from calib.diagnosis.verdict import Evidence
 from calib.estimate.fitting import Fitted
-from calib.estimate.setup import Rows
+from calib.estimate.rows import Rows
 from calib.estimate.statistics import Errors
 from calib.model.kinematics import FRAME, TARGET
 from calib.result.calibration import Calibration

@@ -23,7 +23,8 @@ from calib.estimate.cross_validation import (
     pose_errors,
 )
 from calib.estimate.fitting import Fitted, Task, fit
-from calib.estimate.setup import Rows, known_distances, rows_of
+from calib.estimate.rows import Rows
+from calib.estimate.setup import known_distances, rows_of
 from calib.estimate.statistics import CrossValidation, Errors
 
 #: Numbers of kinds in the registry.

@@ -11,7 +11,8 @@ from scipy.special import stdtrit
 from calib.data.cell import Cell, Priors
 from calib.data.measurements import Measurements
 from calib.estimate.fitting import Fitted, Task, fit
-from calib.estimate.setup import Rows, rows_of
+from calib.estimate.rows import Rows
+from calib.estimate.setup import rows_of
 
 OFF = Priors(sizes="off")
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.data.measurements import Measurements
 from calib.estimate import problem
-from calib.estimate.setup import NONE, Rows
+from calib.estimate.rows import NONE, Rows
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
 from calib.result.calibrate import calibrate

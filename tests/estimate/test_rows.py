@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from calib.data.cell import Cell
 from calib.data.kinds import _log_derivative, at as kind_at
-from calib.estimate.setup import NONE, Rows, rows_of
+from calib.estimate.rows import NONE, Rows
+from calib.estimate.setup import rows_of
 from calib.model.error_model import DIRECTIONS, error_model
 from calib.model.kinematics import Kinematics, Samples
 

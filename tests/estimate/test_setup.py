@@ -10,10 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from calib.data.cell import Cell, GroupDistance
 from calib.data.measurements import Measurements
+from calib.estimate.rows import NONE
 from calib.estimate.setup import (
     FIRST_SIGMA,
     FIRST_SIGMA_ANGLE,
-    NONE,
     KnownDistance,
     joined_setups,
     known_distances,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.estimate.cross_validation import Folds
-from calib.estimate.setup import same_poses
+from calib.estimate.rows import same_poses
 from calib.estimate.statistics import Errors, interval_factor, repeats
 
 # The paper's Table 4: errors of rows 31 to 35 before and after calibration [mm].
