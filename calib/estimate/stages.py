@@ -33,6 +33,9 @@ FEWEST_FREEDOM, _TELLING_REPEATS = 6.0, 6.0
 #: registration put them [m and rad]; and how tightly a parameter is held at its bound, in its unit.
 _WEAK, _FIXED = 1.0, 1e-10
 
+#: Noise up to so many times the smallest that is believed is rounding.
+_ROUNDING = 2.0
+
 #: Weights that change by less have settled, and noise and sizes that change by less of themselves; limit of the rounds.
 _SETTLED, _SETTLED_SIZES, _ROUNDS = 0.02, 0.01, 12
 
@@ -233,11 +236,13 @@ class Stage:
         return replace(self, share=1.0 / (1.0 + (np.maximum(counts, 1) - 1.0) * rho[:, None]))
 
     def by_stops(self, linear: Linear) -> Stage:
-        """The shares of stops, see `calib.estimate.stop_errors`."""
+        """The shares of stops, see `calib.estimate.stop_errors`; none of what is rounding."""
         if linear.stops is None:
             return self
         x, covariance, _ = self.fit(linear)
-        return replace(self, rho=linear.shares(x, covariance, self.effective, self.rho))
+        rho = linear.shares(x, covariance, self.effective, self.rho)
+        rounding = self.noise <= _ROUNDING * np.array(linear.smallest)
+        return replace(self, rho=np.where(rounding[:, :, None], 0.0, rho))
 
 
 def staged(
