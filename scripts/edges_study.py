@@ -185,7 +185,7 @@ def main() -> None:
     """Print the lines, and how many are told `use`."""
     used = 0
     for text in lines(int(sys.argv[1]) if len(sys.argv) > 1 else 1, sys.argv[2:]):
-        used += " use: " in text
+        used += " use: " in text and "not use: " not in text
         print(text, flush=True)
     print(f"use: {used}")
 

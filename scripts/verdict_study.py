@@ -40,6 +40,10 @@ TYPICAL = {
 }
 FRESH, LIKE_THOSE = 1000, 400
 
+#: Nothing is wrong with a table of so many points or more, of no more noise [m], without accidents; and a verdict `use`
+#: asks that less than this share of the error remains.
+ENOUGH, QUIET, REMAINS = 10, 0.5e-3, 0.4
+
 #: Shares of a range of joint values, and of accidents: all over it, and none, are drawn more often.
 CORNERS, ACCIDENTS = (1.0, 1.0, 1.0, 0.5, 0.2, 0.1), (0.0, 0.0, 0.0, 0.05, 0.1, 0.25)
 
@@ -50,6 +54,7 @@ class Found:
 
     result: Calibration
     accidents: float  # Share of rows
+    sigma: float  # Noise of a coordinate [m]
     nominal: float  # Error of the nominal URDF at the fresh poses [m]
     corrected: float  # Of the corrected one [m]
     expected: dict[
@@ -62,6 +67,13 @@ class Found:
         if self.corrected < 0.5 * self.nominal:
             return "halved"
         return "falls" if self.corrected < (1.0 - 1e-6) * self.nominal else "does not fall"
+
+    @property
+    def sound(self) -> bool:
+        """Whether nothing is wrong with the table, and little of the error remains."""
+        rows = len(self.result.rows.numbers)
+        good = rows >= ENOUGH and self.sigma <= QUIET and not self.accidents
+        return good and self.corrected < REMAINS * self.nominal
 
     @property
     def verdict(self) -> Verdict:
@@ -113,7 +125,7 @@ def calibration(seed: int) -> Found:
     }
     if result.larger is not None:
         expected["larger"] = result.larger.new_point[0] / rms(result.predict(like_those) - seen)
-    return Found(result, share, errors[0], errors[1], expected)
+    return Found(result, share, sigma, errors[0], errors[1], expected)
 
 
 def _log(rng: np.random.Generator, low: float, high: float) -> float:
@@ -132,6 +144,8 @@ def table(found: list[Found]) -> Iterator[str]:
     yield f"{'':14}" + "".join(f"{use:>15}" for use in (USE, CARE, NO))
     for outcome in ("halved", "falls", "does not fall"):
         yield f"{outcome:14}" + "".join(f"{counts[outcome, use]:15}" for use in (USE, CARE, NO))
+    sound = [one.verdict.use for one in found if one.sound]
+    yield f"nothing wrong  {sound.count(USE)} of {len(sound)} {USE}"
     rises = [one.verdict.use for one in found if one.corrected > one.nominal * (1 + 1e-6)]
     yield f"rises          {rises.count(NO)} of {len(rises)} {NO}"
     ratios = defaultdict(list)
