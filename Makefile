@@ -14,9 +14,10 @@ BIN := $(VENV)/bin
 #: calib itself; and with it what tests, linters and the docs' site need.
 CALIB := $(VENV)/.calib
 TOOLS := $(VENV)/.tools
-#: uv installs several times faster than pip; where it cannot (an index that only pip is told of), pip does.
+#: uv installs several times faster than pip; where it cannot (an index that only pip is told of), pip does. Like pip it
+#: compiles what it installs: where Python may not write, each start would do that again.
 PIP := $(BIN)/python -m pip install --disable-pip-version-check
-INSTALL = { $(BIN)/uv pip install --python $(BIN)/python $(1) || $(PIP) $(1); }
+INSTALL = { $(BIN)/uv pip install --compile-bytecode --python $(BIN)/python $(1) || $(PIP) $(1); }
 
 .PHONY: demo test verify coverage lint docs clean
 
