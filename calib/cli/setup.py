@@ -238,7 +238,7 @@ def say_accepted(name: str, stated: str) -> None:
     """
     if stated:
         typer.echo(
-            f"calib: the verdict on {name} is: {stated} With --accept it was used all the same.",
+            f"calib: the verdict on {name} is: {stated} Because of --accept it was used all the same.",
             err=True,
         )
 
