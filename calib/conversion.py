@@ -1,7 +1,7 @@
-"""convert as users have it: a verdict ``do not use`` is obeyed before anything is written.
+"""`calib.convert`, which writes a robot in another format, unless the verdict on it is ``do not use``.
 
-The verdict stands in a result, or in a comment of a URDF that was written in spite of it (`Urdf.verdict`). It goes
-along into a URDF; the other formats have no place for it.
+The verdict stands in a result, or in a comment of a URDF that was written in spite of it (`Urdf.verdict`). A URDF that
+is written states it again; the other formats have no place for it.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def convert(
         source: A result, a controller's file, an origins file, a URDF or xacro, or the name of a robot.
         path: The file to write.
         options: What goes with the conversion.
-        accept: Whether it is written also where the verdict is ``do not use``; a URDF then states it in a comment.
+        accept: Whether to write even where the verdict is ``do not use``; a URDF then states it in a comment.
 
     Returns:
         What was read and written, and what there is to say about it.
@@ -53,8 +53,9 @@ def convert(
 
 
 def _stated(source: Source) -> str:
-    """The verdict ``do not use`` on what was read, and its reason; empty where there is none.
+    """The verdict ``do not use`` on what was read, and its reason; empty for any other verdict, and for none.
 
-    A URDF states its own. What the URDF states that another file is applied to was said of an earlier calibration.
+    A URDF states the verdict on itself. Where another file is applied to a URDF, what that URDF states is the verdict
+    on an earlier calibration, and does not count.
     """
     return source.robot.urdf.verdict if source.kind == "robot" else against(source.verdict)

@@ -10,7 +10,7 @@ class ExitStatus(IntEnum):
 
     DONE = 0  #: Everything was done.
     REFUSED = 1  #: An error, or a robot of a fleet that failed.
-    WRONG_CALL = 2  #: An option or argument that there is not, or a value that it does not take.
-    #: The verdict ``do not use`` was obeyed, or a tolerance was not shown to be kept.
+    WRONG_CALL = 2  #: An unknown option or argument, or a value that it does not take.
+    #: Something for a robot was withheld because of a verdict ``do not use``, or a tolerance was not shown to be kept.
     NOT_ACCEPTED = 3
     INTERRUPTED = 130  #: Ctrl-C.

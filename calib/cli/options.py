@@ -184,7 +184,9 @@ Seed = Annotated[int, typer.Option(min=0, metavar="S", help="The same seed gives
 Accept = Annotated[
     bool,
     typer.Option(
-        "--accept", help="Write for the robot also where the verdict is 'do not use'; else exit 3."
+        "--accept",
+        help="Write what a robot could be given even where the verdict is 'do not use'; without it that is not "
+        "written, and the exit status is 3.",
     ),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite files that exist.")]

@@ -237,7 +237,10 @@ def say_accepted(name: str, stated: str) -> None:
         stated: The verdict, as `calib.text.verdict.against` has it; nothing is said where it is empty.
     """
     if stated:
-        typer.echo(f"calib: the verdict on {name} is: {stated} It was accepted.", err=True)
+        typer.echo(
+            f"calib: the verdict on {name} is: {stated} Because of --accept it was used all the same.",
+            err=True,
+        )
 
 
 def say_ignored(measurements: Measurements, robot: Robot) -> None:

@@ -9,8 +9,11 @@ import numpy as np
 
 from calib.units import Array
 
-#: A joint value is outside when it is further from the measured range than this share of it; less is none [rad or m].
-_MARGIN, _STILL = 0.05, 1e-3
+#: A joint value is outside when it is further from the measured range than this share of the range,
+_MARGIN = 0.05
+
+#: and further than this [rad or m].
+_STILL = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,26 +29,26 @@ class Beyond:
 class OutsideRow:
     """A row with joint values outside the measured range."""
 
-    index: int  # Which of the rows asked for, from 0 on
+    index: int  # The number of the queried row, from 0
     beyond: tuple[Beyond, ...]  # The joint furthest out first, in shares of their measured range
 
 
 def outside(
-    measured: Array, asked: Array, names: Sequence[str], types: Sequence[str]
+    measured: Array, queried: Array, names: Sequence[str], types: Sequence[str]
 ) -> tuple[OutsideRow, ...]:
-    """The rows asked for, (K, m), with joint values outside the range of the measured ones, (N, m) [rad or m].
+    """Find the queried rows, (K, m), with joint values outside the range of the measured ones, (N, m) [rad or m].
 
     A continuous joint's range is what the largest gap on the circle leaves; a margin of 5 % is allowed.
     """
-    if not len(measured) or not len(asked):
+    if not len(measured) or not len(queried):
         return ()
-    far, spans = np.zeros(asked.shape), np.zeros(len(names))
+    far, spans = np.zeros(queried.shape), np.zeros(len(names))
     for j, kind in enumerate(types):
         low, spans[j] = _range(measured[:, j], kind)
-        after = asked[:, j] - low - spans[j]
-        far[:, j] = np.maximum(0.0, np.maximum(low - asked[:, j], after))
+        after = queried[:, j] - low - spans[j]
+        far[:, j] = np.maximum(0.0, np.maximum(low - queried[:, j], after))
         if kind == "continuous":
-            after = np.mod(asked[:, j] - low, 2.0 * np.pi) - spans[j]
+            after = np.mod(queried[:, j] - low, 2.0 * np.pi) - spans[j]
             nearest = np.minimum(after, 2.0 * np.pi - spans[j] - after)
             far[:, j] = np.where(after <= 0.0, 0.0, nearest)
     spans = np.maximum(spans, _STILL)

@@ -1,10 +1,11 @@
-"""Further unknowns beside those of a fit: what an instrument's scale, or a base that has moved, would explain.
+"""Further unknowns beside those of a fit: the scale error of the instrument, or a base that has moved.
 
-The problem linearised at the fit gets further columns Z, whose unknowns b have no prior:
+The problem linearised at the fit gets further columns Z; their unknowns b have no prior:
 
     y = A x + Z b + n,        x_k ~ N(0, tau^2),  n ~ N(0, sigma^2)
 
-The sizes tau of the errors and the noise sigma are estimated anew: corrections that were there to make up for b shrink.
+The prior standard deviations tau and the noise sigma are estimated anew: corrections of the arm that only made up for b
+shrink.
 """
 
 from __future__ import annotations
@@ -25,25 +26,26 @@ from calib.model.families import ANGLE, LENGTH, ZERO
 from calib.model.kinematics import FRAME, TARGET
 from calib.units import Array, Mask
 
-#: A probability below which nothing is by chance: such a table in a thousand.
+#: A p-value below which a finding is not taken for chance.
 UNLIKELY = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Beside:
-    """Further unknowns as estimated together with those of a fit."""
+class FurtherUnknowns:
+    """Further unknowns, estimated together with those of a fit."""
 
     b: Array  #: shape (k,), the further unknowns
     covariance: Array  #: shape (k, k), of ``b``
-    x: Array  #: shape (p,), the parameters of the fit beside them
-    #: shape (p,), which share of each parameter the measurements determine, 0 to 1; the rest is its prior's
+    x: Array  #: shape (p,), the parameters of the fit, estimated together with ``b``
+    #: shape (p,), to which share the measurements, and not the prior, determine each parameter, 0 to 1
     determined: Array
-    sizes: Mapping[str, float]  #: Of the errors of each family, found anew
+    sizes: Mapping[str, float]  #: Prior standard deviation of each family, estimated anew
 
     def p_value(self, freedom: float, directions: Array | None = None) -> float:
-        """The probability of so large a b where there is none: F(k, freedom) of b^T C^-1 b / k.
+        """The p-value of b where its truth is zero: F(k, freedom) of b^T C^-1 b / k.
 
-        Of ``directions`` alone, rows of shape (k', k), if these are given; freedom is that of the sizes in C.
+        If ``directions``, shape (k', k), are given, only of b along these; ``freedom`` is that of the prior standard
+        deviations in C.
         """
         some = np.eye(len(self.b)) if directions is None else directions
         b, C = some @ self.b, some @ self.covariance @ some.T
@@ -61,14 +63,14 @@ def estimate_beside(
     columns: Array,
     of_distances: Array | None = None,
     held: Mask | None = None,
-) -> Beside:
+) -> FurtherUnknowns:
     """Estimate further unknowns beside the parameters of a fit, which stays as it is.
 
     Args:
         fitted: A fit with priors, not by the paper's solver.
         columns: shape (N, D, k), what a unit of each does to the predicted scalars [m], [rad].
         of_distances: shape (K, k), the same of the predicted known distances between frames [m]; None for nothing.
-        held: shape (p,), parameters that b replaces, and that stay at zero; None for none.
+        held: shape (p,), parameters that b replaces, which are held at zero; None for none.
     """
     estimate, model, task = fitted.estimate, fitted.kinematics.model, fitted.task
     problem, x = estimate.problem, estimate.x
@@ -98,7 +100,7 @@ def estimate_beside(
     p = len(x)
     determined = 1.0 - np.diag(covariance)[:p] * stage.priors.precision[0, :p]
     found = dict(zip(prior.names, stage.sizes[0].tolist(), strict=True))
-    return Beside(values[p:], covariance[p:, p:], values[:p], determined, found)
+    return FurtherUnknowns(values[p:], covariance[p:, p:], values[:p], determined, found)
 
 
 def _with_columns(linear: Linear, columns: Array, of_known: Array) -> Linear:
@@ -114,17 +116,17 @@ def _with_columns(linear: Linear, columns: Array, of_known: Array) -> Linear:
     )
 
 
-#: A pattern predicts rows where taking it out lowers the error of held-out blocks by this share.
+#: A pattern predicts rows where it lowers the error of held-out blocks by this share.
 PREDICTS = 0.1
 
-#: Held-out blocks of consecutive rows.
+#: Number of held-out blocks of consecutive rows.
 _BLOCKS = 8
 
 
 def fall_on_blocks(fitted: Fitted, columns: Array, weights: Array) -> float:
     """The share by which the error of held-out blocks of consecutive rows falls with further unknowns.
 
-    Noise, prior sizes and weights stay as they are. Rows count whose frame and target other blocks see too.
+    Noise, prior sizes and weights stay as they are. Only rows count whose frame and target other blocks see too.
 
     Args:
         fitted: A fit.
@@ -166,13 +168,15 @@ def has_priors(fitted: Fitted) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """The scale error of the instrument, beside the arm's own lengths."""
+    """The scale error of the instrument, estimated together with the lengths of the arm."""
 
     share: float  #: By which share all that was measured is too long
-    std: float  #: Its standard deviation: the arm's own lengths are as uncertain
-    p: float  #: The probability of so large a scale error where there is none
+    std: float  #: Its standard deviation, mostly from the uncertainty of the arm's lengths
+    p: float  #: The p-value of no scale error
     reach: float  #: How far the target is from the base, rms over the rows [m]
-    measured: bool  #: Whether any row measures a length, or known distances alone tell the scale
+    measured: (
+        bool  #: Whether any row measures a length; else known distances alone determine the scale
+    )
 
     @property
     def hidden(self) -> float:
@@ -183,7 +187,7 @@ class Scale:
 def instrument_scale(fitted: Fitted) -> Scale | None:
     """Estimate the share by which measured lengths are too long; None where no length of the arm is estimated.
 
-    Of what was measured only rows that measure a length grow, and the known distances between sockets.
+    Only rows that measure a length have the scale error, and the known distances between sockets.
     """
     model, rows = fitted.kinematics.model, fitted.estimate.problem.rows
     lengths = ~model.family(FRAME, TARGET) & (np.array(model.units) == "m")
@@ -201,7 +205,7 @@ def instrument_scale(fitted: Fitted) -> Scale | None:
     if not measured and not np.any(known):
         return None
     beside = estimate_beside(fitted, columns, known)
-    # The error is mostly that of the arm's lengths, whose prior is known with few degrees of freedom.
+    # The uncertainty is mostly that of the arm's lengths, whose prior is estimated with few degrees of freedom.
     freedom = float(np.sum(beside.determined[lengths])) - 1.0
     reach = rms(np.linalg.norm(from_base, axis=1))
     share, std = float(beside.b[0]), float(beside.std[0])
@@ -210,11 +214,11 @@ def instrument_scale(fitted: Fitted) -> Scale | None:
 
 @dataclass(frozen=True, slots=True)
 class BaseMotion:
-    """How far the base stands from where a known measurement frame puts it, beside the arm's own corrections."""
+    """How far the base stands from where a known measurement frame puts it, estimated with the arm's corrections."""
 
     moved: float  #: Of the first joint's origin [m]
     turned: float  #: Of its axis and about it [rad]
-    p: float  #: The probability of so large a motion where the base stands where the frame puts it
+    p: float  #: The p-value of no motion
     effect: float  #: What it does to the measured positions, rms [m]
     effect_of_arm: float  #: What the arm's other corrections do to them, rms [m]
 
@@ -222,8 +226,9 @@ class BaseMotion:
 def motion_of_base(fitted: Fitted) -> BaseMotion | None:
     """Estimate where the base stands in a frame that was taken as known; None where no position was measured in one.
 
-    Across the first joint's axis no other error of the arm does what the base does, and noise alone decides. Along and
-    about the axis it could be the joint's own offset: it counts where it is far larger than those of the other joints.
+    Across the first joint's axis only an error of this joint's axis in the base does what the base does: there the test
+    is against noise alone. Along and about the axis a motion may be the joint's offset: there it must be far larger
+    than the offsets of the other joints.
     """
     rows, model = fitted.estimate.problem.rows, fitted.kinematics.model
     seen = _in_known_frame(fitted, rows)
@@ -258,8 +263,10 @@ def motion_of_base(fitted: Fitted) -> BaseMotion | None:
     )
 
 
-def _chance_of_offset(offset: float, beside: Beside, family: Mask, names: tuple[str, ...]) -> float:
-    """The probability of so large an offset of a joint, by the size of the other joints' of its family: Student's t."""
+def _chance_of_offset(
+    offset: float, beside: FurtherUnknowns, family: Mask, names: tuple[str, ...]
+) -> float:
+    """The p-value of a joint's offset, given the standard deviation of the other joints': Student's t."""
     size = next((beside.sizes[name] for name in names if name in beside.sizes), 0.0)
     if not size:
         return 1.0
@@ -268,7 +275,7 @@ def _chance_of_offset(offset: float, beside: Beside, family: Mask, names: tuple[
 
 
 def _directions_at_first_joint(fitted: Fitted) -> tuple[Array, Array, Array]:
-    """Unit motions of the base: across the first joint's axis, (4, 6), along it and about it, (6,), in the base."""
+    """Unit motions of the base, in its frame: across the first joint's axis, (4, 6), along it and about it, (6,)."""
     robot = fitted.task.robot
     axis = zero_poses(robot)[0][0][:3, :3] @ np.asarray(robot.joints[0].axis)
     normals, nothing = np.linalg.svd(axis[None])[2][1:], np.zeros((2, 3))
@@ -277,9 +284,9 @@ def _directions_at_first_joint(fitted: Fitted) -> tuple[Array, Array, Array]:
 
 
 def _twists_of_base(fitted: Fitted, T_frame_target: Array) -> Array:
-    """What a base that moves along and turns about its axes, at the first joint's origin, does to targets, (N, 6, 6).
+    """Differentiate N poses T_frame_target by motions of the base along and about its axes, shape (N, 6, 6).
 
-    The twists of N poses T_frame_target by six motions, linear part first, along the frame's axes.
+    The base turns about the first joint's origin; twists have the linear part first, along the frame's axes.
     """
     T_frame_base = fitted.placed().T_frame_base[fitted.estimate.problem.rows.samples.frame]
     origin = (T_frame_base @ zero_poses(fitted.task.robot)[0][0])[:, :3, 3]

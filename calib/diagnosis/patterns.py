@@ -1,11 +1,13 @@
 """Whether residuals are noise: F tests of patterns in them, and of set-ups that do not agree.
 
-In the space that the fit's regressors A cannot reach, of further regressors Z: S is what they explain of the rest,
+Let r' and Z' be the residual and further regressors Z, projected on what is orthogonal to the fit's regressors A, and S
+the sum of squares of r' that Z' explain. Then
 
     F = (S / rank Z') / ((|r'|^2 - S) / (M - rank A - rank Z'))
 
 Repeats of a pose share what the model lacks there: their mean is one measurement. A set-up is predicted by a fit to the
-others: its residual r has the covariance I + A C A^T when nothing is wrong, less what its own frame and target take up.
+others: if nothing is wrong, its residual r has the covariance I + A C A^T, apart from what its own frame and target
+absorb.
 """
 
 from __future__ import annotations
@@ -20,24 +22,38 @@ from scipy.special import chdtrc, fdtrc
 
 from calib.units import Array, Integers
 
-#: The probability that a table with nothing but noise gives any pattern or drift; that alike set-ups give any finding.
-FALSE_ALARM, _SETUP_ALARM = 0.003, 0.01
+#: The probability that a table of pure noise gives any pattern or drift.
+FALSE_ALARM = 0.003
 
-#: A set-up is named when its errors are this much larger than the noise: less does not matter.
+#: The probability that set-ups that do not differ give any finding.
+_SETUP_ALARM = 0.01
+
+#: A set-up is named only when its errors are so many times the noise.
 _MATTERS = 1.5
 
-#: Directions whose singular value is below this, columns of norm 1, are not in the range of a matrix; and the same for
-#: what repeats of a pose change in the regressors: joint values repeat to `1e-3` only.
-_CUT, _CUT_WITHIN = 1e-6, 1e-2
+#: Directions whose singular value is below this, for columns of norm 1, are not in the range of a matrix.
+_CUT = 1e-6
 
-#: Rounds in which the components' noise is found; in each it is taken as at least this share of the largest.
-_ROUNDS, _UNEVEN = 4, 0.01
+#: The same for differences of regressors between repeats of a pose: joint values repeat to `1e-3` only.
+_CUT_WITHIN = 1e-2
 
-#: A step has so many rows before and behind it at least; it is looked for at so many of them, then around the best.
-_SIDE, _TRIED = 3, 60
+#: Rounds in which the noise of the components is found.
+_ROUNDS = 4
 
-#: Degrees of freedom below the one, and a share of a residual below the other, are rounding.
-_SOME_FREEDOM, _ROUNDING = 1e-6, 1e-12
+#: The noise of a component is taken as at least this share of the largest.
+_UNEVEN = 0.01
+
+#: The fewest rows before and after a step.
+_SIDE = 3
+
+#: About how many rows are tried for a step, before all around the best.
+_TRIED = 60
+
+#: Degrees of freedom below this are rounding.
+_SOME_FREEDOM = 1e-6
+
+#: A projected residual below this share of the whole one is rounding.
+_ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,14 +62,14 @@ class Explained:
 
     F: float
     p: float
-    share: float  # of the residual's square, beyond the range of the fit's regressors
-    chance: float  # what as many random regressors explain on average
+    share: float  # of the sum of squares of the projected residual
+    chance: float  # the share that as many random regressors explain on average
     columns: int  # independent further regressors
-    freedom: int  # of what is left after them
+    freedom: int  # degrees of freedom that remain
 
     @property
-    def told(self) -> dict[str, float]:
-        """What a reason says of it."""
+    def values(self) -> dict[str, float]:
+        """The values of a reason that reports it."""
         return {"share": self.share, "chance": self.chance, "p": self.p}
 
 
@@ -75,7 +91,7 @@ class Stack:
         return np.asarray(np.unique(pairs, axis=0, return_inverse=True)[1]).reshape(-1)
 
     def beyond(self, *Z: Array) -> Stack:
-        """The same, with further regressors (M, k) taken out."""
+        """The same, with further regressors (M, k) of the fit."""
         return replace(self, A=np.column_stack([self.A, *Z]))
 
     def times(self, functions: Array, directions: Array) -> Array:
@@ -87,10 +103,10 @@ class Stack:
 def joint_patterns(
     stack: Stack, joints: Array, prismatic: Sequence[bool], directions: Sequence[Array]
 ) -> list[tuple[int, Explained, Array]]:
-    """The joints whose value, ``joints`` (N, m), residuals follow beyond a constant of each component; surest first.
+    """Find the joints on whose values (N, m) the residuals depend, beyond a constant of each component; surest first.
 
     The regressors are sin q, cos q and q, or q and q^2 where a joint slides, times the directions (M, k) of what
-    displacements of it do to the scalars. A table with nothing but noise gives any with `FALSE_ALARM`.
+    displacements of it do to the scalars. A table of pure noise gives any with the probability `FALSE_ALARM`.
     """
     if not len(stack.r):
         return []
@@ -103,7 +119,7 @@ def joint_patterns(
 
 
 def functions_of_joint(q: Array, *, slides: bool) -> Array:
-    """The functions of a joint's value, (N,) [rad] or [m], that its errors follow, shape (N, 3 or 2)."""
+    """The functions of a joint's value, (N,) [rad] or [m], of which its errors are combinations, shape (N, 3 or 2)."""
     # Centred and of size 1, so that q and q^2 do not look alike.
     middle = q - np.mean(q)
     middle = middle / max(float(np.max(np.abs(middle), initial=0.0)), np.finfo(float).tiny)
@@ -111,7 +127,7 @@ def functions_of_joint(q: Array, *, slides: bool) -> Array:
 
 
 def drift(stack: Stack, order: Array) -> Explained | None:
-    """The drift of the residuals in the order of the rows, (N,); None where chance gives such a one."""
+    """Test for a drift of the residuals in the order of the rows, (N,); None where it may be chance."""
     if not len(stack.r):
         return None
     found = _combined(stack)(stack.times(order[:, None] - np.mean(order), stack.ones))
@@ -119,9 +135,9 @@ def drift(stack: Stack, order: Array) -> Explained | None:
 
 
 def lag(stack: Stack, moves: Array) -> tuple[Array, Explained] | None:
-    """The share of its last move that each joint misses, (k,), from the regressors of a whole one, (M, k).
+    """Estimate the share of its last move that each joint misses, (k,), from regressors of a whole move, (M, k).
 
-    None where chance explains as much.
+    None where it may be chance.
     """
     if not len(stack.r):
         return None
@@ -134,16 +150,16 @@ def lag(stack: Stack, moves: Array) -> tuple[Array, Explained] | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
-    """Residuals that are displaced from some row on."""
+    """A step in the residuals: from some row on they are displaced."""
 
     row: int  # The first displaced one
     size: float  # By how much, in the unit of the directions
-    test: Explained  # Its probability is for all rows that were tried
+    test: Explained  # Its p is corrected for the number of rows tried
     Z: Array  # (M, k), its regressors
 
 
 def step(stack: Stack, rows: Integers, along: Array) -> Step | None:
-    """From which of some rows (K,) on, in their order, residuals are displaced in directions (M, k); None by chance."""
+    """Find the row among (K,), in their order, from which residuals step along directions (M, k); None if chance."""
     most = len(rows) - _SIDE
     if most < _SIDE:
         return None
@@ -166,16 +182,16 @@ def step(stack: Stack, rows: Integers, along: Array) -> Step | None:
 
 
 def _combined(stack: Stack) -> Callable[[Array], Explained]:
-    """The test between poses and within repeats, their probabilities combined by Fisher's method."""
+    """The tests between poses and within repeats, their p-values combined by Fisher's method."""
     between, within = _between(stack), _within(stack)
 
     def test(Z: Array) -> Explained:
         tests = between(Z), within(Z)
-        told = [one for one in tests if one.columns] or [tests[0]]
-        surest = min(told, key=lambda one: one.p)
-        if len(told) == 1:
+        valid = [one for one in tests if one.columns] or [tests[0]]
+        surest = min(valid, key=lambda one: one.p)
+        if len(valid) == 1:
             return surest
-        logs = [np.log(max(one.p, np.finfo(float).tiny)) for one in told]
+        logs = [np.log(max(one.p, np.finfo(float).tiny)) for one in valid]
         return replace(surest, p=float(chdtrc(4.0, -2.0 * sum(logs))))
 
     return test
@@ -196,7 +212,7 @@ def _between(stack: Stack) -> Callable[[Array], Explained]:
 
 
 def _within(stack: Stack) -> Callable[[Array], Explained]:
-    """The test on what differs between repeats; without repeats there is nothing to test."""
+    """The test on differences between repeats; without repeats there is nothing to test."""
     cells, (found, component) = stack.cells, np.unique(stack.component_of, return_inverse=True)
     counts = np.bincount(cells)
     if counts.max() == 1:
@@ -223,7 +239,7 @@ def _within(stack: Stack) -> Callable[[Array], Explained]:
 def f_test(base: Array, r: Array, Z: Array, sizes: Array, lost: int = 0) -> Explained:
     """The F test of further regressors Z (M, k) beyond an orthonormal base (M, rank A).
 
-    A column of Z below `_CUT` times its size counts for nothing; ``lost`` degrees of freedom were taken before.
+    A column of Z below `_CUT` times its size is ignored; ``lost`` degrees of freedom were used before.
     """
     rest = r - base @ (base.T @ r)
     # Twice is enough to be orthogonal to rounding, where Z almost lies in the range of the base.
@@ -241,7 +257,7 @@ def f_test(base: Array, r: Array, Z: Array, sizes: Array, lost: int = 0) -> Expl
 
 
 def even_factors(A: Array, r: Array, component_of: Integers) -> Array:
-    """What makes the residual of each component equally large, (M,): an instrument may see depth worse."""
+    """Factors that give the components equal residual variance, (M,): an instrument may measure depth less well."""
     found, component = np.unique(component_of, return_inverse=True)
     factors, count = np.ones(len(r)), len(found)
     for _ in range(_ROUNDS if count > 1 else 0):
@@ -267,7 +283,7 @@ def _levelled(squares: NDArray[Any], freedom: NDArray[Any]) -> Array:
 def unpredicted(
     squares: Array, freedoms: Array, noises: Array, noise_freedoms: Array
 ) -> list[tuple[int, float]]:
-    """The set-ups whose errors are larger than noise, beyond chance and by `_MATTERS`; surest first, with the ratio.
+    """Find the set-ups whose errors exceed the noise, beyond chance and by `_MATTERS`; surest first, with the ratio.
 
     squares and freedoms are of `prediction_square`, noises the variance of a whitened scalar in the fit to the others.
     """
@@ -281,8 +297,8 @@ def unpredicted(
 def prediction_square(r: Array, A: Array, covariance: Array, nuisance: Array) -> tuple[float, int]:
     """Sum of squares of a set-up's residual, in units of its prediction's own uncertainty, and its degrees of freedom.
 
-    The residual r (M,) and the regressors A (M, p) of what the others know are whitened, the covariance (p, p) is for
-    scalars of variance 1; ``nuisance`` (M, k) is what the set-up has to itself.
+    The residual r (M,) and its derivative A (M, p) by parameters that the others determine are whitened, the covariance
+    (p, p) is for scalars of variance 1; ``nuisance`` (M, k) are regressors of what only this set-up has.
     """
     # A symmetric root of W: with A C^(1/2) = U S V^T it is I + U ((1 + S^2)^(-1/2) - 1) U^T, never made as a matrix.
     sizes, vectors = np.linalg.eigh(covariance)
@@ -311,7 +327,7 @@ def range_of(A: Array, sizes: Array | None = None, cut: float = _CUT) -> Array:
 
 
 def _means(cells: Integers, values: Array) -> Array:
-    """Sums over each cell over the root of its count: means, whitened like their rows when those are independent."""
+    """Means over each cell times the root of its count, so that they are whitened as their independent rows are."""
     counts = np.bincount(cells)
     order, starts = np.argsort(cells, kind="stable"), np.cumsum(counts) - counts
     sums = np.add.reduceat(values[order], starts, axis=0)

@@ -13,7 +13,7 @@ USE, CARE, NO = "use", "use with care", "do not use"
 
 
 class Why(Enum):
-    """The codes; `calib.text.verdict.SENTENCES` has what each says."""
+    """The codes; `calib.text.verdict.SENTENCES` has the sentence of each."""
 
     # Another set-up explains the rows
     TARGET_ELSEWHERE, WRONG_UNIT, OTHER_BASE, OWN_FRAME, JOINTS_TURNED = range(5)
@@ -33,10 +33,10 @@ class Why(Enum):
     LENGTHS_SCALED, COMPLIANCE_NEGATIVE, SMALL_GAIN = range(49, 52)
     TARGET_FAR, BASE_MOVED, MUCH_REMAINS, VALIDATION_SMALL_GAIN, JOINTS_LAG = range(52, 57)
     SOLE_POSTURE = 57
-    # What it buys
+    # What is gained, and information
     GAIN, LARGER_MODEL, VALIDATION_GAIN, OUTSIDE, LARGER_NO_CLOSER, ROWS_COPIED = range(60, 66)
     SCALE_HIDDEN = 66
-    # What explains fresh rows
+    # What explains the errors of newly measured rows
     FRAME_MOVED, TARGET_MOVED = range(70, 72)
 
 
@@ -44,12 +44,12 @@ class Why(Enum):
 class Reason:
     """One reason of a verdict."""
 
-    why: Why  # What it is
-    values: Mapping[str, Any]  # The numbers and names that it rests on, in SI units
+    why: Why  # The code
+    values: Mapping[str, Any]  # The numbers and names of its sentence, in SI units
 
     @classmethod
     def of(cls, why: Why, **values: Any) -> Reason:  # noqa: ANN401
-        """With the rms of `Errors` as ``before_m`` and ``before_rad``, as far as they were measured."""
+        """Make a reason; of `Errors` the rms is stored, as ``before_m`` and ``before_rad``, if they were measured."""
         found: dict[str, Any] = {}
         for name, value in values.items():
             if isinstance(value, Errors):

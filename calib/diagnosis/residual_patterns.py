@@ -1,7 +1,7 @@
-"""Patterns in what a fit leaves over, each with its cause: rounded or lagging joints, a moved target, a drift.
+"""Patterns in the residuals of a fit, each with its cause: rounded or lagging joints, a moved target, a drift.
 
-The tests are those of `calib.diagnosis.patterns`; here are the regressors. With a drift or a step stands by how much
-the error of held-out blocks of consecutive rows falls when it is taken out: what predicts nothing explains nothing.
+The tests are those of `calib.diagnosis.patterns`; here are the regressors. A drift or a step is reported with the share
+by which it lowers the error of held-out blocks of consecutive rows: what predicts nothing explains nothing.
 """
 
 from __future__ import annotations
@@ -31,20 +31,20 @@ from calib.units import Array, Integers, Mask
 #: Noise below this is rounding, in which any test finds patterns [m, rad].
 ROUNDING_NOISE = 1e-6
 
-#: With fewer degrees of freedom no pattern is told.
+#: With fewer degrees of freedom no pattern is looked for.
 TELLING = 10.0
 
-#: A direction that moves the scalars by so many standard deviations was fitted.
+#: A direction was fitted where an error of the expected size moves the scalars by so many standard deviations.
 _FITTED = 1.0
 
-#: Steps of joint values that are looked for [deg], [0.1 rad], [0.1 m].
+#: Grids of joint values that are looked for [deg], [0.1 rad], [0.1 m].
 _STEPS = np.array([10.0, 5.0, 1.0, 0.5, 0.1, 0.05, 0.01])
 
-#: So many different values of a joint show a grid.
+#: The fewest different values of a joint that can show a grid.
 _SOME_VALUES = 4
 
-#: The share of the noise that rounding explains where it matters: values to which the arm was sent, and which it
-#: reached, are as round, and explain more than there is.
+#: The share of the noise that rounding explains where it matters. Commanded values that the arm reached exactly are
+#: round too; they would explain more than there is.
 _ROUNDED = (0.5, 3.0)
 
 
@@ -58,11 +58,11 @@ class Order:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Residuals:
-    """What a fit leaves over, and what displacements of joints and targets would do to it."""
+    """The residuals of a fit, and their derivatives by displacements of joints and targets."""
 
     fitted: Fitted
     stack: Stack  #: The M whitened scalars that count
-    weights: Array  #: shape (N,), of the rows; in full where a target's last rows were flagged, for it may have moved
+    weights: Array  #: shape (N,), of the rows; 1 where a target's first or last rows were flagged: it may have moved
     displacements: ErrorModel  #: The zeros of the joints, and the places of the targets
     columns: Array  #: shape (N, D, p), what a unit of each does to the predicted scalars [m], [rad]
     whitened: Array  #: shape (M, p), the same of the stack's scalars
@@ -76,8 +76,8 @@ class Residuals:
         counts = problem.rows.used & (weights > 0.0)[:, None]
         whiten = np.sqrt(weights)[:, None] / problem.scales
         row_of, component_of = np.nonzero(counts)
-        # What the parameters did to the scalars. Directions in which an error of the size expected moves all of them
-        # by less than their noise were not fitted: such a direction may be the residual itself, made larger or turned.
+        # Directions in which an error of the expected size moves the scalars by less than their noise were not
+        # fitted: such a direction may be the residual itself, scaled or rotated.
         J, residual = problem.jacobian(estimate.x), problem.residual(estimate.x)[:, :, None]
         ones = np.eye(counts.shape[1])[None, :, np.unique(component_of)]
         A, r, ones, whitened = (
@@ -129,11 +129,11 @@ def _displacements(fitted: Fitted) -> tuple[ErrorModel, Array]:
 
 
 def residual_patterns(fitted: Fitted, order: Order) -> Iterator[Reason]:
-    """Say which patterns the residual of a fit has; none of one that is rounding, or has few degrees of freedom.
+    """Say which patterns the residuals of a fit have; none if they are rounding or have few degrees of freedom.
 
     Args:
-        fitted: The fit of the best model; patterns of a lesser one are what the better one explains.
-        order: In which its rows were measured.
+        fitted: The fit of the best model, so that no better model explains the patterns.
+        order: The order in which its rows were measured.
     """
     rows = fitted.estimate.problem.rows
     noise = np.median(fitted.estimate.problem.scales[rows.used])
@@ -153,15 +153,15 @@ def residual_patterns(fitted: Fitted, order: Order) -> Iterator[Reason]:
     for joint, explained, _ in patterns[:1]:
         quantity = "position" if residuals.slides([joint])[0] else "angle"
         values = {"quantity": quantity, "joint": fitted.task.robot.inputs[joint].name}
-        yield Reason.of(Why.JOINT_PATTERN, **values, **explained.told)
+        yield Reason.of(Why.JOINT_PATTERN, **values, **explained.values)
     drifting = _drift_beside(residuals, stack, patterns)
     if drifting is not None:
         falls = fall_on_blocks(fitted, _drift_columns(fitted), residuals.weights)
-        yield Reason.of(Why.DRIFT, **drifting.told, falls=falls)
+        yield Reason.of(Why.DRIFT, **drifting.values, falls=falls)
 
 
 def _rounded_joints(residuals: Residuals) -> Iterator[Reason]:
-    """That joint values on a grid explain the noise."""
+    """Say if joint values on a grid explain the noise."""
     joints, inputs = residuals.joints, residuals.fitted.task.robot.inputs
     q, slides = residuals.fitted.estimate.problem.rows.joints, residuals.slides(joints)
     grids = np.array([_grid(q[:, i], s) for i, s in zip(joints, slides, strict=True)])
@@ -175,9 +175,9 @@ def _rounded_joints(residuals: Residuals) -> Iterator[Reason]:
 
 
 def _lagging_joints(residuals: Residuals, order: Order) -> Iterator[Reason]:
-    """That joints were measured before they had arrived: they miss a share of their last move.
+    """Say if joints were measured before they had arrived: they miss a share of their last move.
 
-    Moves go with the values that joints move to: what follows those is no lag.
+    Moves are correlated with the values moved to: what depends on those is no lag.
     """
     joints, stack = residuals.joints, residuals.stack
     q, slides = residuals.fitted.estimate.problem.rows.joints, residuals.slides(joints)
@@ -199,15 +199,15 @@ def _lagging_joints(residuals: Residuals, order: Order) -> Iterator[Reason]:
         falls = fall_on_blocks(fitted, columns, residuals.weights)
         if falls >= PREDICTS:
             values = {"joint": name, "of_move": float(np.sqrt(np.mean(shares**2))), "falls": falls}
-            yield Reason.of(Why.JOINTS_LAG, **values, **explained.told)
+            yield Reason.of(Why.JOINTS_LAG, **values, **explained.values)
 
 
 def _moved_target(
     residuals: Residuals, stack: Stack, target: int, order: Order
 ) -> tuple[Reason, Array] | None:
-    """From which row on a target sits elsewhere, and the regressors of that; None if it stays where it is.
+    """Find from which row on a target sits elsewhere, and its regressors; None if it does not move.
 
-    Rows may be in the order of a joint's values: what follows those is no step, and neither is what drifts more.
+    Rows may be in the order of a joint's values: what depends on these is no step, nor is what a drift explains better.
     """
     fitted, moved = residuals.fitted, residuals.of_target(target)
     patterns = residuals.joint_patterns(stack)
@@ -222,13 +222,13 @@ def _moved_target(
     falls = fall_on_blocks(fitted, later * residuals.columns[:, :, moved], residuals.weights)
     name, number = fitted.setup.targets[target], int(order.numbers[jump.row])
     values = {"target": name, "row": number, "moved_m": jump.size, "falls": falls}
-    return Reason.of(Why.TARGET_STEP, **values, **jump.test.told), jump.Z
+    return Reason.of(Why.TARGET_STEP, **values, **jump.test.values), jump.Z
 
 
 def _drift_beside(
     residuals: Residuals, stack: Stack, patterns: list[tuple[int, Explained, Array]]
 ) -> Explained | None:
-    """The drift in the order of the rows beyond what follows a joint's value."""
+    """The drift in the order of the rows, beyond what depends on a joint's value."""
     rest = stack.beyond(*(Z for *_, Z in patterns))
     return drift(rest, np.linspace(0.0, 1.0, len(residuals.weights)))
 
@@ -241,7 +241,7 @@ def _drift_columns(fitted: Fitted) -> Array:
 
 
 def _flagged_from_some_row_on(fitted: Fitted) -> Mask:
-    """Flagged rows of targets whose first or last rows are flagged, and hardly any other: these are no accidents."""
+    """The flagged rows of targets of which the first or last rows, and hardly any others, are flagged: no accidents."""
     flagged, target = fitted.estimate.outliers, fitted.estimate.problem.rows.samples.target
     result = np.zeros_like(flagged)
     for t in np.unique(target):

@@ -15,26 +15,28 @@ from calib.estimate.setup import joined_setups
 from calib.estimate.statistics import pose_means
 from calib.units import Mask
 
-#: With fewer degrees of freedom disagreement is not told.
-_TELLING = 10.0
+#: With fewer degrees of freedom set-ups are not compared.
+_FEWEST_FREEDOM = 10.0
 
-#: Flagged rows of a set-up, in number and as a share, that show that the set-up and not the rows are off.
+#: The fewest flagged rows that show that a set-up is off, not single rows,
 SOME_FLAGGED = 4
+
+#: and the smallest share of its rows.
 _SHARE_FLAGGED = 0.25
 
 
 def disagreeing_setups(fitted: Fitted) -> tuple[Reason, ...]:
-    """Set-ups that a fit to the others does not predict, the surest two."""
+    """Find the set-ups that a fit to the others does not predict, the two surest of them."""
     estimate, problem, rows = fitted.estimate, fitted.estimate.problem, fitted.estimate.problem.rows
     labels = joined_setups(rows, fitted.task.distances)
-    if labels.max() < 1 or estimate.freedom < _TELLING:
+    if labels.max() < 1 or estimate.freedom < _FEWEST_FREEDOM:
         return ()
     linear, of_fit = problem.linear(estimate.x), np.array([estimate.noise])
     priors, noise = Priors(problem.precision, problem.centre), linear.noise_of(of_fit)[0]
     counts = np.any(linear.used, axis=1) & (estimate.weights > 0.0)
-    # Set-ups that only rows for validation are of have nothing to predict here.
+    # Set-ups that only validation rows have are not among these.
     present = np.unique(labels[counts])
-    told = []
+    tests = []
     for own in (labels == g for g in present):
         weights = np.where(own, 0.0, problem.weights)
         x, covariance, freedom = (
@@ -52,12 +54,12 @@ def disagreeing_setups(fitted: Fitted) -> tuple[Reason, ...]:
         A, C = A[there], covariance[np.ix_(~loose, ~loose)]
         square, degrees = prediction_square(r[there], A[:, ~loose], C, A[:, loose])
         variance = float(weights @ np.sum(rest**2, axis=1)) / max(freedom, 1.0)
-        told.append((square, degrees, variance, max(freedom, 0.0)))
+        tests.append((square, degrees, variance, max(freedom, 0.0)))
     return tuple(
         Reason.of(
             Why.SETUP_UNPREDICTED, setup=_setup_name(fitted, labels == present[i]), ratio=ratio
         )
-        for i, ratio in unpredicted(*np.array(told).T)[:2]
+        for i, ratio in unpredicted(*np.array(tests).T)[:2]
     )
 
 
@@ -68,7 +70,7 @@ def _setup_name(fitted: Fitted, own: Mask) -> str:
 
 
 def flagged_setup(fitted: Fitted) -> Iterator[Reason]:
-    """A set-up whose rows are flagged far more often than the others': it has moved, they have not."""
+    """Find a set-up whose rows are flagged far more often than the others': it has moved, they have not."""
     flagged = fitted.estimate.outliers
     labels = joined_setups(fitted.estimate.problem.rows, fitted.task.distances)
     for g in np.unique(labels) if labels.max() > 0 else ():

@@ -1,6 +1,6 @@
-"""The usual mistakes of a set-up: where a nominal arm is off by centimetres, each is undone in turn.
+"""The usual mistakes of a set-up: where a nominal arm is off by centimetres, each one is undone in a trial.
 
-The target is found anew for each. Explanations that the rows cannot tell apart are all named.
+In each trial the target is registered anew. Explanations that the rows cannot tell apart are all named.
 """
 
 from __future__ import annotations
@@ -32,28 +32,45 @@ PLAUSIBLE = 0.02
 _FAR_BETTER = 0.2
 _EXPLAINED = 0.05
 
-#: Explanations whose errors are within this factor cannot be told apart: an uncalibrated arm is as far off.
+#: Explanations whose errors are within this factor cannot be told apart: errors of an uncalibrated arm may favour any.
 _AS_GOOD = 1.5
 _ROUNDING = 1e-6
 
-#: Joints up to which every combination of turned signs is tried, rows that are looked at, and the tolerance of a
-#: registration: five digits are enough to compare.
-_MOST_SIGNS, _ROWS, _TOLERANCE = 7, 60, 1e-6
+#: The most joints of which every combination of reversed signs is tried.
+_MOST_SIGNS = 7
 
-#: The same of angles [rad]; how far round a joint without values it is sought in turn [rad], at so many values.
-_PLAUSIBLE_ANGLE, _REACHES, _TRIED = 0.1, (np.pi, np.pi, np.pi, 0.2, 0.2, 0.02, 0.002), 41
+#: The most rows that are looked at.
+_ROWS = 60
 
-#: Factors where numbers are in one unit and their header says another; the zeros that conventions differ by [deg].
+#: Tolerance of a registration: five digits are enough to compare.
+_TOLERANCE = 1e-6
+
+#: Errors of orientations below this need no other explanation than an uncalibrated arm [rad].
+_PLAUSIBLE_ANGLE = 0.1
+
+#: Ranges about the last value in which the value of a joint without values is sought, one after the other [rad].
+_REACHES = (np.pi, np.pi, np.pi, 0.2, 0.2, 0.02, 0.002)
+
+#: Values that are tried in each range.
+_TRIED = 41
+
+#: Factors where lengths are in one unit and their header says another.
 _LENGTHS = {("in", "mm"): 25.4, ("mm", "in"): 1.0 / 25.4, ("m", "mm"): 1e3, ("mm", "m"): 1e-3}
+
+#: The same of angles.
 _ANGLES = {("rad", "deg"): np.degrees(1.0), ("deg", "rad"): np.radians(1.0)}
+
+#: Offsets of joint zeros between conventions [deg].
 _TURNS_DEG = (90.0, -90.0, 180.0)
 
-#: A mistake undone: what its error counts times, robot, set-up, rows, and what it would mean.
+#: A mistake undone: factor on its error when trials are ranked, robot, set-up, rows, code and values of its reason.
 Trial = tuple[float, Robot, Setup, Rows, Why, dict[str, Any]]
 
 
-#: Positions that differ by less are one [m]; a tip that moves by more than this cannot have stayed there [m].
+#: Positions that differ by less are one position [m].
 _ONE_PLACE = 1e-6
+
+#: A tip that moves by more than this cannot have stayed at one position [m].
 _FAR_APART = 1e-2
 
 
@@ -79,9 +96,9 @@ def check_positions(robot: Robot, rows: Rows, source: str) -> None:
 
 
 def better_setup(robot: Robot, cell: Cell, table: Measurements) -> Reason | None:
-    """The set-up which explains the rows of a table far better than the one given, if there is one.
+    """Find a set-up that explains the rows of a table far better than the one given, if there is one.
 
-    Of poses the positions come first, of several targets and frames all are looked at together.
+    Of poses the positions are examined first; several targets and frames are examined together.
     """
     if not np.all(table.of_kind("point", "pose")):
         return None
@@ -100,17 +117,17 @@ def better_setup(robot: Robot, cell: Cell, table: Measurements) -> Reason | None
         _trials(robot, cell, setup, rows),
         _tips(robot, cell, table),
         _constant_joints(robot, setup, rows),
-        ((1.2, robot, _loose(setup), *one) for one in more),
+        ((1.2, robot, _with_unknown_targets(setup), *one) for one in more),
     )
-    # A frame that is estimated too makes a trial a hundred times dearer: then two joints at most, and in the end.
+    # An unknown frame makes a trial a hundred times as expensive: then two joints at most, and last.
     n = len(robot.inputs) if len(robot.inputs) <= _MOST_SIGNS else 1
     counts = ((1,), (2,)) if any(setup.unknown) else (range(1, n + 1),)
     first, *others = (_turned_joints(robot, setup, rows, some) for some in counts)
     for trials in (itertools.chain(usual, first), *others):
         explanations = [
             (factor * error, Reason.of(why, given_m=given, error_m=error, **values))
-            for factor, other, asked, changed, why, values in trials
-            if (error := _misfit(other, asked, changed)[0]) <= _EXPLAINED
+            for factor, other, loose, changed, why, values in trials
+            if (error := _misfit(other, loose, changed)[0]) <= _EXPLAINED
         ]
         explanations = [one for one in explanations if one[0] <= _FAR_BETTER * given]
         if explanations:
@@ -119,7 +136,7 @@ def better_setup(robot: Robot, cell: Cell, table: Measurements) -> Reason | None
 
 
 def _all_as_good(explanations: list[tuple[float, Reason]]) -> Reason:
-    """The best of some explanations, by what their errors count, and those that the rows cannot tell from it."""
+    """The best of some explanations, ranked by their weighted errors, with those that the rows cannot tell from it."""
     ordered = sorted(explanations, key=lambda one: one[0])
     best = ordered[0][1]
     limit = _AS_GOOD * best.values["error_m"] + _ROUNDING
@@ -139,7 +156,7 @@ def _naming_only(cell: Cell, table: Measurements) -> Cell:
 
 
 def _misfit(robot: Robot, setup: Setup, rows: Rows) -> tuple[float, float]:
-    """Errors of the robot where target (and frame, if asked) are registered, rms [m], [rad]."""
+    """Errors of the robot after registration of what the set-up leaves unknown, rms [m], [rad]."""
     T_base_tip = robot.poses(rows.joints)
     placed = register(T_base_tip, setup, rows, tolerance=_TOLERANCE)
     square = np.mean(rows.residual(placed.seen(T_base_tip, rows.samples)) ** 2, axis=0)
@@ -147,7 +164,7 @@ def _misfit(robot: Robot, setup: Setup, rows: Rows) -> tuple[float, float]:
 
 
 def _other_orientations(robot: Robot, setup: Setup, rows: Rows) -> Reason | None:
-    """Orientations as other software writes them, where those given make no sense and these do."""
+    """Explain orientations that make no sense as given, but do as other software writes them."""
     if not np.all(rows.where(lambda kind: kind.orientation)):
         return None
     given, best, found = _misfit(robot, setup, rows)[1], np.inf, None
@@ -167,31 +184,31 @@ def _other_orientations(robot: Robot, setup: Setup, rows: Rows) -> Reason | None
 
 
 def _trials(robot: Robot, cell: Cell, setup: Setup, rows: Rows) -> Iterator[Trial]:
-    """The usual mistakes, undone."""
-    asked = _loose(setup)
+    """Undo the usual mistakes, one at a time."""
+    loose = _with_unknown_targets(setup)
     if not setup.estimate_target:
-        yield 1.0, robot, asked, rows, Why.TARGET_ELSEWHERE, {}
+        yield 1.0, robot, loose, rows, Why.TARGET_ELSEWHERE, {}
     if not cell.estimate_frame and cell.T_frame_base is None:
         moving = {joint.name for joint in robot.urdf.joints if joint.type != "fixed"}
         for link in robot.urdf.links:
             way = itertools.chain(*robot.urdf.chain(robot.base, link))
             if link != robot.base and moving.isdisjoint(way):
-                yield 1.0, robot.rebuilt(base=link), asked, rows, Why.OTHER_BASE, {"link": link}
+                yield 1.0, robot.rebuilt(base=link), loose, rows, Why.OTHER_BASE, {"link": link}
         if len(rows) >= 4:
-            # A frame of its own always fits a little better: it must do more than that.
-            own = replace(asked, unknown=(DIRECTIONS,) * len(setup.groups))
+            # An unknown frame always fits a little better: it must do better than that.
+            own = replace(loose, unknown=(DIRECTIONS,) * len(setup.groups))
             yield 2.0, robot, own, rows, Why.OWN_FRAME, {}
     for joints, why, values in _joint_trials(robot, rows.joints):
         turned = replace(rows, samples=replace(rows.samples, q=joints))
-        yield 1.2, robot, asked, turned, why, values
+        yield 1.2, robot, loose, turned, why, values
     for later, some in ((True, slice(1, None)), (False, slice(None, -1))):
         kept = rows.select(some)
         others = rows.joints[:-1] if later else rows.joints[1:]
         shifted = replace(kept, samples=replace(kept.samples, q=others))
-        yield 1.2, robot, asked, shifted, Why.ROWS_SHIFTED, {"later": later}
+        yield 1.2, robot, loose, shifted, Why.ROWS_SHIFTED, {"later": later}
     turns = any(len(directions) == len(DIRECTIONS) for directions in setup.unknown)
     for points, why, values in _point_trials(rows.measured, turns=turns):
-        yield 1.2, robot, asked, replace(rows, measured=points), why, values
+        yield 1.2, robot, loose, replace(rows, measured=points), why, values
 
 
 def _tips(robot: Robot, cell: Cell, table: Measurements) -> Iterator[Trial]:
@@ -205,17 +222,24 @@ def _tips(robot: Robot, cell: Cell, table: Measurements) -> Iterator[Trial]:
             seen.add(moving)
             other = robot.rebuilt(tip=link)
             rows, setup = rows_of(other, table, cell)
-            yield 1.5, other, _loose(setup), _as_points(rows), Why.OTHER_TIP, {"link": link}
+            yield (
+                1.5,
+                other,
+                _with_unknown_targets(setup),
+                _as_points(rows),
+                Why.OTHER_TIP,
+                {"link": link},
+            )
 
 
 def _constant_joints(robot: Robot, setup: Setup, rows: Rows) -> Iterator[Trial]:
     """Joints whose column holds one value, where they would have been at each row to explain it."""
-    asked = _loose(setup)
+    loose = _with_unknown_targets(setup)
     for j in np.flatnonzero(np.ptp(rows.joints, axis=0) == 0.0).tolist():
         turned, every = rows, np.arange(len(rows))
         for reach in _REACHES:
             T_base_tip = robot.poses(turned.joints)
-            placed = register(T_base_tip, asked, turned, tolerance=_TOLERANCE)
+            placed = register(T_base_tip, loose, turned, tolerance=_TOLERANCE)
             q = np.repeat(turned.joints, _TRIED, axis=0)
             q[:, j] += np.tile(np.linspace(-reach, reach, _TRIED), len(rows))
             again = turned.select(np.repeat(every, _TRIED))
@@ -223,11 +247,11 @@ def _constant_joints(robot: Robot, setup: Setup, rows: Rows) -> Iterator[Trial]:
             nearest = np.argmin(np.sum(error**2, axis=1).reshape(-1, _TRIED), axis=1)
             found = q[every * _TRIED + nearest]
             turned = replace(turned, samples=replace(turned.samples, q=found))
-        yield 1.5, robot, asked, turned, Why.JOINT_CONSTANT, {"joint": robot.joint_names[j]}
+        yield 1.5, robot, loose, turned, Why.JOINT_CONSTANT, {"joint": robot.joint_names[j]}
 
 
-def _loose(setup: Setup) -> Setup:
-    """With every target to be found."""
+def _with_unknown_targets(setup: Setup) -> Setup:
+    """The set-up with every target unknown."""
     return replace(setup, target_unknown=np.ones(len(setup.targets), dtype=bool))
 
 
@@ -238,7 +262,7 @@ def _as_points(rows: Rows) -> Rows:
 
 
 def _inverted(rows: Rows) -> tuple[Rows, Why, dict[str, Any]] | None:
-    """Poses of the frame in the target, turned round; None where not every row is a pose."""
+    """Invert poses, as if they were those of the frame in the target; None where not every row is a pose."""
     if not np.all(rows.where(lambda kind: kind.orientation)):
         return None
     R = rows.measured[:, LENGTHS:12].reshape(-1, 3, 3)
@@ -265,14 +289,14 @@ def _point_trials(points: Array, *, turns: bool) -> Iterator[tuple[Array, Why, d
 def _turned_joints(
     robot: Robot, setup: Setup, rows: Rows, counts: Iterable[int]
 ) -> Iterator[Trial]:
-    """So many joints at a time with the other sign."""
+    """Reverse the sign of ``counts`` joints at a time."""
     every = range(len(robot.inputs))
     for some in itertools.chain(*(itertools.combinations(every, count) for count in counts)):
         q = rows.joints * np.where(np.isin(every, some), -1.0, 1.0)
         turned = replace(rows, samples=replace(rows.samples, q=q))
         values = {"joints": ", ".join(robot.joint_names[i] for i in some)}
         factor = 1.0 + 0.2 * len(some)
-        yield factor, robot, _loose(setup), turned, Why.JOINTS_TURNED, values
+        yield factor, robot, _with_unknown_targets(setup), turned, Why.JOINTS_TURNED, values
 
 
 def _joint_trials(robot: Robot, q: Array) -> Iterator[tuple[Array, Why, dict[str, Any]]]:

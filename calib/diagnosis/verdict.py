@@ -13,48 +13,48 @@ from calib.diagnosis.reasons import CARE, NO, USE, Reason, Verdict, Why
 from calib.estimate.statistics import CrossValidation, Errors
 from calib.units import Array, Integers, Mask
 
-#: Scalar measurements for each parameter below which a fit leans on its priors.
+#: Scalar measurements per parameter below which a fit leans on its priors.
 _FEW = 2.0
 
-#: A share of flagged rows above which they are no accident.
+#: Share of flagged rows above which these are no accidents.
 _MANY_OUTLIERS = 0.15
 
-#: Validation rows so many times as far off as held-out rows were not measured like them.
+#: Validation rows whose error is more than so many times that of held-out rows were measured differently.
 _ANOTHER_MEASUREMENT = 10.0
 
-#: Errors and noise beyond these are no uncalibrated arm's and no instrument's: the set-up is wrong [m], [rad].
+#: Errors and noise above these are beyond any uncalibrated arm and any instrument: the set-up is wrong [m], [rad].
 _ABSURD = 0.02
 _ABSURD_ANGLE = 0.17
 
-#: A change of a parameter beyond this is no error of an arm [m or rad].
+#: A change of a parameter above this is no error of an arm [m or rad].
 _TOO_FAR = 0.1
 
-#: A nominal error below this many standard deviations, rms over all scalars, is that of a robot that is right.
+#: A nominal robot is right to the noise where its error is below so many standard deviations, rms over all scalars.
 _AT_THE_NOISE = 1.45
 
-#: A gain that chance gives with this probability may be chance.
+#: A gain whose p-value is above this may be chance.
 _CHANCE = 0.03
 
 #: Relative differences below this are rounding.
 _ROUNDING = 1e-6
 
-#: A gain is worth something where held-out errors, and those of validation rows, fall to this share.
+#: A gain is worth having where errors of held-out rows, and of validation rows, fall below this share.
 _FALLS = 0.9
 
-#: A gain is proven where no more than this share of the nominal error remains: of held-out rows, the noise taken off,
-#: and of what is to be expected over the joint limits.
+#: A gain is proven where no more than this share of the nominal error remains, on held-out rows, noise subtracted, and
+#: in what is expected over the joint limits.
 _REMAINS = 0.4
 
-#: Errors of all rows, outliers too, differ by less than this where the outliers are accidents.
+#: Errors of flagged rows are alike for the nominal and the calibrated robot within this factor.
 _ALIKE = 1.1
 
-#: Where another geometry leaves far less, a named one is to be used with care if more than this share remains.
+#: Where another geometry would leave far less, a named one needs care if more than this share of the error remains.
 _LACKING = 0.2
 
-#: An expected error so many times the nominal one is no robot's.
+#: An expected error of more than so many times the nominal one is no robot's.
 _FAR_MORE = 3.0
 
-#: Another model that leaves this share of the error, or less, has what this one lacks.
+#: Another model whose error is less than this share has what this one lacks.
 _FAR_LESS = 0.6
 
 
@@ -69,22 +69,22 @@ class Evidence:
     calibrated: CrossValidation
     scales: Array  # (N, D), the noise of each scalar
     used: Mask  # (N, D), which scalars were measured
-    #: (N, D), the least noise that any model left of each scalar, over ``scales``; what is above it is lack of model.
+    #: (N, D), the least noise of each scalar by any model tried, over ``scales``; what exceeds it is lack of model.
     floor: Array
     repeats: Integers  # (N,), rows of one number are repeats of one measurement
     pairs: Mask  # (N,), which rows hold the distance between two poses
     outliers: Mask  # (N,), flagged by the fit to all of them
-    # On validation rows: of the nominal and the calibrated robot, and how many more rows were left out as accidents
+    # Errors of nominal and calibrated robot on validation rows, and how many further rows were set aside as outliers
     validation: tuple[Errors, Errors, int]
     parameters: int
     changes: bool  # Whether any parameter of the robot has changed
     largest: float  # Largest change of a parameter of the robot in metres or radians [m or rad]
     noise: float  # Of one length [m]
-    expected: float  # Error to expect of its predictions over the joint limits, rms [m]
+    expected: float  # Error to expect of predictions over the joint limits, rms [m]
     expected_of_nominal: float  # The same of the nominal robot's [m]
-    whole: int = 0  # Parameters of a full geometry, where `auto` may have taken less
+    whole: int = 0  # Parameters of a full geometry, where `auto` may have chosen a smaller one
     doubts: tuple[Reason, ...] = ()  # What was found besides errors
-    notes: tuple[Reason, ...] = ()  # Told in the end, and decide nothing
+    notes: tuple[Reason, ...] = ()  # Stated last, and decide nothing
     hint: Reason | None = None  # Which set-up would explain the measurements better
     # Of the URDF: name and held-out errors of the non-geometric model, if there is one
     non_geometric: tuple[str, Errors] | None = None
@@ -94,11 +94,11 @@ class Evidence:
         return np.asarray(np.sum(np.where(self.used, v.residual / self.scales, 0.0) ** 2, axis=1))
 
     def gain(self, *, of_all: bool = False) -> tuple[float, float]:
-        """Mean fall of the squared error on left-out rows, outliers aside, in standard errors; and its chance.
+        """Mean fall of the squared error on left-out rows, outliers aside, in standard errors, and its p-value.
 
-        Of all rows that of the error itself, to which an accident adds no more than the correction is there. Paired by
-        poses, and repeats do not count as evidence of their own; 0 where nothing changes. The chance is that of as
-        large a mean by Student's t where there is no fall.
+        With ``of_all`` the rows include outliers, and the fall is that of the error, not its square: an accident then
+        changes it by no more than the correction there. Errors are paired by poses, of which repeats are averaged; the
+        fall is 0 where nothing changes. The p-value is that of Student's t for no fall.
         """
         some, squares = (of_all | ~self.outliers) & np.any(self.used, axis=1), []
         for v in (self.nominal, self.calibrated):
@@ -117,12 +117,12 @@ class Evidence:
 
     @property
     def quiet(self) -> bool:
-        """Whether the nominal robot is as far off as the noise that the best model leaves, outliers aside."""
+        """Whether the nominal robot's error is about the noise that the best model leaves, outliers aside."""
         square, noise = self._squares(self.nominal)
         return bool(square < _AT_THE_NOISE**2 * noise)
 
     def _squares(self, v: CrossValidation) -> tuple[float, float]:
-        """Whitened squared errors of a scalar, outliers aside, and what of them is noise."""
+        """Mean whitened squared error of a scalar, outliers aside, and how much of it is noise."""
         good = ~self.outliers
         count = max(int(np.sum(self.used[good])), 1)
         noise = np.sum(np.where(self.used, self.floor, 0.0)[good] ** 2)
@@ -130,7 +130,7 @@ class Evidence:
 
     @property
     def accidental(self) -> bool:
-        """Whether flagged rows are as far off the nominal robot, and the error of all rows falls."""
+        """Whether flagged rows are no further off than with the nominal robot, and the error of all rows falls."""
         before, after = (
             np.sum(self.whitened(v)[self.outliers]) for v in (self.nominal, self.calibrated)
         )
@@ -141,9 +141,9 @@ class Evidence:
         return self.expected / max(self.expected_of_nominal, self.expected, 1e-30)
 
     def remains_held_out(self) -> float:
-        """The share of the nominal robot's error on held-out rows that remains, the noise taken off both.
+        """The share of the nominal robot's error on held-out rows that remains, noise subtracted from both.
 
-        Of M squared scalars the noise is uncertain by sqrt(2 / M): what may be that does not remain.
+        The mean of M squared scalars of noise is uncertain by sqrt(2 / M), which is subtracted too.
         """
         (before, noise), (after, _) = map(self._squares, (self.nominal, self.calibrated))
         count = max(int(np.sum(self.used[~self.outliers])), 1)
@@ -151,10 +151,10 @@ class Evidence:
         return float(np.sqrt(max(left, 0.0) / max(before - noise, 1e-30)))
 
 
-#: Doubts whether what a model leaves over is the measurements' noise.
+#: Doubts whether the residuals are the measurements' noise.
 _NOT_NOISE = (Why.MODEL_LACKS, Why.NOISE_LARGE, Why.NOISE_ABOVE_SIGMA, Why.JOINTS_LAG)
 
-#: What can be improved where the gain is proven, and is no reason against it.
+#: What can be improved where the gain is proven, and is then no reason for care.
 _REMAINING = (
     Why.JOINTS_STILL,
     Why.MODEL_LACKS,
@@ -164,7 +164,7 @@ _REMAINING = (
     Why.NO_LENGTH,
 )
 
-#: What is said and decides nothing.
+#: What is stated and decides nothing.
 _INFORMATION = (Why.SCALE_HIDDEN,)
 
 #: Doubts about what was given, which come before all others.
@@ -182,14 +182,14 @@ class _Figures:
     fresh_before: Errors  # On validation rows
     fresh_after: Errors
     gain: float  # In standard errors
-    unproven: bool  # Whether chance gives such a gain
+    unproven: bool  # Whether the gain may be chance
     few: bool  # Too few numbers for this model
     sparse: bool  # Too few for a full geometry
     flagged: int
-    many: bool  # Whether more rows are flagged than accidents explain
-    accidents: bool  # Whether they are accidents all the same
+    many: bool  # Whether more rows are flagged than can be accidents
+    accidents: bool  # Whether these are accidents nonetheless
     plausible: bool  # Whether the noise may be the instrument's
-    lost: bool  # Whether more error is to be expected over the joint limits than any robot has
+    lost: bool  # Whether the error expected over the joint limits is several times the nominal one
     held_out: float  # Share of the error that remains on held-out rows
     everywhere: float  # And over the joint limits
 
@@ -214,7 +214,7 @@ class _Figures:
             flagged=flagged,
             many=many,
             accidents=many and e.accidental,
-            # What a model leaves over is noise only if a larger one does not leave far less.
+            # Residuals are noise only if a larger model does not leave far less.
             plausible=not many and not any(doubt.why in _NOT_NOISE for doubt in e.doubts),
             lost=e.expected > _FAR_MORE * _typical(before),
             held_out=e.remains_held_out(),
@@ -233,7 +233,7 @@ class _Figures:
 
     @property
     def proven_here(self) -> bool:
-        """Whether unseen rows prove a gain that is worth something where they were measured."""
+        """Whether unseen rows prove a gain that is worth having where they were measured."""
         falls = _typical(self.after) < _FALLS * _typical(self.before)
         little = self.held_out <= _REMAINS
         return falls and little and not self.unproven and not self.fresh_falls_little
@@ -247,7 +247,7 @@ class _Figures:
 def verdict(e: Evidence) -> Verdict:
     """Judge a calibration by its errors on rows that it did not see."""
     if wrong := _absurd(e):
-        return Verdict(NO, (wrong[0],))  # nothing else that is told of such a fit means anything
+        return Verdict(NO, (wrong[0],))  # nothing else about such a fit means anything
     f = _Figures.of(e)
     against = _against(e, f)
     careful, remaining = _careful(e, f, against), _remaining(e, f, against)
@@ -261,7 +261,7 @@ def verdict(e: Evidence) -> Verdict:
 
 
 def _against(e: Evidence, f: _Figures) -> list[Reason]:
-    """Why the corrected robot is not to be used: the weightiest reason, and what validation rows say."""
+    """Why the corrected robot is not to be used: the weightiest reason, and failing validation rows."""
     both = _both(e, f)
     nothing = f.unproven and e.quiet and f.plausible and not f.sparse
     too_few = f.unproven and (f.few or (e.quiet and f.sparse))
@@ -329,7 +329,7 @@ def _remains(doubt: Reason, f: _Figures) -> bool:
 
 
 def _gains(e: Evidence, f: _Figures) -> list[Reason]:
-    """What the correction buys."""
+    """What the correction gains."""
     fresh = bool(f.fresh_after.n) and f.fresh_falls and not f.fresh_falls_little
     return _applicable(
         (f.gain > 0.0, Reason.of(Why.GAIN, **_both(e, f), outliers=f.flagged)),
@@ -365,7 +365,7 @@ def _elsewhere(e: Evidence, f: _Figures) -> dict[str, float]:
 
 
 def _has_better(e: Evidence, f: _Figures) -> bool:
-    """Whether the non-geometric model leaves far less on held-out rows."""
+    """Whether the non-geometric model has far smaller errors on held-out rows."""
     if e.non_geometric is None:
         return False
     return _typical(e.non_geometric[1]) < _FAR_LESS * _typical(f.after)
@@ -381,7 +381,7 @@ def _better(why: Why, e: Evidence, f: _Figures) -> Reason:
 
 
 def _matters(doubt: Reason) -> bool:
-    """Whether a doubt is one: a drift or a step that explains no held-out rows is information."""
+    """Whether a doubt counts: a drift or a step that does not predict held-out rows is information."""
     return doubt.why not in _INFORMATION and bool(doubt.values.get("falls", 1.0) >= PREDICTS)
 
 
@@ -408,7 +408,7 @@ def _applicable(*rules: tuple[bool, Reason]) -> list[Reason]:
 
 
 def _size(e: Evidence) -> dict[str, int]:
-    """At how many different poses and pairs of poses how many scalars were measured, repeats counted once."""
+    """Numbers of different poses, of pairs of poses, and of scalars measured there, repeats counted once."""
     single = np.any(e.used, axis=1) & ~e.pairs
     first = np.unique(e.repeats, return_index=True)[1]
     return {

@@ -31,26 +31,29 @@ from calib.robot.kernel import one_blas_thread
 from calib.robot.robot import Robot, read_only
 from calib.units import Array, Mask
 
-#: The paper's algorithm, which is no least-squares solver: it knows no weights and no priors.
+#: The paper's algorithm, which is no least-squares solver: it has neither weights nor priors.
 PAPER = "paper"
 
-#: Tolerance between stages, whose weights and sizes change far more, and of the last solve.
-_ROUGH, _FINE = 0.1, 1e-9
+#: Tolerance of a solve between stages, whose weights and sizes change far more.
+_ROUGH = 0.1
 
-#: A stage's solution within this is looked for by the linearised problem first, in steps of 1 mm and 1 mrad.
+#: Tolerance of the last solve.
+_FINE = 1e-9
+
+#: A stage's solution that is closer than this is first sought by the linearised problem, in steps of 1 mm and 1 mrad.
 _CLOSE = 5.0
 
-#: A change below this is none: weak priors leave traces of that size on what takes part with the target [m, rad].
+#: A change below this is set to zero: weak priors leave such traces on parameters that the target can replace [m, rad].
 _NOTHING = 1e-8
 
-#: Nor is one below this share of its standard deviation: the weak prior of an estimated frame leaves such a trace on
-#: the first joint, which nothing tells from the frame, and the joint's origin would be rewritten by 1e-8.
+#: So is one below this share of its standard deviation: the weak prior of an estimated frame leaves such a trace on the
+#: first joint, which nothing distinguishes from the frame, and the joint's origin would be rewritten by 1e-8.
 _TRACE = 3e-4
 
-#: A parameter at its bound is let go where that lowers the squares by more than this.
-_TELLING = 1e-6
+#: A parameter at its bound is released where that lowers the sum of squares by more than this.
+_WORTH_RELEASING = 1e-6
 
-#: Covariance of the minimum of summed fourth powers over that of summed squares, for normal noise in 3-D.
+#: Covariance of the estimator that minimises fourth powers over that of least squares, for normal noise in 3-D.
 _FOURTH_POWERS = 1.4
 
 
@@ -65,7 +68,7 @@ class Task:
     distances: tuple[KnownDistance, ...] = ()  # Known distances between set-ups
     solver: str | Solver = "lm"  # A name of `SOLVERS`, `PAPER`, or a solver itself
     robust: bool = True  # Whether outliers lose their weight
-    lenient: bool = False  # Whether the cell may name parameters that this model lacks, because it is one of several
+    lenient: bool = False  # Whether the cell may name parameters that only other models have
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,7 +79,7 @@ class Estimate:
     problem: Problem  # The problem in its last form: weights, scales and prior precision as found
     solution: Solution  # The solver's, all stages one after the other
     covariance: Array  # (p, p), of x
-    scores: Array  # (N,), how far each row lies from what the others predict
+    scores: Array  # (N,), how far each row lies from its prediction by the others
     flag_limit: float  # The score above which a row is named as an outlier
     freedom: float  # Degrees of freedom left for the noise
     noise: tuple[float, ...]  # Found noise of each instrument over the one given
@@ -95,7 +98,7 @@ class Estimate:
 class Fitted:
     """One fit: the registered start and the estimate from there."""
 
-    task: Task  # What was asked
+    task: Task  # What was fitted
     setup: Setup  # Frames and targets at the start
     kinematics: Kinematics  # Of the nominal robot with these
     estimate: Estimate  # The parameters from there, with their weights and sizes
@@ -156,8 +159,8 @@ def fit(
 ) -> Fitted:
     """Register and estimate; ModelError for an unknown name, MeasurementError for too few rows.
 
-    started is where registration puts frames and targets, of another fit to these rows; None to register. The judge is
-    a fit of another model to them: its weights and scores of the rows hold, and where it began.
+    ``started`` has frames and targets where registration to these rows put them for another fit; None to register. The
+    ``judge`` is a fit of another model to these rows, whose start, weights and scores are taken over.
     """
     if judge is not None:
         judged = judge.estimate.problem
@@ -175,10 +178,12 @@ def fit(
     if not len(model):
         raise ModelError(f"The model '{model.name}' leaves nothing to estimate.")
     if started is None:
-        # The paper's algorithm starts where it was told to, if it was told.
-        told = task.solver == PAPER and bool(np.all(setup.target_given))
-        asked = setup.as_known(np.zeros(len(setup.groups), bool), np.full(len(setup.targets), told))
-        found = register(task.robot.poses(rows.joints), asked, rows)
+        # The paper's algorithm starts at the given targets, if all are given.
+        at_given = task.solver == PAPER and bool(np.all(setup.target_given))
+        sought = setup.as_known(
+            np.zeros(len(setup.groups), bool), np.full(len(setup.targets), at_given)
+        )
+        found = register(task.robot.poses(rows.joints), sought, rows)
         started = replace(found, target_unknown=setup.target_unknown)
     model = started.aligned(model)
     kinematics = Kinematics(task.robot, model, started.T_frame_base, started.T_tip_target)
@@ -187,15 +192,15 @@ def fit(
         estimated = _by_the_paper(problem, task, started)
     else:
         prior = PriorTerms.of(task.cell, model, task.setup, started, lenient=task.lenient)
-        estimated = _estimate(_with_sole_named(problem, prior), task, prior)
+        estimated = _estimate(_with_sole_postures_marked(problem, prior), task, prior)
     if judge is not None:
         names = ("weights", "scores", "flag_limit")
         estimated = replace(estimated, **{name: getattr(judge.estimate, name) for name in names})
     return Fitted(task, started, kinematics, estimated)
 
 
-def _with_sole_named(problem: Problem, prior: PriorTerms) -> Problem:
-    """The problem with the rows named that alone tell of a direction, if they are not."""
+def _with_sole_postures_marked(problem: Problem, prior: PriorTerms) -> Problem:
+    """The problem with the rows of sole postures marked, unless they are already."""
     rows = problem.rows
     if rows.sole is not None:
         return problem
@@ -228,7 +233,7 @@ def model_of(task: Task) -> ErrorModel:
 
 
 def _estimate(problem: Problem, task: Task, prior: PriorTerms) -> Estimate:
-    """The parameters of a registered problem, by an active set of bounds: what is pushed inwards is let go, once."""
+    """The estimate within bounds, by an active set: a parameter that is pulled inwards is released, once."""
     low, high = prior.limits.T
     fixed: dict[int, float] = {}
     released: set[int] = set()
@@ -236,7 +241,7 @@ def _estimate(problem: Problem, task: Task, prior: PriorTerms) -> Estimate:
     for _ in range(3 * problem.size):
         beyond = np.flatnonzero((result.x < low) | (result.x > high)).tolist()
         held = bool(fixed) and not beyond
-        loose = _pushed_inside(result, prior, fixed) - released if held else set()
+        loose = _pulled_inwards(result, prior, fixed) - released if held else set()
         if not beyond and not loose:
             break
         fixed |= {k: float(np.clip(result.x[k], low[k], high[k])) for k in beyond}
@@ -247,7 +252,7 @@ def _estimate(problem: Problem, task: Task, prior: PriorTerms) -> Estimate:
 
 
 def _within(problem: Problem, task: Task, prior: PriorTerms) -> Estimate:
-    """The estimate with what is held at a bound; each solve begins where the last one stopped."""
+    """The estimate with some parameters held at a bound; each solve begins where the last one stopped."""
     solver = task.solver if callable(task.solver) else SOLVERS[str(task.solver)]
     size = steps(problem.kinematics.model.units)
     x, solution, last = prior.centre.copy(), None, None
@@ -284,10 +289,10 @@ def _within(problem: Problem, task: Task, prior: PriorTerms) -> Estimate:
     kept = problem.rows.checked[None]
     first = Stage.first(prior, kept, len(problem.smallest), given_weights(problem.rows))
     stage, _ = staged(first, linear_at, problem.rows.poses, **weighting(task, problem.rows))
-    return _with_sole_postures(_finish(problem, stage, solve(stage, _FINE)), problem, stage)
+    return _updated_by_sole_postures(_finish(problem, stage, solve(stage, _FINE)), problem, stage)
 
 
-def _with_sole_postures(estimate: Estimate, problem: Problem, stage: Stage) -> Estimate:
+def _updated_by_sole_postures(estimate: Estimate, problem: Problem, stage: Stage) -> Estimate:
     """The estimate by all other rows, updated by those of sole postures."""
     sole = ~problem.rows.checked
     if not np.any(sole):
@@ -322,7 +327,7 @@ def given_weights(rows: Rows) -> Array | float:
 
 
 def weighting(task: Task, rows: Rows) -> dict[str, Any]:
-    """How `staged` is to find weights. Those that are given stay, and hold what repeats share."""
+    """How `staged` finds weights. Given ones are kept, and repeats are already shared out in them."""
     found = rows.weights is None
     return {
         "repeats": task.cell.repeats if found else "independent",
@@ -344,8 +349,8 @@ def _problem_of(problem: Problem, stage: Stage) -> Problem:
     )
 
 
-def _pushed_inside(result: Estimate, prior: PriorTerms, fixed: Mapping[int, float]) -> set[int]:
-    """Parameters at a bound that measurements and priors would have inside of it."""
+def _pulled_inwards(result: Estimate, prior: PriorTerms, fixed: Mapping[int, float]) -> set[int]:
+    """Parameters at a bound that measurements and priors pull to its inside."""
     known = {} if prior.sizes == "off" else result.sizes
     sizes = np.array([known.get(f, size) for f, size in zip(prior.names, prior.start, strict=True)])
     precision = prior.precision + (1.0 / sizes**2) @ prior.families
@@ -353,13 +358,13 @@ def _pushed_inside(result: Estimate, prior: PriorTerms, fixed: Mapping[int, floa
     residual, jacobian = free.system(result.x)
     slope, bend = jacobian.T @ residual, np.sum(jacobian**2, axis=0)
     inwards = {k: -slope[k] if v <= prior.limits[k, 0] else slope[k] for k, v in fixed.items()}
-    return {k for k, pull in inwards.items() if pull > 0.0 and pull**2 > _TELLING * bend[k]}
+    return {k for k, pull in inwards.items() if pull > 0.0 and pull**2 > _WORTH_RELEASING * bend[k]}
 
 
 def _by_the_paper(problem: Problem, task: Task, started: Setup) -> Estimate:
     """The estimate of the paper's solver, in mm and rad at absolute parameters, without priors and weights.
 
-    For the sum of |r_i|^4, which it minimises, the squares left over are sigma^2 (3 N - 3/5 rank) in the mean.
+    It minimises the sum of |r_i|^4; then the expected sum of squared residuals is sigma^2 (3 N - 3/5 rank).
     """
     model = problem.kinematics.model
     if any(kind.name != "point" for kind in problem.rows.present) or len(started.targets) > 1:
@@ -384,13 +389,13 @@ def _by_the_paper(problem: Problem, task: Task, started: Setup) -> Estimate:
 
 
 def _finish(problem: Problem, stage: Stage, solution: Solution, spread: float = 1.0) -> Estimate:
-    """The estimate at the last stage; ``spread``: the covariance of the solver's estimator over least squares'."""
+    """The estimate at the last stage; ``spread`` is the covariance of the estimator over that of least squares."""
     linear, model = problem.linear(solution.x), problem.kinematics.model
     effective, prior, priors = stage.effective, stage.prior, stage.priors
     _, of_least_squares, freedom = stage.judged(linear)
     data = linear.data(effective, stage.rho)
     _, covariance = data.posterior(np.sqrt(spread) * stage.noise, priors)
-    if problem.gauge is not None:  # the arm's size is as uncertain as it was
+    if problem.gauge is not None:  # the arm's size is as uncertain as by its prior
         growth = problem.gauge.growth
         covariance = covariance + problem.gauge.variance(priors.precision[0]) * np.outer(
             growth, growth

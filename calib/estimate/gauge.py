@@ -3,12 +3,12 @@
 A ball in a socket, a plane that is touched, two hands that meet: such rows say where the target does not move, in no
 unit. If all lengths of the arm grow by a share s, the same joint values meet the same sockets, further apart; and the
 residuals, which are lengths, grow by s too. Least squares would shrink the arm to a point, where all errors are zero.
-So the fit holds
+So the fit holds the size of the arm at the nominal one:
 
     g(x) = sum_k l_k x_k / sum_k l_k^2 = 0
 
-over the robot's parameters x_k in metres, where l_k is what parameter k changes by when the arm grows by its own size
-(of DH rows: a_k and d_k themselves). To first order g is the relative change of the root of the sum of squared lengths.
+over the robot's parameters x_k in metres, where l_k is the change of parameter k when all lengths of the arm double (of
+DH rows: a_k and d_k themselves). To first order g is the relative change of the root of the sum of squared lengths.
 """
 
 from __future__ import annotations
@@ -28,29 +28,28 @@ from calib.units import Array, Mask
 #: Poses over which the growth of an arm is found; a tip is moved by a combination of lengths at any of them.
 _POSES = 60
 
-#: The parameters can let an arm grow where they reproduce the growth of the tip's path but for this share of it.
+#: The parameters can represent the growth of an arm if they reproduce that of its tip positions to this share.
 _CAN_GROW = 0.01
 
-#: Growth changes nothing that is measured where predictions change by no more than so many residuals, or than this
-#: share of the growth itself, which is below what calibration needs.
+#: Rows cannot see the growth where it changes predictions by no more than so many times the rms residual,
 _RESIDUALS = 3.0
+
+#: plus this share of the growth itself, which is below what calibration needs.
 _NEGLIGIBLE = 1e-3
 
-#: The relative change of size that is allowed beside zero, as a standard deviation: far below any instrument's.
+#: Standard deviation with which g is held at zero: far below any instrument's relative error.
 TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SizeGauge:
-    """The direction in which an arm grows, unseen by any row, and the combination of parameters that is held."""
+    """The growth of an arm that no row can see, and the combination of parameters that is held."""
 
-    growth: (
-        Array  #: shape (p,), the change of x when arm, frames and targets grow by their own size, 1
-    )
+    growth: Array  #: shape (p,), the change of x when all lengths of arm, frames and targets double
     held: Array  #: shape (p,), the gradient of g: g(x) = held @ x, and held @ growth = 1
 
     def variance(self, precision: Array) -> float:
-        """The variance of g before any measurement, from the priors' precision (p,) of independent parameters."""
+        """The prior variance of g, from the prior precision (p,) of independent parameters."""
         used = (self.held != 0.0) & (precision > 0.0)
         return float(np.sum(self.held[used] ** 2 / precision[used]))
 
@@ -75,7 +74,7 @@ def size_gauge(
         residual: shape (N, D), measured minus predicted at x = 0, in the same units.
 
     Returns:
-        The gauge; None where the parameters cannot let the arm grow, or where a known target or frame tells its size.
+        The gauge; None where the parameters cannot represent growth, or a known target or frame determines the size.
     """
     model = kinematics.model
     lengths = ~model.family(FRAME, TARGET) & (np.array(model.units) == "m")
@@ -97,13 +96,13 @@ def size_gauge(
 
 
 def _growth_of_chain(kinematics: Kinematics, lengths: Mask) -> tuple[Array | None, float]:
-    """Solve for the robot's parameters that let the chain grow by its own size: p_tip(q) grows by p_tip(q).
+    """Solve for the change of the robot's parameters that doubles the chain: p_tip(q) grows by p_tip(q).
 
     Where the base starts and how far the tip lies from the last joint is left to frame and target.
 
     Returns:
-        The change of each of the K parameters in metres, shape (K,), None where they cannot let it grow; and how far
-        the tip is from its mean, rms [m].
+        The change of each of the K parameters in metres, shape (K,), None where they cannot represent this; and how
+        far the tip is from its mean, rms [m].
     """
     q = spread_poses(kinematics.robot, _POSES)
     tips = kinematics.robot.poses(q)

@@ -14,9 +14,11 @@ from calib.data.kinds import Kind
 from calib.model.kinematics import Samples
 from calib.units import Array, Integers, Mask
 
-#: The number in place of a kind's of rows that say nothing themselves: the second ones of pairs; and the column from
-#: which on a residual has its angles, behind its lengths.
-NONE, LENGTHS = -1, 3
+#: The kind's number of rows that hold no measurement themselves: the second rows of pairs.
+NONE = -1
+
+#: Columns of a residual that hold lengths; those of angles follow.
+LENGTHS = 3
 
 #: Rows whose joint values differ by less than this are repeats of a pose [rad or m].
 _SAME_POSE = 1e-3
@@ -34,7 +36,9 @@ class Rows:
     sigma_angle: Array  # (N,), of one angle [rad]
     poses: Integers  # (N,), rows of one number are repeats: one pose, one target, one frame
     blocks: Integers  # (N,), rows of one number are left out together: one pose, and both rows of a pair
-    weights: Array | None = None  # (N,), that hold, repeats shared out; None: to be found
+    weights: Array | None = (
+        None  # (N,), to be used as they are, repeats shared out; None: to be found
+    )
     sole: Mask | None = None  # (N,), see `calib.estimate.sole_postures`; None: to be found
     width: int = field(init=False)  # Columns of a residual: 6 with angles, 3 with positions, else 1
     used: Mask = field(init=False, repr=False)  # (N, width), which columns hold a scalar
@@ -44,18 +48,20 @@ class Rows:
     _parts: tuple[tuple[Kind, Integers | slice, Integers], ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Work out once what every evaluation of a fit asks for."""
+        """Work out once what every evaluation of a fit needs."""
         rows, parts = np.arange(len(self.kinds))[:, None], []
         for k in np.flatnonzero(np.bincount(self.kinds - NONE)[1:]).tolist():
-            kind, own = registry.at(k), self.kinds == k
+            kind, of_kind = registry.at(k), self.kinds == k
             columns = np.r_[: kind.lengths, LENGTHS : LENGTHS + kind.angles]
-            parts.append((kind, slice(None) if np.all(own) else np.flatnonzero(own), columns))
+            parts.append(
+                (kind, slice(None) if np.all(of_kind) else np.flatnonzero(of_kind), columns)
+            )
         width = max((int(columns[-1]) + 1 for _, _, columns in parts), default=1)
         index, number = np.full((len(rows), width), -1, dtype=np.int8), 0
         for angles in (False, True):
-            for _, own, columns in parts:
+            for _, of_kind, columns in parts:
                 wanted = columns[(columns >= LENGTHS) == angles]
-                index[rows[own], wanted] = number
+                index[rows[of_kind], wanted] = number
                 number += bool(len(wanted))
         used = index >= 0
         used.setflags(write=False)
@@ -91,14 +97,14 @@ class Rows:
 
     @property
     def checked(self) -> Mask:
-        """Which rows others can check, because theirs is no sole posture, shape (N,)."""
+        """Which rows other rows can check, because they are not of a sole posture, shape (N,)."""
         return np.ones(len(self), dtype=bool) if self.sole is None else ~self.sole
 
     def where(self, test: Callable[[Kind], bool]) -> Mask:
         """The rows of kinds that pass a test, such as ``lambda kind: kind.position``, shape (N,)."""
         result = np.zeros(len(self), dtype=bool)
-        for kind, own, _ in self._parts:
-            result[own] = test(kind)
+        for kind, of_kind, _ in self._parts:
+            result[of_kind] = test(kind)
         return result
 
     def select(self, which: Mask | slice) -> Rows:
@@ -123,9 +129,11 @@ class Rows:
     def residual(self, T_frame_target: Array) -> Array:
         """Measured minus predicted, shape (N, width), [m] and [rad]."""
         result, numbers = np.zeros((len(self), self.width)), np.arange(len(self))[:, None]
-        for kind, own, columns in self._parts:
-            seen = self._seen(kind, own, T_frame_target)
-            result[numbers[own], columns] = kind.residual_of(self.measured[own, : kind.size], seen)
+        for kind, of_kind, columns in self._parts:
+            seen = self._seen(kind, of_kind, T_frame_target)
+            result[numbers[of_kind], columns] = kind.residual_of(
+                self.measured[of_kind, : kind.size], seen
+            )
         return result
 
     def derivative(self, T_frame_target: Array, twists: Array) -> Array:
@@ -135,28 +143,30 @@ class Rows:
         """
         shape, numbers = (len(self), self.width, twists.shape[2]), np.arange(len(self))[:, None]
         result: Array | None = None
-        for kind, own, columns in self._parts:
-            T, moved = (self._seen(kind, own, values) for values in (T_frame_target, twists))
-            found = kind.derivative(self.measured[own, : kind.size], T, moved)
+        for kind, of_kind, columns in self._parts:
+            T, moved = (self._seen(kind, of_kind, values) for values in (T_frame_target, twists))
+            found = kind.derivative(self.measured[of_kind, : kind.size], T, moved)
             if found.shape == shape:
                 return found  # the only kind, and all columns
             result = np.zeros(shape) if result is None else result
-            result[numbers[own], columns] = found
+            result[numbers[of_kind], columns] = found
         return np.zeros(shape) if result is None else result
 
     def as_measured_at(self, T_frame_target: Array) -> Rows:
         """The rows with what a perfect instrument reads at these poses, shape (N, 4, 4), [m]."""
         measured = self.measured.copy()
-        for kind, own, _ in self._parts:
+        for kind, of_kind, _ in self._parts:
             if kind.measure is not None:
-                measured[own, : kind.size] = kind.measure(self._seen(kind, own, T_frame_target))
+                measured[of_kind, : kind.size] = kind.measure(
+                    self._seen(kind, of_kind, T_frame_target)
+                )
         return replace(self, measured=measured)
 
-    def _seen(self, kind: Kind, own: Integers | slice, values: Array) -> Array:
+    def _seen(self, kind: Kind, of_kind: Integers | slice, values: Array) -> Array:
         """The values of the rows of one kind; of a paired kind those of both its rows."""
         if not kind.paired:
-            return values[own]
-        return np.stack([values[own], values[self.partner[own]]], axis=1)
+            return values[of_kind]
+        return np.stack([values[of_kind], values[self.partner[of_kind]]], axis=1)
 
     def with_partners(self, kept: Mask) -> Mask:
         """The rows that are kept and the second rows of their pairs, shape (N,)."""
@@ -165,37 +175,37 @@ class Rows:
         return result
 
     def keeps_frames(self, kept: Mask) -> bool:
-        """Whether half of each set-up's rows or more are kept."""
+        """Whether at least half of the rows of each set-up are kept."""
         every = np.bincount(self.samples.frame)
         return bool(np.all(2 * np.bincount(self.samples.frame, kept, len(every)) >= every))
 
     def without(self, outliers: Mask) -> Mask:
-        """The rows that are no outliers, shape (N,); all where those are more than half of a set-up's."""
+        """The rows that are no outliers, shape (N,); all rows if outliers are more than half of a set-up."""
         kept = self.with_partners(~outliers)
         return kept if self.keeps_frames(kept) else np.ones_like(kept)
 
     def evenly(self, most: int) -> Mask:
-        """All rows, or about so many, the same share of each frame, target and kind, shape (N,); whole pairs.
+        """About ``most`` of the rows, the same share of each frame, target and kind, shape (N,); pairs stay whole.
 
-        Drawn at random, always alike: tables have cycles, and every tenth row may be of one kind of pose.
+        Drawn at random, with a fixed seed: tables have cycles, and every tenth row may be of one kind of pose.
         """
         if len(self) <= most:
             return np.ones(len(self), dtype=bool)
-        told = np.flatnonzero(self.kinds != NONE)
-        seen = np.stack([self.samples.frame, self.samples.target, self.kinds], axis=1)[told]
+        measuring = np.flatnonzero(self.kinds != NONE)
+        seen = np.stack([self.samples.frame, self.samples.target, self.kinds], axis=1)[measuring]
         _, view, count = np.unique(seen, axis=0, return_inverse=True, return_counts=True)
         view = view.reshape(-1)
         fewest = min(100, max(most // len(count), 1))
         quota = np.minimum(count, np.maximum(most * count // max(len(self), 1), fewest))
-        order = np.lexsort((np.random.default_rng(0).random(len(told)), view))
+        order = np.lexsort((np.random.default_rng(0).random(len(measuring)), view))
         first = np.concatenate([[0], np.cumsum(count)[:-1]])
-        place = np.arange(len(told)) - first[view[order]]
+        place = np.arange(len(measuring)) - first[view[order]]
         result = np.zeros(len(self), dtype=bool)
-        result[told[order[place < quota[view[order]]]]] = True
+        result[measuring[order[place < quota[view[order]]]]] = True
         return self.with_partners(result)
 
     def parts(self, size: int) -> list[slice]:
-        """The rows in parts of so many; in one where there are pairs, which stay together."""
+        """The rows in parts of ``size``; in one part where there are pairs, which stay together."""
         size = max(len(self), 1) if np.any(self.partner >= 0) else size
         return [slice(k, k + size) for k in range(0, len(self), size)]
 
@@ -208,7 +218,7 @@ def same_poses(joints: Array) -> Integers:
     near = tree.query(unique, k=[2], p=np.inf, distance_upper_bound=reach)[0][:, 0] < reach
     free = np.ones(len(unique), dtype=bool)
     for i in np.flatnonzero(near)[np.argsort(first[near])].tolist():
-        if free[i]:  # a leader takes its neighbours, and they are asked no more
+        if free[i]:  # a leader takes its neighbours, which are then done with
             found = np.array(tree.query_ball_point(unique[i], _SAME_POSE, p=np.inf))
             found = found[free[found]]
             leader[found], free[found] = first[i], False

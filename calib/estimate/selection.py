@@ -1,8 +1,8 @@
 """Auto: how much model the data support.
 
-Every candidate is fitted by restricted likelihood with the same weights of the rows, those of the model that is the
-best: it begins with the largest one. The geometry for the URDF is the best of those without other families, unless
-errors on left-out rows contradict.
+Every candidate is fitted by restricted likelihood, with the same weights of the rows: those of one fit, the *judge*. At
+first this is the fit of the largest model, then that of the model which its weights choose. The geometry for the URDF
+is the candidate of the highest evidence without families of the joints, unless errors on left-out rows contradict.
 """
 
 from __future__ import annotations
@@ -27,38 +27,42 @@ from calib.units import Array
 LADDER = ("frames", "zeros", "dh", "hayati", "placement")
 
 #: What a model pays, in restricted log likelihood. The size of a family's errors is an unknown too, and the likelihood
-#: is the highest over it: by Laplace's approximation that costs the logarithm of the range it could have been in, a few
-#: powers of ten, over the factor within which it is known then. Of sets with the same sizes the smaller is likelier.
+#: is maximised over it. By Laplace's approximation that costs the logarithm of its prior range, a few powers of ten,
+#: over the factor within which the data determine it. Of sets with the same sizes the smaller is a priori likelier.
 _SIZE_COSTS, _RUNG_COSTS = 2.5, 1.0
 
-#: Errors on left-out rows are clearly smaller where they are smaller by this share. Without priors each of these steps
-#: must lower them by as much instead.
+#: Errors on left-out rows are clearly smaller where they are smaller by this share. Without priors this is also by how
+#: much each further set or family must lower them.
 _CLEARLY = 0.05
 
 #: Strong evidence: odds of 20 to 1.
 _STRONG = float(np.log(20.0))
 
-#: Left-out errors contradict the evidence where chance gives their fall with less than this probability.
+#: Left-out errors contradict the evidence where the p-value of their fall is below this.
 _CHANCE = 0.1
 
 #: The same where the evidence is strong.
 _CHANCE_IF_STRONG = 0.01
 
-#: With fewer poses evidence alone decides: sizes of errors that are estimated from all of them make left-out errors of
-#: larger models too small.
+#: With fewer poses evidence alone decides: left-out errors of larger models are too small, because the sizes of the
+#: errors are estimated from all poses.
 _FEWEST_POSES = 16
 
-#: What a unit of an error moves every joint by less than moves nothing [rad, m].
+#: An error moves no joint if one unit of it moves each by less than this [rad, m].
 _NO_MOTION = 1e-6
 
-#: A family whose size vanishes to this share of what is usual is left out at once.
+#: A family whose estimated size is below this share of its prior is left out at once.
 _NO_SIZE = 1e-2
 
-#: So many other models are refitted at most where refits refuse the chosen one: each is another chance for a bad one.
+#: The most other models that are tried where refits without each fold reject the chosen one: each is another chance for
+#: a bad one to pass.
 _ALTERNATIVES = 3
 
-#: The weights are found anew with the model that they chose, so often; and about so many rows choose it.
-_JUDGED, _CHOSEN_BY = 2, 2000
+#: How often weights are found anew with the model that the last ones chose.
+_JUDGED = 2
+
+#: About how many rows choose the model.
+_CHOSEN_BY = 2000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,7 +74,7 @@ class Candidate:
     log_likelihood: float  # Restricted log likelihood
     cross_validation: CrossValidation  # On the linearised problem; outliers: rows without weight
     sizes: dict[str, float]  # Size of the errors of each family
-    evidence: float  # Log likelihood less what the model costs; without priors the fall of left-out errors in steps
+    evidence: float  # Log likelihood less the costs of the model; without priors the fall of left-out errors, in steps
     chosen: str = ""  # ``"geometry"``, ``"larger"`` or ``""``
 
 
@@ -81,15 +85,15 @@ class Selection:
     geometry: str  # Name of the set that goes into the URDF
     larger: str  # Name of the non-geometric model; "" where the data support none
     candidates: tuple[Candidate, ...]  # All that were fitted, in order
-    judge: Fitted  # The fit of the larger model, or of the geometry where there is none, with weights of its own
+    judge: Fitted  # The fit of the non-geometric model, or of the geometry where there is none, with its own weights
 
 
 def select(task: Task, rows: Rows) -> Selection:
-    """Choose geometry and larger model for some rows; `ModelError` for a name in the cell that no model has.
+    """Choose geometry and non-geometric model for some rows; `ModelError` for a name in the cell that no model has.
 
-    The search begins with the largest model, whose priors shrink what the data do not support to nothing, and goes
-    where the evidence is higher: one family less or more, another set, or one family for another. Of many rows some are
-    enough to choose by.
+    The search begins with the largest model, whose priors shrink what the data do not support to nothing, and moves
+    to neighbours of higher evidence: one family less or more, another set, or one family for another. Of many rows a
+    part is used.
     """
     check_names(task)
     every, rows = rows, rows.select(rows.evenly(_CHOSEN_BY))
@@ -116,10 +120,10 @@ def select(task: Task, rows: Rows) -> Selection:
 
 
 def _searched(search: _Search, start: str) -> tuple[_Search, str, str, Fitted]:
-    """Search until the weights of the chosen model choose it again, or those of the first judge explain more rows.
+    """Search until the weights of the chosen model choose it again, or the judge explains more rows than it does.
 
     Returns:
-        The last search, the names of geometry and of the model of the highest evidence, and this model's fit.
+        The last search, the names of the geometry and of the chosen model, and the fit of the latter.
     """
     for last in range(_JUDGED - 1, -1, -1):
         best, geometry = search.highest(start), search.geometry()
@@ -135,10 +139,10 @@ def _searched(search: _Search, start: str) -> tuple[_Search, str, str, Fitted]:
 
 
 def explains_more(judge: Fitted, found: Fitted) -> bool:
-    """Whether a judge explains rows that a fit calls outliers: a small model can look good because it leaves them out.
+    """Whether the judge explains rows that a fit calls outliers: a small model may look good because it drops them.
 
-    All that the judge calls outliers are outliers for the fit too, and some are not for the judge; with these it
-    predicts left-out rows better than the fit does.
+    This is so where the judge's outliers are a proper subset of those of the fit, and, with only these set aside, the
+    judge predicts left-out rows better.
     """
     outliers = found.estimate.outliers, judge.estimate.outliers
     aside = outliers[0] & outliers[1]
@@ -155,17 +159,17 @@ def marked(candidates: Iterable[Candidate], geometry: str, larger: str) -> tuple
     Args:
         candidates: All that were fitted.
         geometry: Name of the one for the URDF.
-        larger: Name of the non-geometric one; empty where there is none.
+        larger: Name of the non-geometric model; empty where there is none.
     """
     uses = {geometry: "geometry", larger: "larger"}
     return tuple(replace(c, chosen=uses.get(c.name, "")) for c in candidates)
 
 
 def alternatives(candidates: Iterable[Candidate]) -> tuple[str, ...]:
-    """Non-geometric models to turn to where refits refuse the chosen one, the highest evidence first.
+    """Non-geometric models to try where refits reject the chosen one, the highest evidence first.
 
     Each has more evidence than the chosen geometry, and smaller errors on left-out rows of the linearised problem. Of
-    models that differ by families of vanished size, one is enough.
+    models that differ only by families of vanishing size, one is taken.
 
     Args:
         candidates: All that were fitted, marked with what they are chosen for.
@@ -206,26 +210,28 @@ def _vanished(family: str, sizes: Mapping[str, float]) -> bool:
 
 
 def judged_by(own: Fitted, rows: Rows, judge: Fitted) -> Fitted:
-    """The fit, with the weights of its own or of the judge, a larger model: whichever predicts rows better.
+    """The fit, with its own weights or those of the judge, a larger model: whichever predict left-out rows better.
 
-    Where a model lacks something, what it leaves over at good rows may be far more than at others. Rows that both call
-    outliers are set aside; where the judge predicts rows better, no others are outliers.
+    Where a model lacks something, its residuals at some good rows may be far larger than at others. Rows that both fits
+    call outliers are set aside; if the judge itself predicts rows better, no other rows are outliers.
     """
-    other, told = fit(own.task, rows, judge=judge), judge.estimate
-    aside = own.estimate.outliers & told.outliers
+    other, by_judge = fit(own.task, rows, judge=judge), judge.estimate
+    aside = own.estimate.outliers & by_judge.outliers
     errors = [
         linear_cross_validation(f, aside).errors_without_outliers for f in (own, other, judge)
     ]
     before, after, judged = (e.rms if e.n else e.rms_angle for e in errors)
     found = other if after < before else own
     estimate = found.estimate
-    scores = np.minimum(estimate.scores, told.scores * estimate.flag_limit / told.flag_limit)
+    scores = np.minimum(
+        estimate.scores, by_judge.scores * estimate.flag_limit / by_judge.flag_limit
+    )
     scores = read_only(scores if judged < before else estimate.scores)
     return replace(found, estimate=replace(estimate, scores=scores))
 
 
 def widest(own: Fitted, rows: Rows) -> Fitted:
-    """The fit of a geometry with all families of the joints' own errors that rows of a table can tell."""
+    """The fit of a geometry with all families of non-geometric errors that the rows can determine."""
     task = own.task
     families = [f for f in joint_families() if _moves(task, f, rows)]
     task = replace(task, model="+".join((str(task.model), *families)), lenient=True)
@@ -234,13 +240,13 @@ def widest(own: Fitted, rows: Rows) -> Fitted:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Search:
-    """The models that are fitted to some rows with the weights of one judge, each once, and the way through them."""
+    """The search among models, each fitted once to some rows with the weights of one judge."""
 
     task: Task  # Whose model is chosen
-    rows: Rows  # To choose by
-    judge: Fitted  # Whose weights of the rows hold
+    rows: Rows  # By which it is chosen
+    judge: Fitted  # Whose weights of the rows are used
     geometries: tuple[str, ...]  # The sets, from the smallest to the largest
-    families: tuple[str, ...]  # Those that the rows can tell
+    families: tuple[str, ...]  # Those that the rows can determine
     tried: dict[str, Candidate] = field(default_factory=dict)  # Those that were fitted, in order
 
     def highest(self, start: str) -> str:
@@ -254,7 +260,7 @@ class _Search:
         return best if self.evidence(best) >= self.evidence(geometry) else self._climbed(geometry)
 
     def geometry(self) -> str:
-        """The set for the URDF. Without priors the evidence itself is the errors on left-out rows."""
+        """The set for the URDF. Without priors the evidence already is that of left-out errors."""
         fitted = [self.tried[name] for name in self.geometries if self._fits(name)]
         if self.task.cell.priors.sizes == "off":
             return max(fitted, key=lambda c: c.evidence).name
@@ -289,9 +295,9 @@ class _Search:
         return near + [self._named(other, has) for other in self.geometries if other != base]
 
     def _swaps(self, name: str) -> list[str]:
-        """The models with one family in place of another, where it has an effect beside all there are.
+        """The models with one family in place of another, for families whose size does not vanish beside all of them.
 
-        The likelihood is the highest over the sizes. So what vanishes beside the others cannot replace one of them.
+        The likelihood is maximised over the sizes, so a family that vanishes beside the others cannot replace one.
         """
         base, *has = name.split("+")
         swaps = []
@@ -302,12 +308,12 @@ class _Search:
         return swaps
 
     def _named(self, base: str, families: Iterable[str]) -> str:
-        """The name of a set with families, which have one order."""
+        """The name of a set with families, in their fixed order."""
         chosen = set(families)
         return "+".join((base, *(f for f in self.families if f in chosen)))
 
     def _fits(self, name: str) -> bool:
-        """Fit a model, if that is still to be done; whether the rows are enough for it."""
+        """Whether the rows are enough for a model, which is fitted unless it was tried before."""
         if name not in self.tried:
             try:
                 fitted = fit(replace(self.task, model=name), self.rows, judge=self.judge)
@@ -318,9 +324,9 @@ class _Search:
 
 
 def _candidate(fitted: Fitted) -> Candidate:
-    """What a fit with the judge's weights says of its model."""
+    """The candidate that a fit with the judge's weights makes of its model."""
     name, estimate, sizes = str(fitted.task.model), fitted.estimate, fitted.task.cell.priors.sizes
-    # Rows without weight are the same for all candidates; what each flags by itself is not.
+    # Rows without weight are the same for all candidates, unlike those that each would flag itself.
     left_out = linear_cross_validation(fitted, estimate.weights <= 0.0)
     base, *has = name.split("+")
     rung = LADDER.index(base)

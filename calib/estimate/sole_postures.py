@@ -1,27 +1,28 @@
 """Sole postures: poses that alone determine a direction of the parameters, so that no other row can check them.
 
-A pose b, of one row or of several, has the derivative A_b of its predictions, in units of the noise. Without it the
-other rows and the priors, as wide as they are given, predict it with the covariance
+Let A_b be the derivative of what is predicted at a pose b, which has one row or several, in units of the noise. From
+the other rows, and priors as wide as they are given, the prediction at b has the covariance
 
     K_b = A_b C A_b^T
 
-where C is the covariance of the parameters without b. Where the largest eigenvalue of K_b is far above 1 and far above
-those of the other poses, b is a sole posture: a joint moves there alone, say. Its leverage K / (1 + K) is next to one
-(D. A. Belsley, E. Kuh, R. E. Welsch: Regression Diagnostics, 1980).
+where C is the covariance of the parameters estimated without b. Where the largest eigenvalue of K_b is far above 1, and
+far above those of the other poses, b is a sole posture: because a joint moves there alone, say. Its leverage
+K / (1 + K) is close to one (D. A. Belsley, E. Kuh, R. E. Welsch: Regression Diagnostics, 1980).
 
-What such a pose says cannot be called an outlier by what the others say, and is no sample of the sizes of errors. So
-the other rows o alone determine noise, sizes, and the estimate x_o with its covariance C. Rows s of sole postures then
-move it where the others leave it free:
+The other rows cannot tell whether the measurement at such a pose is an outlier, and one pose is no sample from which to
+estimate a prior standard deviation. So the other rows o alone determine noise, prior standard deviations, and the
+estimate x_o with its covariance C. Rows s of sole postures then move x_o along the directions that o leaves open:
 
     minimise  |r_s(x)|^2 / sigma^2 + |r_o(x) - r_o(x_o)|^2 / (epsilon sigma)^2 + |x - x_o|^2 / tau^2
 
-with residuals r, noise sigma, wide priors tau and a small epsilon, which keeps what the others determine; not only to
-first order, for a single posture may ask for large angles. With the derivative of the solution by r_s, the gain G,
+with residuals r, noise sigma, prior standard deviations tau that are wide, and a small epsilon, which keeps what the
+others determine. This is minimised by Gauss-Newton steps, not linearised once, because a single posture may need large
+angles. With the gain G, the derivative of the solution by r_s,
 
     C <- (I - G A_s) C (I - G A_s)^T + sigma^2 G G^T
 
-A row of a sole posture loses its weight only where r_s(x_o) lies beyond what wide priors allow, along the directions
-that the others leave open.
+A row of a sole posture loses its weight only where r_s(x_o), along the open directions, is larger than wide priors
+allow.
 """
 
 from __future__ import annotations
@@ -38,33 +39,34 @@ from calib.estimate.statistics import as_of_a_point
 from calib.robot.kernel import over_blocks
 from calib.units import Array, Integers, Mask
 
-#: A pose is a sole posture where others predict it worse than so many standard deviations of the noise,
+#: A pose is a sole posture where the standard deviation of its prediction from the others is so many times the noise,
 _UNPREDICTED = 10.0
 
-#: and so many times worse than the typical pose: where rows are too few, all are predicted badly.
+#: and so many times that of the typical pose: where rows are too few, all are predicted badly.
 _ABOVE_TYPICAL = 10.0
 
-#: Frames and targets that fewer scalars of other rows see are not determined without the pose, whatever joints do.
+#: A frame or target that fewer scalars of other rows observe is not determined without the pose, whatever joints do.
 _FEWEST_SCALARS = 18
 
-#: Bounds of leverages up to this are as good as leverages.
+#: A pose whose leverage is bounded by less than this is no sole posture, and the bound stands for the leverage.
 _WORTH_A_LOOK = 0.5
 
-#: Leverages are below one; a larger one is rounding.
+#: Leverages are below one; larger values are rounding.
 _HIGHEST_LEVERAGE = 1.0 - 1e-9
 
-#: Priors of what a sole posture tells are so many times as wide as given: it is one sample, and cannot be checked.
+#: Sole postures are judged with priors so many times as wide as given: as one sample each, they cannot be checked.
 _WIDE = 3.0
 
-#: The other rows hold what they determine as if their noise were this share of itself.
+#: The factor epsilon on the noise of the other rows, which keeps what they determine.
 _NOISE_OF_OTHERS = 0.05
 
-#: A direction is open where wide priors predict it no better than this share of the worst predicted one, in standard
-#: deviations.
+#: A direction is open where the standard deviation of its prediction is at least this share of the largest one.
 _OPEN = 1.0 / 3.0
 
-#: Updates of the estimate by sole postures, each linearised at the last; a step that is none any more [m, rad].
+#: The most Gauss-Newton steps of an update.
 _UPDATES = 20
+
+#: A Gauss-Newton step shorter than this has converged [m, rad].
 _SETTLED = 1e-9
 
 
@@ -74,7 +76,7 @@ def sole_postures(linear: Linear, rows: Rows, first: Stage) -> Mask:
     Args:
         linear: The problem linearised at the registered start.
         rows: Its N rows.
-        first: All rows in full, noise and priors as given.
+        first: The first stage: every row with weight one, noise and priors as given.
 
     Returns:
         shape (N,), which rows are of a pose that alone determines a direction of the parameters.
@@ -95,7 +97,7 @@ def sole_postures(linear: Linear, rows: Rows, first: Stage) -> Mask:
 
 
 def _traces(linear: Linear, covariance: Array) -> Array:
-    """The traces of A_i C A_i^T of each row, shape (N,), with the covariance (p, p)."""
+    """The trace of A_i C A_i^T of each row i, shape (N,), with the covariance C, shape (p, p)."""
 
     def work(rows: slice) -> Array:
         A = linear.A[rows]
@@ -105,7 +107,7 @@ def _traces(linear: Linear, covariance: Array) -> Array:
 
 
 def _seen_by_others(rows: Rows, block: Integers) -> Mask:
-    """Whether rows of other poses see the frame and the target of each row often enough, shape (N,)."""
+    """Whether rows of other poses determine the frame and the target of each row, shape (N,)."""
     scalars = np.sum(rows.used, axis=1)
     result = np.ones(len(rows), dtype=bool)
     for places in (rows.samples.frame, rows.samples.target):
@@ -117,22 +119,22 @@ def _seen_by_others(rows: Rows, block: Integers) -> Mask:
 
 
 def with_wide_priors(stage: Stage) -> Stage:
-    """The stage with priors several times as wide as given, and as found where that is wider still."""
+    """Widen the priors of a stage to `_WIDE` times those given, except where those found are wider still."""
     start = np.array(stage.prior.start, dtype=np.float64)
     return replace(stage, sizes=np.maximum(stage.sizes, _WIDE * start))
 
 
 def open_directions(linear: Linear, stage: Stage, sole: Mask) -> Array:
-    """Find the directions in which rows of sole postures are not predicted by the others.
+    """Find the directions of their scalars in which the other rows do not predict sole postures.
 
     Args:
         linear: The problem linearised at the estimate by all other rows.
-        stage: Noise and priors of the one fit that made it, in which sole postures have no weight.
+        stage: Noise and priors of that fit (B = 1), in which sole postures have no weight.
         sole: shape (N,), which rows are of sole postures.
 
     Returns:
-        shape (N, D, D), of rows of sole postures the orthogonal projection of their scalars, in units of the noise, on
-        these directions; of all others the identity.
+        shape (N, D, D): of rows of sole postures the orthogonal projection of their scalars, in units of the noise, on
+        these directions; of all other rows the identity.
     """
     covariance = with_wide_priors(stage).fit(linear)[1][0]
     noise = linear.noise_of(stage.noise)[0]
@@ -146,16 +148,16 @@ def open_directions(linear: Linear, stage: Stage, sole: Mask) -> Array:
 
 
 def open_scores(linear: Linear, x: Array, stage: Stage, projections: Array) -> Array:
-    """Score rows of sole postures: how far they lie from what wide priors allow, along directions left open by others.
+    """Score how far rows of sole postures lie from what wide priors predict, along the open directions.
 
     Args:
         linear: The problem linearised at x.
         x: shape (p,), the estimate by all other rows.
-        stage: Noise and priors of the one fit that made it, in which sole postures have no weight.
+        stage: Noise and priors of that fit (B = 1), in which sole postures have no weight.
         projections: shape (N, D, D), see `open_directions`.
 
     Returns:
-        shape (N,), as those of three scalars; see `calib.estimate.statistics`.
+        shape (N,), comparable with scores of three scalars; see `calib.estimate.statistics`.
     """
     covariance = with_wide_priors(stage).fit(linear)[1][0]
     noise = linear.noise_of(stage.noise)[0]
@@ -174,17 +176,17 @@ def updated(
     weights: Array,
     projections: Array,
 ) -> tuple[Array, Array]:
-    """Update an estimate by the rows of sole postures, in Gauss-Newton steps that are halved until the squares fall.
+    """Update an estimate by the rows of sole postures: Gauss-Newton steps, halved until the sum of squares falls.
 
     Args:
         estimate: x, shape (p,), by all other rows, and its covariance, shape (p, p).
-        stage: Noise and priors of the one fit that made it, in which sole postures have no weight.
+        stage: Noise and priors of that fit (B = 1), in which sole postures have no weight.
         linear_at: Gives the problem linearised at some x.
         weights: shape (N,), of the rows of sole postures; 0 for all others.
         projections: shape (N, D, D), see `open_directions`.
 
     Returns:
-        x and covariance with what sole postures say.
+        x and its covariance, updated.
     """
     x, covariance = estimate
     start, sole = linear_at(x), (weights > 0.0)[:, None]
@@ -192,28 +194,28 @@ def updated(
     root = np.sqrt(np.where(sole[:, 0], weights, stage.effective[0]))
     whiten = root[:, None, None] * projections / noise[:, None]
     prior = np.sqrt(with_wide_priors(stage).priors.precision[0])
-    # The residuals of other rows are to stay, those of sole postures to vanish.
-    held = np.where(sole, 0.0, start.residual(x))
+    # Residuals of the other rows stay as they are, those of sole postures go to zero.
+    wanted = np.where(sole, 0.0, start.residual(x))
 
     def residual(linear: Linear) -> Array:
-        """All that is to be small at the point of linearisation."""
-        measured = (whiten @ (linear.residual(linear.x) - held)[:, :, None]).ravel()
+        """The whitened residual of the objective at the point of linearisation."""
+        measured = (whiten @ (linear.residual(linear.x) - wanted)[:, :, None]).ravel()
         known = linear.C @ (x - linear.x) / _NOISE_OF_OTHERS
         return np.concatenate([measured, known, prior * (x - linear.x)])
 
     def derivative(linear: Linear) -> Array:
-        """Minus that of the residual."""
+        """Minus the derivative of `residual`."""
         measured = (whiten @ linear.A).reshape(-1, len(x))
         return np.vstack([measured, linear.C / _NOISE_OF_OTHERS, np.diag(prior)])
 
     linear = start
     for _ in range(_UPDATES):
-        left = residual(linear)
-        step = np.linalg.lstsq(derivative(linear), left)[0]
-        allowed = np.linalg.norm(left)
+        current = residual(linear)
+        step = np.linalg.lstsq(derivative(linear), current)[0]
+        before = np.linalg.norm(current)
         while (
             np.linalg.norm(step) >= _SETTLED
-            and np.linalg.norm(residual(linear_at(linear.x + step))) > allowed
+            and np.linalg.norm(residual(linear_at(linear.x + step))) > before
         ):
             step = 0.5 * step
         if np.linalg.norm(step) < _SETTLED:

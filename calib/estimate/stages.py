@@ -1,7 +1,7 @@
 """The stages of an estimation: robust weights, noise and prior sizes on the linearised problem, until they settle.
 
-First robust weights whose scale is a median; then sizes of noise and priors by restricted likelihood with weights that
-name the outliers. B fits go through them at a time, that lack some rows each.
+First come robust weights whose scale is a median; then noise and prior standard deviations by restricted likelihood,
+with weights that single out the outliers. B fits, each without some of the rows, go through the stages at a time.
 """
 
 from __future__ import annotations
@@ -23,21 +23,33 @@ from calib.model.kinematics import FRAME, TARGET, ErrorModel
 from calib.robot.robot import rigid_inverse
 from calib.units import Array, Integers, Mask
 
-#: The noise may be ten times larger or smaller than the one given or assumed, a standard deviation of its logarithm.
+#: Prior standard deviation of the logarithm of the noise: a factor of ten either way from the one given or assumed.
 _NOISE_SPREAD = float(np.log(10.0))
 
-#: With fewer degrees of freedom all rows keep their weight, and the scatter of repeats is not believed.
-FEWEST_FREEDOM, _TELLING_REPEATS = 6.0, 6.0
+#: With fewer degrees of freedom all rows keep their weight.
+FEWEST_FREEDOM = 6.0
 
-#: The weak prior of what no measurement determines, where priors are off, and of target and frame about where
-#: registration put them [m and rad]; and how tightly a parameter is held at its bound, in its unit.
-_WEAK, _FIXED = 1.0, 1e-10
+#: With fewer degrees of freedom the scatter of repeats is not used.
+_TELLING_REPEATS = 6.0
 
-#: Noise up to so many times the smallest that is believed is rounding.
+#: Standard deviation of the weak prior, where priors are off, and of target and frame about where registration put
+#: them [m and rad].
+_WEAK = 1.0
+
+#: Standard deviation with which a parameter is held at its bound, in its unit.
+_FIXED = 1e-10
+
+#: Noise up to so many times the smallest one allowed is rounding.
 _ROUNDING = 2.0
 
-#: Weights that change by less have settled, and noise and sizes that change by less of themselves; limit of the rounds.
-_SETTLED, _SETTLED_SIZES, _ROUNDS = 0.02, 0.01, 12
+#: Weights that change by less have settled.
+_SETTLED = 0.02
+
+#: Noise and sizes whose relative change is less have settled.
+_SETTLED_SIZES = 0.01
+
+#: The most rounds of each kind of stage.
+_ROUNDS = 12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,7 +60,7 @@ class PriorTerms:
     families: Mask  # (K, p), which parameters belong to each
     start: tuple[float, ...]  # The sizes to begin with
     precision: Array  # (p,), of parameters with a prior of their own, and of frames and targets
-    centre: Array  # (p,), the priors' means: 0 but at a bound, and where target or frame were said to be
+    centre: Array  # (p,), the priors' means: 0, but for parameters at a bound, and for given targets and frames
     flat: Mask  # (p,), frames and targets without a prior of their own
     sizes: str  # Where the sizes are from: "data", "given", or "off" for weak priors alone
     limits: Array  # (p, 2), lowest and highest value of each parameter
@@ -60,8 +72,8 @@ class PriorTerms:
     ) -> PriorTerms:
         """The cell's priors and bounds, from a registered start."""
         priors, single = cell.priors, cell.parameter_priors
-        asked = [k for k in {**cell.bounds, **single} if k in model.names or not lenient]
-        nominal = _nominal(given, started, model, [model.index(name) for name in asked])
+        named = [k for k in {**cell.bounds, **single} if k in model.names or not lenient]
+        nominal = _nominal(given, started, model, [model.index(name) for name in named])
         placed = model.family(FRAME, TARGET)
         std = np.array([single.get(name, np.nan) for name in model.names])
         alone = np.isfinite(std)
@@ -98,13 +110,13 @@ class PriorTerms:
         )
 
 
-def _nominal(given: Setup, started: Setup, model: ErrorModel, asked: list[int]) -> Array:
-    """Where changes count from, (p,): 0, but for targets and frames where the cell puts them, not registration."""
+def _nominal(given: Setup, started: Setup, model: ErrorModel, named: list[int]) -> Array:
+    """The origin of each parameter's change, (p,): 0, but for targets and frames the place given in the cell."""
     frames = zip(given.frame_given, started.T_frame_base, given.T_frame_base, strict=True)
     targets = zip(given.target_given, started.T_tip_target, given.T_tip_target, strict=True)
     places = dict(zip(chain(*given.places), chain(frames, targets), strict=True))
     result = np.zeros(len(model))
-    for k in asked:
+    for k in named:
         parameter = model.parameters[k]
         if parameter.place not in places:
             continue
@@ -121,12 +133,12 @@ def _nominal(given: Setup, started: Setup, model: ErrorModel, asked: list[int]) 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stage:
-    """Weights, noise and prior sizes at one time of an estimation, of B fits that lack some rows each."""
+    """Weights, noise and prior sizes at one point of an estimation, of B fits, each without some of the rows."""
 
     prior: PriorTerms
     kept: Mask  # (B, N), the rows that each fit has
     weights: Array  # (B, N), robust weights; 0 for rows that are not there
-    share: Array  # (B, N), what a row counts for beside its repeats
+    share: Array  # (B, N), the factor on the weight of a row that has repeats
     noise: Array  # (B, C), of each instrument, in units of the sigma given
     sizes: Array  # (B, K), of each family
     rho: Array  # (B, C, 2), shares of each instrument's variance that targets of a stop have in common
@@ -135,7 +147,7 @@ class Stage:
     def first(
         cls, prior: PriorTerms, kept: Mask, instruments: int, weights: Array | float = 1.0
     ) -> Stage:
-        """The noise as given, the priors as wide as they were given; all rows in full, or with these weights."""
+        """Noise and priors as given; every row with weight one, or with these weights."""
         sizes = np.tile(np.array(prior.start, dtype=np.float64), (len(kept), 1))
         noise = np.ones((len(kept), instruments))
         own = np.asarray(kept * weights, np.float64)
@@ -144,12 +156,12 @@ class Stage:
 
     @property
     def effective(self) -> Array:
-        """The weights of the rows, repeats shared out, shape (B, N)."""
+        """The weights of the rows, times the factor for repeats, shape (B, N)."""
         return self.weights * self.share
 
     @property
     def priors(self) -> Priors:
-        """All that is known beforehand, at these sizes."""
+        """The priors of all parameters, at these sizes."""
         own = (1.0 / self.sizes**2) @ self.prior.families
         return Priors(own + self.prior.precision, self.prior.centre)
 
@@ -158,7 +170,7 @@ class Stage:
         return linear.fit(self.effective, self.rho, self.noise, self.priors)
 
     def judged(self, linear: Linear) -> tuple[Array, Array, Array]:
-        """The fit with the covariance that it would have of independent rows, by which each row is judged alone."""
+        """The fit, with the covariance as if all rows were independent, by which single rows are scored."""
         x, covariance, freedom = self.fit(linear)
         if np.any(self.rho):
             alone = replace(self, rho=np.zeros(self.rho.shape))
@@ -207,19 +219,19 @@ class Stage:
         return stage
 
     def _row_weights(self, linear: Linear) -> Array:
-        """The weights that the scores of the linear fit ask for."""
+        """The weights that follow from the scores of the linear fit."""
         x, covariance, freedom = self.judged(linear)
         count = np.sum(self.kept, axis=1)
         scores = linear.scores(x, covariance, self.effective, self.noise)
         found = Limits.of(count[:, None], freedom[:, None]).weights(scores) * self.kept
-        # Half of the rows cannot be outliers of the other half: then it is the noise that is taken too small.
-        told = (freedom > FEWEST_FREEDOM) & (np.sum(found, axis=1) > 0.5 * count)
-        return np.where(told[:, None], found, self.kept)
+        # Half of the rows cannot be outliers of the other half: then the noise is underestimated.
+        enough = (freedom > FEWEST_FREEDOM) & (np.sum(found, axis=1) > 0.5 * count)
+        return np.where(enough[:, None], found, self.kept)
 
     def sharing(self, linear: Linear, poses: Integers, mode: str) -> Stage:
-        """What each of n repeats counts for, 1 / (1 + (n - 1) rho), with their correlation rho.
+        """Weight each of n repeats by 1 / (1 + (n - 1) rho), with their correlation rho.
 
-        The mode is ``"independent"``: rho = 0; ``"average"``: 1; ``"weighted"``: found. poses has the shape (N,).
+        The mode is ``"independent"``: rho = 0; ``"average"``: 1; ``"weighted"``: found. ``poses`` has the shape (N,).
         """
         number, alive = int(poses.max()) + 1, self.weights > 0.0
         counts = np.array([np.bincount(poses[own], minlength=number)[poses] for own in alive])
@@ -236,7 +248,7 @@ class Stage:
         return replace(self, share=1.0 / (1.0 + (np.maximum(counts, 1) - 1.0) * rho[:, None]))
 
     def by_stops(self, linear: Linear) -> Stage:
-        """The shares of stops, see `calib.estimate.stop_errors`; none of what is rounding."""
+        """Estimate the shares of stops, see `calib.estimate.stop_errors`; zero where the noise is rounding."""
         if linear.stops is None:
             return self
         x, covariance, _ = self.fit(linear)
@@ -261,7 +273,7 @@ def staged(
     stage = stage.sharing(linear, poses, repeats)
     freedom = stage.fit(linear)[2]
     robust = robust and bool(np.any(freedom > FEWEST_FREEDOM))
-    # What a stage has one of for each fit.
+    # The fields of a stage that have one entry for each fit.
     names = ("kept", "weights", "share", "noise", "sizes", "rho")
     each = {name: getattr(stage, name).copy() for name in names}
     for likely in (False, True) if robust else (True,):

@@ -1,19 +1,21 @@
-"""Stops: targets that are seen while the robot stands still are parts of one rigid body, and share where it stopped.
+"""Stops: targets that are seen while the robot stands still are parts of one rigid body, and share its displacement.
 
-What the robot does not repeat, and what the model lacks, displace that body by a translation and a turn about the
-centroid of its targets, random and independent from stop to stop. Of a stop's scalars, in units of their sigma,
+The robot's repeatability and what the model lacks displace that body by a translation and a rotation about the
+centroid of its targets, random and independent from stop to stop. A stop's scalars, in units of their sigma, have the
+covariance
 
     V = noise^2 K,        K = kappa I + rho_t J_t J_t^T + rho_r J_r J_r^T,        kappa = 1 - rho_t - rho_r
 
-with the derivatives J_t and J_r of what is predicted by that displacement, each of mean square 1 over the table: noise
-is the standard deviation of a scalar, and rho are the shares of its variance that the targets of a stop have in common.
-With G = [sqrt(rho_t) J_t, sqrt(rho_r) J_r], as in any mixed model (C. R. Henderson, 1953),
+with the derivatives J_t and J_r of the predicted scalars by that displacement, each scaled to mean square 1 over the
+table: noise is the standard deviation of a scalar, rho_t and rho_r are the shares of its variance that the targets of a
+stop have in common, and kappa is the share that is independent. With
+G = [sqrt(rho_t) J_t, sqrt(rho_r) J_r], as in any mixed model (C. R. Henderson, 1953),
 
     K^-1 = [I - G (kappa I + G^T G)^-1 G^T] / kappa
 
-The shares come from the residual r of generalised least squares, E[r r^T] = V - A C A^T, by equations that end where
-the restricted likelihood is highest (R. D. Anderson, 1973; S. R. Searle, G. Casella, C. E. McCulloch, Variance
-Components, 1992): with the derivatives V_i of V by theta, which are noise^2 times kappa, rho_t and rho_r,
+The shares are estimated from the residual r of generalised least squares, E[r r^T] = V - A C A^T, by equations that
+end where the restricted likelihood is highest (R. D. Anderson, 1973; S. R. Searle, G. Casella, C. E. McCulloch,
+Variance Components, 1992): with the derivatives V_i of V by theta, which are noise^2 times kappa, rho_t and rho_r,
 
     sum_j tr(V^-1 V_i V^-1 V_j) theta_j = tr(V^-1 V_i V^-1 [r r^T + A C A^T])
 
@@ -32,25 +34,28 @@ from calib.estimate.rows import Rows, same_poses
 from calib.model.kinematics import Kinematics
 from calib.units import Array, Integers, Mask
 
-#: The columns of a body's translation, and of its turn.
+#: The columns of a body's translation, and of its rotation.
 _TRANSLATION, _TURN = slice(0, 3), slice(3, 6)
 
-#: A scalar's own share of its variance is no less: no instrument is a thousand times better than what it measures.
-_LEAST_OWN = 1e-6
+#: The least kappa: no instrument's noise is less than a thousandth of what the targets of a stop share.
+_LEAST_UNSHARED = 1e-6
 
-#: With fewer degrees of freedom, of targets within their bodies or of the bodies, nothing is taken for shared.
-_TELLING = 12
+#: With fewer degrees of freedom, of the bodies or of the targets within them, the shares are zero.
+_FEWEST_FREEDOM = 12
 
-#: The shares are improved so often at most, and have settled when they change by less.
+#: The most iterations for the shares, and the change, relative to kappa, below which they have settled.
 _STEPS, _SETTLED = 20, 1e-4
 
-#: Rows whose columns are copied at a time; what is divided by instead of zero.
-_PART, _TINY = 16_384, 1e-300
+#: Rows whose columns are copied at a time.
+_PART = 16_384
+
+#: Divisor in place of zero.
+_TINY = 1e-300
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Moments:
-    """What an instrument's residual r at S stops says of its shares, in units of any noise."""
+    """The moments of an instrument's residual r at S stops, from which its shares are estimated, in any unit."""
 
     M: Array  # (S, 6, 6), J^T J
     R: Array  # (S, 6, 6), J^T [r r^T + A C A^T] J
@@ -58,22 +63,22 @@ class Moments:
     count: float  # The number of scalars
 
     def shares(self, rho: Array) -> Array:
-        """The shares of translations and of turns, shape (2,), from where the search begins."""
+        """Estimate the shares of translations and rotations, shape (2,), by iteration from some shares."""
         bodies = int(np.sum(np.linalg.matrix_rank(self.M, hermitian=True)))
-        if min(bodies, self.count - bodies) < _TELLING:
+        if min(bodies, self.count - bodies) < _FEWEST_FREEDOM:
             return np.zeros(2)
         for _ in range(_STEPS):
             before, rho = rho, _shares_of(self._components(rho))
-            if np.max(np.abs(rho - before)) < _SETTLED * _own(rho):
+            if np.max(np.abs(rho - before)) < _SETTLED * _unshared(rho):
                 break
         return rho
 
     def _components(self, rho: Array) -> Array:
-        """The variances theta, (3,), by the equations at some shares, those of translations and turns not negative.
+        """Solve the equations at some shares for the variances theta, (3,), those of translations and rotations >= 0.
 
         With T = (kappa I + S M)^-1, J S J^T = G G^T and H = T S, K^-1 J = J T and K^-1 = (I - J H J^T) / kappa.
         """
-        kappa, S, M, R = _own(rho), _roots(rho) ** 2, self.M, self.R
+        kappa, S, M, R = _unshared(rho), _roots(rho) ** 2, self.M, self.R
         T = np.linalg.inv(kappa * np.eye(6) + S[:, None] * M)
         HM, HR, parts = (T * S) @ M, (T * S) @ R, (_TRANSLATION, _TURN)
         left, right = np.zeros((3, 3)), np.zeros(3)
@@ -94,9 +99,9 @@ class Moments:
 
 
 def _shares_of(theta: Array) -> Array:
-    """The shares of the last two of three variances, which leave something to the first."""
+    """The shares of the last two of three variances, which leave the first at least `_LEAST_UNSHARED`."""
     shares = theta[1:] / max(float(np.sum(theta)), _TINY)
-    return np.asarray(shares / max(float(np.sum(shares)) / (1.0 - _LEAST_OWN), 1.0))
+    return np.asarray(shares / max(float(np.sum(shares)) / (1.0 - _LEAST_UNSHARED), 1.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,7 +119,7 @@ class Stops:
     _stop_of_cell: Integers = field(init=False, repr=False)  # (M,), from 0
 
     def __post_init__(self) -> None:
-        """Find where cells and stops begin."""
+        """Find where cells and stops begin, among rows in their order."""
         begins = np.append(True, (np.diff(self.cells) != 0) | (np.diff(self.stops) != 0))
         anew = np.append(True, np.diff(self.stops[begins]) != 0)
         values = (np.flatnonzero(begins), np.flatnonzero(anew), np.cumsum(begins), np.cumsum(anew))
@@ -125,9 +130,9 @@ class Stops:
 
     @classmethod
     def of(cls, kinematics: Kinematics, rows: Rows) -> Stops | None:
-        """The stops of a table, with the bodies where a fit starts; None where no stop has several targets.
+        """Find the stops of a table, with the bodies where a fit starts; None where no stop has several targets.
 
-        They are targets of one kind, which measures a position, seen from one frame.
+        A stop's rows are of one pose, one frame and one kind, which measures a position.
         """
         target = rows.samples.target
         if not len(rows) or target.min() == target.max():
@@ -159,15 +164,16 @@ class Stops:
         return replace(self._some(kept), rows=numbers[kept]) if np.any(kept) else None
 
     def drawn(self, count: Array) -> Stops:
-        """The stops of a table whose stops were drawn so often each, (N,), if the rows' weights are multiplied by that.
+        """The stops of a bootstrap sample: ``count``, (N,), says how often each row's stop was drawn.
 
-        Rows of the double weight have half the variance, and so must have what they share.
+        The caller multiplies the rows' weights by it. A row of twice the weight has half the variance, and so must
+        the displacement that it shares.
         """
         often = count[self.rows, None, None]
         return replace(self, J=np.where(often > 0, self.J / np.sqrt(np.maximum(often, 1)), 0.0))
 
     def corrections(self, columns: Array, weights: Array, rho: Array) -> tuple[Array, Array]:
-        """What stops change in the normal equations of independent rows, and the log determinants.
+        """Correct the normal equations of independent rows for what stops share; also the log determinants.
 
         Args:
             columns: shape (q, D, N), of the table's scalars, in units of their sigma.
@@ -183,7 +189,7 @@ class Stops:
             X = stops._rows_of(columns)
             for b, c in np.argwhere(np.any(rho > 0.0, axis=2)).tolist():
                 means, J, count = stops._means(X, weights[b], c)
-                kappa, G = _own(rho[b, c]), J * _roots(rho[b, c])
+                kappa, G = _unshared(rho[b, c]), J * _roots(rho[b, c])
                 root = np.linalg.cholesky(np.eye(6) + stops._sums(_T(G) @ G) / kappa)
                 shared = np.linalg.solve(root, stops._sums(_T(G) @ means) / kappa).reshape(-1, q)
                 flat = means.reshape(-1, q)
@@ -210,7 +216,7 @@ class Stops:
             X = stops._rows_of(columns) / np.sqrt(np.maximum(w, _TINY))[:, None, None]
             for c in np.flatnonzero(np.any(rho > 0.0, axis=1)).tolist():
                 means, J, _ = stops._means(X, weights, c)
-                kappa = _own(rho[c])
+                kappa = _unshared(rho[c])
                 G = J * _roots(rho[c]) / np.sqrt(kappa)
                 squares, Q = np.linalg.eigh(stops._sums(_T(G) @ G))
                 s = np.sqrt(1.0 + np.maximum(squares, 0.0))[:, None]
@@ -222,13 +228,13 @@ class Stops:
         return result
 
     def moments(self, columns: Array, weights: Array, c: int, x: Array, C: Array) -> Moments:
-        """What the residual of a fit says of an instrument's shares.
+        """Compute the moments of a fit's residual for one instrument.
 
         Args:
             columns: shape (p + 1, D, N), the derivative A of the prediction and the residual, in units of sigma.
             weights: shape (N,), of the rows.
             c: The instrument's number.
-            x: shape (p,), the fit, from where the residual is that of ``columns``.
+            x: shape (p,), the solution, relative to where the residual of ``columns`` was taken.
             C: shape (p, p), its covariance.
         """
         M, R, total, count = [], [], 0.0, 0.0
@@ -244,10 +250,10 @@ class Stops:
         return Moments(np.concatenate(M), np.concatenate(R), total, count)
 
     def _means(self, X: Array, weights: Array, c: int) -> tuple[Array, Array, Array]:
-        """Of an instrument's scalars in each cell, all zero for others: columns, derivative by the body, and number.
+        """Average an instrument's scalars over each cell: columns, derivative by the body, and number; zero for others.
 
-        The columns (K, D, q) are summed over repeats with their weights to what has the variance of one row; shapes (M,
-        D, q), (M, D, 6) and (M, D).
+        Repeats are summed with their weights, and scaled so that the sum has the variance of one row of weight 1. The
+        columns X have the shape (K, D, q), the results (M, D, q), (M, D, 6) and (M, D).
         """
         w, own = weights[self.rows, None], self.instruments == c
         total = np.add.reduceat(w, self._first_row)
@@ -266,7 +272,7 @@ class Stops:
         return np.ascontiguousarray(columns[:, :, self.rows].transpose(2, 1, 0))
 
     def _parts(self) -> list[Stops]:
-        """The stops in parts of some rows each."""
+        """The stops in parts of about `_PART` rows, each stop whole."""
         if len(self.rows) <= _PART:
             return [self]
         first = self._first_row[self._first_cell][self._stop_of_cell][self._cell_of_row]
@@ -279,13 +285,13 @@ class Stops:
         return Stops(rows, cells, stops, self.J[kept], self.instruments[kept])
 
 
-def _own(rho: Array) -> float:
-    """The share kappa of a scalar's variance that is its own."""
-    return float(max(1.0 - np.sum(rho), _LEAST_OWN))
+def _unshared(rho: Array) -> float:
+    """The share kappa of a scalar's variance that is independent of the other targets of its stop."""
+    return float(max(1.0 - np.sum(rho), _LEAST_UNSHARED))
 
 
 def _roots(rho: Array) -> Array:
-    """The roots of the shares, of each direction of a displacement, shape (6,)."""
+    """The square root of the share of each direction of a displacement, shape (6,)."""
     return np.repeat(np.sqrt(rho), 3)
 
 
@@ -300,9 +306,9 @@ def _trace(M: Array) -> float:
 
 
 def _twists_of_bodies(points: Array, stops: Integers, counts: Array) -> Array:
-    """What displacing bodies does to their points (K, 3), shape (K, 6, 6) [m, rad].
+    """Differentiate points (K, 3) by the displacement of their bodies, shape (K, 6, 6) [m, rad].
 
-    The bodies are displaced at the centroids of these, which count for ``counts``, (K,).
+    Bodies turn about the centroids of their points, each of weight ``counts``, (K,).
     """
     body = np.unique(stops, return_inverse=True)[1].reshape(-1)
     sums = np.stack([np.bincount(body, counts * column) for column in points.T], axis=1)
@@ -315,9 +321,9 @@ def _twists_of_bodies(points: Array, stops: Integers, counts: Array) -> Array:
 
 
 def _of_unit_size(J: Array, instruments: NDArray[np.int8], counts: Array) -> Array:
-    """The derivatives (K, D, 6) of rows that count for (K,), each instrument's by translations and by turns scaled.
+    """Scale the derivatives (K, D, 6) of rows with weights ``counts``, (K,), so that their effect has mean square 1.
 
-    What they do to a scalar has the mean square 1.
+    Each instrument's derivatives by translations, and those by rotations, have a scale of their own.
     """
     result = np.zeros(J.shape)
     for c in range(int(instruments.max()) + 1):

@@ -1,4 +1,4 @@
-"""Doubts about a result besides its errors: what was given, how it was measured, what its best model leaves over."""
+"""Doubts about a result besides its errors: what was given, how it was measured, the residuals of its best model."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from calib.robot.readback import column_ranges, spread_poses
 from calib.robot.robot import Robot
 from calib.units import Mask
 
-#: A joint that moves less than this over the rows tells little of itself [rad], [m].
+#: The rows hardly determine a joint's errors where it moves less than this [rad], [m].
 _STILL_RAD = 0.35
 _STILL_M = 0.05
 
@@ -42,36 +42,36 @@ _STILL_M = 0.05
 #: paper's 0.43, a 20 cm cube of a UR3's workspace 0.28.
 _CORNER = 1.0 / 3.0
 
-#: The model lacks something where a larger one leaves this share of the noise.
+#: The model lacks something where a larger one lowers the noise to this share.
 _FAR_LESS = 0.6
 
-#: Or where repeats scatter by this share of it.
+#: The model lacks something where repeats scatter by less than this share of the noise.
 _SCATTER_SHARE = 0.5
 
-#: Noise so many times as large as stated is not the instrument's.
+#: Noise more than so many times the one stated is not the instrument's.
 _ABOVE = 5.0
 
-#: Noise that no instrument has, where none is stated [m].
+#: Where none is stated, noise above this is not an instrument's [m].
 _LARGE_NOISE = 1e-3
 
-#: What arms add to the noise that is stated, for they do not repeat better [m], [rad].
-_STEADY = ("sigma", "m", 3e-5), ("sigma_angle", "rad", 1e-4)
+#: The repeatability of arms, which adds to the stated noise: of the measurements' attribute, its unit [m], [rad].
+_REPEATABILITY = ("sigma", "m", 3e-5), ("sigma_angle", "rad", 1e-4)
 
-#: No arm is longer or shorter by more than this share, in all its lengths: it is the instrument's scale.
+#: No arm is off by more than this share in all its lengths: a larger one is the instrument's scale error.
 _SCALED = 2e-3
 
-#: A base that has moved is named where that moves the rows by this share of what the arm's own corrections do.
+#: A base that has moved is named where its effect on the rows is more than this share of that of the arm's corrections.
 _LIKE_THE_ARM = 0.5
 
-#: A given target that is further from where it was found was not given as it is [m].
+#: A target found further than this from where it was given was given wrongly [m].
 _ELSEWHERE = 5e-3
 
-#: A joint that uses less than this share of its range was measured in a part of it.
+#: A joint was measured in a part of its range where it used less than this share of it.
 _NARROW = 1.0 / 3.0
 
 
 def doubts_of(result: Calibration, rows: Rows) -> tuple[Reason, ...]:
-    """What speaks against a result besides errors: what was given, how it was measured, what its best model leaves."""
+    """List what speaks against a result besides its errors: see the module."""
     return tuple(_doubts(result, result.in_memory.larger or result.fitted, rows))
 
 
@@ -99,7 +99,7 @@ def _named_model(result: Calibration) -> bool:
 
 
 def _given(result: Calibration, fitted: Fitted) -> Iterator[Reason]:
-    """That a target, the base in a known frame or the instrument's scale is not what was given."""
+    """Doubt a given target, a known frame, or the instrument's scale."""
     given, found = result.nominal_setup, result.setup
     for t, name in enumerate(found.targets):
         if not (found.target_given[t] and found.target_unknown[t]):
@@ -125,7 +125,7 @@ def _given(result: Calibration, fitted: Fitted) -> Iterator[Reason]:
 
 
 def _still(robot: Robot, rows: Rows) -> Iterator[Reason]:
-    """That joints hardly moved."""
+    """Name joints that hardly moved."""
     least = np.array([_STILL_M if j.type == "prismatic" else _STILL_RAD for j in robot.inputs])
     still = np.flatnonzero(np.ptp(rows.joints, axis=0) < least)
     if len(still):
@@ -133,7 +133,7 @@ def _still(robot: Robot, rows: Rows) -> Iterator[Reason]:
 
 
 def _sole_postures(result: Calibration, rows: Rows) -> Iterator[Reason]:
-    """That poses alone tell of a joint: of each its first row, and the joint that is furthest from all other rows."""
+    """Name the first row of each sole posture, and the joint whose value there is furthest from all other rows'."""
     robot, m = result.nominal, result.measurements
     names = np.array(m.rows)[m.estimation]
     low, high = column_ranges(robot).T
@@ -148,7 +148,7 @@ def _sole_postures(result: Calibration, rows: Rows) -> Iterator[Reason]:
 
 
 def _negative_compliances(result: Calibration) -> Iterator[Reason]:
-    """That a joint would move against its load."""
+    """Name joints that would move against their load."""
     for one in result.larger.parameters if result.larger else ():
         # Twice as far as its interval reaches: there are as many chances as joints.
         if one.name.endswith(".compliance") and 2.0 * one.high < one.value:
@@ -156,7 +156,7 @@ def _negative_compliances(result: Calibration) -> Iterator[Reason]:
 
 
 def _agreeing_repeats(result: Calibration, fitted: Fitted) -> Iterator[Reason]:
-    """That repeats agree far better with each other than with the model."""
+    """Say if repeats agree far better with each other than with the model."""
     sigma = float(np.median(fitted.estimate.problem.rows.sigma))
     repeats, noise = result.repeats, float(fitted.estimate.noise[0]) * sigma
     if repeats is None or not len(repeats.within) or repeats.freedoms[0] < TELLING:
@@ -167,7 +167,7 @@ def _agreeing_repeats(result: Calibration, fitted: Fitted) -> Iterator[Reason]:
 
 
 def thin(fitted: Fitted) -> tuple[Fitted, Mask]:
-    """The fit with about `ENOUGH` of its rows, spread evenly over frames and targets, and which these are, (N,)."""
+    """Reduce a fit to about `ENOUGH` of its rows, evenly over frames and targets; also which these are, (N,)."""
     problem, estimate = fitted.estimate.problem, fitted.estimate
     some = problem.rows.evenly(ENOUGH)
     if np.all(some):
@@ -188,7 +188,7 @@ def thin(fitted: Fitted) -> tuple[Fitted, Mask]:
 
 
 def _order(result: Calibration, chosen: Mask) -> Order:
-    """In which order the chosen ones of the fitted rows were measured: that of the table, all its rows."""
+    """The order in which the chosen rows were measured, and the joints' moves to them in the whole table."""
     m = result.measurements
     q = m.joints_for(result.nominal.joint_names)
     moves = np.diff(q, axis=0, prepend=q[:1])
@@ -197,7 +197,7 @@ def _order(result: Calibration, chosen: Mask) -> Order:
 
 
 def _missing_model(fitted: Fitted) -> Iterator[Reason]:
-    """That full placements, or these with the joints' own errors, would leave far less than this fit leaves."""
+    """Say if full placements, or these with non-geometric errors, would lower the noise far below that of this fit."""
     task, rows, name = fitted.task, fitted.estimate.problem.rows, fitted.kinematics.model.name
     free = replace(task.cell, frozen=(), ties={}, bounds={}, parameter_priors={})
     own = [f for f in joint_families() if not FAMILIES[f].loaded]
@@ -218,21 +218,21 @@ def _missing_model(fitted: Fitted) -> Iterator[Reason]:
 def noise_doubts(
     result: Calibration, fitted: Fitted, doubts: tuple[Reason, ...]
 ) -> Iterator[Reason]:
-    """That a fit leaves more noise than is stated; where none is stated, more than instruments have."""
+    """Say if the noise of a fit is above the one stated, or, where none is stated, above that of instruments."""
     codes = {doubt.why for doubt in doubts}
     if Why.MODEL_LACKS in codes:
         return
-    # What follows a joint is no noise either, where no larger model had its chance.
+    # Nor are residuals noise that follow a joint, where no larger model was tried.
     if _named_model(result) and result.larger is None and Why.JOINT_PATTERN in codes:
         return
     rows, m = fitted.estimate.problem.rows, result.measurements
     for c, ratio in enumerate(fitted.estimate.noise):
         own, columns = np.nonzero(rows.instruments == c)
-        name, unit, steady = _STEADY[int(columns[0] >= LENGTHS)]
+        name, unit, repeatability = _REPEATABILITY[int(columns[0] >= LENGTHS)]
         by_row, sigma = getattr(m, name), float(np.median(getattr(rows, name)[own]))
         noise, stated = float(ratio) * sigma, getattr(result.cell, name) is not None
         stated |= by_row is not None and bool(np.all(np.isfinite(by_row[m.estimation][own])))
-        if stated and noise > _ABOVE * np.hypot(sigma, steady):
+        if stated and noise > _ABOVE * np.hypot(sigma, repeatability):
             values = {f"before_{unit}": sigma, f"after_{unit}": noise, "ratio": noise / sigma}
             yield Reason.of(Why.NOISE_ABOVE_SIGMA, **values)
         elif not stated and unit == "m" and noise > _LARGE_NOISE:
@@ -240,7 +240,7 @@ def noise_doubts(
 
 
 def _corner(fitted: Fitted) -> Iterator[Reason]:
-    """That the poses cover a part of the joints' ranges, or a corner of the workspace, and which."""
+    """Say if the poses cover only part of the joints' ranges, or a corner of the workspace, and which."""
     robot, rows = fitted.task.robot, fitted.estimate.problem.rows
     q = rows.joints[fitted.estimate.weights > 0.0]
     spread = spread_of(*(robot.poses(one)[:, :3, 3] for one in (q, spread_poses(robot))))

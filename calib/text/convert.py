@@ -93,7 +93,7 @@ def _moved(done: Conversion) -> str:
     if found.nominal is None:
         return "How far it is from its nominal robot is not known; --robot names that."
     if found.robot is found.nominal:
-        return "This is a nominal robot: there is no calibration in it."
+        return "Read as a nominal robot: there is no calibration to compare it with."
     q = spread_poses(found.nominal)
     apart = found.robot.poses(q)[:, :3] - found.nominal.poses(q)[:, :3]
     chord = np.linalg.norm(apart[:, :, :3], axis=(1, 2)) / np.sqrt(8.0)

@@ -14,9 +14,7 @@ from calib.text.lines import fill
 #: More robots than this are counted, and those are listed that need somebody to look at them.
 LISTED = 40
 
-_WITHHELD = (
-    "No corrected URDF, for the verdict is 'do not use' (summary.txt says why; --accept writes it):"
-)
+_WITHHELD = "No corrected URDF, because the verdict is 'do not use' (summary.txt says why; --accept writes it):"
 
 _SIZES = {
     "nominal": "nominal_rms_m",
@@ -44,7 +42,7 @@ def few_text(robots: int, counted: int, needed: int, kind: str) -> str:
     text = f"{robots} robot{'s' * (robots > 1)}"
     text += f" with the data of {counted}" * (counted < robots)
     text += f" of the kind '{kind}'" * bool(kind)
-    return f"What is usual cannot be told of {text}; it takes {needed}. Only data given twice are looked for."
+    return f"Too few to tell what is usual: {text}; it takes {needed}. Only data given twice are looked for."
 
 
 def fleet_cells(fleet: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:

@@ -44,7 +44,7 @@ def test_what_is_printed(call, folder, tmp_path):
     assert "How far it is from its nominal robot is not known; --robot names that." in done.out
     assert json.loads((tmp_path / "panda.json").read_text())["before"] is None
     done = call(folder, "convert", "robot.urdf", "--tip", "tool0", "-o", tmp_path / "copy.urdf")
-    assert "This is a nominal robot: there is no calibration in it." in done.out
+    assert "Read as a nominal robot: there is no calibration to compare it with." in done.out
     assert (tmp_path / "copy.urdf").read_bytes() == (folder / "robot.urdf").read_bytes()
     words = ("--tip", "tool0", "--hold", "elbow_joint=30 deg", "--to", "dh", "-o")
     assert call(folder, "convert", "robot.urdf", *words, tmp_path / "h.csv").code == 0

@@ -91,7 +91,7 @@ def test_data_given_many_times_count_once():
     few = fleet_of(FEWEST - 1)
     notes = odd_ones([*few, replace(few[0], name="copy")])[1]
     assert notes[0].startswith(
-        "What is usual cannot be told of 5 robots with the data of 4; it takes 5."
+        "Too few to tell what is usual: 5 robots with the data of 4; it takes 5."
     )
 
 
@@ -104,7 +104,7 @@ def test_robots_are_compared_with_their_own_kind():
     )
     assert odd == ()
     assert notes[0].startswith(
-        "What is usual cannot be told of 1 robot of the kind 'panda'; it takes 5."
+        "Too few to tell what is usual: 1 robot of the kind 'panda'; it takes 5."
     )
 
 

@@ -39,7 +39,7 @@ cell, points, points_unit, base, tip, target, frame, model, kind, payload, hold 
 'calib calibrate' do. Options on the line are for all robots; what a row says wins. Each robot gets a folder with
 corrected.urdf, result.json, report.html and summary.txt; fleet.csv and fleet.json compare them. Given again, the same
 command keeps what is finished and unchanged. The exit status is 1 if a robot failed; otherwise 3 if one got no
-corrected.urdf because its verdict is 'do not use', which --accept writes nonetheless. See docs/fleet.md.
+corrected.urdf because its verdict is 'do not use', which --accept writes all the same. See docs/fleet.md.
 """)
 def fleet(
     manifest: Annotated[
@@ -112,8 +112,8 @@ def fleet(
     if found.failed:
         typer.echo(f"calib: {len(found.failed)} of {len(found.rows)} robots failed.", err=True)
     for rows, said in (
-        (found.withheld, "No URDF was written for it; --accept writes it nonetheless."),
-        (found.accepted, "It was accepted."),
+        (found.withheld, "No URDF was written; to write it all the same, add --accept."),
+        (found.accepted, "With --accept the URDF was written all the same."),
     ):
         if rows:
             names = choices(row.name for row in rows)
