@@ -16,6 +16,9 @@ from calib.units import Array, Integers, Mask
 #: Scalar measurements per parameter below which a fit leans on its priors.
 _FEW = 2.0
 
+#: Fewer poses than this predict each other too well by chance.
+_HANDFUL = 8
+
 #: Share of flagged rows above which these are no accidents.
 _MANY_OUTLIERS = 0.15
 
@@ -183,6 +186,7 @@ class _Figures:
     fresh_after: Errors
     gain: float  # In standard errors
     unproven: bool  # Whether the gain may be chance
+    handful: bool  # So few poses that held-out rows prove nothing
     few: bool  # Too few numbers for this model
     sparse: bool  # Too few for a full geometry
     flagged: int
@@ -197,7 +201,8 @@ class _Figures:
     def of(cls, e: Evidence) -> _Figures:
         """Work them out."""
         gain, chance = e.gain()
-        numbers, flagged = _size(e)["numbers"], int(np.sum(e.outliers))
+        size, flagged = _size(e), int(np.sum(e.outliers))
+        numbers = size["numbers"]
         before = e.nominal.errors_without_outliers
         many = flagged > _MANY_OUTLIERS * len(e.outliers)
         return cls(
@@ -209,6 +214,7 @@ class _Figures:
             fresh_after=e.validation[1],
             gain=gain,
             unproven=gain <= 0.0 or chance > _CHANCE,
+            handful=size["poses"] + size["pairs"] < _HANDFUL,
             few=numbers < _FEW * e.parameters,
             sparse=numbers < _FEW * max(e.parameters, e.whole),
             flagged=flagged,
@@ -241,7 +247,7 @@ class _Figures:
     @property
     def proven(self) -> bool:
         """Whether the gain is proven where rows were measured, and expected over the joint limits."""
-        return self.proven_here and self.everywhere <= _REMAINS
+        return self.proven_here and self.everywhere <= _REMAINS and not self.handful
 
 
 def verdict(e: Evidence) -> Verdict:
@@ -264,7 +270,7 @@ def _against(e: Evidence, f: _Figures) -> list[Reason]:
     """Why the corrected robot is not to be used: the weightiest reason, and failing validation rows."""
     both = _both(e, f)
     nothing = f.unproven and e.quiet and f.plausible and not f.sparse
-    too_few = f.unproven and (f.few or (e.quiet and f.sparse))
+    too_few = f.unproven and (f.handful or f.few or (e.quiet and f.sparse))
     worse = bool(f.flagged) and _typical(f.after_all) > _ALIKE * _typical(f.before_all)
     size = {**_size(e), "parameters": max(e.parameters, e.whole), "gain": f.gain}
     unfit = bool(f.fresh_after.n) and not f.fresh_falls
@@ -318,7 +324,8 @@ def _careful(e: Evidence, f: _Figures, against: list[Reason]) -> list[Reason]:
 def _remaining(e: Evidence, f: _Figures, against: list[Reason]) -> list[Reason]:
     """What is left to improve where unseen rows prove the gain."""
     fewer = Reason.of(Why.FEW_NUMBERS, **_size(e), parameters=e.parameters)
-    first = _applicable((f.few and not against, fewer), (f.accidents, _of_many(e, f)))
+    few = f.few or f.handful
+    first = _applicable((few and not against, fewer), (f.accidents, _of_many(e, f)))
     return first + [doubt for doubt in e.doubts if _remains(doubt, f)]
 
 

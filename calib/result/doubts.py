@@ -126,10 +126,15 @@ def _given(result: Calibration, fitted: Fitted) -> Iterator[Reason]:
 
 def _still(robot: Robot, rows: Rows) -> Iterator[Reason]:
     """Name joints that hardly moved."""
-    least = np.array([_STILL_M if j.type == "prismatic" else _STILL_RAD for j in robot.inputs])
-    still = np.flatnonzero(np.ptp(rows.joints, axis=0) < least)
+    still = np.flatnonzero(_hardly_moved(robot, rows))
     if len(still):
         yield Reason.of(Why.JOINTS_STILL, joints=", ".join(robot.joint_names[j] for j in still))
+
+
+def _hardly_moved(robot: Robot, rows: Rows) -> Mask:
+    """Find the joints that hardly moved over the rows, shape (m,)."""
+    least = np.array([_STILL_M if j.type == "prismatic" else _STILL_RAD for j in robot.inputs])
+    return np.asarray(np.ptp(rows.joints, axis=0) < least)
 
 
 def _sole_postures(result: Calibration, rows: Rows) -> Iterator[Reason]:
@@ -240,15 +245,20 @@ def noise_doubts(
 
 
 def _corner(fitted: Fitted) -> Iterator[Reason]:
-    """Say if the poses cover only part of the joints' ranges, or a corner of the workspace, and which."""
+    """Say if the poses cover only part of the joints' ranges, or a corner of the workspace, and which.
+
+    Joints that hardly moved are named by themselves.
+    """
     robot, rows = fitted.task.robot, fitted.estimate.problem.rows
     q = rows.joints[fitted.estimate.weights > 0.0]
     spread = spread_of(*(robot.poses(one)[:, :3, 3] for one in (q, spread_poses(robot))))
     shares = shares_of_ranges(q, column_ranges(robot), [j.type for j in robot.inputs])
-    narrow = np.flatnonzero(shares < _NARROW).tolist()
-    if spread >= _CORNER and not narrow:
+    moved = ~_hardly_moved(robot, rows)
+    narrow = np.flatnonzero((shares < _NARROW) & moved).tolist()
+    if not np.any(moved) or (spread >= _CORNER and not narrow):
         return
-    narrow = sorted(narrow or [int(np.argmin(shares))], key=lambda j: shares[j])
+    least = int(np.argmin(np.where(moved, shares, np.inf)))
+    narrow = sorted(narrow or [least], key=lambda j: shares[j])
     yield Reason.of(
         Why.CORNER,
         spread=spread,

@@ -112,7 +112,10 @@ def facts(c: Calibration) -> dict[str, str]:
     result[EXPECTED] = (
         f"{mm(here)} mm rms near the measured poses, {mm(everywhere)} mm over the joint limits."
     )
-    if c.cross_validation is None and c.freedom < _TELLING:
+    if c.cross_validation is None and c.verdict is not None:
+        # Another set-up explains the rows: this fit is of something that is not there.
+        result[EXPECTED] = "not known: see the verdict."
+    elif c.cross_validation is None and c.freedom < _TELLING:
         # Sizes of errors that are found from nothing shrink to nothing, and what is expected with them.
         result[EXPECTED] = "not known: too few rows tell it."
     if c.sizes:
@@ -368,10 +371,11 @@ def _ladder(c: Calibration) -> str:
     """The models that were tried, and which of them were chosen."""
     if not c.candidates:
         return ""
-    row = "{:<36}{:>10}{:>10}{:>16}  {}"
+    width = max(36, *(len(one.name) + 3 for one in c.candidates))
+    row = f"{{:<{width}}}{{:>10}}{{:>10}}{{:>16}}  {{}}"
     lines = [row.format("Models tried", "parameters", "evidence", "left-out rms", "chosen for")]
     best = max(one.evidence for one in c.candidates)
-    uses = {"geometry": "the URDF", "larger": "result file, predict()"}
+    uses = {"geometry": "the URDF", "larger": "predict()"}
     for one in c.candidates:
         gain, chosen = f"{one.evidence - best:.1f}", uses.get(one.chosen, "")
         e = one.cross_validation.errors_without_outliers

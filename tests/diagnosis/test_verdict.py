@@ -54,6 +54,9 @@ FAR = Reason.of(Why.TARGET_FAR, target="", far_m=0.282)
 HINT = Reason.of(Why.OTHER_BASE, given_m=0.5, error_m=2e-3, link="base")
 
 
+SEVEN = np.repeat(np.arange(ROWS)[:, None] >= ROWS - 7, 3, axis=1)
+
+
 def drifting(falls: float) -> Reason:
     """A drift that explains so much of held-out blocks."""
     return Reason.of(Why.DRIFT, share=0.3, chance=0.05, p=1e-4, falls=falls)
@@ -100,6 +103,9 @@ def test_a_good_calibration_is_to_be_used_and_says_by_how_much():
         ),
         ({"nominal": validated(0.26)}, "use with care", Why.FAR_OFF_BEFORE),
         ({"parameters": 60, "expected": 3e-3}, "use with care", Why.FEW_NUMBERS),
+        # Of seven poses even a proven gain may be chance.
+        ({"used": SEVEN, "parameters": 5}, "use with care", Why.FEW_NUMBERS),
+        ({"used": SEVEN, "parameters": 5, "changes": False}, "do not use", Why.TOO_FEW),
         # A proven gain is one, though much remains where each fold lacks a row of few.
         (
             {"parameters": 60, "calibrated": validated(1.5e-3, 1)},

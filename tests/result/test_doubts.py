@@ -64,6 +64,18 @@ def test_a_corner_of_the_workspace(make_scene):
     assert reasons(result)[Why.CORNER]["spread"] < 1 / 3
 
 
+def test_a_joint_that_stood_still_is_no_corner_of_the_others(make_scene):
+    """It is named once; all others moved all over their ranges."""
+    scene = arm(make_scene, 62)
+    q = random_joint_values(scene.robot, 60, 3)
+    q[:, 3] = 0.3
+    found = reasons(
+        calibrate(scene.robot, table_of(scene, q, np.random.default_rng(2)), model="dh")
+    )
+    assert found[Why.JOINTS_STILL]["joints"] == scene.robot.joint_names[3]
+    assert Why.CORNER not in found
+
+
 def test_sockets_without_a_known_distance_tell_no_length(calibrated):
     scene, good = calibrated("sockets")
     assert Why.NO_LENGTH not in reasons(good)

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -153,5 +154,10 @@ def test_what_too_few_rows_do_not_tell_is_not_expected(ur3, table):
     """Rows of one pose: the sizes of the errors are found from nothing."""
     one = calibrate(ur3, table.select(np.arange(35) < 1), model="zeros", validate=False)
     assert facts(one)[EXPECTED].startswith("not known")
+    # Nor by a fit whose joint values mean something else.
+    q = table.joints + np.radians(90.0) * (np.arange(6) == 2)
+    turned = calibrate(ur3, replace(table, joints=q), cell=Cell())
+    assert turned.verdict.reasons[0].code == "joint_zero"
+    assert facts(turned)[EXPECTED].startswith("not known")
     some = calibrate(ur3, table.select(np.arange(35) < 20), model="zeros", validate=False)
     assert " mm over the joint limits" in facts(some)[EXPECTED]
