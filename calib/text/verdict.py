@@ -259,7 +259,7 @@ def refusal(name: str, verdict: str) -> str:
     """The message of a `calib.errors.VerdictError`.
 
     Args:
-        name: The file that the verdict is on.
+        name: What the verdict is on: a file in quotes, or "this calibration".
         verdict: What speaks against it, as `against` has it.
 
     Returns:

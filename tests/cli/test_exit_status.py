@@ -163,7 +163,7 @@ def test_an_earlier_urdf_is_left_and_said_to_be_one(call, folder):
     (folder / "c.urdf").write_text("an earlier one")
     done = call(folder, *FIT, "-o", "c.urdf", "--force")
     assert done.code == ExitStatus.NOT_ACCEPTED
-    assert done.err.endswith("The file of that name is an earlier one.\n")
+    assert done.err.endswith("is an earlier one.\n")
     assert (folder / "c.urdf").read_text() == "an earlier one"
 
 

@@ -96,6 +96,6 @@ def calibrate(
     if outputs.output is None or not stated:
         return
     if not outputs.accept:
-        earlier = " The file of that name is an earlier one." * outputs.output.exists()
-        raise VerdictError(refusal(f"'{outputs.output}'", stated) + earlier)
+        earlier = f" '{outputs.output}' is an earlier one." * outputs.output.exists()
+        raise VerdictError(refusal("this calibration", stated) + earlier)
     say_accepted(f"'{outputs.output}'", stated)
