@@ -69,7 +69,9 @@ def test_a_wrong_base_is_named_and_no_urdf_is_written(call, shop):
     assert "\nVerdict: do not use\n" in done.out
     assert "the points are in the frame of 'base': try --base base." in " ".join(done.out.split())
     assert not (shop / "c.urdf").exists()
-    assert done.err.startswith("calib: the verdict on this calibration is: do not use (other_base): ")
+    assert done.err.startswith(
+        "calib: the verdict on this calibration is: do not use (other_base): "
+    )
     assert done.err.count("\n") == 1
 
 
