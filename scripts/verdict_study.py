@@ -40,9 +40,9 @@ TYPICAL = {
 }
 FRESH, LIKE_THOSE = 1000, 400
 
-#: Nothing is wrong with a table of so many points or more, of no more noise [m], without accidents; and a verdict `use`
-#: asks that less than this share of the error remains.
-ENOUGH, QUIET, REMAINS = 10, 0.5e-3, 0.4
+#: Nothing is wrong with a table of so many points or more, of no more noise [m], over so much of the joints' ranges or
+#: more, without accidents; and a verdict `use` asks that less than this share of the error remains.
+ENOUGH, QUIET, WIDE, REMAINS = 10, 0.5e-3, 0.5, 0.4
 
 #: Shares of a range of joint values, and of accidents: all over it, and none, are drawn more often.
 CORNERS, ACCIDENTS = (1.0, 1.0, 1.0, 0.5, 0.2, 0.1), (0.0, 0.0, 0.0, 0.05, 0.1, 0.25)
@@ -55,6 +55,7 @@ class Found:
     result: Calibration
     accidents: float  # Share of rows
     sigma: float  # Noise of a coordinate [m]
+    corner: float  # Which part of each joint's range was used
     nominal: float  # Error of the nominal URDF at the fresh poses [m]
     corrected: float  # Of the corrected one [m]
     expected: dict[
@@ -72,8 +73,8 @@ class Found:
     def sound(self) -> bool:
         """Whether nothing is wrong with the table, and little of the error remains."""
         rows = len(self.result.rows.numbers)
-        good = rows >= ENOUGH and self.sigma <= QUIET and not self.accidents
-        return good and self.corrected < REMAINS * self.nominal
+        good = rows >= ENOUGH and self.sigma <= QUIET and self.corner >= WIDE
+        return good and not self.accidents and self.corrected < REMAINS * self.nominal
 
     @property
     def verdict(self) -> Verdict:
@@ -125,7 +126,7 @@ def calibration(seed: int) -> Found:
     }
     if result.larger is not None:
         expected["larger"] = result.larger.new_point[0] / rms(result.predict(like_those) - seen)
-    return Found(result, share, sigma, errors[0], errors[1], expected)
+    return Found(result, share, sigma, corner, errors[0], errors[1], expected)
 
 
 def _log(rng: np.random.Generator, low: float, high: float) -> float:

@@ -159,7 +159,6 @@ _NOT_NOISE = (Why.MODEL_LACKS, Why.NOISE_LARGE, Why.NOISE_ABOVE_SIGMA, Why.JOINT
 
 #: What can be improved where the gain is proven, and is then no reason for care.
 _REMAINING = (
-    Why.JOINTS_STILL,
     Why.MODEL_LACKS,
     Why.CORNER,
     Why.JOINT_PATTERN,

@@ -103,6 +103,8 @@ def test_a_good_calibration_is_to_be_used_and_says_by_how_much():
         ),
         ({"nominal": validated(0.26)}, "use with care", Why.FAR_OFF_BEFORE),
         ({"parameters": 60, "expected": 3e-3}, "use with care", Why.FEW_NUMBERS),
+        # A joint that stood still was not calibrated, whatever held-out rows say.
+        ({"doubts": (STILL,)}, "use with care", Why.JOINTS_STILL),
         # Of seven poses even a proven gain may be chance.
         ({"used": SEVEN, "parameters": 5}, "use with care", Why.FEW_NUMBERS),
         ({"used": SEVEN, "parameters": 5, "changes": False}, "do not use", Why.TOO_FEW),
