@@ -21,13 +21,13 @@ import numpy as np
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.estimate.fitting import Fitted, fit
-from calib.estimate.selection import judged_by
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Samples
 from calib.result.calibrate import fit_table
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import Payload, Robot, gravity_loads
 from calib.robot.urdf import Urdf
+from calib.selection.selection import judged_by
 from calib.simulation.truth import Truth, draw_truth
 from calib.units import Array
 

@@ -24,6 +24,7 @@ ORDER = (
     "model",
     "data",
     "estimate",
+    "selection",
     "diagnosis",
     "result",
     "design",

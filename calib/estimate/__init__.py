@@ -1,1 +1,1 @@
-"""The fit: residuals, registration, the solver, variance components, cross-validation. Imports data and below."""
+"""The fit: residuals, registration, the solver, variance components. Imports data and below."""

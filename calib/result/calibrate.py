@@ -20,20 +20,10 @@ from calib.diagnosis.coverage import outside
 from calib.diagnosis.reasons import NO, Reason, Verdict
 from calib.diagnosis.usual_mistakes import better_setup, check_positions
 from calib.diagnosis.verdict import verdict
-from calib.estimate.cross_validation import cross_validation, nominal_cross_validation
 from calib.estimate.extrapolation import extrapolation
 from calib.estimate.fitting import Fitted, Task, fit
 from calib.estimate.registration import nominal_setup, register_unseen
 from calib.estimate.rows import Rows
-from calib.estimate.selection import (
-    Candidate,
-    alternatives,
-    check_names,
-    judged_by,
-    marked,
-    select,
-    widest,
-)
 from calib.estimate.setup import Setup, joint_loads, known_distances, rows_of
 from calib.estimate.solvers import Solver
 from calib.estimate.statistics import CrossValidation, Limits, Repeats, repeats, rms
@@ -56,6 +46,16 @@ from calib.result.robustness import compare_weights
 from calib.robot.kernel import one_blas_thread
 from calib.robot.readback import spread_poses
 from calib.robot.robot import Robot, gravity_loads, read_only
+from calib.selection.cross_validation import cross_validation, nominal_cross_validation
+from calib.selection.selection import (
+    Candidate,
+    alternatives,
+    check_names,
+    judged_by,
+    marked,
+    select,
+    widest,
+)
 from calib.units import Array, Mask
 
 __all__ = ["Calibration", "calibrate"]

@@ -19,7 +19,6 @@ from calib.diagnosis.coverage import OutsideRow, outside
 from calib.diagnosis.reasons import Verdict
 from calib.errors import ModelError, choices
 from calib.estimate.fitting import Fitted
-from calib.estimate.selection import Candidate
 from calib.estimate.setup import Setup
 from calib.estimate.solvers import Solution
 from calib.estimate.statistics import CrossValidation, Errors, Repeats
@@ -28,6 +27,7 @@ from calib.model.observability import Observability
 from calib.result.prediction import Larger, Outlier, ParameterEstimate, Solved, tells_place
 from calib.result.robustness import Robustness
 from calib.robot.robot import Payload, Robot, rigid_inverse
+from calib.selection.selection import Candidate
 from calib.units import Array, Mask
 
 #: Values that stand for all those between the ends of a measured range.

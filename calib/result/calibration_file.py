@@ -19,7 +19,6 @@ import pinocchio as pin
 from calib.diagnosis.coverage import OutsideRow
 from calib.diagnosis.reasons import Reason
 from calib.errors import CalibError, FileError
-from calib.estimate.selection import Candidate
 from calib.estimate.statistics import CrossValidation, Errors, Repeats
 from calib.files import (
     Json,
@@ -39,6 +38,7 @@ from calib.result.prediction import Larger, Outlier, Solved
 from calib.result.robustness import Robustness
 from calib.robot.robot import Payload, Robot, read_only
 from calib.robot.urdf import Urdf
+from calib.selection.selection import Candidate
 from calib.units import Array
 from calib.version import __version__
 

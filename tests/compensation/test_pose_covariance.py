@@ -17,13 +17,13 @@ from calib.compensation.pose_covariance import (
 )
 from calib.data.cell import Cell, Priors
 from calib.data.measurements import Measurements
-from calib.estimate.selection import Candidate
 from calib.model.error_model import DIRECTIONS
 from calib.model.families import FAMILIES
 from calib.model.kinematics import FRAME, Samples
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
 from calib.robot.readback import random_joint_values
+from calib.selection.selection import Candidate
 from tests.hard_cases import made, ur3
 
 KNOWN_BASE = np.zeros((6, 6))

@@ -10,11 +10,11 @@ import pytest
 from calib.calibration import calibrate
 from calib.data.cell import Cell, Priors
 from calib.data.measurements import Measurements
-from calib.estimate.cross_validation import cross_validation
 from calib.estimate.fitting import Fitted, Task, fit
 from calib.estimate.setup import rows_of
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import Robot
+from calib.selection.cross_validation import cross_validation
 from calib.simulation.truth import Truth, draw_truth
 
 ROWS, ROW, WRIST, NOISE = 36, 20, 4, 5e-5

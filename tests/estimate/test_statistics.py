@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.estimate.cross_validation import Folds
 from calib.estimate.rows import same_poses
 from calib.estimate.statistics import Errors, interval_factor, repeats
+from calib.selection.cross_validation import Folds
 
 # The paper's Table 4: errors of rows 31 to 35 before and after calibration [mm].
 BEFORE = np.array(

@@ -14,7 +14,6 @@ from calib.data.cell import Cell
 from calib.diagnosis.reasons import Why
 from calib.diagnosis.residual_patterns import Order, residual_patterns
 from calib.estimate import problem as problem_module, stop_errors
-from calib.estimate.cross_validation import fold_means
 from calib.estimate.fitting import Task, fit
 from calib.estimate.problem import Priors, Problem
 from calib.estimate.setup import rows_of
@@ -23,6 +22,7 @@ from calib.model.kinematics import Kinematics
 from calib.result.prediction import parameter_estimates
 from calib.result.uncertainty import _fit_sample
 from calib.robot.readback import random_joint_values
+from calib.selection.cross_validation import fold_means
 from tests.fits import joined, place
 
 sys.path.append(str(Path(__file__).parents[2] / "scripts"))

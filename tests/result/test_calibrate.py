@@ -15,7 +15,6 @@ from calib.data.cell import Cell, GroupDistance, Priors
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Why
 from calib.errors import ModelError, UrdfError
-from calib.estimate.selection import marked
 from calib.estimate.statistics import Errors
 from calib.example import PAPER_TARGET_AS_PRINTED
 from calib.model.kinematics import Samples
@@ -25,6 +24,7 @@ from calib.result.evaluation import evaluate
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import Payload, Robot, gravity_loads, read_only, rigid_inverse
 from calib.robot.urdf import Urdf
+from calib.selection.selection import marked
 from tests.fits import FREE, SOCKETS, TARGETS, TRACKERS, gaps, in_each, two_targets
 
 # The paper's Table 3: nominal positions of rows 31 to 35 before calibration [mm].

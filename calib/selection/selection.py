@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from calib.errors import MeasurementError, ModelError, choices
-from calib.estimate.cross_validation import chance_of_fall, linear_cross_validation, pose_errors
 from calib.estimate.fitting import Fitted, Task, fit, model_of
 from calib.estimate.rows import Rows
 from calib.estimate.statistics import CrossValidation
@@ -21,6 +20,7 @@ from calib.model.error_model import joint_parameters
 from calib.model.families import family_of, joint_families
 from calib.model.kinematics import joint_displacements
 from calib.robot.robot import read_only
+from calib.selection.cross_validation import chance_of_fall, linear_cross_validation, pose_errors
 from calib.units import Array
 
 #: The geometries, from the smallest to the largest.

@@ -13,7 +13,10 @@ import pytest
 from calib.data.cell import Cell, Priors
 from calib.errors import ModelError
 from calib.estimate.fitting import Fitted, Task, fit
-from calib.estimate.selection import (
+from calib.estimate.setup import rows_of
+from calib.estimate.statistics import CrossValidation, Errors
+from calib.model.families import FAMILIES, joint_families
+from calib.selection.selection import (
     LADDER,
     Candidate,
     Selection,
@@ -24,9 +27,6 @@ from calib.estimate.selection import (
     preferred,
     select,
 )
-from calib.estimate.setup import rows_of
-from calib.estimate.statistics import CrossValidation, Errors
-from calib.model.families import FAMILIES, joint_families
 
 
 def scene_of(make_scene: Callable[..., Any], seed: int, model: str, **given: Any) -> Any:

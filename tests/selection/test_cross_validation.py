@@ -12,8 +12,12 @@ from scipy.stats import ttest_1samp
 
 from calib.data.cell import Cell, GroupDistance
 from calib.data.measurements import Measurements
-from calib.estimate import cross_validation as module
-from calib.estimate.cross_validation import (
+from calib.estimate.fitting import Fitted, Task, fit
+from calib.estimate.rows import Rows
+from calib.estimate.setup import known_distances, rows_of
+from calib.estimate.statistics import CrossValidation, Errors
+from calib.selection import cross_validation as module
+from calib.selection.cross_validation import (
     Folds,
     chance_of_fall,
     cross_validation,
@@ -22,10 +26,6 @@ from calib.estimate.cross_validation import (
     only_there,
     pose_errors,
 )
-from calib.estimate.fitting import Fitted, Task, fit
-from calib.estimate.rows import Rows
-from calib.estimate.setup import known_distances, rows_of
-from calib.estimate.statistics import CrossValidation, Errors
 
 #: Numbers of kinds in the registry.
 POSE = 1
