@@ -14,7 +14,7 @@ from calib.robot.robot import Robot
 
 
 def test_predictions_are_what_residuals_are_made_of(case):
-    """Of every kind that measures positions, by the row's own target and set-up, with and without the non-geometric model."""
+    """Of every kind that measures positions, by the target and station of the row, by either model."""
     _, c = case
     m = c.measurements
     seen = m.of_kind("point", "pose")
