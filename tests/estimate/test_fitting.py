@@ -12,9 +12,10 @@ from scipy.special import stdtrit
 from calib.calibration import calibrate
 from calib.data.cell import Cell, GroupDistance, Priors
 from calib.errors import MeasurementError, ModelError
-from calib.estimate.fitting import Task, fit
+from calib.estimate.fitting import Task, _pulled_inwards, fit
 from calib.estimate.setup import known_distances, rows_of
 from calib.estimate.solvers import SOLVERS, Solution
+from calib.estimate.stages import PriorTerms
 from calib.model.error_model import MODELS, error_model
 from calib.model.kinematics import Kinematics, Parameter
 from calib.robot.readback import random_joint_values
@@ -159,6 +160,33 @@ def test_a_target_with_a_prior_or_a_bound_stays_near_where_it_was_said_to_be(mak
         found, _ = fitted(scene, table, Cell(target=said, **options))
         assert abs(found.placed().T_tip_target[0, 0, 3] - said[0]) < 2e-6
         assert np.linalg.norm(found.setup.T_tip_target[0, :3, 3] - said) > 3e-3
+
+
+def test_a_parameter_at_a_bound_is_released_where_the_rows_pull_it_inside(make_scene):
+    """Held 1 mm to either side of the optimum, as at a lower and as at an upper bound."""
+    scene = make_scene(0, frames=[np.eye(4)], noise=1e-4)
+    given = Priors(sizes="given")
+    found, _ = fitted(scene, scene.points(25), Cell(priors=given), robust=False)
+    k = found.kinematics.model.index("d1")
+    best = float(found.estimate.x[k])
+
+    def released(value, low, high):
+        x = found.estimate.x.copy()
+        x[k] = value
+        model, cell, setup = found.kinematics.model, found.task.cell, found.task.setup
+        prior = PriorTerms.of(cell, model, setup, found.setup, lenient=False)
+        limits = prior.limits.copy()
+        limits[k] = low, high
+        moved, prior = replace(found.estimate, x=x), replace(prior, limits=limits)
+        return _pulled_inwards(moved, prior, {k: value})
+
+    below, above = best - 1e-3, best + 1e-3
+    assert released(below, below, best + 1.0) == {k}
+    assert released(above, best - 1.0, above) == {k}
+    assert released(above, above, best + 2.0) == set()
+    assert released(below, best - 2.0, below) == set()
+    # At the optimum it stays where it is.
+    assert released(best, best, best + 1.0) == set()
 
 
 @pytest.mark.slow

@@ -23,6 +23,7 @@ from calib.selection.selection import (
     _Search,
     alternatives,
     explains_more,
+    judged_by,
     marked,
     preferred,
     select,
@@ -183,6 +184,38 @@ def test_a_judge_that_explains_more_rows_keeps_its_weights(make_scene):
     assert not explains_more(with_outliers(large, 7), with_outliers(small, 3, 5))
     assert not explains_more(with_outliers(large, 3, 5), with_outliers(small, 3, 5))
     assert not explains_more(with_outliers(small), with_outliers(large, 3, 5))
+
+
+@pytest.fixture(scope="module")
+def robust_and_plain(make_scene):
+    """Fits to 30 points, two of them off by millimetres: with these set aside, and with all rows in full."""
+    scene = scene_of(make_scene, 91, "dh")
+    table = scene.points(30)
+    points = table.points.copy()
+    points[[4, 17]] += [[2e-3, 0.0, 1e-3], [0.0, -3e-3, 0.0]]
+    rows, setup = rows_of(scene.robot, replace(table, points=points), Cell())
+    task = Task(scene.robot, Cell(), setup, "dh")
+    robust, plain = fit(task, rows), fit(replace(task, robust=False), rows)
+    assert np.flatnonzero(robust.estimate.outliers).tolist() == [4, 17]
+    return rows, robust, with_outliers(plain, 4, 17)
+
+
+def test_weights_of_the_judge_are_taken_where_they_predict_better(robust_and_plain):
+    rows, robust, plain = robust_and_plain
+    found = judged_by(plain, rows, robust)
+    weights = found.estimate.problem.weights
+    np.testing.assert_array_equal(weights, robust.estimate.problem.weights)
+    assert weights[[4, 17]].tolist() == [0.0, 0.0]
+    # The judge's prediction is better, so rows are flagged only where it flags them too.
+    np.testing.assert_allclose(found.estimate.scores, robust.estimate.scores, rtol=1e-12)
+
+
+def test_weights_of_the_judge_are_not_taken_where_they_predict_worse(robust_and_plain):
+    rows, robust, plain = robust_and_plain
+    found = judged_by(robust, rows, plain)
+    np.testing.assert_array_equal(found.estimate.x, robust.estimate.x)
+    np.testing.assert_array_equal(found.estimate.problem.weights, robust.estimate.problem.weights)
+    np.testing.assert_array_equal(found.estimate.scores, robust.estimate.scores)
 
 
 def errors_of(mean: float, spread: float, count: int = 25) -> np.ndarray:
