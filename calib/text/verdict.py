@@ -97,8 +97,8 @@ SENTENCES = {
     "poses that move every joint.",
     Why.SOLE_POSTURE: "{sole}; no other row can check this, nor is it cross-validated. Measure {anew} again, and add "
     "poses with {those} at other values.",
-    Why.MODEL_LACKS: "The model '{model}' leaves residuals of {noise_m:mm.3f} mm per coordinate, '{non_geometric}' would "
-    "leave {less_m:mm.3f} mm: the robot has errors that this model lacks. Try --model auto.",
+    Why.MODEL_LACKS: "The model '{model}' leaves residuals of {noise_m:mm.3f} mm per coordinate, "
+    "'{non_geometric}' would leave {less_m:mm.3f} mm: the robot has errors that this model lacks. Try --model auto.",
     Why.CORNER: "Only part of the joints' ranges was measured: {ranges}. Beyond, the result is extrapolated. The "
     "measured tip positions spread {spread:%.0f} % as far as the joint limits allow.",
     Why.JOINT_PATTERN: _NOT_NOISE + "the {quantity} of '{joint}' " + _SHARE + ".",
