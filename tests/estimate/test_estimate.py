@@ -14,7 +14,7 @@ from calib.estimate.fitting import Fitted, Task, fit
 from calib.estimate.rows import Rows
 from calib.estimate.setup import rows_of
 
-OFF = Priors(prior_std="off")
+OFF = Priors(source="off")
 
 
 def fitted(virtual, cell: Cell, rows: Rows, **options) -> Fitted:
