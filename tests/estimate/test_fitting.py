@@ -198,9 +198,7 @@ def test_bounds_hold_and_let_go_of_what_they_no_longer_hold(make_scene):
         scene = make_scene(seed, frames=[np.eye(4)], noise=1e-4)
         names = scene.kinematics.model.names
         chosen = np.random.default_rng(seed).choice(len(names), 8, replace=False)
-        cell = Cell(
-            bounds={names[k]: (-1e-3, 1e-3) for k in chosen}, priors=Priors(source="given")
-        )
+        cell = Cell(bounds={names[k]: (-1e-3, 1e-3) for k in chosen}, priors=Priors(source="given"))
         found, _ = fitted(scene, scene.points(25), cell, robust=False)
         e, model = found.estimate, found.kinematics.model
         stopped += len(e.at_bound)
