@@ -165,12 +165,10 @@ def line(name: str, arm: str, result: Calibration) -> str:
     errors = " -> ".join(
         f"{1e3 * v.errors_without_outliers.rms:6.3f}" for v in values if v is not None
     )
-    larger = result.larger.name if result.larger else "-"
+    non_geometric = result.non_geometric.name if result.non_geometric else "-"
     right = verdict.reasons[0].code in EDGES[name].codes
     codes = ", ".join(reason.code for reason in verdict.reasons)
-    return (
-        f"{name:32} {arm:6} {errors:17} {larger:22} {'+' if right else '?'} {verdict.use}: {codes}"
-    )
+    return f"{name:32} {arm:6} {errors:17} {non_geometric:22} {'+' if right else '?'} {verdict.use}: {codes}"
 
 
 def lines(seeds: int, names: list[str]) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""Faults of a table that leave left-out errors small: what the verdict says, and how often of clean tables.
+"""Faults of a table that leave held-out errors small: what the verdict says, and how often of clean tables.
 
 ``faults`` makes each fault once for each arm and model; ``clean 200`` makes so many clean tables, and counts reasons.
 """

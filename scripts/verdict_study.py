@@ -122,10 +122,13 @@ def calibration(seed: int) -> Found:
     table = Measurements(robot.joint_names, fresh, truth.points(fresh))
     errors = [evaluate(one, table, told).errors["all"].rms for one in (known, result.robot)]
     expected = {
-        "geometry": result.new_point[0] / rms(result.predict(like_those, larger=False) - seen)
+        "geometry": result.new_point[0]
+        / rms(result.predict(like_those, non_geometric=False) - seen)
     }
-    if result.larger is not None:
-        expected["larger"] = result.larger.new_point[0] / rms(result.predict(like_those) - seen)
+    if result.non_geometric is not None:
+        expected["non_geometric"] = result.non_geometric.new_point[0] / rms(
+            result.predict(like_those) - seen
+        )
     return Found(result, share, sigma, corner, errors[0], errors[1], expected)
 
 

@@ -163,7 +163,7 @@ def hostile_names() -> Calibration:
     return calibrate(robot, found, cell=cell, validate=False)
 
 
-def larger() -> Calibration:
+def non_geometric() -> Calibration:
     """Joints that give way under a payload, which no URDF can say."""
     payload = Payload(3.0, (0.0, 0.0, 0.1))
     scenario = Scenario(ur3(), Cell(model="dh+compliance", payload=payload), model="dh+compliance")
@@ -213,7 +213,7 @@ CASES: dict[str, Callable[[], Calibration]] = {
     "three_rows": few_rows,
     "one_row": lambda: few_rows(1),
     "hostile_names": hostile_names,
-    "larger": larger,
+    "non_geometric": non_geometric,
     "distances": distances,
     "mixed": mixed,
     "many_rows": many_rows,

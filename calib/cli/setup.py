@@ -140,7 +140,7 @@ def read_cell(
         "payload": None if payload is None else parse_payload(payload, found.payload),
         "estimate_target": False if fix_target else None,
         "frozen": (*found.frozen, *(freeze or [])),
-        "priors": None if priors is None else found.priors.with_sizes(priors),
+        "priors": None if priors is None else found.priors.with_source(priors),
     }
     if frame is not None:
         said |= FRAME(frame, "--frame")
@@ -247,10 +247,10 @@ def say_ignored(measurements: Measurements, robot: Robot) -> None:
     """Name the rows and columns that were not used; a joint among these hints at a wrong base or tip."""
     from calib.units import split_header
 
-    if left_out := measurements.unmeasured:
-        total = len(measurements) + len(left_out)
+    if held_out := measurements.unmeasured:
+        total = len(measurements) + len(held_out)
         text = (
-            f"{len(left_out)} of {total} rows not measured, and left out: {row_ranges(left_out)}."
+            f"{len(held_out)} of {total} rows not measured, and left out: {row_ranges(held_out)}."
         )
         typer.echo(fill(text) + "\n")
     if not measurements.ignored:

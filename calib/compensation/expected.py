@@ -120,7 +120,7 @@ def expected_errors(pair: Pair, q: Array) -> ExpectedErrors:
     result = pair.result
     if result is None:
         raise ValueError("the errors of a robot without a result are not known")
-    part = result.part(larger=pair.larger)
+    part = result.part(non_geometric=pair.non_geometric)
     views = _views(pair, result, part, q)
     target, tool, arrived = (pose_covariance(part, view) for view in views)
     lacking = _lacking(result, part, float(target.mean_square[1]))
@@ -204,7 +204,7 @@ def _freedom(
     by_priors = min(arrived.by_priors, shared)
     spread = lacking**2 / rows + float(np.sum(arrived.shared**2))
     spread += (shared - by_priors) ** 2 / max(result.freedom, 1.0)
-    if result.sizes_from == "data":
+    if result.prior_std_from == "data":
         spread += by_priors**2 / len(result.nominal.inputs)
     return (lacking + shared) ** 2 / spread if spread > 0.0 else np.inf
 

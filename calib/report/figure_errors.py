@@ -64,11 +64,11 @@ def curve_rows(c: Calibration) -> tuple[str, Mask, Array, Array]:
         return "validation", m.validation & measured, c.residual_nominal, c.residual_calibrated
     before, after = c.nominal_cross_validation, c.cross_validation
     if before is not None and after is not None:
-        return "left-out", m.estimation & measured, _left_out(c, before), _left_out(c, after)
+        return "held-out", m.estimation & measured, _held_out(c, before), _held_out(c, after)
     return "estimation", m.estimation & measured, c.residual_nominal, c.residual_calibrated
 
 
-def _left_out(c: Calibration, found: CrossValidation) -> Array:
+def _held_out(c: Calibration, found: CrossValidation) -> Array:
     """Measured minus predicted by fits that had not seen the row, shape (N, D), NaN for validation rows."""
     residual = np.full(c.residual_calibrated.shape, np.nan)
     residual[c.measurements.estimation] = found.residual
@@ -118,7 +118,7 @@ def by_row(c: Calibration, what: What = LENGTH) -> Figure:
         _curve(below, rows, np.where(others, after, np.nan), base.AFTER)
         kinds = [kind for kind in kinds if kind.word == "outlier"]
     elif c.cross_validation is not None:
-        unseen = what.size(_left_out(c, c.cross_validation), c.used)
+        unseen = what.size(_held_out(c, c.cross_validation), c.used)
         dashes = np.where(others, what.scale * unseen, np.nan)
         reach = float(np.nanmax(dashes, initial=reach))
         look = {"ls": "none", "marker": "_", "ms": 7, "mew": 1.1, "color": base.SOFT}
@@ -174,7 +174,7 @@ def histograms(c: Calibration) -> Figure:
     figure = base.new_figure(2.9)
     left, right = figure.subplots(1, 2)
     what = LENGTH if np.any(c.used[:, :3]) else ANGLE
-    before, after = (sizes[np.isfinite(sizes)] for sizes in what.both(c))
+    before, after = (prior_std[np.isfinite(prior_std)] for prior_std in what.both(c))
     # Even in the logarithm; what is far below the median is put into the first bin.
     top = max(float(np.max([before, after])), 1e-6)
     low = min(max(0.05 * float(np.median(after)), 1e-6 * top), 0.5 * top)

@@ -27,7 +27,7 @@ _BOUND: dict[str, Any] = {"marker": "s", "color": INK, "label": "stopped by a bo
 #: What models that were tried were chosen for, and how they are drawn.
 _CHOSEN = {
     "geometry": (CALIBRATED, "", "chosen for the URDF"),
-    "larger": (CALIBRATED, "////", "chosen for the result file"),
+    "non_geometric": (CALIBRATED, "////", "chosen for the result file"),
     "": ("#c9d2db", "", "not chosen"),
 }
 
@@ -62,14 +62,14 @@ def convergence(c: Calibration) -> Figure:
 
 
 def shown_parameters(c: Calibration) -> list[ParameterEstimate]:
-    """The robot's parameters and targets that were given, the larger model's own behind them.
+    """The robot's parameters and targets that were given, the non-geometric model's own behind them.
 
     What was not given counts from where registration put it, which says nothing of the robot. Parameters of a kind of
     which no errors were found have no interval; see `calib.text.summary.errorless`.
     """
     none = texts.errorless(c)
     own = [p for p in texts.shown_parameters(c) if p.nominal is not None and p.name not in none]
-    more = () if c.larger is None else c.larger.parameters
+    more = () if c.non_geometric is None else c.non_geometric.parameters
     return [*own, *(p for p in more if p.name not in c.model.names)]
 
 
@@ -157,7 +157,7 @@ def singular_values(c: Calibration) -> Figure:
 
 
 def candidates(c: Calibration) -> Figure:
-    """The models that were tried: errors on left-out rows, and what the likelihood gains."""
+    """The models that were tried: errors on held-out rows, and what the likelihood gains."""
     errors = [one.cross_validation.errors_without_outliers for one in c.candidates]
     rms, unit = 1e3 * np.array([one.rms for one in errors]), "mm"
     if not all(one.n for one in errors):  # where no length was measured
@@ -177,7 +177,7 @@ def candidates(c: Calibration) -> Figure:
                 ax.bar_label(bars, [form.format(v) for v in values[at]], padding=2, size=7.5)
         ax.margins(x=0.2)
         ax.grid(visible=False, axis="y")
-    left.set(title="Error on left-out rows", xlabel=f"rms [{unit}]")
+    left.set(title="Error on held-out rows", xlabel=f"rms [{unit}]")
     right.set(title="Evidence", xlabel="log likelihood, less that of the best")
     base.legend_above(figure)
     return figure

@@ -78,7 +78,7 @@ def uncertainty(c: Calibration) -> Figure:
     T = c.robot.poses(q)
     places, std = (
         1e3 * (T[:, :3, :3] @ c.target + T[:, :3, 3]),
-        1e3 * c.position_std(q, larger=False),
+        1e3 * c.position_std(q, non_geometric=False),
     )
     limits = limits_of(places)
     measured = 1e3 * measured_places(c)

@@ -128,7 +128,7 @@ def _words(c: Calibration) -> dict[str, str]:
     word, mask, _, _ = errors.curve_rows(c)
     kind, seen = {
         "validation": ("validation", "which the fit has not seen"),
-        "left-out": ("estimation", "each predicted by fits that have not seen it"),
+        "held-out": ("estimation", "each predicted by fits that have not seen it"),
         "estimation": ("estimation", "which the fit has seen"),
     }[word]
     words = {
@@ -139,6 +139,6 @@ def _words(c: Calibration) -> dict[str, str]:
         "curve_rows": f"the {rows_text(mask, kind)}, {seen}",
     }
     if c.candidates:
-        left_out = c.candidates[0].cross_validation.errors_without_outliers
-        words["compared"] = f"{left_out.n or left_out.n_angle:,}"
+        held_out = c.candidates[0].cross_validation.errors_without_outliers
+        words["compared"] = f"{held_out.n or held_out.n_angle:,}"
     return words

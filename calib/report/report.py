@@ -115,7 +115,7 @@ def _content(c: Calibration, command: str, date: str) -> dict[str, Any]:
     # Validation rows beyond the joint values that were fitted, where the verdict does not name them.
     named = any(reason.why == Why.OUTSIDE for reason in reasons)
     every = [texts.combination_text(one) for one in c.observability.unidentifiable]
-    tables = errors, validation_rows, parameters, larger, dh, origins, flagged, ranges
+    tables = errors, validation_rows, parameters, non_geometric, dh, origins, flagged, ranges
     return {
         "c": c,
         "texts": texts,
@@ -174,7 +174,7 @@ def errors(c: Calibration, *, turned: bool = False) -> Table:
         if count := e.n_angle if turned else e.n:
             strong += [len(cells)] * (", calibrated" in before)
             cells.append((before, f"{count:,}", *map(_deg if turned else mm, (*values, *spans))))
-    notes = [f"{texts.left_out_text(c)}."] * (c.cross_validation is not None)
+    notes = [f"{texts.held_out_text(c)}."] * (c.cross_validation is not None)
     notes += ["Span: largest minus smallest signed error along an axis of the frame."] * along
     what = "Orientation error by set of rows [deg]"
     return Table(
@@ -224,9 +224,9 @@ def flagged(c: Calibration) -> Table:
     m, every = c.measurements, [*c.outliers, *c.suspects]
     indices = np.array([m.rows.index(one.row) for one in every[:_MOST]], dtype=np.int_)
     names, cells = _places(c, indices)
-    sizes = [lengths_of(r, c.used) for r in (c.residual_nominal, c.residual_calibrated)]
+    prior_std = [lengths_of(r, c.used) for r in (c.residual_nominal, c.residual_calibrated)]
     for one, i, row in zip(every, indices, cells, strict=False):
-        row += [m.sets[i], *(mm(size[i]) for size in sizes)]
+        row += [m.sets[i], *(mm(size[i]) for size in prior_std)]
         row += [number(one.score, 1), f"{c.weights[i]:.2f}"]
     rest = len(every) - len(cells)
     more = f" {rest} more are in the result file (--json)." if rest else ""
@@ -258,11 +258,11 @@ def parameters(c: Calibration, unit: str) -> Table:
     return Table(title, head, rows, "lrrrrl")
 
 
-def larger(c: Calibration) -> Table:
+def non_geometric(c: Calibration) -> Table:
     """The parameters that no URDF can hold."""
-    every = texts.larger_parameters(c)
+    every = texts.non_geometric_parameters(c)
     return Table(
-        f"Larger model '{c.larger.name if c.larger else ''}': in the result file, not in the URDF",
+        f"Non-geometric model '{c.non_geometric.name if c.non_geometric else ''}': in the result file, not in the URDF",
         ("parameter", "value", "95 % interval", "unit"),
         [(name, value, half.strip("()"), unit) for name, value, half, unit in every],
         "lrrl",

@@ -34,7 +34,7 @@ from calib.model.families import FAMILIES, Factor, factor_of
 from calib.model.kinematics import ErrorModel, Kinematics, Parameter
 from calib.model.observability import Observability
 from calib.result.calibration import Calibration, Source
-from calib.result.prediction import Larger, Outlier, Solved
+from calib.result.prediction import NonGeometric, Outlier, Solved
 from calib.result.robustness import Robustness
 from calib.robot.robot import Payload, Robot, read_only
 from calib.robot.urdf import Urdf
@@ -43,7 +43,7 @@ from calib.units import Array
 from calib.version import __version__
 
 #: The layout of a result.
-SCHEMA = 5
+SCHEMA = 6
 
 
 def _ranges(found: Any) -> Array:  # noqa: ANN401
@@ -64,8 +64,10 @@ def pose_table(T: Array, prefix: str = "") -> dict[str, Any]:
 
 #: The size of each family's errors, the unit in the key.
 _SIZES = Key(
-    "sizes",
-    lambda sizes: {f"{name}_{FAMILIES[name].unit.key}": size for name, size in sizes.items()},
+    "prior_std",
+    lambda prior_std: {
+        f"{name}_{FAMILIES[name].unit.key}": size for name, size in prior_std.items()
+    },
     lambda found: {
         name: float(found[key])
         for name, row in FAMILIES.items()
@@ -93,7 +95,7 @@ _LAYOUT: JsonLayout = JsonLayout(
         },
         Payload: {"mass": "mass_kg", "com": "com_m"},
         Repeats: {"within": "scatter", "freedoms": "freedom", "rho": "correlation"},
-        Candidate: {"name": "set", "sizes": _SIZES},
+        Candidate: {"name": "set", "prior_std": _SIZES},
         Robustness: {
             "lowered": "weights_lowered",
             "moved_rms": "moved_rms_m",
@@ -113,12 +115,12 @@ _LAYOUT: JsonLayout = JsonLayout(
                 lambda v: read_only(np.array(v, dtype=float).reshape(len(v), -1)),
             ),
             "base_motion": Key("base_motion", None, lambda v: v and np.reshape(v, (6, -1))),
-            "sizes": _SIZES,
+            "prior_std": _SIZES,
             "expected_measured": "expected.measured_rms_m",
             "expected_everywhere": "expected.everywhere_rms_m",
             "extrapolation": "expected.extrapolation",
         },
-        Larger: {"gravity": "gravity_m_s2"},
+        NonGeometric: {"gravity": "gravity_m_s2"},
         Calibration: {
             **dict.fromkeys(("nominal", "robot", "source", "fit")),
             "setup": "frames.",
@@ -131,9 +133,10 @@ _LAYOUT: JsonLayout = JsonLayout(
             },
             "ranges": Key("robot.ranges", None, _ranges),
             **{
-                name: f"noise.{name}" for name in ("freedom", "repeats", "sizes_from", "flag_limit")
+                name: f"noise.{name}"
+                for name in ("freedom", "repeats", "prior_std_from", "flag_limit")
             },
-            "sizes": replace(_SIZES, path="noise.sizes"),
+            "prior_std": replace(_SIZES, path="noise.prior_std"),
             "sigma": "noise.sigma_m",
             "sigma_angle": "noise.sigma_angle_rad",
             "sigma_given": "noise.sigma_given_m",
@@ -193,8 +196,11 @@ def result_table(c: Calibration) -> dict[str, Any]:
     for key, value in _LAYOUT.table(c).items():
         found[key] = found.get(key, {}) | value if isinstance(value, dict) else value
     found["solver"]["iterations"] = c.solution.iterations
-    if c.larger is not None:
-        found["larger"] |= {"errors": errors["larger"], "model": _model_table(c.larger.model)}
+    if c.non_geometric is not None:
+        found["non_geometric"] |= {
+            "errors": errors["non_geometric"],
+            "model": _model_table(c.non_geometric.model),
+        }
     return found
 
 
@@ -236,13 +242,13 @@ def _calibration(found: Json, folder: Path) -> Calibration:
     nominal = Robot.from_urdf(urdf, robot["base"], robot["tip"], held=held)
 
     def solved(kind: type[Solved], table: Json) -> dict[str, Any]:
-        """The attributes of the geometry, or of the larger model."""
-        own = _LAYOUT.values(kind, table, without=("larger",))
+        """The attributes of the geometry, or of the non-geometric model."""
+        own = _LAYOUT.values(kind, table, without=("non_geometric",))
         x, C, setup = own["x"], own["covariance"], own["setup"]
         model = _model_of(table["model"], [one.name for one in own["parameters"]])
         arrays = x, C, setup.T_frame_base, setup.T_tip_target
         numbers = [
-            *(one.push for one in own["parameters"]),
+            *(one.data_gradient for one in own["parameters"]),
             *np.concatenate([*map(np.ravel, arrays)]),
         ]
         if C.shape != x.shape * 2 or not np.isfinite(numbers).all():
@@ -256,7 +262,7 @@ def _calibration(found: Json, folder: Path) -> Calibration:
         )
         return own
 
-    own, larger = solved(Calibration, found), found["larger"]
+    own, non_geometric = solved(Calibration, found), found["non_geometric"]
     ends = len(own["ranges"]), len(own["rows"])
     if ends != (len(nominal.joint_names), inputs["measurements"]["rows"]):
         raise ValueError("'robot.ranges' or 'rows' are not those of the result")
@@ -265,7 +271,9 @@ def _calibration(found: Json, folder: Path) -> Calibration:
         nominal=nominal,
         robot=own["kinematics"].model.apply(nominal, own["x"]),
         source=Source(inputs["measurements"]["name"], inputs["measurements"]["sha256"]),
-        larger=None if larger is None else Larger(**solved(Larger, larger)),
+        non_geometric=None
+        if non_geometric is None
+        else NonGeometric(**solved(NonGeometric, non_geometric)),
     )
 
 

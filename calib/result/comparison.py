@@ -258,14 +258,14 @@ def _estimate(one: Calibration, other: Calibration) -> Estimate:
     C[block] = np.linalg.pinv(M * np.outer(size, size), rcond=1e-13, hermitian=True)
     C[block] *= np.outer(size * scale, size * scale)
     of_own = C[np.ix_(own, own)]
-    push = np.array([one.parameters[k].push for k in own])
+    data_gradient = np.array([one.parameters[k].data_gradient for k in own])
     return Estimate(
         covariance=of_own,
         noise=(C - (C * common) @ C)[np.ix_(own, own)],
         pull=of_own * common[own],
         prior=1.0 / shared,
         freedom=one.freedom,
-        shift=of_own @ (push - common[own] * one.x[own]),
+        shift=of_own @ (data_gradient - common[own] * one.x[own]),
     )
 
 

@@ -72,7 +72,7 @@ _NARROW = 1.0 / 3.0
 
 def doubts_of(result: Calibration, rows: Rows) -> tuple[Reason, ...]:
     """List what speaks against a result besides its errors: see the module."""
-    return tuple(_doubts(result, result.in_memory.larger or result.fitted, rows))
+    return tuple(_doubts(result, result.in_memory.non_geometric or result.fitted, rows))
 
 
 def _doubts(result: Calibration, fitted: Fitted, rows: Rows) -> Iterator[Reason]:
@@ -154,7 +154,7 @@ def _sole_postures(result: Calibration, rows: Rows) -> Iterator[Reason]:
 
 def _negative_compliances(result: Calibration) -> Iterator[Reason]:
     """Name joints that would move against their load."""
-    for one in result.larger.parameters if result.larger else ():
+    for one in result.non_geometric.parameters if result.non_geometric else ():
         # Twice as far as its interval reaches: there are as many chances as joints.
         if one.name.endswith(".compliance") and 2.0 * one.high < one.value:
             yield Reason.of(Why.COMPLIANCE_NEGATIVE, joint=one.name.removesuffix(".compliance"))
@@ -217,7 +217,7 @@ def _missing_model(fitted: Fitted) -> Iterator[Reason]:
     if lacking:
         unit = float(np.median(rows.sigma))
         noises = {"noise_m": unit * fitted.estimate.noise[0], "less_m": unit * least}
-        yield Reason.of(Why.MODEL_LACKS, model=name, larger=lacking, **noises)
+        yield Reason.of(Why.MODEL_LACKS, model=name, non_geometric=lacking, **noises)
 
 
 def noise_doubts(
@@ -227,8 +227,8 @@ def noise_doubts(
     codes = {doubt.why for doubt in doubts}
     if Why.MODEL_LACKS in codes:
         return
-    # Nor are residuals noise that follow a joint, where no larger model was tried.
-    if _named_model(result) and result.larger is None and Why.JOINT_PATTERN in codes:
+    # Nor are residuals noise that follow a joint, where no non-geometric model was tried.
+    if _named_model(result) and result.non_geometric is None and Why.JOINT_PATTERN in codes:
         return
     rows, m = fitted.estimate.problem.rows, result.measurements
     for c, ratio in enumerate(fitted.estimate.noise):

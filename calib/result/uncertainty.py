@@ -196,7 +196,8 @@ class Profile:
 def profile_interval(calibration: Calibration, name: str, level: float = 0.95) -> Profile:
     """The interval of one parameter, in its unit, from the profile of the cost; see the module's text.
 
-    An end is infinite where the measurements set no limit. A parameter that the geometry lacks is the larger model's.
+    An end is infinite where the measurements set no limit. A parameter that the geometry lacks is that of
+    the non-geometric model.
 
     Raises:
         ModelError: No such parameter, it stands at a bound, or the paper's solver made the calibration.
@@ -204,8 +205,8 @@ def profile_interval(calibration: Calibration, name: str, level: float = 0.95) -
     """
     found = calibration.parameter(name)
     fitted = calibration.fitted
-    if calibration.fit is not None and calibration.fit.larger is not None:
-        fitted = fitted if name in calibration.model.names else calibration.fit.larger
+    if calibration.fit is not None and calibration.fit.non_geometric is not None:
+        fitted = fitted if name in calibration.model.names else calibration.fit.non_geometric
     _check_solver(fitted)
     estimate = fitted.estimate
     k = fitted.kinematics.model.index(name)

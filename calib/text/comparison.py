@@ -110,7 +110,11 @@ def _answer(c: Comparison) -> str:
 
 def notes(c: Comparison) -> tuple[str, ...]:
     """What to mind, sentences."""
-    larger = [f"{n} ('{one.larger.name}')" for _, n, one in _both(c) if one.larger is not None]
+    non_geometric = [
+        f"{n} ('{one.non_geometric.name}')"
+        for _, n, one in _both(c)
+        if one.non_geometric is not None
+    ]
     bounded = {
         p.name
         for one in (c.a, c.b)
@@ -125,8 +129,8 @@ def notes(c: Comparison) -> tuple[str, ...]:
         "Both take the measurement frame as known: its error looks like a drift of the first joints.": (
             not unknown_frame(c.a) and not unknown_frame(c.b)
         ),
-        f"The non-geometric model of {' and of '.join(larger)} is not compared. Loads, speeds and poses should be "
-        "alike in both measurements.": larger,
+        f"The non-geometric model of {' and of '.join(non_geometric)} is not compared. Loads, speeds and poses should "
+        "be alike in both measurements.": non_geometric,
         f"At a bound, and taken as known there: {choices(sorted(bounded))}.": bounded,
         f"The verdict on {careful} is 'use with care'; see there.": careful,
     }

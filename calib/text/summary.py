@@ -68,11 +68,13 @@ def summary(c: Calibration) -> str:
             f"Verdict: {c.verdict.use}",
             *(wrap(reason_text(r), "  ") for r in c.verdict.reasons),
         ]
-    larger = (
-        [] if c.larger is None else [f"Non-geometric model '{c.larger.name}', not in the URDF:"]
+    non_geometric = (
+        []
+        if c.non_geometric is None
+        else [f"Non-geometric model '{c.non_geometric.name}', not in the URDF:"]
     )
-    for name, value, half, unit in larger_parameters(c):
-        larger.append(f"  {name:<{_LONGEST_NAME}}{value:>10} {half} {unit}")
+    for name, value, half, unit in non_geometric_parameters(c):
+        non_geometric.append(f"  {name:<{_LONGEST_NAME}}{value:>10} {half} {unit}")
     every = c.observability.unidentifiable
     unknown = [f"{unidentifiable_text(c)}:"] * bool(every)
     unknown += [wrap(combination_text(one), "  ") for one in every[:_MOST_ROWS]]
@@ -91,7 +93,7 @@ def summary(c: Calibration) -> str:
         _ladder(c),
         "\n".join([*(wrap(f"{label}: {text}") for label, text in known.items()), *unknown]),
         _parameters(c),
-        "\n".join(larger),
+        "\n".join(non_geometric),
         wrap(f"{solver_text(c)}{took}. {c.solution.message}"),
     )
     return "\n\n".join(part for part in parts if part)
@@ -118,14 +120,16 @@ def facts(c: Calibration) -> dict[str, str]:
     elif c.cross_validation is None and c.freedom < _TELLING:
         # Sizes of errors that are found from nothing shrink to nothing, and what is expected with them.
         result[EXPECTED] = "not known: too few rows tell it."
-    if c.sizes:
-        shown = [(family, size, *FAMILIES[family].unit.shown) for family, size in c.sizes.items()]
-        sizes = [
+    if c.prior_std:
+        shown = [
+            (family, size, *FAMILIES[family].unit.shown) for family, size in c.prior_std.items()
+        ]
+        prior_std = [
             f"{family} {factor * size:.3g} {unit}" if factor * size > _NOTHING else f"{family} none"
             for family, size, factor, unit in shown
         ]
-        how = "found from the data" if c.sizes_from == "data" else "as given"
-        result[SIZES] = f"{', '.join(sizes)} ({how})."
+        how = "found from the data" if c.prior_std_from == "data" else "as given"
+        result[SIZES] = f"{', '.join(prior_std)} ({how})."
     o = c.observability
     result["Rank"] = f"{o.rank} of {o.columns} parameters, condition number {o.condition:.0f}."
     return result
@@ -144,7 +148,7 @@ def error_title(*used: NDArray[np.bool_]) -> str:
 
 
 def error_rows(c: Calibration) -> list[tuple[str, Errors]]:
-    """Label and errors of each row of the error tables: before and after, by set, and on left-out rows."""
+    """Label and errors of each row of the error tables: before and after, by set, and on held-out rows."""
     rows = [
         (f"{name} rows, {who}", c.errors[who][name])
         for name in ("estimation", "validation")
@@ -153,17 +157,17 @@ def error_rows(c: Calibration) -> list[tuple[str, Errors]]:
     for who, v in (
         ("nominal", c.nominal_cross_validation),
         ("calibrated", c.cross_validation),
-        ("larger", None if c.larger is None else c.larger.cross_validation),
+        ("non_geometric", None if c.non_geometric is None else c.non_geometric.cross_validation),
     ):
         if v is not None:
-            rows.append((f"left-out rows*, {who}", v.errors))
+            rows.append((f"held-out rows*, {who}", v.errors))
             if c.outliers:
                 rows.append(("  the same without outliers", v.errors_without_outliers))
     return rows
 
 
-def left_out_text(c: Calibration) -> str:
-    """What ``left-out rows*`` are; empty without cross-validation."""
+def held_out_text(c: Calibration) -> str:
+    """What ``held-out rows*`` are; empty without cross-validation."""
     v = c.cross_validation
     return "" if v is None else f"* {v.method}: {_LEFT_OUT[v.method]}"
 
@@ -196,13 +200,13 @@ def errorless(c: Calibration) -> frozenset[str]:
 
     Their prior's standard deviation went to nothing, which is no knowledge of them.
     """
-    if c.sizes_from != "data":
+    if c.prior_std_from != "data":
         return frozenset()
-    nothing = {f: _NOTHING / FAMILIES[f].unit.shown[0] for f in c.sizes}
+    nothing = {f: _NOTHING / FAMILIES[f].unit.shown[0] for f in c.prior_std}
     return frozenset(
         p.name
         for p, found in zip(c.model.parameters, c.parameters, strict=True)
-        if c.sizes.get(p.family, np.inf) <= nothing.get(p.family, 0.0)
+        if c.prior_std.get(p.family, np.inf) <= nothing.get(p.family, 0.0)
         # One with a prior of its own does not share the family's.
         and found.prior_std <= nothing[p.family]
     )
@@ -212,7 +216,7 @@ def unidentifiable_text(c: Calibration) -> str:
     """What heads the combinations that nothing determines; empty if there are none."""
     if not c.observability.unidentifiable:
         return ""
-    held = " (resolved by the priors only)" if c.sizes else ""
+    held = " (resolved by the priors only)" if c.prior_std else ""
     return f"Unidentifiable combinations{held}"
 
 
@@ -237,10 +241,10 @@ def shown_parameters(c: Calibration) -> list[ParameterEstimate]:
     ]
 
 
-def larger_parameters(c: Calibration) -> Sequence[tuple[str, str, str, str]]:
-    """Name, value, half the 95 % interval and unit of the larger model's parameters that the geometry lacks."""
+def non_geometric_parameters(c: Calibration) -> Sequence[tuple[str, str, str, str]]:
+    """Name, value, half the 95 % interval and unit of the non-geometric model's parameters that the geometry lacks."""
     result = []
-    for p in () if c.larger is None else c.larger.parameters:
+    for p in () if c.non_geometric is None else c.non_geometric.parameters:
         if p.name not in c.model.names:
             factor, unit = unit_of(p.unit).shown
             half = "(at bound)" if p.at_bound else f"± {0.5 * factor * (p.high - p.low):.3f}"
@@ -338,12 +342,12 @@ def _half_widths(c: Calibration, what: str, directions: Iterable[str], name: str
 
 
 def _errors(c: Calibration) -> str:
-    """The error tables: before and after, by set, and on left-out rows; a second one for orientations."""
+    """The error tables: before and after, by set, and on held-out rows; a second one for orientations."""
     rows = error_rows(c)
     lines = [error_head(error_title(c.used)), *(error_row(label, e) for label, e in rows if e.n)]
     if any(e.n_angle for _, e in rows):
         lines += ["", ANGLE_HEAD, *(angle_row(label, e) for label, e in rows if e.n_angle)]
-    return "\n".join([*lines, *filter(None, [left_out_text(c)])])
+    return "\n".join([*lines, *filter(None, [held_out_text(c)])])
 
 
 def _flagged(c: Calibration) -> str:
@@ -373,9 +377,9 @@ def _ladder(c: Calibration) -> str:
         return ""
     width = max(36, *(len(one.name) + 3 for one in c.candidates))
     row = f"{{:<{width}}}{{:>10}}{{:>10}}{{:>16}}  {{}}"
-    lines = [row.format("Models tried", "parameters", "evidence", "left-out rms", "chosen for")]
+    lines = [row.format("Models tried", "parameters", "evidence", "held-out rms", "chosen for")]
     best = max(one.evidence for one in c.candidates)
-    uses = {"geometry": "the URDF", "larger": "predict()"}
+    uses = {"geometry": "the URDF", "non_geometric": "predict()"}
     for one in c.candidates:
         gain, chosen = f"{one.evidence - best:.1f}", uses.get(one.chosen, "")
         e = one.cross_validation.errors_without_outliers

@@ -139,5 +139,5 @@ def test_auto_chooses_as_if_gross_rows_were_not_there(ur3, seed: int, size: floa
     )
     assert [o.row for o in spoilt.outliers][:8] == list(range(1, 9))
     assert spoilt.model.name == clean.model.name == "dh"
-    assert spoilt.larger is None
+    assert spoilt.non_geometric is None
     assert np.abs(spoilt.predict(q) - clean.predict(q)).max() < 2e-5
