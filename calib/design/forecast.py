@@ -90,7 +90,7 @@ class Sensitivity:
             model.index(wanted)
         precision = np.zeros(len(model))
         for k, parameter in enumerate(model.parameters):
-            shared = cell.priors.sizes != "off" and parameter.family in FAMILIES
+            shared = cell.priors.source != "off" and parameter.family in FAMILIES
             size = cell.priors.of(parameter.family) if shared else None
             size = cell.parameter_priors.get(parameter.name, size)
             precision[k] = 1.0 / (LEASH if size is None else size) ** 2

@@ -39,7 +39,7 @@ class FurtherUnknowns:
     x: Array  #: shape (p,), the parameters of the fit, estimated together with ``b``
     #: shape (p,), to which share the measurements, and not the prior, determine each parameter, 0 to 1
     determined: Array
-    sizes: Mapping[str, float]  #: Prior standard deviation of each family, estimated anew
+    prior_std: Mapping[str, float]  #: Prior standard deviation of each family, estimated anew
 
     def p_value(self, freedom: float, directions: Array | None = None) -> float:
         """The p-value of b where its truth is zero: F(k, freedom) of b^T C^-1 b / k.
@@ -92,14 +92,14 @@ def estimate_beside(
         centre=np.pad(prior.centre, (0, count)),
     )
     weights, noise = problem.weights[None], np.array([estimate.noise])
-    sizes = np.array([[estimate.sizes.get(name, 1.0) for name in prior.names]])
+    prior_std = np.array([[estimate.prior_std.get(name, 1.0) for name in prior.names]])
     alone, rho = np.ones(weights.shape), problem.rho[None]
-    stage = Stage(prior, weights > 0.0, weights, alone, noise, sizes, rho)
+    stage = Stage(prior, weights > 0.0, weights, alone, noise, prior_std, rho)
     stage = stage.by_likelihood(wider, robust=False)
     values, covariance, _ = (of_all[0] for of_all in stage.fit(wider))
     p = len(x)
     determined = 1.0 - np.diag(covariance)[:p] * stage.priors.precision[0, :p]
-    found = dict(zip(prior.names, stage.sizes[0].tolist(), strict=True))
+    found = dict(zip(prior.names, stage.prior_std[0].tolist(), strict=True))
     return FurtherUnknowns(values[p:], covariance[p:, p:], values[:p], determined, found)
 
 
@@ -163,7 +163,7 @@ def _error_of_blocks(fitted: Fitted, linear: Linear, weights: Array) -> float:
 
 def has_priors(fitted: Fitted) -> bool:
     """Whether the sizes of the errors are found from the data, so that they can be found anew."""
-    return fitted.task.solver != PAPER and fitted.task.cell.priors.sizes == "data"
+    return fitted.task.solver != PAPER and fitted.task.cell.priors.source == "data"
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,7 +267,7 @@ def _chance_of_offset(
     offset: float, beside: FurtherUnknowns, family: Mask, names: tuple[str, ...]
 ) -> float:
     """The p-value of a joint's offset, given the standard deviation of the other joints': Student's t."""
-    size = next((beside.sizes[name] for name in names if name in beside.sizes), 0.0)
+    size = next((beside.prior_std[name] for name in names if name in beside.prior_std), 0.0)
     if not size:
         return 1.0
     freedom = max(float(np.sum(beside.determined[family])), 1.0)

@@ -97,7 +97,7 @@ class Evidence:
         return np.asarray(np.sum(np.where(self.used, v.residual / self.scales, 0.0) ** 2, axis=1))
 
     def gain(self, *, of_all: bool = False) -> tuple[float, float]:
-        """Mean fall of the squared error on left-out rows, outliers aside, in standard errors, and its p-value.
+        """Mean fall of the squared error on held-out rows, outliers aside, in standard errors, and its p-value.
 
         With ``of_all`` the rows include outliers, and the fall is that of the error, not its square: an accident then
         changes it by no more than the correction there. Errors are paired by poses, of which repeats are averaged; the
@@ -219,7 +219,7 @@ class _Figures:
             flagged=flagged,
             many=many,
             accidents=many and e.accidental,
-            # Residuals are noise only if a larger model does not leave far less.
+            # Residuals are noise only if a non-geometric model does not leave far less.
             plausible=not many and not any(doubt.why in _NOT_NOISE for doubt in e.doubts),
             lost=e.expected > _FAR_MORE * _typical(before),
             held_out=e.remains_held_out(),
@@ -330,7 +330,7 @@ def _remaining(e: Evidence, f: _Figures, against: list[Reason]) -> list[Reason]:
 
 def _remains(doubt: Reason, f: _Figures) -> bool:
     """Whether a doubt says what is left to improve, where the gain is proven."""
-    lacking = doubt.why == Why.MODEL_LACKS and "+" not in doubt.values["larger"]
+    lacking = doubt.why == Why.MODEL_LACKS and "+" not in doubt.values["non_geometric"]
     return doubt.why in _REMAINING and not (lacking and f.held_out > _LACKING)
 
 

@@ -221,11 +221,11 @@ class Linear:
         return result
 
 
-def sizes_by_reml(
+def prior_std_by_reml(
     data: Normal,
     families: Mask,
     noise: Array,
-    sizes: Array,
+    prior_std: Array,
     priors: Priors,
     *,
     smallest_noise: tuple[float, ...],
@@ -241,7 +241,7 @@ def sizes_by_reml(
     lowest = np.log(np.array([*smallest_noise, *(low for low, _ in bounds)]))
     highest = np.tile([high for _, high in bounds], (len(noise), 1))
     highest = np.log(np.hstack([1e6 * noise, highest]))
-    logs = np.clip(np.log(np.hstack([noise, sizes])), lowest, highest)
+    logs = np.clip(np.log(np.hstack([noise, prior_std])), lowest, highest)
     members = np.asarray(families, dtype=np.float64).reshape(-1, data.g.shape[2])
     spread = np.where(np.arange(logs.shape[1]) < C, 1.0 / noise_spread**2, 0.0)
     last, going = np.zeros_like(logs), np.arange(len(logs))
@@ -278,8 +278,8 @@ def _score(data: Normal, members: Array, priors: Priors, logs: Array) -> tuple[A
     """Gradient of the log likelihood in log sizes, and its expected information."""
     B, C, p = data.g.shape
     values = np.exp(logs)
-    noise, sizes = values[:, :C], values[:, C:]
-    own = (1.0 / sizes**2) @ members
+    noise, prior_std = values[:, :C], values[:, C:]
+    own = (1.0 / prior_std**2) @ members
     m, covariance = data.posterior(noise, Priors(priors.precision + own, priors.centre))
     HC = (data.H @ covariance[:, None]) / np.square(noise)[:, :, None, None]
     turned = HC.swapaxes(2, 3)
@@ -292,10 +292,10 @@ def _score(data: Normal, members: Array, priors: Priors, logs: Array) -> tuple[A
     if len(members):
         both = (covariance[:, None] * turned).sum(axis=3)
         square = (m**2 + diagonal(covariance)) @ members.T
-        score[:, C:] = square / sizes**2 - members.sum(axis=1)
+        score[:, C:] = square / prior_std**2 - members.sum(axis=1)
         of_held = data.held_variance(own)
         score[:, C:] += (of_held @ members.T) / (1.0 + of_held.sum(axis=1, keepdims=True))
-        information[:, :C, C:] = 2.0 * (both @ members.T) / sizes[:, None] ** 2
+        information[:, :C, C:] = 2.0 * (both @ members.T) / prior_std[:, None] ** 2
         information[:, C:, :C] = information[:, :C, C:].swapaxes(1, 2)
         root = np.sqrt(own)  # 1 / tau, 0 for those of no family
         block = covariance * (-root[:, :, None] * root[:, None])

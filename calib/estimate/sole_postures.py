@@ -121,7 +121,7 @@ def _seen_by_others(rows: Rows, block: Integers) -> Mask:
 def with_wide_priors(stage: Stage) -> Stage:
     """Widen the priors of a stage to `_WIDE` times those given, except where those found are wider still."""
     start = np.array(stage.prior.start, dtype=np.float64)
-    return replace(stage, sizes=np.maximum(stage.sizes, _WIDE * start))
+    return replace(stage, prior_std=np.maximum(stage.prior_std, _WIDE * start))
 
 
 def open_directions(linear: Linear, stage: Stage, sole: Mask) -> Array:

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.data.cell import Cell
 from calib.errors import ModelError
-from calib.estimate.problem import Linear, Priors, sizes_by_reml
+from calib.estimate.problem import Linear, Priors, prior_std_by_reml
 from calib.estimate.setup import Setup
 from calib.estimate.statistics import Limits, median_noise, repeats
 from calib.model.families import FAMILIES
@@ -62,7 +62,7 @@ class PriorTerms:
     precision: Array  # (p,), of parameters with a prior of their own, and of frames and targets
     centre: Array  # (p,), the priors' means: 0, but for parameters at a bound, and for given targets and frames
     flat: Mask  # (p,), frames and targets without a prior of their own
-    sizes: str  # Where the sizes are from: "data", "given", or "off" for weak priors alone
+    source: str  # Where the prior standard deviations are from: "data", "given", or "off" for weak priors alone
     limits: Array  # (p, 2), lowest and highest value of each parameter
     fixed: tuple[int, ...] = ()  # Parameters that are at a bound
 
@@ -84,11 +84,11 @@ class PriorTerms:
             families=np.array([model.family(f) & ~alone for f in names], dtype=bool).reshape(
                 -1, len(model)
             ),
-            start=tuple(_WEAK if priors.sizes == "off" else priors.of(f) for f in names),
+            start=tuple(_WEAK if priors.source == "off" else priors.of(f) for f in names),
             precision=np.where(alone, 1.0 / std**2, np.where(placed, 1.0 / _WEAK**2, 0.0)),
             centre=np.where(alone, nominal, 0.0),
             flat=placed & ~alone,
-            sizes=priors.sizes,
+            source=priors.source,
             limits=nominal[:, None] + bounds,
         )
 
@@ -140,7 +140,7 @@ class Stage:
     weights: Array  # (B, N), robust weights; 0 for rows that are not there
     share: Array  # (B, N), the factor on the weight of a row that has repeats
     noise: Array  # (B, C), of each instrument, in units of the sigma given
-    sizes: Array  # (B, K), of each family
+    prior_std: Array  # (B, K), of each family
     rho: Array  # (B, C, 2), shares of each instrument's variance that targets of a stop have in common
 
     @classmethod
@@ -148,11 +148,11 @@ class Stage:
         cls, prior: PriorTerms, kept: Mask, instruments: int, weights: Array | float = 1.0
     ) -> Stage:
         """Noise and priors as given; every row with weight one, or with these weights."""
-        sizes = np.tile(np.array(prior.start, dtype=np.float64), (len(kept), 1))
+        prior_std = np.tile(np.array(prior.start, dtype=np.float64), (len(kept), 1))
         noise = np.ones((len(kept), instruments))
         own = np.asarray(kept * weights, np.float64)
         rho = np.zeros((*noise.shape, 2))
-        return cls(prior, kept, own, np.ones(kept.shape), noise, sizes, rho)
+        return cls(prior, kept, own, np.ones(kept.shape), noise, prior_std, rho)
 
     @property
     def effective(self) -> Array:
@@ -162,7 +162,7 @@ class Stage:
     @property
     def priors(self) -> Priors:
         """The priors of all parameters, at these sizes."""
-        own = (1.0 / self.sizes**2) @ self.prior.families
+        own = (1.0 / self.prior_std**2) @ self.prior.families
         return Priors(own + self.prior.precision, self.prior.centre)
 
     def fit(self, linear: Linear) -> tuple[Array, Array, Array]:
@@ -200,22 +200,22 @@ class Stage:
     def by_likelihood(self, linear: Linear, robust: bool) -> Stage:
         """Noise and prior sizes by restricted likelihood, and the weights that go with them."""
         stage, prior = self, self.prior
-        adapts = prior.sizes == "data"
+        adapts = prior.source == "data"
         free = slice(None) if adapts else slice(0)
         for _ in range(2 if robust else 1):
             if robust:
                 stage = replace(stage, weights=stage._row_weights(linear))
-            noise, sizes = sizes_by_reml(
+            noise, prior_std = prior_std_by_reml(
                 linear.data(stage.effective, stage.rho),
                 prior.families[free],
                 stage.noise,
-                stage.sizes[:, free],
+                stage.prior_std[:, free],
                 Priors(prior.precision, prior.centre) if adapts else self.priors,
                 smallest_noise=linear.smallest,
                 bounds=tuple(FAMILIES[f].bounds for f in prior.names[free]),
                 noise_spread=_NOISE_SPREAD,
             )
-            stage = replace(stage, noise=noise, sizes=sizes if adapts else stage.sizes)
+            stage = replace(stage, noise=noise, prior_std=prior_std if adapts else stage.prior_std)
         return stage
 
     def _row_weights(self, linear: Linear) -> Array:
@@ -274,7 +274,7 @@ def staged(
     freedom = stage.fit(linear)[2]
     robust = robust and bool(np.any(freedom > FEWEST_FREEDOM))
     # The fields of a stage that have one entry for each fit.
-    names = ("kept", "weights", "share", "noise", "sizes", "rho")
+    names = ("kept", "weights", "share", "noise", "prior_std", "rho")
     each = {name: getattr(stage, name).copy() for name in names}
     for likely in (False, True) if robust else (True,):
         going = np.arange(len(stage.kept))  # the fits that still change
@@ -288,7 +288,7 @@ def staged(
                 values[going] = getattr(after, name)
             same = np.abs(after.effective - before.effective).max(axis=1) < _SETTLED
             if likely:
-                now, then = (np.hstack([one.noise, one.sizes]) for one in (after, before))
+                now, then = (np.hstack([one.noise, one.prior_std]) for one in (after, before))
                 same &= np.isclose(now, then, rtol=_SETTLED_SIZES).all(axis=1)
                 own, of_before = (1.0 - one.rho.sum(axis=2) for one in (after, before))
                 same &= np.isclose(own, of_before, rtol=_SETTLED_SIZES).all(axis=1)

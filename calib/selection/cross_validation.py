@@ -131,7 +131,7 @@ def _unseen(fitted: Fitted, rows: Rows, mask: Mask, outliers: Mask) -> Array:
 def _left_over(
     T_base_tip: Array, placed: Setup, rows: Rows, mask: Mask, seen: Mask, outliers: Mask
 ) -> Array:
-    """Measured minus predicted of left-out rows; frames and targets that only they see are registered to them."""
+    """Measured minus predicted of held-out rows; frames and targets that only they see are registered to them."""
     left, samples = rows.select(mask), rows.samples
     loose = placed.as_known(*placed.seen_by(samples.select(seen)))
     if loose.count:
@@ -240,7 +240,7 @@ def fold_means(fitted: Fitted, linear: Linear, masks: Sequence[Mask] | Mask) -> 
 
 
 def pose_errors(validation: CrossValidation, scales: Array, kept: Mask) -> Array:
-    """Left-out error of each pose, root mean square over its rows, shape (poses,), in units of the scales.
+    """Held-out error of each pose, root mean square over its rows, shape (poses,), in units of the scales.
 
     Args:
         validation: Errors on rows that the fit did not see.

@@ -235,7 +235,7 @@ def simulated(robot, cell, q, rng) -> Measurements:
     ["a known frame", "an estimated frame", "poses of a turned target", "distances", "zeros"],
 )
 def test_the_forecast_is_what_a_calibration_then_says_of_itself(ur3, name):
-    given = Priors(sizes="given")
+    given = Priors(source="given")
     cell = (
         Cell(target=TARGET, model="zeros", sigma=SIGMA, priors=given)
         if name == "zeros"

@@ -62,7 +62,7 @@ def test_unknowns_beside_are_those_of_a_fit_that_has_them(clean):
     )
     std = np.sqrt(np.diag(free.estimate.covariance)[free.kinematics.model.family(FRAME)])
     np.testing.assert_allclose(beside.std, std, rtol=0.15)
-    assert beside.sizes["zero"] == pytest.approx(free.estimate.sizes["zero"], rel=0.1)
+    assert beside.prior_std["zero"] == pytest.approx(free.estimate.prior_std["zero"], rel=0.1)
 
 
 @pytest.mark.parametrize(

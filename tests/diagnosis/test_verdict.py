@@ -15,7 +15,7 @@ ROWS = 30
 
 
 def validated(size: float, seed: int = 0, spread: float = 0.3) -> CrossValidation:
-    """Left-out residuals of an rms near ``size``."""
+    """Held-out residuals of an rms near ``size``."""
     rng = np.random.default_rng(seed)
     directions = rng.normal(size=(ROWS, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -48,7 +48,7 @@ GOOD = Evidence(
 FLAGGED = np.arange(ROWS) < 6
 RIGHT = {"nominal": validated(1e-4, 2), "calibrated": validated(1e-4, 3)}
 LOUD = Reason.of(Why.NOISE_LARGE, noise_m=4e-3)
-LACKS = Reason.of(Why.MODEL_LACKS, model="dh", larger="placement", noise_m=1e-4, less_m=2e-5)
+LACKS = Reason.of(Why.MODEL_LACKS, model="dh", non_geometric="placement", noise_m=1e-4, less_m=2e-5)
 STILL = Reason.of(Why.JOINTS_STILL, joints="elbow_joint")
 FAR = Reason.of(Why.TARGET_FAR, target="", far_m=0.282)
 HINT = Reason.of(Why.OTHER_BASE, given_m=0.5, error_m=2e-3, link="base")
@@ -259,7 +259,7 @@ def test_what_remains_is_counted_without_the_noise_that_the_best_model_leaves():
     assert replace(GOOD, floor=np.full((ROWS, 3), noise)).remains_held_out() < 0.03
     clean = replace(GOOD, floor=np.full((ROWS, 3), 0.01)).remains_held_out()
     assert clean == pytest.approx(0.2 / 2.5, rel=0.05)
-    # A robot whose errors only a larger model explains is no robot at its noise.
+    # A robot whose errors only a non-geometric model explains is no robot at its noise.
     assert replace(GOOD, **RIGHT).quiet
     assert not replace(GOOD, **RIGHT, floor=np.full((ROWS, 3), 0.3)).quiet
 
@@ -284,3 +284,41 @@ def test_a_drift_that_predicts_nothing_and_a_hidden_scale_are_information():
     # Nor where the gain is not proven.
     result = verdict(replace(GOOD, expected_of_nominal=2.2e-4, doubts=(drifting(-0.2),)))
     assert codes(result)[0] == Why.SMALL_GAIN
+
+
+@pytest.mark.parametrize(
+    ("share", "use", "why"),
+    [
+        (0.89, "use", Why.GAIN),
+        (0.91, "use with care", Why.SMALL_GAIN),
+        (0.98, "use with care", Why.SMALL_GAIN),
+    ],
+)
+def test_a_gain_is_proven_where_held_out_errors_fall_by_a_tenth(share, use, why):
+    """Nearly all of the error is noise, which no calibration takes away."""
+    nominal = validated(2.5e-3, 4, spread=0.01)
+    residual = share * nominal.residual
+    errors_left = Errors.of(residual)
+    calibrated = replace(
+        nominal, residual=residual, errors=errors_left, errors_without_outliers=errors_left
+    )
+    noise = 0.999 * share * 2.5e-3 / np.sqrt(3.0) / 1e-4
+    e = replace(GOOD, nominal=nominal, calibrated=calibrated, floor=np.full((ROWS, 3), noise))
+    assert e.remains_held_out() < 0.2
+    result = verdict(e)
+    assert (result.use, result.reasons[0].why) == (use, why)
+
+
+@pytest.mark.parametrize(
+    ("share", "use", "why"),
+    [
+        (0.89, "use", Why.VALIDATION_GAIN),
+        (0.91, "use with care", Why.VALIDATION_SMALL_GAIN),
+        (0.98, "use with care", Why.VALIDATION_SMALL_GAIN),
+        (1.01, "do not use", Why.VALIDATION_NO_BETTER),
+    ],
+)
+def test_errors_on_validation_rows_must_fall_by_a_tenth(share, use, why):
+    result = verdict(replace(GOOD, validation=(errors(1e-3), errors(share * 1e-3), 0)))
+    assert result.use == use
+    assert why in codes(result)

@@ -178,7 +178,7 @@ def held_out(robot: Robot, table, cell: Cell):
     """The error at the socket that only validation rows see, and the relative size of the corrected arm."""
     sets = tuple("validate" if group == "3" else "estimate" for group in table.groups)
     result = calibrate(robot, replace(table, sets=sets), cell=cell)
-    errors = result.errors["larger" if result.larger else "calibrated"]["validation"]
+    errors = result.errors["non_geometric" if result.non_geometric else "calibrated"]["validation"]
     return errors.rms, relative_size(result.robot, robot), result
 
 

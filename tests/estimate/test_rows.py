@@ -37,8 +37,8 @@ def some_rows(rng, kinds, partner=None) -> Rows:
 def _measured(rng, kinds):
     turned = Rotation.random(len(kinds), random_state=int(rng.integers(2**31))).as_matrix()
     measured = np.hstack([rng.uniform(1, 2, (len(kinds), 3)), turned.reshape(-1, 9)])
-    sizes = np.array([0 if k == NONE else kind_at(k).size for k in kinds])
-    return np.where(np.arange(12) < sizes[:, None], measured, 0.0)
+    prior_std = np.array([0 if k == NONE else kind_at(k).size for k in kinds])
+    return np.where(np.arange(12) < prior_std[:, None], measured, 0.0)
 
 
 ALL = [POINT, POSE, DISTANCE, PAIR, FIXED, PLANE, NONE]

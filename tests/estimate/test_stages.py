@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize_scalar
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
@@ -120,3 +121,41 @@ def test_repeats_count_for_what_they_do_not_share(virtual, mode, shared, own, rh
         np.testing.assert_array_equal(stage.share, stage.share[0, 0])
         shares.append(stage.share[0, 0])
     assert np.mean(shares) == pytest.approx(1.0 / (1.0 + 3.0 * rho), abs=0.06)
+
+
+def first_stage(virtual, count, noise, outliers=()):
+    """The linearised problem of points, some of them 5 mm off, and the stage that an estimation begins with."""
+    rows = virtual.rows(np.random.default_rng(4), np.zeros(27), count, noise)
+    measured = rows.measured.copy()
+    measured[list(outliers)] += [5e-3, 0.0, 0.0]
+    problem = Problem.first(virtual.kinematics, replace(rows, measured=measured))
+    prior = prior_terms(virtual, virtual.kinematics.model)
+    return problem.linear(np.zeros(27)), Stage.first(prior, np.ones((1, count), dtype=bool), 1)
+
+
+def test_robust_weights_are_those_of_cauchy(virtual):
+    """A row 3.4 standard deviations from what the others predict has half the weight of one without error."""
+    linear, stage = first_stage(virtual, 40, 1e-4, outliers=(3, 11, 19))
+    for _ in range(8):
+        stage = stage.by_median(linear)
+    x, covariance, _ = stage.fit(linear)
+    scores = linear.scores(x, covariance, stage.effective, stage.noise)
+    np.testing.assert_allclose(stage.weights, 1.0 / (1.0 + (scores / 3.4) ** 2), rtol=1e-3)
+    assert np.max(stage.weights[0, [3, 11, 19]]) < 0.01
+    # The noise is that of the good rows.
+    assert stage.noise[0, 0] == pytest.approx(1.0, rel=0.2)
+
+
+def test_the_noise_is_kept_near_the_given_one_by_a_prior_of_a_factor_of_ten(virtual):
+    linear, stage = first_stage(virtual, 12, 3e-3)
+    stage = replace(stage, prior=replace(stage.prior, prior_std="given"))
+
+    def loss(log_noise):
+        data = linear.data(stage.effective, stage.rho)
+        noise = np.full((1, 1), np.exp(log_noise))
+        likelihood = data.log_likelihood(noise, stage.priors, stage.priors.precision)
+        return 0.5 * (log_noise / np.log(10.0)) ** 2 - likelihood[0]
+
+    found = stage.by_likelihood(linear, robust=False).noise[0, 0]
+    best = minimize_scalar(loss, bounds=(0.0, 6.0), method="bounded", options={"xatol": 1e-6})
+    assert np.log(found) == pytest.approx(best.x, abs=1e-3)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.estimate.rows import same_poses
-from calib.estimate.statistics import Errors, interval_factor, repeats
+from calib.estimate.statistics import Errors, Limits, interval_factor, repeats
 from calib.selection.cross_validation import Folds
 
 # The paper's Table 4: errors of rows 31 to 35 before and after calibration [mm].
@@ -58,15 +58,15 @@ def test_each_row_is_left_out_once(rows):
 @pytest.mark.parametrize("names", [[0, 1], [3, 5, 9], range(4), range(150)])
 def test_from_three_set_ups_on_each_is_left_out_as_a_whole(names):
     setups = np.repeat(list(names), 4)
-    left_out = Folds.of(np.arange(len(setups)), setups)
+    held_out = Folds.of(np.arange(len(setups)), setups)
     if len(names) < 3:
-        assert left_out.method == "leave-one-out"
+        assert held_out.method == "leave-one-out"
         return
-    np.testing.assert_array_equal(np.sum(left_out.masks, axis=0), np.ones(len(setups)))
-    for mask in left_out.masks:
+    np.testing.assert_array_equal(np.sum(held_out.masks, axis=0), np.ones(len(setups)))
+    for mask in held_out.masks:
         assert set(setups[mask]).isdisjoint(setups[~mask])
-    assert len(left_out.masks) == min(len(names), 50)
-    assert left_out.method == ("leave-one-set-up-out" if len(names) < 60 else "leave-set-ups-out")
+    assert len(held_out.masks) == min(len(names), 50)
+    assert held_out.method == ("leave-one-set-up-out" if len(names) < 60 else "leave-set-ups-out")
 
 
 @pytest.mark.parametrize(
@@ -157,3 +157,13 @@ def test_parameters_of_the_fit_are_allowed_for():
         right.append(repeats(*arguments, fitted=36).rho)
     assert np.mean(naive) < 0.5
     assert np.mean(right) == pytest.approx(0.6, abs=0.02)
+
+
+def test_weights_fall_in_a_straight_line_between_the_limits():
+    limits = Limits(np.array(2.0), np.array(4.0))
+    scores = np.array([0.0, 1.9, 2.0, 2.2, 2.5, 3.0, 3.5, 3.9, 4.0, 40.0])
+    expected = [1.0, 1.0, 1.0, 0.9, 0.75, 0.5, 0.25, 0.05, 0.0, 0.0]
+    np.testing.assert_allclose(limits.weights(scores), expected, atol=1e-12)
+    # Of two tables at once, each by its own.
+    both = Limits(np.array([[2.0], [1.0]]), np.array([[4.0], [5.0]]))
+    np.testing.assert_allclose(both.weights(np.array([[3.0], [2.0]])), [[0.5], [0.75]])

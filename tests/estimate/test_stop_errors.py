@@ -320,11 +320,12 @@ def test_a_fit_finds_what_its_stops_share(hand):
     residual, jacobian = estimate.problem.system(estimate.x)
     size = np.linalg.norm(jacobian, axis=0)
     assert np.max(np.abs(jacobian.T @ residual) / size) < 1e-3 * np.linalg.norm(residual)
-    pushes = [
-        one.push for one in parameter_estimates(fitted, estimate.problem.observability(estimate.x))
+    data_gradients = [
+        one.data_gradient
+        for one in parameter_estimates(fitted, estimate.problem.observability(estimate.x))
     ]
     held = estimate.problem.precision * (estimate.x - estimate.problem.centre)
-    np.testing.assert_allclose(pushes, held, atol=1e-3 * np.abs(held).max())
+    np.testing.assert_allclose(data_gradients, held, atol=1e-3 * np.abs(held).max())
 
 
 def test_rows_are_judged_one_by_one(hand):

@@ -8,6 +8,7 @@ import pytest
 from calib.model import families
 from calib.model.error_model import joint_parameters
 from calib.model.families import FAMILIES, Factor, Family, JointState, register
+from calib.units import UNITS
 
 
 @pytest.fixture
@@ -47,3 +48,35 @@ def test_a_family_from_outside(registry, ur3):
     assert registry["lost"] is own
     names = [p.name for p in joint_parameters(ur3, "lost")]
     assert names == [f"{joint}.sign" for joint in ur3.joint_names]
+
+
+#: Every unit that a parameter of any family has, by its symbol.
+FAMILY_UNITS = {
+    unit.symbol: unit
+    for family in FAMILIES.values()
+    for unit in (family.unit, family.sliding)
+    if unit is not None
+}
+
+
+def in_si(symbol: str) -> float:
+    """What one of a unit such as ``urad/Nm`` is in SI units."""
+    top, _, bottom = symbol.partition("/")
+    of_top = 1e-6 * UNITS["rad"].to_si if top == "urad" else UNITS[top].to_si
+    return of_top / (UNITS[bottom].to_si if bottom else 1.0)
+
+
+def test_every_unit_of_a_family_is_known_here():
+    assert set(FAMILY_UNITS) == {"m", "rad", "1", "m/m", "rad/Nm", "rad/m", "m/N"}
+
+
+@pytest.mark.parametrize("symbol", FAMILY_UNITS)
+def test_shown_values_and_those_of_cell_files_are_in_the_units_that_they_name(symbol):
+    unit = FAMILY_UNITS[symbol]
+    assert symbol == "1" or in_si(symbol) == 1.0
+    factor, shown = unit.shown
+    assert factor * in_si(shown) == pytest.approx(1.0, rel=1e-12)
+    suffix, of_cell = unit.cell
+    named = suffix.removeprefix("_").replace("_per_", "/")
+    assert of_cell == pytest.approx(in_si(named) if named else 1.0, rel=1e-12)
+    assert unit.key == symbol.replace("/", "_")

@@ -13,6 +13,7 @@ from scipy.stats import ttest_1samp
 from calib.data.cell import Cell, GroupDistance
 from calib.data.measurements import Measurements
 from calib.estimate.fitting import Fitted, Task, fit
+from calib.estimate.registration import register
 from calib.estimate.rows import Rows
 from calib.estimate.setup import known_distances, rows_of
 from calib.estimate.statistics import CrossValidation, Errors
@@ -86,9 +87,9 @@ def test_a_set_up_that_alone_measures_orientations_is_not_left_out_whole(calibra
 def test_the_linear_one_agrees_with_the_refitted_one(case):
     """For every kind; sizes and noise are not found anew, and folds move them a little."""
     _, c = case
-    # Where there is a larger model the geometry alone leaves outliers, which each fold judges anew.
-    fitted = c.fit.larger or c.fit.geometry
-    refitted = c.cross_validation if c.larger is None else c.larger.cross_validation
+    # Where there is a non-geometric model the geometry alone leaves outliers, which each fold judges anew.
+    fitted = c.fit.non_geometric or c.fit.geometry
+    refitted = c.cross_validation if c.non_geometric is None else c.non_geometric.cross_validation
     linear = linear_cross_validation(fitted)
     assert linear.method == refitted.method
     assert linear.errors.rms == pytest.approx(refitted.errors.rms, rel=0.1)
@@ -109,6 +110,44 @@ def test_the_nominal_robot_is_given_what_the_calibrated_one_is(calibrated):
     assert found.errors.rms > 20 * c.cross_validation.errors.rms
     frames = fit(Task(scene.robot, c.cell, task.setup, "frames"), rows)
     assert found.errors.rms >= frames.residual(rows).std() * 0.9
+
+
+@pytest.mark.parametrize("cell", [Cell(), Cell(estimate_frame=True)], ids=["target", "frame too"])
+def test_nominal_errors_are_those_of_a_registration_without_the_pose(make_scene, cell):
+    """Leave-one-out by hand: neither the pose itself nor an outlier has a part in the registration."""
+    scene = make_scene(94, frames=[np.eye(4)], length=3e-4, angle=3e-3, noise=2e-5)
+    task, rows = task_of(scene, scene.points(10), cell)
+    outliers = np.arange(10) == 6
+    T_base_tip = task.robot.poses(rows.joints)
+    expected = np.empty((10, 3))
+    for pose in range(10):
+        kept = ~outliers & (np.arange(10) != pose)
+        registered = register(T_base_tip[kept], task.setup, rows.select(kept))
+        predicted = registered.seen(T_base_tip, rows.samples)
+        expected[pose] = rows.residual(predicted)[pose]
+    found = nominal_cross_validation(task, rows, outliers)
+    np.testing.assert_allclose(found.residual, expected, atol=1e-9)
+    # Far from what a registration to all rows leaves.
+    setup = register(T_base_tip, task.setup, rows)
+    fitted = rows.residual(setup.seen(T_base_tip, rows.samples))
+    assert np.sum(expected**2) > 1.2 * np.sum(fitted**2)
+
+
+def test_a_station_that_was_held_out_is_registered_with_the_target_of_the_others(make_scene, join):
+    scene = make_scene(95, frames=3, length=3e-4, angle=3e-3, noise=2e-5)
+    table = join(*(scene.points(8, f) for f in range(3)))
+    task, rows = task_of(scene, table, Cell(estimate_frame=True))
+    T_base_tip = task.robot.poses(rows.joints)
+    expected = np.empty((24, 3))
+    for station in range(3):
+        held_out = rows.samples.frame == station
+        others = register(T_base_tip[~held_out], task.setup, rows.select(~held_out))
+        target = others.as_known(np.zeros(3, dtype=bool), np.ones(1, dtype=bool))
+        own = register(T_base_tip[held_out], target, rows.select(held_out))
+        predicted = own.seen(T_base_tip, rows.samples)
+        expected[held_out] = rows.residual(predicted)[held_out]
+    found = nominal_cross_validation(task, rows, np.zeros(24, dtype=bool))
+    np.testing.assert_allclose(found.residual, expected, atol=1e-9)
 
 
 def test_parameters_that_only_the_left_out_rows_see(calibrated):
@@ -134,7 +173,7 @@ def fitted_to(scene: Any, table: Measurements, cell: Cell, model: str = "dh") ->
 
 def fit_of_case(case: tuple[Any, Any]) -> Fitted:
     _, c = case
-    return c.fit.larger or c.fit.geometry
+    return c.fit.non_geometric or c.fit.geometry
 
 
 def rows_of_fit(fitted: Fitted) -> Rows:
@@ -159,7 +198,7 @@ def both(fitted: Fitted) -> tuple[Any, Any]:
 
 
 def assert_refitted(fitted: Fitted) -> None:
-    """Each left-out row is predicted as by a fit from the beginning, to a small share of the noise."""
+    """Each held-out row is predicted as by a fit from the beginning, to a small share of the noise."""
     linear, refitted = both(fitted)
     assert linear.method == refitted.method
     assert linear.errors.rms == pytest.approx(refitted.errors.rms, rel=3e-4, abs=1e-9)
