@@ -22,7 +22,7 @@ from calib.estimate.statistics import rms
 from calib.example import PAPER_TARGET, paper_urdf
 from calib.model.error_model import error_model
 from calib.model.kinematics import ErrorModel, Kinematics
-from calib.result.comparison import Comparison, compare
+from calib.result.comparison import ComparisonValues, compare
 from calib.robot.robot import Robot
 from calib.units import Array
 
@@ -110,7 +110,7 @@ def measure(
     return Measurements(robot.joint_names, q, add_noise(points, case.noise, rng))
 
 
-def compare_twice(case: Case, seed: int) -> Comparison:
+def compare_twice(case: Case, seed: int) -> ComparisonValues:
     """Measure a robot twice, calibrate each time, and compare the two calibrations."""
     rng = np.random.default_rng([2026, seed])
     robot = Robot.load(paper_urdf(), base="base", tip="tool0")

@@ -182,7 +182,7 @@ def case_row(name: str, arm: str, seed: int) -> list[str]:
         name,
         arm,
         " -> ".join(f"{1e3 * error:.3f}" for error in errors),
-        result.larger.name if result.larger else "-",
+        result.non_geometric.name if result.non_geometric else "-",
         "+" if first in EDGES[name].codes else "?",
         verdict_text(result),
     ]

@@ -157,12 +157,12 @@ def main() -> None:
     arguments = parser.parse_args()
     workers = arguments.workers
     if arguments.part == "faults":
-        jobs = product(FAULTS, range(len(ARMS)), MODELS)
-        rows = run_jobs(fault_row, jobs, workers=workers, label="faults")
+        cases = product(FAULTS, range(len(ARMS)), MODELS)
+        rows = run_jobs(fault_row, cases, workers=workers, label="faults")
         print_table(["fault", "arm", "model", "verdict"], rows, [38, 5, 5])
     else:
-        jobs = [(seed,) for seed in range(arguments.count)]
-        tables = list(run_jobs(clean_codes, jobs, workers=workers, label="clean tables"))
+        seeds = [(seed,) for seed in range(arguments.count)]
+        tables = list(run_jobs(clean_codes, seeds, workers=workers, label="clean tables"))
         print_table(["code", "tables", "share"], clean_rows(tables), [24])
 
 
