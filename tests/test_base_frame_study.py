@@ -10,7 +10,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
 
-from base_frame_study import Case, center_bias, frame_runs, robot_errors  # noqa: E402
+from base_frame_study import Case, center_bias, frame_runs, robot_errors
 
 
 def test_an_arc_too_short_for_its_noise_has_no_line_of_numbers():
