@@ -150,7 +150,7 @@ def test_robust_weights_are_those_of_cauchy(virtual):
 
 def test_the_noise_is_kept_near_the_given_one_by_a_prior_of_a_factor_of_ten(virtual):
     linear, stage = first_stage(virtual, 12, 3e-3)
-    stage = replace(stage, prior=replace(stage.prior, prior_std="given"))
+    stage = replace(stage, prior=replace(stage.prior, source="given"))
 
     def loss(log_noise):
         data = linear.data(stage.effective, stage.rho)
