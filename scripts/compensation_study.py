@@ -273,10 +273,10 @@ def figures_of(found: Sequence[Outcome]) -> str:
 
 def outcomes(cell: Drawn) -> Iterator[Outcome]:
     """The program in the base, and in the measurement frame where that was estimated."""
-    setup = cell.result.part(larger=not cell.geometry).setup
+    setup = cell.result.part(non_geometric=not cell.geometry).setup
     targets = "three known targets" if cell.plate else "one target"
     wanted = cell.nominal.poses(cell.program) @ cell.T_tip_tool
-    lacks = cell.geometry and cell.result.larger is not None
+    lacks = cell.geometry and cell.result.non_geometric is not None
     programs: list[tuple[str, Program, str | None, Array]] = []
     if cell.result.frame_estimated:
         in_frame = Program.of_poses(setup.T_frame_base[0] @ wanted, cell.program)
@@ -293,15 +293,20 @@ def outcome(
     cell: Drawn, program: Program, frame: str | None, T: Array, group: tuple[str, ...]
 ) -> Outcome:
     """Commands of one program, and where the true robot goes; T: the true pose of the base in the program's frame."""
-    result, larger = cell.result, not cell.geometry
+    result, non_geometric = cell.result, not cell.geometry
     commands = compensate(
-        result, program, nominal=cell.nominal, tool=cell.T_tip_tool, frame=frame, larger=larger
+        result,
+        program,
+        nominal=cell.nominal,
+        tool=cell.T_tip_tool,
+        frame=frame,
+        non_geometric=non_geometric,
     )
     assert commands.expected is not None
     reached = commands.reached
     arrived = T @ cell.truth.tip_poses(commands.q[reached]) @ cell.T_tip_tool
     missed = (arrived - commands.T_wanted[reached])[:, :3, 3]
-    crossed = result.part(larger=larger).cross_validation
+    crossed = result.part(non_geometric=non_geometric).cross_validation
     assert crossed is not None
     true = float(np.linalg.norm(missed, axis=1).mean())
     return Outcome(group, true, commands.expected, crossed.errors_without_outliers.mean)

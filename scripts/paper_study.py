@@ -19,8 +19,8 @@ from scipy.spatial.transform import Rotation
 from calib.calibration import Calibration, calibrate
 from calib.data.cell import Cell, Priors
 from calib.data.measurements import Measurements
-from calib.estimate.statistics import Errors
 from calib.example import PAPER_TARGET, PAPER_TARGET_AS_PRINTED, paper_measurements, paper_urdf
+from calib.numerics.errors import Errors
 from calib.robot.robot import Robot, read_only
 
 
@@ -59,17 +59,19 @@ def cases() -> Iterator[tuple[str, Cell, str]]:
 
 
 def line(label: str, result: Calibration) -> str:
-    """One line of the table; of the larger model where there is one."""
-    larger = result.larger
-    validation = result.cross_validation if larger is None else larger.cross_validation
+    """One line of the table; of the non-geometric model where there is one."""
+    non_geometric = result.non_geometric
+    validation = (
+        result.cross_validation if non_geometric is None else non_geometric.cross_validation
+    )
     assert validation is not None
     numbers = np.array(result.measurements.rows)[result.measurements.estimation]
-    left_out = Errors.of(validation.residual[numbers != 11])
-    errors = result.errors["calibrated" if larger is None else "larger"]["validation"]
+    held_out = Errors.of(validation.residual[numbers != 11])
+    errors = result.errors["calibrated" if non_geometric is None else "non_geometric"]["validation"]
     flagged = " ".join(str(o.row) for o in result.outliers) or "-"
     return (
         f"| {label} | {1e3 * errors.max:.3f} | {1e3 * errors.mean:.3f} | {1e3 * errors.rms:.3f} "
-        f"| {1e3 * left_out.rms:.3f} | {flagged} |"
+        f"| {1e3 * held_out.rms:.3f} | {flagged} |"
     )
 
 

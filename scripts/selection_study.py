@@ -86,7 +86,7 @@ class Table:
     def by(self, model: str) -> Fitted:
         """The fit that predicts best."""
         fits = fit_table(self.robot, self.measurements, self.cell, model=model)
-        return fits.larger or fits.fitted
+        return fits.non_geometric or fits.fitted
 
 
 def measured(truth: Truth, cell: Cell, count: int, seed: int) -> Table:
@@ -137,7 +137,7 @@ def table_of_truth(arm: str, true: str, count: int, seed: int) -> Table:
 def errors_by_model(table: Table) -> dict[str, float]:
     """The error of each fixed model, and of `auto`."""
     auto = fit_table(table.robot, table.measurements, table.cell, model="auto")
-    found = {"auto": table.error(auto.larger or auto.fitted)}
+    found = {"auto": table.error(auto.non_geometric or auto.fitted)}
     task, rows = replace(auto.fitted.task, lenient=True), auto.fitted.estimate.problem.rows
     found |= {m: table.error(fit(replace(task, model=m), rows)) for m in FIXED}
     return found
@@ -239,7 +239,7 @@ def geometry(runs: int, first: int = 0) -> Iterator[str]:
         if likeliest != fits.fitted.task.model:
             task, rows = fits.fitted.task, fits.fitted.estimate.problem.rows
             other = fit(replace(task, model=likeliest), rows)
-            judge = fits.larger or fits.fitted
+            judge = fits.non_geometric or fits.fitted
             ratio = table.error(fits.fitted) / table.error(judged_by(other, rows, judge))
         count = len(table.measurements)
         for group in ("all", wrong, "below 16 poses" if count < 16 else "16 poses and more"):

@@ -22,7 +22,7 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import CARE, NO, USE, Verdict
 from calib.result.calibrate import calibrate
-from calib.result.calibration import Calibration
+from calib.result.calibration import CalibrationValues
 from calib.result.evaluation import evaluate
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import Payload, Robot
@@ -52,7 +52,7 @@ CORNERS, ACCIDENTS = (1.0, 1.0, 1.0, 0.5, 0.2, 0.1), (0.0, 0.0, 0.0, 0.05, 0.1, 
 class Found:
     """What came of one calibration."""
 
-    result: Calibration
+    result: CalibrationValues
     accidents: float  # Share of rows
     sigma: float  # Noise of a coordinate [m]
     corner: float  # Which part of each joint's range was used
@@ -122,10 +122,13 @@ def calibration(seed: int) -> Found:
     table = Measurements(robot.joint_names, fresh, truth.points(fresh))
     errors = [evaluate(one, table, told).errors["all"].rms for one in (known, result.robot)]
     expected = {
-        "geometry": result.new_point[0] / rms(result.predict(like_those, larger=False) - seen)
+        "geometry": result.new_point[0]
+        / rms(result.predict(like_those, non_geometric=False) - seen)
     }
-    if result.larger is not None:
-        expected["larger"] = result.larger.new_point[0] / rms(result.predict(like_those) - seen)
+    if result.non_geometric is not None:
+        expected["non_geometric"] = result.non_geometric.new_point[0] / rms(
+            result.predict(like_those) - seen
+        )
     return Found(result, share, sigma, corner, errors[0], errors[1], expected)
 
 

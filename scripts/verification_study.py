@@ -43,8 +43,8 @@ from calib.calibration import Calibration, calibrate
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.estimate.inspection import inspect
-from calib.estimate.statistics import interval_factor
 from calib.model.kinematics import FRAME
+from calib.numerics.intervals import interval_factor
 from calib.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -104,7 +104,7 @@ def ratio_words(found: list[Found], error: str = "error", bound: str = "bound") 
 
 def picked(result: Calibration) -> str:
     """The models that were chosen: geometry, and the larger one where there is one."""
-    return result.model.name if result.larger is None else result.larger.name
+    return result.model.name if result.non_geometric is None else result.non_geometric.name
 
 
 def counted(words: Iterable[str]) -> str:
@@ -342,7 +342,7 @@ def auto(case: str, rng: np.random.Generator) -> Found:
     frames = calibrate(
         truth.nominal, run.measurements, cell=run.cell, model="frames", validate=False
     )
-    geometry = run.true[:, :3, 3] - result.predict(run.q, larger=False)
+    geometry = run.true[:, :3, 3] - result.predict(run.q, non_geometric=False)
     return {
         "picked": picked(result),
         "error": rms(run.residuals(result)),
@@ -450,9 +450,9 @@ def compliance(case: str, rng: np.random.Generator) -> Found:
     model = "dh+compliance"
     run = with_known_payload(points_run(truth, rng, count, 0.5 * NOISE, tracker=True, model=model))
     result = calibrate(truth.nominal, run.measurements, cell=run.cell, model=model, validate=False)
-    assert result.larger is not None
-    inside, std, of = {}, {}, result.larger.model
-    for p, parameter in zip(result.larger.parameters, of.parameters, strict=True):
+    assert result.non_geometric is not None
+    inside, std, of = {}, {}, result.non_geometric.model
+    for p, parameter in zip(result.non_geometric.parameters, of.parameters, strict=True):
         if parameter.family == "compliance":
             inside[p.name] = p.low <= 1e-5 <= p.high
             std[p.name] = p.std

@@ -14,10 +14,10 @@ from scipy.spatial.transform import Rotation
 from calib.calibration import Calibration, calibrate
 from calib.data.cell import Cell, GroupDistance
 from calib.data.measurements import Measurements
-from calib.estimate.rows import Rows
 from calib.example import PAPER_TARGET, paper_measurements, paper_urdf
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
+from calib.registration.rows import Rows
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import GRAVITY, Payload, Robot, gravity_loads, read_only
 
@@ -356,7 +356,7 @@ def in_each(kind, count, frames=3) -> Measurements:
 BASE, FREE = [np.eye(4)], Cell(estimate_frame=True)
 GIVEN = Cell(frames={str(f): TRACKERS[f] for f in range(2)})
 
-#: A scene, its table and its cell for every kind of measurement, several targets and set-ups, and larger models.
+#: A scene, its table and its cell for every kind of measurement, several targets and set-ups, and non-geometric models.
 CASES = {
     "points": lambda make: (s := make(31, frames=BASE), s.points(76), Cell()),
     "poses": lambda make: (s := make(32, frames=TRACKERS[:1], noise_angle=1e-4), s.poses(76), FREE),

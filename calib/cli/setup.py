@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from calib.data.cell import Cell, Tracker
     from calib.data.measurements import Measurements
-    from calib.result.calibration import Calibration
+    from calib.result.calibration import CalibrationValues
     from calib.robot.robot import Payload, Robot
 
 
@@ -140,7 +140,7 @@ def read_cell(
         "payload": None if payload is None else parse_payload(payload, found.payload),
         "estimate_target": False if fix_target else None,
         "frozen": (*found.frozen, *(freeze or [])),
-        "priors": None if priors is None else found.priors.with_sizes(priors),
+        "priors": None if priors is None else found.priors.with_source(priors),
     }
     if frame is not None:
         said |= FRAME(frame, "--frame")
@@ -203,7 +203,7 @@ def check_outputs(
         check_writable(path, overwrite=force)
 
 
-def check_chain(cell: Cell, result: Calibration, name: str) -> None:
+def check_chain(cell: Cell, result: CalibrationValues, name: str) -> None:
     """Refuse another base or tip than the result's, in the file ``name``: its frame and target would mean another."""
     own = result.nominal
     for option, given, wanted in (("base", cell.base, own.base), ("tip", cell.tip, own.tip)):
@@ -247,10 +247,10 @@ def say_ignored(measurements: Measurements, robot: Robot) -> None:
     """Name the rows and columns that were not used; a joint among these hints at a wrong base or tip."""
     from calib.units import split_header
 
-    if left_out := measurements.unmeasured:
-        total = len(measurements) + len(left_out)
+    if held_out := measurements.unmeasured:
+        total = len(measurements) + len(held_out)
         text = (
-            f"{len(left_out)} of {total} rows not measured, and left out: {row_ranges(left_out)}."
+            f"{len(held_out)} of {total} rows not measured, and left out: {row_ranges(held_out)}."
         )
         typer.echo(fill(text) + "\n")
     if not measurements.ignored:

@@ -42,7 +42,7 @@ from calib.data.table import POINT, QUATERNION, ROLL_PITCH_YAW, ROTATION_VECTOR,
 from calib.diagnosis.reasons import NO
 from calib.errors import VerdictError
 from calib.files import csv_bytes, write_atomically
-from calib.result.calibration import Calibration
+from calib.result.calibration import CalibrationValues
 from calib.robot.readback import column_limits
 from calib.robot.robot import Payload, Robot, read_only, rigid_inverse
 from calib.units import Array, Mask
@@ -160,14 +160,14 @@ class Commands:
 
 
 def compensate(
-    calibration: Calibration | Robot,
+    calibration: CalibrationValues | Robot,
     program: Program,
     *,
     nominal: Robot | None = None,
     tool: ArrayLike | str | None = None,
     frame: ArrayLike | str | None = None,
     tolerance: tuple[float, float] = (1e-8, 1e-8),
-    larger: bool | Payload = True,
+    non_geometric: bool | Payload = True,
     accept: bool = False,
 ) -> Commands:
     """What to command so that the true robot does what a program wants.
@@ -181,7 +181,7 @@ def compensate(
         frame: The base in the frame that poses are given and sent in, shape (4, 4) [m], or the name of a set-up of the
             calibration ("" for the only one); default the base.
         tolerance: What may be left of the error: position [m], angle [rad]; no less than 1e-9.
-        larger: Whether to use the non-geometric model, where there is one, else the geometry that the URDF holds; or
+        non_geometric: Whether to use the non-geometric model, if there is one, else the geometry of the URDF; or
             the payload to use it with, in place of the one at its calibration.
         accept: Whether commands are made also where the verdict on the model that is used is ``do not use``.
 
@@ -189,7 +189,7 @@ def compensate(
         VerdictError: That verdict is ``do not use``, or a corrected robot's URDF states it, and it is not accepted.
         ModelError: A tool, frame or joint that does not exist, a program of another robot, or no nominal robot.
     """
-    pair = pair_of(calibration, nominal, tool=tool, frame=frame, larger=larger)
+    pair = pair_of(calibration, nominal, tool=tool, frame=frame, non_geometric=non_geometric)
     if not accept:
         _check_verdict(pair)
     robot = pair.nominal.robot
@@ -231,7 +231,7 @@ def _check_verdict(pair: Pair) -> None:
     if pair.result is None:
         source, stated = pair.actual.robot.urdf.source, pair.actual.robot.urdf.verdict
     else:
-        judged = pair.result.verdict_on(larger=pair.larger)
+        judged = pair.result.verdict_on(non_geometric=pair.non_geometric)
         source = pair.result.source.name or "these measurements"
         against = judged is not None and judged.use == NO
         stated = f"{NO} (the summary() of the result says why)" if against else ""

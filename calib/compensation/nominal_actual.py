@@ -20,8 +20,8 @@ from calib.errors import ModelError, choices
 from calib.model.error_model import axis_twists, error_model
 from calib.model.families import Factor, JointState
 from calib.model.kinematics import TIP, ErrorModel, Kinematics, Parameter, Samples
-from calib.result.calibration import Calibration
-from calib.result.prediction import Larger
+from calib.result.calibration import CalibrationValues
+from calib.result.prediction import NonGeometric
 from calib.robot.readback import spread_poses
 from calib.robot.robot import Payload, Robot, read_only
 from calib.units import Array
@@ -39,7 +39,7 @@ _NO_CALIBRATION, _POSES = 0.1, 64
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Arm:
-    """A robot whose errors are known, with a tool at T_tip_tool (4, 4) [m]; made by `of` or `of_larger`.
+    """A robot whose errors are known, with a tool at T_tip_tool (4, 4) [m]; made by `of` or `of_non_geometric`.
 
     ``kinematics`` has a parameter more for each measured joint, 0 in ``x``; ``load`` gives the load on each joint at
     joint values, (N, m) to (N, n), [Nm, N], where an error needs it.
@@ -86,11 +86,15 @@ class Arm:
         return cls(robot, read_only(T_tip_tool), kinematics, x, load)
 
     @classmethod
-    def of_larger(
-        cls, larger: Larger, nominal: Robot, T_tip_tool: Array, payload: Payload | None = None
+    def of_non_geometric(
+        cls,
+        non_geometric: NonGeometric,
+        nominal: Robot,
+        T_tip_tool: Array,
+        payload: Payload | None = None,
     ) -> Arm:
         """The robot of a result's non-geometric model, with another payload than at its calibration if one is given."""
-        model, x = larger.model, larger.x
+        model, x = non_geometric.model, non_geometric.x
         displacements, _ = model.displacements(x)
         order = [model.places.index(name) for name in (*(j.name for j in nominal.joints), TIP)]
         chosen = list(model.joint_terms)
@@ -101,7 +105,7 @@ class Arm:
             T_tip_tool,
             terms,
             model.values(x)[chosen],
-            (lambda q: larger.load(nominal, q, payload)) if loaded else None,
+            (lambda q: non_geometric.load(nominal, q, payload)) if loaded else None,
         )
 
     def poses(self, q: Array) -> Array:
@@ -133,8 +137,10 @@ class Pair:
     T_frame_base: Array  #: shape (4, 4), the base in the frame of the poses [m].
     target: str | None = None  #: Name of the target that the tool is; None where it is none.
     set_up: str | None = None  #: Name of the set-up whose frame it is; None where it is none.
-    result: Calibration | None = None  #: What is known of the actual robot; None of two robots.
-    larger: bool = False  #: Whether the actual robot is the result's non-geometric model.
+    result: CalibrationValues | None = (
+        None  #: What is known of the actual robot; None of two robots.
+    )
+    non_geometric: bool = False  #: Whether the actual robot is the result's non-geometric model.
 
     def __post_init__(self) -> None:
         """Refuse two robots that are no calibration of each other."""
@@ -158,12 +164,12 @@ class Pair:
 
 
 def pair_of(
-    calibration: Calibration | Robot,
+    calibration: CalibrationValues | Robot,
     nominal: Robot | None = None,
     *,
     tool: ArrayLike | str | None = None,
     frame: ArrayLike | str | None = None,
-    larger: bool | Payload = True,
+    non_geometric: bool | Payload = True,
 ) -> Pair:
     """The two robots; the arguments are those of `calib.compensation.commands.compensate`.
 
@@ -171,7 +177,9 @@ def pair_of(
         ModelError: No nominal robot, one that is not the calibration's, or a tool or frame that there is not.
     """
     if isinstance(calibration, Robot):
-        if nominal is None or any(isinstance(one, (str, Payload)) for one in (tool, frame, larger)):
+        if nominal is None or any(
+            isinstance(one, (str, Payload)) for one in (tool, frame, non_geometric)
+        ):
             raise ModelError(
                 "With a corrected robot in place of a result give the nominal robot too, tool and frame as poses, and "
                 "no payload: it knows no targets, set-ups and compliances."
@@ -182,7 +190,7 @@ def pair_of(
         return Pair(Arm.of(nominal, T_tip_tool), Arm.of(actual, T_tip_tool), T_frame_base)
     result, nominal = calibration, nominal or calibration.nominal
     began = result.uncorrected(nominal) if is_corrected(result, nominal) else nominal
-    model = result.larger if larger is not False else None
+    model = result.non_geometric if non_geometric is not False else None
     known = result.setup if model is None else model.setup
     target = set_up = None
     if isinstance(tool, str):
@@ -198,11 +206,11 @@ def pair_of(
         T_frame_base = read_only(known.T_frame_base[known.groups.index(set_up)])
     else:
         T_frame_base = _pose(frame, "frame")
-    payload = larger if isinstance(larger, Payload) else None
+    payload = non_geometric if isinstance(non_geometric, Payload) else None
     if model is None:
         arm = Arm.of(result.corrected(nominal), T_actual)
     else:
-        arm = Arm.of_larger(model, result.uncorrected(nominal), T_actual, payload)
+        arm = Arm.of_non_geometric(model, result.uncorrected(nominal), T_actual, payload)
     factors = [term.factor for term in arm.kinematics.model.terms]
     if payload is not None and not any(f and f.loaded and not f.later for f in factors):
         raise ModelError(
@@ -213,7 +221,7 @@ def pair_of(
     return Pair(nominal_arm, arm, T_frame_base, target, set_up, result, model is not None)
 
 
-def is_corrected(result: Calibration, robot: Robot) -> bool:
+def is_corrected(result: CalibrationValues, robot: Robot) -> bool:
     """Whether a robot has the joint origins that a result corrected, not those that it began with; or `ModelError`."""
     own = result.nominal
     if (robot.base, robot.tip) != (own.base, own.tip):

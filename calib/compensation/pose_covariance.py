@@ -24,7 +24,7 @@ import calib.data.kinds as registry
 from calib.model.error_model import DIRECTIONS, OWN, error_model, split_name
 from calib.model.families import FAMILIES
 from calib.model.kinematics import FRAME, TARGET, Parameter, Samples
-from calib.result.calibration import Calibration
+from calib.result.calibration import CalibrationValues
 from calib.result.prediction import Solved, moved_by, twists_in_base
 from calib.robot.robot import rigid_inverse
 from calib.units import Array
@@ -81,7 +81,7 @@ def pose_covariance(part: Solved, view: View) -> PoseCovariance:
     return PoseCovariance(np.concatenate(covariances), shared, by_priors)
 
 
-def unknown_base_directions(result: Calibration) -> tuple[str, ...]:
+def unknown_base_directions(result: CalibrationValues) -> tuple[str, ...]:
     """Directions of the base that no measurement tells, of `calib.model.error_model.DIRECTIONS`.
 
     Those that are estimated of every frame in which positions were measured; all six where none were.
@@ -95,7 +95,7 @@ def unknown_base_directions(result: Calibration) -> tuple[str, ...]:
     return tuple(one for one in DIRECTIONS if one in common)
 
 
-def unmodelled_base(result: Calibration, part: Solved) -> Array:
+def unmodelled_base(result: CalibrationValues, part: Solved) -> Array:
     """Covariance of the first joint's placement, as far as a model leaves it out, as a motion of the base (6, 6).
 
     Every direction of the placement counts that neither a parameter of the model nor a frozen one has, with the prior
@@ -116,9 +116,9 @@ def unmodelled_base(result: Calibration, part: Solved) -> Array:
     modelled = [term for term in part.model.terms if term.factor is None]
     modelled += _frozen(result, part)
     spanned = np.array([t.direction for t in modelled if t.place == joint]).reshape(-1, 6)
-    left_out = np.eye(6) - np.linalg.pinv(spanned) @ spanned
+    held_out = np.eye(6) - np.linalg.pinv(spanned) @ spanned
     T_base_joint = rigid_inverse(robot.T_root_base) @ robot.placements[0]
-    into_base = pin.SE3(T_base_joint).toActionMatrix() @ left_out
+    into_base = pin.SE3(T_base_joint).toActionMatrix() @ held_out
     unknown = np.isin(DIRECTIONS, unknown_base_directions(result))
     covariance = np.zeros((6, 6))
     for error in placement:
@@ -128,7 +128,7 @@ def unmodelled_base(result: Calibration, part: Solved) -> Array:
     return covariance
 
 
-def _frozen(result: Calibration, part: Solved) -> list[Parameter]:
+def _frozen(result: CalibrationValues, part: Solved) -> list[Parameter]:
     """Frozen parameters of the model's set and of the placements: the user takes them for exact."""
     sets = {"placement"}
     if part.model.name != OWN:
@@ -137,12 +137,12 @@ def _frozen(result: Calibration, part: Solved) -> list[Parameter]:
     return [one for model in models for one in model.parameters if one.name in result.frozen]
 
 
-def _prior_std(result: Calibration, part: Solved, family: str) -> float:
+def _prior_std(result: CalibrationValues, part: Solved, family: str) -> float:
     """Standard deviation of a family's errors: of the model, else of the largest candidate with it, else typical."""
     tried = sorted(result.candidates, key=lambda one: -one.parameters)
-    for sizes in (part.sizes, *(one.sizes for one in tried)):
-        if family in sizes:
-            return float(sizes[family])
+    for prior_std in (part.prior_std, *(one.prior_std for one in tried)):
+        if family in prior_std:
+            return float(prior_std[family])
     return FAMILIES[family].typical
 
 
@@ -198,7 +198,7 @@ def _prior_precision(part: Solved, view: View) -> Array:
     """
     p = len(part.x)
     precision = np.zeros((p + 6, p + 6))
-    prior_std = _typical(part) if not part.sizes else [one.prior_std for one in part.parameters]
+    prior_std = _typical(part) if not part.prior_std else [one.prior_std for one in part.parameters]
     variances = np.square(np.array(prior_std, dtype=np.float64))
     precision[range(p), range(p)] = np.where(variances > 0.0, 1.0 / variances, 0.0)
     if view.base is not None:
@@ -213,7 +213,7 @@ def _determined(part: Solved) -> Array:
     large as the errors of its family typically are, C - C_r (C_rr + D)^-1 C_r^T with these variances D.
     """
     of_robot = ~part.model.family(FRAME, TARGET)
-    if part.sizes or not np.any(of_robot):
+    if part.prior_std or not np.any(of_robot):
         return part.covariance
     typical = np.diag(np.square(_typical(part)[of_robot]))
     columns = part.covariance[:, of_robot]

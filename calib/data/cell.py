@@ -32,8 +32,8 @@ Distance = TypeVar("Distance", float, Array)
 #: The model that lets the data choose.
 AUTO = "auto"
 
-#: What `Cell.repeats` and `Priors.sizes` may be.
-REPEATS, PRIOR_SIZES = ("weighted", "average", "independent"), ("data", "given", "off")
+#: What `Cell.repeats` and `Priors.source` may be.
+REPEATS, PRIOR_SOURCES = ("weighted", "average", "independent"), ("data", "given", "off")
 
 #: A prior outside of these says nothing, or is a constraint; their squares would leave the range of numbers.
 PRIORS = (1e-15, 1e6)
@@ -79,33 +79,33 @@ class Priors:
 
     #: ``"data"``: the sizes are found from the measurements, starting at those given; ``"given"``: they are those
     #: given; ``"off"``: none, plain least squares, but for a leash on what no measurement determines.
-    sizes: str
+    source: str
     #: Standard deviations by family that are other than its row of the registry has, in the family's unit.
     given: tuple[tuple[str, float], ...]
 
-    def __init__(self, sizes: str = "data", **given: float) -> None:
+    def __init__(self, source: str = "data", **given: float) -> None:
         """Sizes by name: ``Priors("given", length=1e-3, compliance=2e-6)``.
 
         Raises:
             CalibError: An unknown word or family, or a size that is no standard deviation.
         """
-        if sizes not in PRIOR_SIZES:
+        if source not in PRIOR_SOURCES:
             raise CalibError(
-                f"Priors of the kind '{sizes}' were asked for; choose one of {choices(PRIOR_SIZES)}."
+                f"Priors of the kind '{source}' were asked for; choose one of {choices(PRIOR_SOURCES)}."
             )
         for name, value in given.items():
             if not PRIORS[0] <= value <= PRIORS[1]:
                 raise CalibError(
                     f"The prior's {name} is {value:g} {family_of(name).unit.symbol}; it lies between {PRIORS[0]:g} "
-                    f"and {PRIORS[1]:g}. Use sizes 'off' for none."
+                    f"and {PRIORS[1]:g}. Use the source 'off' for none."
                 )
-        object.__setattr__(self, "sizes", sizes)
+        object.__setattr__(self, "source", source)
         others = [(name, v) for name, v in given.items() if v != family_of(name).prior]
         object.__setattr__(self, "given", tuple(sorted(others)))
 
-    def with_sizes(self, sizes: str) -> Priors:
+    def with_source(self, source: str) -> Priors:
         """The same standard deviations, used otherwise: ``"data"``, ``"given"`` or ``"off"``."""
-        return Priors(sizes, **dict(self.given))
+        return Priors(source, **dict(self.given))
 
     def of(self, family: str) -> float:
         """The standard deviation of a family's errors, in its unit: as given, or that of its row of the registry."""

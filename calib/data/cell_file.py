@@ -256,7 +256,7 @@ FIELDS: dict[str, Field] = {
     "sigma_mm": Field("sigma", MM),
     "sigma_angle_deg": Field("sigma_angle", DEGREES),
     "scale_certified": Field("scale_certified", _of_type(bool, "true or false")),
-    "priors": Field("sizes", TEXT),
+    "priors": Field("source", TEXT),
     "gravity_m_per_s2": Field("gravity", NUMBERS),
     "targets_mm": Field("targets", _named("targets_mm", POINT)),
     "frames": Field("frames", _named("frames", _place)),
@@ -318,6 +318,6 @@ def read_cell_file(path: str | Path) -> dict[str, Any]:
     placed = {name: values.pop(name) for name in ("xyz", "rotation") if name in values}
     if placed:
         values["T_frame_base"] = pose(**placed)
-    sizes = {name: values.pop(f"prior_{name}") for name in FAMILIES if f"prior_{name}" in values}
-    values["priors"] = {"sizes": values.pop("sizes", "data"), **sizes}
+    prior_std = {f: values.pop(f"prior_{f}") for f in FAMILIES if f"prior_{f}" in values}
+    values["priors"] = {"source": values.pop("source", "data"), **prior_std}
     return values

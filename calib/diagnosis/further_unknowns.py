@@ -17,13 +17,15 @@ import numpy as np
 from scipy.special import fdtrc, stdtr
 
 from calib.estimate.fitting import PAPER, Fitted
-from calib.estimate.problem import Linear, Priors
-from calib.estimate.rows import Rows
-from calib.estimate.stages import PriorTerms, Stage
-from calib.estimate.statistics import rms
+from calib.estimate.linear import Linear
+from calib.estimate.prior_terms import PriorTerms
+from calib.estimate.stages import Stage
 from calib.model.dh import zero_poses
 from calib.model.families import ANGLE, LENGTH, ZERO
 from calib.model.kinematics import FRAME, TARGET
+from calib.numerics.errors import rms
+from calib.numerics.likelihood import Priors
+from calib.registration.rows import Rows
 from calib.units import Array, Mask
 
 #: A p-value below which a finding is not taken for chance.
@@ -39,7 +41,7 @@ class FurtherUnknowns:
     x: Array  #: shape (p,), the parameters of the fit, estimated together with ``b``
     #: shape (p,), to which share the measurements, and not the prior, determine each parameter, 0 to 1
     determined: Array
-    sizes: Mapping[str, float]  #: Prior standard deviation of each family, estimated anew
+    prior_std: Mapping[str, float]  #: Prior standard deviation of each family, estimated anew
 
     def p_value(self, freedom: float, directions: Array | None = None) -> float:
         """The p-value of b where its truth is zero: F(k, freedom) of b^T C^-1 b / k.
@@ -58,7 +60,7 @@ class FurtherUnknowns:
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
 
-def estimate_beside(
+def estimate_jointly(
     fitted: Fitted,
     columns: Array,
     of_distances: Array | None = None,
@@ -92,14 +94,14 @@ def estimate_beside(
         centre=np.pad(prior.centre, (0, count)),
     )
     weights, noise = problem.weights[None], np.array([estimate.noise])
-    sizes = np.array([[estimate.sizes.get(name, 1.0) for name in prior.names]])
+    prior_std = np.array([[estimate.prior_std.get(name, 1.0) for name in prior.names]])
     alone, rho = np.ones(weights.shape), problem.rho[None]
-    stage = Stage(prior, weights > 0.0, weights, alone, noise, sizes, rho)
+    stage = Stage(prior, weights > 0.0, weights, alone, noise, prior_std, rho)
     stage = stage.by_likelihood(wider, robust=False)
     values, covariance, _ = (of_all[0] for of_all in stage.fit(wider))
     p = len(x)
     determined = 1.0 - np.diag(covariance)[:p] * stage.priors.precision[0, :p]
-    found = dict(zip(prior.names, stage.sizes[0].tolist(), strict=True))
+    found = dict(zip(prior.names, stage.prior_std[0].tolist(), strict=True))
     return FurtherUnknowns(values[p:], covariance[p:, p:], values[:p], determined, found)
 
 
@@ -123,7 +125,7 @@ PREDICTS = 0.1
 _BLOCKS = 8
 
 
-def fall_on_blocks(fitted: Fitted, columns: Array, weights: Array) -> float:
+def gain_on_blocks(fitted: Fitted, columns: Array, weights: Array) -> float:
     """The share by which the error of held-out blocks of consecutive rows falls with further unknowns.
 
     Noise, prior sizes and weights stay as they are. Only rows count whose frame and target other blocks see too.
@@ -161,9 +163,9 @@ def _error_of_blocks(fitted: Fitted, linear: Linear, weights: Array) -> float:
     return float(np.sqrt(np.mean(every))) if len(every) else 0.0
 
 
-def has_priors(fitted: Fitted) -> bool:
+def priors_from_data(fitted: Fitted) -> bool:
     """Whether the sizes of the errors are found from the data, so that they can be found anew."""
-    return fitted.task.solver != PAPER and fitted.task.cell.priors.sizes == "data"
+    return fitted.task.solver != PAPER and fitted.task.cell.priors.source == "data"
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,7 +206,7 @@ def instrument_scale(fitted: Fitted) -> Scale | None:
     measured = bool(np.any(columns))
     if not measured and not np.any(known):
         return None
-    beside = estimate_beside(fitted, columns, known)
+    beside = estimate_jointly(fitted, columns, known)
     # The uncertainty is mostly that of the arm's lengths, whose prior is estimated with few degrees of freedom.
     freedom = float(np.sum(beside.determined[lengths])) - 1.0
     reach = rms(np.linalg.norm(from_base, axis=1))
@@ -239,7 +241,7 @@ def motion_of_base(fitted: Fitted) -> BaseMotion | None:
     columns[~seen] = 0.0
     first = fitted.task.robot.joints[0].name
     of_first = np.array([p.place == first and p.factor is None for p in model.parameters])
-    beside = estimate_beside(fitted, columns, held=of_first)
+    beside = estimate_jointly(fitted, columns, held=of_first)
     of_robot = ~model.family(FRAME, TARGET)
     freedom = float(np.sum(beside.determined[of_robot & ~of_first]))
     across, along, about = _directions_at_first_joint(fitted)
@@ -267,7 +269,7 @@ def _chance_of_offset(
     offset: float, beside: FurtherUnknowns, family: Mask, names: tuple[str, ...]
 ) -> float:
     """The p-value of a joint's offset, given the standard deviation of the other joints': Student's t."""
-    size = next((beside.sizes[name] for name in names if name in beside.sizes), 0.0)
+    size = next((beside.prior_std[name] for name in names if name in beside.prior_std), 0.0)
     if not size:
         return 1.0
     freedom = max(float(np.sum(beside.determined[family])), 1.0)

@@ -10,7 +10,7 @@ from scipy.special import stdtr
 
 from calib.diagnosis.further_unknowns import PREDICTS
 from calib.diagnosis.reasons import CARE, NO, USE, Reason, Verdict, Why
-from calib.estimate.statistics import CrossValidation, Errors
+from calib.numerics.errors import CrossValidation, Errors
 from calib.units import Array, Integers, Mask
 
 #: Scalar measurements per parameter below which a fit leans on its priors.
@@ -85,7 +85,9 @@ class Evidence:
     noise: float  # Of one length [m]
     expected: float  # Error to expect of predictions over the joint limits, rms [m]
     expected_of_nominal: float  # The same of the nominal robot's [m]
-    whole: int = 0  # Parameters of a full geometry, where `auto` may have chosen a smaller one
+    full_model_parameters: int = (
+        0  # Parameters of a full geometry, where `auto` may have chosen a smaller one
+    )
     doubts: tuple[Reason, ...] = ()  # What was found besides errors
     notes: tuple[Reason, ...] = ()  # Stated last, and decide nothing
     hint: Reason | None = None  # Which set-up would explain the measurements better
@@ -97,7 +99,7 @@ class Evidence:
         return np.asarray(np.sum(np.where(self.used, v.residual / self.scales, 0.0) ** 2, axis=1))
 
     def gain(self, *, of_all: bool = False) -> tuple[float, float]:
-        """Mean fall of the squared error on left-out rows, outliers aside, in standard errors, and its p-value.
+        """Mean fall of the squared error on held-out rows, outliers aside, in standard errors, and its p-value.
 
         With ``of_all`` the rows include outliers, and the fall is that of the error, not its square: an accident then
         changes it by no more than the correction there. Errors are paired by poses, of which repeats are averaged; the
@@ -119,7 +121,7 @@ class Evidence:
         return gain, float(stdtr(len(fall) - 1, -gain))
 
     @property
-    def quiet(self) -> bool:
+    def at_noise_level(self) -> bool:
         """Whether the nominal robot's error is about the noise that the best model leaves, outliers aside."""
         square, noise = self._squares(self.nominal)
         return bool(square < _AT_THE_NOISE**2 * noise)
@@ -215,11 +217,11 @@ class _Figures:
             unproven=gain <= 0.0 or chance > _CHANCE,
             handful=size["poses"] + size["pairs"] < _HANDFUL,
             few=numbers < _FEW * e.parameters,
-            sparse=numbers < _FEW * max(e.parameters, e.whole),
+            sparse=numbers < _FEW * max(e.parameters, e.full_model_parameters),
             flagged=flagged,
             many=many,
             accidents=many and e.accidental,
-            # Residuals are noise only if a larger model does not leave far less.
+            # Residuals are noise only if a non-geometric model does not leave far less.
             plausible=not many and not any(doubt.why in _NOT_NOISE for doubt in e.doubts),
             lost=e.expected > _FAR_MORE * _typical(before),
             held_out=e.remains_held_out(),
@@ -268,10 +270,10 @@ def verdict(e: Evidence) -> Verdict:
 def _against(e: Evidence, f: _Figures) -> list[Reason]:
     """Why the corrected robot is not to be used: the weightiest reason, and failing validation rows."""
     both = _both(e, f)
-    nothing = f.unproven and e.quiet and f.plausible and not f.sparse
-    too_few = f.unproven and (f.handful or f.few or (e.quiet and f.sparse))
+    nothing = f.unproven and e.at_noise_level and f.plausible and not f.sparse
+    too_few = f.unproven and (f.handful or f.few or (e.at_noise_level and f.sparse))
     worse = bool(f.flagged) and _typical(f.after_all) > _ALIKE * _typical(f.before_all)
-    size = {**_size(e), "parameters": max(e.parameters, e.whole), "gain": f.gain}
+    size = {**_size(e), "parameters": max(e.parameters, e.full_model_parameters), "gain": f.gain}
     unfit = bool(f.fresh_after.n) and not f.fresh_falls
     here_only = f.proven_here and e.expected < _ABSURD
     lost = f.lost and f.everywhere > _REMAINS and not here_only
@@ -330,7 +332,7 @@ def _remaining(e: Evidence, f: _Figures, against: list[Reason]) -> list[Reason]:
 
 def _remains(doubt: Reason, f: _Figures) -> bool:
     """Whether a doubt says what is left to improve, where the gain is proven."""
-    lacking = doubt.why == Why.MODEL_LACKS and "+" not in doubt.values["larger"]
+    lacking = doubt.why == Why.MODEL_LACKS and "+" not in doubt.values["non_geometric"]
     return doubt.why in _REMAINING and not (lacking and f.held_out > _LACKING)
 
 

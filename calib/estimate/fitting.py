@@ -11,22 +11,20 @@ import numpy as np
 
 from calib.data.cell import Cell, Priors
 from calib.errors import MeasurementError, ModelError, choices
-from calib.estimate.problem import Linear, Problem
-from calib.estimate.registration import register, register_unseen
-from calib.estimate.rows import Rows
-from calib.estimate.setup import KnownDistance, Setup
-from calib.estimate.sole_postures import (
-    open_directions,
-    open_scores,
-    sole_postures,
-    updated,
-)
-from calib.estimate.solvers import SOLVERS, Solution, Solver, paper_levenberg_marquardt
-from calib.estimate.stages import PriorTerms, Stage, staged
-from calib.estimate.statistics import Limits
+from calib.estimate.linear import Linear
+from calib.estimate.prior_terms import PriorTerms
+from calib.estimate.problem import Problem
+from calib.estimate.sole_postures import open_directions, open_scores, sole_postures, updated
+from calib.estimate.stages import Stage, staged
 from calib.model.error_model import error_model
 from calib.model.kinematics import FRAME, TARGET, ErrorModel, Kinematics, Parameter, Samples
 from calib.model.observability import steps
+from calib.numerics.scores import Limits
+from calib.numerics.solvers import SOLVERS, Solution, Solver, paper_levenberg_marquardt
+from calib.registration.known_distances import KnownDistance
+from calib.registration.registration import register, register_unseen
+from calib.registration.rows import Rows
+from calib.registration.setup import Setup
 from calib.robot.kernel import one_blas_thread
 from calib.robot.robot import Robot, read_only
 from calib.units import Array, Mask
@@ -83,7 +81,7 @@ class Estimate:
     flag_limit: float  # The score above which a row is named as an outlier
     freedom: float  # Degrees of freedom left for the noise
     noise: tuple[float, ...]  # Found noise of each instrument over the one given
-    sizes: Mapping[str, float]  # Size of the errors of each family; empty without priors
+    prior_std: Mapping[str, float]  # Size of the errors of each family; empty without priors
     weights: Array  # (N,), robust weights, repeats not shared out
     log_likelihood: float  # The restricted one, at these sizes
     at_bound: tuple[int, ...] = ()  # Parameters that are at a bound
@@ -136,7 +134,7 @@ class Fitted:
         return rows.residual(self.kinematics.poses(self.estimate.x, rows.samples))
 
     def unseen_scores(self, rows: Rows) -> Array:
-        """The scores of rows that the fit did not use, shape (N,); see `calib.estimate.statistics`."""
+        """The scores of rows that the fit did not use, shape (N,); see `calib.numerics.scores`."""
         if not len(rows):
             return np.zeros(0)
         estimate, number = self.estimate, dict[int, int]()
@@ -170,7 +168,7 @@ def fit(
             f"There is no solver '{task.solver}'. Choose one of {choices((*SOLVERS, PAPER))}."
         )
     model, setup = model_of(task), task.setup
-    if task.cell.priors.sizes == "off" and rows.count < len(model):
+    if task.cell.priors.source == "off" and rows.count < len(model):
         raise MeasurementError(
             f"{rows.count} numbers for {len(model)} parameters, and priors are off. Measure more poses, or choose a "
             "smaller --model."
@@ -351,9 +349,11 @@ def _problem_of(problem: Problem, stage: Stage) -> Problem:
 
 def _pulled_inwards(result: Estimate, prior: PriorTerms, fixed: Mapping[int, float]) -> set[int]:
     """Parameters at a bound that measurements and priors pull to its inside."""
-    known = {} if prior.sizes == "off" else result.sizes
-    sizes = np.array([known.get(f, size) for f, size in zip(prior.names, prior.start, strict=True)])
-    precision = prior.precision + (1.0 / sizes**2) @ prior.families
+    known = {} if prior.source == "off" else result.prior_std
+    prior_std = np.array(
+        [known.get(f, size) for f, size in zip(prior.names, prior.start, strict=True)]
+    )
+    precision = prior.precision + (1.0 / prior_std**2) @ prior.families
     free = replace(result.problem, precision=precision, centre=prior.centre)
     residual, jacobian = free.system(result.x)
     slope, bend = jacobian.T @ residual, np.sum(jacobian**2, axis=0)
@@ -401,7 +401,7 @@ def _finish(problem: Problem, stage: Stage, solution: Solution, spread: float = 
             growth, growth
         )
     # Without priors there is nothing to keep a6 small beside the target, and so no trace to remove.
-    held = prior.sizes != "off"
+    held = prior.source != "off"
     cleaned = ~model.family(FRAME, TARGET) & np.isin(model.units, ("m", "rad")) & held
     least = np.maximum(_NOTHING, _TRACE * np.sqrt(np.diagonal(covariance[0])))
     traces = cleaned & (np.abs(solution.x) < least)
@@ -422,7 +422,7 @@ def _finish(problem: Problem, stage: Stage, solution: Solution, spread: float = 
         flag_limit=float(Limits.of(len(problem.rows), freedom[0]).flagged),
         freedom=float(freedom[0]),
         noise=tuple(stage.noise[0].tolist()),
-        sizes=dict(zip(prior.names, stage.sizes[0].tolist(), strict=True)) if held else {},
+        prior_std=dict(zip(prior.names, stage.prior_std[0].tolist(), strict=True)) if held else {},
         weights=read_only(stage.weights[0]),
         log_likelihood=float(likelihood[0]),
         at_bound=prior.fixed,

@@ -32,10 +32,10 @@ from calib.fleets.record import (
     FAILED,
     ROWS,
     WITHHELD,
+    FleetOutlier,
     FleetRow,
-    Odd,
     csv_bytes,
-    odd_ones,
+    fleet_outliers,
 )
 from calib.jobs import run
 from calib.report.report import write_report
@@ -50,7 +50,7 @@ CSV, JSON = "fleet.csv", "fleet.json"
 _URDF = "corrected.urdf"
 
 #: Beside a robot's files, written last; counted up when the files of a robot change.
-MADE, SCHEMA = "made.json", "fleet robot 4"
+MADE, SCHEMA = "made.json", "fleet robot 5"
 
 #: A robot's name is that of its folder.
 _NAME = re.compile(r"[^\W_](?:[\w .+-]{0,98}[\w+-])?")
@@ -111,7 +111,7 @@ class Fleet:
     """Many robots, calibrated."""
 
     rows: tuple[FleetRow, ...]  #: One for each robot, in their order
-    odd: tuple[Odd, ...]  #: What is odd about which of them, see `calib.fleets.record`
+    odd: tuple[FleetOutlier, ...]  #: What is odd about which of them, see `calib.fleets.record`
     notes: tuple[str, ...]  #: What could not be said
     kept: int  #: How many of them were taken from an earlier run
 
@@ -134,7 +134,7 @@ class Fleet:
         """All of it as in ``fleet.json``, SI units, the unit in the keys."""
         parts = {"robots": map(ROWS.table, self.rows), "odd": map(asdict, self.odd)}
         found = {name: plain([*part]) for name, part in parts.items()}
-        return {"schema": "fleet 1", **found, "notes": [*self.notes]}
+        return {"schema": "fleet 2", **found, "notes": [*self.notes]}
 
 
 def fleet(
@@ -209,7 +209,7 @@ def fleet(
         except CalibError as error:
             settle(name, str(error))
     every = tuple(done[robot.name] for robot in robots)
-    result = Fleet(every, *odd_ones(every), len(kept))
+    result = Fleet(every, *fleet_outliers(every), len(kept))
     write_atomically(path / JSON, json_bytes(result.table()), overwrite=True)
     write_atomically(
         path / CSV, csv_bytes(every, [(odd.name, odd.text) for odd in result.odd]), overwrite=True

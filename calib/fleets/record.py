@@ -32,7 +32,7 @@ from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import NO
 from calib.files import JsonLayout
 from calib.model.kinematics import FRAME, TARGET
-from calib.result.calibration import Calibration
+from calib.result.calibration import CalibrationValues
 from calib.text.fleet import data_text, few_text, figure_text
 from calib.units import Array, Mask
 
@@ -60,7 +60,7 @@ _FLOORS = {"m": 20e-6, "rad": 20e-6, "1": 20e-6}
 
 _FIGURES = {
     "nominal_rms": ("nominal error", "m"),
-    "left_out_rms": ("cross-validated error", "m"),
+    "held_out_rms": ("cross-validated error", "m"),
     "sigma": ("noise", "m"),
     "sigma_angle": ("noise of orientations", "rad"),
 }
@@ -87,15 +87,15 @@ class FleetRow:
     verdict: str = ""  #: ``"use"``, ``"use with care"`` or ``"do not use"``
     urdf: str = ""  #: What became of its corrected URDF: `WRITTEN`, `WITHHELD` or `ACCEPTED`
     model: str = ""  #: The geometry's parameter set
-    larger: str = ""  #: The larger model
+    non_geometric: str = ""  #: The non-geometric model
     rows: int = 0  #: Rows that were fitted
     outliers: int = 0  #: How many of them are flagged
     nominal_rms: float = math.nan  #: Error of the nominal robot on the rows that were fitted [m]
     calibrated_rms: float = math.nan  #: Of the calibrated robot [m]
     unseen: str = ""  #: What ``unseen_rms`` is of: ``"validation"`` or ``"cross-validation"``
     unseen_rms: float = math.nan  #: Of the calibrated robot on rows that were not fitted [m]
-    #: On left-out rows that are not flagged, by cross-validation [m]
-    left_out_rms: float = math.nan
+    #: On held-out rows that are not flagged, by cross-validation [m]
+    held_out_rms: float = math.nan
     sigma: float = math.nan  #: Noise of one coordinate or length that the fit found [m]
     sigma_angle: float = math.nan  #: Of an angle [rad]
     #: What robots must share to be compared: the robot's name, its joints, base and tip
@@ -105,7 +105,7 @@ class FleetRow:
     parameters: tuple[FleetParameter, ...] = ()  #: Those of the geometry, frames aside
 
     @classmethod
-    def of(cls, name: str, c: Calibration, *, accept: bool = False) -> FleetRow:
+    def of(cls, name: str, c: CalibrationValues, *, accept: bool = False) -> FleetRow:
         """The row of a calibration.
 
         Args:
@@ -120,7 +120,7 @@ class FleetRow:
         urdf = (ACCEPTED if accept else WITHHELD) if rejected else WRITTEN
         errors, v = c.errors, c.cross_validation
         validation = errors["calibrated"]["validation"]
-        left_out = math.nan if v is None else v.errors_without_outliers.rms
+        held_out = math.nan if v is None else v.errors_without_outliers.rms
         unseen = "" if v is None else "cross-validation"
         return cls(
             name=name,
@@ -128,14 +128,14 @@ class FleetRow:
             verdict="" if c.verdict is None else c.verdict.use,
             urdf=urdf,
             model=c.model.name,
-            larger="" if c.larger is None else c.larger.name,
+            non_geometric="" if c.non_geometric is None else c.non_geometric.name,
             rows=int(c.measurements.estimation.sum()),
             outliers=len(c.outliers),
             nominal_rms=errors["nominal"]["estimation"].rms,
             calibrated_rms=errors["calibrated"]["estimation"].rms,
             unseen="validation" if validation.n else unseen,
-            unseen_rms=validation.rms if validation.n else left_out,
-            left_out_rms=left_out,
+            unseen_rms=validation.rms if validation.n else held_out,
+            held_out_rms=held_out,
             sigma=c.sigma,
             sigma_angle=c.sigma_angle,
             kind=" ".join([c.nominal.name, c.nominal.base, c.nominal.tip, *c.nominal.joint_names]),
@@ -156,7 +156,7 @@ class FleetRow:
 
 
 _UNITS = {
-    **dict.fromkeys(("nominal_rms", "calibrated_rms", "unseen_rms", "left_out_rms", "sigma"), "m"),
+    **dict.fromkeys(("nominal_rms", "calibrated_rms", "unseen_rms", "held_out_rms", "sigma"), "m"),
     "sigma_angle": "rad",
 }
 
@@ -193,7 +193,7 @@ def measured_hash(measurements: Measurements) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Odd:
+class FleetOutlier:
     """One reason why a robot is odd."""
 
     name: str  #: The robot
@@ -207,7 +207,7 @@ class Odd:
     text: str = ""  #: The same in words
 
 
-def odd_ones(rows: Sequence[FleetRow]) -> tuple[tuple[Odd, ...], tuple[str, ...]]:
+def fleet_outliers(rows: Sequence[FleetRow]) -> tuple[tuple[FleetOutlier, ...], tuple[str, ...]]:
     """The odd ones of a fleet, in the order of the robots and the farthest off first; and what could not be said."""
     done = [row for row in rows if row.status == DONE]
     found, notes = [*_same_data(done)], []
@@ -242,7 +242,7 @@ def _counted(rows: Sequence[FleetRow]) -> Mask:
     return mask
 
 
-def _figures(rows: list[FleetRow]) -> Iterator[Odd]:
+def _figures(rows: list[FleetRow]) -> Iterator[FleetOutlier]:
     """Robots whose errors, noise or parameters are odd."""
     once, exact = _counted(rows), np.zeros(len(rows))
     errors: list[tuple[str, str, Array, Array, float]] = []
@@ -263,7 +263,7 @@ def _figures(rows: list[FleetRow]) -> Iterator[Odd]:
             usual = float(size(np.nanmedian(x[once])))
             for i in np.flatnonzero(np.abs(z) > bound):
                 found = (figure, unit, float(size(x[i])), usual, float(z[i]), bound)
-                yield Odd(rows[i].name, *found, figure_text(*found))
+                yield FleetOutlier(rows[i].name, *found, figure_text(*found))
 
 
 def scores(x: Array, std: Array, floor: float, once: Mask) -> Array:
@@ -274,7 +274,7 @@ def scores(x: Array, std: Array, floor: float, once: Mask) -> Array:
         return np.where(away == 0.0, 0.0, away / scale)
 
 
-def _same_data(rows: Sequence[FleetRow]) -> Iterator[Odd]:
+def _same_data(rows: Sequence[FleetRow]) -> Iterator[FleetOutlier]:
     """Robots whose measurements are those of another."""
     same: dict[str, list[FleetRow]] = {}
     for row in rows:
@@ -283,4 +283,4 @@ def _same_data(rows: Sequence[FleetRow]) -> Iterator[Odd]:
         for row in group:
             others = [other.name for other in group if other is not row]
             if others:
-                yield Odd(row.name, "data", text=data_text(others, row.data))
+                yield FleetOutlier(row.name, "data", text=data_text(others, row.data))

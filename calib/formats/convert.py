@@ -145,7 +145,11 @@ def _result(source: str, options: Options) -> Source:
         corrected = is_corrected(result, arm)
         nominal = result.uncorrected(arm) if corrected else arm
         robot = arm if corrected else result.corrected(arm)
-    notes = () if result.larger is None else (Note("geometry alone", (result.larger.name,)),)
+    notes = (
+        ()
+        if result.non_geometric is None
+        else (Note("geometry alone", (result.non_geometric.name,)),)
+    )
     model = _arm(nominal, options)
     return Source("result", robot, nominal, model=model, notes=notes, verdict=result.verdict)
 

@@ -239,7 +239,7 @@ class Kinematics:
 
     def poses(self, x: Array, where: Where) -> Array:
         """T_frame_target at parameters x, shape (p,), and N samples or joint values (N, m); shape (N, 4, 4), [m]."""
-        return kernel.poses(self._displaced(x)[0], self._stood(x, where))
+        return kernel.poses(self._displaced(x)[0], self._chain_samples(x, where))
 
     def points(self, x: Array, where: Where) -> Array:
         """The target's position in the measurement frame, shape (N, 3), [m]."""
@@ -251,7 +251,7 @@ class Kinematics:
         It is linear then angular, along the frame's axes, (N, 6, p), or (N, 3, p) without ``rotation``, [m, rad].
         """
         geometry, directions = self._displaced(x)
-        return kernel.twists(geometry, directions, self._stood(x, where), rotation=rotation)
+        return kernel.twists(geometry, directions, self._chain_samples(x, where), rotation=rotation)
 
     def _displaced(self, x: Array) -> tuple[kernel.Geometry, kernel.Directions]:
         """Every placement displaced, and what a unit of each parameter does there."""
@@ -266,7 +266,7 @@ class Kinematics:
         )
         return geometry, kernel.Directions(local[:frames], local[inner], local[frames + count :])
 
-    def _stood(self, x: Array, where: Where) -> kernel.Stood:
+    def _chain_samples(self, x: Array, where: Where) -> kernel.ChainSamples:
         """The chain's joint values with the joints' own errors at x, and how a unit of each parameter moves them."""
         samples = where if isinstance(where, Samples) else Samples.at(where)
         values = self.robot.chain_values(samples.q)
@@ -280,7 +280,7 @@ class Kinematics:
             if self.model.terms is not self.model.parameters:  # else each moves its own
                 moved = moved @ mixing[:, columns]
             values = values + moved @ x[columns]
-        return kernel.Stood(values, samples.frame, samples.target, moved, columns)
+        return kernel.ChainSamples(values, samples.frame, samples.target, moved, columns)
 
 
 def joint_displacements(

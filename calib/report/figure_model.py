@@ -11,7 +11,7 @@ import calib.report.figure_base as base
 import calib.text.summary as texts
 from calib.model.families import unit_of
 from calib.report.figure_base import CALIBRATED, INK, NOMINAL, OUTLIER, SOFT
-from calib.result.calibration import Calibration
+from calib.result.calibration import CalibrationValues
 from calib.result.prediction import ParameterEstimate
 
 #: What the parameters of each unit are called.
@@ -27,12 +27,12 @@ _BOUND: dict[str, Any] = {"marker": "s", "color": INK, "label": "stopped by a bo
 #: What models that were tried were chosen for, and how they are drawn.
 _CHOSEN = {
     "geometry": (CALIBRATED, "", "chosen for the URDF"),
-    "larger": (CALIBRATED, "////", "chosen for the result file"),
+    "non_geometric": (CALIBRATED, "////", "chosen for the result file"),
     "": ("#c9d2db", "", "not chosen"),
 }
 
 
-def convergence(c: Calibration) -> Figure:
+def convergence(c: CalibrationValues) -> Figure:
     """Cost, length of the step and damping over the solver's iterations."""
     history = c.solution.history
     cost = np.array([*(one.cost for one in history), c.solution.cost])
@@ -61,19 +61,19 @@ def convergence(c: Calibration) -> Figure:
     return figure
 
 
-def shown_parameters(c: Calibration) -> list[ParameterEstimate]:
-    """The robot's parameters and targets that were given, the larger model's own behind them.
+def shown_parameters(c: CalibrationValues) -> list[ParameterEstimate]:
+    """The robot's parameters and targets that were given, the non-geometric model's own behind them.
 
     What was not given counts from where registration put it, which says nothing of the robot. Parameters of a kind of
     which no errors were found have no interval; see `calib.text.summary.errorless`.
     """
     none = texts.errorless(c)
     own = [p for p in texts.shown_parameters(c) if p.nominal is not None and p.name not in none]
-    more = () if c.larger is None else c.larger.parameters
+    more = () if c.non_geometric is None else c.non_geometric.parameters
     return [*own, *(p for p in more if p.name not in c.model.names)]
 
 
-def changes(c: Calibration) -> Figure:
+def changes(c: CalibrationValues) -> Figure:
     """The change of each parameter with its 95 % interval; a panel for each unit, two side by side."""
     shown = shown_parameters(c)
     grouped = [
@@ -102,12 +102,12 @@ def changes(c: Calibration) -> Figure:
     return figure
 
 
-def correlation_indices(c: Calibration) -> list[int]:
+def correlation_indices(c: CalibrationValues) -> list[int]:
     """The parameters whose correlations are drawn: those that the measurements determine, in the model's order."""
     return [k for k, p in enumerate(c.parameters) if p.identifiable and not p.at_bound]
 
 
-def correlations(c: Calibration) -> Figure:
+def correlations(c: CalibrationValues) -> Figure:
     """The correlation of each pair of parameters, as a colour."""
     chosen = correlation_indices(c)
     C = c.covariance[np.ix_(chosen, chosen)]
@@ -128,7 +128,7 @@ def correlations(c: Calibration) -> Figure:
     return figure
 
 
-def singular_values(c: Calibration) -> Figure:
+def singular_values(c: CalibrationValues) -> Figure:
     """The singular values of the scaled Jacobian, and where the rank ends."""
     o = c.observability
     values = 1e3 * o.singular_values
@@ -156,8 +156,8 @@ def singular_values(c: Calibration) -> Figure:
     return figure
 
 
-def candidates(c: Calibration) -> Figure:
-    """The models that were tried: errors on left-out rows, and what the likelihood gains."""
+def candidates(c: CalibrationValues) -> Figure:
+    """The models that were tried: errors on held-out rows, and what the likelihood gains."""
     errors = [one.cross_validation.errors_without_outliers for one in c.candidates]
     rms, unit = 1e3 * np.array([one.rms for one in errors]), "mm"
     if not all(one.n for one in errors):  # where no length was measured
@@ -177,7 +177,7 @@ def candidates(c: Calibration) -> Figure:
                 ax.bar_label(bars, [form.format(v) for v in values[at]], padding=2, size=7.5)
         ax.margins(x=0.2)
         ax.grid(visible=False, axis="y")
-    left.set(title="Error on left-out rows", xlabel=f"rms [{unit}]")
+    left.set(title="Error on held-out rows", xlabel=f"rms [{unit}]")
     right.set(title="Evidence", xlabel="log likelihood, less that of the best")
     base.legend_above(figure)
     return figure

@@ -22,11 +22,11 @@ import calib.text.summary as texts
 from calib.data.kinds import get as kind_named
 from calib.diagnosis.reasons import Why
 from calib.errors import FileError
-from calib.estimate.statistics import interval_factor
 from calib.files import write_atomically
 from calib.model.dh import DHRow, dh_table
+from calib.numerics.intervals import interval_factor
 from calib.report.figure_base import angles_of, lengths_of
-from calib.result.calibration import Calibration
+from calib.result.calibration import CalibrationValues
 from calib.result.calibration_file import versions
 from calib.robot.robot import rigid_inverse
 from calib.text.lines import deg, mm, number
@@ -54,7 +54,7 @@ _DH = tuple(
 
 
 def write_report(
-    calibration: Calibration, path: str | Path, *, command: str = "", overwrite: bool = False
+    calibration: CalibrationValues, path: str | Path, *, command: str = "", overwrite: bool = False
 ) -> Path:
     """Write the report as a page.
 
@@ -75,7 +75,7 @@ def check_ending(path: str | Path) -> None:
         )
 
 
-def report_bytes(calibration: Calibration, *, command: str = "") -> bytes:
+def report_bytes(calibration: CalibrationValues, *, command: str = "") -> bytes:
     """The page, UTF-8. Nothing but its date, now or ``SOURCE_DATE_EPOCH``, differs between two of a calibration."""
     import jinja2
 
@@ -108,14 +108,14 @@ def _picture(drawing: Drawing) -> str:
     return f"data:image/{media};base64,{base64.b64encode(data).decode('ascii')}"
 
 
-def _content(c: Calibration, command: str, date: str) -> dict[str, Any]:
+def _content(c: CalibrationValues, command: str, date: str) -> dict[str, Any]:
     """What the template is filled with: texts, pairs of texts, and what makes its tables."""
     m, T = c.measurements, c.T_frame_base
     reasons = c.verdict.reasons if c.verdict else ()
     # Validation rows beyond the joint values that were fitted, where the verdict does not name them.
     named = any(reason.why == Why.OUTSIDE for reason in reasons)
     every = [texts.combination_text(one) for one in c.observability.unidentifiable]
-    tables = errors, validation_rows, parameters, larger, dh, origins, flagged, ranges
+    tables = errors, validation_rows, parameters, non_geometric, dh, origins, flagged, ranges
     return {
         "c": c,
         "texts": texts,
@@ -160,7 +160,7 @@ class Table(NamedTuple):
     strong: Sequence[int] = ()
 
 
-def errors(c: Calibration, *, turned: bool = False) -> Table:
+def errors(c: CalibrationValues, *, turned: bool = False) -> Table:
     """Errors by set of rows: of positions and lengths [mm], or of orientations [deg]."""
     cells: list[tuple[str, ...]] = []
     strong, before, every = [], "", texts.error_rows(c)
@@ -174,7 +174,7 @@ def errors(c: Calibration, *, turned: bool = False) -> Table:
         if count := e.n_angle if turned else e.n:
             strong += [len(cells)] * (", calibrated" in before)
             cells.append((before, f"{count:,}", *map(_deg if turned else mm, (*values, *spans))))
-    notes = [f"{texts.left_out_text(c)}."] * (c.cross_validation is not None)
+    notes = [f"{texts.held_out_text(c)}."] * (c.cross_validation is not None)
     notes += ["Span: largest minus smallest signed error along an axis of the frame."] * along
     what = "Orientation error by set of rows [deg]"
     return Table(
@@ -188,7 +188,7 @@ def errors(c: Calibration, *, turned: bool = False) -> Table:
     )
 
 
-def validation_rows(c: Calibration) -> Table:
+def validation_rows(c: CalibrationValues) -> Table:
     """Errors of single validation rows before and after, as in the paper's Table 4."""
     chosen = np.flatnonzero(c.measurements.validation & np.any(c.used, axis=1))
     which = f"the {len(chosen):,} validation rows"
@@ -219,14 +219,14 @@ def validation_rows(c: Calibration) -> Table:
     return Table(title, head, cells, align, note if axes else "", groups)
 
 
-def flagged(c: Calibration) -> Table:
+def flagged(c: CalibrationValues) -> Table:
     """The rows flagged, with their errors before and after."""
     m, every = c.measurements, [*c.outliers, *c.suspects]
     indices = np.array([m.rows.index(one.row) for one in every[:_MOST]], dtype=np.int_)
     names, cells = _places(c, indices)
-    sizes = [lengths_of(r, c.used) for r in (c.residual_nominal, c.residual_calibrated)]
+    prior_std = [lengths_of(r, c.used) for r in (c.residual_nominal, c.residual_calibrated)]
     for one, i, row in zip(every, indices, cells, strict=False):
-        row += [m.sets[i], *(mm(size[i]) for size in sizes)]
+        row += [m.sets[i], *(mm(size[i]) for size in prior_std)]
         row += [number(one.score, 1), f"{c.weights[i]:.2f}"]
     rest = len(every) - len(cells)
     more = f" {rest} more are in the result file (--json)." if rest else ""
@@ -240,7 +240,7 @@ def flagged(c: Calibration) -> Table:
     )
 
 
-def parameters(c: Calibration, unit: str) -> Table:
+def parameters(c: CalibrationValues, unit: str) -> Table:
     """Nominal value, correction and interval of the parameters in ``"mm"`` or ``"deg"``."""
     scale, digits = (1e3, 3) if unit == "mm" else (float(np.degrees(1.0)), 4)
     none, rows = texts.errorless(c), []
@@ -258,18 +258,18 @@ def parameters(c: Calibration, unit: str) -> Table:
     return Table(title, head, rows, "lrrrrl")
 
 
-def larger(c: Calibration) -> Table:
+def non_geometric(c: CalibrationValues) -> Table:
     """The parameters that no URDF can hold."""
-    every = texts.larger_parameters(c)
+    every = texts.non_geometric_parameters(c)
     return Table(
-        f"Larger model '{c.larger.name if c.larger else ''}': in the result file, not in the URDF",
+        f"Non-geometric model '{c.non_geometric.name if c.non_geometric else ''}': in the result file, not in the URDF",
         ("parameter", "value", "95 % interval", "unit"),
         [(name, value, half.strip("()"), unit) for name, value, half, unit in every],
         "lrrl",
     )
 
 
-def dh(c: Calibration) -> Table:
+def dh(c: CalibrationValues) -> Table:
     """The DH rows of the nominal and of the calibrated robot."""
     before, after = dh_table(c.nominal).rows, dh_table(c.robot, like=c.nominal).rows
     tilted = any(row.near_parallel for row in (*before, *after))
@@ -302,7 +302,7 @@ def _dh_lines(before: DHRow, after: DHRow) -> Iterator[tuple[str, ...]]:
         yield name, who, *(number(u * v, n, sign) for v, (u, n) in zip(values, _DH, strict=True))
 
 
-def origins(c: Calibration) -> Table:
+def origins(c: CalibrationValues) -> Table:
     """The displacement of each origin that changed, in its nominal frame."""
     after, rows = c.robot.origins(), []
     for joint, T in c.nominal.origins().items():
@@ -320,7 +320,7 @@ def origins(c: Calibration) -> Table:
     )
 
 
-def ranges(c: Calibration) -> Table:
+def ranges(c: CalibrationValues) -> Table:
     """Joint values of the estimation rows beside the limits."""
     m = c.measurements
     q, cells = m.joints_for(c.nominal.joint_names)[m.estimation], []
@@ -342,7 +342,7 @@ def ranges(c: Calibration) -> Table:
     )
 
 
-def _places(c: Calibration, chosen: NDArray[np.int_]) -> tuple[list[str], list[list[str]]]:
+def _places(c: CalibrationValues, chosen: NDArray[np.int_]) -> tuple[list[str], list[list[str]]]:
     """What tells rows apart, heads and cells: numbers, and kinds, targets and set-ups where there are several."""
     m = c.measurements
     columns: list[tuple[str, Sequence[object]]] = [("row", m.rows)]

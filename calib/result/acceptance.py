@@ -23,9 +23,9 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.coverage import OutsideRow
 from calib.diagnosis.reasons import Reason
-from calib.diagnosis.usual_mistakes import better_setup
+from calib.diagnosis.usual_mistakes import find_usual_mistake
 from calib.errors import CalibError, MeasurementError, choices
-from calib.result.calibration import Calibration
+from calib.result.calibration import CalibrationValues
 from calib.result.evaluation import (
     Accuracy,
     Evaluation,
@@ -177,7 +177,7 @@ def acceptance(
 class Assessment:
     """Every robot that a URDF and a result hold, compared with one table."""
 
-    #: Errors, by ``"nominal"``, ``"urdf"``, ``"calibration"`` and ``"larger"`` as far as they are there
+    #: Errors, by ``"nominal"``, ``"urdf"``, ``"calibration"`` and ``"non_geometric"`` as far as they are there
     found: Mapping[str, Evaluation]
     figures: Mapping[str, Accuracy]  #: Their accuracy
     judged: str  #: The robot that is judged
@@ -192,13 +192,13 @@ def assess(
     robot: Robot,
     table: Measurements,
     cell: Cell,
-    c: Calibration | None = None,
+    c: CalibrationValues | None = None,
     *,
     which: tuple[str, ...] = (),
     judge: str | None = None,
     limits: Mapping[str, Any] | None = None,
 ) -> Assessment:
-    """Evaluate the robot as it is; and of a result its nominal robot, its joint origins, and its larger model.
+    """Evaluate the robot as it is; and of a result its nominal robot, its joint origins, and its non-geometric model.
 
     ``which`` of the result's frame and target are used; ``judge`` names the robot that is judged, by default the
     corrected one; ``limits`` is what `acceptance` is given: without it nothing is judged.
@@ -213,17 +213,21 @@ def assess(
     hint: Reason | None = None
     if c is None:
         found = {"urdf": evaluate(robot, table, cell)}
-        hint = better_setup(robot, cell, table.select(registering(table)))
+        hint = find_usual_mistake(robot, cell, table.select(registering(table)))
     else:
         states = {
             "nominal": (nominal, c.nominal_setup, None),
             "urdf": (robot, c.setup, None),
             "calibration": (c.corrected(robot), c.setup, None),
-            **({} if c.larger is None else {"larger": (nominal, None, c.larger)}),
+            **(
+                {}
+                if c.non_geometric is None
+                else {"non_geometric": (nominal, None, c.non_geometric)}
+            ),
         }
         found = {
-            who: evaluate(one, table, cell, known=known, which=which, larger=larger)
-            for who, (one, known, larger) in states.items()
+            who: evaluate(one, table, cell, known=known, which=which, non_geometric=non_geometric)
+            for who, (one, known, non_geometric) in states.items()
         }
         seen = fitted_rows(c, robot, table, cell)
         hint = moved(found["calibration"].robot, table, cell, c.setup, which)
@@ -235,7 +239,7 @@ def assess(
     figures = {who: accuracy(one, seen=seen) for who, one in found.items()}
     beyond: tuple[OutsideRow, ...] = ()
     rows = tuple(row for pose in figures[judged].poses for row in pose.rows[:1])
-    if c is not None and judged in ("calibration", "larger"):
+    if c is not None and judged in ("calibration", "non_geometric"):
         own_rows = np.isin(table.rows, rows)
         beyond = c.outside_of_measured(table.joints_for(c.nominal.joint_names)[own_rows])
         rows = tuple(np.array(table.rows)[own_rows].tolist())

@@ -18,24 +18,29 @@ from calib.data.cell import AUTO, Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.coverage import outside
 from calib.diagnosis.reasons import NO, Reason, Verdict
-from calib.diagnosis.usual_mistakes import better_setup, check_positions
+from calib.diagnosis.usual_mistakes import check_positions, find_usual_mistake
 from calib.diagnosis.verdict import verdict
 from calib.estimate.extrapolation import extrapolation
 from calib.estimate.fitting import Fitted, Task, fit
-from calib.estimate.registration import nominal_setup, register_unseen
-from calib.estimate.rows import Rows
-from calib.estimate.setup import Setup, joint_loads, known_distances, rows_of
-from calib.estimate.solvers import Solver
-from calib.estimate.statistics import CrossValidation, Limits, Repeats, repeats, rms
 from calib.jobs import Progress
 from calib.model.error_model import OWN, split_name
 from calib.model.kinematics import Parameter, Samples
 from calib.model.observability import Observability
-from calib.result.calibration import Calibration, Fit, RowNames, Source
+from calib.numerics.errors import CrossValidation, rms
+from calib.numerics.repeats import Repeats, repeats
+from calib.numerics.scores import Limits
+from calib.numerics.solvers import Solver
+from calib.registration.joint_loads import joint_loads
+from calib.registration.known_distances import known_distances
+from calib.registration.registration import nominal_setup, register_unseen
+from calib.registration.rows import Rows
+from calib.registration.setup import Setup
+from calib.registration.table_rows import rows_of
+from calib.result.calibration import CalibrationValues, Fit, RowNames, Source
 from calib.result.doubts import doubts_of
 from calib.result.evidence import evidence_of
 from calib.result.prediction import (
-    Larger,
+    NonGeometric,
     Outlier,
     Solved,
     base_motion,
@@ -58,12 +63,11 @@ from calib.selection.selection import (
 )
 from calib.units import Array, Mask
 
-__all__ = ["Calibration", "calibrate"]
-
-#: A smaller share of outliers is not worth the time that a larger model takes.
+#: A smaller share of outliers is not worth the time that a non-geometric model takes.
 _FEW = 0.01
 
-#: Of more rows a part this large is asked first whether the outliers are any: a larger model costs as much as all else.
+#: Of more rows a part this large is fitted first to confirm the outliers: a non-geometric model costs as much as
+#: all else.
 _MANY = 300
 
 
@@ -78,7 +82,7 @@ def calibrate(
     robust: bool = True,
     validate: bool = True,
     progress: Progress | None = None,
-) -> Calibration:
+) -> CalibrationValues:
     """Calibrate a robot from measurements of a target on its tip.
 
     Args:
@@ -90,7 +94,7 @@ def calibrate(
             ``"hayati"``, ``"placement"``, ``"zeros"`` or ``"frames"``, such as ``"dh+compliance"``; default the
             cell's. See docs/parameters.md. Or the robot's parameters themselves, each a twist at a placement.
         solver: ``"lm"`` (default), ``"scipy"`` (the same problem by SciPy), or ``"paper"`` (the paper's algorithm,
-            without priors and robust weights); or a function like those of `calib.estimate.solvers.SOLVERS`.
+            without priors and robust weights); or a function like those of `calib.numerics.solvers.SOLVERS`.
         robust: Whether outliers lose their weight; they are named either way.
         validate: Whether to cross-validate; one fold a row up to 60 rows, ten folds above.
         progress: Called after each fit of the cross-validation.
@@ -114,7 +118,7 @@ class Fits:
     """What `calibrate` makes its result of."""
 
     fitted: Fitted  #: Of the geometry
-    larger: Fitted | None  #: Of the larger model
+    non_geometric: Fitted | None  #: Of the non-geometric model
     candidates: tuple[Candidate, ...]  #: The ladder they were chosen from
     every: Rows  #: All rows of the table
     rows: Rows  #: Those that were fitted
@@ -141,24 +145,24 @@ def fit_table(
     unseen = setup.as_known(frames, targets)
     began = time.perf_counter()
     model = cell.model if model is None else model
-    hint = better_setup(robot, cell, measurements.select(measurements.estimation))
+    hint = find_usual_mistake(robot, cell, measurements.select(measurements.estimation))
     told, distances = setup.as_known(~frames, ~targets), known_distances(cell, setup)
     task = Task(robot, cell, told, model, distances, solver, robust)
     if hint and model == AUTO:  # nothing that is told of such a fit means anything
         check_names(task)
         task = replace(task, model="zeros", lenient=True)
-    fitted, larger, candidates = _fitted(task, rows)
-    if isinstance(model, str) and not (hint or larger or candidates):
+    fitted, non_geometric, candidates = _fitted(task, rows)
+    if isinstance(model, str) and not (hint or non_geometric or candidates):
         fitted = _judged(fitted, measurements)
     fitted = fitted.with_unseen(unseen, others)
-    larger = larger and larger.with_unseen(unseen, others)
+    non_geometric = non_geometric and non_geometric.with_unseen(unseen, others)
     rows = replace(rows, sole=fitted.estimate.problem.rows.sole)
     seconds = time.perf_counter() - began
-    return Fits(fitted, larger, candidates, every, rows, unseen, hint, seconds)
+    return Fits(fitted, non_geometric, candidates, every, rows, unseen, hint, seconds)
 
 
 def _fitted(task: Task, rows: Rows) -> tuple[Fitted, Fitted | None, tuple[Candidate, ...]]:
-    """The fit of the geometry, that of the larger model if there is one, and the ladder they were chosen from."""
+    """The fit of the geometry, that of the non-geometric model if there is one, and the candidates."""
     if task.model == AUTO and task.solver == "paper":
         return fit(replace(task, model="dh", lenient=True), rows), None, ()
     if task.model == AUTO:
@@ -175,9 +179,9 @@ def _fitted(task: Task, rows: Rows) -> tuple[Fitted, Fitted | None, tuple[Candid
 
 
 def _judged(fitted: Fitted, m: Measurements) -> Fitted:
-    """A named geometry's fit; where it has outliers, judged by a larger model, which needs the joints' loads."""
+    """A named geometry's fit; where it has outliers, judged by a non-geometric model, which needs the joints' loads."""
     task, flagged = fitted.task, fitted.estimate.outliers
-    if task.solver == "paper" or task.cell.priors.sizes == "off" or np.mean(flagged) < _FEW:
+    if task.solver == "paper" or task.cell.priors.source == "off" or np.mean(flagged) < _FEW:
         return fitted
     m, rows = m.select(m.estimation), fitted.estimate.problem.rows
     if len(rows) > _MANY and _outliers_of_few(fitted, m):
@@ -189,7 +193,7 @@ def _judged(fitted: Fitted, m: Measurements) -> Fitted:
 
 
 def _outliers_of_few(fitted: Fitted, m: Measurements) -> bool:
-    """Whether a larger model fitted to a part of the rows calls every outlier one too; if not, it takes all rows."""
+    """Confirm that a non-geometric model fitted to a part of the rows calls every outlier one too."""
     rows, flagged = fitted.estimate.problem.rows, fitted.estimate.outliers
     judge = widest(fitted, _loaded(fitted, m, rows.evenly(_MANY)))
     chosen = rows.with_partners(flagged)
@@ -205,13 +209,13 @@ def _loaded(fitted: Fitted, m: Measurements, chosen: Mask) -> Rows:
     return replace(rows, samples=replace(rows.samples, load=load))
 
 
-def _validated(m: Measurements, fits: Fits, progress: Progress | None) -> Calibration:
-    """The result with cross-validation, of the larger model too, and the verdict."""
+def _validated(m: Measurements, fits: Fits, progress: Progress | None) -> CalibrationValues:
+    """The result with cross-validation, of the non-geometric model too, and the verdict."""
     task, rows, hint = fits.fitted.task, fits.rows, fits.hint
     outliers = fits.fitted.estimate.outliers
 
     def validated(fitted: Fitted, part: int) -> CrossValidation:
-        parts = max(part + 1, 1 if fits.larger is None else 2)
+        parts = max(part + 1, 1 if fits.non_geometric is None else 2)
 
         def told(done: int, every: int) -> None:
             if progress is not None:
@@ -220,19 +224,21 @@ def _validated(m: Measurements, fits: Fits, progress: Progress | None) -> Calibr
         return cross_validation(fitted, outliers, told)
 
     of_calibrated = validated(fits.fitted, 0)
-    fits, of_larger = _confirmed(m, fits, of_calibrated, validated)
+    fits, of_non_geometric = _confirmed(m, fits, of_calibrated, validated)
     result = _assembled(m, fits)
-    larger = result.larger and replace(result.larger, cross_validation=of_larger)
+    non_geometric = result.non_geometric and replace(
+        result.non_geometric, cross_validation=of_non_geometric
+    )
     result = replace(
         result,
         cross_validation=of_calibrated,
         nominal_cross_validation=nominal_cross_validation(task, rows, outliers),
-        larger=larger,
+        non_geometric=non_geometric,
     )
     doubts = doubts_of(result, rows)
-    if larger is not None:
-        judged = verdict(evidence_of(result, larger, rows, doubts, hint))
-        result = replace(result, larger=replace(larger, verdict=judged))
+    if non_geometric is not None:
+        judged = verdict(evidence_of(result, non_geometric, rows, doubts, hint))
+        result = replace(result, non_geometric=replace(non_geometric, verdict=judged))
     return replace(result, verdict=verdict(evidence_of(result, result, rows, doubts, hint)))
 
 
@@ -253,21 +259,21 @@ def _confirmed(
         of_geometry: Cross-validation of the geometry.
         validated: Gives that of a fit, with the number of cross-validations before it.
     """
-    if fits.larger is None:
+    if fits.non_geometric is None:
         return fits, None
     if not fits.candidates:
-        return fits, validated(fits.larger, 1)
+        return fits, validated(fits.non_geometric, 1)
     estimate = fits.fitted.estimate
 
     def squares(validation: CrossValidation) -> float:
         whitened = validation.residual / estimate.problem.scales
         return float(np.sum(whitened[~estimate.outliers] ** 2))
 
-    for part, fitted in enumerate(_contenders(m, fits, fits.larger), start=1):
+    for part, fitted in enumerate(_contenders(m, fits, fits.non_geometric), start=1):
         found = validated(fitted, part)
         if squares(found) < squares(of_geometry):
-            return _with_larger(fits, fitted), found
-    return _with_larger(fits, None), None
+            return _with_non_geometric(fits, fitted), found
+    return _with_non_geometric(fits, None), None
 
 
 def _contenders(m: Measurements, fits: Fits, chosen: Fitted) -> Iterator[Fitted]:
@@ -279,10 +285,15 @@ def _contenders(m: Measurements, fits: Fits, chosen: Fitted) -> Iterator[Fitted]
         yield fitted.with_unseen(fits.unseen, others)
 
 
-def _with_larger(fits: Fits, larger: Fitted | None) -> Fits:
+def _with_non_geometric(fits: Fits, non_geometric: Fitted | None) -> Fits:
     """The fits with another non-geometric model, or none; the candidates say so."""
-    geometry, name = str(fits.fitted.task.model), "" if larger is None else str(larger.task.model)
-    return replace(fits, larger=larger, candidates=marked(fits.candidates, geometry, name))
+    geometry, name = (
+        str(fits.fitted.task.model),
+        "" if non_geometric is None else str(non_geometric.task.model),
+    )
+    return replace(
+        fits, non_geometric=non_geometric, candidates=marked(fits.candidates, geometry, name)
+    )
 
 
 def _solved(fitted: Fitted) -> tuple[dict[str, Any], Observability]:
@@ -300,7 +311,7 @@ def _solved(fitted: Fitted) -> tuple[dict[str, Any], Observability]:
         "kinematics": fitted.kinematics,
         "x": estimated.x,
         "covariance": estimated.covariance,
-        "sizes": estimated.sizes,
+        "prior_std": estimated.prior_std,
         "parameters": parameter_estimates(fitted, observability),
         "setup": fitted.placed(),
         "base_motion": motion,
@@ -313,15 +324,15 @@ def _solved(fitted: Fitted) -> tuple[dict[str, Any], Observability]:
     return solved, observability
 
 
-def _assembled(m: Measurements, fits: Fits) -> Calibration:
+def _assembled(m: Measurements, fits: Fits) -> CalibrationValues:
     """Everything that the fits say, as one value; cross-validation and verdict are still to come."""
-    fitted, every, larger = fits.fitted, fits.every, None
+    fitted, every, non_geometric = fits.fitted, fits.every, None
     task, estimated, problem = fitted.task, fitted.estimate, fitted.estimate.problem
     robot, cell, mask = task.robot, task.cell, m.estimation
-    if fits.larger is not None:
-        larger = Larger(
-            **_solved(fits.larger)[0],
-            residual=read_only(fits.larger.residual(every)),
+    if fits.non_geometric is not None:
+        non_geometric = NonGeometric(
+            **_solved(fits.non_geometric)[0],
+            residual=read_only(fits.non_geometric.residual(every)),
             payload=cell.payload,
             gravity=cell.gravity,
         )
@@ -351,7 +362,7 @@ def _assembled(m: Measurements, fits: Fits) -> Calibration:
     solved, observability = _solved(fitted)
     no_poses, no_rows = np.zeros(0, dtype=int), read_only(np.zeros(0))
     lowered = np.any(estimated.outliers) and task.solver != "paper"
-    return Calibration(
+    return CalibrationValues(
         **solved,
         nominal=robot,
         robot=fitted.kinematics.model.apply(robot, estimated.x),
@@ -360,7 +371,7 @@ def _assembled(m: Measurements, fits: Fits) -> Calibration:
         frame_estimated=cell.estimate_frame,
         frozen=cell.frozen,
         ties=cell.ties,
-        sizes_from=cell.priors.sizes,
+        prior_std_from=cell.priors.source,
         nominal_setup=placed,
         solver=task.solver if isinstance(task.solver, str) else task.solver.__name__,
         solution=estimated.solution,
@@ -392,9 +403,9 @@ def _assembled(m: Measurements, fits: Fits) -> Calibration:
             )
             for one in fits.candidates
         ),
-        larger=larger,
+        non_geometric=non_geometric,
         verdict=None,
-        fit=Fit(m, cell, fitted, fits.larger),
+        fit=Fit(m, cell, fitted, fits.non_geometric),
     )
 
 

@@ -19,12 +19,13 @@ from calib.diagnosis.coverage import OutsideRow, outside
 from calib.diagnosis.reasons import Verdict
 from calib.errors import ModelError, choices
 from calib.estimate.fitting import Fitted
-from calib.estimate.setup import Setup
-from calib.estimate.solvers import Solution
-from calib.estimate.statistics import CrossValidation, Errors, Repeats
 from calib.model.kinematics import Samples
 from calib.model.observability import Observability
-from calib.result.prediction import Larger, Outlier, ParameterEstimate, Solved, tells_place
+from calib.numerics.errors import CrossValidation, Errors
+from calib.numerics.repeats import Repeats
+from calib.numerics.solvers import Solution
+from calib.registration.setup import Setup
+from calib.result.prediction import NonGeometric, Outlier, ParameterEstimate, Solved, tells_place
 from calib.result.robustness import Robustness
 from calib.robot.robot import Payload, Robot, rigid_inverse
 from calib.selection.selection import Candidate
@@ -69,16 +70,16 @@ class Source:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """The solved problem: the fit of the geometry, which the URDF holds, and that of the larger model."""
+    """The solved problem: the fit of the geometry, which the URDF holds, and that of the non-geometric model."""
 
     measurements: Measurements
     cell: Cell
     geometry: Fitted
-    larger: Fitted | None = None
+    non_geometric: Fitted | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Calibration(Solved):
+class CalibrationValues(Solved):
     """The result of `calib.calibrate`; the attributes of `Solved` are those of the geometry, which the URDF holds."""
 
     nominal: Robot  #: The robot as it came in
@@ -88,7 +89,7 @@ class Calibration(Solved):
     frame_estimated: bool  #: Whether the cell left the measurement frames to be estimated
     frozen: tuple[str, ...]  #: Parameters that were kept at their nominal values
     ties: Mapping[str, tuple[str, float]]  #: Parameters that follow another one, by a factor
-    sizes_from: str  #: Where the sizes of the priors are from: ``"data"``, ``"given"``, or ``"off"`` without priors
+    prior_std_from: str  #: Where the sizes of the priors are from: ``"data"``, ``"given"``, or ``"off"`` without priors
     nominal_setup: Setup  #: Of the nominal robot's errors: as given, or registered
     solver: str  #: Name of the solver
     solution: Solution  #: Where it stopped, with its history
@@ -105,7 +106,7 @@ class Calibration(Solved):
     residual_nominal: Array
     residual_calibrated: Array  #: shape (N, D), by the calibrated robot
     used: Mask  #: shape (N, D), which scalars were measured
-    scores: Array  #: shape (N,), of all rows; see `calib.estimate.statistics`
+    scores: Array  #: shape (N,), of all rows; see `calib.numerics.scores`
     weights: Array  #: shape (N,), of all rows in the fit, between 0 and 1; 0 for validation rows
     ranges: Array  #: shape (m, 2), smallest and largest joint values that were fitted [rad], [m]
     flag_limit: float  #: The score above which a row is flagged
@@ -120,7 +121,7 @@ class Calibration(Solved):
     nominal_cross_validation: CrossValidation | None
     observability: Observability  #: Rank, and what the measured poses cannot tell apart
     candidates: tuple[Candidate, ...]  #: The ladder that ``auto`` chose from, or empty
-    larger: Larger | None  #: The larger model, if one was chosen or asked for
+    non_geometric: NonGeometric | None  #: The non-geometric model, if one was chosen or asked for
     verdict: Verdict | None  #: None without cross-validation, unless the set-up is plainly wrong
     #: Measurements and solved problem; None where the result was read from a file
     fit: Fit | None = field(default=None, repr=False)
@@ -167,10 +168,10 @@ class Calibration(Solved):
 
     @property
     def errors(self) -> dict[str, dict[str, Errors]]:
-        """``errors["nominal" | "calibrated" | "larger"]["estimation" | "validation"]``; "larger" if there is one."""
+        """``errors["nominal" | "calibrated" | "non_geometric"]["estimation" | "validation"]``."""
         residuals = {"nominal": self.residual_nominal, "calibrated": self.residual_calibrated}
-        if self.larger is not None:
-            residuals["larger"] = self.larger.residual
+        if self.non_geometric is not None:
+            residuals["non_geometric"] = self.non_geometric.residual
         sets = (("estimation", self.rows.estimation), ("validation", self.rows.validation))
         return {
             who: {name: Errors.of(residual[mask], self.used[mask]) for name, mask in sets}
@@ -178,10 +179,14 @@ class Calibration(Solved):
         }
 
     def parameter(self, name: str) -> ParameterEstimate:
-        """One parameter by its exact name; of the geometry, or of the larger model if only that has it."""
-        larger = self.larger
-        if larger is not None and name in larger.model.names and name not in self.model.names:
-            return larger.parameters[larger.model.index(name)]
+        """One parameter by its exact name; of the geometry, or of the non-geometric model if only that has it."""
+        non_geometric = self.non_geometric
+        if (
+            non_geometric is not None
+            and name in non_geometric.model.names
+            and name not in self.model.names
+        ):
+            return non_geometric.parameters[non_geometric.model.index(name)]
         return self.parameters[self.model.index(name)]
 
     @property
@@ -189,22 +194,26 @@ class Calibration(Solved):
         """Whether any row tells where the base stands; otherwise predictions are in the base."""
         return tells_place(self.rows.kinds)
 
-    def verdict_on(self, *, larger: bool) -> Verdict | None:
+    def verdict_on(self, *, non_geometric: bool) -> Verdict | None:
         """The verdict on the non-geometric model, where it is asked for and was judged, or on the geometry.
 
         Args:
-            larger: Whether the non-geometric model is to be used, as of `part`.
+            non_geometric: Whether the non-geometric model is to be used, as of `part`.
 
         Returns:
             The verdict; None where nothing was judged.
         """
-        if larger and self.larger is not None and self.larger.verdict is not None:
-            return self.larger.verdict
+        if (
+            non_geometric
+            and self.non_geometric is not None
+            and self.non_geometric.verdict is not None
+        ):
+            return self.non_geometric.verdict
         return self.verdict
 
-    def part(self, *, larger: bool) -> Solved:
-        """What to predict with: the larger model, where it is asked for and there is one, or the geometry."""
-        return self.larger if larger and self.larger is not None else self
+    def part(self, *, non_geometric: bool) -> Solved:
+        """What to predict with: the non-geometric model, where it is asked for and there is one, or the geometry."""
+        return self.non_geometric if non_geometric and self.non_geometric is not None else self
 
     def samples(
         self,
@@ -219,7 +228,11 @@ class Calibration(Solved):
         Target and set-up are the first, and the payload is the calibration's, where None; `ModelError` for other names.
         """
         values = np.atleast_2d(np.asarray(q, dtype=np.float64))
-        load = None if self.larger is None else self.larger.load(self.nominal, values, payload)
+        load = (
+            None
+            if self.non_geometric is None
+            else self.non_geometric.load(self.nominal, values, payload)
+        )
 
         def numbered(what: str, name: str | None, names: tuple[str, ...]) -> NDArray[np.int_]:
             if name is not None and name not in names:
@@ -239,7 +252,7 @@ class Calibration(Solved):
         *,
         target: str | None = None,
         group: str | None = None,
-        larger: bool = True,
+        non_geometric: bool = True,
     ) -> Array:
         """Where the calibrated robot puts the target, in the measurement frame, shape (N, 4, 4), [m].
 
@@ -248,9 +261,9 @@ class Calibration(Solved):
             target: Name of the target; the first where None.
             group: Name of the set-up whose frame is meant; where None the first, or the base where no row tells where
                 it stands.
-            larger: Whether to use the larger model, where there is one; else the geometry that the URDF holds.
+            non_geometric: Whether to use the non-geometric model, if there is one; else the geometry of the URDF.
         """
-        part = self.part(larger=larger)
+        part = self.part(non_geometric=non_geometric)
         poses = part.kinematics.poses(part.x, self.samples(q, target=target, group=group))
         if group is None and not self.tells_place:
             poses = rigid_inverse(part.setup.T_frame_base[0]) @ poses
@@ -266,22 +279,25 @@ class Calibration(Solved):
         *,
         target: str | None = None,
         group: str | None = None,
-        larger: bool = True,
+        non_geometric: bool = True,
     ) -> Array:
         """How sure `predict` is, sqrt(trace(J C J^T)), shape (N,), [m]; the arguments are those of `predict_poses`.
 
         Where only sockets, planes, anchors or pairs were measured, and no group is named, less what moves all positions
         as one body. It knows nothing of errors that the model lacks.
         """
-        part, samples = self.part(larger=larger), self.samples(q, target=target, group=group)
+        part, samples = (
+            self.part(non_geometric=non_geometric),
+            self.samples(q, target=target, group=group),
+        )
         in_base = group is None and part.base_motion is not None
         return part.pose_std(samples, in_base=in_base)[:, 0]
 
     def tip_poses(self, q: ArrayLike, *, payload: Payload | None = None) -> Array:
-        """T_base_tip by the larger model, or the corrected origins where there is none; q (N, m), shape (N, 4, 4)."""
-        if self.larger is None:
+        """T_base_tip by the non-geometric model, or the corrected origins; q (N, m), shape (N, 4, 4)."""
+        if self.non_geometric is None:
             return self.robot.poses(np.atleast_2d(np.asarray(q, dtype=np.float64)))
-        return self.larger.tips(self.samples(q, payload=payload))
+        return self.non_geometric.tips(self.samples(q, payload=payload))
 
     def outside_of_measured(self, q: ArrayLike) -> tuple[OutsideRow, ...]:
         """Which joint values, shape (N, m), [rad] or [m], lie outside of the range that the fit has seen."""

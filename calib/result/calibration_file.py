@@ -19,7 +19,6 @@ import pinocchio as pin
 from calib.diagnosis.coverage import OutsideRow
 from calib.diagnosis.reasons import Reason
 from calib.errors import CalibError, FileError
-from calib.estimate.statistics import CrossValidation, Errors, Repeats
 from calib.files import (
     Json,
     JsonLayout,
@@ -33,8 +32,10 @@ from calib.files import (
 from calib.model.families import FAMILIES, Factor, factor_of
 from calib.model.kinematics import ErrorModel, Kinematics, Parameter
 from calib.model.observability import Observability
-from calib.result.calibration import Calibration, Source
-from calib.result.prediction import Larger, Outlier, Solved
+from calib.numerics.errors import CrossValidation, Errors
+from calib.numerics.repeats import Repeats
+from calib.result.calibration import CalibrationValues, Source
+from calib.result.prediction import NonGeometric, Outlier, Solved
 from calib.result.robustness import Robustness
 from calib.robot.robot import Payload, Robot, read_only
 from calib.robot.urdf import Urdf
@@ -43,7 +44,7 @@ from calib.units import Array
 from calib.version import __version__
 
 #: The layout of a result.
-SCHEMA = 5
+SCHEMA = 6
 
 
 def _ranges(found: Any) -> Array:  # noqa: ANN401
@@ -64,8 +65,10 @@ def pose_table(T: Array, prefix: str = "") -> dict[str, Any]:
 
 #: The size of each family's errors, the unit in the key.
 _SIZES = Key(
-    "sizes",
-    lambda sizes: {f"{name}_{FAMILIES[name].unit.key}": size for name, size in sizes.items()},
+    "prior_std",
+    lambda prior_std: {
+        f"{name}_{FAMILIES[name].unit.key}": size for name, size in prior_std.items()
+    },
     lambda found: {
         name: float(found[key])
         for name, row in FAMILIES.items()
@@ -93,7 +96,7 @@ _LAYOUT: JsonLayout = JsonLayout(
         },
         Payload: {"mass": "mass_kg", "com": "com_m"},
         Repeats: {"within": "scatter", "freedoms": "freedom", "rho": "correlation"},
-        Candidate: {"name": "set", "sizes": _SIZES},
+        Candidate: {"name": "set", "prior_std": _SIZES},
         Robustness: {
             "lowered": "weights_lowered",
             "moved_rms": "moved_rms_m",
@@ -113,13 +116,13 @@ _LAYOUT: JsonLayout = JsonLayout(
                 lambda v: read_only(np.array(v, dtype=float).reshape(len(v), -1)),
             ),
             "base_motion": Key("base_motion", None, lambda v: v and np.reshape(v, (6, -1))),
-            "sizes": _SIZES,
+            "prior_std": _SIZES,
             "expected_measured": "expected.measured_rms_m",
             "expected_everywhere": "expected.everywhere_rms_m",
             "extrapolation": "expected.extrapolation",
         },
-        Larger: {"gravity": "gravity_m_s2"},
-        Calibration: {
+        NonGeometric: {"gravity": "gravity_m_s2"},
+        CalibrationValues: {
             **dict.fromkeys(("nominal", "robot", "source", "fit")),
             "setup": "frames.",
             "nominal_setup": "frames.nominal",
@@ -131,9 +134,10 @@ _LAYOUT: JsonLayout = JsonLayout(
             },
             "ranges": Key("robot.ranges", None, _ranges),
             **{
-                name: f"noise.{name}" for name in ("freedom", "repeats", "sizes_from", "flag_limit")
+                name: f"noise.{name}"
+                for name in ("freedom", "repeats", "prior_std_from", "flag_limit")
             },
-            "sizes": replace(_SIZES, path="noise.sizes"),
+            "prior_std": replace(_SIZES, path="noise.prior_std"),
             "sigma": "noise.sigma_m",
             "sigma_angle": "noise.sigma_angle_rad",
             "sigma_given": "noise.sigma_given_m",
@@ -162,7 +166,7 @@ def versions() -> dict[str, str]:
     return {"calib": __version__, "python": platform.python_version(), **packages}
 
 
-def result_table(c: Calibration) -> dict[str, Any]:
+def result_table(c: CalibrationValues) -> dict[str, Any]:
     """The result as nested tables of plain values, before missing numbers become null."""
     r, urdf, given = c.nominal, c.nominal.urdf, c.setup.target_given[0]
     errors = {
@@ -193,13 +197,16 @@ def result_table(c: Calibration) -> dict[str, Any]:
     for key, value in _LAYOUT.table(c).items():
         found[key] = found.get(key, {}) | value if isinstance(value, dict) else value
     found["solver"]["iterations"] = c.solution.iterations
-    if c.larger is not None:
-        found["larger"] |= {"errors": errors["larger"], "model": _model_table(c.larger.model)}
+    if c.non_geometric is not None:
+        found["non_geometric"] |= {
+            "errors": errors["non_geometric"],
+            "model": _model_table(c.non_geometric.model),
+        }
     return found
 
 
 def write_result(
-    c: Calibration, path: str | Path, *, overwrite: bool = False, extra: Json | None = None
+    c: CalibrationValues, path: str | Path, *, overwrite: bool = False, extra: Json | None = None
 ) -> Path:
     """Write a calibration as JSON, with further keys if any; `FileError` where that cannot be."""
     return write_table(result_table(c) | dict(extra or {}), path, overwrite=overwrite)
@@ -210,7 +217,7 @@ def write_table(table: Json, path: str | Path, *, overwrite: bool = False) -> Pa
     return write_atomically(Path(path), json_bytes(table), overwrite=overwrite)
 
 
-def read_result(path: str | Path) -> Calibration:
+def read_result(path: str | Path) -> CalibrationValues:
     """Read a calibration; `FileError` where it cannot be read, is no result, of another schema, or damaged."""
     expected = (
         f"a result of calib {__version__} has {SCHEMA}. Results are written by calib calibrate ROBOT DATA --json "
@@ -227,7 +234,7 @@ def read_result(path: str | Path) -> Calibration:
         ) from error
 
 
-def _calibration(found: Json, folder: Path) -> Calibration:
+def _calibration(found: Json, folder: Path) -> CalibrationValues:
     """A result from its tables; meshes lie beside the URDF, where that is in a folder."""
     robot, inputs = found["robot"], found["inputs"]
     name, text = inputs["urdf"]["name"], inputs["urdf"]["text"]
@@ -236,13 +243,13 @@ def _calibration(found: Json, folder: Path) -> Calibration:
     nominal = Robot.from_urdf(urdf, robot["base"], robot["tip"], held=held)
 
     def solved(kind: type[Solved], table: Json) -> dict[str, Any]:
-        """The attributes of the geometry, or of the larger model."""
-        own = _LAYOUT.values(kind, table, without=("larger",))
+        """The attributes of the geometry, or of the non-geometric model."""
+        own = _LAYOUT.values(kind, table, without=("non_geometric",))
         x, C, setup = own["x"], own["covariance"], own["setup"]
         model = _model_of(table["model"], [one.name for one in own["parameters"]])
         arrays = x, C, setup.T_frame_base, setup.T_tip_target
         numbers = [
-            *(one.push for one in own["parameters"]),
+            *(one.data_gradient for one in own["parameters"]),
             *np.concatenate([*map(np.ravel, arrays)]),
         ]
         if C.shape != x.shape * 2 or not np.isfinite(numbers).all():
@@ -256,16 +263,18 @@ def _calibration(found: Json, folder: Path) -> Calibration:
         )
         return own
 
-    own, larger = solved(Calibration, found), found["larger"]
+    own, non_geometric = solved(CalibrationValues, found), found["non_geometric"]
     ends = len(own["ranges"]), len(own["rows"])
     if ends != (len(nominal.joint_names), inputs["measurements"]["rows"]):
         raise ValueError("'robot.ranges' or 'rows' are not those of the result")
-    return Calibration(
+    return CalibrationValues(
         **own,
         nominal=nominal,
         robot=own["kinematics"].model.apply(nominal, own["x"]),
         source=Source(inputs["measurements"]["name"], inputs["measurements"]["sha256"]),
-        larger=None if larger is None else Larger(**solved(Larger, larger)),
+        non_geometric=None
+        if non_geometric is None
+        else NonGeometric(**solved(NonGeometric, non_geometric)),
     )
 
 

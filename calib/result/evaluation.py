@@ -27,13 +27,14 @@ from calib.data.measurements import Measurements
 from calib.data.table import DEFAULT_TARGET
 from calib.diagnosis.reasons import Reason, Why
 from calib.errors import CalibError, MeasurementError, ModelError, choices
-from calib.estimate.registration import nominal_setup, register_unseen
-from calib.estimate.setup import Setup, rows_of
-from calib.estimate.statistics import Errors
 from calib.model.error_model import DIRECTIONS
 from calib.model.kinematics import Samples
-from calib.result.calibration import Calibration
-from calib.result.prediction import Larger
+from calib.numerics.errors import Errors
+from calib.registration.registration import nominal_setup, register_unseen
+from calib.registration.setup import Setup
+from calib.registration.table_rows import rows_of
+from calib.result.calibration import CalibrationValues
+from calib.result.prediction import NonGeometric
 from calib.robot.kernel import one_blas_thread
 from calib.robot.robot import Robot, read_only
 from calib.units import Array, Mask
@@ -72,7 +73,7 @@ def evaluate(
     *,
     known: Setup | None = None,
     which: tuple[str, ...] = PLACES,
-    larger: Larger | None = None,
+    non_geometric: NonGeometric | None = None,
 ) -> Evaluation:
     """Compare a robot with measurements.
 
@@ -86,22 +87,30 @@ def evaluate(
         known: Frames and targets of an earlier result, which win over the cell's: `Calibration.setup`, or its
             ``nominal_setup`` for the nominal robot.
         which: Whether its ``"frame"``, its ``"target"`` or both are meant.
-        larger: The larger model of a result, to predict with on the nominal robot. Its frames and targets are the
-            known ones, and a payload of the cell wins over its own.
+        non_geometric: The non-geometric model of a result, to predict with on the nominal robot. Its frames and
+            targets are the known ones, and a payload of the cell wins over its own.
 
     Raises:
         MeasurementError: Too few rows to register what was not given, or a joint's column is missing.
         ModelError: The table has a set-up that neither the earlier result nor the cell knows.
     """
     cell = cell or Cell()
-    if larger is not None:
-        cell = replace(cell, payload=cell.payload or larger.payload, gravity=larger.gravity)
-        larger = replace(larger, kinematics=replace(larger.kinematics, robot=robot))
-        known = larger.setup
+    if non_geometric is not None:
+        cell = replace(
+            cell, payload=cell.payload or non_geometric.payload, gravity=non_geometric.gravity
+        )
+        non_geometric = replace(
+            non_geometric, kinematics=replace(non_geometric.kinematics, robot=robot)
+        )
+        known = non_geometric.setup
     every, setup = rows_of(robot, measurements, cell)
     setup = setup if known is None else _at_known(setup, known, which)
     q = every.joints
-    poses = robot.poses(q) if larger is None else larger.tips(Samples.at(q, every.samples.load))
+    poses = (
+        robot.poses(q)
+        if non_geometric is None
+        else non_geometric.tips(Samples.at(q, every.samples.load))
+    )
     chosen = registering(measurements)
     placed = nominal_setup(poses[chosen], setup, every.select(chosen))
     unseen = setup.not_given(every.samples.select(chosen))
@@ -377,7 +386,7 @@ def judged_rows(
     return np.asarray(aside if registered and np.any(aside) else fresh)
 
 
-def fitted_rows(c: Calibration, robot: Robot, measurements: Measurements, cell: Cell) -> Mask:
+def fitted_rows(c: CalibrationValues, robot: Robot, measurements: Measurements, cell: Cell) -> Mask:
     """Which rows of a table a result was fitted to, shape (N,), in any file, in any order and under any number.
 
     A row is known again by its residuals with the nominal and with the corrected robot, which depend on every digit of

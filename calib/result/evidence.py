@@ -9,12 +9,12 @@ import numpy as np
 from calib.diagnosis.reasons import NO, Reason, Why
 from calib.diagnosis.verdict import Evidence
 from calib.estimate.fitting import Fitted
-from calib.estimate.rows import Rows
-from calib.estimate.statistics import Errors
 from calib.model.kinematics import FRAME, TARGET
-from calib.result.calibration import Calibration
+from calib.numerics.errors import Errors
+from calib.registration.rows import Rows
+from calib.result.calibration import CalibrationValues
 from calib.result.doubts import noise_doubts
-from calib.result.prediction import Larger, Solved, without_rigid_motion
+from calib.result.prediction import NonGeometric, Solved, without_rigid_motion
 from calib.robot.readback import spread_poses
 from calib.units import Array, Mask
 
@@ -23,19 +23,23 @@ _FEW_SUSPECTS = 0.15
 
 
 def evidence_of(
-    result: Calibration,
+    result: CalibrationValues,
     part: Solved,
     rows: Rows,
     doubts: tuple[Reason, ...],
     hint: Reason | None,
 ) -> Evidence:
-    """All that the verdict on a part of a result is based on: the result itself for its URDF, or its larger model.
+    """All that the verdict on a part of a result is based on: its URDF or its non-geometric model.
 
     The result is cross-validated, and the hint a set-up that explains more.
     """
     fits, m, model = result.in_memory, result.measurements, part.model
-    larger = part if isinstance(part, Larger) else None
-    fitted = fits.larger if larger is not None and fits.larger is not None else fits.geometry
+    non_geometric = part if isinstance(part, NonGeometric) else None
+    fitted = (
+        fits.non_geometric
+        if non_geometric is not None and fits.non_geometric is not None
+        else fits.geometry
+    )
     nominal, calibrated = result.nominal_cross_validation, part.cross_validation
     assert nominal is not None
     assert calibrated is not None
@@ -56,26 +60,27 @@ def evidence_of(
             m.validation,
             np.array([row in suspects for row in m.rows]),
             result.residual_nominal,
-            result.residual_calibrated if larger is None else larger.residual,
+            result.residual_calibrated if non_geometric is None else non_geometric.residual,
             result.used,
         ),
         doubts=(*noise_doubts(result, fitted, doubts), *doubts),
-        notes=tuple(_notes(result)) if larger is None else (),
+        notes=tuple(_notes(result)) if non_geometric is None else (),
         parameters=len(model),
-        whole=(4 * len(fitted.task.robot.inputs) + fitted.setup.count) * bool(result.candidates),
+        full_model_parameters=(4 * len(fitted.task.robot.inputs) + fitted.setup.count)
+        * bool(result.candidates),
         changes=bool(np.any(part.x[of_robot])),
         largest=float(np.max(np.abs(part.x[geometry]), initial=0.0)),
         noise=result.sigma,
         expected=expected,
         expected_of_nominal=expected_of_nominal,
         hint=hint,
-        non_geometric=_non_geometric(result) if larger is None else None,
+        non_geometric=_non_geometric(result) if non_geometric is None else None,
     )
 
 
-def _non_geometric(result: Calibration) -> tuple[str, Errors] | None:
+def _non_geometric(result: CalibrationValues) -> tuple[str, Errors] | None:
     """Name and held-out errors of the non-geometric model, unless it is not to be used itself."""
-    model = result.larger
+    model = result.non_geometric
     if model is None or model.cross_validation is None or model.verdict is None:
         return None
     if model.verdict.use == NO:
@@ -83,9 +88,9 @@ def _non_geometric(result: Calibration) -> tuple[str, Errors] | None:
     return model.name, model.cross_validation.errors_without_outliers
 
 
-def _noise_floor(result: Calibration, fitted: Fitted, doubts: tuple[Reason, ...]) -> Array:
+def _noise_floor(result: CalibrationValues, fitted: Fitted, doubts: tuple[Reason, ...]) -> Array:
     """The least noise of each scalar that any model tried has left, over that of a fit, at most 1, shape (N, D)."""
-    fits = (result.in_memory.geometry, result.in_memory.larger)
+    fits = (result.in_memory.geometry, result.in_memory.non_geometric)
     noise = np.array(fitted.estimate.noise)
     least = np.min([one.estimate.noise for one in fits if one is not None], axis=0)
     share = np.minimum(least / noise, 1.0)
@@ -95,14 +100,21 @@ def _noise_floor(result: Calibration, fitted: Fitted, doubts: tuple[Reason, ...]
     return np.append(share, 1.0)[fitted.estimate.problem.rows.instruments]
 
 
-def _notes(result: Calibration) -> Iterator[Reason]:
+def _notes(result: CalibrationValues) -> Iterator[Reason]:
     """What is told of the corrected robot besides, and decides nothing."""
-    larger, m = result.larger, result.measurements
-    if larger is not None and larger.cross_validation is not None and larger.verdict is not None:
-        errors, own = larger.cross_validation.errors_without_outliers, result.cross_validation
+    non_geometric, m = result.non_geometric, result.measurements
+    if (
+        non_geometric is not None
+        and non_geometric.cross_validation is not None
+        and non_geometric.verdict is not None
+    ):
+        errors, own = (
+            non_geometric.cross_validation.errors_without_outliers,
+            result.cross_validation,
+        )
         closer = own is None or not errors.rms >= own.errors_without_outliers.rms
         why = Why.LARGER_MODEL if closer else Why.LARGER_NO_CLOSER
-        yield Reason.of(why, model=larger.name, after=errors, use=larger.verdict.use)
+        yield Reason.of(why, model=non_geometric.name, after=errors, use=non_geometric.verdict.use)
     if m.copies:
         yield Reason.of(Why.ROWS_COPIED, rows=len(m.copies), row=m.copies[0])
     if result.outside:
@@ -112,7 +124,7 @@ def _notes(result: Calibration) -> Iterator[Reason]:
         yield Reason.of(Why.OUTSIDE, rows=len(result.outside), row=number, **values)
 
 
-def _over_joint_limits(result: Calibration, part: Solved) -> tuple[float, float]:
+def _over_joint_limits(result: CalibrationValues, part: Solved) -> tuple[float, float]:
     """What a part of a result and the nominal robot are expected to be off by over the joint limits, rms [m].
 
     With the variance v of a prediction there, v_0 at the measured poses and the factor f by which extrapolated errors

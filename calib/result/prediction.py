@@ -17,10 +17,11 @@ import numpy as np
 import calib.data.kinds as registry
 from calib.diagnosis.reasons import Verdict
 from calib.estimate.fitting import Fitted
-from calib.estimate.setup import Setup
-from calib.estimate.statistics import CrossValidation, interval_factor, rms
 from calib.model.kinematics import FRAME, TARGET, ErrorModel, Kinematics, Samples
 from calib.model.observability import Observability
+from calib.numerics.errors import CrossValidation, rms
+from calib.numerics.intervals import interval_factor
+from calib.registration.setup import Setup
 from calib.robot.robot import Payload, Robot, gravity_loads, read_only
 from calib.units import Array
 
@@ -49,7 +50,7 @@ class ParameterEstimate:
     #: How hard the data push it against its prior [1/unit]: minus the derivative of half their squares. At the least of
     #: all squares that is the prior's pull, (x - mean) / std^2. Where a prior is next to nothing wide, x is too, and
     #: only this still tells what the data say
-    push: float = np.nan
+    data_gradient: float = np.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,13 +69,15 @@ class Solved:
     kinematics: Kinematics  #: The nominal robot, with frames and targets where ``x`` counts from
     x: Array  #: shape (p,), offsets from the registered start [m, rad]
     covariance: Array  #: shape (p, p), of ``x``
-    sizes: Mapping[str, float]  #: Size of each family's errors, in its unit; empty without priors
+    prior_std: Mapping[
+        str, float
+    ]  #: Size of each family's errors, in its unit; empty without priors
     parameters: tuple[ParameterEstimate, ...]  #: One entry for each element of ``x``
     setup: Setup  #: Frames and targets as estimated or given
     #: shape (6, p), the motion of the base, linear part first, that makes up best for a unit of each parameter over the
     #: measured poses; None where the rows tell where the base stands
     base_motion: Array | None
-    cross_validation: CrossValidation | None  #: On left-out fitted rows; None without
+    cross_validation: CrossValidation | None  #: On held-out fitted rows; None without
     #: Standard deviation of the predicted point at the measured poses, rms [m]. From the covariance, so it knows
     #: nothing of errors that the model lacks
     expected_measured: float
@@ -140,7 +143,7 @@ class Solved:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Larger(Solved):
+class NonGeometric(Solved):
     """A model with errors of the joints' state, which no URDF can hold."""
 
     residual: Array  #: shape (N, D), measured minus predicted, all rows [m], [rad]
@@ -166,7 +169,11 @@ def parameter_estimates(
     at_bound = np.isin(np.arange(len(model)), list(estimate.at_bound))
     std = np.where(at_bound, np.nan, np.sqrt(np.diag(estimate.covariance)))
     half = interval_factor(estimate.freedom) * std
-    precision, push, placed = estimate.problem.precision, _pushes(fitted), fitted.placed()
+    precision, data_gradient, placed = (
+        estimate.problem.precision,
+        _data_gradients(fitted),
+        fitted.placed(),
+    )
     prior_std = 1.0 / np.sqrt(np.where(precision > 0.0, precision, np.nan))
     result = []
     for k, (parameter, delta) in enumerate(zip(model.parameters, estimate.x, strict=True)):
@@ -193,13 +200,13 @@ def parameter_estimates(
                 identifiable=bool(observability.identifiable[k]),
                 at_bound=bool(at_bound[k]),
                 prior_std=float(prior_std[k]),
-                push=float(push[k]),
+                data_gradient=float(data_gradient[k]),
             )
         )
     return tuple(result)
 
 
-def _pushes(fitted: Fitted) -> Array:
+def _data_gradients(fitted: Fitted) -> Array:
     """The data's gradient of each parameter against its prior, shape (p,); see `ParameterEstimate`."""
     x, problem = fitted.estimate.x, fitted.estimate.problem
     if fitted.task.solver == "paper":  # not at the least of squares, and without priors

@@ -21,12 +21,12 @@ from scipy.special import fdtri, gammaincinv
 
 from calib.errors import CalibError, ModelError
 from calib.estimate.fitting import Fitted
-from calib.estimate.solvers import levenberg_marquardt
-from calib.estimate.statistics import rms
 from calib.jobs import Progress, batch_size, run
 from calib.model.kinematics import Samples, Where
 from calib.model.observability import steps
-from calib.result.calibration import Calibration
+from calib.numerics.errors import rms
+from calib.numerics.solvers import levenberg_marquardt
+from calib.result.calibration import CalibrationValues
 from calib.result.prediction import ParameterEstimate, without_rigid_motion
 from calib.robot.kernel import one_blas_thread
 from calib.robot.readback import spread_poses
@@ -110,7 +110,7 @@ class Bootstrap:
 
 @one_blas_thread()
 def bootstrap(
-    calibration: Calibration,
+    calibration: CalibrationValues,
     count: int,
     seed: int,
     progress: Progress | None = None,
@@ -193,10 +193,11 @@ class Profile:
 
 
 @one_blas_thread()
-def profile_interval(calibration: Calibration, name: str, level: float = 0.95) -> Profile:
+def profile_interval(calibration: CalibrationValues, name: str, level: float = 0.95) -> Profile:
     """The interval of one parameter, in its unit, from the profile of the cost; see the module's text.
 
-    An end is infinite where the measurements set no limit. A parameter that the geometry lacks is the larger model's.
+    An end is infinite where the measurements set no limit. A parameter that the geometry lacks is that of
+    the non-geometric model.
 
     Raises:
         ModelError: No such parameter, it stands at a bound, or the paper's solver made the calibration.
@@ -204,8 +205,8 @@ def profile_interval(calibration: Calibration, name: str, level: float = 0.95) -
     """
     found = calibration.parameter(name)
     fitted = calibration.fitted
-    if calibration.fit is not None and calibration.fit.larger is not None:
-        fitted = fitted if name in calibration.model.names else calibration.fit.larger
+    if calibration.fit is not None and calibration.fit.non_geometric is not None:
+        fitted = fitted if name in calibration.model.names else calibration.fit.non_geometric
     _check_solver(fitted)
     estimate = fitted.estimate
     k = fitted.kinematics.model.index(name)

@@ -48,7 +48,7 @@ class Directions:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Stood:
+class ChainSamples:
     """Where the robot stood in N samples, and which frame saw which target."""
 
     values: Array  #: shape (N, n), of the chain's joints [rad or m].
@@ -72,7 +72,7 @@ def turns_to(axes: Array) -> Array:
     return np.ascontiguousarray(np.moveaxis(turns, 2, 0))
 
 
-def poses(geometry: Geometry, stood: Stood) -> Array:
+def poses(geometry: Geometry, stood: ChainSamples) -> Array:
     """T_frame_target, shape (N, 4, 4), [m]."""
     found = np.empty((len(stood.values), 4, 4))
     found[:, 3] = 0.0, 0.0, 0.0, 1.0
@@ -86,7 +86,7 @@ def poses(geometry: Geometry, stood: Stood) -> Array:
 
 
 def twists(
-    geometry: Geometry, directions: Directions, stood: Stood, *, rotation: bool = True
+    geometry: Geometry, directions: Directions, stood: ChainSamples, *, rotation: bool = True
 ) -> tuple[Array, Array]:
     """T_frame_target, (N, 4, 4), [m], and the target's velocity in a unit of each parameter, in the frame's axes.
 
@@ -177,7 +177,7 @@ def _steps(geometry: Geometry) -> Array:
     return steps
 
 
-def _frames(geometry: Geometry, steps: Array, stood: Stood, own: slice) -> Array:
+def _frames(geometry: Geometry, steps: Array, stood: ChainSamples, own: slice) -> Array:
     """The frames of base, joints before they move, tip and target, shape (n + 3, 4, 3, B)."""
     values, n = stood.values[own].T, len(geometry.slides)
     B = values.shape[1]

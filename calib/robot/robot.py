@@ -167,7 +167,7 @@ class Robot:
         """T_base_tip, shape (N, 4, 4), [m], at q, shape (N, m) or (m,), [rad] or [m]."""
         values = self.chain_values(q)
         first = np.zeros(len(values), dtype=np.int_)
-        stood = kernel.Stood(values, first, first, np.zeros((*values.shape, 0)), first[:0])
+        stood = kernel.ChainSamples(values, first, first, np.zeros((*values.shape, 0)), first[:0])
         return kernel.poses(self.geometry(self.placements), stood)
 
     def geometry(

@@ -15,14 +15,17 @@ from scipy.special import stdtr
 
 from calib.errors import MeasurementError
 from calib.estimate.fitting import PAPER, Fitted, Task, fit, given_weights, weighting
-from calib.estimate.problem import Linear, Priors
-from calib.estimate.registration import ENOUGH, nominal_setup, register_poses
-from calib.estimate.rows import Rows
-from calib.estimate.setup import Setup, joined_setups
-from calib.estimate.stages import FEWEST_FREEDOM, PriorTerms, Stage, staged
-from calib.estimate.statistics import CrossValidation, Errors
+from calib.estimate.linear import Linear
+from calib.estimate.prior_terms import PriorTerms
+from calib.estimate.stages import FEWEST_FREEDOM, Stage, staged
 from calib.jobs import Progress
 from calib.model.error_model import DIRECTIONS
+from calib.numerics.errors import CrossValidation, Errors
+from calib.numerics.likelihood import Priors
+from calib.registration.known_distances import joined_setups
+from calib.registration.registration import ENOUGH, nominal_setup, register_poses
+from calib.registration.rows import Rows
+from calib.registration.setup import Setup
 from calib.robot.robot import read_only
 from calib.units import Array, Integers, Mask
 
@@ -131,7 +134,7 @@ def _unseen(fitted: Fitted, rows: Rows, mask: Mask, outliers: Mask) -> Array:
 def _left_over(
     T_base_tip: Array, placed: Setup, rows: Rows, mask: Mask, seen: Mask, outliers: Mask
 ) -> Array:
-    """Measured minus predicted of left-out rows; frames and targets that only they see are registered to them."""
+    """Measured minus predicted of held-out rows; frames and targets that only they see are registered to them."""
     left, samples = rows.select(mask), rows.samples
     loose = placed.as_known(*placed.seen_by(samples.select(seen)))
     if loose.count:
@@ -240,7 +243,7 @@ def fold_means(fitted: Fitted, linear: Linear, masks: Sequence[Mask] | Mask) -> 
 
 
 def pose_errors(validation: CrossValidation, scales: Array, kept: Mask) -> Array:
-    """Left-out error of each pose, root mean square over its rows, shape (poses,), in units of the scales.
+    """Held-out error of each pose, root mean square over its rows, shape (poses,), in units of the scales.
 
     Args:
         validation: Errors on rows that the fit did not see.

@@ -2,7 +2,7 @@
 
 Every candidate is fitted by restricted likelihood, with the same weights of the rows: those of one fit, the *judge*. At
 first this is the fit of the largest model, then that of the model which its weights choose. The geometry for the URDF
-is the candidate of the highest evidence without families of the joints, unless errors on left-out rows contradict.
+is the candidate of the highest evidence without families of the joints, unless errors on held-out rows contradict.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ import numpy as np
 
 from calib.errors import MeasurementError, ModelError, choices
 from calib.estimate.fitting import Fitted, Task, fit, model_of
-from calib.estimate.rows import Rows
-from calib.estimate.statistics import CrossValidation
 from calib.model.error_model import joint_parameters
 from calib.model.families import family_of, joint_families
 from calib.model.kinematics import joint_displacements
+from calib.numerics.errors import CrossValidation
+from calib.registration.rows import Rows
 from calib.robot.robot import read_only
 from calib.selection.cross_validation import chance_of_fall, linear_cross_validation, pose_errors
 from calib.units import Array
@@ -31,21 +31,21 @@ LADDER = ("frames", "zeros", "dh", "hayati", "placement")
 #: over the factor within which the data determine it. Of sets with the same sizes the smaller is a priori likelier.
 _SIZE_COSTS, _RUNG_COSTS = 2.5, 1.0
 
-#: Errors on left-out rows are clearly smaller where they are smaller by this share. Without priors this is also by how
+#: Errors on held-out rows are clearly smaller where they are smaller by this share. Without priors this is also by how
 #: much each further set or family must lower them.
 _CLEARLY = 0.05
 
 #: Strong evidence: odds of 20 to 1.
 _STRONG = float(np.log(20.0))
 
-#: Left-out errors contradict the evidence where the p-value of their fall is below this.
+#: Held-out errors contradict the evidence where the p-value of their fall is below this.
 _CHANCE = 0.1
 
 #: The same where the evidence is strong.
 _CHANCE_IF_STRONG = 0.01
 
-#: With fewer poses evidence alone decides: left-out errors of larger models are too small, because the sizes of the
-#: errors are estimated from all poses.
+#: With fewer poses evidence alone decides: held-out errors of non-geometric models are too small, because the sizes
+#: of the errors are estimated from all poses.
 _FEWEST_POSES = 16
 
 #: An error moves no joint if one unit of it moves each by less than this [rad, m].
@@ -73,9 +73,9 @@ class Candidate:
     parameters: int  # Number of parameters
     log_likelihood: float  # Restricted log likelihood
     cross_validation: CrossValidation  # On the linearised problem; outliers: rows without weight
-    sizes: dict[str, float]  # Size of the errors of each family
-    evidence: float  # Log likelihood less the costs of the model; without priors the fall of left-out errors, in steps
-    chosen: str = ""  # ``"geometry"``, ``"larger"`` or ``""``
+    prior_std: dict[str, float]  # Size of the errors of each family
+    evidence: float  # Log likelihood less the costs of the model; without priors the fall of held-out errors, in steps
+    chosen: str = ""  # ``"geometry"``, ``"non_geometric"`` or ``""``
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,7 +83,7 @@ class Selection:
     """What `select` chose."""
 
     geometry: str  # Name of the set that goes into the URDF
-    larger: str  # Name of the non-geometric model; "" where the data support none
+    non_geometric: str  # Name of the non-geometric model; "" where the data support none
     candidates: tuple[Candidate, ...]  # All that were fitted, in order
     judge: Fitted  # The fit of the non-geometric model, or of the geometry where there is none, with its own weights
 
@@ -103,20 +103,22 @@ def select(task: Task, rows: Rows) -> Selection:
     first = {columns: name for name, columns in reversed(models.items()) if columns}
     geometries = tuple(name for name in LADDER if name in first.values())
     families = tuple(f for f in joint_families() if _moves(task, f, rows))
-    if task.cell.priors.sizes == "off":  # then there must be enough rows
+    if task.cell.priors.source == "off":  # then there must be enough rows
         enough = [name for name in geometries if len(models[name]) <= rows.count]
         start = (enough or geometries[:1])[-1]
     else:
         start = "+".join((geometries[-1], *families))
     judge = fit(replace(task, model=start), rows)
     rows = judge.estimate.problem.rows
-    start = without_vanished(start, judge.estimate.sizes)
+    start = without_vanished(start, judge.estimate.prior_std)
     chosen = _searched(_Search(task, rows, judge, geometries, families), start)
     search, geometry, best, judge = chosen
     if len(rows) < len(every):
         judge = fit(replace(task, model=best), every, started=judge.setup)
-    larger = best if "+" in best else ""
-    return Selection(geometry, larger, marked(search.tried.values(), geometry, larger), judge)
+    non_geometric = best if "+" in best else ""
+    return Selection(
+        geometry, non_geometric, marked(search.tried.values(), geometry, non_geometric), judge
+    )
 
 
 def _searched(search: _Search, start: str) -> tuple[_Search, str, str, Fitted]:
@@ -142,7 +144,7 @@ def explains_more(judge: Fitted, found: Fitted) -> bool:
     """Whether the judge explains rows that a fit calls outliers: a small model may look good because it drops them.
 
     This is so where the judge's outliers are a proper subset of those of the fit, and, with only these set aside, the
-    judge predicts left-out rows better.
+    judge predicts held-out rows better.
     """
     outliers = found.estimate.outliers, judge.estimate.outliers
     aside = outliers[0] & outliers[1]
@@ -153,22 +155,24 @@ def explains_more(judge: Fitted, found: Fitted) -> bool:
     return of_judge < of_found
 
 
-def marked(candidates: Iterable[Candidate], geometry: str, larger: str) -> tuple[Candidate, ...]:
+def marked(
+    candidates: Iterable[Candidate], geometry: str, non_geometric: str
+) -> tuple[Candidate, ...]:
     """The candidates with what each is chosen for.
 
     Args:
         candidates: All that were fitted.
         geometry: Name of the one for the URDF.
-        larger: Name of the non-geometric model; empty where there is none.
+        non_geometric: Name of the non-geometric model; empty where there is none.
     """
-    uses = {geometry: "geometry", larger: "larger"}
+    uses = {geometry: "geometry", non_geometric: "non_geometric"}
     return tuple(replace(c, chosen=uses.get(c.name, "")) for c in candidates)
 
 
 def alternatives(candidates: Iterable[Candidate]) -> tuple[str, ...]:
     """Non-geometric models to try where refits reject the chosen one, the highest evidence first.
 
-    Each has more evidence than the chosen geometry, and smaller errors on left-out rows of the linearised problem. Of
+    Each has more evidence than the chosen geometry, and smaller errors on held-out rows of the linearised problem. Of
     models that differ only by families of vanishing size, one is taken.
 
     Args:
@@ -176,41 +180,41 @@ def alternatives(candidates: Iterable[Candidate]) -> tuple[str, ...]:
     """
     ordered = sorted(candidates, key=lambda c: c.evidence, reverse=True)
     (geometry,) = (c for c in ordered if c.chosen == "geometry")
-    effective = {c.name: without_vanished(c.name, c.sizes) for c in ordered}
+    effective = {c.name: without_vanished(c.name, c.prior_std) for c in ordered}
     seen = {effective[c.name] for c in ordered if c.chosen}
     names = []
     for c in ordered:
-        better = c.evidence > geometry.evidence and _left_out(c) < _left_out(geometry)
+        better = c.evidence > geometry.evidence and _held_out(c) < _held_out(geometry)
         if better and effective[c.name] not in seen:
             names.append(c.name)
             seen.add(effective[c.name])
     return tuple(names[:_ALTERNATIVES])
 
 
-def _left_out(candidate: Candidate) -> float:
-    """The error of a candidate on left-out rows, [m], or [rad] where no length was measured."""
+def _held_out(candidate: Candidate) -> float:
+    """The error of a candidate on held-out rows, [m], or [rad] where no length was measured."""
     errors = candidate.cross_validation.errors_without_outliers
     return errors.rms if errors.n else errors.rms_angle
 
 
-def without_vanished(name: str, sizes: Mapping[str, float]) -> str:
+def without_vanished(name: str, prior_std: Mapping[str, float]) -> str:
     """The name of a model without the families whose errors the data shrink to nothing.
 
     Args:
         name: Of the set, with families behind it.
-        sizes: Estimated standard deviation of the errors of each family, in its unit; empty without priors.
+        prior_std: Estimated standard deviation of the errors of each family, in its unit; empty without priors.
     """
     base, *families = name.split("+")
-    return "+".join((base, *(f for f in families if not _vanished(f, sizes))))
+    return "+".join((base, *(f for f in families if not _vanished(f, prior_std))))
 
 
-def _vanished(family: str, sizes: Mapping[str, float]) -> bool:
+def _vanished(family: str, prior_std: Mapping[str, float]) -> bool:
     """Whether the estimated size of a family's errors is next to nothing."""
-    return sizes.get(family, np.inf) <= _NO_SIZE * family_of(family).prior
+    return prior_std.get(family, np.inf) <= _NO_SIZE * family_of(family).prior
 
 
 def judged_by(own: Fitted, rows: Rows, judge: Fitted) -> Fitted:
-    """The fit, with its own weights or those of the judge, a larger model: whichever predict left-out rows better.
+    """The fit, with its own weights or those of the judge, whichever predict held-out rows better.
 
     Where a model lacks something, its residuals at some good rows may be far larger than at others. Rows that both fits
     call outliers are set aside; if the judge itself predicts rows better, no other rows are outliers.
@@ -260,20 +264,20 @@ class _Search:
         return best if self.evidence(best) >= self.evidence(geometry) else self._climbed(geometry)
 
     def geometry(self) -> str:
-        """The set for the URDF. Without priors the evidence already is that of left-out errors."""
+        """The set for the URDF. Without priors the evidence already is that of held-out errors."""
         fitted = [self.tried[name] for name in self.geometries if self._fits(name)]
-        if self.task.cell.priors.sizes == "off":
+        if self.task.cell.priors.source == "off":
             return max(fitted, key=lambda c: c.evidence).name
         estimate = self.judge.estimate
         scales, kept = estimate.problem.scales, self.rows.checked & (estimate.weights > 0.0)
         return preferred(fitted, [pose_errors(c.cross_validation, scales, kept) for c in fitted])
 
     def non_geometric(self, best: str, geometry: str) -> str:
-        """The model of the highest evidence that predicts left-out rows better than the geometry; else the geometry."""
-        if self.task.cell.priors.sizes == "off":
+        """The model of the highest evidence that predicts held-out rows better than the geometry; else the geometry."""
+        if self.task.cell.priors.source == "off":
             return best
-        limit = _left_out(self.tried[geometry])
-        better = [c for c in self.tried.values() if "+" in c.name and _left_out(c) < limit]
+        limit = _held_out(self.tried[geometry])
+        better = [c for c in self.tried.values() if "+" in c.name and _held_out(c) < limit]
         found = max(better, key=lambda c: c.evidence, default=self.tried[geometry])
         return found.name if found.evidence > self.tried[geometry].evidence else geometry
 
@@ -303,7 +307,11 @@ class _Search:
         swaps = []
         for new in self.families:
             more = self._named(base, {*has, new})
-            if new not in has and self._fits(more) and not _vanished(new, self.tried[more].sizes):
+            if (
+                new not in has
+                and self._fits(more)
+                and not _vanished(new, self.tried[more].prior_std)
+            ):
                 swaps += [self._named(base, {*has, new} - {old}) for old in has]
         return swaps
 
@@ -325,37 +333,41 @@ class _Search:
 
 def _candidate(fitted: Fitted) -> Candidate:
     """The candidate that a fit with the judge's weights makes of its model."""
-    name, estimate, sizes = str(fitted.task.model), fitted.estimate, fitted.task.cell.priors.sizes
+    name, estimate, prior_std = (
+        str(fitted.task.model),
+        fitted.estimate,
+        fitted.task.cell.priors.source,
+    )
     # Rows without weight are the same for all candidates, unlike those that each would flag itself.
-    left_out = linear_cross_validation(fitted, estimate.weights <= 0.0)
+    held_out = linear_cross_validation(fitted, estimate.weights <= 0.0)
     base, *has = name.split("+")
     rung = LADDER.index(base)
-    if sizes == "off":
-        e = left_out.errors_without_outliers
+    if prior_std == "off":
+        e = held_out.errors_without_outliers
         found = [x for n, x in ((e.n, e.rms), (e.n_angle, e.rms_angle)) if n]
         evidence = -float(np.mean(np.log(found))) / _CLEARLY - rung - len(has)
     else:
-        cost = _SIZE_COSTS * len(estimate.sizes) if sizes == "data" else 0.0
+        cost = _SIZE_COSTS * len(estimate.prior_std) if prior_std == "data" else 0.0
         evidence = estimate.log_likelihood - cost - _RUNG_COSTS * rung
     return Candidate(
         name=name,
         parameters=len(fitted.kinematics.model),
         log_likelihood=estimate.log_likelihood,
-        cross_validation=left_out,
-        sizes=dict(estimate.sizes),
+        cross_validation=held_out,
+        prior_std=dict(estimate.prior_std),
         evidence=evidence,
     )
 
 
 def preferred(candidates: Sequence[Candidate], errors: Sequence[Array]) -> str:
-    """The name of the candidate with the highest evidence that left-out poses do not contradict.
+    """The name of the candidate with the highest evidence that held-out poses do not contradict.
 
     They do where the mean error of another one is smaller by `_CLEARLY`, and that beyond chance: with a probability of
     less than `_CHANCE`, or than `_CHANCE_IF_STRONG` where there is strong evidence against the other one.
 
     Args:
         candidates: One or more models of the same rows.
-        errors: Of each, the left-out error of each pose, shape (poses,), in one unit.
+        errors: Of each, the held-out error of each pose, shape (poses,), in one unit.
     """
     pairs = list(zip(candidates, errors, strict=True))
     best, of_best = max(pairs, key=lambda pair: pair[0].evidence)

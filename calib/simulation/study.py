@@ -21,9 +21,9 @@ from calib.design.optimal import PlanRequest, choose_poses
 from calib.diagnosis.reasons import NO
 from calib.errors import CalibError, ModelError
 from calib.estimate.fitting import Fitted
-from calib.estimate.statistics import rms
 from calib.jobs import Progress, batch_size, run
 from calib.model.kinematics import Samples
+from calib.numerics.errors import rms
 from calib.result.calibrate import calibrate, fit_table
 from calib.result.prediction import without_rigid_motion
 from calib.robot.robot import gravity_loads, rigid_inverse
@@ -101,7 +101,7 @@ class Trial:
     max: float  #: The largest [m]
     stated_rms: float  #: What the fit itself says of its error there [m]
     covered: float  #: Share of these positions inside the 95 % ellipsoid that the fit states
-    sigma: float  #: Noise that the fit found, with the larger model where there is one [m]
+    sigma: float  #: Noise that the fit found, with the non-geometric model where there is one [m]
     model: str  #: The parameter set that was fitted
     verdict: str  #: The verdict's word; "" without one
     outliers: int  #: How many rows are outliers in truth
@@ -234,7 +234,7 @@ def _guarded(trials: Trials, seed: int) -> Trial | str:
 
 
 def _calibrated(trials: Trials, made: Simulated) -> tuple[Fitted, str, frozenset[int]]:
-    """The last fit of a calibration, of the larger model where there is one; the verdict's word; the rows it flags.
+    """The last fit of a calibration, of the non-geometric model if any; the verdict's word; the rows it flags.
 
     Without validation the fits alone are made, not all that is said of them, and the word is "".
     """
@@ -243,12 +243,12 @@ def _calibrated(trials: Trials, made: Simulated) -> tuple[Fitted, str, frozenset
         result = calibrate(robot, table, cell=trials.cell, solver=trials.solver)
         assert result.verdict is not None
         assert result.fit is not None
-        fitted = result.fit.larger or result.fit.geometry
+        fitted = result.fit.non_geometric or result.fit.geometry
         return fitted, result.verdict.use, frozenset(outlier.row for outlier in result.outliers)
     fits = fit_table(robot, table, trials.cell, solver=trials.solver)
     rows = np.array(table.rows)[table.estimation]
     flagged = frozenset(rows[fits.fitted.estimate.outliers].tolist())
-    return fits.larger or fits.fitted, NO if fits.hint else "", flagged
+    return fits.non_geometric or fits.fitted, NO if fits.hint else "", flagged
 
 
 def verification_poses(scenario: Scenario) -> Array:

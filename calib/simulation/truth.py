@@ -191,7 +191,7 @@ def draw_truth(
 def sizes_of(cell: Cell, text: str | None, *, named: bool) -> Mapping[str, float] | None:
     """``length 0.5 mm, angle 3 mrad`` or ``none``; by default none beside named errors, else the cell's, or typical."""
     if text is None and not named:
-        return {f: cell.priors.of(f) for f in FAMILIES} if cell.priors.sizes == "given" else {}
+        return {f: cell.priors.of(f) for f in FAMILIES} if cell.priors.source == "given" else {}
     if text is None or text.strip() == NONE:
         return None
     found: dict[str, float] = {}

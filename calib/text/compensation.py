@@ -113,7 +113,7 @@ def finding_text(finding: Finding, robot: Robot) -> str:
 
 def _verdict(found: Commands, name: str) -> str:
     """The verdict of the result, and which of its models is used."""
-    result, larger = found.pair.result, found.pair.larger
+    result, non_geometric = found.pair.result, found.pair.non_geometric
     if result is None:
         lines = [
             f"The true robot is {name}, a URDF: with --calibration the errors to expect are known."
@@ -121,8 +121,11 @@ def _verdict(found: Commands, name: str) -> str:
         if stated := found.pair.actual.robot.urdf.verdict:
             lines.insert(0, f"Verdict on {name}: {stated}")
         return "\n".join(map(fill, lines))
-    part, verdict = result.part(larger=larger), result.verdict_on(larger=larger)
-    own = f"non-geometric model '{part.model.name}'" if larger else "joint origins"
+    part, verdict = (
+        result.part(non_geometric=non_geometric),
+        result.verdict_on(non_geometric=non_geometric),
+    )
+    own = f"non-geometric model '{part.model.name}'" if non_geometric else "joint origins"
     if verdict is None:
         return f"Verdict: none ({name}, {own}), the result was not validated."
     lines = [f"Verdict: {verdict.use} ({name}, {own})"]
@@ -182,7 +185,7 @@ def _remedies(commands: Commands, expected: ExpectedErrors) -> Iterator[str]:
             "To know better: the instrument's noise was not stated, and held-out errors count in full. State it at the "
             "calibration (sigma_mm in the cell file, or a column 'sigma [mm]'), or measure some poses repeatedly."
         )
-    elif largest == "model" and result.larger is not None and not pair.larger:
+    elif largest == "model" and result.non_geometric is not None and not pair.non_geometric:
         yield "To lower it: use the non-geometric model, without --geometry."
     elif largest == "base" and expected.in_measured_frame is not None:
         name = "measured" if len(result.setup.groups) == 1 else f'"{result.setup.groups[0]}"'

@@ -11,7 +11,7 @@ import numpy as np
 
 import calib.data.kinds as registry
 from calib.errors import choices
-from calib.estimate.statistics import Errors
+from calib.numerics.errors import Errors
 from calib.result.acceptance import Acceptance, Assessment, Check
 from calib.result.calibration_file import error_table, pose_table, versions
 from calib.result.evaluation import FEWEST_APART, Accuracy, Evaluation, PoseAccuracy
@@ -30,7 +30,7 @@ _NAMES = {
     "nominal": ("nominal", "the nominal robot of {}"),
     "urdf": ("URDF as it is", "the URDF as it is"),
     "calibration": ("calibrated", "the robot with the joint origins of {}"),
-    "larger": ("larger model", "the robot with the non-geometric model of {}"),
+    "non_geometric": ("non-geometric model", "the robot with the non-geometric model of {}"),
 }
 
 #: What the criteria look at.
@@ -228,7 +228,7 @@ def assessment_table(e: Assessment) -> dict[str, Any]:
     frames = zip(setup.groups, setup.T_frame_base, strict=True)
     targets = zip(setup.targets, setup.T_tip_target, strict=True)
     return {
-        "schema": "evaluation 2",  # a word, so that it is not taken for a result's
+        "schema": "evaluation 3",  # a word, so that it is not taken for a result's
         "robot": {"name": robot.name, "base": robot.base, "tip": robot.tip},
         "frames": {
             **pose_table(setup.T_frame_base[0], "frame_base_"),

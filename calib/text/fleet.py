@@ -53,7 +53,7 @@ def fleet_cells(fleet: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
         shown = [r for r in shown if r["name"] in odd or r["verdict"] not in ("use", "")]
     rows = []
     for robot in shown:
-        model = robot["model"] + f" ({robot['larger']})" * bool(robot["larger"])
+        model = robot["model"] + f" ({robot['non_geometric']})" * bool(robot["non_geometric"])
         numbers = (robot[key] for key in _SIZES.values())
         cells = ["" if value is None else f"{1e3 * value:.3f}" for value in numbers]
         counts = [str(robot["rows"]), str(robot["outliers"])]

@@ -14,12 +14,12 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 import calib.data.kinds as registry
-from calib.estimate.statistics import Errors
 from calib.model.error_model import placed_name
 from calib.model.families import FAMILIES, unit_of
 from calib.model.kinematics import FRAME, TARGET
 from calib.model.observability import Combination
-from calib.result.calibration import Calibration
+from calib.numerics.errors import Errors
+from calib.result.calibration import CalibrationValues
 from calib.result.prediction import Outlier, ParameterEstimate
 from calib.text.lines import deg, mm, number, wrap
 from calib.text.verdict import reason_text, robustness_text
@@ -58,7 +58,7 @@ _COLUMNS, _ANGLE_COLUMNS = "{:<33}{:>5}" + " {:>9}" * 6, "{:<33}{:>5}" + " {:>9}
 ANGLE_HEAD = _ANGLE_COLUMNS.format("Orientation error [deg]", "rows", "max", "mean", "rms")
 
 
-def summary(c: Calibration) -> str:
+def summary(c: CalibrationValues) -> str:
     """The whole summary of a calibration."""
     m, known = c.rows, facts(c)
     took = "" if math.isnan(c.seconds) else f", {1e3 * c.seconds:.0f} ms"
@@ -68,11 +68,13 @@ def summary(c: Calibration) -> str:
             f"Verdict: {c.verdict.use}",
             *(wrap(reason_text(r), "  ") for r in c.verdict.reasons),
         ]
-    larger = (
-        [] if c.larger is None else [f"Non-geometric model '{c.larger.name}', not in the URDF:"]
+    non_geometric = (
+        []
+        if c.non_geometric is None
+        else [f"Non-geometric model '{c.non_geometric.name}', not in the URDF:"]
     )
-    for name, value, half, unit in larger_parameters(c):
-        larger.append(f"  {name:<{_LONGEST_NAME}}{value:>10} {half} {unit}")
+    for name, value, half, unit in non_geometric_parameters(c):
+        non_geometric.append(f"  {name:<{_LONGEST_NAME}}{value:>10} {half} {unit}")
     every = c.observability.unidentifiable
     unknown = [f"{unidentifiable_text(c)}:"] * bool(every)
     unknown += [wrap(combination_text(one), "  ") for one in every[:_MOST_ROWS]]
@@ -91,13 +93,13 @@ def summary(c: Calibration) -> str:
         _ladder(c),
         "\n".join([*(wrap(f"{label}: {text}") for label, text in known.items()), *unknown]),
         _parameters(c),
-        "\n".join(larger),
+        "\n".join(non_geometric),
         wrap(f"{solver_text(c)}{took}. {c.solution.message}"),
     )
     return "\n\n".join(part for part in parts if part)
 
 
-def facts(c: Calibration) -> dict[str, str]:
+def facts(c: CalibrationValues) -> dict[str, str]:
     """What was found in numbers, a sentence for each label, as far as there is something to say."""
     of = measured_lengths(c.used)
     noise = [f"{mm(c.sigma)} mm per {of}"] * math.isfinite(c.sigma)
@@ -118,14 +120,16 @@ def facts(c: Calibration) -> dict[str, str]:
     elif c.cross_validation is None and c.freedom < _TELLING:
         # Sizes of errors that are found from nothing shrink to nothing, and what is expected with them.
         result[EXPECTED] = "not known: too few rows tell it."
-    if c.sizes:
-        shown = [(family, size, *FAMILIES[family].unit.shown) for family, size in c.sizes.items()]
-        sizes = [
+    if c.prior_std:
+        shown = [
+            (family, size, *FAMILIES[family].unit.shown) for family, size in c.prior_std.items()
+        ]
+        prior_std = [
             f"{family} {factor * size:.3g} {unit}" if factor * size > _NOTHING else f"{family} none"
             for family, size, factor, unit in shown
         ]
-        how = "found from the data" if c.sizes_from == "data" else "as given"
-        result[SIZES] = f"{', '.join(sizes)} ({how})."
+        how = "found from the data" if c.prior_std_from == "data" else "as given"
+        result[SIZES] = f"{', '.join(prior_std)} ({how})."
     o = c.observability
     result["Rank"] = f"{o.rank} of {o.columns} parameters, condition number {o.condition:.0f}."
     return result
@@ -143,8 +147,8 @@ def error_title(*used: NDArray[np.bool_]) -> str:
     return f"{measured_lengths(*used).replace('coordinate', 'position').capitalize()} error"
 
 
-def error_rows(c: Calibration) -> list[tuple[str, Errors]]:
-    """Label and errors of each row of the error tables: before and after, by set, and on left-out rows."""
+def error_rows(c: CalibrationValues) -> list[tuple[str, Errors]]:
+    """Label and errors of each row of the error tables: before and after, by set, and on held-out rows."""
     rows = [
         (f"{name} rows, {who}", c.errors[who][name])
         for name in ("estimation", "validation")
@@ -153,17 +157,17 @@ def error_rows(c: Calibration) -> list[tuple[str, Errors]]:
     for who, v in (
         ("nominal", c.nominal_cross_validation),
         ("calibrated", c.cross_validation),
-        ("larger", None if c.larger is None else c.larger.cross_validation),
+        ("non_geometric", None if c.non_geometric is None else c.non_geometric.cross_validation),
     ):
         if v is not None:
-            rows.append((f"left-out rows*, {who}", v.errors))
+            rows.append((f"held-out rows*, {who}", v.errors))
             if c.outliers:
                 rows.append(("  the same without outliers", v.errors_without_outliers))
     return rows
 
 
-def left_out_text(c: Calibration) -> str:
-    """What ``left-out rows*`` are; empty without cross-validation."""
+def held_out_text(c: CalibrationValues) -> str:
+    """What ``held-out rows*`` are; empty without cross-validation."""
     v = c.cross_validation
     return "" if v is None else f"* {v.method}: {_LEFT_OUT[v.method]}"
 
@@ -184,35 +188,35 @@ def angle_row(label: str, e: Errors) -> str:
     return _ANGLE_COLUMNS.format(label, e.n_angle, *values)
 
 
-def weights_text(c: Calibration) -> str:
+def weights_text(c: CalibrationValues) -> str:
     """Whether the outliers count in the fit."""
     weights = dict(zip(c.rows.numbers, c.weights, strict=True))
     unused = not any(weights.get(o.row) for o in c.outliers)
     return "no weight in the fit" if unused else "full weight in the fit"
 
 
-def errorless(c: Calibration) -> frozenset[str]:
+def errorless(c: CalibrationValues) -> frozenset[str]:
     """The parameters of families whose errors the data showed to be none: they stay nominal, and have no interval.
 
     Their prior's standard deviation went to nothing, which is no knowledge of them.
     """
-    if c.sizes_from != "data":
+    if c.prior_std_from != "data":
         return frozenset()
-    nothing = {f: _NOTHING / FAMILIES[f].unit.shown[0] for f in c.sizes}
+    nothing = {f: _NOTHING / FAMILIES[f].unit.shown[0] for f in c.prior_std}
     return frozenset(
         p.name
         for p, found in zip(c.model.parameters, c.parameters, strict=True)
-        if c.sizes.get(p.family, np.inf) <= nothing.get(p.family, 0.0)
+        if c.prior_std.get(p.family, np.inf) <= nothing.get(p.family, 0.0)
         # One with a prior of its own does not share the family's.
         and found.prior_std <= nothing[p.family]
     )
 
 
-def unidentifiable_text(c: Calibration) -> str:
+def unidentifiable_text(c: CalibrationValues) -> str:
     """What heads the combinations that nothing determines; empty if there are none."""
     if not c.observability.unidentifiable:
         return ""
-    held = " (resolved by the priors only)" if c.sizes else ""
+    held = " (resolved by the priors only)" if c.prior_std else ""
     return f"Unidentifiable combinations{held}"
 
 
@@ -228,7 +232,7 @@ def combination_text(one: Combination) -> str:
     return f"{', '.join(one.names[:-1])} and {one.names[-1]} together ({amounts})"
 
 
-def shown_parameters(c: Calibration) -> list[ParameterEstimate]:
+def shown_parameters(c: CalibrationValues) -> list[ParameterEstimate]:
     """The parameters of the geometry that are listed: frames and the targets' orientations are told as poses."""
     return [
         p
@@ -237,10 +241,10 @@ def shown_parameters(c: Calibration) -> list[ParameterEstimate]:
     ]
 
 
-def larger_parameters(c: Calibration) -> Sequence[tuple[str, str, str, str]]:
-    """Name, value, half the 95 % interval and unit of the larger model's parameters that the geometry lacks."""
+def non_geometric_parameters(c: CalibrationValues) -> Sequence[tuple[str, str, str, str]]:
+    """Name, value, half the 95 % interval and unit of the non-geometric model's parameters that the geometry lacks."""
     result = []
-    for p in () if c.larger is None else c.larger.parameters:
+    for p in () if c.non_geometric is None else c.non_geometric.parameters:
         if p.name not in c.model.names:
             factor, unit = unit_of(p.unit).shown
             half = "(at bound)" if p.at_bound else f"± {0.5 * factor * (p.high - p.low):.3f}"
@@ -248,20 +252,20 @@ def larger_parameters(c: Calibration) -> Sequence[tuple[str, str, str, str]]:
     return result
 
 
-def solver_text(c: Calibration) -> str:
+def solver_text(c: CalibrationValues) -> str:
     """How the solver fared, without the time that it took."""
     s = c.solution
     return f"Solver '{c.solver}': {s.status} after {s.iterations} iterations, {s.evaluations} evaluations"
 
 
-def target_sentences(c: Calibration, most: int = _MOST_PLACES) -> list[str]:
+def target_sentences(c: CalibrationValues, most: int = _MOST_PLACES) -> list[str]:
     """Where each target is, how sure that is, and how far it moved; more than ``most`` are counted."""
     own, count = c.setup.target_names, len(c.setup.targets)
     shown = [_target(c, t, name) for t, name in enumerate(own[:most])]
     return shown + [f"... and {count - most} more targets"] * (count > most)
 
 
-def _target(c: Calibration, t: int, name: str) -> str:
+def _target(c: CalibrationValues, t: int, name: str) -> str:
     """One target."""
     T, rotation = c.setup.T_tip_target[t], c.setup.rotation
     what = f"Target '{name}'" if name else "Target"
@@ -282,7 +286,7 @@ def _target(c: Calibration, t: int, name: str) -> str:
     return text
 
 
-def frame_sentences(c: Calibration, most: int = _MOST_PLACES) -> list[str]:
+def frame_sentences(c: CalibrationValues, most: int = _MOST_PLACES) -> list[str]:
     """Where the base stands in each frame that was estimated, and how sure that is; more than ``most`` are counted."""
     many = len(c.setup.groups) > 1
     found = [f for f, directions in enumerate(c.setup.unknown) if directions]
@@ -290,7 +294,7 @@ def frame_sentences(c: Calibration, most: int = _MOST_PLACES) -> list[str]:
     return lines + [f"... and {len(found) - most} more set-ups"] * (len(found) > most)
 
 
-def _frame(c: Calibration, f: int, group: str) -> str:
+def _frame(c: CalibrationValues, f: int, group: str) -> str:
     """One measurement frame; of a socket the point in the base, of a plane its normal and distance."""
     T, directions, base = c.setup.T_frame_base[f], c.setup.unknown[f], c.nominal.base
     names = {k for k, g in zip(c.rows.kinds, c.rows.groups, strict=True) if g == c.setup.groups[f]}
@@ -330,23 +334,23 @@ def _rpy(T: NDArray[np.float64]) -> str:
     return f", rpy ({', '.join(map(deg, pin.rpy.matrixToRpy(T[:3, :3])))}) deg"
 
 
-def _half_widths(c: Calibration, what: str, directions: Iterable[str], name: str) -> str:
+def _half_widths(c: CalibrationValues, what: str, directions: Iterable[str], name: str) -> str:
     """Half the 95 % intervals of parameters of a frame or target, [mm] or [deg]."""
     every = [c.parameter(placed_name(what, direction, name)) for direction in directions]
     scale = {"m": 1e3, "rad": float(np.degrees(1.0))}
     return ", ".join(f"{0.5 * scale[p.unit] * (p.high - p.low):.3g}" for p in every)
 
 
-def _errors(c: Calibration) -> str:
-    """The error tables: before and after, by set, and on left-out rows; a second one for orientations."""
+def _errors(c: CalibrationValues) -> str:
+    """The error tables: before and after, by set, and on held-out rows; a second one for orientations."""
     rows = error_rows(c)
     lines = [error_head(error_title(c.used)), *(error_row(label, e) for label, e in rows if e.n)]
     if any(e.n_angle for _, e in rows):
         lines += ["", ANGLE_HEAD, *(angle_row(label, e) for label, e in rows if e.n_angle)]
-    return "\n".join([*lines, *filter(None, [left_out_text(c)])])
+    return "\n".join([*lines, *filter(None, [held_out_text(c)])])
 
 
-def _flagged(c: Calibration) -> str:
+def _flagged(c: CalibrationValues) -> str:
     """The rows that do not belong to the others, the first dozen of each set."""
     if not c.outliers:
         lines = ["Outliers: none."]
@@ -367,15 +371,15 @@ def _outliers(every: Sequence[Outlier]) -> str:
     return "; ".join(shown + [f"and {more} more"] * (more > 0))
 
 
-def _ladder(c: Calibration) -> str:
+def _ladder(c: CalibrationValues) -> str:
     """The models that were tried, and which of them were chosen."""
     if not c.candidates:
         return ""
     width = max(36, *(len(one.name) + 3 for one in c.candidates))
     row = f"{{:<{width}}}{{:>10}}{{:>10}}{{:>16}}  {{}}"
-    lines = [row.format("Models tried", "parameters", "evidence", "left-out rms", "chosen for")]
+    lines = [row.format("Models tried", "parameters", "evidence", "held-out rms", "chosen for")]
     best = max(one.evidence for one in c.candidates)
-    uses = {"geometry": "the URDF", "larger": "predict()"}
+    uses = {"geometry": "the URDF", "non_geometric": "predict()"}
     for one in c.candidates:
         gain, chosen = f"{one.evidence - best:.1f}", uses.get(one.chosen, "")
         e = one.cross_validation.errors_without_outliers
@@ -388,7 +392,7 @@ def _ladder(c: Calibration) -> str:
     return "\n".join([*lines, note])
 
 
-def _parameters(c: Calibration) -> str:
+def _parameters(c: CalibrationValues) -> str:
     """The parameters with their 95 % intervals; * where the data know them in combinations only."""
     shown, none = shown_parameters(c), errorless(c)
     if not shown:
@@ -425,7 +429,7 @@ LEVEL = 0.95
 _LONGEST_HERE, _NUMBER = 34, 10
 
 
-def bootstrap_text(result: Calibration, found: Bootstrap) -> str:
+def bootstrap_text(result: CalibrationValues, found: Bootstrap) -> str:
     """The bootstrap's intervals beside those of the covariance.
 
     Those of a frame are left out: its parameters count from where registration put it.

@@ -97,8 +97,8 @@ SENTENCES = {
     "poses that move every joint.",
     Why.SOLE_POSTURE: "{sole}; no other row can check this, nor is it cross-validated. Measure {anew} again, and add "
     "poses with {those} at other values.",
-    Why.MODEL_LACKS: "The model '{model}' leaves residuals of {noise_m:mm.3f} mm per coordinate, '{larger}' would "
-    "leave {less_m:mm.3f} mm: the robot has errors that this model lacks. Try --model auto.",
+    Why.MODEL_LACKS: "The model '{model}' leaves residuals of {noise_m:mm.3f} mm per coordinate, "
+    "'{non_geometric}' would leave {less_m:mm.3f} mm: the robot has errors that this model lacks. Try --model auto.",
     Why.CORNER: "Only part of the joints' ranges was measured: {ranges}. Beyond, the result is extrapolated. The "
     "measured tip positions spread {spread:%.0f} % as far as the joint limits allow.",
     Why.JOINT_PATTERN: _NOT_NOISE + "the {quantity} of '{joint}' " + _SHARE + ".",
@@ -114,7 +114,7 @@ SENTENCES = {
     "between two sockets, and give it in the cell file ([[distances]]).",
     Why.PARAMETER_FAR: "A parameter has moved by {largest:mm.0f} mm or mrad, which is no error of an arm. Keep the "
     "priors on, or choose a smaller model.",
-    Why.VALIDATION_UNLIKE: "The calibrated robot is {before} off on the {rows} validation rows and {after} on left-out "
+    Why.VALIDATION_UNLIKE: "The calibrated robot is {before} off on the {rows} validation rows and {after} on held-out "
     "rows: was the target or the frame another one there?",
     Why.MANY_OUTLIERS: "{flagged} of {rows} rows are flagged as outliers: do they share a set-up, a time or a region? "
     "With them the error on unseen rows goes {change}.",
@@ -311,6 +311,6 @@ def robustness_text(found: Robustness) -> str:
         f"poses, {1e3 * found.moved_max:.3f} mm at most"
     )
     if now.n:
-        text += f", and the left-out error of the others from about {1e3 * now.rms:.3f} to "
+        text += f", and the held-out error of the others from about {1e3 * now.rms:.3f} to "
         text += f"{1e3 * other.rms:.3f} mm rms"
     return text + "."

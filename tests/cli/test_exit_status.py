@@ -183,16 +183,18 @@ def test_the_non_geometric_model_has_a_verdict_of_its_own(call, folder, ur3: Rob
     """`compensate` obeys the verdict on the model that its commands are made by."""
     table = Measurements.read(folder / "right.csv", ur3.joint_names)
     result = calibrate(ur3, table, cell=replace(CELL, model="zeros+gain"))
-    assert result.larger is not None
+    assert result.non_geometric is not None
     assert result.verdict is not None
     fine = Verdict("use", ())
     words = (*PROGRAM, "--columns", "z=-", "--calibration", "both.json")
-    larger = replace(result.larger, verdict=fine)
-    replace(result, larger=larger).write_json(folder / "both.json")
+    non_geometric = replace(result.non_geometric, verdict=fine)
+    replace(result, non_geometric=non_geometric).write_json(folder / "both.json")
     assert call(folder, *words).code == ExitStatus.DONE
     assert call(folder, *words, "--geometry").code == ExitStatus.NOT_ACCEPTED
-    larger = replace(result.larger, verdict=result.verdict)
-    replace(result, larger=larger, verdict=fine).write_json(folder / "both.json", overwrite=True)
+    non_geometric = replace(result.non_geometric, verdict=result.verdict)
+    replace(result, non_geometric=non_geometric, verdict=fine).write_json(
+        folder / "both.json", overwrite=True
+    )
     refused = call(folder, *words)
     assert refused.code == ExitStatus.NOT_ACCEPTED
     assert "--geometry" in refused.err

@@ -143,7 +143,7 @@ def test_auto_is_the_default_and_says_what_it_tried(examples, reference):
     assert {"frames", "zeros", "placement", "dh"} <= chosen.keys()
     assert any("+gravity" in name for name in chosen)
     assert not any(chosen[name] for name in chosen if name != "dh")
-    assert reference["larger"] is None
+    assert reference["non_geometric"] is None
     text = examples.starting("calib calibrate robot.urdf data.csv --base base --tip tool0").out
     assert re.search(r"^  dh .*  the URDF$", text, re.MULTILINE)
 

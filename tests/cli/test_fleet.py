@@ -148,8 +148,8 @@ def test_a_row_s_own_words_win(call, arms_shop: Path):
     assert (own["robot"]["base"], own["robot"]["tip"]) == ("base_link", "wrist_3_link")
     # --model on the line wins over a cell file, a row's model over both.
     assert [found[n]["model"]["set"] for n in ("plain", "celled", "own")] == ["zeros"] * 3
-    assert own["larger"]["model"]["set"] == "zeros+gain"
-    assert own["larger"]["payload"]["mass_kg"] == 1.0
+    assert own["non_geometric"]["model"]["set"] == "zeros+gain"
+    assert own["non_geometric"]["payload"]["mass_kg"] == 1.0
     assert (plain["frames"]["frame_estimated"], own["frames"]["frame_estimated"]) == (False, True)
     assert plain["frames"]["target_m"] == plain["frames"]["target_given_m"]
     assert own["frames"]["target_given_m"] == [0.0, 0.0, 0.05]

@@ -69,11 +69,11 @@ def test_the_true_robot_arrives_by_joints_and_by_poses(name, request):
     assert found.left[reached].max() < 1e-9
 
 
-@pytest.mark.parametrize("case", ["larger", "poses"])
+@pytest.mark.parametrize("case", ["non_geometric", "poses"])
 def test_a_result_predicts_that_its_commands_arrive(case):
     result = made(case)
     q = result.measurements.joints_for(result.nominal.joint_names)
-    wanted = result.predict_poses(q[:20], larger=False)[:, :3, 3] + 1e-3
+    wanted = result.predict_poses(q[:20], non_geometric=False)[:, :3, 3] + 1e-3
     found = compensate(result, Program.of_points(wanted, q[:20]), tool="", frame="")
     assert found.match == "position"
     assert found.reached.all()

@@ -23,10 +23,10 @@ from calib.compensation.nominal_actual import pair_of
 from calib.compensation.pose_covariance import PoseCovariance
 from calib.data.cell import Cell, Priors
 from calib.data.measurements import Measurements
-from calib.estimate.statistics import Repeats
 from calib.model.error_model import error_model
+from calib.numerics.repeats import Repeats
 from calib.result.calibrate import calibrate
-from calib.result.calibration import Calibration
+from calib.result.calibration import CalibrationValues
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import Robot
 from calib.simulation.truth import draw_truth
@@ -100,9 +100,9 @@ def test_variances_are_known_as_well_as_what_tells_them():
     noise = _freedom(result, known_to(*many), 0.0, None)
     assert noise == pytest.approx(1.0 / (1e-3 + 1.0 / result.freedom))
     priors = known_to(*many, by_priors=1.0)
-    assert result.sizes_from == "data"
+    assert result.prior_std_from == "data"
     assert _freedom(result, priors, 0.0, None) == pytest.approx(1.0 / (1e-3 + 1.0 / 6.0))
-    given = replace(result, sizes_from="given")
+    given = replace(result, prior_std_from="given")
     assert _freedom(given, priors, 0.0, None) == pytest.approx(1000.0)
 
 
@@ -139,7 +139,7 @@ def test_held_out_errors_beyond_noise_and_prediction():
 
 
 #: Kinds of results; those that take longest are slow.
-SLOW = {"auto", "larger", "with_outliers"}
+SLOW = {"auto", "non_geometric", "with_outliers"}
 KINDS = [
     pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW))
     for name in sorted(set(CASES) - {"many_rows", "do_not_use"})
@@ -167,7 +167,7 @@ def test_every_kind_of_result_has_errors_to_expect(case: str):
 
 
 @pytest.fixture(scope="module")
-def estimated(ur3: Robot) -> Calibration:
+def estimated(ur3: Robot) -> CalibrationValues:
     """Points in a frame that is estimated, the noise stated."""
     q = random_joint_values(ur3, 25, 4)
     rng = np.random.default_rng(5)
@@ -178,7 +178,7 @@ def estimated(ur3: Robot) -> Calibration:
     return calibrate(ur3, table, cell=cell)
 
 
-def test_the_frame_of_the_program_counts(estimated: Calibration):
+def test_the_frame_of_the_program_counts(estimated: CalibrationValues):
     q = random_joint_values(estimated.nominal, 20, 8)
     in_base = expected_errors(pair_of(estimated, tool=TOOL), q)
     in_frame = expected_errors(pair_of(estimated, tool=TOOL, frame=""), q)
@@ -197,10 +197,10 @@ def test_the_frame_of_the_program_counts(estimated: Calibration):
     ]
 
 
-def test_noise_that_is_not_stated_counts_as_error(estimated: Calibration):
+def test_noise_that_is_not_stated_counts_as_error(estimated: CalibrationValues):
     q = random_joint_values(estimated.nominal, 20, 8)
 
-    def of(result: Calibration) -> ExpectedErrors:
+    def of(result: CalibrationValues) -> ExpectedErrors:
         return expected_errors(pair_of(result, tool="", frame=""), q)
 
     assert squares(of(estimated))["model"] == 0.0
@@ -227,16 +227,19 @@ def test_each_model_has_its_errors(ur3: Robot):
     points = truth.points(q) + 5e-5 * np.random.default_rng(5).normal(size=(20, 3))
     cell = Cell(sigma=5e-5, model="zeros+gain")
     result = calibrate(ur3, Measurements(ur3.joint_names, q, points), cell=cell)
-    pairs = [pair_of(result, tool="", frame="", larger=larger) for larger in (True, False)]
-    larger, geometry = (expected_errors(pair, where) for pair in pairs)
-    assert larger.largest == "parameters"
-    assert squares(larger)["model"] == 0.0
+    pairs = [
+        pair_of(result, tool="", frame="", non_geometric=non_geometric)
+        for non_geometric in (True, False)
+    ]
+    non_geometric, geometry = (expected_errors(pair, where) for pair in pairs)
+    assert non_geometric.largest == "parameters"
+    assert squares(non_geometric)["model"] == 0.0
     # The gains are what the geometry lacks: where the true robot goes tells how much.
     assert geometry.largest == "model"
     away = truth.tip_poses(where) @ truth.T_tip_target[0] - pairs[1].actual.poses(where)
     true = float(np.linalg.norm(away[:, :3, 3], axis=1).mean())
     assert geometry.mean == pytest.approx(true, rel=0.3)
-    assert larger.mean < 0.1 * true
+    assert non_geometric.mean < 0.1 * true
 
 
 @pytest.mark.slow
@@ -245,7 +248,7 @@ def test_true_errors_are_those_expected_over_many_robots(ur3: Robot, known: bool
     """Errors drawn from the priors, the first joint anywhere on its base: in the base, and in the measurement frame."""
     priors = Priors("given", length=3e-4, angle=2e-3, zero=3e-3)
     model = error_model(ur3, "dh", target=False)
-    sizes = np.array(
+    prior_std = np.array(
         [{"length": 3e-4, "angle": 2e-3, "zero": 3e-3}[p.family] for p in model.parameters]
     )
     base_sizes = np.array([3e-4, 3e-4, 0.0, 2e-3, 2e-3, 0.0]) * (not known)
@@ -255,7 +258,7 @@ def test_true_errors_are_those_expected_over_many_robots(ur3: Robot, known: bool
     true, expected = np.zeros(2), np.zeros(2)
     rng = np.random.default_rng(3)
     for _ in range(40):
-        robot = model.apply(ur3, sizes * rng.normal(size=len(model)))
+        robot = model.apply(ur3, prior_std * rng.normal(size=len(model)))
         placements = robot.placements.copy()
         displaced = pin.exp6(base_sizes * rng.normal(size=6)).homogeneous
         placements[0] = (

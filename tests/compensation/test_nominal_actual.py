@@ -8,7 +8,7 @@ from calib.compensation.nominal_actual import Arm, pair_of
 from calib.errors import ModelError
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
-from calib.result.prediction import Larger
+from calib.result.prediction import NonGeometric
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import GRAVITY, Payload, Robot, gravity_loads, read_only
 from tests.compensation.arms import off, turned
@@ -24,10 +24,10 @@ CHAINS = {
 }
 
 
-def larger(robot: Robot, families: str, seed: int = 3) -> Larger:
-    """A larger model with errors drawn; of a result only what commands are made with."""
+def non_geometric(robot: Robot, families: str, seed: int = 3) -> NonGeometric:
+    """A non-geometric model with errors drawn; of a result only what commands are made with."""
     model = error_model(robot, "zeros" + families, target=False)
-    sizes = {
+    prior_std = {
         "m": 5e-4,
         "rad": 2e-3,
         "1": 1e-3,
@@ -37,11 +37,11 @@ def larger(robot: Robot, families: str, seed: int = 3) -> Larger:
         "rad/m": 1e-4,
     }
     rng = np.random.default_rng(seed)
-    x = np.array([float(rng.normal() * sizes[p.unit]) for p in model.parameters])
+    x = np.array([float(rng.normal() * prior_std[p.unit]) for p in model.parameters])
     nothing = dict.fromkeys(
-        ("covariance", "base_motion", "sizes", "setup", "residual", "cross_validation")
+        ("covariance", "base_motion", "prior_std", "setup", "residual", "cross_validation")
     )
-    return Larger(
+    return NonGeometric(
         kinematics=Kinematics(robot, model, np.eye(4), np.eye(4)),
         x=x,
         parameters=(),
@@ -81,8 +81,8 @@ def test_the_motion_of_any_chain_is_its_difference(case):
 @pytest.mark.parametrize("case", ["ur3", "mimic and prismatic", "two branches"])
 def test_joints_that_err_with_their_state(case, families):
     robot = Robot.load(*CHAINS[case])
-    found = larger(robot, families)
-    arm = Arm.of_larger(found, robot, turned(2))
+    found = non_geometric(robot, families)
+    arm = Arm.of_non_geometric(found, robot, turned(2))
     q = random_joint_values(robot, 4)
     poses, twists = arm.motion(q)
     # By another path: the kinematics that the fit took.
@@ -115,15 +115,15 @@ def test_a_target_is_where_each_model_has_it():
 
 
 def test_with_the_larger_model_or_without():
-    found = made("larger")
+    found = made("non_geometric")
     q = found.measurements.joints_for(found.nominal.joint_names)[:9]
     with_all = pair_of(found, tool="", frame="")
     predicted = (with_all.T_frame_base @ with_all.actual.poses(q))[:, :3, 3]
     assert predicted == pytest.approx(found.predict(q), abs=1e-10)
-    geometry = pair_of(found, tool="", frame="", larger=False)
+    geometry = pair_of(found, tool="", frame="", non_geometric=False)
     predicted = (geometry.T_frame_base @ geometry.actual.poses(q))[:, :3, 3]
-    assert predicted == pytest.approx(found.predict(q, larger=False), abs=1e-10)
-    light = pair_of(found, larger=Payload(0.0))
+    assert predicted == pytest.approx(found.predict(q, non_geometric=False), abs=1e-10)
+    light = pair_of(found, non_geometric=Payload(0.0))
     assert np.abs(light.actual.poses(q) - pair_of(found).actual.poses(q)).max() > 1e-6
 
 
@@ -145,7 +145,7 @@ def test_of_two_robots(ur3):
     [
         ({"tool": "ball"}, "no target 'ball'; it has 'target'"),
         ({"frame": "left"}, "no set-up 'left'"),
-        ({"larger": Payload(1.0)}, "has no compliances"),
+        ({"non_geometric": Payload(1.0)}, "has no compliances"),
         ({"nominal": Robot.load("ur5", "base", "tool0")}, "the origin of '.*' is neither"),
         ({"nominal": Robot.load("ur3", "base_link", "tool0")}, "is for --base base --tip tool0"),
     ],

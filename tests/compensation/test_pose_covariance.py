@@ -21,7 +21,7 @@ from calib.model.error_model import DIRECTIONS
 from calib.model.families import FAMILIES
 from calib.model.kinematics import FRAME, Samples
 from calib.result.calibrate import calibrate
-from calib.result.calibration import Calibration
+from calib.result.calibration import CalibrationValues
 from calib.robot.readback import random_joint_values
 from calib.selection.selection import Candidate
 from tests.hard_cases import made, ur3
@@ -32,7 +32,7 @@ TOOL[:3, 3] = 0.05, 0.0, 0.1
 
 
 @cache
-def in_a_frame(model: str = "dh", noise: float = 1e-4, **changes) -> Calibration:
+def in_a_frame(model: str = "dh", noise: float = 1e-4, **changes) -> CalibrationValues:
     """A UR3 without errors, measured in a frame that is estimated."""
     robot = ur3()
     q = random_joint_values(robot, 25, 4)
@@ -43,11 +43,11 @@ def in_a_frame(model: str = "dh", noise: float = 1e-4, **changes) -> Calibration
     return calibrate(robot, Measurements(robot.joint_names, q, points), cell=cell, validate=False)
 
 
-def joint_values(found: Calibration, count: int = 7) -> np.ndarray:
+def joint_values(found: CalibrationValues, count: int = 7) -> np.ndarray:
     return found.measurements.joints_for(found.nominal.joint_names)[:count]
 
 
-def std(found: Calibration, q: np.ndarray, view: dict) -> np.ndarray:
+def std(found: CalibrationValues, q: np.ndarray, view: dict) -> np.ndarray:
     """Standard deviations of positions and angles, shape (N, 2)."""
     given = {"T_tip_tool": None, "in_base": False, "base": KNOWN_BASE, **view}
     covariance = pose_covariance(found, View(samples=found.samples(q), **given)).covariance
@@ -61,7 +61,9 @@ def test_a_target_as_the_tool_is_known_as_well_as_the_target(case: str):
     q = joint_values(found)
     in_frame = std(found, q, {})[:, 0]
     group = found.setup.groups[0]
-    assert in_frame == pytest.approx(found.position_std(q, group=group, larger=False), rel=1e-6)
+    assert in_frame == pytest.approx(
+        found.position_std(q, group=group, non_geometric=False), rel=1e-6
+    )
     # In the base the robot's place counts, which a frame that was estimated takes away.
     if found.tells_place and np.any(found.model.family(FRAME)):
         assert (std(found, q, {"in_base": True})[:, 0] > in_frame).all()
@@ -71,7 +73,7 @@ def test_without_positions_the_motion_of_the_base_is_left_out():
     found = made("distances")
     q = joint_values(found)
     less = std(found, q, {"in_base": True, "base": None})[:, 0]
-    assert less == pytest.approx(found.position_std(q, larger=False), rel=1e-6)
+    assert less == pytest.approx(found.position_std(q, non_geometric=False), rel=1e-6)
     assert (std(found, q, {"in_base": True})[:, 0] > less).all()
 
 
@@ -145,7 +147,7 @@ def test_a_frame_that_was_estimated_hides_where_the_base_is():
 
 def test_what_the_model_leaves_out_of_the_first_joint_has_its_prior():
     length, angle = FAMILIES["length"].prior, FAMILIES["angle"].prior
-    assert in_a_frame().sizes["length"] == length
+    assert in_a_frame().prior_std["length"] == length
     # The UR3's first joint turns about z of the base, 0.15 m above it: d1 and theta1 are parameters.
     height = float(in_a_frame().nominal.placements[0][2, 3])
     covariance = unmodelled_base(in_a_frame(), in_a_frame())
@@ -178,10 +180,10 @@ def test_sizes_that_the_model_lacks_are_those_of_the_largest_candidate():
         Candidate("placement", 39, 0.0, made("paper").cross_validation, {"angle": 2e-3}, 0.0),
         Candidate("zeros", 12, 0.0, made("paper").cross_validation, {"zero": 3e-3}, 0.0),
     ]
-    found = replace(in_a_frame(), sizes={"zero": 1e-3}, candidates=tuple(tried))
+    found = replace(in_a_frame(), prior_std={"zero": 1e-3}, candidates=tuple(tried))
     covariance = unmodelled_base(found, found)
     assert covariance[3, 3] == pytest.approx(2e-3**2)
-    own = replace(found, sizes={"zero": 1e-3, "angle": 5e-3})
+    own = replace(found, prior_std={"zero": 1e-3, "angle": 5e-3})
     assert unmodelled_base(own, own)[3, 3] == pytest.approx(5e-3**2)
 
 
@@ -197,8 +199,8 @@ def test_without_priors_what_nothing_tells_is_as_large_as_errors_of_arms():
 
 
 def test_samples_carry_frames_and_loads():
-    found = made("larger")
-    part = found.larger
+    found = made("non_geometric")
+    part = found.non_geometric
     q = joint_values(found, 4)
     with_load = pose_covariance(part, View(found.samples(q), None, False, KNOWN_BASE))
     expected = part.pose_std(found.samples(q))[:, 0]

@@ -264,8 +264,8 @@ def test_the_ur3_agrees_with_fcl(boxed):
     model = model_of(ur3(), boxes)
     links = list(bodies(ur3()))
     # What is compared is said here anew: all but neighbours, the box of the flange fixed to wrist 3 among them.
-    left_out = {*NEIGHBOURS, ("wrist_2_link", "ee_link"), ("wrist_3_link", "ee_link")}
-    pairs = {(a, b) for i, a in enumerate(links) for b in links[i + 1 :]} - left_out
+    held_out = {*NEIGHBOURS, ("wrist_2_link", "ee_link"), ("wrist_3_link", "ee_link")}
+    pairs = {(a, b) for i, a in enumerate(links) for b in links[i + 1 :]} - held_out
     pairs |= {(a, box.name) for box in boxes for a in links if a != "base_link"}
     assert set(model.pairs) == pairs
     assert "always_touching" not in dict(model.notes)

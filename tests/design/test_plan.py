@@ -31,7 +31,7 @@ def box(name: str, size, centre) -> Box:
 TABLE = box("table", (1.6, 1.6, 0.04), (0.0, 0.0, -0.03))
 POST = box("post", (0.1, 0.1, 0.8), (0.45, -0.35, 0.4))
 
-BARE = Cell(target=TARGET, model="hayati", sigma=1e-4, priors=Priors(sizes="off"))
+BARE = Cell(target=TARGET, model="hayati", sigma=1e-4, priors=Priors(source="off"))
 FULL = replace(
     BARE,
     boxes=(TABLE, POST),

@@ -11,7 +11,8 @@ from calib.diagnosis.coverage import outside, spread_of
 from calib.example import paper_measurements
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
-from calib.result.calibrate import Calibration, calibrate
+from calib.result.calibrate import calibrate
+from calib.result.calibration import CalibrationValues
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import Robot
 
@@ -96,12 +97,12 @@ def table(ur3: Robot) -> Measurements:
 
 
 @pytest.fixture(scope="module")
-def robust(ur3: Robot, table: Measurements) -> Calibration:
+def robust(ur3: Robot, table: Measurements) -> CalibrationValues:
     return calibrate(ur3, table, cell=CELL, validate=False)
 
 
 @pytest.fixture(scope="module")
-def plain(ur3: Robot, table: Measurements) -> Calibration:
+def plain(ur3: Robot, table: Measurements) -> CalibrationValues:
     return calibrate(ur3, table, cell=CELL, robust=False, validate=False)
 
 
@@ -139,5 +140,5 @@ def test_auto_chooses_as_if_gross_rows_were_not_there(ur3, seed: int, size: floa
     )
     assert [o.row for o in spoilt.outliers][:8] == list(range(1, 9))
     assert spoilt.model.name == clean.model.name == "dh"
-    assert spoilt.larger is None
+    assert spoilt.non_geometric is None
     assert np.abs(spoilt.predict(q) - clean.predict(q)).max() < 2e-5

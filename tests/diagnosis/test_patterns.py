@@ -68,7 +68,7 @@ def test_probabilities_are_uniform_under_noise():
 class Table:
     """Random regressors, joint values, and noise with what repeats of a pose share."""
 
-    def __init__(self, rng, poses, *, repeats=1, columns=33, sizes=(1.0, 1.0, 1.0), shared=0.0):
+    def __init__(self, rng, poses, *, repeats=1, columns=33, prior_std=(1.0, 1.0, 1.0), shared=0.0):
         n, self.poses = poses * repeats, np.repeat(np.arange(poses), repeats)
         self.joints = np.repeat(rng.uniform(-3, 3, (poses, 6)), repeats, axis=0)
         A = rng.normal(size=(poses, 3, columns))
@@ -76,7 +76,7 @@ class Table:
         self.A = np.repeat(A, repeats, axis=0).reshape(3 * n, columns)
         b, w = rng.normal(size=(poses, 3)), rng.normal(size=(n, 3))
         self.noise = np.sqrt(shared) * np.repeat(b, repeats, axis=0) + np.sqrt(1 - shared) * w
-        self.noise *= sizes
+        self.noise *= prior_std
         self.along = [self.A[:, [2 * j % columns]] for j in range(6)]
         self.order = np.linspace(0, 1, n)
 
@@ -114,9 +114,9 @@ def alarms(find: Callable[[Table], object], count: int, **table) -> int:
     [
         {"poses": 30},
         {"poses": 12, "columns": 15},
-        {"poses": 30, "sizes": (1.0, 1.0, 6.0)},
+        {"poses": 30, "prior_std": (1.0, 1.0, 6.0)},
         {"poses": 15, "repeats": 4, "shared": 0.8},
-        {"poses": 15, "repeats": 4, "shared": 0.0, "sizes": (1.0, 3.0, 1.0)},
+        {"poses": 15, "repeats": 4, "shared": 0.0, "prior_std": (1.0, 3.0, 1.0)},
     ],
 )
 def test_clean_tables_raise_no_more_than_one_alarm_in_a_hundred(table):

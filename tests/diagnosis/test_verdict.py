@@ -9,13 +9,13 @@ import pytest
 
 from calib.diagnosis.reasons import Reason, Verdict, Why
 from calib.diagnosis.verdict import Evidence, verdict
-from calib.estimate.statistics import CrossValidation, Errors
+from calib.numerics.errors import CrossValidation, Errors
 
 ROWS = 30
 
 
 def validated(size: float, seed: int = 0, spread: float = 0.3) -> CrossValidation:
-    """Left-out residuals of an rms near ``size``."""
+    """Held-out residuals of an rms near ``size``."""
     rng = np.random.default_rng(seed)
     directions = rng.normal(size=(ROWS, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -48,7 +48,7 @@ GOOD = Evidence(
 FLAGGED = np.arange(ROWS) < 6
 RIGHT = {"nominal": validated(1e-4, 2), "calibrated": validated(1e-4, 3)}
 LOUD = Reason.of(Why.NOISE_LARGE, noise_m=4e-3)
-LACKS = Reason.of(Why.MODEL_LACKS, model="dh", larger="placement", noise_m=1e-4, less_m=2e-5)
+LACKS = Reason.of(Why.MODEL_LACKS, model="dh", non_geometric="placement", noise_m=1e-4, less_m=2e-5)
 STILL = Reason.of(Why.JOINTS_STILL, joints="elbow_joint")
 FAR = Reason.of(Why.TARGET_FAR, target="", far_m=0.282)
 HINT = Reason.of(Why.OTHER_BASE, given_m=0.5, error_m=2e-3, link="base")
@@ -149,7 +149,7 @@ def test_a_good_calibration_is_to_be_used_and_says_by_how_much():
             Why.TOO_FEW,
         ),
         ({**RIGHT, "parameters": 60}, "do not use", Why.TOO_FEW),
-        ({**RIGHT, "whole": 60}, "do not use", Why.TOO_FEW),
+        ({**RIGHT, "full_model_parameters": 60}, "do not use", Why.TOO_FEW),
         ({**RIGHT, "outliers": np.arange(ROWS) < 6}, "do not use", Why.NO_BETTER),
         ({**RIGHT, "doubts": (LOUD,)}, "do not use", Why.NO_BETTER),
         ({"largest": 4.6}, "use with care", Why.PARAMETER_FAR),
@@ -259,9 +259,9 @@ def test_what_remains_is_counted_without_the_noise_that_the_best_model_leaves():
     assert replace(GOOD, floor=np.full((ROWS, 3), noise)).remains_held_out() < 0.03
     clean = replace(GOOD, floor=np.full((ROWS, 3), 0.01)).remains_held_out()
     assert clean == pytest.approx(0.2 / 2.5, rel=0.05)
-    # A robot whose errors only a larger model explains is no robot at its noise.
-    assert replace(GOOD, **RIGHT).quiet
-    assert not replace(GOOD, **RIGHT, floor=np.full((ROWS, 3), 0.3)).quiet
+    # A robot whose errors only a non-geometric model explains is no robot at its noise.
+    assert replace(GOOD, **RIGHT).at_noise_level
+    assert not replace(GOOD, **RIGHT, floor=np.full((ROWS, 3), 0.3)).at_noise_level
 
 
 def test_much_remains_names_the_model_that_leaves_far_less():

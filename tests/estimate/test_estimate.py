@@ -11,10 +11,10 @@ from scipy.special import stdtrit
 from calib.data.cell import Cell, Priors
 from calib.data.measurements import Measurements
 from calib.estimate.fitting import Fitted, Task, fit
-from calib.estimate.rows import Rows
-from calib.estimate.setup import rows_of
+from calib.registration.rows import Rows
+from calib.registration.table_rows import rows_of
 
-OFF = Priors(sizes="off")
+OFF = Priors(source="off")
 
 
 def fitted(virtual, cell: Cell, rows: Rows, **options) -> Fitted:
@@ -144,7 +144,9 @@ def test_sizes_of_errors_and_noise_are_found(virtual, paper_cell):
     for _ in range(40):
         x = virtual.offsets(rng, 4e-4, 2e-3)
         e = fitted(virtual, paper_cell, virtual.rows(rng, x, 60, 5e-5)).estimate
-        found.append([e.sizes["length"], e.sizes["angle"], e.sizes["zero"], e.noise[0] * 1e-4])
+        found.append(
+            [e.prior_std["length"], e.prior_std["angle"], e.prior_std["zero"], e.noise[0] * 1e-4]
+        )
     np.testing.assert_allclose(
         np.sqrt(np.mean(np.square(found), axis=0)), [4e-4, 2e-3, 2e-3, 5e-5], rtol=0.1
     )

@@ -13,14 +13,15 @@ from calib.calibration import calibrate
 from calib.data.cell import Cell, GroupDistance, Priors
 from calib.errors import MeasurementError, ModelError
 from calib.estimate.fitting import Task, _pulled_inwards, fit
-from calib.estimate.setup import known_distances, rows_of
-from calib.estimate.solvers import SOLVERS, Solution
-from calib.estimate.stages import PriorTerms
+from calib.estimate.prior_terms import PriorTerms
 from calib.model.error_model import MODELS, error_model
 from calib.model.kinematics import Kinematics, Parameter
+from calib.numerics.solvers import SOLVERS, Solution
+from calib.registration.known_distances import known_distances
+from calib.registration.table_rows import rows_of
 from calib.robot.readback import random_joint_values
 
-OFF = Priors(sizes="off")
+OFF = Priors(source="off")
 FREE = Cell(estimate_frame=True, priors=OFF)
 
 
@@ -165,7 +166,7 @@ def test_a_target_with_a_prior_or_a_bound_stays_near_where_it_was_said_to_be(mak
 def test_a_parameter_at_a_bound_is_released_where_the_rows_pull_it_inside(make_scene):
     """Held 1 mm to either side of the optimum, as at a lower and as at an upper bound."""
     scene = make_scene(0, frames=[np.eye(4)], noise=1e-4)
-    given = Priors(sizes="given")
+    given = Priors(source="given")
     found, _ = fitted(scene, scene.points(25), Cell(priors=given), robust=False)
     k = found.kinematics.model.index("d1")
     best = float(found.estimate.x[k])
@@ -192,13 +193,13 @@ def test_a_parameter_at_a_bound_is_released_where_the_rows_pull_it_inside(make_s
 @pytest.mark.slow
 def test_bounds_hold_and_let_go_of_what_they_no_longer_hold(make_scene):
     """At the end no bounded parameter could lower the cost by moving inwards (Karush, Kuhn, Tucker)."""
-    sizes = {"length": 3e-3, "angle": 15e-3, "zero": 15e-3}
+    prior_std = {"length": 3e-3, "angle": 15e-3, "zero": 15e-3}
     stopped = 0
     for seed in range(12):
         scene = make_scene(seed, frames=[np.eye(4)], noise=1e-4)
         names = scene.kinematics.model.names
         chosen = np.random.default_rng(seed).choice(len(names), 8, replace=False)
-        cell = Cell(bounds={names[k]: (-1e-3, 1e-3) for k in chosen}, priors=Priors(sizes="given"))
+        cell = Cell(bounds={names[k]: (-1e-3, 1e-3) for k in chosen}, priors=Priors(source="given"))
         found, _ = fitted(scene, scene.points(25), cell, robust=False)
         e, model = found.estimate, found.kinematics.model
         stopped += len(e.at_bound)
@@ -206,7 +207,7 @@ def test_bounds_hold_and_let_go_of_what_they_no_longer_hold(make_scene):
             assert abs(e.x[model.index(names[k])]) <= 1e-3 * (1 + 1e-9)
         precision, centre = e.problem.precision.copy(), e.problem.centre.copy()
         for k in e.at_bound:
-            precision[k], centre[k] = sizes[model.parameters[k].family] ** -2, 0.0
+            precision[k], centre[k] = prior_std[model.parameters[k].family] ** -2, 0.0
         free = replace(e.problem, precision=precision, centre=centre)
         r, J = free.system(e.x)
         slope, bend = J.T @ r, np.sum(J**2, axis=0)

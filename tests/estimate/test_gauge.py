@@ -11,10 +11,11 @@ from calib.calibration import calibrate
 from calib.data.cell import Cell, GroupDistance
 from calib.estimate.fitting import Task, fit
 from calib.estimate.problem import Problem
-from calib.estimate.setup import known_distances, rows_of
 from calib.model.dh import dh_table
 from calib.model.error_model import error_model
 from calib.model.kinematics import FRAME, TARGET, Kinematics
+from calib.registration.known_distances import known_distances
+from calib.registration.table_rows import rows_of
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import Robot
 from tests.fits import place
@@ -178,7 +179,7 @@ def held_out(robot: Robot, table, cell: Cell):
     """The error at the socket that only validation rows see, and the relative size of the corrected arm."""
     sets = tuple("validate" if group == "3" else "estimate" for group in table.groups)
     result = calibrate(robot, replace(table, sets=sets), cell=cell)
-    errors = result.errors["larger" if result.larger else "calibrated"]["validation"]
+    errors = result.errors["non_geometric" if result.non_geometric else "calibrated"]["validation"]
     return errors.rms, relative_size(result.robot, robot), result
 
 

@@ -9,10 +9,13 @@ import pytest
 from scipy.optimize import minimize
 
 from calib.data.cell import Cell
-from calib.estimate.problem import Priors, Problem, sizes_by_reml
-from calib.estimate.setup import KnownDistance, rows_of
+from calib.estimate.problem import Problem
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
+from calib.numerics.likelihood import Priors
+from calib.numerics.reml import prior_std_by_reml
+from calib.registration.known_distances import KnownDistance
+from calib.registration.table_rows import rows_of
 
 
 def differences(function, x, step):
@@ -149,7 +152,7 @@ def test_noise_has_a_normal_prior_on_its_logarithm(virtual, spread):
         likelihood = data.log_likelihood(np.array([[noise]]), Priors(weak + own, 0.0), own[None])
         return 0.5 * (logs[0] / spread) ** 2 - likelihood[0]
 
-    noise, sizes = sizes_by_reml(
+    noise, prior_std = prior_std_by_reml(
         data,
         members,
         np.ones((1, 1)),
@@ -161,4 +164,4 @@ def test_noise_has_a_normal_prior_on_its_logarithm(virtual, spread):
     )
     start = np.array([0.0, np.log(1e-2)])
     best = minimize(loss, start, method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-9}).x
-    np.testing.assert_allclose(np.log([noise[0, 0], sizes[0, 0]]), best, atol=2e-3)
+    np.testing.assert_allclose(np.log([noise[0, 0], prior_std[0, 0]]), best, atol=2e-3)

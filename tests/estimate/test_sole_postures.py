@@ -11,7 +11,7 @@ from calib.calibration import calibrate
 from calib.data.cell import Cell, Priors
 from calib.data.measurements import Measurements
 from calib.estimate.fitting import Fitted, Task, fit
-from calib.estimate.setup import rows_of
+from calib.registration.table_rows import rows_of
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import Robot
 from calib.selection.cross_validation import cross_validation
@@ -105,7 +105,7 @@ def test_it_keeps_its_weight_and_the_others_their_fit(ur3, truth, off):
     for name in ("noise", "freedom", "log_likelihood"):
         of_whole, of_rest = (getattr(one.estimate, name) for one in (whole, rest))
         assert of_whole == pytest.approx(of_rest, rel=1e-6)
-    assert dict(estimate.sizes) == pytest.approx(dict(rest.estimate.sizes), rel=1e-4)
+    assert dict(estimate.prior_std) == pytest.approx(dict(rest.estimate.prior_std), rel=1e-4)
 
 
 def test_elsewhere_the_robot_is_as_without_it(ur3, truth):
@@ -153,13 +153,13 @@ def test_given_weights_of_a_judge_leave_it_as_it_is(ur3, truth):
 @pytest.mark.slow
 def test_covariance_by_monte_carlo(ur3):
     """Errors of predictions, where the sole posture moves the joint and where it stands, are as large as said."""
-    sizes = {"length": 0.3e-3, "angle": 1e-3}
-    priors = Priors("given", **sizes)
+    prior_std = {"length": 0.3e-3, "angle": 1e-3}
+    priors = Priors("given", **prior_std)
     cell = Cell(priors=priors, sigma=NOISE)
     q = joint_values(ur3)
     squares = []
     for seed in range(200):
-        one = draw_truth(ur3, "dh", sizes, seed)
+        one = draw_truth(ur3, "dh", prior_std, seed)
         found = fitted(measured(one, q, seed=seed), ur3, cell)
         estimate, model = found.estimate, found.kinematics.model
         samples = estimate.problem.rows.samples.select(np.array([ROW, 0, 7]))

@@ -15,10 +15,11 @@ from calib.diagnosis.reasons import Why
 from calib.diagnosis.residual_patterns import Order, residual_patterns
 from calib.estimate import problem as problem_module, stop_errors
 from calib.estimate.fitting import Task, fit
-from calib.estimate.problem import Priors, Problem
-from calib.estimate.setup import rows_of
+from calib.estimate.problem import Problem
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
+from calib.numerics.likelihood import Priors
+from calib.registration.table_rows import rows_of
 from calib.result.prediction import parameter_estimates
 from calib.result.uncertainty import _fit_sample
 from calib.robot.readback import random_joint_values
@@ -320,11 +321,12 @@ def test_a_fit_finds_what_its_stops_share(hand):
     residual, jacobian = estimate.problem.system(estimate.x)
     size = np.linalg.norm(jacobian, axis=0)
     assert np.max(np.abs(jacobian.T @ residual) / size) < 1e-3 * np.linalg.norm(residual)
-    pushes = [
-        one.push for one in parameter_estimates(fitted, estimate.problem.observability(estimate.x))
+    data_gradients = [
+        one.data_gradient
+        for one in parameter_estimates(fitted, estimate.problem.observability(estimate.x))
     ]
     held = estimate.problem.precision * (estimate.x - estimate.problem.centre)
-    np.testing.assert_allclose(pushes, held, atol=1e-3 * np.abs(held).max())
+    np.testing.assert_allclose(data_gradients, held, atol=1e-3 * np.abs(held).max())
 
 
 def test_rows_are_judged_one_by_one(hand):

@@ -16,9 +16,9 @@ from calib.fleets.record import (
     ROWS,
     FleetParameter,
     FleetRow,
+    fleet_outliers,
     limit,
     measured_hash,
-    odd_ones,
     scores,
 )
 
@@ -26,12 +26,12 @@ from calib.fleets.record import (
 def row(k: int, rng: np.random.Generator, parameters: int = 10) -> FleetRow:
     """One of many like it."""
     sizes = np.exp(rng.normal(size=3) * (0.3, 0.15, 0.15)) * (3e-3, 8e-5, 4e-5)
-    nominal, left_out, sigma = sizes.tolist()
+    nominal, held_out, sigma = sizes.tolist()
     own = tuple(
         FleetParameter(f"p{i}", "m", float(rng.normal(0.0, 3e-4)), 1e-5) for i in range(parameters)
     )
     return FleetRow(
-        f"r{k}", "done", verdict="use", model="dh", rows=30, nominal_rms=nominal, left_out_rms=left_out, sigma=sigma,
+        f"r{k}", "done", verdict="use", model="dh", rows=30, nominal_rms=nominal, held_out_rms=held_out, sigma=sigma,
         kind="ur3 base tool0 j1", data=f"{k}.csv", measured=str(rng.random()), parameters=own,
     )  # fmt: skip
 
@@ -44,21 +44,21 @@ def fleet_of(count: int, seed: int = 0, **more: int) -> list[FleetRow]:
 @pytest.mark.parametrize("count", [5, 12, 60])
 def test_few_fleets_without_odd_ones_have_one(count):
     fleets = 120
-    flagged = sum(bool(odd_ones(fleet_of(count, seed))[0]) for seed in range(fleets))
+    flagged = sum(bool(fleet_outliers(fleet_of(count, seed))[0]) for seed in range(fleets))
     # 5 % of them, and three standard deviations.
     assert flagged <= 0.05 * fleets + 3.0 * math.sqrt(0.05 * 0.95 * fleets)
 
 
 def test_the_odd_ones_are_found_with_their_reasons():
     rows = fleet_of(40)
-    rows[3] = replace(rows[3], sigma=5.0 * rows[3].sigma, left_out_rms=5.0 * rows[3].left_out_rms)
+    rows[3] = replace(rows[3], sigma=5.0 * rows[3].sigma, held_out_rms=5.0 * rows[3].held_out_rms)
     rows[7] = replace(
         rows[7], parameters=(FleetParameter("p0", "m", 0.02, 1e-5), *rows[7].parameters[1:])
     )
     rows[9] = replace(rows[9], nominal_rms=rows[9].nominal_rms / 40.0)
     rows[11] = replace(rows[11], measured=rows[12].measured)
     rows[30] = FleetRow("r30", "failed", "why")
-    odd, notes = odd_ones(rows)
+    odd, notes = fleet_outliers(rows)
     assert notes == ()
     found = [(one.name, one.figure) for one in odd]
     assert set(found[:2]) == {("r3", "noise"), ("r3", "cross-validated error")}
@@ -79,17 +79,17 @@ def test_the_odd_ones_are_found_with_their_reasons():
 def test_data_given_many_times_count_once():
     rows = fleet_of(12)
     rows[0] = replace(rows[0], nominal_rms=50.0 * rows[0].nominal_rms)
-    alone = odd_ones(rows)[0]
+    alone = fleet_outliers(rows)[0]
     assert [(one.name, one.figure) for one in alone] == [("r0", "nominal error")]
     copies = [replace(rows[0], name=f"c{k}", data=f"c{k}.csv") for k in range(20)]
-    odd, _ = odd_ones([*rows, *copies])
+    odd, _ = fleet_outliers([*rows, *copies])
     figures = [one for one in odd if one.figure != "data"]
     assert [one.name for one in figures] == ["r0", *(copy.name for copy in copies)]
     assert {(one.z, one.usual, one.limit) for one in figures} == {
         (alone[0].z, alone[0].usual, alone[0].limit)
     }
     few = fleet_of(FEWEST - 1)
-    notes = odd_ones([*few, replace(few[0], name="copy")])[1]
+    notes = fleet_outliers([*few, replace(few[0], name="copy")])[1]
     assert notes[0].startswith(
         "Too few to tell what is usual: 5 robots with the data of 4; it takes 5."
     )
@@ -99,7 +99,7 @@ def test_robots_are_compared_with_their_own_kind():
     rows = fleet_of(20)
     others = [replace(r, name=f"o{r.name}", kind="ur5 base tool0", nominal_rms=30 * r.nominal_rms, measured=r.name)
               for r in rows[:6]]  # fmt: skip
-    odd, notes = odd_ones(
+    odd, notes = fleet_outliers(
         [*rows, *others, replace(rows[0], name="x", kind="panda a b", measured="x")]
     )
     assert odd == ()

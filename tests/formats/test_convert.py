@@ -210,8 +210,8 @@ def test_the_urdf_of_a_result(shop, tmp_path):
         np.testing.assert_allclose(nominal.robot.poses(Q), other.robot.poses(Q), atol=1e-12)
         np.testing.assert_allclose(nominal.nominal.poses(Q), other.nominal.poses(Q), atol=1e-12)
     assert corrected.robot.urdf.data == (shop / "corrected.urdf").read_bytes()
-    larger = write_result(made("larger"), tmp_path / "result.json")
-    assert codes(read_source(str(larger), Options()).notes) == ["geometry alone"]
+    non_geometric = write_result(made("non_geometric"), tmp_path / "result.json")
+    assert codes(read_source(str(non_geometric), Options()).notes) == ["geometry alone"]
 
 
 def test_origins_of_some_of_the_joints(shop, tmp_path):

@@ -52,7 +52,7 @@ def test_the_papers_figure_8_shows_the_validation_rows(calibrations):
 def test_without_validation_rows_left_out_ones_are_shown_then_estimation_rows(calibrations):
     c = calibrations.made("three_rows")
     word, mask, before, after = curve_rows(c)
-    assert (word, int(mask.sum())) == ("left-out", 3)
+    assert (word, int(mask.sum())) == ("held-out", 3)
     np.testing.assert_array_equal(after[mask], c.cross_validation.residual)
     np.testing.assert_array_equal(before[mask], c.nominal_cross_validation.residual)
     word, mask, before, after = curve_rows(calibrations.made("one_row"))
@@ -133,16 +133,16 @@ def test_an_error_of_a_joint_stands_in_its_own_panel_in_full(calibrations, j):
     off = c.predict(q + 1e-4 * np.eye(6)[j]) - c.predict(q)
     parts = along_joints(with_residual(c, off))
     np.testing.assert_allclose(parts[:, j], np.linalg.norm(off, axis=1), rtol=1e-3)
-    sizes = np.linalg.norm(off, axis=1)[:, None]
-    assert np.all(np.abs(parts) <= sizes * (1 + 1e-6))
+    prior_std = np.linalg.norm(off, axis=1)[:, None]
+    assert np.all(np.abs(parts) <= prior_std * (1 + 1e-6))
 
 
 def test_of_a_distance_all_is_along_the_beam(calibrations):
     c = calibrations.made("distances")
     parts = along_joints(c)
-    sizes = np.abs(c.residual_calibrated[:, 0])
+    prior_std = np.abs(c.residual_calibrated[:, 0])
     there = np.isfinite(parts[:, 1])
-    np.testing.assert_allclose(np.abs(parts[there, 1]), sizes[there])
+    np.testing.assert_allclose(np.abs(parts[there, 1]), prior_std[there])
 
 
 def test_a_joint_that_does_not_move_the_target_has_no_part(calibrations):

@@ -43,11 +43,11 @@ def test_the_papers_figure_7_shows_every_point_from_three_sides(calibrations):
     assert labels == ["28 estimation rows", "5 validation rows", "2 outliers", "base"]
 
 
-@pytest.mark.parametrize("case", ["paper", pytest.param("larger", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("case", ["paper", pytest.param("non_geometric", marks=pytest.mark.slow)])
 def test_cells_show_the_uncertainty_of_their_poses(calibrations, case):
     c = calibrations.made(case)
     figure = uncertainty(c)
-    std = 1e3 * c.position_std(spread_poses(c.nominal, POSES), larger=False)
+    std = 1e3 * c.position_std(spread_poses(c.nominal, POSES), non_geometric=False)
     for ax in figure.axes[:3]:
         cells = np.asarray(ax.collections[0].get_array())
         assert std.min() <= cells.min() < cells.max() <= std.max()

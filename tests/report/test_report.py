@@ -19,11 +19,19 @@ from calib.text.verdict import reason_text
 CASES = ["paper", "hostile_names", "distances"]
 CASES += [
     pytest.param(case, marks=pytest.mark.slow)
-    for case in ("poses", "one_row", "auto", "with_outliers", "do_not_use", "larger", "mixed")
+    for case in (
+        "poses",
+        "one_row",
+        "auto",
+        "with_outliers",
+        "do_not_use",
+        "non_geometric",
+        "mixed",
+    )
 ]
 
 #: What a number in a table may be counted in; the head of its column, its group or the table's title names one.
-UNITS = re.compile(r"\[(mm|deg|mrad)\]|number|score|weight|evidence|parameters|left-out rms|used")
+UNITS = re.compile(r"\[(mm|deg|mrad)\]|number|score|weight|evidence|parameters|held-out rms|used")
 
 #: Elements of HTML that have no end tag.
 EMPTY = {"meta", "img"}
@@ -69,7 +77,7 @@ def page(monkeypatch):
 
 def every_table(c):
     """All the tables of a report."""
-    makers = ("errors", "validation_rows", "larger", "dh", "origins", "flagged")
+    makers = ("errors", "validation_rows", "non_geometric", "dh", "origins", "flagged")
     made = [getattr(report, maker)(c) for maker in (*makers, "ranges")]
     made += [report.parameters(c, unit) for unit in ("mm", "deg")]
     return [*made, report.errors(c, turned=True)]
@@ -125,9 +133,9 @@ def test_errors_by_set_are_those_of_the_result(paper_calibration):
             row = found[f"{name} rows, {who}"]
             assert int(row[0]) == e.n
             np.testing.assert_allclose([float(v) for v in row[1:]], wanted, atol=5.1e-4)
-    left_out = found["left-out rows*, calibrated, without outliers"]
+    held_out = found["held-out rows*, calibrated, without outliers"]
     rms = 1e3 * c.cross_validation.errors_without_outliers.rms
-    assert float(left_out[3]) == pytest.approx(rms, abs=5.1e-4)
+    assert float(held_out[3]) == pytest.approx(rms, abs=5.1e-4)
     assert table.note.startswith("* leave-one-out: each row predicted from the others alone. Span:")
     assert {table.rows[k][0].split(",")[1] for k in table.strong} == {" calibrated"}
 
@@ -139,9 +147,9 @@ def test_validation_rows_are_those_of_the_paper_s_table_4(paper_calibration):
     values = np.array([[float(v) for v in row[1:]] for row in table.rows])
     for start, residual in ((0, c.residual_nominal), (4, c.residual_calibrated)):
         wanted = 1e3 * residual[c.measurements.validation]
-        sizes = np.linalg.norm(wanted, axis=1)
+        prior_std = np.linalg.norm(wanted, axis=1)
         np.testing.assert_allclose(values[:, start : start + 3], wanted, atol=5.1e-4)
-        np.testing.assert_allclose(values[:, start + 3], sizes, atol=5.1e-4)
+        np.testing.assert_allclose(values[:, start + 3], prior_std, atol=5.1e-4)
     assert table.groups == [("", 1), ("before: nominal [mm]", 4), ("after: calibrated [mm]", 4)]
 
 

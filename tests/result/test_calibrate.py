@@ -15,9 +15,9 @@ from calib.data.cell import Cell, GroupDistance, Priors
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Why
 from calib.errors import ModelError, UrdfError
-from calib.estimate.statistics import Errors
 from calib.example import PAPER_TARGET_AS_PRINTED
 from calib.model.kinematics import Samples
+from calib.numerics.errors import Errors
 from calib.result.calibrate import _validated, fit_table
 from calib.result.calibration_file import read_result
 from calib.result.evaluation import evaluate
@@ -292,7 +292,7 @@ def test_unseen_poses_of_a_known_truth_are_right(calibrated, name, bar):
     """200 poses over the joint limits, in the base, within what noise of 0.02 mm allows."""
     scene, c = calibrated(name)
     q = random_joint_values(scene.robot, 200, 71)
-    fitted = c.fit.larger or c.fit.geometry
+    fitted = c.fit.non_geometric or c.fit.geometry
     into_base = rigid_inverse(fitted.placed().T_frame_base[0])
     for t, target in enumerate(c.setup.targets):
         found = (into_base @ c.predict_poses(q, target=target))[:, :3, 3]
@@ -332,11 +332,13 @@ def test_a_set_up_of_validation_rows_alone_is_registered_to_them(make_scene, kin
     cell = Cell(estimate_frame=kind in ("points", "poses"), distances=known)
     c = calibrate(scene.robot, table, cell=cell, model=model, validate=False)
     assert not [name for name in c.model.names if "[2]" in name]
-    assert c.errors["larger" if c.larger else "calibrated"]["validation"].rms < 1e-9
+    assert c.errors["non_geometric" if c.non_geometric else "calibrated"]["validation"].rms < 1e-9
     assert c.errors["nominal"]["validation"].rms < 0.05
-    for known, larger in ((c.setup, None), (None, c.larger))[: 1 + bool(c.larger)]:
-        anew = {"known": known, "larger": larger, "which": ("target",)}
-        robot = c.nominal if larger else c.robot
+    for known, non_geometric in ((c.setup, None), (None, c.non_geometric))[
+        : 1 + bool(c.non_geometric)
+    ]:
+        anew = {"known": known, "non_geometric": non_geometric, "which": ("target",)}
+        robot = c.nominal if non_geometric else c.robot
         assert evaluate(robot, table, cell, **anew).errors["all"].rms < 1e-9
     nominal = evaluate(c.nominal, table, cell).residual
     np.testing.assert_allclose(nominal, c.residual_nominal, rtol=0, atol=1e-9)
@@ -371,7 +373,7 @@ def test_a_target_of_validation_rows_alone_is_registered_to_them(make_scene):
 
 @pytest.mark.parametrize("bends", [True, False])
 def test_a_part_of_many_rows_judges_outliers_as_all_rows_do(make_scene, panda, monkeypatch, bends):
-    """Rows that bend under a payload are good ones for a larger model; rows that are 5 mm off are not."""
+    """Rows that bend under a payload are good ones for a non-geometric model; rows that are 5 mm off are not."""
     payload = Payload(8.0, np.array([0.0, 0.0, 0.15])) if bends else None
     errors = {"model": "dh+compliance", "other": {"compliance": 4e-5}} if bends else {}
     places = {"frames": [np.eye(4)], "targets": TARGETS[:1]}
@@ -401,7 +403,7 @@ def test_a_part_of_many_rows_judges_outliers_as_all_rows_do(make_scene, panda, m
 @pytest.mark.slow
 @pytest.mark.parametrize("inertias", [True, False])
 def test_rows_that_bend_far_off_the_geometry_are_no_outliers(make_scene, panda, model, inertias):
-    """24 % of the rows stretched out under a payload: a larger model explains them, whichever the geometry is."""
+    """24 % of the rows stretched out under a payload: a non-geometric model explains them, whatever the geometry."""
     payload = Payload(8.0, np.array([0.0, 0.0, 0.15]))
     errors = {"model": "dh+compliance", "other": {"compliance": 4e-5}, "payload": payload}
     places = {"frames": TRACKERS[:1], "targets": TARGETS[:1]}
@@ -428,8 +430,8 @@ def test_every_kind_is_cross_validated_and_judged(case):
     scene, c = case
     kinds = set(c.measurements.kinds)
     assert c.cross_validation is not None
-    # A larger model than the URDF can hold leaves the geometry with patterns, which is said.
-    if c.larger is None:
+    # A non-geometric model than the URDF can hold leaves the geometry with patterns, which is said.
+    if c.non_geometric is None:
         # Planes alone tell no length, which is said.
         tells_length = bool(c.cell.distances) or not kinds <= {"fixed", "plane"}
         assert c.verdict.use == "use"
@@ -444,7 +446,7 @@ def test_every_kind_is_cross_validated_and_judged(case):
 
 
 def test_parameters_by_exact_name_hold_under_auto(make_scene, tmp_path):
-    """Frozen, bounded, tied and with a prior of its own; names of larger models too."""
+    """Frozen, bounded, tied and with a prior of its own; names of non-geometric models too."""
     scene = make_scene(73, frames=[np.eye(4)], length=3e-4, angle=3e-3, noise=2e-5)
     names, x = scene.kinematics.model.names, scene.x.copy()
     x[names.index("a4")] = x[names.index("d5")] = 0.0
@@ -484,9 +486,9 @@ def test_families_that_are_named_make_the_larger_model(calibrated):
     named = calibrate(
         scene.robot, c.measurements, cell=replace(c.cell, model="dh+gain"), validate=False
     )
-    assert (named.model.name, named.larger.name, named.candidates) == ("dh", "dh+gain", ())
-    np.testing.assert_allclose(named.larger.x, c.larger.x, atol=1e-6)
-    gains = [p for p in named.larger.parameters if p.name.endswith(".gain")]
+    assert (named.model.name, named.non_geometric.name, named.candidates) == ("dh", "dh+gain", ())
+    np.testing.assert_allclose(named.non_geometric.x, c.non_geometric.x, atol=1e-6)
+    gains = [p for p in named.non_geometric.parameters if p.name.endswith(".gain")]
     truth = dict(zip(scene.kinematics.model.names, scene.x, strict=True))
     assert len(gains) == 6
     inside = [p.low < truth[p.name] < p.high for p in gains]
@@ -495,7 +497,7 @@ def test_families_that_are_named_make_the_larger_model(calibrated):
 
 @pytest.fixture(scope="module")
 def refused(make_scene):
-    """Rows of a robot with joint gains, and fits whose larger model predicts left-out rows worse when refitted.
+    """Rows of a robot with joint gains, and fits whose non-geometric model predicts held-out rows worse when refitted.
 
     Its priors insist on errors of the encoders, which follow the noise.
     """
@@ -504,9 +506,11 @@ def refused(make_scene):
     m = replace(scene.points(48), sets=("estimate",) * 40 + ("validate",) * 8)
     fits = fit_table(scene.robot, m, Cell())
     insisting = Cell(priors=Priors("given", eccentricity=0.1), model="dh+eccentricity")
-    larger = fit_table(scene.robot, m, insisting).larger
+    non_geometric = fit_table(scene.robot, m, insisting).non_geometric
     return m, replace(
-        fits, larger=larger, candidates=marked(fits.candidates, "dh", "dh+eccentricity")
+        fits,
+        non_geometric=non_geometric,
+        candidates=marked(fits.candidates, "dh", "dh+eccentricity"),
     )
 
 
@@ -514,17 +518,17 @@ def test_where_refits_refuse_a_larger_model_the_next_by_evidence_is_tried(refuse
     m, fits = refused
     done = []
     result = _validated(m, fits, lambda *counts: done.append(counts))
-    assert (result.model.name, result.larger.name) == ("dh", "dh+gain")
+    assert (result.model.name, result.non_geometric.name) == ("dh", "dh+gain")
     assert {c.name: c.chosen for c in result.candidates if c.chosen} == {
         "dh": "geometry",
-        "dh+gain": "larger",
+        "dh+gain": "non_geometric",
     }
-    left_out = result.larger.cross_validation.errors_without_outliers
-    assert left_out.rms < result.cross_validation.errors_without_outliers.rms
+    held_out = result.non_geometric.cross_validation.errors_without_outliers
+    assert held_out.rms < result.cross_validation.errors_without_outliers.rms
     # Geometry, the one refused, and its successor.
     assert done[-1] == (120, 120)
     # The rows that no fit saw are predicted by the successor.
-    unseen = np.linalg.norm(result.larger.residual[m.validation], axis=1)
+    unseen = np.linalg.norm(result.non_geometric.residual[m.validation], axis=1)
     assert unseen.mean() < np.linalg.norm(result.residual_calibrated[m.validation], axis=1).mean()
 
 
@@ -532,14 +536,14 @@ def test_where_refits_refuse_every_larger_model_there_is_none(refused):
     m, fits = refused
     geometries = tuple(c for c in fits.candidates if "+" not in c.name)
     result = _validated(m, replace(fits, candidates=geometries), None)
-    assert result.larger is None
+    assert result.non_geometric is None
     assert [c.name for c in result.candidates if c.chosen] == ["dh"]
 
 
 def test_a_larger_model_that_was_named_stays(refused):
     m, fits = refused
     result = _validated(m, replace(fits, candidates=()), None)
-    assert result.larger.name == "dh+eccentricity"
-    left_out = result.larger.cross_validation.errors_without_outliers
-    assert left_out.rms > result.cross_validation.errors_without_outliers.rms
+    assert result.non_geometric.name == "dh+eccentricity"
+    held_out = result.non_geometric.cross_validation.errors_without_outliers
+    assert held_out.rms > result.cross_validation.errors_without_outliers.rms
     assert Why.LARGER_NO_CLOSER in {reason.why for reason in result.verdict.reasons}

@@ -14,19 +14,21 @@ from calib.robot.robot import Robot
 
 
 def test_predictions_are_what_residuals_are_made_of(case):
-    """Of every kind that measures positions, by the row's own target and set-up, with the larger model and without."""
+    """Of every kind that measures positions, by the target and station of the row, by either model."""
     _, c = case
     m = c.measurements
     seen = m.of_kind("point", "pose")
     for i in np.flatnonzero(seen)[::7]:
         where = {"target": m.targets[i], "group": m.groups[i]}
         q = m.joints_for(c.nominal.joint_names)[i]
-        geometry = c.predict(q, larger=False, **where)[0]
+        geometry = c.predict(q, non_geometric=False, **where)[0]
         np.testing.assert_allclose(m.points[i] - geometry, c.residual_calibrated[i, :3], atol=1e-12)
-        if c.larger is not None:
-            larger = c.predict(q, **where)[0]
-            np.testing.assert_allclose(m.points[i] - larger, c.larger.residual[i, :3], atol=1e-12)
-            assert np.linalg.norm(larger - geometry) > 1e-6
+        if c.non_geometric is not None:
+            non_geometric = c.predict(q, **where)[0]
+            np.testing.assert_allclose(
+                m.points[i] - non_geometric, c.non_geometric.residual[i, :3], atol=1e-12
+            )
+            assert np.linalg.norm(non_geometric - geometry) > 1e-6
 
 
 def test_set_ups_see_the_same_robot(calibrated):

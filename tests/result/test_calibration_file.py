@@ -17,7 +17,7 @@ from calib.data.cell import Cell
 from calib.errors import FileError, ModelError
 from calib.example import paper_urdf
 from calib.result.acceptance import assess
-from calib.result.calibration import Calibration as Values
+from calib.result.calibration import CalibrationValues
 from calib.result.calibration_file import (
     read_result,
     write_result,
@@ -68,7 +68,7 @@ def everything(make_scene: Callable[..., Any]) -> Calibration:
         payload=Payload(1.0, np.array([0.0, 0.0, 0.1])),
     )
     result = calibrate(robot, m, cell=cell)
-    assert result.larger is not None
+    assert result.non_geometric is not None
     assert result.outliers
     assert result.suspects
     assert result.repeats is not None
@@ -105,7 +105,10 @@ def test_a_result_read_back_is_the_one_written(case: Any, tmp_path: Path):
     """Field by field, of every kind of measurement; and so is what is said of it."""
     _, c = case
     read = read_result(c.write_json(tmp_path / "r.json"))
-    assert differences(Values(**{f.name: getattr(c, f.name) for f in fields(c)}), read) == []
+    assert (
+        differences(CalibrationValues(**{f.name: getattr(c, f.name) for f in fields(c)}), read)
+        == []
+    )
     assert summary(read) == c.summary()
 
 
@@ -192,8 +195,9 @@ def documented(heading: str) -> set[str]:
 
 #: Tables and lists that may be missing or empty.
 WHOLE = {
-    "cross_validation", "verdict", "larger", "larger.payload", "larger.cross_validation", "noise.repeats",
-    "noise.sizes", "parameters", "outliers", "suspects", "observability.unidentifiable", "model.candidates",
+    "cross_validation", "verdict", "non_geometric", "non_geometric.payload", "non_geometric.cross_validation",
+    "noise.repeats",
+    "noise.prior_std", "parameters", "outliers", "suspects", "observability.unidentifiable", "model.candidates",
     "model.ties", "robot.held", "robustness", "outside", "verdict.reasons", "verdict.reasons[].values",
     "acceptance.length", "acceptance.angle",
 }  # fmt: skip
@@ -205,9 +209,9 @@ def test_the_document_has_every_key_of_a_file_and_no_other(everything_json: dict
     missing = {
         path
         for path in documented("Keys") - found
-        if not path.startswith(("outside", "model.ties", "robot.held", "larger.payload"))
+        if not path.startswith(("outside", "model.ties", "robot.held", "non_geometric.payload"))
     }
-    assert all("sizes." in path for path in missing)  # no model has every family of errors
+    assert all("prior_std." in path for path in missing)  # no model has every family of errors
 
 
 def test_the_document_has_every_key_of_an_evaluation(calibrated: Any, tmp_path: Path):
@@ -230,12 +234,12 @@ def test_the_document_has_every_key_of_an_evaluation(calibrated: Any, tmp_path: 
         if not p.startswith(("errors", "accuracy"))
     }
     assert {path for path, _ in leaves(stored)} == keys
-    with pytest.raises(FileError, match="its 'schema' is 'evaluation 2'; a result of calib"):
+    with pytest.raises(FileError, match="its 'schema' is 'evaluation 3'; a result of calib"):
         read_result(tmp_path / "e.json")
 
 
 def test_a_result_read_back_meets_every_row_as_the_fit_did(case: Any, tmp_path: Path):
-    """Geometry and larger model, from the nominal URDF and from the corrected one, for every kind of measurement."""
+    """Geometry and non-geometric model, from the nominal and the corrected URDF, for every kind of measurement."""
     scene, c = case
     stored = read_result(c.write_json(tmp_path / "r.json"))
     held = stored.nominal.held
@@ -247,12 +251,16 @@ def test_a_result_read_back_meets_every_row_as_the_fit_did(case: Any, tmp_path: 
         assert again.registered == ()
         np.testing.assert_array_equal(again.used, c.used)
         np.testing.assert_allclose(again.residual, c.residual_calibrated, rtol=0, atol=1e-9)
-        assert (stored.larger is None) == (c.larger is None)
-        if stored.larger is not None:
+        assert (stored.non_geometric is None) == (c.non_geometric is None)
+        if stored.non_geometric is not None:
             nominal = stored.uncorrected(robot)
-            larger = evaluate(nominal, c.measurements, bare, larger=stored.larger)
-            assert larger.registered == ()
-            np.testing.assert_allclose(larger.residual, c.larger.residual, rtol=0, atol=1e-9)
+            non_geometric = evaluate(
+                nominal, c.measurements, bare, non_geometric=stored.non_geometric
+            )
+            assert non_geometric.registered == ()
+            np.testing.assert_allclose(
+                non_geometric.residual, c.non_geometric.residual, rtol=0, atol=1e-9
+            )
         q = random_joint_values(robot, 20, 3)
         np.testing.assert_allclose(stored.tip_poses(q), c.tip_poses(q), rtol=0, atol=1e-12)
         for target in c.setup.targets:
@@ -290,8 +298,8 @@ def test_another_schema(tmp_path: Path, text: str):
         ("parameters.0.name", "a9"),
         ("parameters.0.push", None),
         ("model.terms.0.place", "nowhere"),
-        ("larger.x", [1.0]),
-        ("larger.payload", {"mass_kg": -1.0, "com_m": [0.0, 0.0, 0.0]}),
+        ("non_geometric.x", [1.0]),
+        ("non_geometric.payload", {"mass_kg": -1.0, "com_m": [0.0, 0.0, 0.0]}),
         ("rows.numbers", [1, 2]),
         ("rows.residual_nominal", "far"),
     ],

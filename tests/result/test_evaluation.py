@@ -10,7 +10,7 @@ import pytest
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.errors import ModelError
-from calib.estimate.setup import Setup
+from calib.registration.setup import Setup
 from calib.result.acceptance import assess
 from calib.result.calibrate import calibrate
 from calib.result.evaluation import accuracy, evaluate, moved
@@ -91,7 +91,7 @@ def test_another_target_seen_from_another_place_is_registered_when_asked(make_sc
     fresh = scene.points(20, 1, 1)
     anew = assess(c.robot, fresh, FREE, c, which=("target",))
     assert {one.registered for one in anew.found.values()} == {("target", "frame")}
-    best = anew.found["larger" if c.larger else "calibration"]
+    best = anew.found["non_geometric" if c.non_geometric else "calibration"]
     assert best.errors["all"].rms < 1e-9
     assert anew.found["nominal"].errors["all"].rms > 1e-3
     assert anew.hint is None

@@ -89,8 +89,8 @@ def scene_of(kind: str, make_scene, join) -> tuple[Any, Measurements, Cell]:
     known = {"target": TARGET, "estimate_target": False}
 
     def scene(model: str, frames, targets=(T_tip_target,)):
-        sizes = {"length": 3e-4, "angle": 3e-3, "noise": NOISE, "noise_angle": 1e-3}
-        return make_scene(1, frames=frames, targets=targets, model=model, **sizes)
+        prior_std = {"length": 3e-4, "angle": 3e-3, "noise": NOISE, "noise_angle": 1e-3}
+        return make_scene(1, frames=frames, targets=targets, model=model, **prior_std)
 
     if kind == "poses":
         one = scene("dh", places[:1])

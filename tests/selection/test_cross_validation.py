@@ -13,10 +13,11 @@ from scipy.stats import ttest_1samp
 from calib.data.cell import Cell, GroupDistance
 from calib.data.measurements import Measurements
 from calib.estimate.fitting import Fitted, Task, fit
-from calib.estimate.registration import register
-from calib.estimate.rows import Rows
-from calib.estimate.setup import known_distances, rows_of
-from calib.estimate.statistics import CrossValidation, Errors
+from calib.numerics.errors import CrossValidation, Errors
+from calib.registration.known_distances import known_distances
+from calib.registration.registration import register
+from calib.registration.rows import Rows
+from calib.registration.table_rows import rows_of
 from calib.selection import cross_validation as module
 from calib.selection.cross_validation import (
     Folds,
@@ -87,9 +88,9 @@ def test_a_set_up_that_alone_measures_orientations_is_not_left_out_whole(calibra
 def test_the_linear_one_agrees_with_the_refitted_one(case):
     """For every kind; sizes and noise are not found anew, and folds move them a little."""
     _, c = case
-    # Where there is a larger model the geometry alone leaves outliers, which each fold judges anew.
-    fitted = c.fit.larger or c.fit.geometry
-    refitted = c.cross_validation if c.larger is None else c.larger.cross_validation
+    # Where there is a non-geometric model the geometry alone leaves outliers, which each fold judges anew.
+    fitted = c.fit.non_geometric or c.fit.geometry
+    refitted = c.cross_validation if c.non_geometric is None else c.non_geometric.cross_validation
     linear = linear_cross_validation(fitted)
     assert linear.method == refitted.method
     assert linear.errors.rms == pytest.approx(refitted.errors.rms, rel=0.1)
@@ -173,7 +174,7 @@ def fitted_to(scene: Any, table: Measurements, cell: Cell, model: str = "dh") ->
 
 def fit_of_case(case: tuple[Any, Any]) -> Fitted:
     _, c = case
-    return c.fit.larger or c.fit.geometry
+    return c.fit.non_geometric or c.fit.geometry
 
 
 def rows_of_fit(fitted: Fitted) -> Rows:
@@ -198,7 +199,7 @@ def both(fitted: Fitted) -> tuple[Any, Any]:
 
 
 def assert_refitted(fitted: Fitted) -> None:
-    """Each left-out row is predicted as by a fit from the beginning, to a small share of the noise."""
+    """Each held-out row is predicted as by a fit from the beginning, to a small share of the noise."""
     linear, refitted = both(fitted)
     assert linear.method == refitted.method
     assert linear.errors.rms == pytest.approx(refitted.errors.rms, rel=3e-4, abs=1e-9)

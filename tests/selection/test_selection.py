@@ -13,9 +13,9 @@ import pytest
 from calib.data.cell import Cell, Priors
 from calib.errors import ModelError
 from calib.estimate.fitting import Fitted, Task, fit
-from calib.estimate.setup import rows_of
-from calib.estimate.statistics import CrossValidation, Errors
 from calib.model.families import FAMILIES, joint_families
+from calib.numerics.errors import CrossValidation, Errors
+from calib.registration.table_rows import rows_of
 from calib.selection.selection import (
     LADDER,
     Candidate,
@@ -43,7 +43,7 @@ def chosen(scene: Any, count: int = 80, cell: Cell | None = None) -> Selection:
 
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize(
-    ("truth", "given", "geometry", "larger"),
+    ("truth", "given", "geometry", "non_geometric"),
     [
         ("dh", {"length": 0.0, "angle": 0.0}, "frames", ""),
         ("zeros", {}, "zeros", ""),
@@ -53,14 +53,16 @@ def chosen(scene: Any, count: int = 80, cell: Cell | None = None) -> Selection:
         ("dh+gravity", {"other": {"gravity": 4e-3}}, "dh", "dh+gravity"),
     ],
 )
-def test_the_model_that_made_the_data_is_chosen(make_scene, truth, given, geometry, larger, seed):
+def test_the_model_that_made_the_data_is_chosen(
+    make_scene, truth, given, geometry, non_geometric, seed
+):
     found = chosen(scene_of(make_scene, 100 + seed, truth, **given))
-    if larger and found.geometry != geometry:
+    if non_geometric and found.geometry != geometry:
         # Errors of the joints' state may look like a larger geometry; they are found all the same.
         assert LADDER.index(found.geometry) > LADDER.index(geometry)
-        assert found.larger.split("+")[1:] == larger.split("+")[1:]
+        assert found.non_geometric.split("+")[1:] == non_geometric.split("+")[1:]
     else:
-        assert (found.geometry, found.larger) == (geometry, larger)
+        assert (found.geometry, found.non_geometric) == (geometry, non_geometric)
 
 
 def test_tilts_that_no_dh_table_has_need_the_placements(make_scene):
@@ -73,7 +75,7 @@ def test_a_larger_geometry_that_bending_hid_is_found_with_it(make_scene):
     scene = scene_of(
         make_scene, 113, "placement+compliance", angle=1e-3, other={"compliance": 2e-3}
     )
-    assert chosen(scene, 50).larger == "placement+compliance"
+    assert chosen(scene, 50).non_geometric == "placement+compliance"
 
 
 def test_without_priors_left_out_rows_decide_among_what_rows_are_enough_for(make_scene):
@@ -83,7 +85,7 @@ def test_without_priors_left_out_rows_decide_among_what_rows_are_enough_for(make
     assert {"frames", "zeros", "dh"} < set(few)
     assert "placement" not in few  # 39 parameters for 36 numbers
     enough = chosen(scene, 60, cell)
-    assert (enough.geometry, enough.larger) == ("dh", "")
+    assert (enough.geometry, enough.non_geometric) == ("dh", "")
 
 
 def test_names_that_no_model_has_are_refused(make_scene):
@@ -94,14 +96,14 @@ def test_names_that_no_model_has_are_refused(make_scene):
 
 
 def a_candidate(
-    name: str, evidence: float, left_out: float = 1e-4, sizes: Mapping[str, float] | None = None
+    name: str, evidence: float, held_out: float = 1e-4, prior_std: Mapping[str, float] | None = None
 ) -> Candidate:
-    """A candidate with one error at each of three left-out rows [m]; families have their usual sizes."""
-    residual = np.full((3, 3), left_out / np.sqrt(3.0))
+    """A candidate with one error at each of three held-out rows [m]; families have their usual sizes."""
+    residual = np.full((3, 3), held_out / np.sqrt(3.0))
     errors = Errors.of(residual)
     validation = CrossValidation("leave-one-out", 3, np.arange(3), residual, errors, errors)
     usual = {family: FAMILIES[family].prior for family in name.split("+")[1:]}
-    return Candidate(name, 10, evidence, validation, usual | dict(sizes or {}), evidence)
+    return Candidate(name, 10, evidence, validation, usual | dict(prior_std or {}), evidence)
 
 
 def searched(calibrated: Callable[..., Any], *candidates: Candidate) -> _Search:
@@ -133,7 +135,7 @@ def test_one_family_takes_the_place_of_another(calibrated):
     both = a_candidate("dh+eccentricity+gravity", 2.8)
     assert searched(calibrated, here, beyond, both).highest("dh+eccentricity") == "dh+gravity"
     # Gravity that vanishes beside eccentricity cannot replace it, and is not fitted in its place.
-    nothing = a_candidate("dh+eccentricity+gravity", 0.5, sizes={"gravity": 1e-7})
+    nothing = a_candidate("dh+eccentricity+gravity", 0.5, prior_std={"gravity": 1e-7})
     search = searched(calibrated, here, nothing)
     del search.tried["dh+gravity"]
     assert search.highest("dh+eccentricity") == "dh+eccentricity"
@@ -224,7 +226,7 @@ def errors_of(mean: float, spread: float, count: int = 25) -> np.ndarray:
 @pytest.mark.parametrize(
     ("evidence", "errors", "name"),
     [
-        # As good on left-out rows: evidence decides.
+        # As good on held-out rows: evidence decides.
         ((0.0, -1.0), (errors_of(1.0, 0.0), errors_of(1.0, 0.3)), "zeros"),
         # Smaller by a fifth, far beyond chance.
         ((0.0, -1.0), (errors_of(1.0, 0.0), errors_of(0.8, 0.1)), "dh"),
@@ -278,7 +280,7 @@ def test_alternatives_have_more_evidence_and_smaller_errors_than_the_geometry():
     )
     assert {c.name: c.chosen for c in candidates if c.chosen} == {
         "dh": "geometry",
-        "dh+gravity": "larger",
+        "dh+gravity": "non_geometric",
     }
     assert alternatives(candidates) == ("placement+eccentricity", "dh+compliance")
     more = [a_candidate(f"{base}+gravity", 4.0, 1e-4) for base in ("zeros", "hayati", "placement")]

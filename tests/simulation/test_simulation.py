@@ -62,7 +62,7 @@ def test_a_fit_of_the_same_model_finds_the_truth(ur3, model):
     q = random_joint_values(ur3, 60, seed=1)
     made = virtual(true, noise=None).measure(q)
     # Priors pull a little, where there is no noise to weigh them against.
-    free = replace(cell, priors=cell.priors.with_sizes("off"))
+    free = replace(cell, priors=cell.priors.with_source("off"))
     found = calibrate(ur3, made.measurements, cell=free, model=model, validate=False)
     unseen = random_joint_values(ur3, 50, seed=9)
     assert found.predict(unseen) == pytest.approx(true.points(unseen), abs=1e-9)
@@ -85,7 +85,7 @@ def test_every_kind_is_fitted_back_from_its_file(ur3, tmp_path, kind):
     table = Measurements.read(tmp_path / "table.csv", ur3.joint_names, ur3.joint_types)
     assert set(table.kinds) == {kind}
     assert len(table) == 120
-    free = replace(cell, priors=cell.priors.with_sizes("off"))
+    free = replace(cell, priors=cell.priors.with_source("off"))
     found = calibrate(ur3, table, cell=free, model="placement", validate=False)
     unseen = random_joint_values(ur3, 30, seed=9)
     for name in names:

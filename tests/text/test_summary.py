@@ -73,7 +73,7 @@ def test_the_errors_are_those_of_the_result(text: str, default_result: Calibrati
         ("nominal", default_result.nominal_cross_validation),
         ("calibrated", default_result.cross_validation),
     ):
-        shown = numbers_of(text, f"left-out rows*, {who}")
+        shown = numbers_of(text, f"held-out rows*, {who}")
         assert shown[3] == pytest.approx(1e3 * validated.errors.rms, abs=5e-4)
     kept = 30 - len(default_result.outliers)
     assert len(re.findall(rf"^  the same without outliers +{kept} ", text, flags=re.MULTILINE)) == 2

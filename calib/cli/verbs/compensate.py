@@ -53,7 +53,9 @@ def compensate(
     skip: Annotated[bool, typer.Option("--skip", help="Rows out of reach stay empty.")] = False,
     send: Annotated[Literal["both", "joints", "poses"], typer.Option(help=_SEND)] = "both",
     orientation: Annotated[Forms, typer.Option(help="Form of orientations.")] = "rotation-vector",
-    geometry: Annotated[bool, typer.Option("--geometry", help="Without the larger model.")] = False,
+    geometry: Annotated[
+        bool, typer.Option("--geometry", help="Without the non-geometric model.")
+    ] = False,
     payload: PayloadMass = None,
     base: Annotated[str | None, typer.Option(help="Base link. Default: the result's.")] = None,
     tip: Annotated[str | None, typer.Option(help="Tip link. Default: the result's.")] = None,
@@ -68,7 +70,7 @@ def compensate(
     from calib.compensation.commands import compensate as compensated, write_commands
     from calib.compensation.program import read_program
     from calib.data.table import Table
-    from calib.result.calibration import Calibration
+    from calib.result.calibration import CalibrationValues
     from calib.result.calibration_file import read_result
     from calib.robot.robot import Robot
     from calib.text.compensation import no_commands, text
@@ -81,15 +83,15 @@ def compensate(
         raise CalibError("--payload is for the non-geometric model, which --geometry leaves out.")
     words.check_outputs([output], [robot, program, source], force=force)
     renamed, held = words.parse_columns(columns or []), words.parse_held(hold or [])
-    actual: Calibration | Robot
+    actual: CalibrationValues | Robot
     carried, without = None, ""
     if calibration is not None:
         actual = read_result(calibration)
         chain = actual.nominal
         held = {**chain.held, **held}
         nominal = Robot.load(robot, base or chain.base, tip or chain.tip, held=held)
-        carried = actual.larger.payload if actual.larger else None
-        stated = against(actual.verdict_on(larger=not geometry))
+        carried = actual.non_geometric.payload if actual.non_geometric else None
+        stated = against(actual.verdict_on(non_geometric=not geometry))
         if stated and not against(actual.verdict):
             without = " --geometry leaves out the non-geometric model, which this verdict is on."
     else:
@@ -107,7 +109,7 @@ def compensate(
         tool=words.parse_tool(tool) if tool else None,
         frame={"base": None, "measured": ""}.get(poses_in, poses_in),
         tolerance=(left[0] or 1e-8, left[1] or 1e-8),
-        larger=words.parse_payload(payload, carried) if payload else not geometry,
+        non_geometric=words.parse_payload(payload, carried) if payload else not geometry,
         accept=accept,
     )
     if not found.reached.all() and (not skip or not found.reached.any()):

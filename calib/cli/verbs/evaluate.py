@@ -67,7 +67,7 @@ def evaluate(
         typer.Option(help="What must be within: every AP, their mean, or every single row."),
     ] = None,
     judge: Annotated[
-        Literal["nominal", "urdf", "calibration", "larger"] | None,
+        Literal["nominal", "urdf", "calibration", "non_geometric"] | None,
         typer.Option(help="Robot to judge. Default: calibration, or else urdf."),
     ] = None,
     json: Annotated[Path | None, typer.Option("--json", help="Write the errors as JSON.")] = None,

@@ -5,8 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.estimate.rows import same_poses
-from calib.estimate.statistics import Errors, Limits, interval_factor, repeats
+from calib.numerics.errors import Errors
+from calib.numerics.intervals import interval_factor
+from calib.numerics.repeats import repeats
+from calib.numerics.scores import Limits
+from calib.registration.same_poses import same_poses
 from calib.selection.cross_validation import Folds
 
 # The paper's Table 4: errors of rows 31 to 35 before and after calibration [mm].
@@ -58,15 +61,15 @@ def test_each_row_is_left_out_once(rows):
 @pytest.mark.parametrize("names", [[0, 1], [3, 5, 9], range(4), range(150)])
 def test_from_three_set_ups_on_each_is_left_out_as_a_whole(names):
     setups = np.repeat(list(names), 4)
-    left_out = Folds.of(np.arange(len(setups)), setups)
+    held_out = Folds.of(np.arange(len(setups)), setups)
     if len(names) < 3:
-        assert left_out.method == "leave-one-out"
+        assert held_out.method == "leave-one-out"
         return
-    np.testing.assert_array_equal(np.sum(left_out.masks, axis=0), np.ones(len(setups)))
-    for mask in left_out.masks:
+    np.testing.assert_array_equal(np.sum(held_out.masks, axis=0), np.ones(len(setups)))
+    for mask in held_out.masks:
         assert set(setups[mask]).isdisjoint(setups[~mask])
-    assert len(left_out.masks) == min(len(names), 50)
-    assert left_out.method == ("leave-one-set-up-out" if len(names) < 60 else "leave-set-ups-out")
+    assert len(held_out.masks) == min(len(names), 50)
+    assert held_out.method == ("leave-one-set-up-out" if len(names) < 60 else "leave-set-ups-out")
 
 
 @pytest.mark.parametrize(

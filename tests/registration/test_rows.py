@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from calib.data.cell import Cell
 from calib.data.kinds import _log_derivative, at as kind_at
-from calib.estimate.rows import NONE, Rows
-from calib.estimate.setup import rows_of
 from calib.model.error_model import DIRECTIONS, error_model
 from calib.model.kinematics import Kinematics, Samples
+from calib.registration.rows import NONE, Rows
+from calib.registration.table_rows import rows_of
 
 #: Numbers of kinds in the registry.
 DISTANCE, FIXED, PAIR, PLANE, POINT, POSE = 2, 4, 3, 5, 0, 1
@@ -37,8 +37,8 @@ def some_rows(rng, kinds, partner=None) -> Rows:
 def _measured(rng, kinds):
     turned = Rotation.random(len(kinds), random_state=int(rng.integers(2**31))).as_matrix()
     measured = np.hstack([rng.uniform(1, 2, (len(kinds), 3)), turned.reshape(-1, 9)])
-    sizes = np.array([0 if k == NONE else kind_at(k).size for k in kinds])
-    return np.where(np.arange(12) < sizes[:, None], measured, 0.0)
+    prior_std = np.array([0 if k == NONE else kind_at(k).size for k in kinds])
+    return np.where(np.arange(12) < prior_std[:, None], measured, 0.0)
 
 
 ALL = [POINT, POSE, DISTANCE, PAIR, FIXED, PLANE, NONE]

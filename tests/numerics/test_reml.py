@@ -8,7 +8,9 @@ from itertools import product
 import numpy as np
 import pytest
 
-from calib.estimate.problem import Linear, Normal, Priors, _score, sizes_by_reml
+from calib.estimate.linear import Linear
+from calib.numerics.likelihood import Normal, Priors
+from calib.numerics.reml import _score, prior_std_by_reml
 
 P = 14
 FAMILIES = np.arange(P) // 6 == np.arange(2)[:, None]  # the last two parameters are flat
@@ -55,17 +57,17 @@ def several(found):
     return Normal(*parts, found[0].known, found[0].held)
 
 
-def reml(data, noise, sizes=(0.01, 0.01), smallest=1e-6, families=FAMILIES, **further):
+def reml(data, noise, prior_std=(0.01, 0.01), smallest=1e-6, families=FAMILIES, **further):
     """The sizes found from one start, shape (B, C) and (B, K)."""
     B, C = data.count.shape
-    start = np.tile(noise, (B, 1)), np.tile(np.array(sizes, dtype=float), (B, 1))
+    start = np.tile(noise, (B, 1)), np.tile(np.array(prior_std, dtype=float), (B, 1))
     bounds = further.pop("bounds", ((1e-7, 0.1),) * len(families))
-    return sizes_by_reml(
+    return prior_std_by_reml(
         data, families, *start, FLAT, smallest_noise=(smallest,) * C, bounds=bounds, **further
     )
 
 
-def restricted_log_likelihood(noise, sizes, A, y, held=None, C=None, z=None, centre=None):
+def restricted_log_likelihood(noise, prior_std, A, y, held=None, C=None, z=None, centre=None):
     """From the covariance of y itself, a constant aside; held: precision of further priors, C x = z: constraints."""
     flat, target = A.reshape(-1, P), y.ravel()
     own = instruments_of(A, len(noise)).ravel()
@@ -82,7 +84,7 @@ def restricted_log_likelihood(noise, sizes, A, y, held=None, C=None, z=None, cen
         V = np.block(
             [[V, np.zeros((len(V), len(C)))], [np.zeros((len(C), len(V))), np.eye(len(C))]]
         )
-    for members, size in zip(FAMILIES, sizes, strict=True):
+    for members, size in zip(FAMILIES, prior_std, strict=True):
         V = V + size**2 * flat[:, members] @ flat[:, members].T
     F = flat[:, free]
     Vi = np.linalg.inv(V)
@@ -93,9 +95,9 @@ def restricted_log_likelihood(noise, sizes, A, y, held=None, C=None, z=None, cen
     )
 
 
-def at(data, known, noise, sizes):
+def at(data, known, noise, prior_std):
     """The log likelihood as it is computed, at some sizes."""
-    own = (1.0 / np.array([sizes]) ** 2) @ FAMILIES
+    own = (1.0 / np.array([prior_std]) ** 2) @ FAMILIES
     known = replace(known, precision=known.precision + own)
     return data.log_likelihood(np.array([noise]), known, own)[0]
 
@@ -121,11 +123,11 @@ def test_log_likelihood_against_the_dense_restricted_likelihood(count, more):
         further = {"held": held, "centre": centre, "C": C, "z": z}
     data = linearised(A, y, count, known=constraints)
     mine, dense = [], []
-    for noise, sizes in product(
+    for noise, prior_std in product(
         [(0.05,) * count, (0.02, 0.3)[:count], (1.0, 0.1)[:count]], [(0.3, 0.1), (0.01, 2.0)]
     ):
-        mine.append(at(data, known, noise, sizes))
-        dense.append(restricted_log_likelihood(noise, sizes, A, y, **further))
+        mine.append(at(data, known, noise, prior_std))
+        dense.append(restricted_log_likelihood(noise, prior_std, A, y, **further))
     np.testing.assert_allclose(np.diff(mine), np.diff(dense), rtol=1e-9)
 
 
@@ -137,10 +139,10 @@ def test_what_is_held_is_a_condition_and_no_observation():
     C, z = held[None], np.zeros(1)
     data = linearised(A, y, known=(C, z), held=held)
     mine, dense = [], []
-    for noise, sizes in product([(0.05,), (0.2,)], [(0.3, 0.1), (0.01, 2.0)]):
-        of_held = 1.0 + np.sum(held**2) * sizes[0] ** 2
-        both = restricted_log_likelihood(noise, sizes, A, y, C=C, z=z)
-        mine.append(at(data, FLAT, noise, sizes))
+    for noise, prior_std in product([(0.05,), (0.2,)], [(0.3, 0.1), (0.01, 2.0)]):
+        of_held = 1.0 + np.sum(held**2) * prior_std[0] ** 2
+        both = restricted_log_likelihood(noise, prior_std, A, y, C=C, z=z)
+        mine.append(at(data, FLAT, noise, prior_std))
         dense.append(both + 0.5 * np.log(of_held))
     np.testing.assert_allclose(np.diff(mine), np.diff(dense), rtol=1e-8)
 
@@ -161,8 +163,8 @@ def test_score_and_information_against_the_likelihood(count, more):
     score, information = (f[0] for f in _score(data, MEMBERS, known, logs[None]))
 
     def value(v):
-        sizes = np.exp(v)
-        return at(data, known, tuple(sizes[:count]), tuple(sizes[count:]))
+        prior_std = np.exp(v)
+        return at(data, known, tuple(prior_std[:count]), tuple(prior_std[count:]))
 
     for k in range(count + 2):
         e = 1e-3 * np.eye(count + 2)[k]
