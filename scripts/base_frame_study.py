@@ -21,7 +21,7 @@ import numpy as np
 import pinocchio as pin
 from arms import load_arm
 from numpy.typing import NDArray
-from studies import add_noise, print_table, rms_length, run_jobs, study_parser
+from studies import add_noise, print_table, rms, rms_length, run_jobs, study_parser
 
 from calib.calibration import calibrate
 from calib.circle_points.fits import fit_circle, fit_plane
@@ -37,7 +37,6 @@ from calib.circle_points.sweeps import Sweeps
 from calib.data.cell import Cell, TrackerNoise
 from calib.data.measurements import Measurements
 from calib.errors import CalibError
-from calib.estimate.statistics import rms
 from calib.model.error_model import error_model
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import Robot, read_only, rigid_inverse

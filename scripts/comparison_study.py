@@ -13,12 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from studies import add_noise, print_table, run_cases, study_parser
+from studies import add_noise, print_table, rms, run_cases, study_parser
 
 from calib.calibration import Calibration, calibrate
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.estimate.statistics import rms
 from calib.example import PAPER_TARGET, paper_urdf
 from calib.model.error_model import error_model
 from calib.model.kinematics import ErrorModel, Kinematics

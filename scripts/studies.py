@@ -77,6 +77,11 @@ def joint_values_around(centre: Array, share: float, robot: Robot, count: int, s
 # Figures
 
 
+def rms(values: Array) -> float:
+    """Return the root mean square of values, shape (N,)."""
+    return float(np.sqrt(np.mean(values**2)))
+
+
 def rms_length(vectors: Array) -> float:
     """Return the root mean square of the lengths of vectors, shape (N, 3)."""
     return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))
