@@ -13,7 +13,7 @@ from calib.errors import CalibError
 if TYPE_CHECKING:
     from calib.data.cell import Cell
     from calib.data.measurements import Measurements
-    from calib.result.calibration import Calibration
+    from calib.result.calibration import CalibrationValues
     from calib.robot.robot import Robot
 
 
@@ -143,7 +143,7 @@ def load_with_data(
     return arm, measurements
 
 
-def with_chain_of_result(cell: Cell, result: Calibration, name: str) -> Cell:
+def with_chain_of_result(cell: Cell, result: CalibrationValues, name: str) -> Cell:
     """Return the cell with base, tip and held joints of a result; joints that the cell holds keep its values.
 
     Args:

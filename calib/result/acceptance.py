@@ -25,7 +25,7 @@ from calib.diagnosis.coverage import OutsideRow
 from calib.diagnosis.reasons import Reason
 from calib.diagnosis.usual_mistakes import better_setup
 from calib.errors import CalibError, MeasurementError, choices
-from calib.result.calibration import Calibration
+from calib.result.calibration import CalibrationValues
 from calib.result.evaluation import (
     Accuracy,
     Evaluation,
@@ -192,7 +192,7 @@ def assess(
     robot: Robot,
     table: Measurements,
     cell: Cell,
-    c: Calibration | None = None,
+    c: CalibrationValues | None = None,
     *,
     which: tuple[str, ...] = (),
     judge: str | None = None,

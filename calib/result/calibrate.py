@@ -31,7 +31,7 @@ from calib.jobs import Progress
 from calib.model.error_model import OWN, split_name
 from calib.model.kinematics import Parameter, Samples
 from calib.model.observability import Observability
-from calib.result.calibration import Calibration, Fit, RowNames, Source
+from calib.result.calibration import CalibrationValues, Fit, RowNames, Source
 from calib.result.doubts import doubts_of
 from calib.result.evidence import evidence_of
 from calib.result.prediction import (
@@ -58,8 +58,6 @@ from calib.selection.selection import (
 )
 from calib.units import Array, Mask
 
-__all__ = ["Calibration", "calibrate"]
-
 #: A smaller share of outliers is not worth the time that a non-geometric model takes.
 _FEW = 0.01
 
@@ -79,7 +77,7 @@ def calibrate(
     robust: bool = True,
     validate: bool = True,
     progress: Progress | None = None,
-) -> Calibration:
+) -> CalibrationValues:
     """Calibrate a robot from measurements of a target on its tip.
 
     Args:
@@ -206,7 +204,7 @@ def _loaded(fitted: Fitted, m: Measurements, chosen: Mask) -> Rows:
     return replace(rows, samples=replace(rows.samples, load=load))
 
 
-def _validated(m: Measurements, fits: Fits, progress: Progress | None) -> Calibration:
+def _validated(m: Measurements, fits: Fits, progress: Progress | None) -> CalibrationValues:
     """The result with cross-validation, of the non-geometric model too, and the verdict."""
     task, rows, hint = fits.fitted.task, fits.rows, fits.hint
     outliers = fits.fitted.estimate.outliers
@@ -321,7 +319,7 @@ def _solved(fitted: Fitted) -> tuple[dict[str, Any], Observability]:
     return solved, observability
 
 
-def _assembled(m: Measurements, fits: Fits) -> Calibration:
+def _assembled(m: Measurements, fits: Fits) -> CalibrationValues:
     """Everything that the fits say, as one value; cross-validation and verdict are still to come."""
     fitted, every, non_geometric = fits.fitted, fits.every, None
     task, estimated, problem = fitted.task, fitted.estimate, fitted.estimate.problem
@@ -359,7 +357,7 @@ def _assembled(m: Measurements, fits: Fits) -> Calibration:
     solved, observability = _solved(fitted)
     no_poses, no_rows = np.zeros(0, dtype=int), read_only(np.zeros(0))
     lowered = np.any(estimated.outliers) and task.solver != "paper"
-    return Calibration(
+    return CalibrationValues(
         **solved,
         nominal=robot,
         robot=fitted.kinematics.model.apply(robot, estimated.x),

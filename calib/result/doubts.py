@@ -29,7 +29,7 @@ from calib.estimate.problem import Problem
 from calib.estimate.registration import ENOUGH
 from calib.estimate.rows import LENGTHS, Rows
 from calib.model.families import FAMILIES, joint_families
-from calib.result.calibration import Calibration
+from calib.result.calibration import CalibrationValues
 from calib.robot.readback import column_ranges, spread_poses
 from calib.robot.robot import Robot
 from calib.units import Mask
@@ -70,12 +70,12 @@ _ELSEWHERE = 5e-3
 _NARROW = 1.0 / 3.0
 
 
-def doubts_of(result: Calibration, rows: Rows) -> tuple[Reason, ...]:
+def doubts_of(result: CalibrationValues, rows: Rows) -> tuple[Reason, ...]:
     """List what speaks against a result besides its errors: see the module."""
     return tuple(_doubts(result, result.in_memory.non_geometric or result.fitted, rows))
 
 
-def _doubts(result: Calibration, fitted: Fitted, rows: Rows) -> Iterator[Reason]:
+def _doubts(result: CalibrationValues, fitted: Fitted, rows: Rows) -> Iterator[Reason]:
     """See `doubts_of`."""
     few, chosen = thin(fitted)
     yield from _given(result, few)
@@ -93,12 +93,12 @@ def _doubts(result: Calibration, fitted: Fitted, rows: Rows) -> Iterator[Reason]
         yield Reason.of(Why.NO_LENGTH)
 
 
-def _named_model(result: Calibration) -> bool:
+def _named_model(result: CalibrationValues) -> bool:
     """Whether the model was named, so that a larger one was not tried."""
     return not result.candidates and result.solver != PAPER
 
 
-def _given(result: Calibration, fitted: Fitted) -> Iterator[Reason]:
+def _given(result: CalibrationValues, fitted: Fitted) -> Iterator[Reason]:
     """Doubt a given target, a known frame, or the instrument's scale."""
     given, found = result.nominal_setup, result.setup
     for t, name in enumerate(found.targets):
@@ -137,7 +137,7 @@ def _hardly_moved(robot: Robot, rows: Rows) -> Mask:
     return np.asarray(np.ptp(rows.joints, axis=0) < least)
 
 
-def _sole_postures(result: Calibration, rows: Rows) -> Iterator[Reason]:
+def _sole_postures(result: CalibrationValues, rows: Rows) -> Iterator[Reason]:
     """Name the first row of each sole posture, and the joint whose value there is furthest from all other rows'."""
     robot, m = result.nominal, result.measurements
     names = np.array(m.rows)[m.estimation]
@@ -152,7 +152,7 @@ def _sole_postures(result: Calibration, rows: Rows) -> Iterator[Reason]:
         yield Reason.of(Why.SOLE_POSTURE, rows=list(found), joints=list(found.values()))
 
 
-def _negative_compliances(result: Calibration) -> Iterator[Reason]:
+def _negative_compliances(result: CalibrationValues) -> Iterator[Reason]:
     """Name joints that would move against their load."""
     for one in result.non_geometric.parameters if result.non_geometric else ():
         # Twice as far as its interval reaches: there are as many chances as joints.
@@ -160,7 +160,7 @@ def _negative_compliances(result: Calibration) -> Iterator[Reason]:
             yield Reason.of(Why.COMPLIANCE_NEGATIVE, joint=one.name.removesuffix(".compliance"))
 
 
-def _agreeing_repeats(result: Calibration, fitted: Fitted) -> Iterator[Reason]:
+def _agreeing_repeats(result: CalibrationValues, fitted: Fitted) -> Iterator[Reason]:
     """Say if repeats agree far better with each other than with the model."""
     sigma = float(np.median(fitted.estimate.problem.rows.sigma))
     repeats, noise = result.repeats, float(fitted.estimate.noise[0]) * sigma
@@ -192,7 +192,7 @@ def thin(fitted: Fitted) -> tuple[Fitted, Mask]:
     return replace(fitted, estimate=thinned), some
 
 
-def _order(result: Calibration, chosen: Mask) -> Order:
+def _order(result: CalibrationValues, chosen: Mask) -> Order:
     """The order in which the chosen rows were measured, and the joints' moves to them in the whole table."""
     m = result.measurements
     q = m.joints_for(result.nominal.joint_names)
@@ -221,7 +221,7 @@ def _missing_model(fitted: Fitted) -> Iterator[Reason]:
 
 
 def noise_doubts(
-    result: Calibration, fitted: Fitted, doubts: tuple[Reason, ...]
+    result: CalibrationValues, fitted: Fitted, doubts: tuple[Reason, ...]
 ) -> Iterator[Reason]:
     """Say if the noise of a fit is above the one stated, or, where none is stated, above that of instruments."""
     codes = {doubt.why for doubt in doubts}
