@@ -18,7 +18,7 @@ from calib.data.cell import AUTO, Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.coverage import outside
 from calib.diagnosis.reasons import NO, Reason, Verdict
-from calib.diagnosis.usual_mistakes import better_setup, check_positions
+from calib.diagnosis.usual_mistakes import check_positions, find_usual_mistake
 from calib.diagnosis.verdict import verdict
 from calib.estimate.extrapolation import extrapolation
 from calib.estimate.fitting import Fitted, Task, fit
@@ -140,7 +140,7 @@ def fit_table(
     unseen = setup.as_known(frames, targets)
     began = time.perf_counter()
     model = cell.model if model is None else model
-    hint = better_setup(robot, cell, measurements.select(measurements.estimation))
+    hint = find_usual_mistake(robot, cell, measurements.select(measurements.estimation))
     told, distances = setup.as_known(~frames, ~targets), known_distances(cell, setup)
     task = Task(robot, cell, told, model, distances, solver, robust)
     if hint and model == AUTO:  # nothing that is told of such a fit means anything

@@ -66,7 +66,8 @@ def evidence_of(
         doubts=(*noise_doubts(result, fitted, doubts), *doubts),
         notes=tuple(_notes(result)) if non_geometric is None else (),
         parameters=len(model),
-        whole=(4 * len(fitted.task.robot.inputs) + fitted.setup.count) * bool(result.candidates),
+        full_model_parameters=(4 * len(fitted.task.robot.inputs) + fitted.setup.count)
+        * bool(result.candidates),
         changes=bool(np.any(part.x[of_robot])),
         largest=float(np.max(np.abs(part.x[geometry]), initial=0.0)),
         noise=result.sigma,
