@@ -14,7 +14,7 @@ from calib.cli.verb import verb
 
 if TYPE_CHECKING:
     from calib.calibration import Calibration
-    from calib.estimate.statistics import Errors
+    from calib.numerics.errors import Errors
 
 
 #: The files that are written into the folder.
