@@ -16,9 +16,9 @@ from calib.cli.verb import Verb, verb
 from calib.data import kinds
 from calib.errors import FileError
 from calib.estimate.fitting import PAPER
-from calib.estimate.solvers import SOLVERS
 from calib.formats.convert import FORMATS
 from calib.model.families import joint_families
+from calib.numerics.solvers import SOLVERS
 
 
 @verb("What it does.")
