@@ -156,7 +156,7 @@ def pose_fit_errors(hand: Hand, fitted: Fitted, body: Array) -> Array:
     q = random_joint_values(hand.true.robot, OTHER, OTHER_SEED)
     T = fitted.kinematics.poses(fitted.estimate.x, Samples.at(q))
     predicted = T[:, None, :3, 3] + np.einsum("nij,kj->nki", T[:, :3, :3], body)
-    return predicted - marker_positions(hand.true, hand.x, q)
+    return np.asarray(predicted - marker_positions(hand.true, hand.x, q))
 
 
 def stated_std(fitted: Fitted) -> float:
