@@ -20,7 +20,8 @@ from numpy.typing import ArrayLike
 
 import calib.data.kinds as registry
 from calib.data.cell_file import kept, pose, read_cell_file
-from calib.data.kinds import FARTHEST, SIGMAS, no_rotation
+from calib.data.geometry import FARTHEST, not_rotations as no_rotation
+from calib.data.kinds import SIGMAS
 from calib.errors import CalibError, FileError, choices
 from calib.model.error_model import DIRECTIONS
 from calib.model.families import family_of

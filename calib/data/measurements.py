@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import calib.data.kinds as registry
-from calib.data.kinds import FARTHEST, SIGMAS, Kind, no_rotation, to_quaternions
+from calib.data.geometry import FARTHEST, not_rotations, to_quaternions
+from calib.data.kinds import SIGMAS, Kind
 from calib.data.layout import Layout, read_values
 from calib.data.points_file import read_points
 from calib.data.table import (
@@ -108,7 +109,7 @@ class Measurements:
                 array = read_only(np.full((count, *tail), np.nan))
             fill(name, array)
         if self.rotations is not None:
-            for i in np.flatnonzero(turned)[no_rotation(self.rotations[turned])]:
+            for i in np.flatnonzero(turned)[not_rotations(self.rotations[turned])]:
                 what = "'rotations' holds no rotation; each is orthonormal with determinant 1"
                 self._fail(int(i), what)
         if self.torques is not None:
