@@ -42,7 +42,7 @@ from calib.data.table import POINT, QUATERNION, ROLL_PITCH_YAW, ROTATION_VECTOR,
 from calib.diagnosis.reasons import NO
 from calib.errors import VerdictError
 from calib.files import csv_bytes, write_atomically
-from calib.result.calibration import Calibration
+from calib.result.calibration import CalibrationValues
 from calib.robot.readback import column_limits
 from calib.robot.robot import Payload, Robot, read_only, rigid_inverse
 from calib.units import Array, Mask
@@ -160,7 +160,7 @@ class Commands:
 
 
 def compensate(
-    calibration: Calibration | Robot,
+    calibration: CalibrationValues | Robot,
     program: Program,
     *,
     nominal: Robot | None = None,

@@ -20,7 +20,7 @@ from calib.errors import ModelError, choices
 from calib.model.error_model import axis_twists, error_model
 from calib.model.families import Factor, JointState
 from calib.model.kinematics import TIP, ErrorModel, Kinematics, Parameter, Samples
-from calib.result.calibration import Calibration
+from calib.result.calibration import CalibrationValues
 from calib.result.prediction import NonGeometric
 from calib.robot.readback import spread_poses
 from calib.robot.robot import Payload, Robot, read_only
@@ -137,7 +137,9 @@ class Pair:
     T_frame_base: Array  #: shape (4, 4), the base in the frame of the poses [m].
     target: str | None = None  #: Name of the target that the tool is; None where it is none.
     set_up: str | None = None  #: Name of the set-up whose frame it is; None where it is none.
-    result: Calibration | None = None  #: What is known of the actual robot; None of two robots.
+    result: CalibrationValues | None = (
+        None  #: What is known of the actual robot; None of two robots.
+    )
     non_geometric: bool = False  #: Whether the actual robot is the result's non-geometric model.
 
     def __post_init__(self) -> None:
@@ -162,7 +164,7 @@ class Pair:
 
 
 def pair_of(
-    calibration: Calibration | Robot,
+    calibration: CalibrationValues | Robot,
     nominal: Robot | None = None,
     *,
     tool: ArrayLike | str | None = None,
@@ -219,7 +221,7 @@ def pair_of(
     return Pair(nominal_arm, arm, T_frame_base, target, set_up, result, model is not None)
 
 
-def is_corrected(result: Calibration, robot: Robot) -> bool:
+def is_corrected(result: CalibrationValues, robot: Robot) -> bool:
     """Whether a robot has the joint origins that a result corrected, not those that it began with; or `ModelError`."""
     own = result.nominal
     if (robot.base, robot.tip) != (own.base, own.tip):
