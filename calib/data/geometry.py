@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from calib.errors import CalibError
@@ -164,10 +164,10 @@ def inverse_right_jacobian(rotations: Rotation) -> Array:
     return result
 
 
-def _cross_matrices(r: Array) -> NDArray[np.float64]:
+def _cross_matrices(r: Array) -> Array:
     """Return [r]x, shape (N, 3, 3), of vectors (N, 3): [r]x v = r x v."""
     upper = np.zeros((len(r), 3, 3))
     upper[:, 0, 1] = -r[:, 2]
     upper[:, 0, 2] = r[:, 1]
     upper[:, 1, 2] = -r[:, 0]
-    return upper - upper.transpose(0, 2, 1)
+    return np.asarray(upper - upper.transpose(0, 2, 1))

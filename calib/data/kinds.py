@@ -268,7 +268,7 @@ def _unit(v: Array) -> Array:
 
 def _distance(T: Array) -> Array:
     """Return the distances of the targets from the frame's origin, shape (n, 1) [m]."""
-    return np.linalg.norm(_position(T), axis=1, keepdims=True)
+    return np.asarray(np.linalg.norm(_position(T), axis=1, keepdims=True))
 
 
 def _distance_derivative(_measured: Array, T: Array, twists: Array) -> Array:
@@ -279,7 +279,8 @@ def _distance_derivative(_measured: Array, T: Array, twists: Array) -> Array:
 
 def _pair_distance(T: Array) -> Array:
     """Return the distances between the targets of pairs of poses (n, 2, 4, 4), shape (n, 1) [m]."""
-    return np.linalg.norm(T[:, 0, :3, 3] - T[:, 1, :3, 3], axis=1, keepdims=True)
+    apart = T[:, 0, :3, 3] - T[:, 1, :3, 3]
+    return np.asarray(np.linalg.norm(apart, axis=1, keepdims=True))
 
 
 def _pair_derivative(_measured: Array, T: Array, twists: Array) -> Array:
