@@ -15,21 +15,21 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from calib.compensation.inverse import MATCHES, POSITION
-from calib.data.geometry import not_rotations
-from calib.data.layout import Layout, read_values
-from calib.data.measurements import Measurements
-from calib.data.table import (
+from calib.data.columns import (
     POINT,
     QUATERNION,
     ROLL_PITCH_YAW,
     ROTATION_VECTOR,
     STATUS,
-    Column,
-    Table,
     list_columns,
     name_columns,
     with_unit,
 )
+from calib.data.geometry import not_rotations
+from calib.data.layout import Layout
+from calib.data.measurements import Measurements
+from calib.data.table import Column, Table
+from calib.data.values import read_values
 from calib.errors import MeasurementError, ModelError, choices
 from calib.robot.robot import Robot, read_only
 from calib.units import Array, Quantity
