@@ -38,7 +38,7 @@ from calib.data.measurements import Measurements
 from calib.errors import CalibError
 from calib.example import paper_urdf
 from calib.model.error_model import error_model
-from calib.robot.readback import random_joint_values
+from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot, read_only, rigid_inverse
 
 sys.path.insert(0, str(Path(__file__).parents[1]))

@@ -21,7 +21,7 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
-from calib.robot.readback import random_joint_values
+from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.simulation.truth import draw_truth
 from calib.units import Array

@@ -17,7 +17,7 @@ import numpy as np
 from calib.data.measurements import Measurements
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
-from calib.robot.readback import random_joint_values
+from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.simulation.truth import Truth, draw_truth
 from calib.units import Array

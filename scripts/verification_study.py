@@ -44,7 +44,7 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.estimate.inspection import inspect
 from calib.estimate.statistics import interval_factor
-from calib.model.kinematics import FRAME
+from calib.model.parameters import FRAME
 from calib.robot.robot import Robot
 
 Array = NDArray[np.float64]

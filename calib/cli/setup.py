@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from calib.data.cell import Cell, Tracker
     from calib.data.measurements import Measurements
     from calib.result.calibration import Calibration
-    from calib.robot.robot import Payload, Robot
+    from calib.robot.payload import Payload
+    from calib.robot.robot import Robot
 
 
 def parse_point(text: str, option: str, example: str = "70 -70 22.5 mm") -> NDArray[np.float64]:
@@ -74,7 +75,7 @@ def parse_pair(text: str, option: str, example: str) -> tuple[float | None, floa
 
 def parse_payload(text: str, given: Payload | None) -> Payload:
     """``--payload``: a mass such as ``5 kg``; its centre is that of the payload already given, or the tip."""
-    from calib.robot.robot import Payload as PayloadClass
+    from calib.robot.payload import Payload as PayloadClass
     from calib.units import MASS, parse_amount
 
     mass = parse_amount(text, "--payload", MASS, "5 kg")

@@ -31,9 +31,10 @@ from calib.model.families import FAMILIES
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability, analyse
 from calib.result.prediction import without_rigid_motion
+from calib.robot.gravity import gravity_loads
 from calib.robot.kernel import over_blocks
-from calib.robot.readback import spread_between
-from calib.robot.robot import Robot, gravity_loads, read_only
+from calib.robot.ranges import spread_between
+from calib.robot.robot import Robot, read_only
 from calib.units import Array
 
 #: What `auto` is planned for: the largest geometry, so that every smaller one is covered.

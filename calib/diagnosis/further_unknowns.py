@@ -23,7 +23,7 @@ from calib.estimate.stages import PriorTerms, Stage
 from calib.estimate.statistics import rms
 from calib.model.dh import zero_poses
 from calib.model.families import ANGLE, LENGTH, ZERO
-from calib.model.kinematics import FRAME, TARGET
+from calib.model.parameters import FRAME, TARGET
 from calib.units import Array, Mask
 
 #: A p-value below which a finding is not taken for chance.

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from calib.blas import one_blas_thread
 from calib.data.cell import Cell, Priors
 from calib.errors import MeasurementError, ModelError, choices
 from calib.estimate.problem import Linear, Problem
@@ -25,9 +26,9 @@ from calib.estimate.solvers import SOLVERS, Solution, Solver, paper_levenberg_ma
 from calib.estimate.stages import PriorTerms, Stage, staged
 from calib.estimate.statistics import Limits
 from calib.model.error_model import error_model
-from calib.model.kinematics import FRAME, TARGET, ErrorModel, Kinematics, Parameter, Samples
+from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import steps
-from calib.robot.kernel import one_blas_thread
+from calib.model.parameters import FRAME, TARGET, ErrorModel, Parameter
 from calib.robot.robot import Robot, read_only
 from calib.units import Array, Mask
 

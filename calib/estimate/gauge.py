@@ -20,8 +20,9 @@ import numpy as np
 from calib.estimate.rows import Rows
 from calib.estimate.setup import KnownDistance
 from calib.estimate.statistics import rms
-from calib.model.kinematics import FRAME, TARGET, Kinematics
-from calib.robot.readback import spread_poses
+from calib.model.kinematics import Kinematics
+from calib.model.parameters import FRAME, TARGET
+from calib.robot.ranges import spread_poses
 from calib.robot.robot import read_only
 from calib.units import Array, Mask
 

@@ -14,9 +14,10 @@ from calib.estimate.fitting import Task, model_of
 from calib.estimate.problem import Problem
 from calib.estimate.registration import register
 from calib.estimate.setup import known_distances, rows_of
-from calib.model.kinematics import ErrorModel, Kinematics
+from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability
-from calib.robot.readback import spread_poses
+from calib.model.parameters import ErrorModel
+from calib.robot.ranges import spread_poses
 from calib.robot.robot import Robot
 from calib.units import Array
 

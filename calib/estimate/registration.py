@@ -18,8 +18,8 @@ from calib.estimate.rows import LENGTHS, NONE, Rows
 from calib.estimate.setup import Setup
 from calib.estimate.solvers import levenberg_marquardt
 from calib.model.error_model import frame_and_target_model
-from calib.model.kinematics import ErrorModel
 from calib.model.observability import steps
+from calib.model.parameters import ErrorModel
 from calib.robot import kernel
 from calib.units import Array, Mask
 

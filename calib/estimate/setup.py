@@ -18,8 +18,10 @@ from calib.errors import MeasurementError, ModelError, choices
 from calib.estimate.rows import NONE, Rows, same_poses
 from calib.model.error_model import DIRECTIONS, split_name
 from calib.model.families import FAMILIES
-from calib.model.kinematics import FRAME, TARGET, ErrorModel, Parameter, Samples
-from calib.robot.robot import Robot, gravity_loads, read_only
+from calib.model.kinematics import Samples
+from calib.model.parameters import FRAME, TARGET, ErrorModel, Parameter
+from calib.robot.gravity import gravity_loads
+from calib.robot.robot import Robot, read_only
 from calib.units import Array, Integers, Mask
 
 #: The noise assumed until the data have told theirs [m], [rad].
@@ -312,7 +314,7 @@ def joint_loads(robot: Robot, m: Measurements, cell: Cell, q: Array) -> Array:
         q: shape (N, m), their joint values in the robot's order.
 
     Returns:
-        shape (N, n, n + 3), see `calib.robot.robot.gravity_loads`.
+        shape (N, n, n + 3), see `calib.robot.gravity.gravity_loads`.
     """
     load = gravity_loads(robot, q, cell.payload, cell.gravity)
     torques = np.empty((0, 0)) if m.torques is None else m.torques.T

@@ -19,7 +19,7 @@ from calib.estimate.problem import Linear, Priors, prior_std_by_reml
 from calib.estimate.setup import Setup
 from calib.estimate.statistics import Limits, median_noise, repeats
 from calib.model.families import FAMILIES
-from calib.model.kinematics import FRAME, TARGET, ErrorModel
+from calib.model.parameters import FRAME, TARGET, ErrorModel
 from calib.robot.robot import rigid_inverse
 from calib.units import Array, Integers, Mask
 

@@ -26,7 +26,8 @@ from calib.model.kinematics import Samples
 from calib.model.observability import Observability
 from calib.result.prediction import NonGeometric, Outlier, ParameterEstimate, Solved, tells_place
 from calib.result.robustness import Robustness
-from calib.robot.robot import Payload, Robot, rigid_inverse
+from calib.robot.payload import Payload
+from calib.robot.robot import Robot, rigid_inverse
 from calib.selection.selection import Candidate
 from calib.units import Array, Mask
 

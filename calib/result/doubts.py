@@ -30,7 +30,7 @@ from calib.estimate.registration import ENOUGH
 from calib.estimate.rows import LENGTHS, Rows
 from calib.model.families import FAMILIES, joint_families
 from calib.result.calibration import Calibration
-from calib.robot.readback import column_ranges, spread_poses
+from calib.robot.ranges import column_ranges, spread_poses
 from calib.robot.robot import Robot
 from calib.units import Mask
 

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from calib.blas import one_blas_thread
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.data.table import DEFAULT_TARGET
@@ -34,7 +35,6 @@ from calib.model.error_model import DIRECTIONS
 from calib.model.kinematics import Samples
 from calib.result.calibration import Calibration
 from calib.result.prediction import NonGeometric
-from calib.robot.kernel import one_blas_thread
 from calib.robot.robot import Robot, read_only
 from calib.units import Array, Mask
 

@@ -19,9 +19,12 @@ from calib.diagnosis.reasons import Verdict
 from calib.estimate.fitting import Fitted
 from calib.estimate.setup import Setup
 from calib.estimate.statistics import CrossValidation, interval_factor, rms
-from calib.model.kinematics import FRAME, TARGET, ErrorModel, Kinematics, Samples
+from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability
-from calib.robot.robot import Payload, Robot, gravity_loads, read_only
+from calib.model.parameters import FRAME, TARGET, ErrorModel
+from calib.robot.gravity import gravity_loads
+from calib.robot.payload import Payload
+from calib.robot.robot import Robot, read_only
 from calib.units import Array
 
 #: Points that lie nearer to a line than this tell nothing of a turn about it [m].

@@ -17,8 +17,8 @@ import calib.data.kinds as registry
 from calib.estimate.statistics import Errors
 from calib.model.error_model import placed_name
 from calib.model.families import FAMILIES, unit_of
-from calib.model.kinematics import FRAME, TARGET
 from calib.model.observability import Combination
+from calib.model.parameters import FRAME, TARGET
 from calib.result.calibration import Calibration
 from calib.result.prediction import Outlier, ParameterEstimate
 from calib.text.lines import deg, mm, number, wrap

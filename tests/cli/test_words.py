@@ -21,7 +21,7 @@ from calib.cli.setup import (
 from calib.data.cell import Cell
 from calib.errors import CalibError
 from calib.model.error_model import DIRECTIONS
-from calib.robot.robot import Payload
+from calib.robot.payload import Payload
 from calib.units import Angle, Length
 
 

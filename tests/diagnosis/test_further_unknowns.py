@@ -17,8 +17,8 @@ from calib.diagnosis.further_unknowns import (
 )
 from calib.estimate.fitting import Task, fit
 from calib.estimate.setup import rows_of
-from calib.model.kinematics import FRAME
-from calib.robot.readback import random_joint_values
+from calib.model.parameters import FRAME
+from calib.robot.ranges import random_joint_values
 from tests.judged import arm, table_of
 
 

@@ -17,8 +17,9 @@ from calib.estimate.setup import known_distances, rows_of
 from calib.estimate.solvers import SOLVERS, Solution
 from calib.estimate.stages import PriorTerms
 from calib.model.error_model import MODELS, error_model
-from calib.model.kinematics import Kinematics, Parameter
-from calib.robot.readback import random_joint_values
+from calib.model.kinematics import Kinematics
+from calib.model.parameters import Parameter
+from calib.robot.ranges import random_joint_values
 
 OFF = Priors(source="off")
 FREE = Cell(estimate_frame=True, priors=OFF)

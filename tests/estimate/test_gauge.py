@@ -14,8 +14,9 @@ from calib.estimate.problem import Problem
 from calib.estimate.setup import known_distances, rows_of
 from calib.model.dh import dh_table
 from calib.model.error_model import error_model
-from calib.model.kinematics import FRAME, TARGET, Kinematics
-from calib.robot.readback import random_joint_values
+from calib.model.kinematics import Kinematics
+from calib.model.parameters import FRAME, TARGET
+from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from tests.fits import place
 

@@ -20,8 +20,11 @@ from calib.estimate.setup import (
     rows_of,
 )
 from calib.model.error_model import frame_and_target_model
-from calib.model.kinematics import ErrorModel, Kinematics
-from calib.robot.robot import Payload, Robot, gravity_loads
+from calib.model.kinematics import Kinematics
+from calib.model.parameters import ErrorModel
+from calib.robot.gravity import gravity_loads
+from calib.robot.payload import Payload
+from calib.robot.robot import Robot
 
 ALL = ("x", "y", "z", "rx", "ry", "rz")
 UR3 = Robot.load("ur3", base="base", tip="tool0")

@@ -15,7 +15,8 @@ from calib.estimate.setup import rows_of
 from calib.estimate.stages import PriorTerms, Stage
 from calib.model.error_model import error_model
 from calib.model.families import ZERO
-from calib.model.kinematics import FRAME, TARGET, Samples
+from calib.model.kinematics import Samples
+from calib.model.parameters import FRAME, TARGET
 
 #: How far registration moves the target.
 OFF = np.zeros((4, 4))

@@ -21,7 +21,7 @@ from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
 from calib.result.prediction import parameter_estimates
 from calib.result.uncertainty import _fit_sample
-from calib.robot.readback import random_joint_values
+from calib.robot.ranges import random_joint_values
 from calib.selection.cross_validation import fold_means
 from tests.fits import joined, place
 

@@ -66,7 +66,7 @@ def workspace(
         workspace as sample,
         write_region,
     )
-    from calib.robot.readback import joint_ranges
+    from calib.robot.ranges import joint_ranges
     from calib.robot.robot import Robot
     from calib.text.plan import workspace_text
     from calib.units import ANGLE, LENGTH, parse_amount
