@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from calib.errors import ModelError, UrdfError, VerdictError, choices
 from calib.model.kinematics import Samples
 from calib.result.calibrate import calibrate as calibrate_values
-from calib.result.calibration import Calibration as CalibrationValues
-from calib.result.comparison import Comparison as ComparisonValues, compare as compare_values
+from calib.result.calibration import CalibrationValues
+from calib.result.comparison import ComparisonValues, compare as compare_values
 from calib.robot.ranges import random_joint_values
 from calib.robot.readback import check_written
 from calib.robot.urdf import Urdf
@@ -47,7 +47,7 @@ def _giving(kind: type[T], function: Callable[P, object]) -> Callable[P, T]:
 
 
 class Calibration(CalibrationValues):
-    """The result of `calibrate`: the values of `calib.result.calibration.Calibration`, and what writes them.
+    """The result of `calibrate`: the values of `calib.result.calibration.CalibrationValues`, and what writes them.
 
     Two ways lead to one: `calib.calibrate`, and `Calibration.read_json` of a file that `write_json` wrote.
     """
@@ -148,7 +148,7 @@ def _with_target_link(urdf: Urdf, tip: str, T_tip_target: NDArray[np.float64]) -
 
 
 class Comparison(ComparisonValues):
-    """The result of `compare`: the values of `calib.result.comparison.Comparison`, and what writes them."""
+    """The result of `compare`: the values of `calib.result.comparison.ComparisonValues`, and what writes them."""
 
     __slots__ = ()
 

@@ -24,7 +24,7 @@ from calib.data.measurements import Measurements
 from calib.example import PAPER_TARGET, paper_urdf
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
-from calib.result.comparison import Comparison, compare
+from calib.result.comparison import ComparisonValues, compare
 from calib.robot.robot import Robot
 
 
@@ -81,7 +81,7 @@ BARS = Console(stderr=True)
 HEAD = ("drift", "untold", "p < 0.05", "chi2/k", "rms mm", "noise mm")
 
 
-def trial(case: Case, seed: int) -> Comparison:
+def trial(case: Case, seed: int) -> ComparisonValues:
     """Measure twice, calibrate twice, compare."""
     rng = np.random.default_rng([2026, seed])
     robot = Robot.load(paper_urdf(), base="base", tip="tool0")

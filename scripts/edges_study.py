@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.result.calibrate import calibrate
-from calib.result.calibration import Calibration
+from calib.result.calibration import CalibrationValues
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.simulation.truth import draw_truth
@@ -139,7 +139,7 @@ EDGES = {
 }  # fmt: skip
 
 
-def calibration(edge: Edge, arm: str, seed: int) -> Calibration:
+def calibration(edge: Edge, arm: str, seed: int) -> CalibrationValues:
     """One table of a case, calibrated; a quarter of its rows are for validation."""
     robot = Robot.load(arm, *ARMS[arm])
     errors: dict[str, Any] = {"errors": edge.errors(robot)}
@@ -158,7 +158,7 @@ def calibration(edge: Edge, arm: str, seed: int) -> Calibration:
     )
 
 
-def line(name: str, arm: str, result: Calibration) -> str:
+def line(name: str, arm: str, result: CalibrationValues) -> str:
     """What became of one table."""
     verdict, values = result.verdict, (result.nominal_cross_validation, result.cross_validation)
     assert verdict is not None

@@ -16,7 +16,7 @@ import numpy as np
 from calib.data.cell import Cell, TrackerNoise
 from calib.data.measurements import Measurements
 from calib.result.calibrate import calibrate
-from calib.result.calibration import Calibration
+from calib.result.calibration import CalibrationValues
 from calib.robot.robot import Robot
 from calib.simulation.scenario import Scenario, simulate
 from calib.simulation.truth import Encoder, MovedTarget, Outliers
@@ -77,7 +77,9 @@ FAULTS = {
 }
 
 
-def judged(seed: int, fault: Fault, model: str, cell: Cell, true: str, tidy: bool) -> Calibration:
+def judged(
+    seed: int, fault: Fault, model: str, cell: Cell, true: str, tidy: bool
+) -> CalibrationValues:
     """The calibration of a table; tidy: rows in the order of the first joint's values."""
     name, base, tip = ARMS[seed % 2]
     robot = Robot.load(name, base=base, tip=tip)
@@ -89,7 +91,7 @@ def judged(seed: int, fault: Fault, model: str, cell: Cell, true: str, tidy: boo
     return calibrate(robot, fault.change(made), cell=cell, model=model)
 
 
-def codes(result: Calibration) -> list[str]:
+def codes(result: CalibrationValues) -> list[str]:
     """The verdict and its reasons."""
     assert result.verdict is not None
     return [result.verdict.use, *(reason.code for reason in result.verdict.reasons)]

@@ -16,7 +16,7 @@ import numpy as np
 
 from calib.data.measurements import Measurements
 from calib.result.calibrate import calibrate
-from calib.result.calibration import Calibration
+from calib.result.calibration import CalibrationValues
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.simulation.truth import Truth, draw_truth
@@ -44,27 +44,27 @@ class Table:
     joint: int  # The joint
     fresh: Array  # (FRESH, n), where the joint stands still
 
-    def calibrated(self, off: Array) -> Calibration:
+    def calibrated(self, off: Array) -> CalibrationValues:
         """The calibration with the row measured so far off, shape (3,), [m]."""
         points = self.points.copy()
         points[self.row] += off
         robot = self.truth.nominal
         return calibrate(robot, Measurements(robot.joint_names, self.q, points), model="dh")
 
-    def without_row(self) -> Calibration:
+    def without_row(self) -> CalibrationValues:
         """The calibration without the row."""
         robot, kept = self.truth.nominal, np.arange(ROWS) != self.row
         rows = Measurements(robot.joint_names, self.q[kept], self.points[kept])
         return calibrate(robot, rows, model="dh")
 
-    def error(self, result: Calibration) -> float:
+    def error(self, result: CalibrationValues) -> float:
         """The true error where the joint stands still, rms [m]."""
         T_target = result.setup.T_tip_target[0]
         predicted = (result.robot.poses(self.fresh) @ T_target)[:, :3, 3]
         apart = predicted - self.truth.points(self.fresh)
         return float(np.sqrt(np.mean(np.sum(apart**2, axis=1))))
 
-    def named(self, result: Calibration) -> bool:
+    def named(self, result: CalibrationValues) -> bool:
         """Whether the verdict names row and joint."""
         assert result.verdict is not None
         pair = (self.row + 1, self.truth.nominal.joint_names[self.joint])

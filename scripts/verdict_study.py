@@ -22,7 +22,7 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import CARE, NO, USE, Verdict
 from calib.result.calibrate import calibrate
-from calib.result.calibration import Calibration
+from calib.result.calibration import CalibrationValues
 from calib.result.evaluation import evaluate
 from calib.robot.payload import Payload
 from calib.robot.ranges import random_joint_values
@@ -53,7 +53,7 @@ CORNERS, ACCIDENTS = (1.0, 1.0, 1.0, 0.5, 0.2, 0.1), (0.0, 0.0, 0.0, 0.05, 0.1, 
 class Found:
     """What came of one calibration."""
 
-    result: Calibration
+    result: CalibrationValues
     accidents: float  # Share of rows
     sigma: float  # Noise of a coordinate [m]
     corner: float  # Which part of each joint's range was used

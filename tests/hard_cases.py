@@ -16,7 +16,7 @@ from calib.calibration import calibrate
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.example import PAPER_TARGET, paper_measurements, paper_urdf
-from calib.result.calibration import Calibration, RowNames
+from calib.result.calibration import CalibrationValues, RowNames
 from calib.robot.payload import Payload
 from calib.robot.robot import Robot, read_only
 from calib.robot.urdf import Urdf
@@ -83,20 +83,20 @@ def simulated(
     return replace(found, source=only or "simulated.csv")
 
 
-def paper() -> Calibration:
+def paper() -> CalibrationValues:
     """The demo: 30 rows and 5 to validate, one outlier, the paper's 27 parameters, cross-validated."""
     robot = ur3()
     cell = Cell(target=read_only(PAPER_TARGET), model="paper")
     return calibrate(robot, table(robot), cell=cell)
 
 
-def auto() -> Calibration:
+def auto() -> CalibrationValues:
     """The paper's table with the model that the data choose, from a ladder of candidates."""
     robot = ur3()
     return calibrate(robot, table(robot), cell=Cell(target=read_only(PAPER_TARGET)))
 
 
-def poses() -> Calibration:
+def poses() -> CalibrationValues:
     """Positions and orientations in a tracker's own frame, at random poses."""
     scenario = Scenario(
         ur3(), Cell(kind="pose", estimate_frame=True, model="dh"), model="dh", sigma_angle=2e-4
@@ -105,21 +105,21 @@ def poses() -> Calibration:
     return calibrate(scenario.robot, found, cell=scenario.cell)
 
 
-def two_joints() -> Calibration:
+def two_joints() -> CalibrationValues:
     """Two joints in a plane."""
     robot = Robot.from_urdf(Urdf.from_bytes(_PLANAR.encode(), "planar.urdf"), "base", "fore")
     scenario = Scenario(robot, Cell(model="dh"), model="dh")
     return calibrate(robot, simulated(scenario, 20, 5), cell=scenario.cell)
 
 
-def prismatic() -> Calibration:
+def prismatic() -> CalibrationValues:
     """Three joints that slide and one that turns without limits."""
     robot = Robot.from_urdf(Urdf.from_bytes(_GANTRY.encode(), "gantry.urdf"), "rail", "hand")
     scenario = Scenario(robot, Cell(model="dh"), model="dh")
     return calibrate(robot, simulated(scenario, 30, 6), cell=scenario.cell, validate=False)
 
 
-def with_outliers() -> Calibration:
+def with_outliers() -> CalibrationValues:
     """60 rows of which six are off by some 5 mm, two of them to validate."""
     scenario = Scenario(ur3(), Cell(model="dh"), model="dh", outliers=Outliers(count=6))
     found = simulated(scenario, 50, 10)
@@ -128,7 +128,7 @@ def with_outliers() -> Calibration:
     return calibrate(scenario.robot, replace(found, points=points), cell=scenario.cell)
 
 
-def do_not_use() -> Calibration:
+def do_not_use() -> CalibrationValues:
     """The columns of two joints are swapped: errors of decimetres, and the verdict says so."""
     robot = ur3()
     right = table(robot)
@@ -136,7 +136,7 @@ def do_not_use() -> Calibration:
     return calibrate(robot, wrong, cell=Cell(target=read_only(PAPER_TARGET), model="dh"))
 
 
-def few_rows(count: int = 3) -> Calibration:
+def few_rows(count: int = 3) -> CalibrationValues:
     """The first rows of the paper's table, too few for anything."""
     robot = ur3()
     mask = np.arange(35) < count
@@ -144,7 +144,7 @@ def few_rows(count: int = 3) -> Calibration:
     return calibrate(robot, table(robot).select(mask), cell=cell, validate=count > 1)
 
 
-def hostile_names() -> Calibration:
+def hostile_names() -> CalibrationValues:
     """Joints, robot, target and file with names that must be escaped, shortened or drawn with other fonts."""
     links = [f"link{i}" for i in range(len(HOSTILE) + 1)]
     axes = ("0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0")
@@ -164,21 +164,21 @@ def hostile_names() -> Calibration:
     return calibrate(robot, found, cell=cell, validate=False)
 
 
-def non_geometric() -> Calibration:
+def non_geometric() -> CalibrationValues:
     """Joints that give way under a payload, which no URDF can say."""
     payload = Payload(3.0, (0.0, 0.0, 0.1))
     scenario = Scenario(ur3(), Cell(model="dh+compliance", payload=payload), model="dh+compliance")
     return calibrate(scenario.robot, simulated(scenario, 40, 10), cell=scenario.cell)
 
 
-def distances() -> Calibration:
+def distances() -> CalibrationValues:
     """Lengths from anchors: no row has coordinates."""
     scenario = Scenario(ur3(), Cell(kind="distance", model="dh"), model="dh")
     found = simulated(scenario, 60, 10)
     return calibrate(scenario.robot, found, cell=scenario.cell, validate=False)
 
 
-def mixed() -> Calibration:
+def mixed() -> CalibrationValues:
     """Points and poses in one table: some rows have no orientation."""
     scenario = Scenario(ur3(), Cell(kind="pose", model="dh"), model="dh", sigma_angle=2e-4)
     found = simulated(scenario, 40)
@@ -189,21 +189,21 @@ def mixed() -> Calibration:
 
 
 @cache
-def many_rows(count: int = 20_000) -> Calibration:
+def many_rows(count: int = 20_000) -> CalibrationValues:
     """As many rows as are asked for, a tenth of them to validate."""
     scenario = Scenario(ur3(), Cell(model="dh"), model="dh", outliers=Outliers(count=count // 1000))
     found = simulated(scenario, count - count // 10, count // 10)
     return calibrate(scenario.robot, found, cell=scenario.cell, validate=False)
 
 
-def with_rows(c: Calibration, m: Measurements) -> Calibration:
+def with_rows(c: CalibrationValues, m: Measurements) -> CalibrationValues:
     """The calibration as if its rows had been others."""
     rows = RowNames(m.rows, m.sets, m.kinds, m.groups, m.targets)
     return replace(c, rows=rows, fit=replace(c.fit, measurements=m))
 
 
 #: What makes each case; in tests ``many_rows`` has 20,000 rows.
-CASES: dict[str, Callable[[], Calibration]] = {
+CASES: dict[str, Callable[[], CalibrationValues]] = {
     "paper": paper,
     "auto": auto,
     "poses": poses,
@@ -222,6 +222,6 @@ CASES: dict[str, Callable[[], Calibration]] = {
 
 
 @cache
-def made(name: str) -> Calibration:
+def made(name: str) -> CalibrationValues:
     """The calibration of a case."""
     return CASES[name]()

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from calib.data.cell import Cell, Tracker
     from calib.data.measurements import Measurements
-    from calib.result.calibration import Calibration
+    from calib.result.calibration import CalibrationValues
     from calib.robot.payload import Payload
     from calib.robot.robot import Robot
 
@@ -204,7 +204,7 @@ def check_outputs(
         check_writable(path, overwrite=force)
 
 
-def check_chain(cell: Cell, result: Calibration, name: str) -> None:
+def check_chain(cell: Cell, result: CalibrationValues, name: str) -> None:
     """Refuse another base or tip than the result's, in the file ``name``: its frame and target would mean another."""
     own = result.nominal
     for option, given, wanted in (("base", cell.base, own.base), ("tip", cell.tip, own.tip)):

@@ -42,7 +42,7 @@ from calib.data.table import POINT, QUATERNION, ROLL_PITCH_YAW, ROTATION_VECTOR,
 from calib.diagnosis.reasons import NO
 from calib.errors import VerdictError
 from calib.files import csv_bytes, write_atomically
-from calib.result.calibration import Calibration
+from calib.result.calibration import CalibrationValues
 from calib.robot.payload import Payload
 from calib.robot.ranges import column_limits
 from calib.robot.robot import Robot, read_only, rigid_inverse
@@ -161,7 +161,7 @@ class Commands:
 
 
 def compensate(
-    calibration: Calibration | Robot,
+    calibration: CalibrationValues | Robot,
     program: Program,
     *,
     nominal: Robot | None = None,

@@ -32,7 +32,7 @@ from calib.compensation.pose_covariance import (
 )
 from calib.estimate.statistics import CrossValidation
 from calib.model.kinematics import Samples
-from calib.result.calibration import Calibration
+from calib.result.calibration import CalibrationValues
 from calib.result.prediction import Solved
 from calib.robot.robot import read_only
 from calib.units import Array
@@ -137,7 +137,9 @@ def expected_errors(pair: Pair, q: Array) -> ExpectedErrors:
     )
 
 
-def _views(pair: Pair, result: Calibration, part: Solved, q: Array) -> tuple[View, View, View]:
+def _views(
+    pair: Pair, result: CalibrationValues, part: Solved, q: Array
+) -> tuple[View, View, View]:
     """The measured target in the measurement frame; the tool there; and the tool in the frame of the program."""
     samples = _samples(pair, part, q)
     T_tip_tool = pair.actual.T_tip_tool if pair.target is None else None
@@ -183,7 +185,10 @@ def _mean_errors(covariance: Array, lacking: Array) -> Array:
 
 
 def _freedom(
-    result: Calibration, arrived: PoseCovariance, lacking: float, held_out: CrossValidation | None
+    result: CalibrationValues,
+    arrived: PoseCovariance,
+    lacking: float,
+    held_out: CrossValidation | None,
 ) -> float:
     """Degrees of freedom of the mean square error over the program, taken for a multiple of chi-squared.
 
@@ -239,7 +244,7 @@ def _contributions(
     return tuple(map(Contribution, sources, squares))
 
 
-def _lacking(result: Calibration, part: Solved, predicted_angle: float) -> Array:
+def _lacking(result: CalibrationValues, part: Solved, predicted_angle: float) -> Array:
     """Mean squares of what a model lacks, of positions [m^2] and of angles [rad^2], shape (2,); 0 if it lacks nothing.
 
     Args:
@@ -291,7 +296,7 @@ class _Residuals(NamedTuple):
         return 3.0 * (variance - sigma**2) if variance > chance * sigma**2 else 0.0
 
 
-def _instrument(result: Calibration) -> tuple[NoiseSource, Array, Array]:
+def _instrument(result: CalibrationValues) -> tuple[NoiseSource, Array, Array]:
     """Source of the instrument's noise; it, of a length [m] and an angle [rad]; and its degrees of freedom."""
     stated = np.array([result.sigma_given, result.sigma_angle_given])
     scatter, freedom = np.full(2, np.nan), np.zeros(2)
@@ -306,7 +311,7 @@ def _instrument(result: Calibration) -> tuple[NoiseSource, Array, Array]:
     return source, sigma, np.where(known, np.inf, freedom)
 
 
-def _scalars_per_row(result: Calibration) -> tuple[float, float]:
+def _scalars_per_row(result: CalibrationValues) -> tuple[float, float]:
     """Mean number of lengths and of angles of the fitted rows that measure any."""
     used = result.used[result.rows.estimation]
     counts = [part.sum(axis=1) for part in (used[:, :3], used[:, 3:])]

@@ -22,7 +22,7 @@ from calib.model.families import Factor, JointState
 from calib.model.joint_errors import axis_twists
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.parameters import TIP, ErrorModel, Parameter
-from calib.result.calibration import Calibration
+from calib.result.calibration import CalibrationValues
 from calib.result.prediction import NonGeometric
 from calib.robot.payload import Payload
 from calib.robot.ranges import spread_poses
@@ -140,7 +140,9 @@ class Pair:
     T_frame_base: Array  #: shape (4, 4), the base in the frame of the poses [m].
     target: str | None = None  #: Name of the target that the tool is; None where it is none.
     set_up: str | None = None  #: Name of the set-up whose frame it is; None where it is none.
-    result: Calibration | None = None  #: What is known of the actual robot; None of two robots.
+    result: CalibrationValues | None = (
+        None  #: What is known of the actual robot; None of two robots.
+    )
     non_geometric: bool = False  #: Whether the actual robot is the result's non-geometric model.
 
     def __post_init__(self) -> None:
@@ -165,7 +167,7 @@ class Pair:
 
 
 def pair_of(
-    calibration: Calibration | Robot,
+    calibration: CalibrationValues | Robot,
     nominal: Robot | None = None,
     *,
     tool: ArrayLike | str | None = None,
@@ -222,7 +224,7 @@ def pair_of(
     return Pair(nominal_arm, arm, T_frame_base, target, set_up, result, model is not None)
 
 
-def is_corrected(result: Calibration, robot: Robot) -> bool:
+def is_corrected(result: CalibrationValues, robot: Robot) -> bool:
     """Whether a robot has the joint origins that a result corrected, not those that it began with; or `ModelError`."""
     own = result.nominal
     if (robot.base, robot.tip) != (own.base, own.tip):

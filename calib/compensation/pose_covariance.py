@@ -25,7 +25,7 @@ from calib.model.error_model import DIRECTIONS, OWN, error_model, split_name
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Samples
 from calib.model.parameters import FRAME, TARGET, Parameter
-from calib.result.calibration import Calibration
+from calib.result.calibration import CalibrationValues
 from calib.result.prediction import Solved, moved_by, twists_in_base
 from calib.robot.robot import rigid_inverse
 from calib.units import Array
@@ -82,7 +82,7 @@ def pose_covariance(part: Solved, view: View) -> PoseCovariance:
     return PoseCovariance(np.concatenate(covariances), shared, by_priors)
 
 
-def unknown_base_directions(result: Calibration) -> tuple[str, ...]:
+def unknown_base_directions(result: CalibrationValues) -> tuple[str, ...]:
     """Directions of the base that no measurement tells, of `calib.model.error_model.DIRECTIONS`.
 
     Those that are estimated of every frame in which positions were measured; all six where none were.
@@ -96,7 +96,7 @@ def unknown_base_directions(result: Calibration) -> tuple[str, ...]:
     return tuple(one for one in DIRECTIONS if one in common)
 
 
-def unmodelled_base(result: Calibration, part: Solved) -> Array:
+def unmodelled_base(result: CalibrationValues, part: Solved) -> Array:
     """Covariance of the first joint's placement, as far as a model leaves it out, as a motion of the base (6, 6).
 
     Every direction of the placement counts that neither a parameter of the model nor a frozen one has, with the prior
@@ -129,7 +129,7 @@ def unmodelled_base(result: Calibration, part: Solved) -> Array:
     return covariance
 
 
-def _frozen(result: Calibration, part: Solved) -> list[Parameter]:
+def _frozen(result: CalibrationValues, part: Solved) -> list[Parameter]:
     """Frozen parameters of the model's set and of the placements: the user takes them for exact."""
     sets = {"placement"}
     if part.model.name != OWN:
@@ -138,7 +138,7 @@ def _frozen(result: Calibration, part: Solved) -> list[Parameter]:
     return [one for model in models for one in model.parameters if one.name in result.frozen]
 
 
-def _prior_std(result: Calibration, part: Solved, family: str) -> float:
+def _prior_std(result: CalibrationValues, part: Solved, family: str) -> float:
     """Standard deviation of a family's errors: of the model, else of the largest candidate with it, else typical."""
     tried = sorted(result.candidates, key=lambda one: -one.parameters)
     for prior_std in (part.prior_std, *(one.prior_std for one in tried)):

@@ -95,7 +95,7 @@ def check_positions(robot: Robot, rows: Rows, source: str) -> None:
     )
 
 
-def better_setup(robot: Robot, cell: Cell, table: Measurements) -> Reason | None:
+def find_usual_mistake(robot: Robot, cell: Cell, table: Measurements) -> Reason | None:
     """Find a set-up that explains the rows of a table far better than the one given, if there is one.
 
     Of poses the positions are examined first; several targets and frames are examined together.

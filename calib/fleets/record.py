@@ -32,7 +32,7 @@ from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import NO
 from calib.files import JsonLayout
 from calib.model.parameters import FRAME, TARGET
-from calib.result.calibration import Calibration
+from calib.result.calibration import CalibrationValues
 from calib.text.fleet import data_text, few_text, figure_text
 from calib.units import Array, Mask
 
@@ -105,7 +105,7 @@ class FleetRow:
     parameters: tuple[FleetParameter, ...] = ()  #: Those of the geometry, frames aside
 
     @classmethod
-    def of(cls, name: str, c: Calibration, *, accept: bool = False) -> FleetRow:
+    def of(cls, name: str, c: CalibrationValues, *, accept: bool = False) -> FleetRow:
         """The row of a calibration.
 
         Args:

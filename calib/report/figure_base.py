@@ -18,7 +18,7 @@ import numpy as np
 from calib.data.measurements import Measurements
 from calib.errors import FileError, choices
 from calib.estimate.setup import Setup
-from calib.result.calibration import Calibration
+from calib.result.calibration import CalibrationValues
 from calib.robot.robot import rigid_inverse
 from calib.units import Array, Mask
 
@@ -57,7 +57,7 @@ _MOST_NUMBERS = 12
 _FALLBACKS = ("Noto Sans", "Noto Sans CJK JP", "Arial Unicode MS", "Microsoft YaHei", "PingFang SC")
 
 
-def flagged_rows(c: Calibration) -> Mask:
+def flagged_rows(c: CalibrationValues) -> Mask:
     """The rows of either set that do not belong to the others, shape (N,)."""
     return np.isin(c.measurements.rows, [one.row for one in (*c.outliers, *c.suspects)])
 
@@ -209,7 +209,7 @@ class RowKind(NamedTuple):
         return look | {"mec": edge, "mew": 1.4 if out else 0.4, "label": label}
 
 
-def row_kinds(c: Calibration) -> tuple[RowKind, ...]:
+def row_kinds(c: CalibrationValues) -> tuple[RowKind, ...]:
     """Estimation rows, validation rows, and those of either that are flagged; none is empty, none stands in two."""
     m, flagged = c.measurements, flagged_rows(c)
     kinds = (

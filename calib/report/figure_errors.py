@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 import calib.report.figure_base as base
 from calib.estimate.statistics import CrossValidation
-from calib.result.calibration import Calibration
+from calib.result.calibration import CalibrationValues
 from calib.units import Array, Mask
 
 #: More rows than this get no markers, and more than that are pixels in SVG and PDF.
@@ -37,7 +37,7 @@ class What(NamedTuple):
     unit: str
     word: str
 
-    def both(self, c: Calibration) -> list[Array]:
+    def both(self, c: CalibrationValues) -> list[Array]:
         """The size of each row's error, nominal and calibrated, in the unit."""
         residuals = c.residual_nominal, c.residual_calibrated
         return [self.scale * self.size(residual, c.used) for residual in residuals]
@@ -47,13 +47,13 @@ LENGTH = What(slice(0, 3), base.lengths_of, 1e3, "mm", "along")
 ANGLE = What(slice(3, 6), base.angles_of, float(np.degrees(1.0)), "deg", "about")
 
 
-def has_axes(c: Calibration, rows: Mask | slice = slice(None)) -> bool:
+def has_axes(c: CalibrationValues, rows: Mask | slice = slice(None)) -> bool:
     """Whether any row has errors along x, y and z."""
     used = c.used[rows]
     return used.shape[1] >= 3 and bool(np.any(np.all(used[:, :3], axis=1)))
 
 
-def curve_rows(c: Calibration) -> tuple[str, Mask, Array, Array]:
+def curve_rows(c: CalibrationValues) -> tuple[str, Mask, Array, Array]:
     """The rows of the error curves: what they are called, which they are, and both robots' residuals, (N, D).
 
     Those for validation if there are any, else the estimation rows as fits predict them that had not seen them, else
@@ -68,14 +68,14 @@ def curve_rows(c: Calibration) -> tuple[str, Mask, Array, Array]:
     return "estimation", m.estimation & measured, c.residual_nominal, c.residual_calibrated
 
 
-def _held_out(c: Calibration, found: CrossValidation) -> Array:
+def _held_out(c: CalibrationValues, found: CrossValidation) -> Array:
     """Measured minus predicted by fits that had not seen the row, shape (N, D), NaN for validation rows."""
     residual = np.full(c.residual_calibrated.shape, np.nan)
     residual[c.measurements.estimation] = found.residual
     return residual
 
 
-def curves(c: Calibration) -> Figure:
+def curves(c: CalibrationValues) -> Figure:
     """As the paper's figure 8. Lengths have one panel: their errors with their signs."""
     word, mask, before, after = curve_rows(c)
     axes_too, rows = has_axes(c, mask), np.array(c.measurements.rows)[mask]
@@ -104,7 +104,7 @@ def curves(c: Calibration) -> Figure:
     return figure
 
 
-def by_row(c: Calibration, what: What = LENGTH) -> Figure:
+def by_row(c: CalibrationValues, what: What = LENGTH) -> Figure:
     """The size of each row's error: before and after above; after alone below."""
     rows, others = np.array(c.measurements.rows), ~base.flagged_rows(c)
     before, after = what.both(c)
@@ -142,7 +142,7 @@ def by_row(c: Calibration, what: What = LENGTH) -> Figure:
     return figure
 
 
-def by_axis(c: Calibration, what: What = LENGTH) -> Figure:
+def by_axis(c: CalibrationValues, what: What = LENGTH) -> Figure:
     """How errors along or about each axis spread: sets of rows before and after; after alone below, magnified."""
     m, flagged, columns = c.measurements, base.flagged_rows(c), what.columns
     whole = np.all(c.used[:, columns], axis=1)
@@ -169,7 +169,7 @@ def by_axis(c: Calibration, what: What = LENGTH) -> Figure:
     return figure
 
 
-def histograms(c: Calibration) -> Figure:
+def histograms(c: CalibrationValues) -> Figure:
     """How often which size of error occurs, and whether the residuals look like noise."""
     figure = base.new_figure(2.9)
     left, right = figure.subplots(1, 2)
@@ -202,19 +202,19 @@ def histograms(c: Calibration) -> Figure:
     return figure
 
 
-def scaled_residuals(c: Calibration) -> Array:
+def scaled_residuals(c: CalibrationValues) -> Array:
     """Each measured number of the estimation rows minus predicted, over its estimated noise, shape (K,)."""
     problem = c.fitted.estimate.problem
     residual = c.residual_calibrated[c.measurements.estimation]
     return np.asarray((residual / problem.scales)[problem.rows.used])
 
 
-def tells_of_joints(c: Calibration) -> Mask:
+def tells_of_joints(c: CalibrationValues) -> Mask:
     """The rows whose residual lies along joints' motions, shape (N,); lengths between two rows belong to both."""
     return np.asarray(c.used[:, 0] & ~c.measurements.of_kind("pair"))
 
 
-def joints(c: Calibration) -> Figure:
+def joints(c: CalibrationValues) -> Figure:
     """The part r.g / |g| of each residual r, g the derivative of the predicted position by the joint's value."""
     chosen, flagged = tells_of_joints(c), base.flagged_rows(c)
     parts = 1e3 * along_joints(c)
@@ -249,7 +249,7 @@ def joints(c: Calibration) -> Figure:
     return figure
 
 
-def along_joints(c: Calibration) -> Array:
+def along_joints(c: CalibrationValues) -> Array:
     """The part of each row's residual along each joint's motion of the target, shape (N, m), [m]; NaN without one."""
     m = c.measurements
     q = m.joints_for(c.nominal.joint_names)

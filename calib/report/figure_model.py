@@ -11,7 +11,7 @@ import calib.report.figure_base as base
 import calib.text.summary as texts
 from calib.model.families import unit_of
 from calib.report.figure_base import CALIBRATED, INK, NOMINAL, OUTLIER, SOFT
-from calib.result.calibration import Calibration
+from calib.result.calibration import CalibrationValues
 from calib.result.prediction import ParameterEstimate
 
 #: What the parameters of each unit are called.
@@ -32,7 +32,7 @@ _CHOSEN = {
 }
 
 
-def convergence(c: Calibration) -> Figure:
+def convergence(c: CalibrationValues) -> Figure:
     """Cost, length of the step and damping over the solver's iterations."""
     history = c.solution.history
     cost = np.array([*(one.cost for one in history), c.solution.cost])
@@ -61,7 +61,7 @@ def convergence(c: Calibration) -> Figure:
     return figure
 
 
-def shown_parameters(c: Calibration) -> list[ParameterEstimate]:
+def shown_parameters(c: CalibrationValues) -> list[ParameterEstimate]:
     """The robot's parameters and targets that were given, the non-geometric model's own behind them.
 
     What was not given counts from where registration put it, which says nothing of the robot. Parameters of a kind of
@@ -73,7 +73,7 @@ def shown_parameters(c: Calibration) -> list[ParameterEstimate]:
     return [*own, *(p for p in more if p.name not in c.model.names)]
 
 
-def changes(c: Calibration) -> Figure:
+def changes(c: CalibrationValues) -> Figure:
     """The change of each parameter with its 95 % interval; a panel for each unit, two side by side."""
     shown = shown_parameters(c)
     grouped = [
@@ -102,12 +102,12 @@ def changes(c: Calibration) -> Figure:
     return figure
 
 
-def correlation_indices(c: Calibration) -> list[int]:
+def correlation_indices(c: CalibrationValues) -> list[int]:
     """The parameters whose correlations are drawn: those that the measurements determine, in the model's order."""
     return [k for k, p in enumerate(c.parameters) if p.identifiable and not p.at_bound]
 
 
-def correlations(c: Calibration) -> Figure:
+def correlations(c: CalibrationValues) -> Figure:
     """The correlation of each pair of parameters, as a colour."""
     chosen = correlation_indices(c)
     C = c.covariance[np.ix_(chosen, chosen)]
@@ -128,7 +128,7 @@ def correlations(c: Calibration) -> Figure:
     return figure
 
 
-def singular_values(c: Calibration) -> Figure:
+def singular_values(c: CalibrationValues) -> Figure:
     """The singular values of the scaled Jacobian, and where the rank ends."""
     o = c.observability
     values = 1e3 * o.singular_values
@@ -156,7 +156,7 @@ def singular_values(c: Calibration) -> Figure:
     return figure
 
 
-def candidates(c: Calibration) -> Figure:
+def candidates(c: CalibrationValues) -> Figure:
     """The models that were tried: errors on held-out rows, and what the likelihood gains."""
     errors = [one.cross_validation.errors_without_outliers for one in c.candidates]
     rms, unit = 1e3 * np.array([one.rms for one in errors]), "mm"

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import calib.report.figure_base as base
-from calib.result.calibration import Calibration
+from calib.result.calibration import CalibrationValues
 from calib.robot.ranges import spread_poses
 from calib.units import Array
 
@@ -23,7 +23,7 @@ _LEAST, _HIGHEST = 2.2, 5.8
 POSES, _CELLS = 4000, 22
 
 
-def measured_places(c: Calibration) -> Array:
+def measured_places(c: CalibrationValues) -> Array:
     """Where the target was, in the base, shape (N, 3), [m]; predicted by the calibrated robot where nothing tells."""
     m = c.measurements
     T_frame_base, T_tip_target = base.placed(c.setup, m)
@@ -32,7 +32,7 @@ def measured_places(c: Calibration) -> Array:
     return np.where(np.isfinite(places), places, predicted[:, :3, 3])
 
 
-def points(c: Calibration) -> Figure:
+def points(c: CalibrationValues) -> Figure:
     """The measured points in the base frame: in space, and from three sides; as the paper's figure 7."""
     places, kinds = 1e3 * measured_places(c), base.row_kinds(c)
     limits = limits_of(places)
@@ -72,7 +72,7 @@ def points(c: Calibration) -> Figure:
     return figure
 
 
-def uncertainty(c: Calibration) -> Figure:
+def uncertainty(c: CalibrationValues) -> Figure:
     """The standard deviation of predicted positions: three views, and how often which size occurs."""
     q = spread_poses(c.nominal, POSES)
     T = c.robot.poses(q)
@@ -142,7 +142,7 @@ def _cells(ax: Axes, places: Array, std: Array, limits: Array) -> Any:  # noqa: 
     )
 
 
-def _how_often(ax: Axes, std: Array, c: Calibration) -> None:
+def _how_often(ax: Axes, std: Array, c: CalibrationValues) -> None:
     """The share of poses below each standard deviation, with the rms at the measured poses and over the limits."""
     ax.ecdf(std, color=base.INK, lw=1.4)
     for value, style, word in (

@@ -21,7 +21,7 @@ import calib.report.figure_space as space
 from calib.errors import FileError
 from calib.files import make_folder, write_atomically
 from calib.report.figure_base import check_kind, rows_text, saved, styled
-from calib.result.calibration import Calibration
+from calib.result.calibration import CalibrationValues
 from calib.robot.ranges import SPREAD
 
 #: The file of the captions, beside the figures.
@@ -39,7 +39,9 @@ class Drawing(NamedTuple):
 
 
 #: What draws each figure, in a report's order, and of which calibrations; ``captions.yaml`` says what it shows.
-FIGURES: dict[str, tuple[Callable[[Calibration], Figure], Callable[[Calibration], Any]]] = {
+FIGURES: dict[
+    str, tuple[Callable[[CalibrationValues], Figure], Callable[[CalibrationValues], Any]]
+] = {
     "points": (space.points, lambda _: True),
     "error-curves": (errors.curves, lambda c: np.any(c.used[:, :3])),
     "errors-by-pose": (errors.by_row, lambda c: np.any(c.used[:, :3])),
@@ -63,7 +65,7 @@ FIGURES: dict[str, tuple[Callable[[Calibration], Figure], Callable[[Calibration]
 }
 
 
-def drawings(calibration: Calibration) -> tuple[Drawing, ...]:
+def drawings(calibration: CalibrationValues) -> tuple[Drawing, ...]:
     """The figures that apply to a calibration, in a report's order; none is drawn yet."""
     texts = yaml.safe_load((Path(__file__).parent / "captions.yaml").read_text("utf-8"))
     words = {"c": calibration, **_words(calibration)}
@@ -83,7 +85,7 @@ def rendered(drawing: Drawing, kind: str = "png") -> bytes:
 
 
 def write_figures(
-    calibration: Calibration,
+    calibration: CalibrationValues,
     folder: str | Path,
     *,
     kind: str = "png",
@@ -120,7 +122,7 @@ def figure_files(
     return paths
 
 
-def _words(c: Calibration) -> dict[str, str]:
+def _words(c: CalibrationValues) -> dict[str, str]:
     """What captions say of a calibration."""
     m = c.measurements
     estimation = rows_text(m.estimation, "estimation")

@@ -26,7 +26,7 @@ from calib.estimate.statistics import interval_factor
 from calib.files import write_atomically
 from calib.model.dh import DHRow, dh_table
 from calib.report.figure_base import angles_of, lengths_of
-from calib.result.calibration import Calibration
+from calib.result.calibration import CalibrationValues
 from calib.result.calibration_file import versions
 from calib.robot.robot import rigid_inverse
 from calib.text.lines import deg, mm, number
@@ -54,7 +54,7 @@ _DH = tuple(
 
 
 def write_report(
-    calibration: Calibration, path: str | Path, *, command: str = "", overwrite: bool = False
+    calibration: CalibrationValues, path: str | Path, *, command: str = "", overwrite: bool = False
 ) -> Path:
     """Write the report as a page.
 
@@ -75,7 +75,7 @@ def check_ending(path: str | Path) -> None:
         )
 
 
-def report_bytes(calibration: Calibration, *, command: str = "") -> bytes:
+def report_bytes(calibration: CalibrationValues, *, command: str = "") -> bytes:
     """The page, UTF-8. Nothing but its date, now or ``SOURCE_DATE_EPOCH``, differs between two of a calibration."""
     import jinja2
 
@@ -108,7 +108,7 @@ def _picture(drawing: Drawing) -> str:
     return f"data:image/{media};base64,{base64.b64encode(data).decode('ascii')}"
 
 
-def _content(c: Calibration, command: str, date: str) -> dict[str, Any]:
+def _content(c: CalibrationValues, command: str, date: str) -> dict[str, Any]:
     """What the template is filled with: texts, pairs of texts, and what makes its tables."""
     m, T = c.measurements, c.T_frame_base
     reasons = c.verdict.reasons if c.verdict else ()
@@ -160,7 +160,7 @@ class Table(NamedTuple):
     strong: Sequence[int] = ()
 
 
-def errors(c: Calibration, *, turned: bool = False) -> Table:
+def errors(c: CalibrationValues, *, turned: bool = False) -> Table:
     """Errors by set of rows: of positions and lengths [mm], or of orientations [deg]."""
     cells: list[tuple[str, ...]] = []
     strong, before, every = [], "", texts.error_rows(c)
@@ -188,7 +188,7 @@ def errors(c: Calibration, *, turned: bool = False) -> Table:
     )
 
 
-def validation_rows(c: Calibration) -> Table:
+def validation_rows(c: CalibrationValues) -> Table:
     """Errors of single validation rows before and after, as in the paper's Table 4."""
     chosen = np.flatnonzero(c.measurements.validation & np.any(c.used, axis=1))
     which = f"the {len(chosen):,} validation rows"
@@ -219,7 +219,7 @@ def validation_rows(c: Calibration) -> Table:
     return Table(title, head, cells, align, note if axes else "", groups)
 
 
-def flagged(c: Calibration) -> Table:
+def flagged(c: CalibrationValues) -> Table:
     """The rows flagged, with their errors before and after."""
     m, every = c.measurements, [*c.outliers, *c.suspects]
     indices = np.array([m.rows.index(one.row) for one in every[:_MOST]], dtype=np.int_)
@@ -240,7 +240,7 @@ def flagged(c: Calibration) -> Table:
     )
 
 
-def parameters(c: Calibration, unit: str) -> Table:
+def parameters(c: CalibrationValues, unit: str) -> Table:
     """Nominal value, correction and interval of the parameters in ``"mm"`` or ``"deg"``."""
     scale, digits = (1e3, 3) if unit == "mm" else (float(np.degrees(1.0)), 4)
     none, rows = texts.errorless(c), []
@@ -258,7 +258,7 @@ def parameters(c: Calibration, unit: str) -> Table:
     return Table(title, head, rows, "lrrrrl")
 
 
-def non_geometric(c: Calibration) -> Table:
+def non_geometric(c: CalibrationValues) -> Table:
     """The parameters that no URDF can hold."""
     every = texts.non_geometric_parameters(c)
     return Table(
@@ -269,7 +269,7 @@ def non_geometric(c: Calibration) -> Table:
     )
 
 
-def dh(c: Calibration) -> Table:
+def dh(c: CalibrationValues) -> Table:
     """The DH rows of the nominal and of the calibrated robot."""
     before, after = dh_table(c.nominal).rows, dh_table(c.robot, like=c.nominal).rows
     tilted = any(row.near_parallel for row in (*before, *after))
@@ -302,7 +302,7 @@ def _dh_lines(before: DHRow, after: DHRow) -> Iterator[tuple[str, ...]]:
         yield name, who, *(number(u * v, n, sign) for v, (u, n) in zip(values, _DH, strict=True))
 
 
-def origins(c: Calibration) -> Table:
+def origins(c: CalibrationValues) -> Table:
     """The displacement of each origin that changed, in its nominal frame."""
     after, rows = c.robot.origins(), []
     for joint, T in c.nominal.origins().items():
@@ -320,7 +320,7 @@ def origins(c: Calibration) -> Table:
     )
 
 
-def ranges(c: Calibration) -> Table:
+def ranges(c: CalibrationValues) -> Table:
     """Joint values of the estimation rows beside the limits."""
     m = c.measurements
     q, cells = m.joints_for(c.nominal.joint_names)[m.estimation], []
@@ -342,7 +342,7 @@ def ranges(c: Calibration) -> Table:
     )
 
 
-def _places(c: Calibration, chosen: NDArray[np.int_]) -> tuple[list[str], list[list[str]]]:
+def _places(c: CalibrationValues, chosen: NDArray[np.int_]) -> tuple[list[str], list[list[str]]]:
     """What tells rows apart, heads and cells: numbers, and kinds, targets and set-ups where there are several."""
     m = c.measurements
     columns: list[tuple[str, Sequence[object]]] = [("row", m.rows)]

@@ -19,7 +19,7 @@ from calib.data.cell import AUTO, Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.coverage import outside
 from calib.diagnosis.reasons import NO, Reason, Verdict
-from calib.diagnosis.usual_mistakes import better_setup, check_positions
+from calib.diagnosis.usual_mistakes import check_positions, find_usual_mistake
 from calib.diagnosis.verdict import verdict
 from calib.estimate.extrapolation import extrapolation
 from calib.estimate.fitting import Fitted, Task, fit
@@ -33,7 +33,7 @@ from calib.model.error_model import OWN, split_name
 from calib.model.kinematics import Samples
 from calib.model.observability import Observability
 from calib.model.parameters import Parameter
-from calib.result.calibration import Calibration, Fit, RowNames, Source
+from calib.result.calibration import CalibrationValues, Fit, RowNames, Source
 from calib.result.doubts import doubts_of
 from calib.result.evidence import evidence_of
 from calib.result.prediction import (
@@ -60,8 +60,6 @@ from calib.selection.selection import (
 )
 from calib.units import Array, Mask
 
-__all__ = ["Calibration", "calibrate"]
-
 #: A smaller share of outliers is not worth the time that a non-geometric model takes.
 _FEW = 0.01
 
@@ -81,7 +79,7 @@ def calibrate(
     robust: bool = True,
     validate: bool = True,
     progress: Progress | None = None,
-) -> Calibration:
+) -> CalibrationValues:
     """Calibrate a robot from measurements of a target on its tip.
 
     Args:
@@ -144,7 +142,7 @@ def fit_table(
     unseen = setup.as_known(frames, targets)
     began = time.perf_counter()
     model = cell.model if model is None else model
-    hint = better_setup(robot, cell, measurements.select(measurements.estimation))
+    hint = find_usual_mistake(robot, cell, measurements.select(measurements.estimation))
     told, distances = setup.as_known(~frames, ~targets), known_distances(cell, setup)
     task = Task(robot, cell, told, model, distances, solver, robust)
     if hint and model == AUTO:  # nothing that is told of such a fit means anything
@@ -208,7 +206,7 @@ def _loaded(fitted: Fitted, m: Measurements, chosen: Mask) -> Rows:
     return replace(rows, samples=replace(rows.samples, load=load))
 
 
-def _validated(m: Measurements, fits: Fits, progress: Progress | None) -> Calibration:
+def _validated(m: Measurements, fits: Fits, progress: Progress | None) -> CalibrationValues:
     """The result with cross-validation, of the non-geometric model too, and the verdict."""
     task, rows, hint = fits.fitted.task, fits.rows, fits.hint
     outliers = fits.fitted.estimate.outliers
@@ -323,7 +321,7 @@ def _solved(fitted: Fitted) -> tuple[dict[str, Any], Observability]:
     return solved, observability
 
 
-def _assembled(m: Measurements, fits: Fits) -> Calibration:
+def _assembled(m: Measurements, fits: Fits) -> CalibrationValues:
     """Everything that the fits say, as one value; cross-validation and verdict are still to come."""
     fitted, every, non_geometric = fits.fitted, fits.every, None
     task, estimated, problem = fitted.task, fitted.estimate, fitted.estimate.problem
@@ -361,7 +359,7 @@ def _assembled(m: Measurements, fits: Fits) -> Calibration:
     solved, observability = _solved(fitted)
     no_poses, no_rows = np.zeros(0, dtype=int), read_only(np.zeros(0))
     lowered = np.any(estimated.outliers) and task.solver != "paper"
-    return Calibration(
+    return CalibrationValues(
         **solved,
         nominal=robot,
         robot=fitted.kinematics.model.apply(robot, estimated.x),

@@ -79,7 +79,7 @@ class Fit:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Calibration(Solved):
+class CalibrationValues(Solved):
     """The result of `calib.calibrate`; the attributes of `Solved` are those of the geometry, which the URDF holds."""
 
     nominal: Robot  #: The robot as it came in

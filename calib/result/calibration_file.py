@@ -34,7 +34,7 @@ from calib.model.families import FAMILIES, Factor, factor_of
 from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability
 from calib.model.parameters import ErrorModel, Parameter
-from calib.result.calibration import Calibration, Source
+from calib.result.calibration import CalibrationValues, Source
 from calib.result.prediction import NonGeometric, Outlier, Solved
 from calib.result.robustness import Robustness
 from calib.robot.payload import Payload
@@ -123,7 +123,7 @@ _LAYOUT: JsonLayout = JsonLayout(
             "extrapolation": "expected.extrapolation",
         },
         NonGeometric: {"gravity": "gravity_m_s2"},
-        Calibration: {
+        CalibrationValues: {
             **dict.fromkeys(("nominal", "robot", "source", "fit")),
             "setup": "frames.",
             "nominal_setup": "frames.nominal",
@@ -167,7 +167,7 @@ def versions() -> dict[str, str]:
     return {"calib": __version__, "python": platform.python_version(), **packages}
 
 
-def result_table(c: Calibration) -> dict[str, Any]:
+def result_table(c: CalibrationValues) -> dict[str, Any]:
     """The result as nested tables of plain values, before missing numbers become null."""
     r, urdf, given = c.nominal, c.nominal.urdf, c.setup.target_given[0]
     errors = {
@@ -207,7 +207,7 @@ def result_table(c: Calibration) -> dict[str, Any]:
 
 
 def write_result(
-    c: Calibration, path: str | Path, *, overwrite: bool = False, extra: Json | None = None
+    c: CalibrationValues, path: str | Path, *, overwrite: bool = False, extra: Json | None = None
 ) -> Path:
     """Write a calibration as JSON, with further keys if any; `FileError` where that cannot be."""
     return write_table(result_table(c) | dict(extra or {}), path, overwrite=overwrite)
@@ -218,7 +218,7 @@ def write_table(table: Json, path: str | Path, *, overwrite: bool = False) -> Pa
     return write_atomically(Path(path), json_bytes(table), overwrite=overwrite)
 
 
-def read_result(path: str | Path) -> Calibration:
+def read_result(path: str | Path) -> CalibrationValues:
     """Read a calibration; `FileError` where it cannot be read, is no result, of another schema, or damaged."""
     expected = (
         f"a result of calib {__version__} has {SCHEMA}. Results are written by calib calibrate ROBOT DATA --json "
@@ -235,7 +235,7 @@ def read_result(path: str | Path) -> Calibration:
         ) from error
 
 
-def _calibration(found: Json, folder: Path) -> Calibration:
+def _calibration(found: Json, folder: Path) -> CalibrationValues:
     """A result from its tables; meshes lie beside the URDF, where that is in a folder."""
     robot, inputs = found["robot"], found["inputs"]
     name, text = inputs["urdf"]["name"], inputs["urdf"]["text"]
@@ -264,11 +264,11 @@ def _calibration(found: Json, folder: Path) -> Calibration:
         )
         return own
 
-    own, non_geometric = solved(Calibration, found), found["non_geometric"]
+    own, non_geometric = solved(CalibrationValues, found), found["non_geometric"]
     ends = len(own["ranges"]), len(own["rows"])
     if ends != (len(nominal.joint_names), inputs["measurements"]["rows"]):
         raise ValueError("'robot.ranges' or 'rows' are not those of the result")
-    return Calibration(
+    return CalibrationValues(
         **own,
         nominal=nominal,
         robot=own["kinematics"].model.apply(nominal, own["x"]),

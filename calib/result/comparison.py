@@ -39,7 +39,7 @@ from calib.model.error_model import DIRECTIONS
 from calib.model.kinematics import Kinematics
 from calib.model.observability import steps
 from calib.model.parameters import FRAME, TARGET
-from calib.result.calibration import Calibration
+from calib.result.calibration import CalibrationValues
 from calib.result.calibration_file import read_result
 from calib.robot.ranges import spread_between, spread_poses
 from calib.robot.robot import Robot
@@ -121,11 +121,11 @@ class Displacement:
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
-class Comparison:
+class ComparisonValues:
     """The result of `compare`."""
 
-    a: Calibration  #: The first result
-    b: Calibration  #: The second
+    a: CalibrationValues  #: The first result
+    b: CalibrationValues  #: The second
     names: tuple[str, str]  #: Their files, or ``"a"`` and ``"b"``
     outcome: Outcome  #: ``"drift"``, ``"no drift shown"`` or ``"cannot tell"``
     why: Why  #: Why nothing can be told; empty otherwise
@@ -144,10 +144,10 @@ class Comparison:
 
 
 def compare(
-    a: Calibration | str | Path,
-    b: Calibration | str | Path,
+    a: CalibrationValues | str | Path,
+    b: CalibrationValues | str | Path,
     robot: Robot | str | Path | None = None,
-) -> Comparison:
+) -> ComparisonValues:
     """Compare two calibrations of one robot: did it drift?
 
     Args:
@@ -160,10 +160,12 @@ def compare(
         ModelError: The results are of different chains.
         UrdfError: The URDF cannot be read, or lacks a joint.
     """
-    first, second = (one if isinstance(one, Calibration) else read_result(one) for one in (a, b))
+    first, second = (
+        one if isinstance(one, CalibrationValues) else read_result(one) for one in (a, b)
+    )
     names = (
-        "a" if isinstance(a, Calibration) else Path(a).name,
-        "b" if isinstance(b, Calibration) else Path(b).name,
+        "a" if isinstance(a, CalibrationValues) else Path(a).name,
+        "b" if isinstance(b, CalibrationValues) else Path(b).name,
     )
     chains = [
         (r.base, r.tip, r.joint_names, set(r.origins()), dict(r.held))
@@ -196,7 +198,7 @@ def compare(
         why = "other errors"
     outcome: Outcome = "drift" if found["test"].drifted else "no drift shown"
     outcome = "cannot tell" if why else outcome
-    return Comparison(
+    return ComparisonValues(
         a=first, b=second, names=names, outcome=outcome, why=why, robot=shown, **found
     )
 
@@ -210,22 +212,22 @@ def _covered(a: Array, b: Array) -> Array:
     return np.asarray(np.nan_to_num(np.stack([low, high], axis=1), posinf=0.0, neginf=0.0))
 
 
-def own_names(c: Calibration) -> tuple[str, ...]:
+def own_names(c: CalibrationValues) -> tuple[str, ...]:
     """The robot's own parameters: those of frames and targets left out."""
     return tuple(c.model.names[k] for k in _own(c))
 
 
-def _own(c: Calibration) -> NDArray[np.int_]:
+def _own(c: CalibrationValues) -> NDArray[np.int_]:
     """The places of these, shape (k,)."""
     return np.flatnonzero(~c.model.family(FRAME, TARGET))
 
 
-def _own_steps(c: Calibration) -> Array:
+def _own_steps(c: CalibrationValues) -> Array:
     """Typical errors of arms in each of their own parameters."""
     return steps([c.model.units[k] for k in _own(c)])
 
 
-def unknown_frame(c: Calibration) -> tuple[str, ...]:
+def unknown_frame(c: CalibrationValues) -> tuple[str, ...]:
     """In which directions a result's measurements did not know where the base stands."""
     if not c.tells_place:
         return DIRECTIONS  # sockets, planes, anchors and pairs never do
@@ -233,7 +235,7 @@ def unknown_frame(c: Calibration) -> tuple[str, ...]:
     return tuple(d for d in DIRECTIONS if d in every)
 
 
-def _estimate(one: Calibration, other: Calibration) -> Estimate:
+def _estimate(one: CalibrationValues, other: CalibrationValues) -> Estimate:
     """A result under priors that both share and that leave room for a drift; parameters at a bound stay there."""
     precision, of_other = (
         np.nan_to_num(np.array([p.prior_std for p in c.parameters]) ** -2.0) for c in (one, other)
@@ -323,7 +325,7 @@ class _Predictions:
     the same at the results, not at the nominal robot; ``gauge`` (N D, g) what frames and targets would explain.
     """
 
-    def __init__(self, a: Calibration, b: Calibration, q: Array) -> None:
+    def __init__(self, a: CalibrationValues, b: CalibrationValues, q: Array) -> None:
         """Predict at q, shape (N, m), [rad] or [m]."""
         self.turns = a.setup.rotation and b.setup.rotation
         poses, self.effects, self.slopes = [], [], []
@@ -376,7 +378,9 @@ def _beyond(own: Array, other: Array, names: tuple[str, ...]) -> tuple[str, ...]
     return tuple(n for n, b, s in zip(names, beyond, least, strict=True) if b > s > 0.0)
 
 
-def _differences(first: Calibration, second: Calibration, *, same_start: bool) -> dict[str, Any]:
+def _differences(
+    first: CalibrationValues, second: CalibrationValues, *, same_start: bool
+) -> dict[str, Any]:
     """What a `Comparison` has from its test on; ``same_start``: both count from the same nominal robot."""
     both, own = (first, second), [own_names(one) for one in (first, second)]
     # Whether both have the same parameters under priors with the same mean.

@@ -10,26 +10,26 @@ import numpy as np
 from calib.diagnosis.coverage import shares_of_ranges, spread_of
 from calib.diagnosis.further_unknowns import (
     UNLIKELY,
-    has_priors,
     instrument_scale,
     motion_of_base,
+    priors_from_data,
 )
 from calib.diagnosis.patterns import FALSE_ALARM
 from calib.diagnosis.reasons import Reason, Why
 from calib.diagnosis.residual_patterns import (
+    FEWEST_FREEDOM,
     ROUNDING_NOISE,
-    TELLING,
     Order,
     residual_patterns,
 )
-from calib.diagnosis.setups import disagreeing_setups, flagged_setup
+from calib.diagnosis.stations import disagreeing_stations, flagged_station
 from calib.estimate.fitting import PAPER, Fitted, fit, model_of
 from calib.estimate.gauge import measures_length
 from calib.estimate.problem import Problem
 from calib.estimate.registration import ENOUGH
 from calib.estimate.rows import LENGTHS, Rows
 from calib.model.families import FAMILIES, joint_families
-from calib.result.calibration import Calibration
+from calib.result.calibration import CalibrationValues
 from calib.robot.ranges import column_ranges, spread_poses
 from calib.robot.robot import Robot
 from calib.units import Mask
@@ -70,12 +70,12 @@ _ELSEWHERE = 5e-3
 _NARROW = 1.0 / 3.0
 
 
-def doubts_of(result: Calibration, rows: Rows) -> tuple[Reason, ...]:
+def doubts_of(result: CalibrationValues, rows: Rows) -> tuple[Reason, ...]:
     """List what speaks against a result besides its errors: see the module."""
     return tuple(_doubts(result, result.in_memory.non_geometric or result.fitted, rows))
 
 
-def _doubts(result: Calibration, fitted: Fitted, rows: Rows) -> Iterator[Reason]:
+def _doubts(result: CalibrationValues, fitted: Fitted, rows: Rows) -> Iterator[Reason]:
     """See `doubts_of`."""
     few, chosen = thin(fitted)
     yield from _given(result, few)
@@ -85,20 +85,20 @@ def _doubts(result: Calibration, fitted: Fitted, rows: Rows) -> Iterator[Reason]
         yield from _missing_model(few)
     yield from _corner(few)
     yield from residual_patterns(few, _order(result, chosen))
-    yield from disagreeing_setups(few)
-    yield from flagged_setup(fitted)
+    yield from disagreeing_stations(few)
+    yield from flagged_station(fitted)
     yield from _negative_compliances(result)
     yield from _agreeing_repeats(result, fitted)
     if not measures_length(rows, fitted.task.distances):
         yield Reason.of(Why.NO_LENGTH)
 
 
-def _named_model(result: Calibration) -> bool:
+def _named_model(result: CalibrationValues) -> bool:
     """Whether the model was named, so that a larger one was not tried."""
     return not result.candidates and result.solver != PAPER
 
 
-def _given(result: Calibration, fitted: Fitted) -> Iterator[Reason]:
+def _given(result: CalibrationValues, fitted: Fitted) -> Iterator[Reason]:
     """Doubt a given target, a known frame, or the instrument's scale."""
     given, found = result.nominal_setup, result.setup
     for t, name in enumerate(found.targets):
@@ -107,7 +107,7 @@ def _given(result: Calibration, fitted: Fitted) -> Iterator[Reason]:
         far = float(np.linalg.norm(found.T_tip_target[t, :3, 3] - given.T_tip_target[t, :3, 3]))
         if far > _ELSEWHERE:
             yield Reason.of(Why.TARGET_FAR, target=name, far_m=far)
-    if not has_priors(fitted):
+    if not priors_from_data(fitted):
         return
     base = motion_of_base(fitted)
     if base is not None and base.p < UNLIKELY and base.effect > _LIKE_THE_ARM * base.effect_of_arm:
@@ -137,7 +137,7 @@ def _hardly_moved(robot: Robot, rows: Rows) -> Mask:
     return np.asarray(np.ptp(rows.joints, axis=0) < least)
 
 
-def _sole_postures(result: Calibration, rows: Rows) -> Iterator[Reason]:
+def _sole_postures(result: CalibrationValues, rows: Rows) -> Iterator[Reason]:
     """Name the first row of each sole posture, and the joint whose value there is furthest from all other rows'."""
     robot, m = result.nominal, result.measurements
     names = np.array(m.rows)[m.estimation]
@@ -152,7 +152,7 @@ def _sole_postures(result: Calibration, rows: Rows) -> Iterator[Reason]:
         yield Reason.of(Why.SOLE_POSTURE, rows=list(found), joints=list(found.values()))
 
 
-def _negative_compliances(result: Calibration) -> Iterator[Reason]:
+def _negative_compliances(result: CalibrationValues) -> Iterator[Reason]:
     """Name joints that would move against their load."""
     for one in result.non_geometric.parameters if result.non_geometric else ():
         # Twice as far as its interval reaches: there are as many chances as joints.
@@ -160,11 +160,11 @@ def _negative_compliances(result: Calibration) -> Iterator[Reason]:
             yield Reason.of(Why.COMPLIANCE_NEGATIVE, joint=one.name.removesuffix(".compliance"))
 
 
-def _agreeing_repeats(result: Calibration, fitted: Fitted) -> Iterator[Reason]:
+def _agreeing_repeats(result: CalibrationValues, fitted: Fitted) -> Iterator[Reason]:
     """Say if repeats agree far better with each other than with the model."""
     sigma = float(np.median(fitted.estimate.problem.rows.sigma))
     repeats, noise = result.repeats, float(fitted.estimate.noise[0]) * sigma
-    if repeats is None or not len(repeats.within) or repeats.freedoms[0] < TELLING:
+    if repeats is None or not len(repeats.within) or repeats.freedoms[0] < FEWEST_FREEDOM:
         return
     within = float(repeats.within[0])
     if within < _SCATTER_SHARE * noise and noise >= ROUNDING_NOISE:
@@ -192,7 +192,7 @@ def thin(fitted: Fitted) -> tuple[Fitted, Mask]:
     return replace(fitted, estimate=thinned), some
 
 
-def _order(result: Calibration, chosen: Mask) -> Order:
+def _order(result: CalibrationValues, chosen: Mask) -> Order:
     """The order in which the chosen rows were measured, and the joints' moves to them in the whole table."""
     m = result.measurements
     q = m.joints_for(result.nominal.joint_names)
@@ -221,7 +221,7 @@ def _missing_model(fitted: Fitted) -> Iterator[Reason]:
 
 
 def noise_doubts(
-    result: Calibration, fitted: Fitted, doubts: tuple[Reason, ...]
+    result: CalibrationValues, fitted: Fitted, doubts: tuple[Reason, ...]
 ) -> Iterator[Reason]:
     """Say if the noise of a fit is above the one stated, or, where none is stated, above that of instruments."""
     codes = {doubt.why for doubt in doubts}

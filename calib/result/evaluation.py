@@ -33,7 +33,7 @@ from calib.estimate.setup import Setup, rows_of
 from calib.estimate.statistics import Errors
 from calib.model.error_model import DIRECTIONS
 from calib.model.kinematics import Samples
-from calib.result.calibration import Calibration
+from calib.result.calibration import CalibrationValues
 from calib.result.prediction import NonGeometric
 from calib.robot.robot import Robot, read_only
 from calib.units import Array, Mask
@@ -385,7 +385,7 @@ def judged_rows(
     return np.asarray(aside if registered and np.any(aside) else fresh)
 
 
-def fitted_rows(c: Calibration, robot: Robot, measurements: Measurements, cell: Cell) -> Mask:
+def fitted_rows(c: CalibrationValues, robot: Robot, measurements: Measurements, cell: Cell) -> Mask:
     """Which rows of a table a result was fitted to, shape (N,), in any file, in any order and under any number.
 
     A row is known again by its residuals with the nominal and with the corrected robot, which depend on every digit of

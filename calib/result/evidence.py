@@ -12,7 +12,7 @@ from calib.estimate.fitting import Fitted
 from calib.estimate.rows import Rows
 from calib.estimate.statistics import Errors
 from calib.model.parameters import FRAME, TARGET
-from calib.result.calibration import Calibration
+from calib.result.calibration import CalibrationValues
 from calib.result.doubts import noise_doubts
 from calib.result.prediction import NonGeometric, Solved, without_rigid_motion
 from calib.robot.ranges import spread_poses
@@ -23,7 +23,7 @@ _FEW_SUSPECTS = 0.15
 
 
 def evidence_of(
-    result: Calibration,
+    result: CalibrationValues,
     part: Solved,
     rows: Rows,
     doubts: tuple[Reason, ...],
@@ -66,7 +66,8 @@ def evidence_of(
         doubts=(*noise_doubts(result, fitted, doubts), *doubts),
         notes=tuple(_notes(result)) if non_geometric is None else (),
         parameters=len(model),
-        whole=(4 * len(fitted.task.robot.inputs) + fitted.setup.count) * bool(result.candidates),
+        full_model_parameters=(4 * len(fitted.task.robot.inputs) + fitted.setup.count)
+        * bool(result.candidates),
         changes=bool(np.any(part.x[of_robot])),
         largest=float(np.max(np.abs(part.x[geometry]), initial=0.0)),
         noise=result.sigma,
@@ -77,7 +78,7 @@ def evidence_of(
     )
 
 
-def _non_geometric(result: Calibration) -> tuple[str, Errors] | None:
+def _non_geometric(result: CalibrationValues) -> tuple[str, Errors] | None:
     """Name and held-out errors of the non-geometric model, unless it is not to be used itself."""
     model = result.non_geometric
     if model is None or model.cross_validation is None or model.verdict is None:
@@ -87,7 +88,7 @@ def _non_geometric(result: Calibration) -> tuple[str, Errors] | None:
     return model.name, model.cross_validation.errors_without_outliers
 
 
-def _noise_floor(result: Calibration, fitted: Fitted, doubts: tuple[Reason, ...]) -> Array:
+def _noise_floor(result: CalibrationValues, fitted: Fitted, doubts: tuple[Reason, ...]) -> Array:
     """The least noise of each scalar that any model tried has left, over that of a fit, at most 1, shape (N, D)."""
     fits = (result.in_memory.geometry, result.in_memory.non_geometric)
     noise = np.array(fitted.estimate.noise)
@@ -99,7 +100,7 @@ def _noise_floor(result: Calibration, fitted: Fitted, doubts: tuple[Reason, ...]
     return np.append(share, 1.0)[fitted.estimate.problem.rows.instruments]
 
 
-def _notes(result: Calibration) -> Iterator[Reason]:
+def _notes(result: CalibrationValues) -> Iterator[Reason]:
     """What is told of the corrected robot besides, and decides nothing."""
     non_geometric, m = result.non_geometric, result.measurements
     if (
@@ -123,7 +124,7 @@ def _notes(result: Calibration) -> Iterator[Reason]:
         yield Reason.of(Why.OUTSIDE, rows=len(result.outside), row=number, **values)
 
 
-def _over_joint_limits(result: Calibration, part: Solved) -> tuple[float, float]:
+def _over_joint_limits(result: CalibrationValues, part: Solved) -> tuple[float, float]:
     """What a part of a result and the nominal robot are expected to be off by over the joint limits, rms [m].
 
     With the variance v of a prediction there, v_0 at the measured poses and the factor f by which extrapolated errors

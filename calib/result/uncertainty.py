@@ -27,7 +27,7 @@ from calib.estimate.statistics import rms
 from calib.jobs import Progress, batch_size, run
 from calib.model.kinematics import Samples, Where
 from calib.model.observability import steps
-from calib.result.calibration import Calibration
+from calib.result.calibration import CalibrationValues
 from calib.result.prediction import ParameterEstimate, without_rigid_motion
 from calib.robot.ranges import spread_poses
 from calib.robot.robot import read_only
@@ -110,7 +110,7 @@ class Bootstrap:
 
 @one_blas_thread()
 def bootstrap(
-    calibration: Calibration,
+    calibration: CalibrationValues,
     count: int,
     seed: int,
     progress: Progress | None = None,
@@ -193,7 +193,7 @@ class Profile:
 
 
 @one_blas_thread()
-def profile_interval(calibration: Calibration, name: str, level: float = 0.95) -> Profile:
+def profile_interval(calibration: CalibrationValues, name: str, level: float = 0.95) -> Profile:
     """The interval of one parameter, in its unit, from the profile of the cost; see the module's text.
 
     An end is infinite where the measurements set no limit. A parameter that the geometry lacks is that of

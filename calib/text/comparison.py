@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from calib.errors import choices
-from calib.result.calibration import Calibration
+from calib.result.calibration import CalibrationValues
 from calib.result.calibration_file import versions
-from calib.result.comparison import LEVEL, Comparison, own_names, unknown_frame
+from calib.result.comparison import LEVEL, ComparisonValues, own_names, unknown_frame
 from calib.text.lines import deg, mm, wrap
 from calib.version import __version__
 
@@ -23,7 +23,7 @@ _WHERE = {
 }
 
 
-def comparison_text(c: Comparison) -> str:
+def comparison_text(c: ComparisonValues) -> str:
     """The whole text."""
     parts = (
         _heading(c),
@@ -33,12 +33,12 @@ def comparison_text(c: Comparison) -> str:
     return "\n\n".join(part for part in parts if part)
 
 
-def _both(c: Comparison) -> tuple[tuple[str, str, Calibration], ...]:
+def _both(c: ComparisonValues) -> tuple[tuple[str, str, CalibrationValues], ...]:
     """Letter, name and value of each result."""
     return ("a", c.names[0], c.a), ("b", c.names[1], c.b)
 
 
-def _heading(c: Comparison) -> str:
+def _heading(c: ComparisonValues) -> str:
     """Which results of which robot."""
     r, lines = c.a.nominal, []
     for letter, name, one in _both(c):
@@ -50,7 +50,7 @@ def _heading(c: Comparison) -> str:
     return "\n".join([wrap(title), *lines])
 
 
-def sentence(c: Comparison) -> str:
+def sentence(c: ComparisonValues) -> str:
     """The answer in a sentence."""
     if c.outcome == "drift":
         move = c.moves[0]
@@ -70,13 +70,13 @@ def sentence(c: Comparison) -> str:
     }[c.why]
 
 
-def _judged(c: Comparison, use: str) -> str:
+def _judged(c: ComparisonValues, use: str) -> str:
     """The results with this verdict."""
     found = [n for _, n, one in _both(c) if one.verdict is not None and one.verdict.use == use]
     return " and on ".join(found)
 
 
-def _only(c: Comparison) -> str:
+def _only(c: ComparisonValues) -> str:
     """Which parameters only one result has."""
     return " and ".join(
         f"only {name} ('{one.model.name}') has {choices(own, limit=4)}"
@@ -85,7 +85,7 @@ def _only(c: Comparison) -> str:
     )
 
 
-def _answer(c: Comparison) -> str:
+def _answer(c: ComparisonValues) -> str:
     """The answer and the numbers behind it."""
     test, below = c.test, []
     if test.combinations and (c.outcome != "cannot tell" or c.only_a or c.only_b):
@@ -108,7 +108,7 @@ def _answer(c: Comparison) -> str:
     return "\n".join([wrap(sentence(c)), *(wrap(text, "  ") for text in below)])
 
 
-def notes(c: Comparison) -> tuple[str, ...]:
+def notes(c: ComparisonValues) -> tuple[str, ...]:
     """What to mind, sentences."""
     non_geometric = [
         f"{n} ('{one.non_geometric.name}')"
@@ -137,7 +137,7 @@ def notes(c: Comparison) -> tuple[str, ...]:
     return tuple(text for text, applies in every.items() if applies)
 
 
-def comparison_table(c: Comparison) -> dict[str, Any]:
+def comparison_table(c: ComparisonValues) -> dict[str, Any]:
     """The comparison as nested tables of plain values; the keys are documented in docs/comparison.md."""
     return {
         "schema": COMPARISON_SCHEMA,

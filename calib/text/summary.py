@@ -19,7 +19,7 @@ from calib.model.error_model import placed_name
 from calib.model.families import FAMILIES, unit_of
 from calib.model.observability import Combination
 from calib.model.parameters import FRAME, TARGET
-from calib.result.calibration import Calibration
+from calib.result.calibration import CalibrationValues
 from calib.result.prediction import Outlier, ParameterEstimate
 from calib.text.lines import deg, mm, number, wrap
 from calib.text.verdict import reason_text, robustness_text
@@ -58,7 +58,7 @@ _COLUMNS, _ANGLE_COLUMNS = "{:<33}{:>5}" + " {:>9}" * 6, "{:<33}{:>5}" + " {:>9}
 ANGLE_HEAD = _ANGLE_COLUMNS.format("Orientation error [deg]", "rows", "max", "mean", "rms")
 
 
-def summary(c: Calibration) -> str:
+def summary(c: CalibrationValues) -> str:
     """The whole summary of a calibration."""
     m, known = c.rows, facts(c)
     took = "" if math.isnan(c.seconds) else f", {1e3 * c.seconds:.0f} ms"
@@ -99,7 +99,7 @@ def summary(c: Calibration) -> str:
     return "\n\n".join(part for part in parts if part)
 
 
-def facts(c: Calibration) -> dict[str, str]:
+def facts(c: CalibrationValues) -> dict[str, str]:
     """What was found in numbers, a sentence for each label, as far as there is something to say."""
     of = measured_lengths(c.used)
     noise = [f"{mm(c.sigma)} mm per {of}"] * math.isfinite(c.sigma)
@@ -147,7 +147,7 @@ def error_title(*used: NDArray[np.bool_]) -> str:
     return f"{measured_lengths(*used).replace('coordinate', 'position').capitalize()} error"
 
 
-def error_rows(c: Calibration) -> list[tuple[str, Errors]]:
+def error_rows(c: CalibrationValues) -> list[tuple[str, Errors]]:
     """Label and errors of each row of the error tables: before and after, by set, and on held-out rows."""
     rows = [
         (f"{name} rows, {who}", c.errors[who][name])
@@ -166,7 +166,7 @@ def error_rows(c: Calibration) -> list[tuple[str, Errors]]:
     return rows
 
 
-def held_out_text(c: Calibration) -> str:
+def held_out_text(c: CalibrationValues) -> str:
     """What ``held-out rows*`` are; empty without cross-validation."""
     v = c.cross_validation
     return "" if v is None else f"* {v.method}: {_LEFT_OUT[v.method]}"
@@ -188,14 +188,14 @@ def angle_row(label: str, e: Errors) -> str:
     return _ANGLE_COLUMNS.format(label, e.n_angle, *values)
 
 
-def weights_text(c: Calibration) -> str:
+def weights_text(c: CalibrationValues) -> str:
     """Whether the outliers count in the fit."""
     weights = dict(zip(c.rows.numbers, c.weights, strict=True))
     unused = not any(weights.get(o.row) for o in c.outliers)
     return "no weight in the fit" if unused else "full weight in the fit"
 
 
-def errorless(c: Calibration) -> frozenset[str]:
+def errorless(c: CalibrationValues) -> frozenset[str]:
     """The parameters of families whose errors the data showed to be none: they stay nominal, and have no interval.
 
     Their prior's standard deviation went to nothing, which is no knowledge of them.
@@ -212,7 +212,7 @@ def errorless(c: Calibration) -> frozenset[str]:
     )
 
 
-def unidentifiable_text(c: Calibration) -> str:
+def unidentifiable_text(c: CalibrationValues) -> str:
     """What heads the combinations that nothing determines; empty if there are none."""
     if not c.observability.unidentifiable:
         return ""
@@ -232,7 +232,7 @@ def combination_text(one: Combination) -> str:
     return f"{', '.join(one.names[:-1])} and {one.names[-1]} together ({amounts})"
 
 
-def shown_parameters(c: Calibration) -> list[ParameterEstimate]:
+def shown_parameters(c: CalibrationValues) -> list[ParameterEstimate]:
     """The parameters of the geometry that are listed: frames and the targets' orientations are told as poses."""
     return [
         p
@@ -241,7 +241,7 @@ def shown_parameters(c: Calibration) -> list[ParameterEstimate]:
     ]
 
 
-def non_geometric_parameters(c: Calibration) -> Sequence[tuple[str, str, str, str]]:
+def non_geometric_parameters(c: CalibrationValues) -> Sequence[tuple[str, str, str, str]]:
     """Name, value, half the 95 % interval and unit of the non-geometric model's parameters that the geometry lacks."""
     result = []
     for p in () if c.non_geometric is None else c.non_geometric.parameters:
@@ -252,20 +252,20 @@ def non_geometric_parameters(c: Calibration) -> Sequence[tuple[str, str, str, st
     return result
 
 
-def solver_text(c: Calibration) -> str:
+def solver_text(c: CalibrationValues) -> str:
     """How the solver fared, without the time that it took."""
     s = c.solution
     return f"Solver '{c.solver}': {s.status} after {s.iterations} iterations, {s.evaluations} evaluations"
 
 
-def target_sentences(c: Calibration, most: int = _MOST_PLACES) -> list[str]:
+def target_sentences(c: CalibrationValues, most: int = _MOST_PLACES) -> list[str]:
     """Where each target is, how sure that is, and how far it moved; more than ``most`` are counted."""
     own, count = c.setup.target_names, len(c.setup.targets)
     shown = [_target(c, t, name) for t, name in enumerate(own[:most])]
     return shown + [f"... and {count - most} more targets"] * (count > most)
 
 
-def _target(c: Calibration, t: int, name: str) -> str:
+def _target(c: CalibrationValues, t: int, name: str) -> str:
     """One target."""
     T, rotation = c.setup.T_tip_target[t], c.setup.rotation
     what = f"Target '{name}'" if name else "Target"
@@ -286,7 +286,7 @@ def _target(c: Calibration, t: int, name: str) -> str:
     return text
 
 
-def frame_sentences(c: Calibration, most: int = _MOST_PLACES) -> list[str]:
+def frame_sentences(c: CalibrationValues, most: int = _MOST_PLACES) -> list[str]:
     """Where the base stands in each frame that was estimated, and how sure that is; more than ``most`` are counted."""
     many = len(c.setup.groups) > 1
     found = [f for f, directions in enumerate(c.setup.unknown) if directions]
@@ -294,7 +294,7 @@ def frame_sentences(c: Calibration, most: int = _MOST_PLACES) -> list[str]:
     return lines + [f"... and {len(found) - most} more set-ups"] * (len(found) > most)
 
 
-def _frame(c: Calibration, f: int, group: str) -> str:
+def _frame(c: CalibrationValues, f: int, group: str) -> str:
     """One measurement frame; of a socket the point in the base, of a plane its normal and distance."""
     T, directions, base = c.setup.T_frame_base[f], c.setup.unknown[f], c.nominal.base
     names = {k for k, g in zip(c.rows.kinds, c.rows.groups, strict=True) if g == c.setup.groups[f]}
@@ -334,14 +334,14 @@ def _rpy(T: NDArray[np.float64]) -> str:
     return f", rpy ({', '.join(map(deg, pin.rpy.matrixToRpy(T[:3, :3])))}) deg"
 
 
-def _half_widths(c: Calibration, what: str, directions: Iterable[str], name: str) -> str:
+def _half_widths(c: CalibrationValues, what: str, directions: Iterable[str], name: str) -> str:
     """Half the 95 % intervals of parameters of a frame or target, [mm] or [deg]."""
     every = [c.parameter(placed_name(what, direction, name)) for direction in directions]
     scale = {"m": 1e3, "rad": float(np.degrees(1.0))}
     return ", ".join(f"{0.5 * scale[p.unit] * (p.high - p.low):.3g}" for p in every)
 
 
-def _errors(c: Calibration) -> str:
+def _errors(c: CalibrationValues) -> str:
     """The error tables: before and after, by set, and on held-out rows; a second one for orientations."""
     rows = error_rows(c)
     lines = [error_head(error_title(c.used)), *(error_row(label, e) for label, e in rows if e.n)]
@@ -350,7 +350,7 @@ def _errors(c: Calibration) -> str:
     return "\n".join([*lines, *filter(None, [held_out_text(c)])])
 
 
-def _flagged(c: Calibration) -> str:
+def _flagged(c: CalibrationValues) -> str:
     """The rows that do not belong to the others, the first dozen of each set."""
     if not c.outliers:
         lines = ["Outliers: none."]
@@ -371,7 +371,7 @@ def _outliers(every: Sequence[Outlier]) -> str:
     return "; ".join(shown + [f"and {more} more"] * (more > 0))
 
 
-def _ladder(c: Calibration) -> str:
+def _ladder(c: CalibrationValues) -> str:
     """The models that were tried, and which of them were chosen."""
     if not c.candidates:
         return ""
@@ -392,7 +392,7 @@ def _ladder(c: Calibration) -> str:
     return "\n".join([*lines, note])
 
 
-def _parameters(c: Calibration) -> str:
+def _parameters(c: CalibrationValues) -> str:
     """The parameters with their 95 % intervals; * where the data know them in combinations only."""
     shown, none = shown_parameters(c), errorless(c)
     if not shown:
@@ -429,7 +429,7 @@ LEVEL = 0.95
 _LONGEST_HERE, _NUMBER = 34, 10
 
 
-def bootstrap_text(result: Calibration, found: Bootstrap) -> str:
+def bootstrap_text(result: CalibrationValues, found: Bootstrap) -> str:
     """The bootstrap's intervals beside those of the covariance.
 
     Those of a frame are left out: its parameters count from where registration put it.

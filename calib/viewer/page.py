@@ -36,7 +36,7 @@ from tornado.websocket import WebSocketHandler
 import calib.report.figure_base as look
 import calib.viewer.scene as stage
 from calib.errors import CalibError, ModelError, choices
-from calib.result.calibration import Calibration
+from calib.result.calibration import CalibrationValues
 from calib.robot.robot import Robot
 from calib.units import Array
 from calib.viewer.scene import Page
@@ -71,7 +71,9 @@ _BALL, _ARROW = 0.009, 0.12
 FACTORS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 
 
-def write_page(calibration: Calibration, path: str | Path, *, overwrite: bool = False) -> Path:
+def write_page(
+    calibration: CalibrationValues, path: str | Path, *, overwrite: bool = False
+) -> Path:
     """Write the page of a calibration, whole or not at all; see `Page.write`."""
     return view_page(view_of(calibration)).write(path, overwrite=overwrite)
 
@@ -374,7 +376,7 @@ def serve(view: View, *, port: int, browser: bool, say: Callable[[str], object])
     say("Stopped.")
 
 
-Shown = Calibration | Robot
+Shown = CalibrationValues | Robot
 
 
 @overload
@@ -391,7 +393,7 @@ def view(shown: Shown, other: Robot | None = None, *, live: bool = False) -> Pat
     A ``live`` page is served by this program, which can move the robots and draw more, until the viewer is closed.
     Otherwise it is a file in a temporary folder of its own. Two robots must have the same joints.
     """
-    if isinstance(shown, Calibration):
+    if isinstance(shown, CalibrationValues):
         scene = view_of(shown)
     else:
         names = (("First", shown.urdf.source), ("Second", (other or shown).urdf.source))

@@ -21,8 +21,8 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.errors import ModelError, choices
 from calib.report.figure_base import angles_of, flagged_rows, lengths_of, measured_in_base, placed
-from calib.result.calibration import Calibration
-from calib.result.comparison import Comparison
+from calib.result.calibration import CalibrationValues
+from calib.result.comparison import ComparisonValues
 from calib.result.evaluation import PLACES, Evaluation, evaluate
 from calib.robot.full_model import full_configurations, full_model, link_frame
 from calib.robot.meshes import LinkShape, find_mesh, link_shapes, mesh_folders, read_mesh
@@ -121,7 +121,7 @@ class View:
         return np.array([nominal[:, :3, 3], other[:, :3, 3]])
 
 
-def view_of(calibration: Calibration) -> View:
+def view_of(calibration: CalibrationValues) -> View:
     """The view of a calibration: every row a pose."""
     c, m = calibration, calibration.measurements
     before = Evaluation(c.nominal, m, c.nominal_setup, (), c.residual_nominal, c.used)
@@ -131,7 +131,7 @@ def view_of(calibration: Calibration) -> View:
 
 
 def view_of_result(
-    result: Calibration,
+    result: CalibrationValues,
     robot: Robot,
     table: Measurements | None = None,
     cell: Cell | None = None,
@@ -198,7 +198,7 @@ def view_of_robots(
     return replace(view, nominal_target=targets[0], calibrated_target=targets[-1])
 
 
-def view_of_comparison(comparison: Comparison) -> View:
+def view_of_comparison(comparison: ComparisonValues) -> View:
     """The view of two results of one robot, with the first one's target, each in the base as its own fit has it.
 
     The poses are not measured ones: they are spread over the joint limits, and their labels say so.
@@ -211,7 +211,7 @@ def view_of_comparison(comparison: Comparison) -> View:
     return replace(view, title=title, note=sentence(c))
 
 
-def _judged(view: View, c: Calibration) -> View:
+def _judged(view: View, c: CalibrationValues) -> View:
     """The view with the verdict of a result and its first reason."""
     if c.verdict is None:
         return replace(view, note="No verdict: nothing was cross-validated.")

@@ -26,7 +26,7 @@ from calib.data.measurements import Measurements
 from calib.estimate.statistics import Repeats
 from calib.model.error_model import error_model
 from calib.result.calibrate import calibrate
-from calib.result.calibration import Calibration
+from calib.result.calibration import CalibrationValues
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.simulation.truth import draw_truth
@@ -167,7 +167,7 @@ def test_every_kind_of_result_has_errors_to_expect(case: str):
 
 
 @pytest.fixture(scope="module")
-def estimated(ur3: Robot) -> Calibration:
+def estimated(ur3: Robot) -> CalibrationValues:
     """Points in a frame that is estimated, the noise stated."""
     q = random_joint_values(ur3, 25, 4)
     rng = np.random.default_rng(5)
@@ -178,7 +178,7 @@ def estimated(ur3: Robot) -> Calibration:
     return calibrate(ur3, table, cell=cell)
 
 
-def test_the_frame_of_the_program_counts(estimated: Calibration):
+def test_the_frame_of_the_program_counts(estimated: CalibrationValues):
     q = random_joint_values(estimated.nominal, 20, 8)
     in_base = expected_errors(pair_of(estimated, tool=TOOL), q)
     in_frame = expected_errors(pair_of(estimated, tool=TOOL, frame=""), q)
@@ -197,10 +197,10 @@ def test_the_frame_of_the_program_counts(estimated: Calibration):
     ]
 
 
-def test_noise_that_is_not_stated_counts_as_error(estimated: Calibration):
+def test_noise_that_is_not_stated_counts_as_error(estimated: CalibrationValues):
     q = random_joint_values(estimated.nominal, 20, 8)
 
-    def of(result: Calibration) -> ExpectedErrors:
+    def of(result: CalibrationValues) -> ExpectedErrors:
         return expected_errors(pair_of(result, tool="", frame=""), q)
 
     assert squares(of(estimated))["model"] == 0.0

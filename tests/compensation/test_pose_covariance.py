@@ -22,7 +22,7 @@ from calib.model.families import FAMILIES
 from calib.model.kinematics import Samples
 from calib.model.parameters import FRAME
 from calib.result.calibrate import calibrate
-from calib.result.calibration import Calibration
+from calib.result.calibration import CalibrationValues
 from calib.robot.ranges import random_joint_values
 from calib.selection.selection import Candidate
 from tests.hard_cases import made, ur3
@@ -33,7 +33,7 @@ TOOL[:3, 3] = 0.05, 0.0, 0.1
 
 
 @cache
-def in_a_frame(model: str = "dh", noise: float = 1e-4, **changes) -> Calibration:
+def in_a_frame(model: str = "dh", noise: float = 1e-4, **changes) -> CalibrationValues:
     """A UR3 without errors, measured in a frame that is estimated."""
     robot = ur3()
     q = random_joint_values(robot, 25, 4)
@@ -44,11 +44,11 @@ def in_a_frame(model: str = "dh", noise: float = 1e-4, **changes) -> Calibration
     return calibrate(robot, Measurements(robot.joint_names, q, points), cell=cell, validate=False)
 
 
-def joint_values(found: Calibration, count: int = 7) -> np.ndarray:
+def joint_values(found: CalibrationValues, count: int = 7) -> np.ndarray:
     return found.measurements.joints_for(found.nominal.joint_names)[:count]
 
 
-def std(found: Calibration, q: np.ndarray, view: dict) -> np.ndarray:
+def std(found: CalibrationValues, q: np.ndarray, view: dict) -> np.ndarray:
     """Standard deviations of positions and angles, shape (N, 2)."""
     given = {"T_tip_tool": None, "in_base": False, "base": KNOWN_BASE, **view}
     covariance = pose_covariance(found, View(samples=found.samples(q), **given)).covariance

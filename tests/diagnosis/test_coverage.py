@@ -11,7 +11,8 @@ from calib.diagnosis.coverage import outside, spread_of
 from calib.example import paper_measurements
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
-from calib.result.calibrate import Calibration, calibrate
+from calib.result.calibrate import calibrate
+from calib.result.calibration import CalibrationValues
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 
@@ -96,12 +97,12 @@ def table(ur3: Robot) -> Measurements:
 
 
 @pytest.fixture(scope="module")
-def robust(ur3: Robot, table: Measurements) -> Calibration:
+def robust(ur3: Robot, table: Measurements) -> CalibrationValues:
     return calibrate(ur3, table, cell=CELL, validate=False)
 
 
 @pytest.fixture(scope="module")
-def plain(ur3: Robot, table: Measurements) -> Calibration:
+def plain(ur3: Robot, table: Measurements) -> CalibrationValues:
     return calibrate(ur3, table, cell=CELL, robust=False, validate=False)
 
 

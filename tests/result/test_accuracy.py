@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.result.calibrate import Calibration
+from calib.result.calibration import CalibrationValues
 from calib.result.calibration_file import read_result, write_result
 from calib.result.evaluation import Accuracy, accuracy, evaluate, fitted_rows, judged_rows
 from calib.robot.ranges import random_joint_values
@@ -158,7 +158,7 @@ def test_rows_that_nothing_was_found_from_are_judged_alone(
     assert (alone.rows, alone.seen, len(alone.poses)) == ("all", seen, 12)
 
 
-def known_again(c: Calibration, m: Measurements) -> np.ndarray:
+def known_again(c: CalibrationValues, m: Measurements) -> np.ndarray:
     """By a result that was written and read, its file's name and hash aside."""
     with TemporaryDirectory() as folder:
         stored = read_result(write_result(c, Path(folder) / "r.json"))
@@ -171,7 +171,7 @@ def test_rows_of_every_kind_are_known_again(case):
     assert np.array_equal(known_again(c, c.measurements), wanted)
 
 
-def test_neither_order_nor_number_nor_set_hides_a_row(default_result: Calibration):
+def test_neither_order_nor_number_nor_set_hides_a_row(default_result: CalibrationValues):
     m = default_result.measurements
     order = np.random.default_rng(1).permutation(len(m))[:20]
     shuffled = Measurements(m.joint_names, m.joints[order], m.points[order])
@@ -180,7 +180,7 @@ def test_neither_order_nor_number_nor_set_hides_a_row(default_result: Calibratio
 
 @pytest.mark.parametrize(("change", "known"), [(1e-9, True), (1e-6, False)])
 def test_a_row_that_was_measured_again_is_another(
-    default_result: Calibration, change: float, known: bool
+    default_result: CalibrationValues, change: float, known: bool
 ):
     """What is lost in rounding is not a measurement; a micrometre is."""
     m = default_result.measurements

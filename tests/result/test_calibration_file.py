@@ -17,7 +17,7 @@ from calib.data.cell import Cell
 from calib.errors import FileError, ModelError
 from calib.example import paper_urdf
 from calib.result.acceptance import assess
-from calib.result.calibration import Calibration as Values
+from calib.result.calibration import CalibrationValues
 from calib.result.calibration_file import (
     read_result,
     write_result,
@@ -106,7 +106,10 @@ def test_a_result_read_back_is_the_one_written(case: Any, tmp_path: Path):
     """Field by field, of every kind of measurement; and so is what is said of it."""
     _, c = case
     read = read_result(c.write_json(tmp_path / "r.json"))
-    assert differences(Values(**{f.name: getattr(c, f.name) for f in fields(c)}), read) == []
+    assert (
+        differences(CalibrationValues(**{f.name: getattr(c, f.name) for f in fields(c)}), read)
+        == []
+    )
     assert summary(read) == c.summary()
 
 

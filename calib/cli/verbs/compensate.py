@@ -70,7 +70,7 @@ def compensate(
     from calib.compensation.commands import compensate as compensated, write_commands
     from calib.compensation.program import read_program
     from calib.data.table import Table
-    from calib.result.calibration import Calibration
+    from calib.result.calibration import CalibrationValues
     from calib.result.calibration_file import read_result
     from calib.robot.robot import Robot
     from calib.text.compensation import no_commands, text
@@ -83,7 +83,7 @@ def compensate(
         raise CalibError("--payload is for the non-geometric model, which --geometry leaves out.")
     words.check_outputs([output], [robot, program, source], force=force)
     renamed, held = words.parse_columns(columns or []), words.parse_held(hold or [])
-    actual: Calibration | Robot
+    actual: CalibrationValues | Robot
     carried, without = None, ""
     if calibration is not None:
         actual = read_result(calibration)
