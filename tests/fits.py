@@ -14,10 +14,10 @@ from scipy.spatial.transform import Rotation
 from calib.calibration import Calibration, calibrate
 from calib.data.cell import Cell, GroupDistance
 from calib.data.measurements import Measurements
-from calib.estimate.rows import Rows
 from calib.example import PAPER_TARGET, paper_measurements, paper_urdf
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
+from calib.registration.rows import Rows
 from calib.robot.gravity import GRAVITY, gravity_loads
 from calib.robot.payload import Payload
 from calib.robot.ranges import random_joint_values

@@ -17,11 +17,12 @@ import numpy as np
 import calib.data.kinds as registry
 from calib.diagnosis.reasons import Verdict
 from calib.estimate.fitting import Fitted
-from calib.estimate.setup import Setup
-from calib.estimate.statistics import CrossValidation, interval_factor, rms
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability
 from calib.model.parameters import FRAME, TARGET, ErrorModel
+from calib.numerics.errors import CrossValidation, rms
+from calib.numerics.intervals import interval_factor
+from calib.registration.setup import Setup
 from calib.robot.gravity import gravity_loads
 from calib.robot.payload import Payload
 from calib.robot.robot import Robot, read_only

@@ -14,10 +14,10 @@ import numpy as np
 
 from calib.errors import MeasurementError, ModelError, choices
 from calib.estimate.fitting import Fitted, Task, fit, model_of
-from calib.estimate.rows import Rows
-from calib.estimate.statistics import CrossValidation
 from calib.model.families import family_of, joint_families
 from calib.model.joint_errors import joint_displacements, joint_parameters
+from calib.numerics.errors import CrossValidation
+from calib.registration.rows import Rows
 from calib.robot.robot import read_only
 from calib.selection.cross_validation import chance_of_fall, linear_cross_validation, pose_errors
 from calib.units import Array
