@@ -32,7 +32,9 @@ from calib.data.surroundings import (
 )
 from calib.errors import CalibError, FileError, choices
 from calib.model.error_model import DIRECTIONS
-from calib.robot.robot import GRAVITY, Payload, read_only
+from calib.robot.gravity import GRAVITY
+from calib.robot.payload import Payload
+from calib.robot.robot import read_only
 from calib.units import Array, is_number
 
 __all__ = [
