@@ -1,1 +1,1 @@
-"""Arrays in, arrays out: solvers, likelihood, scores and repeats of rows, rotations and poses. Imports robot and below."""
+"""Arrays in, arrays out: solvers, likelihood, scores and repeats of rows, rotations. Imports robot and below."""
