@@ -27,7 +27,7 @@ from calib.model.observability import Observability
 from calib.result.prediction import NonGeometric, Outlier, ParameterEstimate, Solved, tells_place
 from calib.result.robustness import Robustness
 from calib.robot.robot import Payload, Robot, rigid_inverse
-from calib.selection.selection import Candidate
+from calib.selection.candidates import Candidate
 from calib.units import Array, Mask
 
 #: Values that stand for all those between the ends of a measured range.

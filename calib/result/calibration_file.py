@@ -38,7 +38,7 @@ from calib.result.prediction import NonGeometric, Outlier, Solved
 from calib.result.robustness import Robustness
 from calib.robot.robot import Payload, Robot, read_only
 from calib.robot.urdf import Urdf
-from calib.selection.selection import Candidate
+from calib.selection.candidates import Candidate
 from calib.units import Array
 from calib.version import __version__
 

@@ -23,7 +23,7 @@ from calib.model.kinematics import FRAME, Samples
 from calib.result.calibrate import calibrate
 from calib.result.calibration import CalibrationValues
 from calib.robot.readback import random_joint_values
-from calib.selection.selection import Candidate
+from calib.selection.candidates import Candidate
 from tests.hard_cases import made, ur3
 
 KNOWN_BASE = np.zeros((6, 6))

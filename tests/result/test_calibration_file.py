@@ -144,7 +144,7 @@ def test_the_values_are_those_of_the_calibration(
     result_json: dict[str, Any], default_result: Calibration
 ):
     c = default_result
-    assert result_json["schema"] == 5
+    assert result_json["schema"] == 6
     for who, sets in c.errors.items():
         for name, errors in sets.items():
             stored = result_json["errors"][who][name]
