@@ -17,13 +17,15 @@ import numpy as np
 from scipy.special import fdtrc, stdtr
 
 from calib.estimate.fitting import PAPER, Fitted
-from calib.estimate.problem import Linear, Priors
-from calib.estimate.rows import Rows
-from calib.estimate.stages import PriorTerms, Stage
-from calib.estimate.statistics import rms
+from calib.estimate.linear import Linear
+from calib.estimate.prior_terms import PriorTerms
+from calib.estimate.stages import Stage
 from calib.model.dh import zero_poses
 from calib.model.families import ANGLE, LENGTH, ZERO
 from calib.model.kinematics import FRAME, TARGET
+from calib.numerics.errors import rms
+from calib.numerics.likelihood import Priors
+from calib.registration.rows import Rows
 from calib.units import Array, Mask
 
 #: A p-value below which a finding is not taken for chance.
@@ -58,7 +60,7 @@ class FurtherUnknowns:
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
 
-def estimate_beside(
+def estimate_jointly(
     fitted: Fitted,
     columns: Array,
     of_distances: Array | None = None,
@@ -123,7 +125,7 @@ PREDICTS = 0.1
 _BLOCKS = 8
 
 
-def fall_on_blocks(fitted: Fitted, columns: Array, weights: Array) -> float:
+def gain_on_blocks(fitted: Fitted, columns: Array, weights: Array) -> float:
     """The share by which the error of held-out blocks of consecutive rows falls with further unknowns.
 
     Noise, prior sizes and weights stay as they are. Only rows count whose frame and target other blocks see too.
@@ -161,7 +163,7 @@ def _error_of_blocks(fitted: Fitted, linear: Linear, weights: Array) -> float:
     return float(np.sqrt(np.mean(every))) if len(every) else 0.0
 
 
-def has_priors(fitted: Fitted) -> bool:
+def priors_from_data(fitted: Fitted) -> bool:
     """Whether the sizes of the errors are found from the data, so that they can be found anew."""
     return fitted.task.solver != PAPER and fitted.task.cell.priors.source == "data"
 
@@ -204,7 +206,7 @@ def instrument_scale(fitted: Fitted) -> Scale | None:
     measured = bool(np.any(columns))
     if not measured and not np.any(known):
         return None
-    beside = estimate_beside(fitted, columns, known)
+    beside = estimate_jointly(fitted, columns, known)
     # The uncertainty is mostly that of the arm's lengths, whose prior is estimated with few degrees of freedom.
     freedom = float(np.sum(beside.determined[lengths])) - 1.0
     reach = rms(np.linalg.norm(from_base, axis=1))
@@ -239,7 +241,7 @@ def motion_of_base(fitted: Fitted) -> BaseMotion | None:
     columns[~seen] = 0.0
     first = fitted.task.robot.joints[0].name
     of_first = np.array([p.place == first and p.factor is None for p in model.parameters])
-    beside = estimate_beside(fitted, columns, held=of_first)
+    beside = estimate_jointly(fitted, columns, held=of_first)
     of_robot = ~model.family(FRAME, TARGET)
     freedom = float(np.sum(beside.determined[of_robot & ~of_first]))
     across, along, about = _directions_at_first_joint(fitted)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.diagnosis.further_unknowns import PREDICTS, fall_on_blocks
+from calib.diagnosis.further_unknowns import PREDICTS, gain_on_blocks
 from calib.diagnosis.patterns import (
     Explained,
     Stack,
@@ -22,7 +22,7 @@ from calib.diagnosis.patterns import (
     step,
 )
 from calib.diagnosis.reasons import Reason, Why
-from calib.diagnosis.setups import SOME_FLAGGED
+from calib.diagnosis.stations import SOME_FLAGGED
 from calib.estimate.fitting import Fitted
 from calib.model.error_model import error_model
 from calib.model.kinematics import ErrorModel, Kinematics
@@ -32,7 +32,7 @@ from calib.units import Array, Integers, Mask
 ROUNDING_NOISE = 1e-6
 
 #: With fewer degrees of freedom no pattern is looked for.
-TELLING = 10.0
+FEWEST_FREEDOM = 10.0
 
 #: A direction was fitted where an error of the expected size moves the scalars by so many standard deviations.
 _FITTED = 1.0
@@ -137,7 +137,7 @@ def residual_patterns(fitted: Fitted, order: Order) -> Iterator[Reason]:
     """
     rows = fitted.estimate.problem.rows
     noise = np.median(fitted.estimate.problem.scales[rows.used])
-    if fitted.estimate.freedom < TELLING or noise < ROUNDING_NOISE:
+    if fitted.estimate.freedom < FEWEST_FREEDOM or noise < ROUNDING_NOISE:
         return
     residuals = Residuals.of(fitted)
     yield from _rounded_joints(residuals)
@@ -156,7 +156,7 @@ def residual_patterns(fitted: Fitted, order: Order) -> Iterator[Reason]:
         yield Reason.of(Why.JOINT_PATTERN, **values, **explained.values)
     drifting = _drift_beside(residuals, stack, patterns)
     if drifting is not None:
-        falls = fall_on_blocks(fitted, _drift_columns(fitted), residuals.weights)
+        falls = gain_on_blocks(fitted, _drift_columns(fitted), residuals.weights)
         yield Reason.of(Why.DRIFT, **drifting.values, falls=falls)
 
 
@@ -196,7 +196,7 @@ def _lagging_joints(residuals: Residuals, order: Order) -> Iterator[Reason]:
         zeros = [f"{fitted.task.robot.inputs[i].name}.zero" for i in joints]
         columns = residuals.columns[:, :, [residuals.displacements.index(z) for z in zeros]]
         columns = columns * order.moves[:, None, joints]
-        falls = fall_on_blocks(fitted, columns, residuals.weights)
+        falls = gain_on_blocks(fitted, columns, residuals.weights)
         if falls >= PREDICTS:
             values = {"joint": name, "of_move": float(np.sqrt(np.mean(shares**2))), "falls": falls}
             yield Reason.of(Why.JOINTS_LAG, **values, **explained.values)
@@ -219,7 +219,7 @@ def _moved_target(
     if jump is None or (drifting is not None and jump.test.share <= drifting.share):
         return None
     later = (np.arange(len(rows)) >= jump.row)[:, None, None]
-    falls = fall_on_blocks(fitted, later * residuals.columns[:, :, moved], residuals.weights)
+    falls = gain_on_blocks(fitted, later * residuals.columns[:, :, moved], residuals.weights)
     name, number = fitted.setup.targets[target], int(order.numbers[jump.row])
     values = {"target": name, "row": number, "moved_m": jump.size, "falls": falls}
     return Reason.of(Why.TARGET_STEP, **values, **jump.test.values), jump.Z

@@ -10,7 +10,7 @@ from scipy.special import stdtr
 
 from calib.diagnosis.further_unknowns import PREDICTS
 from calib.diagnosis.reasons import CARE, NO, USE, Reason, Verdict, Why
-from calib.estimate.statistics import CrossValidation, Errors
+from calib.numerics.errors import CrossValidation, Errors
 from calib.units import Array, Integers, Mask
 
 #: Scalar measurements per parameter below which a fit leans on its priors.
@@ -85,7 +85,9 @@ class Evidence:
     noise: float  # Of one length [m]
     expected: float  # Error to expect of predictions over the joint limits, rms [m]
     expected_of_nominal: float  # The same of the nominal robot's [m]
-    whole: int = 0  # Parameters of a full geometry, where `auto` may have chosen a smaller one
+    full_model_parameters: int = (
+        0  # Parameters of a full geometry, where `auto` may have chosen a smaller one
+    )
     doubts: tuple[Reason, ...] = ()  # What was found besides errors
     notes: tuple[Reason, ...] = ()  # Stated last, and decide nothing
     hint: Reason | None = None  # Which set-up would explain the measurements better
@@ -119,7 +121,7 @@ class Evidence:
         return gain, float(stdtr(len(fall) - 1, -gain))
 
     @property
-    def quiet(self) -> bool:
+    def at_noise_level(self) -> bool:
         """Whether the nominal robot's error is about the noise that the best model leaves, outliers aside."""
         square, noise = self._squares(self.nominal)
         return bool(square < _AT_THE_NOISE**2 * noise)
@@ -215,7 +217,7 @@ class _Figures:
             unproven=gain <= 0.0 or chance > _CHANCE,
             handful=size["poses"] + size["pairs"] < _HANDFUL,
             few=numbers < _FEW * e.parameters,
-            sparse=numbers < _FEW * max(e.parameters, e.whole),
+            sparse=numbers < _FEW * max(e.parameters, e.full_model_parameters),
             flagged=flagged,
             many=many,
             accidents=many and e.accidental,
@@ -268,10 +270,10 @@ def verdict(e: Evidence) -> Verdict:
 def _against(e: Evidence, f: _Figures) -> list[Reason]:
     """Why the corrected robot is not to be used: the weightiest reason, and failing validation rows."""
     both = _both(e, f)
-    nothing = f.unproven and e.quiet and f.plausible and not f.sparse
-    too_few = f.unproven and (f.handful or f.few or (e.quiet and f.sparse))
+    nothing = f.unproven and e.at_noise_level and f.plausible and not f.sparse
+    too_few = f.unproven and (f.handful or f.few or (e.at_noise_level and f.sparse))
     worse = bool(f.flagged) and _typical(f.after_all) > _ALIKE * _typical(f.before_all)
-    size = {**_size(e), "parameters": max(e.parameters, e.whole), "gain": f.gain}
+    size = {**_size(e), "parameters": max(e.parameters, e.full_model_parameters), "gain": f.gain}
     unfit = bool(f.fresh_after.n) and not f.fresh_falls
     here_only = f.proven_here and e.expected < _ABSURD
     lost = f.lost and f.everywhere > _REMAINS and not here_only

@@ -23,7 +23,7 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.coverage import OutsideRow
 from calib.diagnosis.reasons import Reason
-from calib.diagnosis.usual_mistakes import better_setup
+from calib.diagnosis.usual_mistakes import find_usual_mistake
 from calib.errors import CalibError, MeasurementError, choices
 from calib.result.calibration import CalibrationValues
 from calib.result.evaluation import (
@@ -213,7 +213,7 @@ def assess(
     hint: Reason | None = None
     if c is None:
         found = {"urdf": evaluate(robot, table, cell)}
-        hint = better_setup(robot, cell, table.select(registering(table)))
+        hint = find_usual_mistake(robot, cell, table.select(registering(table)))
     else:
         states = {
             "nominal": (nominal, c.nominal_setup, None),

@@ -19,7 +19,6 @@ import pinocchio as pin
 from calib.diagnosis.coverage import OutsideRow
 from calib.diagnosis.reasons import Reason
 from calib.errors import CalibError, FileError
-from calib.estimate.statistics import CrossValidation, Errors, Repeats
 from calib.files import (
     Json,
     JsonLayout,
@@ -33,11 +32,14 @@ from calib.files import (
 from calib.model.families import FAMILIES, Factor, factor_of
 from calib.model.kinematics import ErrorModel, Kinematics, Parameter
 from calib.model.observability import Observability
+from calib.numerics.errors import CrossValidation, Errors
+from calib.numerics.repeats import Repeats
 from calib.result.calibration import CalibrationValues, Source
 from calib.result.prediction import NonGeometric, Outlier, Solved
 from calib.result.robustness import Robustness
-from calib.robot.robot import Payload, Robot, read_only
+from calib.robot.robot import Payload, Robot
 from calib.robot.urdf import Urdf
+from calib.robot.urdf_tree import read_only
 from calib.selection.candidates import Candidate
 from calib.units import Array
 from calib.version import __version__

@@ -10,25 +10,25 @@ import numpy as np
 from calib.diagnosis.coverage import shares_of_ranges, spread_of
 from calib.diagnosis.further_unknowns import (
     UNLIKELY,
-    has_priors,
     instrument_scale,
     motion_of_base,
+    priors_from_data,
 )
 from calib.diagnosis.patterns import FALSE_ALARM
 from calib.diagnosis.reasons import Reason, Why
 from calib.diagnosis.residual_patterns import (
+    FEWEST_FREEDOM,
     ROUNDING_NOISE,
-    TELLING,
     Order,
     residual_patterns,
 )
-from calib.diagnosis.setups import disagreeing_setups, flagged_setup
+from calib.diagnosis.stations import disagreeing_stations, flagged_station
 from calib.estimate.fitting import PAPER, Fitted, fit, model_of
 from calib.estimate.gauge import measures_length
 from calib.estimate.problem import Problem
-from calib.estimate.registration import ENOUGH
-from calib.estimate.rows import LENGTHS, Rows
 from calib.model.families import FAMILIES, joint_families
+from calib.registration.registration import ENOUGH
+from calib.registration.rows import LENGTHS, Rows
 from calib.result.calibration import CalibrationValues
 from calib.robot.readback import column_ranges, spread_poses
 from calib.robot.robot import Robot
@@ -85,8 +85,8 @@ def _doubts(result: CalibrationValues, fitted: Fitted, rows: Rows) -> Iterator[R
         yield from _missing_model(few)
     yield from _corner(few)
     yield from residual_patterns(few, _order(result, chosen))
-    yield from disagreeing_setups(few)
-    yield from flagged_setup(fitted)
+    yield from disagreeing_stations(few)
+    yield from flagged_station(fitted)
     yield from _negative_compliances(result)
     yield from _agreeing_repeats(result, fitted)
     if not measures_length(rows, fitted.task.distances):
@@ -107,7 +107,7 @@ def _given(result: CalibrationValues, fitted: Fitted) -> Iterator[Reason]:
         far = float(np.linalg.norm(found.T_tip_target[t, :3, 3] - given.T_tip_target[t, :3, 3]))
         if far > _ELSEWHERE:
             yield Reason.of(Why.TARGET_FAR, target=name, far_m=far)
-    if not has_priors(fitted):
+    if not priors_from_data(fitted):
         return
     base = motion_of_base(fitted)
     if base is not None and base.p < UNLIKELY and base.effect > _LIKE_THE_ARM * base.effect_of_arm:
@@ -164,7 +164,7 @@ def _agreeing_repeats(result: CalibrationValues, fitted: Fitted) -> Iterator[Rea
     """Say if repeats agree far better with each other than with the model."""
     sigma = float(np.median(fitted.estimate.problem.rows.sigma))
     repeats, noise = result.repeats, float(fitted.estimate.noise[0]) * sigma
-    if repeats is None or not len(repeats.within) or repeats.freedoms[0] < TELLING:
+    if repeats is None or not len(repeats.within) or repeats.freedoms[0] < FEWEST_FREEDOM:
         return
     within = float(repeats.within[0])
     if within < _SCATTER_SHARE * noise and noise >= ROUNDING_NOISE:

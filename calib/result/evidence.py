@@ -9,9 +9,9 @@ import numpy as np
 from calib.diagnosis.reasons import NO, Reason, Why
 from calib.diagnosis.verdict import Evidence
 from calib.estimate.fitting import Fitted
-from calib.estimate.rows import Rows
-from calib.estimate.statistics import Errors
 from calib.model.kinematics import FRAME, TARGET
+from calib.numerics.errors import Errors
+from calib.registration.rows import Rows
 from calib.result.calibration import CalibrationValues
 from calib.result.doubts import noise_doubts
 from calib.result.prediction import NonGeometric, Solved, without_rigid_motion
@@ -66,7 +66,8 @@ def evidence_of(
         doubts=(*noise_doubts(result, fitted, doubts), *doubts),
         notes=tuple(_notes(result)) if non_geometric is None else (),
         parameters=len(model),
-        whole=(4 * len(fitted.task.robot.inputs) + fitted.setup.count) * bool(result.candidates),
+        full_model_parameters=(4 * len(fitted.task.robot.inputs) + fitted.setup.count)
+        * bool(result.candidates),
         changes=bool(np.any(part.x[of_robot])),
         largest=float(np.max(np.abs(part.x[geometry]), initial=0.0)),
         noise=result.sigma,

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.estimate.fitting import Fitted
-from calib.estimate.statistics import CrossValidation, Errors
 from calib.model.families import family_of
+from calib.numerics.errors import CrossValidation, Errors
 from calib.selection.ladder import LADDER, model_name
 from calib.selection.linear_folds import linear_cross_validation
 

@@ -11,10 +11,10 @@ from dataclasses import replace
 import numpy as np
 
 from calib.estimate.fitting import Fitted, Task, fit
-from calib.estimate.registration import ENOUGH, nominal_setup
-from calib.estimate.rows import Rows
-from calib.estimate.statistics import CrossValidation
 from calib.jobs import Progress
+from calib.numerics.errors import CrossValidation
+from calib.registration.registration import ENOUGH, nominal_setup
+from calib.registration.rows import Rows
 from calib.selection.folds import Folds
 from calib.selection.held_out import held_out_residual, residual_after_registration
 from calib.selection.linear_folds import held_out_residuals_linear

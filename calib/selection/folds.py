@@ -13,11 +13,11 @@ import numpy as np
 
 from calib.errors import MeasurementError
 from calib.estimate.fitting import Task
-from calib.estimate.rows import Rows
-from calib.estimate.setup import joined_setups
-from calib.estimate.statistics import CrossValidation, Errors
 from calib.model.error_model import DIRECTIONS
-from calib.robot.robot import read_only
+from calib.numerics.errors import CrossValidation, Errors
+from calib.registration.known_distances import joined_setups
+from calib.registration.rows import Rows
+from calib.robot.urdf_tree import read_only
 from calib.units import Array, Integers, Mask
 
 #: Largest number of folds: up to as many poses or stations are held out one at a time.

@@ -7,9 +7,9 @@ from itertools import compress
 import numpy as np
 
 from calib.estimate.fitting import Fitted
-from calib.estimate.registration import register_poses
-from calib.estimate.rows import Rows
-from calib.estimate.setup import Setup
+from calib.registration.registration import register_poses
+from calib.registration.rows import Rows
+from calib.registration.setup import Setup
 from calib.units import Array, Mask
 
 

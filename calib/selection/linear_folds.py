@@ -13,9 +13,11 @@ from dataclasses import replace
 import numpy as np
 
 from calib.estimate.fitting import PAPER, Fitted, given_weights, weighting
-from calib.estimate.problem import Linear, Priors
-from calib.estimate.stages import FEWEST_FREEDOM, PriorTerms, Stage, staged
-from calib.estimate.statistics import CrossValidation
+from calib.estimate.linear import Linear
+from calib.estimate.prior_terms import PriorTerms
+from calib.estimate.stages import FEWEST_FREEDOM, Stage, staged
+from calib.numerics.errors import CrossValidation
+from calib.numerics.likelihood import Priors
 from calib.selection.folds import Folds
 from calib.selection.held_out import held_out_residual, seen_only_by
 from calib.units import Array, Mask

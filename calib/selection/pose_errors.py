@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import stdtr
 
-from calib.estimate.statistics import CrossValidation
+from calib.numerics.errors import CrossValidation
 from calib.units import Array, Mask
 
 

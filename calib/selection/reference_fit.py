@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from calib.estimate.fitting import Fitted, fit
-from calib.estimate.rows import Rows
-from calib.robot.robot import read_only
+from calib.registration.rows import Rows
+from calib.robot.urdf_tree import read_only
 from calib.selection.candidates import held_out_rms
 from calib.selection.ladder import determinable_families, model_name
 from calib.selection.linear_folds import linear_cross_validation

@@ -12,7 +12,7 @@ import numpy as np
 
 from calib.errors import MeasurementError
 from calib.estimate.fitting import Fitted, Task, fit
-from calib.estimate.rows import Rows
+from calib.registration.rows import Rows
 from calib.selection.candidates import Candidate, candidate_of, held_out_rms, is_vanished
 from calib.selection.geometry_choice import preferred_geometry
 from calib.selection.ladder import model_name

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.estimate.fitting import Fitted, Task, fit
-from calib.estimate.rows import Rows
+from calib.registration.rows import Rows
 from calib.selection.candidates import Candidate, mark_chosen, without_vanished_families
 from calib.selection.ladder import (
     check_parameter_names,

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.cli.setup import parse_tool
+from calib.cli.words import parse_tool
 
 DOC = Path(__file__).parents[2] / "docs" / "compensation.md"
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")

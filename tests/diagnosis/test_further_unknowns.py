@@ -10,14 +10,14 @@ from scipy.spatial.transform import Rotation
 
 from calib.data.cell import Cell
 from calib.diagnosis.further_unknowns import (
-    estimate_beside,
-    fall_on_blocks,
+    estimate_jointly,
+    gain_on_blocks,
     instrument_scale,
     motion_of_base,
 )
 from calib.estimate.fitting import Task, fit
-from calib.estimate.setup import rows_of
 from calib.model.kinematics import FRAME
+from calib.registration.table_rows import rows_of
 from calib.robot.readback import random_joint_values
 from tests.judged import arm, table_of
 
@@ -54,7 +54,7 @@ def test_unknowns_beside_are_those_of_a_fit_that_has_them(clean):
     columns = np.zeros((len(rows), 6, 6))
     columns[:, :3, :3], columns[:, 3:, 3:] = np.eye(3), np.eye(3)
     columns[:, :3, 3:] = np.cross(np.eye(3), T[:, :3, 3][:, :, None], axis=1)
-    beside = estimate_beside(known, rows.derivative(T, columns))
+    beside = estimate_jointly(known, rows.derivative(T, columns))
     found = free.placed().T_frame_base[0]
     np.testing.assert_allclose(beside.b[:3], found[:3, 3], atol=2e-5)
     np.testing.assert_allclose(
@@ -125,7 +125,7 @@ def test_a_known_distance_between_sockets_tells_the_scale(calibrated):
     cell = replace(result.cell, distances=wrong)
     rows, setup = rows_of(scene.robot, result.measurements, cell)
     task = replace(result.fitted.task, cell=cell, setup=setup)
-    from calib.estimate.setup import known_distances
+    from calib.registration.known_distances import known_distances
 
     found = fit(replace(task, distances=known_distances(cell, setup)), rows)
     assert instrument_scale(found).share == pytest.approx(0.01, abs=3.0 * scale.std)
@@ -137,7 +137,7 @@ def test_what_predicts_held_out_blocks_and_what_does_not(clean):
     order = np.linspace(0.0, 1.0, len(table))[:, None]
     drifting = fitted(scene, replace(table, points=table.points + 4e-4 * order))
     weights, columns = np.ones(len(table)), order[:, :, None] * np.eye(3)
-    assert fall_on_blocks(drifting, columns, weights) > 0.4
-    assert fall_on_blocks(fitted(scene, table), columns, weights) < 0.05
+    assert gain_on_blocks(drifting, columns, weights) > 0.4
+    assert gain_on_blocks(fitted(scene, table), columns, weights) < 0.05
     noise = np.random.default_rng(1).normal(size=(len(table), 3, 2))
-    assert fall_on_blocks(drifting, noise, weights) < 0.05
+    assert gain_on_blocks(drifting, noise, weights) < 0.05

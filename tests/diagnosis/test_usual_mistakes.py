@@ -15,10 +15,10 @@ from scipy.spatial.transform import Rotation
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Why
-from calib.diagnosis.usual_mistakes import better_setup, check_positions
+from calib.diagnosis.usual_mistakes import check_positions, find_usual_mistake
 from calib.errors import MeasurementError
-from calib.estimate.setup import rows_of
 from calib.example import PAPER_TARGET, paper_urdf
+from calib.registration.table_rows import rows_of
 from calib.result.calibrate import calibrate
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import Robot, read_only
@@ -56,7 +56,7 @@ def test_nothing_is_told_where_nothing_fits_better(ur3: Robot, thirty: Measureme
         (Cell(T_frame_base=read_only(np.eye(4))), moved),
         (Cell(), replace(thirty, joints=read_only(rng.uniform(-3, 3, (30, 6))))),
     ):
-        assert better_setup(ur3, cell, rows) is None
+        assert find_usual_mistake(ur3, cell, rows) is None
 
 
 ELBOW, LIFT, PAN = "elbow_joint", "shoulder_lift_joint", "shoulder_pan_joint"
@@ -80,7 +80,7 @@ WRISTS = ["wrist_1_joint", "wrist_2_joint", "wrist_3_joint"]
     ],
 )
 def test_each_usual_mistake_is_named(ur3: Robot, thirty: Measurements, mistake, why, values):
-    told = better_setup(ur3, Cell(), spoilt(thirty, **mistake))
+    told = find_usual_mistake(ur3, Cell(), spoilt(thirty, **mistake))
     assert told.why == why
     assert 2e-3 < told.values["error_m"] < 3e-3
     assert all(one in " ".join(map(str, told.values.values())) for one in values)
@@ -90,13 +90,13 @@ def test_all_explanations_that_the_rows_cannot_tell_apart_are_named(
     ur3: Robot, thirty: Measurements
 ):
     """The last joint's sign, and a zero of 180 deg: the target is found for either, at another place."""
-    reason = better_setup(ur3, Cell(), spoilt(thirty, joints=[1, 1, 1, 1, 1, -1]))
+    reason = find_usual_mistake(ur3, Cell(), spoilt(thirty, joints=[1, 1, 1, 1, 1, -1]))
     named = [{"code": reason.code, **reason.values}, *reason.values["others"]]
     assert {one["code"] for one in named} == {"joints_turned", "joint_zero"}
     assert all(one["error_m"] < 1.5 * reason.values["error_m"] + 1e-6 for one in named)
     assert any(one.get("joints") == WRISTS[2] for one in named)
     # Of a mistake that only one thing explains nothing else is named.
-    alone = better_setup(ur3, Cell(), spoilt(thirty, joints=[1, 1, -1, 1, 1, 1]))
+    alone = find_usual_mistake(ur3, Cell(), spoilt(thirty, joints=[1, 1, -1, 1, 1, 1]))
     assert "others" not in alone.values
 
 
@@ -111,27 +111,29 @@ def test_positions_that_are_all_one_are_refused_before_any_fit(ur3: Robot, thirt
 
 def test_a_wrong_base_a_trackers_frame_and_a_target_that_is_fixed(ur3: Robot, thirty: Measurements):
     world = Robot.load(paper_urdf(), tip="tool0")
-    base = better_setup(world, Cell(), thirty)
+    base = find_usual_mistake(world, Cell(), thirty)
     assert (base.why, base.values["link"]) == (Why.OTHER_BASE, "base")
     assert base.values["given_m"] == pytest.approx(0.529, abs=1e-3)
-    assert better_setup(ur3, Cell(), seen_elsewhere(thirty)).why == Why.OWN_FRAME
+    assert find_usual_mistake(ur3, Cell(), seen_elsewhere(thirty)).why == Why.OWN_FRAME
     for mistake in (
         {"p": [1, 0, 2]},
         {"points": [1, 1, -1]},
     ):  # a frame that may turn cannot tell them apart
         mirrored = spoilt(seen_elsewhere(thirty), **mistake)
-        assert better_setup(ur3, Cell(estimate_frame=True), mirrored).why == Why.POINTS_MIRRORED
+        assert (
+            find_usual_mistake(ur3, Cell(estimate_frame=True), mirrored).why == Why.POINTS_MIRRORED
+        )
     fixed = replace(WRONG, estimate_target=False)
-    assert better_setup(ur3, fixed, thirty).why == Why.TARGET_ELSEWHERE
+    assert find_usual_mistake(ur3, fixed, thirty).why == Why.TARGET_ELSEWHERE
     judged = calibrate(world, thirty.select(np.arange(30) < 14), model="zeros").verdict
     assert (judged.use, judged.reasons[0].values["link"]) == ("do not use", "base")
 
 
 def test_a_joint_without_values_and_a_tip_before_the_last_joints(ur3: Robot, thirty: Measurements):
     for joint in (0, 3):
-        told = better_setup(ur3, Cell(), spoilt(thirty, joints=1.0 - np.eye(6)[joint]))
+        told = find_usual_mistake(ur3, Cell(), spoilt(thirty, joints=1.0 - np.eye(6)[joint]))
         assert (told.why, told.values["joint"]) == (Why.JOINT_CONSTANT, ur3.joint_names[joint])
-    told = better_setup(ur3.rebuilt(tip="wrist_1_link"), Cell(), thirty)
+    told = find_usual_mistake(ur3.rebuilt(tip="wrist_1_link"), Cell(), thirty)
     assert told.why == Why.OTHER_TIP
     other = ur3.rebuilt(tip=told.values["link"])
     assert other.joint_names == ur3.joint_names
@@ -151,9 +153,11 @@ def test_orientations_that_are_written_otherwise(ur3: Robot, change, why, values
     table = Measurements(
         ur3.joint_names, q, T[:, :3, 3], kinds=("pose",) * 20, rotations=T[:, :3, :3]
     )
-    assert better_setup(ur3, Cell(), table) is None
+    assert find_usual_mistake(ur3, Cell(), table) is None
     quaternions = Rotation.from_matrix(T[:, :3, :3]).as_quat()
-    told = better_setup(ur3, Cell(), replace(table, rotations=change(quaternions).as_matrix()))
+    told = find_usual_mistake(
+        ur3, Cell(), replace(table, rotations=change(quaternions).as_matrix())
+    )
     assert told.why == why
     assert values.items() <= told.values.items()
     assert told.values["error_rad"] < 0.05 < 1.0 < told.values["given_rad"]
@@ -177,4 +181,4 @@ def test_a_cell_may_name_targets_that_few_rows_of_a_long_table_see(ur3: Robot):
     points = [T[:3, 3] + T[:3, :3] @ places[n] for T, n in zip(poses, names, strict=False)]
     table = Measurements(ur3.joint_names, q, np.array(points), targets=names[:119])
     cell = Cell(targets={name: read_only(place) for name, place in places.items()})
-    assert better_setup(ur3, cell, table) is None
+    assert find_usual_mistake(ur3, cell, table) is None

@@ -9,7 +9,7 @@ import pytest
 
 from calib.diagnosis.reasons import Reason, Verdict, Why
 from calib.diagnosis.verdict import Evidence, verdict
-from calib.estimate.statistics import CrossValidation, Errors
+from calib.numerics.errors import CrossValidation, Errors
 
 ROWS = 30
 
@@ -149,7 +149,7 @@ def test_a_good_calibration_is_to_be_used_and_says_by_how_much():
             Why.TOO_FEW,
         ),
         ({**RIGHT, "parameters": 60}, "do not use", Why.TOO_FEW),
-        ({**RIGHT, "whole": 60}, "do not use", Why.TOO_FEW),
+        ({**RIGHT, "full_model_parameters": 60}, "do not use", Why.TOO_FEW),
         ({**RIGHT, "outliers": np.arange(ROWS) < 6}, "do not use", Why.NO_BETTER),
         ({**RIGHT, "doubts": (LOUD,)}, "do not use", Why.NO_BETTER),
         ({"largest": 4.6}, "use with care", Why.PARAMETER_FAR),
@@ -260,8 +260,8 @@ def test_what_remains_is_counted_without_the_noise_that_the_best_model_leaves():
     clean = replace(GOOD, floor=np.full((ROWS, 3), 0.01)).remains_held_out()
     assert clean == pytest.approx(0.2 / 2.5, rel=0.05)
     # A robot whose errors only a non-geometric model explains is no robot at its noise.
-    assert replace(GOOD, **RIGHT).quiet
-    assert not replace(GOOD, **RIGHT, floor=np.full((ROWS, 3), 0.3)).quiet
+    assert replace(GOOD, **RIGHT).at_noise_level
+    assert not replace(GOOD, **RIGHT, floor=np.full((ROWS, 3), 0.3)).at_noise_level
 
 
 def test_much_remains_names_the_model_that_leaves_far_less():

@@ -11,10 +11,11 @@ import numpy as np
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.estimate.fitting import Fitted, Task, fit
-from calib.estimate.rows import Rows
-from calib.estimate.setup import known_distances, rows_of
-from calib.estimate.statistics import CrossValidation, Errors
 from calib.model.families import FAMILIES
+from calib.numerics.errors import CrossValidation, Errors
+from calib.registration.known_distances import known_distances
+from calib.registration.rows import Rows
+from calib.registration.table_rows import rows_of
 from calib.selection.candidates import Candidate
 
 

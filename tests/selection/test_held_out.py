@@ -6,7 +6,7 @@ import numpy as np
 
 from calib.data.cell import Cell
 from calib.estimate.fitting import fit
-from calib.estimate.registration import register
+from calib.registration.registration import register
 from calib.selection.held_out import (
     held_out_residual,
     residual_after_registration,

@@ -10,7 +10,7 @@ import pytest
 
 from calib.data.cell import Cell
 from calib.estimate.fitting import Fitted, Task, fit
-from calib.estimate.setup import rows_of
+from calib.registration.table_rows import rows_of
 from calib.selection import cross_validation as module
 from calib.selection.cross_validation import cross_validation
 from calib.selection.linear_folds import (

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import ttest_1samp
 
-from calib.estimate.statistics import CrossValidation, Errors
+from calib.numerics.errors import CrossValidation, Errors
 from calib.selection.pose_errors import p_value_of_improvement, pose_errors
 
 

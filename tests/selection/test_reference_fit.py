@@ -9,7 +9,7 @@ import pytest
 
 from calib.data.cell import Cell
 from calib.estimate.fitting import Task, fit
-from calib.estimate.setup import rows_of
+from calib.registration.table_rows import rows_of
 from calib.selection.reference_fit import (
     explains_more_rows,
     fit_with_all_families,

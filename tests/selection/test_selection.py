@@ -9,7 +9,7 @@ import pytest
 from calib.data.cell import Cell, Priors
 from calib.errors import ModelError
 from calib.estimate.fitting import Task
-from calib.estimate.setup import rows_of
+from calib.registration.table_rows import rows_of
 from calib.selection.ladder import LADDER
 from calib.selection.selection import Selection, select
 from tests.selection.models import scene_of

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.diagnosis.reasons import Why
-from calib.diagnosis.setups import disagreeing_setups
+from calib.diagnosis.stations import disagreeing_stations
 from calib.result.calibrate import calibrate
 from tests.judged import reasons
 
@@ -22,7 +22,7 @@ def test_a_set_up_that_the_others_do_not_predict(calibrated):
     assert reasons(slipped)[Why.SETUP_UNPREDICTED]["setup"] == "1"
     assert slipped.verdict.use == "use with care"
     assert Why.SETUP_UNPREDICTED not in reasons(good)
-    assert len(disagreeing_setups(good.fitted)) == 0
+    assert len(disagreeing_stations(good.fitted)) == 0
 
 
 def test_a_set_up_whose_rows_are_flagged(calibrated):

@@ -9,9 +9,9 @@ import numpy as np
 from calib.diagnosis.patterns import prediction_square, unpredicted
 from calib.diagnosis.reasons import Reason, Why
 from calib.estimate.fitting import Fitted
-from calib.estimate.problem import Priors
-from calib.estimate.setup import joined_setups
-from calib.estimate.statistics import pose_means
+from calib.numerics.likelihood import Priors
+from calib.numerics.repeats import pose_means
+from calib.registration.known_distances import joined_setups
 from calib.selection.held_out import seen_only_by
 from calib.units import Mask
 
@@ -25,7 +25,7 @@ SOME_FLAGGED = 4
 _SHARE_FLAGGED = 0.25
 
 
-def disagreeing_setups(fitted: Fitted) -> tuple[Reason, ...]:
+def disagreeing_stations(fitted: Fitted) -> tuple[Reason, ...]:
     """Find the set-ups that a fit to the others does not predict, the two surest of them."""
     estimate, problem, rows = fitted.estimate, fitted.estimate.problem, fitted.estimate.problem.rows
     labels = joined_setups(rows, fitted.task.distances)
@@ -69,7 +69,7 @@ def _setup_name(fitted: Fitted, own: Mask) -> str:
     return " and ".join(dict.fromkeys(fitted.setup.groups[f] for f in frames))
 
 
-def flagged_setup(fitted: Fitted) -> Iterator[Reason]:
+def flagged_station(fitted: Fitted) -> Iterator[Reason]:
     """Find a set-up whose rows are flagged far more often than the others': it has moved, they have not."""
     flagged = fitted.estimate.outliers
     labels = joined_setups(fitted.estimate.problem.rows, fitted.task.distances)
