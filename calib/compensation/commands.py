@@ -43,8 +43,9 @@ from calib.diagnosis.reasons import NO
 from calib.errors import VerdictError
 from calib.files import csv_bytes, write_atomically
 from calib.result.calibration import CalibrationValues
-from calib.robot.readback import column_limits
-from calib.robot.robot import Payload, Robot, read_only, rigid_inverse
+from calib.robot.payload import Payload
+from calib.robot.ranges import column_limits
+from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.units import Array, Mask
 
 Code = Literal[

@@ -24,7 +24,9 @@ from calib.data.kinds import FARTHEST, SIGMAS, no_rotation
 from calib.errors import CalibError, FileError, choices
 from calib.model.error_model import DIRECTIONS
 from calib.model.families import family_of
-from calib.robot.robot import GRAVITY, Payload, read_only
+from calib.robot.gravity import GRAVITY
+from calib.robot.payload import Payload
+from calib.robot.robot import read_only
 from calib.units import Array, is_number
 
 Distance = TypeVar("Distance", float, Array)

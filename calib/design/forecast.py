@@ -33,9 +33,10 @@ from calib.registration.setup import Setup
 from calib.registration.table_rows import FIRST_SIGMA_ANGLE, rows_of
 from calib.registration.table_setup import setup_of
 from calib.result.prediction import without_rigid_motion
+from calib.robot.gravity import gravity_loads
 from calib.robot.kernel import over_blocks
-from calib.robot.readback import spread_between
-from calib.robot.robot import Robot, gravity_loads, read_only
+from calib.robot.ranges import spread_between
+from calib.robot.robot import Robot, read_only
 from calib.units import Array
 
 #: What `auto` is planned for: the largest geometry, so that every smaller one is covered.

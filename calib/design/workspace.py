@@ -28,7 +28,7 @@ from calib.data.measurements import Measurements
 from calib.data.table import POINT, Table, name_columns
 from calib.errors import CalibError, FileError
 from calib.files import damage, json_bytes, read_json, write_atomically
-from calib.robot.readback import joint_ranges
+from calib.robot.ranges import joint_ranges
 from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.units import Array, Mask
 from calib.version import __version__

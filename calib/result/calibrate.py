@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.blas import one_blas_thread
 from calib.data.cell import AUTO, Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.coverage import outside
@@ -24,8 +25,9 @@ from calib.estimate.extrapolation import extrapolation
 from calib.estimate.fitting import Fitted, Task, fit
 from calib.jobs import Progress
 from calib.model.error_model import OWN, split_name
-from calib.model.kinematics import Parameter, Samples
+from calib.model.kinematics import Samples
 from calib.model.observability import Observability
+from calib.model.parameters import Parameter
 from calib.numerics.errors import CrossValidation, rms
 from calib.numerics.repeats import Repeats, repeats
 from calib.numerics.scores import Limits
@@ -48,10 +50,9 @@ from calib.result.prediction import (
     tells_place,
 )
 from calib.result.robustness import compare_weights
-from calib.robot.kernel import one_blas_thread
-from calib.robot.readback import spread_poses
-from calib.robot.robot import Robot, gravity_loads
-from calib.robot.urdf_tree import read_only
+from calib.robot.gravity import gravity_loads
+from calib.robot.ranges import spread_poses
+from calib.robot.robot import Robot, read_only
 from calib.selection.candidates import Candidate, alternative_models, mark_chosen
 from calib.selection.cross_validation import cross_validation, nominal_cross_validation
 from calib.selection.ladder import check_parameter_names

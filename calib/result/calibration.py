@@ -27,8 +27,8 @@ from calib.numerics.solvers import Solution
 from calib.registration.setup import Setup
 from calib.result.prediction import NonGeometric, Outlier, ParameterEstimate, Solved, tells_place
 from calib.result.robustness import Robustness
-from calib.robot.chain import rigid_inverse
-from calib.robot.robot import Payload, Robot
+from calib.robot.payload import Payload
+from calib.robot.robot import Robot, rigid_inverse
 from calib.selection.candidates import Candidate
 from calib.units import Array, Mask
 

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from calib.blas import one_blas_thread
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.data.table import DEFAULT_TARGET
@@ -35,9 +36,7 @@ from calib.registration.setup import Setup
 from calib.registration.table_rows import rows_of
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import NonGeometric
-from calib.robot.kernel import one_blas_thread
-from calib.robot.robot import Robot
-from calib.robot.urdf_tree import read_only
+from calib.robot.robot import Robot, read_only
 from calib.units import Array, Mask
 
 #: What of an earlier result can be taken for known.

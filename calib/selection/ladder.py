@@ -11,9 +11,8 @@ import numpy as np
 
 from calib.errors import ModelError, choices
 from calib.estimate.fitting import Task, model_of
-from calib.model.error_model import joint_parameters
 from calib.model.families import joint_families
-from calib.model.kinematics import joint_displacements
+from calib.model.joint_errors import joint_displacements, joint_parameters
 from calib.registration.rows import Rows
 
 #: The geometries, from the smallest to the largest.

@@ -28,8 +28,8 @@ from calib.errors import CalibError, choices
 from calib.files import json_bytes, write_atomically
 from calib.model.error_model import error_model
 from calib.model.families import unit_of
-from calib.model.kinematics import ErrorModel
-from calib.robot.readback import joint_ranges
+from calib.model.parameters import ErrorModel
+from calib.robot.ranges import joint_ranges
 from calib.robot.robot import Robot, read_only
 from calib.simulation.truth import (
     NONE,

@@ -22,7 +22,7 @@ from calib.numerics.likelihood import Priors
 from calib.registration.table_rows import rows_of
 from calib.result.prediction import parameter_estimates
 from calib.result.uncertainty import _fit_sample
-from calib.robot.readback import random_joint_values
+from calib.robot.ranges import random_joint_values
 from calib.selection.linear_folds import fold_posterior_means
 from tests.fits import joined, place
 

@@ -15,17 +15,17 @@ from calib.data.cell import Cell, GroupDistance, Priors
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Why
 from calib.errors import ModelError, UrdfError
-from calib.example.__init__ import PAPER_TARGET_AS_PRINTED
+from calib.example import PAPER_TARGET_AS_PRINTED
 from calib.model.kinematics import Samples
 from calib.numerics.errors import Errors
 from calib.result.calibrate import _validated, fit_table
 from calib.result.calibration_file import read_result
 from calib.result.evaluation import evaluate
-from calib.robot.chain import rigid_inverse
-from calib.robot.readback import random_joint_values
-from calib.robot.robot import Payload, Robot, gravity_loads
+from calib.robot.gravity import gravity_loads
+from calib.robot.payload import Payload
+from calib.robot.ranges import random_joint_values
+from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.robot.urdf import Urdf
-from calib.robot.urdf_tree import read_only
 from calib.selection.candidates import mark_chosen
 from tests.fits import FREE, SOCKETS, TARGETS, TRACKERS, gaps, in_each, two_targets
 
