@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from calib.data.cell import Cell
+from calib.data.columns import SETS
 from calib.data.measurements import Measurements
-from calib.data.table import SETS
 from calib.diagnosis.coverage import OutsideRow, outside
 from calib.diagnosis.reasons import Verdict
 from calib.errors import ModelError, choices
