@@ -75,7 +75,7 @@ def _with_own_places(part: Linear, x: Array, own: Mask, weights: Array) -> Array
     columns = part.A[part.used][:, own]
     result = x.copy()
     result[own] = np.linalg.lstsq(columns * root[:, None], by_others * root, rcond=1e-9)[0]
-    return result
+    return np.asarray(result)
 
 
 def fold_posterior_means(fitted: Fitted, linear: Linear, masks: Sequence[Mask] | Mask) -> Array:
