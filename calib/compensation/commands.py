@@ -37,8 +37,8 @@ from calib.compensation.inverse import (
 )
 from calib.compensation.nominal_actual import Pair, pair_of
 from calib.compensation.program import CORRECTION, EXPECTED, Program
-from calib.data.kinds import to_quaternions
-from calib.data.table import POINT, QUATERNION, ROLL_PITCH_YAW, ROTATION_VECTOR, STATUS
+from calib.data.columns import POINT, QUATERNION, ROLL_PITCH_YAW, ROTATION_VECTOR, STATUS
+from calib.data.geometry import to_quaternions
 from calib.diagnosis.reasons import NO
 from calib.errors import VerdictError
 from calib.files import csv_bytes, write_atomically

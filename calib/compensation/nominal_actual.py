@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.data.kinds import no_rotation
+from calib.data.geometry import not_rotations
 from calib.errors import ModelError, choices
 from calib.model.error_model import error_model
 from calib.model.families import Factor, JointState
@@ -260,7 +260,7 @@ def _pose(given: ArrayLike | str | None, what: str) -> Array:
     if values.shape == (3,):
         T[:3, 3] = values
         values = T
-    if values.shape != (4, 4) or no_rotation(values[None, :3, :3]) or np.isnan(values).any():
+    if values.shape != (4, 4) or not_rotations(values[None, :3, :3]) or np.isnan(values).any():
         raise ModelError(f"The {what} is a pose (4, 4) or a position (3,), not {values.tolist()}.")
     return read_only(values)
 

@@ -18,8 +18,8 @@ from scipy.linalg import solve_triangular
 
 import calib.data.kinds as registry
 from calib.data.cell import AUTO, Cell, Tracker
+from calib.data.columns import DEFAULT_TARGET
 from calib.data.measurements import Measurements
-from calib.data.table import DEFAULT_TARGET
 from calib.design.candidates import Note, planning_ranges
 from calib.errors import ModelError, choices
 from calib.estimate.fitting import Task, model_of

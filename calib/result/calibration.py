@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from calib.data.cell import Cell
+from calib.data.columns import SETS
 from calib.data.measurements import Measurements
-from calib.data.table import SETS
 from calib.diagnosis.coverage import OutsideRow, outside
 from calib.diagnosis.reasons import Verdict
 from calib.errors import ModelError, choices
@@ -29,7 +29,7 @@ from calib.result.prediction import NonGeometric, Outlier, ParameterEstimate, So
 from calib.result.robustness import Robustness
 from calib.robot.payload import Payload
 from calib.robot.robot import Robot, rigid_inverse
-from calib.selection.selection import Candidate
+from calib.selection.candidates import Candidate
 from calib.units import Array, Mask
 
 #: Values that stand for all those between the ends of a measured range.

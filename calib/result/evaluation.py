@@ -24,8 +24,8 @@ from scipy.spatial import KDTree
 
 from calib.blas import one_blas_thread
 from calib.data.cell import Cell
+from calib.data.columns import DEFAULT_TARGET
 from calib.data.measurements import Measurements
-from calib.data.table import DEFAULT_TARGET
 from calib.diagnosis.reasons import Reason, Why
 from calib.errors import CalibError, MeasurementError, ModelError, choices
 from calib.model.error_model import DIRECTIONS

@@ -21,9 +21,9 @@ from scipy.spatial.transform import Rotation
 import calib.data.kinds as registry
 from calib.data.cell import Cell, TrackerNoise
 from calib.data.cell_file import DEGREES, MM, POINT, TEXT, Field, numbers, read_table, read_toml
+from calib.data.columns import SETS
 from calib.data.kinds import Kind
 from calib.data.measurements import Measurements
-from calib.data.table import SETS
 from calib.errors import CalibError, choices
 from calib.files import json_bytes, write_atomically
 from calib.model.error_model import error_model

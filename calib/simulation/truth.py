@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 
 import calib.data.kinds as registry
 from calib.data.cell import Cell
-from calib.data.table import DEFAULT_TARGET
+from calib.data.columns import DEFAULT_TARGET
 from calib.errors import CalibError, ModelError, choices
 from calib.model.error_model import error_model, split_name
 from calib.model.families import FAMILIES, unit_of
