@@ -6,11 +6,21 @@ import math
 import textwrap
 from collections.abc import Iterable
 
+#: Columns of a line, at most: what a terminal beside an editor shows without breaking lines.
 WIDTH = 100
 
 
 def fill(text: str, indent: str = "", hang: str = "") -> str:
-    """One paragraph broken at 100 columns, nowhere within a name; ``hang`` is before every line but the first."""
+    """Break a paragraph at 100 columns, nowhere within a word, however long.
+
+    Args:
+        text: The paragraph.
+        indent: What stands before each line.
+        hang: What stands behind the indent of each line but the first.
+
+    Returns:
+        The lines, joined.
+    """
     return textwrap.fill(
         text,
         WIDTH,
@@ -22,38 +32,80 @@ def fill(text: str, indent: str = "", hang: str = "") -> str:
 
 
 def wrap(text: str, indent: str = "") -> str:
-    """The same with a hanging indent; long words are broken."""
-    hang = indent + "  "
+    """Break a paragraph at 100 columns with a hanging indent; longer words are broken too.
+
+    Args:
+        text: The paragraph.
+        indent: What stands before each line; all but the first have two spaces more.
+
+    Returns:
+        The lines, joined, none of them longer than 100 columns.
+    """
     return textwrap.fill(
-        text, WIDTH, initial_indent=indent, subsequent_indent=hang, break_on_hyphens=False
+        text,
+        WIDTH,
+        initial_indent=indent,
+        subsequent_indent=indent + "  ",
+        break_on_hyphens=False,
     )
 
 
+def plural(count: int, noun: str) -> str:
+    """Count things whose plural has an s: ``1 row``, ``2 rows``."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
 def row_ranges(rows: Iterable[int], limit: int = 12) -> str:
-    """Row numbers, runs of them as one: ``4, 7 to 9``; at most ``limit`` of these, then how many rows more."""
+    """List row numbers, consecutive ones as a range: ``4, 7 to 9``.
+
+    Args:
+        rows: The numbers, in any order.
+        limit: The most numbers and ranges that are listed.
+
+    Returns:
+        The list; what exceeds the limit is counted: ``... and 5 more``.
+    """
     runs: list[list[int]] = []
     for row in sorted(rows):
         if runs and row == runs[-1][1] + 1:
             runs[-1][1] = row
         else:
             runs.append([row, row])
-    shown = [
-        str(a) if a == b else f"{a}{', ' if b == a + 1 else ' to '}{b}" for a, b in runs[:limit]
-    ]
-    rest = sum(b - a + 1 for a, b in runs[limit:])
-    return ", ".join(shown) + (f" and {rest} more" if rest else "")
+    text = ", ".join(_row_range(first, last) for first, last in runs[:limit])
+    more = sum(last - first + 1 for first, last in runs[limit:])
+    return f"{text} and {more} more" if more else text
+
+
+def _row_range(first: int, last: int) -> str:
+    """Consecutive row numbers: ``4``, ``4, 5`` or ``4 to 6``."""
+    if last == first:
+        return str(first)
+    if last == first + 1:
+        return f"{first}, {last}"
+    return f"{first} to {last}"
 
 
 def number(value: float, digits: int = 3, sign: str = "-") -> str:
-    """A number with digits after the point; a dash where there is none, and no minus before a zero."""
-    return f"{round(value, digits) + 0.0:{sign}.{digits}f}" if math.isfinite(value) else "-"
+    """Format a number.
+
+    Args:
+        value: The number.
+        digits: How many digits stand after the point.
+        sign: ``"+"`` also marks positive numbers.
+
+    Returns:
+        The number, without a minus before a zero; a dash if it is not finite.
+    """
+    if not math.isfinite(value):
+        return "-"
+    return f"{round(value, digits) + 0.0:{sign}.{digits}f}"
 
 
 def mm(value: float, digits: int = 3) -> str:
-    """A length [m] in mm, without its unit."""
+    """Format a length [m] in mm, without its unit; see `number`."""
     return number(1e3 * value, digits)
 
 
 def deg(value: float, digits: int = 3) -> str:
-    """An angle [rad] in degrees, without its unit."""
+    """Format an angle [rad] in degrees, without its unit; see `number`."""
     return number(float(math.degrees(value)), digits)
