@@ -39,10 +39,10 @@ from calib.data.measurements import Measurements
 from calib.design.plan import plan
 from calib.estimate.fitting import Task, fit
 from calib.estimate.problem import Problem
-from calib.estimate.rows import Rows
-from calib.estimate.setup import rows_of
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
+from calib.registration.rows import Rows
+from calib.registration.table_rows import rows_of
 from calib.robot.chain import pinocchio_chain
 from calib.robot.robot import Robot
 from calib.simulation.scenario import Scenario

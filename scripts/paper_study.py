@@ -19,8 +19,8 @@ from scipy.spatial.transform import Rotation
 from calib.calibration import Calibration, calibrate
 from calib.data.cell import Cell, Priors
 from calib.data.measurements import Measurements
-from calib.estimate.statistics import Errors
 from calib.example import PAPER_TARGET, PAPER_TARGET_AS_PRINTED, paper_measurements, paper_urdf
+from calib.numerics.errors import Errors
 from calib.robot.robot import Robot, read_only
 
 

@@ -17,9 +17,9 @@ from scipy.spatial.transform import Rotation
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.estimate.fitting import Fitted
-from calib.estimate.statistics import rms
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
+from calib.numerics.errors import rms
 from calib.result.calibrate import fit_table
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import Robot

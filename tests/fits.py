@@ -14,10 +14,10 @@ from scipy.spatial.transform import Rotation
 from calib.calibration import Calibration, calibrate
 from calib.data.cell import Cell, GroupDistance
 from calib.data.measurements import Measurements
-from calib.estimate.rows import Rows
 from calib.example import PAPER_TARGET, paper_measurements, paper_urdf
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
+from calib.registration.rows import Rows
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import GRAVITY, Payload, Robot, gravity_loads, read_only
 

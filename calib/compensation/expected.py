@@ -30,8 +30,8 @@ from calib.compensation.pose_covariance import (
     unknown_base_directions,
     unmodelled_base,
 )
-from calib.estimate.statistics import CrossValidation
 from calib.model.kinematics import Samples
+from calib.numerics.errors import CrossValidation
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import Solved
 from calib.robot.robot import read_only

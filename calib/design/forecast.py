@@ -24,12 +24,14 @@ from calib.design.candidates import Note, planning_ranges
 from calib.errors import ModelError, choices
 from calib.estimate.fitting import Task, model_of
 from calib.estimate.inspection import GENERIC_TARGET, table_of_poses
-from calib.estimate.registration import register
-from calib.estimate.rows import Rows
-from calib.estimate.setup import FIRST_SIGMA_ANGLE, Setup, rows_of, setup_of
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability, analyse
+from calib.registration.registration import register
+from calib.registration.rows import Rows
+from calib.registration.setup import Setup
+from calib.registration.table_rows import FIRST_SIGMA_ANGLE, rows_of
+from calib.registration.table_setup import setup_of
 from calib.result.prediction import without_rigid_motion
 from calib.robot.kernel import over_blocks
 from calib.robot.readback import spread_between

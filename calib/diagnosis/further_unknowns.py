@@ -17,13 +17,15 @@ import numpy as np
 from scipy.special import fdtrc, stdtr
 
 from calib.estimate.fitting import PAPER, Fitted
-from calib.estimate.problem import Linear, Priors
-from calib.estimate.rows import Rows
-from calib.estimate.stages import PriorTerms, Stage
-from calib.estimate.statistics import rms
+from calib.estimate.linear import Linear
+from calib.estimate.prior_terms import PriorTerms
+from calib.estimate.stages import Stage
 from calib.model.dh import zero_poses
 from calib.model.families import ANGLE, LENGTH, ZERO
 from calib.model.kinematics import FRAME, TARGET
+from calib.numerics.errors import rms
+from calib.numerics.likelihood import Priors
+from calib.registration.rows import Rows
 from calib.units import Array, Mask
 
 #: A p-value below which a finding is not taken for chance.

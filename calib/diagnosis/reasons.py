@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
-from calib.estimate.statistics import Errors
+from calib.numerics.errors import Errors
 
 USE, CARE, NO = "use", "use with care", "do not use"
 

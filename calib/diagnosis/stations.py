@@ -9,9 +9,9 @@ import numpy as np
 from calib.diagnosis.patterns import prediction_square, unpredicted
 from calib.diagnosis.reasons import Reason, Why
 from calib.estimate.fitting import Fitted
-from calib.estimate.problem import Priors
-from calib.estimate.setup import joined_setups
-from calib.estimate.statistics import pose_means
+from calib.numerics.likelihood import Priors
+from calib.numerics.repeats import pose_means
+from calib.registration.known_distances import joined_setups
 from calib.selection.cross_validation import only_there
 from calib.units import Mask
 

@@ -18,10 +18,11 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Reason, Why
 from calib.errors import MeasurementError
-from calib.estimate.registration import register
-from calib.estimate.rows import LENGTHS, Rows
-from calib.estimate.setup import Setup, rows_of
 from calib.model.error_model import DIRECTIONS
+from calib.registration.registration import register
+from calib.registration.rows import LENGTHS, Rows
+from calib.registration.setup import Setup
+from calib.registration.table_rows import rows_of
 from calib.robot.robot import Robot
 from calib.units import Array
 

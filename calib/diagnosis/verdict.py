@@ -10,7 +10,7 @@ from scipy.special import stdtr
 
 from calib.diagnosis.further_unknowns import PREDICTS
 from calib.diagnosis.reasons import CARE, NO, USE, Reason, Verdict, Why
-from calib.estimate.statistics import CrossValidation, Errors
+from calib.numerics.errors import CrossValidation, Errors
 from calib.units import Array, Integers, Mask
 
 #: Scalar measurements per parameter below which a fit leans on its priors.

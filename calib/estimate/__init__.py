@@ -1,1 +1,1 @@
-"""The fit: residuals, registration, the solver, variance components. Imports data and below."""
+"""The fit: the least-squares problem, its stages, priors and bounds. Imports registration and below."""

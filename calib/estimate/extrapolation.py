@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from calib.estimate.fitting import Fitted
-from calib.estimate.problem import Priors
-from calib.estimate.rows import Rows
+from calib.numerics.likelihood import Priors
+from calib.registration.rows import Rows
 from calib.units import Mask
 
 #: The share of the rows at each end of a joint's measured values that are predicted by the others.

@@ -11,22 +11,20 @@ import numpy as np
 
 from calib.data.cell import Cell, Priors
 from calib.errors import MeasurementError, ModelError, choices
-from calib.estimate.problem import Linear, Problem
-from calib.estimate.registration import register, register_unseen
-from calib.estimate.rows import Rows
-from calib.estimate.setup import KnownDistance, Setup
-from calib.estimate.sole_postures import (
-    open_directions,
-    open_scores,
-    sole_postures,
-    updated,
-)
-from calib.estimate.solvers import SOLVERS, Solution, Solver, paper_levenberg_marquardt
-from calib.estimate.stages import PriorTerms, Stage, staged
-from calib.estimate.statistics import Limits
+from calib.estimate.linear import Linear
+from calib.estimate.prior_terms import PriorTerms
+from calib.estimate.problem import Problem
+from calib.estimate.sole_postures import open_directions, open_scores, sole_postures, updated
+from calib.estimate.stages import Stage, staged
 from calib.model.error_model import error_model
 from calib.model.kinematics import FRAME, TARGET, ErrorModel, Kinematics, Parameter, Samples
 from calib.model.observability import steps
+from calib.numerics.scores import Limits
+from calib.numerics.solvers import SOLVERS, Solution, Solver, paper_levenberg_marquardt
+from calib.registration.known_distances import KnownDistance
+from calib.registration.registration import register, register_unseen
+from calib.registration.rows import Rows
+from calib.registration.setup import Setup
 from calib.robot.kernel import one_blas_thread
 from calib.robot.robot import Robot, read_only
 from calib.units import Array, Mask
@@ -136,7 +134,7 @@ class Fitted:
         return rows.residual(self.kinematics.poses(self.estimate.x, rows.samples))
 
     def unseen_scores(self, rows: Rows) -> Array:
-        """The scores of rows that the fit did not use, shape (N,); see `calib.estimate.statistics`."""
+        """The scores of rows that the fit did not use, shape (N,); see `calib.numerics.scores`."""
         if not len(rows):
             return np.zeros(0)
         estimate, number = self.estimate, dict[int, int]()

@@ -17,10 +17,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.estimate.rows import Rows
-from calib.estimate.setup import KnownDistance
-from calib.estimate.statistics import rms
 from calib.model.kinematics import FRAME, TARGET, Kinematics
+from calib.numerics.errors import rms
+from calib.registration.known_distances import KnownDistance
+from calib.registration.rows import Rows
 from calib.robot.readback import spread_poses
 from calib.robot.robot import read_only
 from calib.units import Array, Mask

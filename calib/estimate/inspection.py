@@ -12,10 +12,11 @@ from calib.data.measurements import Measurements
 from calib.errors import ModelError
 from calib.estimate.fitting import Task, model_of
 from calib.estimate.problem import Problem
-from calib.estimate.registration import register
-from calib.estimate.setup import known_distances, rows_of
 from calib.model.kinematics import ErrorModel, Kinematics
 from calib.model.observability import Observability
+from calib.registration.known_distances import known_distances
+from calib.registration.registration import register
+from calib.registration.table_rows import rows_of
 from calib.robot.readback import spread_poses
 from calib.robot.robot import Robot
 from calib.units import Array

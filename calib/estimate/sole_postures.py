@@ -32,10 +32,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.estimate.problem import Linear
-from calib.estimate.rows import Rows
+from calib.estimate.linear import Linear
 from calib.estimate.stages import Stage
-from calib.estimate.statistics import as_of_a_point
+from calib.numerics.scores import as_of_a_point
+from calib.registration.rows import Rows
 from calib.robot.kernel import over_blocks
 from calib.units import Array, Integers, Mask
 
@@ -157,7 +157,7 @@ def open_scores(linear: Linear, x: Array, stage: Stage, projections: Array) -> A
         projections: shape (N, D, D), see `open_directions`.
 
     Returns:
-        shape (N,), comparable with scores of three scalars; see `calib.estimate.statistics`.
+        shape (N,), comparable with scores of three scalars; see `calib.numerics.scores`.
     """
     covariance = with_wide_priors(stage).fit(linear)[1][0]
     noise = linear.noise_of(stage.noise)[0]

@@ -30,8 +30,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.estimate.rows import Rows, same_poses
 from calib.model.kinematics import Kinematics
+from calib.registration.rows import Rows
+from calib.registration.same_poses import same_poses
 from calib.units import Array, Integers, Mask
 
 #: The columns of a body's translation, and of its rotation.

@@ -17,7 +17,7 @@ import numpy as np
 
 from calib.data.measurements import Measurements
 from calib.errors import FileError, choices
-from calib.estimate.setup import Setup
+from calib.registration.setup import Setup
 from calib.result.calibration import CalibrationValues
 from calib.robot.robot import rigid_inverse
 from calib.units import Array, Mask

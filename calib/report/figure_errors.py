@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 import calib.report.figure_base as base
-from calib.estimate.statistics import CrossValidation
+from calib.numerics.errors import CrossValidation
 from calib.result.calibration import CalibrationValues
 from calib.units import Array, Mask
 

@@ -22,9 +22,9 @@ import calib.text.summary as texts
 from calib.data.kinds import get as kind_named
 from calib.diagnosis.reasons import Why
 from calib.errors import FileError
-from calib.estimate.statistics import interval_factor
 from calib.files import write_atomically
 from calib.model.dh import DHRow, dh_table
+from calib.numerics.intervals import interval_factor
 from calib.report.figure_base import angles_of, lengths_of
 from calib.result.calibration import CalibrationValues
 from calib.result.calibration_file import versions

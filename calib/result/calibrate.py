@@ -22,15 +22,20 @@ from calib.diagnosis.usual_mistakes import check_positions, find_usual_mistake
 from calib.diagnosis.verdict import verdict
 from calib.estimate.extrapolation import extrapolation
 from calib.estimate.fitting import Fitted, Task, fit
-from calib.estimate.registration import nominal_setup, register_unseen
-from calib.estimate.rows import Rows
-from calib.estimate.setup import Setup, joint_loads, known_distances, rows_of
-from calib.estimate.solvers import Solver
-from calib.estimate.statistics import CrossValidation, Limits, Repeats, repeats, rms
 from calib.jobs import Progress
 from calib.model.error_model import OWN, split_name
 from calib.model.kinematics import Parameter, Samples
 from calib.model.observability import Observability
+from calib.numerics.errors import CrossValidation, rms
+from calib.numerics.repeats import Repeats, repeats
+from calib.numerics.scores import Limits
+from calib.numerics.solvers import Solver
+from calib.registration.joint_loads import joint_loads
+from calib.registration.known_distances import known_distances
+from calib.registration.registration import nominal_setup, register_unseen
+from calib.registration.rows import Rows
+from calib.registration.setup import Setup
+from calib.registration.table_rows import rows_of
 from calib.result.calibration import CalibrationValues, Fit, RowNames, Source
 from calib.result.doubts import doubts_of
 from calib.result.evidence import evidence_of
@@ -89,7 +94,7 @@ def calibrate(
             ``"hayati"``, ``"placement"``, ``"zeros"`` or ``"frames"``, such as ``"dh+compliance"``; default the
             cell's. See docs/parameters.md. Or the robot's parameters themselves, each a twist at a placement.
         solver: ``"lm"`` (default), ``"scipy"`` (the same problem by SciPy), or ``"paper"`` (the paper's algorithm,
-            without priors and robust weights); or a function like those of `calib.estimate.solvers.SOLVERS`.
+            without priors and robust weights); or a function like those of `calib.numerics.solvers.SOLVERS`.
         robust: Whether outliers lose their weight; they are named either way.
         validate: Whether to cross-validate; one fold a row up to 60 rows, ten folds above.
         progress: Called after each fit of the cross-validation.

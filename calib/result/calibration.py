@@ -19,11 +19,12 @@ from calib.diagnosis.coverage import OutsideRow, outside
 from calib.diagnosis.reasons import Verdict
 from calib.errors import ModelError, choices
 from calib.estimate.fitting import Fitted
-from calib.estimate.setup import Setup
-from calib.estimate.solvers import Solution
-from calib.estimate.statistics import CrossValidation, Errors, Repeats
 from calib.model.kinematics import Samples
 from calib.model.observability import Observability
+from calib.numerics.errors import CrossValidation, Errors
+from calib.numerics.repeats import Repeats
+from calib.numerics.solvers import Solution
+from calib.registration.setup import Setup
 from calib.result.prediction import NonGeometric, Outlier, ParameterEstimate, Solved, tells_place
 from calib.result.robustness import Robustness
 from calib.robot.robot import Payload, Robot, rigid_inverse
@@ -105,7 +106,7 @@ class CalibrationValues(Solved):
     residual_nominal: Array
     residual_calibrated: Array  #: shape (N, D), by the calibrated robot
     used: Mask  #: shape (N, D), which scalars were measured
-    scores: Array  #: shape (N,), of all rows; see `calib.estimate.statistics`
+    scores: Array  #: shape (N,), of all rows; see `calib.numerics.scores`
     weights: Array  #: shape (N,), of all rows in the fit, between 0 and 1; 0 for validation rows
     ranges: Array  #: shape (m, 2), smallest and largest joint values that were fitted [rad], [m]
     flag_limit: float  #: The score above which a row is flagged

@@ -19,7 +19,6 @@ import pinocchio as pin
 from calib.diagnosis.coverage import OutsideRow
 from calib.diagnosis.reasons import Reason
 from calib.errors import CalibError, FileError
-from calib.estimate.statistics import CrossValidation, Errors, Repeats
 from calib.files import (
     Json,
     JsonLayout,
@@ -33,6 +32,8 @@ from calib.files import (
 from calib.model.families import FAMILIES, Factor, factor_of
 from calib.model.kinematics import ErrorModel, Kinematics, Parameter
 from calib.model.observability import Observability
+from calib.numerics.errors import CrossValidation, Errors
+from calib.numerics.repeats import Repeats
 from calib.result.calibration import CalibrationValues, Source
 from calib.result.prediction import NonGeometric, Outlier, Solved
 from calib.result.robustness import Robustness

@@ -26,9 +26,9 @@ from calib.diagnosis.stations import disagreeing_stations, flagged_station
 from calib.estimate.fitting import PAPER, Fitted, fit, model_of
 from calib.estimate.gauge import measures_length
 from calib.estimate.problem import Problem
-from calib.estimate.registration import ENOUGH
-from calib.estimate.rows import LENGTHS, Rows
 from calib.model.families import FAMILIES, joint_families
+from calib.registration.registration import ENOUGH
+from calib.registration.rows import LENGTHS, Rows
 from calib.result.calibration import CalibrationValues
 from calib.robot.readback import column_ranges, spread_poses
 from calib.robot.robot import Robot

@@ -27,11 +27,12 @@ from calib.data.measurements import Measurements
 from calib.data.table import DEFAULT_TARGET
 from calib.diagnosis.reasons import Reason, Why
 from calib.errors import CalibError, MeasurementError, ModelError, choices
-from calib.estimate.registration import nominal_setup, register_unseen
-from calib.estimate.setup import Setup, rows_of
-from calib.estimate.statistics import Errors
 from calib.model.error_model import DIRECTIONS
 from calib.model.kinematics import Samples
+from calib.numerics.errors import Errors
+from calib.registration.registration import nominal_setup, register_unseen
+from calib.registration.setup import Setup
+from calib.registration.table_rows import rows_of
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import NonGeometric
 from calib.robot.kernel import one_blas_thread

@@ -9,9 +9,9 @@ import numpy as np
 from calib.diagnosis.reasons import NO, Reason, Why
 from calib.diagnosis.verdict import Evidence
 from calib.estimate.fitting import Fitted
-from calib.estimate.rows import Rows
-from calib.estimate.statistics import Errors
 from calib.model.kinematics import FRAME, TARGET
+from calib.numerics.errors import Errors
+from calib.registration.rows import Rows
 from calib.result.calibration import CalibrationValues
 from calib.result.doubts import noise_doubts
 from calib.result.prediction import NonGeometric, Solved, without_rigid_motion

@@ -17,10 +17,11 @@ import numpy as np
 import calib.data.kinds as registry
 from calib.diagnosis.reasons import Verdict
 from calib.estimate.fitting import Fitted
-from calib.estimate.setup import Setup
-from calib.estimate.statistics import CrossValidation, interval_factor, rms
 from calib.model.kinematics import FRAME, TARGET, ErrorModel, Kinematics, Samples
 from calib.model.observability import Observability
+from calib.numerics.errors import CrossValidation, rms
+from calib.numerics.intervals import interval_factor
+from calib.registration.setup import Setup
 from calib.robot.robot import Payload, Robot, gravity_loads, read_only
 from calib.units import Array
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.errors import MeasurementError
 from calib.estimate.fitting import Fitted, fit
-from calib.estimate.statistics import Errors
+from calib.numerics.errors import Errors
 from calib.result.prediction import without_rigid_motion
 from calib.selection.cross_validation import linear_cross_validation
 

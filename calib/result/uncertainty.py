@@ -21,11 +21,11 @@ from scipy.special import fdtri, gammaincinv
 
 from calib.errors import CalibError, ModelError
 from calib.estimate.fitting import Fitted
-from calib.estimate.solvers import levenberg_marquardt
-from calib.estimate.statistics import rms
 from calib.jobs import Progress, batch_size, run
 from calib.model.kinematics import Samples, Where
 from calib.model.observability import steps
+from calib.numerics.errors import rms
+from calib.numerics.solvers import levenberg_marquardt
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import ParameterEstimate, without_rigid_motion
 from calib.robot.kernel import one_blas_thread

@@ -15,14 +15,17 @@ from scipy.special import stdtr
 
 from calib.errors import MeasurementError
 from calib.estimate.fitting import PAPER, Fitted, Task, fit, given_weights, weighting
-from calib.estimate.problem import Linear, Priors
-from calib.estimate.registration import ENOUGH, nominal_setup, register_poses
-from calib.estimate.rows import Rows
-from calib.estimate.setup import Setup, joined_setups
-from calib.estimate.stages import FEWEST_FREEDOM, PriorTerms, Stage, staged
-from calib.estimate.statistics import CrossValidation, Errors
+from calib.estimate.linear import Linear
+from calib.estimate.prior_terms import PriorTerms
+from calib.estimate.stages import FEWEST_FREEDOM, Stage, staged
 from calib.jobs import Progress
 from calib.model.error_model import DIRECTIONS
+from calib.numerics.errors import CrossValidation, Errors
+from calib.numerics.likelihood import Priors
+from calib.registration.known_distances import joined_setups
+from calib.registration.registration import ENOUGH, nominal_setup, register_poses
+from calib.registration.rows import Rows
+from calib.registration.setup import Setup
 from calib.robot.robot import read_only
 from calib.units import Array, Integers, Mask
 

@@ -14,11 +14,11 @@ import numpy as np
 
 from calib.errors import MeasurementError, ModelError, choices
 from calib.estimate.fitting import Fitted, Task, fit, model_of
-from calib.estimate.rows import Rows
-from calib.estimate.statistics import CrossValidation
 from calib.model.error_model import joint_parameters
 from calib.model.families import family_of, joint_families
 from calib.model.kinematics import joint_displacements
+from calib.numerics.errors import CrossValidation
+from calib.registration.rows import Rows
 from calib.robot.robot import read_only
 from calib.selection.cross_validation import chance_of_fall, linear_cross_validation, pose_errors
 from calib.units import Array

@@ -21,9 +21,9 @@ from calib.design.optimal import PlanRequest, choose_poses
 from calib.diagnosis.reasons import NO
 from calib.errors import CalibError, ModelError
 from calib.estimate.fitting import Fitted
-from calib.estimate.statistics import rms
 from calib.jobs import Progress, batch_size, run
 from calib.model.kinematics import Samples
+from calib.numerics.errors import rms
 from calib.result.calibrate import calibrate, fit_table
 from calib.result.prediction import without_rigid_motion
 from calib.robot.robot import gravity_loads, rigid_inverse

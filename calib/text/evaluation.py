@@ -11,7 +11,7 @@ import numpy as np
 
 import calib.data.kinds as registry
 from calib.errors import choices
-from calib.estimate.statistics import Errors
+from calib.numerics.errors import Errors
 from calib.result.acceptance import Acceptance, Assessment, Check
 from calib.result.calibration_file import error_table as stored_errors, pose_table, versions
 from calib.result.evaluation import FEWEST_APART, Accuracy, Evaluation, PoseAccuracy

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calib.estimate.statistics import rms
 from calib.model.families import FAMILIES, unit_of
+from calib.numerics.errors import rms
 from calib.simulation.scenario import Scenario, Simulated
 from calib.simulation.study import VERIFIED, Study, Trials
 from calib.text.lines import fill, row_ranges

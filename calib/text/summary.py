@@ -14,11 +14,11 @@ import pinocchio as pin
 
 import calib.data.kinds as registry
 from calib.data.kinds import Kind
-from calib.estimate.statistics import Errors
 from calib.model.error_model import placed_name
 from calib.model.families import FAMILIES, unit_of
 from calib.model.kinematics import FRAME, TARGET
 from calib.model.observability import Combination
+from calib.numerics.errors import Errors
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import Outlier, ParameterEstimate
 from calib.text.lines import deg, mm, number, wrap

@@ -23,8 +23,8 @@ from calib.compensation.nominal_actual import pair_of
 from calib.compensation.pose_covariance import PoseCovariance
 from calib.data.cell import Cell, Priors
 from calib.data.measurements import Measurements
-from calib.estimate.statistics import Repeats
 from calib.model.error_model import error_model
+from calib.numerics.repeats import Repeats
 from calib.result.calibrate import calibrate
 from calib.result.calibration import CalibrationValues
 from calib.robot.readback import random_joint_values

@@ -13,8 +13,8 @@ from calib.data.measurements import Measurements
 from calib.design.forecast import Sensitivity, forecast
 from calib.errors import ModelError
 from calib.estimate.inspection import inspect
-from calib.estimate.setup import FIRST_SIGMA_ANGLE
 from calib.model.kinematics import Kinematics, Samples
+from calib.registration.table_rows import FIRST_SIGMA_ANGLE
 from calib.result.calibrate import calibrate
 from calib.result.prediction import without_rigid_motion
 from calib.robot.readback import random_joint_values, spread_poses

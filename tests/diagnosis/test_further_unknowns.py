@@ -16,8 +16,8 @@ from calib.diagnosis.further_unknowns import (
     motion_of_base,
 )
 from calib.estimate.fitting import Task, fit
-from calib.estimate.setup import rows_of
 from calib.model.kinematics import FRAME
+from calib.registration.table_rows import rows_of
 from calib.robot.readback import random_joint_values
 from tests.judged import arm, table_of
 
@@ -125,7 +125,7 @@ def test_a_known_distance_between_sockets_tells_the_scale(calibrated):
     cell = replace(result.cell, distances=wrong)
     rows, setup = rows_of(scene.robot, result.measurements, cell)
     task = replace(result.fitted.task, cell=cell, setup=setup)
-    from calib.estimate.setup import known_distances
+    from calib.registration.known_distances import known_distances
 
     found = fit(replace(task, distances=known_distances(cell, setup)), rows)
     assert instrument_scale(found).share == pytest.approx(0.01, abs=3.0 * scale.std)

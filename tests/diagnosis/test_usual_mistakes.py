@@ -17,8 +17,8 @@ from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Why
 from calib.diagnosis.usual_mistakes import check_positions, find_usual_mistake
 from calib.errors import MeasurementError
-from calib.estimate.setup import rows_of
 from calib.example import PAPER_TARGET, paper_urdf
+from calib.registration.table_rows import rows_of
 from calib.result.calibrate import calibrate
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import Robot, read_only

@@ -9,7 +9,7 @@ import pytest
 
 from calib.diagnosis.reasons import Reason, Verdict, Why
 from calib.diagnosis.verdict import Evidence, verdict
-from calib.estimate.statistics import CrossValidation, Errors
+from calib.numerics.errors import CrossValidation, Errors
 
 ROWS = 30
 

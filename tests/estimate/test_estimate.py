@@ -11,8 +11,8 @@ from scipy.special import stdtrit
 from calib.data.cell import Cell, Priors
 from calib.data.measurements import Measurements
 from calib.estimate.fitting import Fitted, Task, fit
-from calib.estimate.rows import Rows
-from calib.estimate.setup import rows_of
+from calib.registration.rows import Rows
+from calib.registration.table_rows import rows_of
 
 OFF = Priors(source="off")
 

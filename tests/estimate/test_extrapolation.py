@@ -10,7 +10,7 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.estimate.extrapolation import extrapolation
 from calib.estimate.fitting import Task, fit
-from calib.estimate.setup import rows_of
+from calib.registration.table_rows import rows_of
 
 
 def extrapolated(scene: Any, table: Measurements) -> float:

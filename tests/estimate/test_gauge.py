@@ -11,10 +11,11 @@ from calib.calibration import calibrate
 from calib.data.cell import Cell, GroupDistance
 from calib.estimate.fitting import Task, fit
 from calib.estimate.problem import Problem
-from calib.estimate.setup import known_distances, rows_of
 from calib.model.dh import dh_table
 from calib.model.error_model import error_model
 from calib.model.kinematics import FRAME, TARGET, Kinematics
+from calib.registration.known_distances import known_distances
+from calib.registration.table_rows import rows_of
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import Robot
 from tests.fits import place

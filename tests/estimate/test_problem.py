@@ -9,10 +9,13 @@ import pytest
 from scipy.optimize import minimize
 
 from calib.data.cell import Cell
-from calib.estimate.problem import Priors, Problem, prior_std_by_reml
-from calib.estimate.setup import KnownDistance, rows_of
+from calib.estimate.problem import Problem
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
+from calib.numerics.likelihood import Priors
+from calib.numerics.reml import prior_std_by_reml
+from calib.registration.known_distances import KnownDistance
+from calib.registration.table_rows import rows_of
 
 
 def differences(function, x, step):

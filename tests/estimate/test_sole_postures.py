@@ -11,7 +11,7 @@ from calib.calibration import calibrate
 from calib.data.cell import Cell, Priors
 from calib.data.measurements import Measurements
 from calib.estimate.fitting import Fitted, Task, fit
-from calib.estimate.setup import rows_of
+from calib.registration.table_rows import rows_of
 from calib.robot.readback import random_joint_values
 from calib.robot.robot import Robot
 from calib.selection.cross_validation import cross_validation

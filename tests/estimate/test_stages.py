@@ -10,12 +10,14 @@ from scipy.optimize import minimize_scalar
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.estimate.problem import Priors, Problem
-from calib.estimate.setup import rows_of
-from calib.estimate.stages import PriorTerms, Stage
+from calib.estimate.prior_terms import PriorTerms
+from calib.estimate.problem import Problem
+from calib.estimate.stages import Stage
 from calib.model.error_model import error_model
 from calib.model.families import ZERO
 from calib.model.kinematics import FRAME, TARGET, Samples
+from calib.numerics.likelihood import Priors
+from calib.registration.table_rows import rows_of
 
 #: How far registration moves the target.
 OFF = np.zeros((4, 4))
@@ -148,7 +150,7 @@ def test_robust_weights_are_those_of_cauchy(virtual):
 
 def test_the_noise_is_kept_near_the_given_one_by_a_prior_of_a_factor_of_ten(virtual):
     linear, stage = first_stage(virtual, 12, 3e-3)
-    stage = replace(stage, prior=replace(stage.prior, prior_std="given"))
+    stage = replace(stage, prior=replace(stage.prior, source="given"))
 
     def loss(log_noise):
         data = linear.data(stage.effective, stage.rho)

@@ -15,10 +15,11 @@ from calib.diagnosis.reasons import Why
 from calib.diagnosis.residual_patterns import Order, residual_patterns
 from calib.estimate import problem as problem_module, stop_errors
 from calib.estimate.fitting import Task, fit
-from calib.estimate.problem import Priors, Problem
-from calib.estimate.setup import rows_of
+from calib.estimate.problem import Problem
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
+from calib.numerics.likelihood import Priors
+from calib.registration.table_rows import rows_of
 from calib.result.prediction import parameter_estimates
 from calib.result.uncertainty import _fit_sample
 from calib.robot.readback import random_joint_values

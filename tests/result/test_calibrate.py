@@ -15,9 +15,9 @@ from calib.data.cell import Cell, GroupDistance, Priors
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Why
 from calib.errors import ModelError, UrdfError
-from calib.estimate.statistics import Errors
 from calib.example import PAPER_TARGET_AS_PRINTED
 from calib.model.kinematics import Samples
+from calib.numerics.errors import Errors
 from calib.result.calibrate import _validated, fit_table
 from calib.result.calibration_file import read_result
 from calib.result.evaluation import evaluate

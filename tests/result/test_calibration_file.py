@@ -211,7 +211,7 @@ def test_the_document_has_every_key_of_a_file_and_no_other(everything_json: dict
         for path in documented("Keys") - found
         if not path.startswith(("outside", "model.ties", "robot.held", "non_geometric.payload"))
     }
-    assert all("sizes." in path for path in missing)  # no model has every family of errors
+    assert all("prior_std." in path for path in missing)  # no model has every family of errors
 
 
 def test_the_document_has_every_key_of_an_evaluation(calibrated: Any, tmp_path: Path):
@@ -234,7 +234,7 @@ def test_the_document_has_every_key_of_an_evaluation(calibrated: Any, tmp_path: 
         if not p.startswith(("errors", "accuracy"))
     }
     assert {path for path, _ in leaves(stored)} == keys
-    with pytest.raises(FileError, match="its 'schema' is 'evaluation 2'; a result of calib"):
+    with pytest.raises(FileError, match="its 'schema' is 'evaluation 3'; a result of calib"):
         read_result(tmp_path / "e.json")
 
 

@@ -10,7 +10,7 @@ import pytest
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.errors import ModelError
-from calib.estimate.setup import Setup
+from calib.registration.setup import Setup
 from calib.result.acceptance import assess
 from calib.result.calibrate import calibrate
 from calib.result.evaluation import accuracy, evaluate, moved

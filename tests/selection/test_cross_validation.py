@@ -13,10 +13,11 @@ from scipy.stats import ttest_1samp
 from calib.data.cell import Cell, GroupDistance
 from calib.data.measurements import Measurements
 from calib.estimate.fitting import Fitted, Task, fit
-from calib.estimate.registration import register
-from calib.estimate.rows import Rows
-from calib.estimate.setup import known_distances, rows_of
-from calib.estimate.statistics import CrossValidation, Errors
+from calib.numerics.errors import CrossValidation, Errors
+from calib.registration.known_distances import known_distances
+from calib.registration.registration import register
+from calib.registration.rows import Rows
+from calib.registration.table_rows import rows_of
 from calib.selection import cross_validation as module
 from calib.selection.cross_validation import (
     Folds,

@@ -13,9 +13,9 @@ import pytest
 from calib.data.cell import Cell, Priors
 from calib.errors import ModelError
 from calib.estimate.fitting import Fitted, Task, fit
-from calib.estimate.setup import rows_of
-from calib.estimate.statistics import CrossValidation, Errors
 from calib.model.families import FAMILIES, joint_families
+from calib.numerics.errors import CrossValidation, Errors
+from calib.registration.table_rows import rows_of
 from calib.selection.selection import (
     LADDER,
     Candidate,

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 import calib.data.kinds as registry
 from calib.data.kinds import Kind
@@ -17,11 +16,9 @@ from calib.units import Array, Integers, Mask
 #: The kind's number of rows that hold no measurement themselves: the second rows of pairs.
 NONE = -1
 
+
 #: Columns of a residual that hold lengths; those of angles follow.
 LENGTHS = 3
-
-#: Rows whose joint values differ by less than this are repeats of a pose [rad or m].
-_SAME_POSE = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -208,18 +205,3 @@ class Rows:
         """The rows in parts of ``size``; in one part where there are pairs, which stay together."""
         size = max(len(self), 1) if np.any(self.partner >= 0) else size
         return [slice(k, k + size) for k in range(0, len(self), size)]
-
-
-def same_poses(joints: Array) -> Integers:
-    """Which pose each row (N, n), [rad] or [m], was measured at: repeats get the number of their first row's."""
-    unique, first, copy = np.unique(joints, axis=0, return_index=True, return_inverse=True)
-    tree, leader = cKDTree(unique), first.copy()
-    reach = 1.01 * _SAME_POSE
-    near = tree.query(unique, k=[2], p=np.inf, distance_upper_bound=reach)[0][:, 0] < reach
-    free = np.ones(len(unique), dtype=bool)
-    for i in np.flatnonzero(near)[np.argsort(first[near])].tolist():
-        if free[i]:  # a leader takes its neighbours, which are then done with
-            found = np.array(tree.query_ball_point(unique[i], _SAME_POSE, p=np.inf))
-            found = found[free[found]]
-            leader[found], free[found] = first[i], False
-    return np.unique(leader[copy.reshape(-1)], return_inverse=True)[1].reshape(-1)

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from calib.estimate.solvers import (
+from calib.numerics.solvers import (
     levenberg_marquardt,
     paper_levenberg_marquardt,
     scipy_least_squares,

@@ -5,8 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.estimate.rows import same_poses
-from calib.estimate.statistics import Errors, Limits, interval_factor, repeats
+from calib.numerics.errors import Errors
+from calib.numerics.intervals import interval_factor
+from calib.numerics.repeats import repeats
+from calib.numerics.scores import Limits
+from calib.registration.same_poses import same_poses
 from calib.selection.cross_validation import Folds
 
 # The paper's Table 4: errors of rows 31 to 35 before and after calibration [mm].

@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from calib.data.cell import Cell
 from calib.data.kinds import _log_derivative, at as kind_at
-from calib.estimate.rows import NONE, Rows
-from calib.estimate.setup import rows_of
 from calib.model.error_model import DIRECTIONS, error_model
 from calib.model.kinematics import Kinematics, Samples
+from calib.registration.rows import NONE, Rows
+from calib.registration.table_rows import rows_of
 
 #: Numbers of kinds in the registry.
 DISTANCE, FIXED, PAIR, PLANE, POINT, POSE = 2, 4, 3, 5, 0, 1

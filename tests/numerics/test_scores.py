@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, f as f_distribution
 
-from calib.estimate.statistics import Limits, as_of_a_point, deleted_norms, median_noise
+from calib.numerics.scores import Limits, as_of_a_point, deleted_norms, median_noise
 
 
 def linear_rows(rng, n=25, p=12, noise=0.3, d=3):

@@ -8,9 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from calib.data.measurements import Measurements
 from calib.estimate import problem
-from calib.estimate.rows import NONE, Rows
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
+from calib.registration.rows import NONE, Rows
 from calib.result.calibrate import calibrate
 from calib.robot import kernel
 

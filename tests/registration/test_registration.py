@@ -10,10 +10,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.data.cell import Cell
-from calib.estimate.registration import _system, register
-from calib.estimate.setup import rows_of
 from calib.model.error_model import frame_and_target_model
 from calib.model.kinematics import FRAME
+from calib.registration.registration import _system, register
+from calib.registration.table_rows import rows_of
 
 FREE = Cell(estimate_frame=True)
 PLANAR = Cell(estimate_frame=True, frame_directions=("x", "y", "rz"))

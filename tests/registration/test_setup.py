@@ -10,17 +10,11 @@ from scipy.spatial.transform import Rotation
 
 from calib.data.cell import Cell, GroupDistance
 from calib.data.measurements import Measurements
-from calib.estimate.rows import NONE
-from calib.estimate.setup import (
-    FIRST_SIGMA,
-    FIRST_SIGMA_ANGLE,
-    KnownDistance,
-    joined_setups,
-    known_distances,
-    rows_of,
-)
 from calib.model.error_model import frame_and_target_model
 from calib.model.kinematics import ErrorModel, Kinematics
+from calib.registration.known_distances import KnownDistance, joined_setups, known_distances
+from calib.registration.rows import NONE
+from calib.registration.table_rows import FIRST_SIGMA, FIRST_SIGMA_ANGLE, rows_of
 from calib.robot.robot import Payload, Robot, gravity_loads
 
 ALL = ("x", "y", "z", "rx", "ry", "rz")

@@ -8,7 +8,9 @@ from itertools import product
 import numpy as np
 import pytest
 
-from calib.estimate.problem import Linear, Normal, Priors, _score, prior_std_by_reml
+from calib.estimate.linear import Linear
+from calib.numerics.likelihood import Normal, Priors
+from calib.numerics.reml import _score, prior_std_by_reml
 
 P = 14
 FAMILIES = np.arange(P) // 6 == np.arange(2)[:, None]  # the last two parameters are flat
