@@ -35,13 +35,13 @@ def numbers_of(text: str, label: str) -> list[float]:
 
 def test_the_sections_in_their_order(text: str):
     starts = [
-        f"calib {calib.__version__}: robot 'ur3', base to tool0, 6 joints; 30 rows to estimate and 5 to validate",
+        f"calib {calib.__version__}: robot 'ur3', base to tool0, 6 joints; 30 rows for estimation and 5 for validation",
         "\nVerdict: use\n",
         "\nPosition error [mm] ",
         "\nOutliers (no weight in the fit): row 11 (",
         "\nTarget: (",
         "\nNoise: ",
-        "\nSize of the robot's errors: ",
+        "\nPrior standard deviations: ",
         "\nRank: 21 of 27 parameters, condition number ",
         "\nUnidentifiable combinations (resolved by the priors only):\n",
         "\nParameter ",
@@ -100,7 +100,7 @@ def test_target_found_given_moved_and_kept(ur3: Robot, table: Measurements):
         assert end is not None
         return whole[whole.index("Target: ") : end.start()].strip()
 
-    assert said(Cell(model="dh")).startswith("Target: found at (-70.")
+    assert said(Cell(model="dh")).startswith("Target: estimated at (-70.")
     printed = read_only(PAPER_TARGET_AS_PRINTED)
     moved = said(Cell(target=printed, model="dh"))
     assert moved.endswith(
@@ -134,7 +134,7 @@ def test_every_set_up_by_name(calibrated):
     text = " ".join(frames(c).split())
     for group, T in zip(c.setup.groups, c.setup.T_frame_base, strict=True):
         x, y, z = (mm(v) for v in T[:3, 3])
-        assert f"Measurement frame '{group}': base found at ({x}, {y}, {z}) mm, rpy (" in text
+        assert f"Measurement frame '{group}': base estimated at ({x}, {y}, {z}) mm, rpy (" in text
     assert frames(calibrated("known set-ups")[1]) == ""
     assert frames(calibrated("pairs")[1]) == ""
 
@@ -145,7 +145,7 @@ def test_sockets_and_anchors_are_points_of_the_base(calibrated, name, word):
     for line, group, T in zip(
         frames(c).splitlines(), c.setup.groups, c.setup.T_frame_base, strict=True
     ):
-        assert line.startswith(f"{word} '{group}': found at (")
+        assert line.startswith(f"{word} '{group}': estimated at (")
         found = [float(v) for v in re.findall(r"-?\d+\.\d+", line)]
         np.testing.assert_allclose(found, -1e3 * T[:3, :3].T @ T[:3, 3], atol=5.1e-4)
 
