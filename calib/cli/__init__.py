@@ -16,31 +16,31 @@ __all__ = ["main"]
 
 
 def main() -> None:
-    """The entry point of the ``calib`` command."""
+    """Run the ``calib`` command."""
     try:
         _run()
     except KeyboardInterrupt:  # before a verb runs, which says itself what stays of its work
-        code, said = ExitStatus.INTERRUPTED, "interrupted; no file was left half written."
+        status = ExitStatus.INTERRUPTED
+        message = "interrupted; no file was left half written."
     except OSError as error:  # a full disk behind `>`
         # What could not be printed must not be tried again at the end.
         sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115
         where = f"'{error.filename}'" if error.filename else "the printed text"
-        code, said = (
-            ExitStatus.REFUSED,
-            f"{where} cannot be read or written: {error.strerror or error}.",
-        )
+        status = ExitStatus.REFUSED
+        message = f"{where} cannot be read or written: {error.strerror or error}."
     else:
         return
-    sys.stderr.write(f"calib: {said}\n")
-    sys.exit(code)
+    sys.stderr.write(f"calib: {message}\n")
+    sys.exit(status)
 
 
 def _run() -> None:
-    """Prepare what the program runs in, and run it."""
+    """Prepare environment and streams, and run the program."""
     # The matrices are small: more threads gain nothing, and on a busy machine their waiting for each other takes ten
     # times as long as the work. NumPy reads this when it is imported, after this line; who sets it keeps it.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # Who is started with one of them closed, as services are, has None there, and a file that is opened would be it.
+    # A process that is started with a closed stream, as services are, has None there; the next file that it opens
+    # would take the stream's place.
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: PTH123, SIM115

@@ -3,102 +3,158 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, fields, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from calib.cli.options import FitOptions, ModelOptions
-from calib.cli.setup import parse_columns, read_cell
+from calib.cli.setup import read_cell
+from calib.cli.words import parse_columns
 from calib.errors import CalibError, choices
 
 if TYPE_CHECKING:
     from calib.fleets.fleet import FleetInputs, FleetRobot
     from calib.robot.urdf import Urdf
 
+#: Columns that a manifest must have.
 NEEDED = ("name", "robot", "data")
 
-#: Columns that are options of the set-up, and those that say how the data are read.
+#: Columns with options of the measurement setup and the model.
 _SETUP = tuple(f.name for f in fields(ModelOptions))
+
+#: Columns that a manifest may have: those options, and how the data are read.
 OPTIONAL = (*_SETUP, "points", "points_unit", "columns")
 
 
 def read_manifest(
     path: Path, setup: FitOptions, columns: Sequence[str], points_unit: str | None
 ) -> tuple[FleetRobot, ...]:
-    """The robots of a manifest, none of them read yet; a row's own cells win over what the command line says of all."""
+    """Read a manifest; the robots themselves are read later, where they are calibrated.
+
+    Args:
+        path: The manifest, a CSV table.
+        setup: Options of the command line, for all robots; the cells of a row win.
+        columns: ``--columns``, for all robots, as typed.
+        points_unit: ``--points-unit``, for all robots; None: not given.
+
+    Returns:
+        A robot a row.
+
+    Raises:
+        CalibError: A column is missing or unknown, a cell is empty, or a name is no folder's or there twice.
+    """
     from calib.data.table import Table
     from calib.fleets.fleet import FleetRobot, check_names
 
+    # Options that are wrong for every robot are refused before the work.
     parse_columns(columns)
     read_cell(**asdict(setup))
     table = Table.read(path)
-    header = [label.strip().lower() for label in table.header]
-    lacking = [name for name in NEEDED if name not in header]
-    wrong = {n for n in header if n and (n not in (*NEEDED, *OPTIONAL) or header.count(n) > 1)}
-    if lacking or wrong:
-        problem = "is missing" if lacking else "is not known, or there twice"
-        raise CalibError(
-            f"{path.name}: of its columns {choices(lacking or wrong)} {problem}. A manifest has {choices(NEEDED)}, "
-            f"and may have {choices(OPTIONAL)}."
-        )
-    robots, names = [], []
+    header = _checked_header(path, table.header)
+    defaults = _Defaults(path.parent, setup, columns, points_unit)
+    robots, places = [], []
     for line, row in zip(table.lines, table.cells, strict=True):
         where = f"{path.name}, line {line}"
-        cells = {k: v for k, v in zip(header, row, strict=True) if k and v}
+        cells = {name: cell for name, cell in zip(header, row, strict=True) if name and cell}
         if not cells.keys() >= set(NEEDED):
             raise CalibError(f"{where}: a cell is empty; each robot has {choices(NEEDED)}.")
-        names.append((cells["name"], where))
-        load = partial(_load, where, cells, path.parent, setup, columns, points_unit)
-        robots.append(FleetRobot(cells["name"], load))
+        places.append((cells["name"], where))
+        robots.append(FleetRobot(cells["name"], partial(_load, where, cells, defaults)))
     if not robots:
         raise CalibError(f"{path.name}: there are no robots in it, only a header.")
-    check_names(names)
+    check_names(places)
     return tuple(robots)
 
 
+def _checked_header(path: Path, labels: Sequence[str]) -> list[str]:
+    """Return the names of the columns in lower case, ``""`` for an empty one; raises `CalibError`."""
+    header = [label.strip().lower() for label in labels]
+    missing = [name for name in NEEDED if name not in header]
+    allowed = {*NEEDED, *OPTIONAL, ""}
+    wrong = {name for name in header if name not in allowed}
+    wrong |= {name for name in header if name and header.count(name) > 1}
+    if missing or wrong:
+        problem = "is missing" if missing else "is not known, or there twice"
+        raise CalibError(
+            f"{path.name}: of its columns {choices(missing or wrong)} {problem}. A manifest has "
+            f"{choices(NEEDED)}, and may have {choices(OPTIONAL)}."
+        )
+    return header
+
+
+@dataclass(frozen=True, slots=True)
+class _Defaults:
+    """Options of the command line, which hold for all robots."""
+
+    folder: Path  # The manifest's, where relative paths begin
+    setup: FitOptions
+    columns: Sequence[str]
+    points_unit: str | None
+
+
 def _load(
-    where: str,
-    cells: dict[str, str],
-    folder: Path,
-    setup: FitOptions,
-    columns: Sequence[str],
-    points_unit: str | None,
-    urdf_of: Callable[[str], Urdf],
+    where: str, cells: Mapping[str, str], defaults: _Defaults, urdf_of: Callable[[str], Urdf]
 ) -> FleetInputs:
-    """Read the robot of a row; relative paths begin at the manifest's folder."""
+    """Read the robot of a row.
+
+    Args:
+        where: The row, for messages.
+        cells: Its cells that are not empty, by column.
+        defaults: Options for what it does not say.
+        urdf_of: Reads a URDF, or returns one that was read already.
+    """
     from calib.fleets.fleet import FleetRobot
 
-    own: dict[str, Any] = {name: cells[name] for name in _SETUP if name in cells}
-    lists: dict[str, Any] = {
-        name: [part.strip() for part in cells[name].split(";") if part.strip()]
-        for name in ("hold", "columns")
-        if name in cells
-    }
-    renamed = lists.pop("columns", columns)
-    files: dict[str, Any] = {
-        name: folder / cells[name] for name in ("cell", "points") if name in cells
-    }
-    points = files.pop("points", None)
+    folder = defaults.folder
+    options: dict[str, Any] = {name: cells[name] for name in _SETUP if name in cells}
+    if "hold" in cells:
+        options["hold"] = _split(cells["hold"])
+    if "cell" in cells:
+        options["cell"] = folder / cells["cell"]
+    columns = _split(cells["columns"]) if "columns" in cells else defaults.columns
+    points, points_unit = None, None
+    if "points" in cells:
+        points = folder / cells["points"]
+        points_unit = cells.get("points_unit", defaults.points_unit)
     try:
-        return FleetRobot.of_files(
+        robot = FleetRobot.of_files(
             cells["name"],
             _source(cells["robot"], folder),
             folder / cells["data"],
-            read_cell(**asdict(replace(setup, **(own | lists | files)))),
-            columns=parse_columns(renamed),
+            read_cell(**asdict(replace(defaults.setup, **options))),
+            columns=parse_columns(columns),
             points=points,
-            points_unit=cells.get("points_unit", points_unit) if points else None,
-        ).load(urdf_of)
+            points_unit=points_unit,
+        )
+        return robot.load(urdf_of)
     except CalibError as error:
         raise CalibError(f"{where}: {error}") from error
 
 
+def _split(cell: str) -> list[str]:
+    """Return the values of a cell that holds several, separated by semicolons."""
+    parts = [part.strip() for part in cell.split(";")]
+    return [part for part in parts if part]
+
+
 def _source(robot: str, folder: Path) -> str:
-    """The robot's file, with what stands behind a xacro, or its name in example-robot-data where it is no file."""
+    """Return the robot's file, with the arguments behind a xacro, or its name in example-robot-data.
+
+    Args:
+        robot: As the manifest has it; a relative path begins at ``folder``.
+        folder: The manifest's.
+    """
+    is_file = _is_file(robot, folder)
+    if not is_file or robot.startswith("~"):
+        return robot
+    # As text: what follows a xacro is no path.
+    return os.path.join(folder, robot)  # noqa: PTH118
+
+
+def _is_file(robot: str, folder: Path) -> bool:
+    """Tell a file from the name of a robot in example-robot-data."""
     from calib.robot.xacro_file import is_xacro
 
-    file = is_xacro(robot) or Path(robot).suffix or (folder / robot).is_file()
-    # As text: what stands behind a xacro is no path.
-    return os.path.join(folder, robot) if file and robot[0] != "~" else robot  # noqa: PTH118
+    return bool(is_xacro(robot)) or bool(Path(robot).suffix) or (folder / robot).is_file()

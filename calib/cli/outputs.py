@@ -1,28 +1,58 @@
-"""What ``calib calibrate`` computes and writes besides the calibration: intervals, and files in every form."""
+"""Files that a call writes: checked before the work, and for ``calib calibrate`` in every form."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from calib.cli.options import Accept, Dask, Force, SampleWorkers, TargetLink
-from calib.cli.setup import check_outputs
+from calib.cli.options import Accept, Force, TargetLink
 from calib.cli.terminal import command_line, progress_bar
-from calib.errors import CalibError
+from calib.errors import CalibError, FileError
 
 if TYPE_CHECKING:
-    from concurrent.futures import Executor
-
     from calib.calibration import Calibration
+
+
+def check_outputs(
+    outputs: Iterable[Path | None], inputs: Iterable[str | Path | None], *, force: bool
+) -> None:
+    """Refuse outputs that cannot be written before the work begins.
+
+    Args:
+        outputs: The files to write; None: not wanted.
+        inputs: The files that are read; None: not given.
+        force: Whether existing files are overwritten.
+
+    Raises:
+        FileError: A file exists, its folder does not, or it is an input, a xacro, or named twice.
+    """
+    from calib.files import check_no_xacro, check_writable
+
+    roles = {Path(os.path.realpath(path)): "an input" for path in inputs if path is not None}
+    for path in outputs:
+        if path is None:
+            continue
+        resolved = Path(os.path.realpath(path))
+        if resolved in roles:
+            raise FileError(f"{path} is also {roles[resolved]} of this command.")
+        roles[resolved] = "another output"
+        check_no_xacro(path)
+        check_writable(path, overwrite=force)
+
+
+def written_lines(*paths: Path | None) -> list[str]:
+    """Return a line for each file that was written; None: it was not wanted."""
+    return [f"Written: {path}" for path in paths if path is not None]
 
 
 @dataclass(frozen=True, slots=True)
 class Outputs:
-    """What is written."""
+    """Outputs of ``calib calibrate``."""
 
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Write the corrected URDF.")
@@ -47,7 +77,8 @@ class Outputs:
         typer.Option(
             "--figures",
             metavar="FOLDER",
-            help="Write every figure into a folder, and their captions as captions.md; it is made if missing.",
+            help="Write every figure into a folder, and their captions as captions.md; the folder "
+            "is made if missing.",
         ),
     ] = None
     figure_format: Annotated[
@@ -58,8 +89,15 @@ class Outputs:
     accept: Accept = False
     force: Force = False
 
-    def check(self, inputs: list[str | Path]) -> None:
-        """Refuse before the work what cannot be written after it."""
+    def check(self, inputs: Iterable[str | Path | None]) -> None:
+        """Refuse outputs that cannot be written before the work begins.
+
+        Args:
+            inputs: The files that are read; None: not given.
+
+        Raises:
+            CalibError: See `check_outputs`; or options that do not go together.
+        """
         if self.figures is None and self.figure_format is not None:
             raise CalibError("--figure-format takes --figures FOLDER.")
         if self.figures is not None and self.figures.is_file():
@@ -68,95 +106,68 @@ class Outputs:
             from calib.report.report import check_ending
 
             check_ending(self.report)
-        check_outputs((self.output, self.json, self.view, self.report), inputs, force=self.force)
+        files = (self.output, self.json, self.view, self.report)
+        check_outputs(files, inputs, force=self.force)
 
     def write(
-        self, result: Calibration, tables: dict[str, Any], *, quiet: bool
+        self, result: Calibration, tables: Mapping[str, Any], *, quiet: bool
     ) -> Iterator[Path | str]:
-        """Write what was asked for, one after the other; ``tables`` go into the result file too.
+        """Write the outputs that were asked for, one after the other.
 
-        The corrected URDF is left out where the verdict is ``do not use`` and was not accepted.
+        The corrected URDF is not written where the verdict is ``do not use`` and was not accepted.
+
+        Args:
+            result: The calibration.
+            tables: Further tables for the result file, by key.
+            quiet: Whether no progress is shown.
+
+        Yields:
+            The name of each output, after it was written.
         """
-        force, kind = self.force, self.figure_format or "png"
-        if self.figures is not None and not force:
-            from calib.report.figures import drawings, figure_files
-
-            figure_files(drawings(result), self.figures, kind)
         from calib.text.verdict import against
 
+        self._check_figures(result)
         if self.output is not None and (self.accept or not against(result.verdict)):
             yield result.write_urdf(
-                self.output, overwrite=force, target_link=self.target_link, accept=self.accept
+                self.output,
+                overwrite=self.force,
+                target_link=self.target_link,
+                accept=self.accept,
             )
         if self.json is not None:
             from calib.result.calibration_file import write_result
 
-            yield write_result(result, self.json, overwrite=force, extra=tables)
+            yield write_result(result, self.json, overwrite=self.force, extra=dict(tables))
         if self.view is not None:
             from calib.viewer.page import write_page
 
-            yield write_page(result, self.view, overwrite=force)
+            yield write_page(result, self.view, overwrite=self.force)
         if self.report is not None:
             from calib.report.report import write_report
 
-            yield write_report(result, self.report, command=command_line(), overwrite=force)
+            command = command_line()
+            yield write_report(result, self.report, command=command, overwrite=self.force)
         if self.figures is not None:
-            from calib.report.figures import write_figures
+            yield self._write_figures(result, self.figures, quiet=quiet)
 
-            with progress_bar("figures", quiet=quiet) as progress:
-                made = write_figures(
-                    result, self.figures, kind=kind, overwrite=force, progress=progress
-                )
-            yield f"{self.figures} ({len(made)} figures)"
+    def _check_figures(self, result: Calibration) -> None:
+        """Refuse figures that exist before anything is written."""
+        if self.figures is None or self.force:
+            return
+        from calib.report.figures import drawings, figure_files
 
+        figure_files(drawings(result), self.figures, self.figure_format or "png")
 
-@dataclass(frozen=True, slots=True)
-class Intervals:
-    """Which intervals are computed beside those of the covariance."""
+    def _write_figures(self, result: Calibration, folder: Path, *, quiet: bool) -> str:
+        """Write the figures and return what was written."""
+        from calib.report.figures import write_figures
 
-    bootstrap: Annotated[
-        int | None,
-        typer.Option(
-            min=40,
-            metavar="N",
-            help="Fit again to N random samples of the poses, and print the intervals that follow; 1000 is a good "
-            "number.",
-        ),
-    ] = None
-    workers: SampleWorkers = None
-    dask: Dask = None
-    seed: Annotated[
-        int | None,
-        typer.Option(min=0, metavar="S", help="Seed of --bootstrap; the same S, the same samples."),
-    ] = None
-    profile: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="PARAMETER",
-            help="Print the interval of a parameter by the profile of the cost. Can be repeated.",
-        ),
-    ] = None
-
-    def compute(
-        self, result: Calibration, executor: Executor | None, *, quiet: bool
-    ) -> tuple[list[str], dict[str, Any]]:
-        """Bootstrap and profiles, as far as they are asked for: texts to print, and tables for the result file."""
-        from calib.result.uncertainty import bootstrap, profile_interval
-        from calib.text.summary import LEVEL, bootstrap_table, bootstrap_text, profile_text
-
-        texts: list[str] = []
-        tables: dict[str, Any] = {}
-        if self.bootstrap is not None:
-            with progress_bar("bootstrap", quiet=quiet) as progress:
-                found = bootstrap(result, self.bootstrap, self.seed or 0, progress, executor)
-            texts.append(bootstrap_text(result, found))
-            tables["bootstrap"] = bootstrap_table(found)
-        if self.profile:
-            profiles = [
-                (result.parameter(n), profile_interval(result, n, LEVEL)) for n in self.profile
-            ]
-            texts.append(profile_text(profiles))
-            tables["profiles"] = [
-                {"name": p.name, "unit": p.unit, **asdict(found)} for p, found in profiles
-            ]
-        return texts, tables
+        with progress_bar("figures", quiet=quiet) as progress:
+            figures = write_figures(
+                result,
+                folder,
+                kind=self.figure_format or "png",
+                overwrite=self.force,
+                progress=progress,
+            )
+        return f"{folder} ({len(figures)} figures)"

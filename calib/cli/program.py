@@ -1,10 +1,10 @@
-"""program: the verbs of the command line in one, with the options before them."""
+"""The program: all verbs of the command line, and the options before them."""
 
 from __future__ import annotations
 
 import typer
 
-from calib.cli.options import Verb
+from calib.cli.verb import Verb
 from calib.cli.verbs.base_frame import base_frame
 from calib.cli.verbs.calibrate import calibrate
 from calib.cli.verbs.compare import compare
@@ -28,16 +28,31 @@ app = typer.Typer(
     help="Kinematic calibration of robot arms: URDF in, corrected URDF out.",
     epilog="Start with:  calib demo     then:  calib calibrate robot.urdf data.csv -o corrected.urdf",
 )
-verbs = (demo, calibrate, fleet, evaluate, compare, compensate, inspect, base_frame, plan, simulate)
-for verb in (*verbs, convert, view, workspace):
-    app.command(cls=Verb)(verb)
-# Its name before, kept for one release.
+#: The verbs, in the order of ``calib --help``.
+_VERBS = (
+    demo,
+    calibrate,
+    fleet,
+    evaluate,
+    compare,
+    compensate,
+    inspect,
+    base_frame,
+    plan,
+    simulate,
+    convert,
+    view,
+    workspace,
+)
+for command in _VERBS:
+    app.command(cls=Verb)(command)
+# The earlier name of `calibrate`, kept for one release.
 app.command("fit", cls=Verb, hidden=True)(calibrate)
 
 
-def _print_version(wanted: bool) -> None:
-    """Print the version and stop."""
-    if wanted:
+def _print_version(given: bool) -> None:
+    """Print the version and stop, if the option is given."""
+    if given:
         from calib.version import __version__
 
         typer.echo(f"calib {__version__}")
@@ -51,5 +66,5 @@ _VERSION = typer.Option(
 
 @app.callback()
 def _options(version: bool = _VERSION) -> None:
-    """Options before the verb."""
+    """Take the options before the verb."""
     del version

@@ -1,4 +1,4 @@
-"""What a person reads: lines of 100 columns, sober colours and progress on a terminal, no escape code elsewhere."""
+"""Output for a person: lines of 100 columns, colours and progress on a terminal, no escape code elsewhere."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import typer
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rich.progress import TaskID
 
 
-#: How a verdict is coloured; the word says it too.
+#: Colour of a verdict, beside the word.
 VERDICTS = {
     "use": "bold green",
     "use with care": "bold yellow",
@@ -26,7 +26,7 @@ VERDICTS = {
     "fail": "bold red",
 }
 
-#: Lines that are the head of a table or name one.
+#: Heads and titles of tables.
 _HEAD = re.compile(
     r"((Position|Length|Position or length|Orientation) error "
     r"|(Pose|Length) accuracy[, ]|Orientation, |Models tried  |Parameter  |Non-geometric model '"
@@ -38,6 +38,10 @@ _RULE = re.compile(r"(=+|-+)$")
 
 #: Characters that control a terminal; file names may hold them.
 _CONTROLS = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
+
+
+#: The first columns of a table of robots hold words, the others numbers.
+_WORD_COLUMNS = 4
 
 
 def say(text: str) -> None:
@@ -55,21 +59,20 @@ def say(text: str) -> None:
 
 
 def styled(text: str) -> Iterator[tuple[str, str]]:
-    r"""The lines of a text, each with the style that it has on a terminal; ``""`` for none.
+    r"""Yield the lines of a text, each with its style on a terminal; ``""`` for none.
 
     Example:
         >>> list(styled("Verdict: use\n  It is better."))
         [('Verdict: use', 'bold green'), ('  It is better.', '')]
     """
-    lines = [
-        _CONTROLS.sub(lambda control: repr(control[0])[1:-1], line) for line in text.split("\n")
-    ]
+    visible = _CONTROLS.sub(lambda control: repr(control[0])[1:-1], text)
+    lines = visible.split("\n")
     for line, following in zip(lines, [*lines[1:], ""], strict=True):
-        under = len(following) >= len(line.rstrip()) > 0 and _RULE.match(following) is not None
+        is_underlined = len(following) >= len(line.rstrip()) > 0 and _RULE.match(following)
         if line.startswith("Verdict: "):
             verdict = line.removeprefix("Verdict: ")
             yield line, VERDICTS.get(verdict, "bold")
-        elif under or _HEAD.match(line):
+        elif is_underlined or _HEAD.match(line):
             yield line, "bold"
         else:
             yield line, "dim" if _RULE.match(line) else ""
@@ -78,7 +81,10 @@ def styled(text: str) -> Iterator[tuple[str, str]]:
 def say_table(title: str, heads: list[str], rows: list[list[str]]) -> None:
     """Print a table: on a terminal long names are folded and verdicts coloured; elsewhere it is plain text.
 
-    Its first four columns are words, the others numbers.
+    Args:
+        title: The line above it.
+        heads: Heads of the columns; the first four hold words, the others numbers.
+        rows: Cells, a list for each row; without rows nothing is printed.
     """
     from rich.console import Console
     from rich.table import Table
@@ -86,7 +92,8 @@ def say_table(title: str, heads: list[str], rows: list[list[str]]) -> None:
 
     table = Table(box=None, pad_edge=False, header_style="bold")
     for k, head in enumerate(heads):
-        table.add_column(head, justify="left" if k < 4 else "right", overflow="fold")
+        justify: Literal["left", "right"] = "left" if k < _WORD_COLUMNS else "right"
+        table.add_column(head, justify=justify, overflow="fold")
     for row in rows:
         table.add_row(*(Text(cell, VERDICTS.get(cell, "")) for cell in row))
     # A file is as wide as its longest name.
@@ -99,13 +106,20 @@ def say_table(title: str, heads: list[str], rows: list[list[str]]) -> None:
 
 
 def command_line() -> str:
-    """The command that runs, as it can be typed again."""
+    """Return the command that runs, as it can be typed again."""
     return shlex.join(["calib", *sys.argv[1:]])
 
 
 @contextmanager
 def stages_bar(*, quiet: bool) -> Iterator[Callable[[str, int, int], None] | None]:
-    """A bar on stderr for each stage of the work in the block; None where nobody is watching."""
+    """Show a bar on stderr for each stage of the work in the block.
+
+    Args:
+        quiet: Whether no bar is wanted.
+
+    Yields:
+        A function of the stage's name, the work done and all of its work; None where nobody is watching.
+    """
     if quiet or not sys.stderr.isatty():
         yield None
         return
@@ -115,16 +129,24 @@ def stages_bar(*, quiet: bool) -> Iterator[Callable[[str, int, int], None] | Non
     with Progress(console=Console(stderr=True), transient=True) as bar:
         tasks: dict[str, TaskID] = {}
 
-        def advance(what: str, done: int, total: int) -> None:
-            if what not in tasks:
-                tasks[what] = bar.add_task(what, total=total)
-            bar.update(tasks[what], completed=done, total=total)
+        def advance(stage: str, done: int, total: int) -> None:
+            if stage not in tasks:
+                tasks[stage] = bar.add_task(stage, total=total)
+            bar.update(tasks[stage], completed=done, total=total)
 
         yield advance
 
 
 @contextmanager
 def progress_bar(label: str, *, quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
-    """The same for work in one stage, ``label``."""
+    """Show a bar on stderr for the work in the block.
+
+    Args:
+        label: The name of the work.
+        quiet: Whether no bar is wanted.
+
+    Yields:
+        A function of the work done and all of the work; None where nobody is watching.
+    """
     with stages_bar(quiet=quiet) as advance:
         yield None if advance is None else partial(advance, label)

@@ -1,45 +1,24 @@
-"""Errors on the command line: one line on stderr, the exit status, the trace for those who ask."""
+"""Groups of options: each field is an option, and lists in help texts are those of the registries."""
 
 from __future__ import annotations
 
+import re
+from typing import get_args, get_type_hints
+
 import pytest
 import typer
+from typer.main import get_command
 from typer.testing import CliRunner
 
-from calib.cli.exit_status import ExitStatus
-from calib.cli.options import FitOptions, Robust, TableOptions, Verb, reporting, verb
-from calib.errors import FileError, VerdictError
-
-FAULT = "calib: a fault of calib itself: IndexError: list index out of range. Report it with what --debug shows.\n"
-
-
-def test_a_fault_of_calib_is_one_line_and_how_to_report_it(capsys):
-    with pytest.raises(typer.Exit) as ended, reporting(debug=False):
-        [][0]
-    assert ended.value.exit_code == 1
-    assert capsys.readouterr().err == FAULT
-
-
-def test_with_debug_a_fault_keeps_its_trace():
-    with pytest.raises(IndexError), reporting(debug=True):
-        [][0]
-
-
-@pytest.mark.parametrize("debug", [False, True])
-def test_what_a_user_can_mend_is_one_line_with_a_trace_before_it_if_asked(capsys, debug):
-    with pytest.raises(typer.Exit) as ended, reporting(debug=debug):
-        raise FileError("a.csv is not there.")
-    said = capsys.readouterr().err
-    assert ended.value.exit_code == 1
-    assert said.endswith("calib: a.csv is not there.\n")
-    assert ("Traceback" in said) == debug
-
-
-def test_a_verdict_that_is_obeyed_has_an_exit_status_of_its_own(capsys):
-    with pytest.raises(typer.Exit) as ended, reporting(debug=False):
-        raise VerdictError("the verdict is against it.")
-    assert ended.value.exit_code == ExitStatus.NOT_ACCEPTED
-    assert capsys.readouterr().err == "calib: the verdict is against it.\n"
+from calib.cli.options import FitOptions, Robust, SolverOptions, TableOptions
+from calib.cli.program import app as program
+from calib.cli.verb import Verb, verb
+from calib.data import kinds
+from calib.errors import FileError
+from calib.estimate.fitting import PAPER
+from calib.formats.convert import FORMATS
+from calib.model.families import joint_families
+from calib.numerics.solvers import SOLVERS
 
 
 @verb("What it does.")
@@ -91,3 +70,31 @@ def test_classes_of_options_stand_for_their_fields(words, code, said):
     done = CliRunner().invoke(app, words)
     assert done.exit_code == code
     assert said in " ".join(done.output.split())
+
+
+@pytest.mark.parametrize(
+    ("command", "names"),
+    [
+        ("calibrate", joint_families()),
+        ("calibrate", kinds.names()),
+        ("calibrate", (*SOLVERS, PAPER)),
+        ("convert", tuple(FORMATS)),
+    ],
+)
+def test_help_lists_what_is_registered(command: str, names: tuple[str, ...]):
+    done = CliRunner().invoke(program, [command, "--help"])
+    words = set(re.findall(r"[\w-]+", done.output))
+    assert done.exit_code == 0
+    assert set(names) <= words
+
+
+def test_no_placeholder_is_left_in_any_help():
+    for command in get_command(program).commands:
+        done = CliRunner().invoke(program, [command, "--help"])
+        assert done.exit_code == 0
+        assert not re.findall(r"\{[a-z]+\}", done.output)
+
+
+def test_the_solvers_of_the_command_line_are_those_that_there_are():
+    literal = get_args(get_args(get_type_hints(SolverOptions, include_extras=True)["solver"])[0])
+    assert set(literal) == {*SOLVERS, PAPER}

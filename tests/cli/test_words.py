@@ -1,27 +1,17 @@
-"""What the words of a call become, and the one line that refuses them."""
+"""Values from the words of a call, and the one line that refuses them."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from calib.cli.setup import (
-    load_with_data,
-    parse_held,
-    parse_pair,
-    parse_payload,
-    parse_point,
-    read_cell,
-)
-from calib.data.cell import Cell
+from calib.cli.words import parse_held, parse_pair, parse_payload, parse_point
 from calib.errors import CalibError
-from calib.model.error_model import DIRECTIONS
-from calib.robot.robot import Payload
+from calib.robot.payload import Payload
 from calib.units import Angle, Length
 
 
@@ -58,49 +48,6 @@ def test_words_that_mean_nothing(parse: Callable[[str], Any], text: str, said: s
     with pytest.raises(CalibError, match=re.escape(said)) as caught:
         parse(text)
     assert "\n" not in str(caught.value)
-
-
-CELL = """
-base = "base"
-model = "zeros+gain"
-kind = "point"
-frame = ["x"]
-[payload]
-mass_kg = 2
-com_mm = [0, 0, 50]
-[held]
-lift = "0.1 m"
-pan = "10 deg"
-"""
-
-
-def test_the_line_wins_over_the_file(tmp_path: Path):
-    path = tmp_path / "cell.toml"
-    path.write_text(CELL, encoding="utf-8")
-    plain = read_cell(path)
-    assert repr(plain) == repr(Cell.read(path))
-    cell = read_cell(
-        path, tip="tool0", frame="estimate", model="dh", kind="pose", hold=["lift=0.3 m"],
-        payload="5 kg", target="1 2 3 mm",
-    )  # fmt: skip
-    assert (cell.base, cell.tip, cell.model, cell.kind) == ("base", "tool0", "dh", "pose")
-    assert cell.estimate_frame
-    assert cell.frame_directions == DIRECTIONS
-    assert cell.held == {"lift": 0.3, "pan": plain.held["pan"]}
-    assert cell.payload is not None
-    assert cell.payload.mass == 5.0
-    assert cell.payload.com[2] == 0.05
-    assert cell.target is not None
-    assert not read_cell(path, frame="known").estimate_frame
-
-
-def test_the_kind_of_the_cell_is_that_of_the_table(shop: Path):
-    cell = Cell(base="base", kind="fixed")
-    text = (shop / "joints.csv").read_text(encoding="utf-8").splitlines()
-    grouped = [text[0] + ",group", *(line + ",socket" for line in text[1:])]
-    (shop / "grouped.csv").write_text("\n".join(grouped), encoding="utf-8")
-    _, table = load_with_data(str(shop / "robot.urdf"), cell, shop / "grouped.csv", None)
-    assert set(table.kinds) == {"fixed"}
 
 
 @pytest.mark.parametrize(

@@ -2,25 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
+from calib.cli.executor import executor_of
+from calib.cli.intervals import Intervals
+from calib.cli.notices import say_accepted, say_ignored
 from calib.cli.options import (
     DataFile,
     FitOptions,
     Quiet,
     RobotFile,
-    Robust,
-    SolverName,
+    SolverOptions,
     TableOptions,
-    Validate,
-    verb,
 )
-from calib.cli.outputs import Intervals, Outputs
-from calib.cli.setup import executor_of, load_with_data, read_cell, say_accepted, say_ignored
+from calib.cli.outputs import Outputs
+from calib.cli.setup import load_with_data, read_cell
 from calib.cli.terminal import progress_bar, say
-from calib.errors import CalibError, VerdictError
+from calib.cli.verb import verb
+from calib.errors import VerdictError
+
+if TYPE_CHECKING:
+    from calib.calibration import Calibration
 
 
 @verb("""Calibrate a robot from measurements.
@@ -47,55 +54,68 @@ def calibrate(
     table: TableOptions,
     outputs: Outputs,
     intervals: Intervals,
-    solver: SolverName = "lm",
-    robust: Robust = True,
-    validate: Validate = True,
+    estimation: SolverOptions,
     quiet: Quiet = False,
 ) -> None:
-    """See the text of `verb`."""
-    count = intervals.bootstrap
-    for option in ("seed", "workers", "dask"):
-        if getattr(intervals, option) is not None and count is None:
-            raise CalibError(
-                f"--{option} is for the samples of --bootstrap; say how many, such as --bootstrap 1000."
-            )
-    outputs.check([robot, data, *(path for path in (setup.cell, table.points) if path)])
-    with executor_of(intervals.workers, intervals.dask, count, default=1) as executor:
+    """Run the verb; its help is the text of `verb`."""
+    intervals.check()
+    outputs.check([robot, data, setup.cell, table.points])
+    samples = intervals.bootstrap
+    with executor_of(intervals.workers, intervals.dask, samples, default=1) as executor:
         cell = read_cell(**asdict(setup))
-        arm, rows = load_with_data(robot, cell, data, **asdict(table))
+        arm, measurements = load_with_data(robot, cell, data, **asdict(table))
 
-        from calib.calibration import calibrate as calibrated
+        from calib.calibration import calibrate as fit
 
         with progress_bar("cross-validation", quiet=quiet) as progress:
-            result = calibrated(
+            result = fit(
                 arm,
-                rows,
+                measurements,
                 cell=cell,
-                solver=solver,
-                robust=robust,
-                validate=validate,
+                solver=estimation.solver,
+                robust=estimation.robust,
+                validate=estimation.validate,
                 progress=progress,
             )
-        texts, tables = intervals.compute(result, executor, quiet=quiet)
-    from calib.text.verdict import against, refusal
-
-    stated = against(result.verdict)
+        interval_texts, tables = intervals.compute(result, executor, quiet=quiet)
     # Files first: a reader of the text that goes away (head, less) must not cost the results.
     written = list(outputs.write(result, tables, quiet=quiet))
     if not quiet:
-        say_ignored(rows, arm)
-        say("\n\n".join([result.summary(), *texts]) + "\n")
-        for path in written:
-            typer.echo(f"Written: {path}")
-        if outputs.output is None and result.verdict is None:
-            typer.echo(
-                "No URDF was written. There is no verdict on one: --no-validate leaves it out."
-            )
-        elif outputs.output is None and not stated:
-            typer.echo("No URDF was written; add -o corrected.urdf to write it.")
+        say_ignored(measurements, arm)
+        say("\n\n".join([result.summary(), *interval_texts]) + "\n")
+        _say_written(result, outputs, written)
+    _obey_verdict(result, outputs)
+
+
+def _say_written(result: Calibration, outputs: Outputs, written: Sequence[Path | str]) -> None:
+    """Name the files that were written, or why there is no URDF."""
+    from calib.text.verdict import against
+
+    for path in written:
+        typer.echo(f"Written: {path}")
+    if outputs.output is not None:
+        return
+    if result.verdict is None:
+        typer.echo("No URDF was written. There is no verdict on one: --no-validate leaves it out.")
+    elif not against(result.verdict):
+        typer.echo("No URDF was written; add -o corrected.urdf to write it.")
+
+
+def _obey_verdict(result: Calibration, outputs: Outputs) -> None:
+    """Report that no URDF was written because of the verdict, or that it was accepted.
+
+    Raises:
+        VerdictError: The verdict is ``do not use``, a URDF was wanted, and ``--accept`` was not given.
+    """
+    from calib.text.verdict import against, refusal
+
+    stated = against(result.verdict)
     if outputs.output is None or not stated:
         return
-    if not outputs.accept:
-        earlier = f" '{outputs.output}' is an earlier one." * outputs.output.exists()
-        raise VerdictError(refusal("this calibration", stated) + earlier)
-    say_accepted(f"'{outputs.output}'", stated)
+    if outputs.accept:
+        say_accepted(f"'{outputs.output}'", stated)
+        return
+    message = refusal("this calibration", stated)
+    if outputs.output.exists():
+        message += f" '{outputs.output}' is an earlier one."
+    raise VerdictError(message)

@@ -7,7 +7,9 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.options import Force, Quiet, verb
+from calib.cli.options import Force, Quiet
+from calib.cli.outputs import check_outputs, written_lines
+from calib.cli.verb import verb
 
 
 @verb("""Compare two calibrations of one robot: did it drift?
@@ -39,22 +41,20 @@ def compare(
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """See the text of `verb`."""
+    """Run the verb; its help is the text of `verb`."""
     from calib.calibration import compare as compare_results
-    from calib.cli.setup import check_outputs
 
-    check_outputs([json, view], [a, b, *([robot] if robot else [])], force=force)
-    found = compare_results(a, b, robot)
-    written = []
+    check_outputs([json, view], [a, b, robot], force=force)
+    comparison = compare_results(a, b, robot)
     if view is not None:
         from calib.viewer.page import view_page
         from calib.viewer.view import view_of_comparison
 
-        written.append(view_page(view_of_comparison(found)).write(view, overwrite=force))
+        view_page(view_of_comparison(comparison)).write(view, overwrite=force)
     if json is not None:
-        written.append(found.write_json(json, overwrite=force))
+        comparison.write_json(json, overwrite=force)
     if quiet:
         return
-    typer.echo(found.summary())
-    if written:
-        typer.echo("\n" + "\n".join(f"Written: {path}" for path in written))
+    typer.echo(comparison.summary())
+    if written := written_lines(view, json):
+        typer.echo("\n" + "\n".join(written))

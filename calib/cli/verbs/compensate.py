@@ -2,23 +2,141 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from calib.cli.options import Accept, Columns, Force, Hold, PayloadMass, Quiet, RobotFile, verb
+from calib.cli.notices import say_accepted
+from calib.cli.options import Accept, Columns, Force, Hold, PayloadMass, Quiet, RobotFile
+from calib.cli.outputs import check_outputs
+from calib.cli.verb import verb
+from calib.cli.words import parse_columns, parse_held, parse_pair, parse_payload, parse_tool
 from calib.errors import CalibError, VerdictError
 
-Forms = Literal["rotation-vector", "quaternion", "rpy"]
-_TOOL = '"X Y Z UNIT [RX RY RZ UNIT]"|target[:NAME]'
-_TOOL_HELP = "Tool in the tip, such as '0 0 150 mm', or the calibrated target. Default: the tip."
-_FRAME = "Frame of the poses: the base, the one that was measured in, or that of a set-up."
-_MATCH = "What is to be reached; axis: position and direction of the tool's z. Default: pose."
-_START = (
-    "Joint value that the first row starts near, of poses without joint values. Can be repeated."
-)
-_SEND = "What is written: joint values to command, poses to send, or both."
+if TYPE_CHECKING:
+    from calib.compensation.commands import Commands
+    from calib.compensation.program import Program
+    from calib.result.calibration import CalibrationValues
+    from calib.robot.payload import Payload
+    from calib.robot.robot import Robot
+
+#: What `--poses-in` calls the robot's base, and the (only) frame that was measured in.
+_BASE = "base"
+_MEASURED = "measured"
+
+#: Error of a row that the search for joint values may leave, unless --tolerance says otherwise [m], [rad].
+_TOLERANCE = 1e-8
+
+
+@dataclass(frozen=True, slots=True)
+class ModelChoice:
+    """The model of the real robot."""
+
+    calibration: Annotated[Path | None, typer.Option(help="Result JSON of a calibration.")] = None
+    corrected: Annotated[
+        str | None, typer.Option(help="Corrected URDF, in place of --calibration.")
+    ] = None
+    geometry: Annotated[
+        bool, typer.Option("--geometry", help="Without the non-geometric model.")
+    ] = False
+    payload: PayloadMass = None
+    accept: Accept = False
+
+    @property
+    def source(self) -> Path | str:
+        """The file of the model.
+
+        Raises:
+            CalibError: None or two are given, or a payload for a model that does not use it.
+        """
+        source = self.calibration or self.corrected
+        if source is None or (self.calibration and self.corrected):
+            raise CalibError(
+                "Give one of --calibration result.json and --corrected corrected.urdf."
+            )
+        if self.geometry and self.payload:
+            raise CalibError(
+                "--payload is for the non-geometric model, which --geometry leaves out."
+            )
+        return source
+
+
+@dataclass(frozen=True, slots=True)
+class GoalOptions:
+    """Poses to reach, and the error that they may keep."""
+
+    tool: Annotated[
+        str | None,
+        typer.Option(
+            metavar='"X Y Z UNIT [RX RY RZ UNIT]"|target[:NAME]',
+            help="Tool in the tip, such as '0 0 150 mm', or the calibrated target. Default: the tip.",
+        ),
+    ] = None
+    poses_in: Annotated[
+        str,
+        typer.Option(
+            metavar="base|measured|GROUP",
+            help="Frame of the poses: the base, the one that was measured in, or that of a group.",
+        ),
+    ] = _BASE
+    match: Annotated[
+        Literal["pose", "position", "axis"] | None,
+        typer.Option(
+            help="What is to be reached; axis: position and direction of the tool's z. Default: pose."
+        ),
+    ] = None
+    start: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar='"JOINT=VALUE UNIT"',
+            help="Joint value near which the search for the first row starts, for poses without "
+            "joint values. Can be repeated.",
+        ),
+    ] = None
+    tolerance: Annotated[
+        str,
+        typer.Option(metavar='"LENGTH [ANGLE]"', help="Error that a row may keep."),
+    ] = "1e-8 m 1e-8 rad"
+    skip: Annotated[bool, typer.Option("--skip", help="Rows out of reach stay empty.")] = False
+
+
+@dataclass(frozen=True, slots=True)
+class ChainOptions:
+    """Chain of the robot, and the names of the program's columns."""
+
+    base: Annotated[str | None, typer.Option(help="Base link. Default: the result's.")] = None
+    tip: Annotated[str | None, typer.Option(help="Tip link. Default: the result's.")] = None
+    hold: Hold = None
+    columns: Columns = None
+
+
+@dataclass(frozen=True, slots=True)
+class CommandOutputs:
+    """The table of commands."""
+
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="CSV to write.")] = None
+    send: Annotated[
+        Literal["both", "joints", "poses"],
+        typer.Option(help="What is written: joint values to command, poses to send, or both."),
+    ] = "both"
+    orientation: Annotated[
+        Literal["rotation-vector", "quaternion", "rpy"],
+        typer.Option(help="Form of orientations."),
+    ] = "rotation-vector"
+    force: Force = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Models:
+    """Both models of the robot, and the verdict on the real one's."""
+
+    nominal: Robot  # As the controller has it
+    actual: CalibrationValues | Robot  # As it really is: a result, or the robot of a corrected URDF
+    payload: Payload | None  # What the tip carried when it was calibrated; None: nothing is known
+    stated: str  # The verdict, as `calib.text.verdict.against` gives it; empty: nothing against it
+    remedy: str = ""  # What to do about it besides
 
 
 @verb("""Compute compensated commands so that the real robot reaches the programmed poses.
@@ -29,8 +147,8 @@ Examples:
   calib compensate robot.urdf program.csv --corrected corrected.urdf --base base --tip tool0
 
 ROBOT is the robot as its controller has it. PROGRAM is a table of joint values planned for that robot, or of poses of
-its tool, or of both: then the poses are wanted, and the joint values say where to start. If a row cannot be reached,
-nothing is written, unless --skip leaves such rows empty; and nothing where the verdict on the calibration is
+its tool, or of both: then the poses are the goal, and the search starts at the joint values. If a row cannot be
+reached, nothing is written, unless --skip leaves such rows empty; and nothing where the verdict on the calibration is
 'do not use' (exit status 3), unless --accept is given.
 """)
 def compensate(
@@ -38,84 +156,110 @@ def compensate(
     program: Annotated[
         Path, typer.Argument(metavar="PROGRAM", help="CSV table: joint values, poses, or both.")
     ],
-    calibration: Annotated[Path | None, typer.Option(help="Result JSON of a calibration.")] = None,
-    corrected: Annotated[str | None, typer.Option(help="Corrected URDF, in place of it.")] = None,
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="CSV to write.")] = None,
-    tool: Annotated[str | None, typer.Option(metavar=_TOOL, help=_TOOL_HELP)] = None,
-    poses_in: Annotated[str, typer.Option(metavar="base|measured|SET-UP", help=_FRAME)] = "base",
-    match: Annotated[Literal["pose", "position", "axis"] | None, typer.Option(help=_MATCH)] = None,
-    start: Annotated[
-        list[str] | None, typer.Option(metavar='"JOINT=VALUE UNIT"', help=_START)
-    ] = None,
-    tolerance: Annotated[
-        str, typer.Option(metavar='"LENGTH [ANGLE]"', help="Error that may be left of a row.")
-    ] = "1e-8 m 1e-8 rad",
-    skip: Annotated[bool, typer.Option("--skip", help="Rows out of reach stay empty.")] = False,
-    send: Annotated[Literal["both", "joints", "poses"], typer.Option(help=_SEND)] = "both",
-    orientation: Annotated[Forms, typer.Option(help="Form of orientations.")] = "rotation-vector",
-    geometry: Annotated[
-        bool, typer.Option("--geometry", help="Without the non-geometric model.")
-    ] = False,
-    payload: PayloadMass = None,
-    base: Annotated[str | None, typer.Option(help="Base link. Default: the result's.")] = None,
-    tip: Annotated[str | None, typer.Option(help="Tip link. Default: the result's.")] = None,
-    hold: Hold = None,
-    columns: Columns = None,
-    accept: Accept = False,
-    force: Force = False,
+    model: ModelChoice,
+    goal: GoalOptions,
+    chain: ChainOptions,
+    outputs: CommandOutputs,
     quiet: Quiet = False,
 ) -> None:
-    """See the text of `verb`."""
-    import calib.cli.setup as words
-    from calib.compensation.commands import compensate as compensated, write_commands
-    from calib.compensation.program import read_program
+    """Run the verb; its help is the text of `verb`."""
+    from calib.text.compensation import no_commands, text
+    from calib.text.verdict import refusal
+
+    source = model.source
+    check_outputs([outputs.output], [robot, program, source], force=outputs.force)
+    models = _load_models(robot, program, model, chain)
+    if models.stated and not model.accept:
+        raise VerdictError(refusal(f"'{source}'", models.stated) + models.remedy)
+    commands = _compute(models, _read_program(program, models.nominal, goal, chain), model, goal)
+    none_reached = not commands.reached.any()
+    if not commands.reached.all() and (none_reached or not goal.skip):
+        raise CalibError(no_commands(commands))
+    _write(commands, outputs)
+    if not quiet:
+        typer.echo(text(commands, Path(source).name, outputs.output))
+    say_accepted(f"'{source}'", models.stated)
+
+
+def _load_models(robot: str, program: Path, model: ModelChoice, chain: ChainOptions) -> _Models:
+    """Load the nominal robot and the model of the real one."""
+    if model.calibration is not None:
+        return _models_of_result(robot, model.calibration, model, chain)
     from calib.data.table import Table
-    from calib.result.calibration import CalibrationValues
+    from calib.robot.robot import Robot
+
+    held = parse_held(chain.hold or [])
+    joints = Table.read(program).names(parse_columns(chain.columns or []))
+    nominal = Robot.load(robot, chain.base, chain.tip, joints, held)
+    actual = Robot.load(str(model.corrected), nominal.base, nominal.tip, held=held)
+    return _Models(nominal, actual, payload=None, stated=actual.urdf.verdict)
+
+
+def _models_of_result(robot: str, path: Path, model: ModelChoice, chain: ChainOptions) -> _Models:
+    """Load a result, and the nominal robot with its chain unless the options name another."""
     from calib.result.calibration_file import read_result
     from calib.robot.robot import Robot
-    from calib.text.compensation import no_commands, text
-    from calib.text.verdict import against, refusal
+    from calib.text.verdict import against
 
-    source = calibration or corrected
-    if source is None or (calibration and corrected):
-        raise CalibError("Give one of --calibration result.json and --corrected corrected.urdf.")
-    if geometry and payload:
-        raise CalibError("--payload is for the non-geometric model, which --geometry leaves out.")
-    words.check_outputs([output], [robot, program, source], force=force)
-    renamed, held = words.parse_columns(columns or []), words.parse_held(hold or [])
-    actual: CalibrationValues | Robot
-    carried, without = None, ""
-    if calibration is not None:
-        actual = read_result(calibration)
-        chain = actual.nominal
-        held = {**chain.held, **held}
-        nominal = Robot.load(robot, base or chain.base, tip or chain.tip, held=held)
-        carried = actual.non_geometric.payload if actual.non_geometric else None
-        stated = against(actual.verdict_on(non_geometric=not geometry))
-        if stated and not against(actual.verdict):
-            without = " --geometry leaves out the non-geometric model, which this verdict is on."
-    else:
-        nominal = Robot.load(robot, base, tip, Table.read(program).names(renamed), held)
-        actual = Robot.load(str(corrected), nominal.base, nominal.tip, held=held)
-        stated = actual.urdf.verdict
-    if stated and not accept:
-        raise VerdictError(refusal(f"'{source}'", stated) + without)
-    left = words.parse_pair(tolerance, "--tolerance", "0.05 mm 0.01 deg")
-    near = words.parse_held(start or [], "--start")
-    found = compensated(
-        actual,
-        read_program(program, nominal, columns=renamed, match=match, start=near),
-        nominal=nominal,
-        tool=words.parse_tool(tool) if tool else None,
-        frame={"base": None, "measured": ""}.get(poses_in, poses_in),
-        tolerance=(left[0] or 1e-8, left[1] or 1e-8),
-        non_geometric=words.parse_payload(payload, carried) if payload else not geometry,
-        accept=accept,
+    result = read_result(path)
+    calibrated_chain = result.nominal
+    nominal = Robot.load(
+        robot,
+        chain.base or calibrated_chain.base,
+        chain.tip or calibrated_chain.tip,
+        held={**calibrated_chain.held, **parse_held(chain.hold or [])},
     )
-    if not found.reached.all() and (not skip or not found.reached.any()):
-        raise CalibError(no_commands(found))
-    if output is not None:
-        write_commands(found, output, send=send, orientation=orientation, overwrite=force)
-    if not quiet:
-        typer.echo(text(found, Path(source).name, output))
-    words.say_accepted(f"'{source}'", stated)
+    payload = result.non_geometric.payload if result.non_geometric else None
+    stated = against(result.verdict_on(non_geometric=not model.geometry))
+    remedy = ""
+    if stated and not against(result.verdict):
+        remedy = " --geometry leaves out the non-geometric model, which this verdict is on."
+    return _Models(nominal, result, payload, stated, remedy)
+
+
+def _read_program(path: Path, nominal: Robot, goal: GoalOptions, chain: ChainOptions) -> Program:
+    """Read the program for the nominal robot."""
+    from calib.compensation.program import read_program
+
+    return read_program(
+        path,
+        nominal,
+        columns=parse_columns(chain.columns or []),
+        match=goal.match,
+        start=parse_held(goal.start or [], "--start"),
+    )
+
+
+def _compute(models: _Models, program: Program, model: ModelChoice, goal: GoalOptions) -> Commands:
+    """Compute the commands."""
+    from calib.compensation.commands import compensate as compute_commands
+
+    length, angle = parse_pair(goal.tolerance, "--tolerance", "0.05 mm 0.01 deg")
+    non_geometric: bool | Payload = not model.geometry
+    if model.payload:
+        non_geometric = parse_payload(model.payload, models.payload)
+    return compute_commands(
+        models.actual,
+        program,
+        nominal=models.nominal,
+        tool=parse_tool(goal.tool) if goal.tool else None,
+        frame={_BASE: None, _MEASURED: ""}.get(goal.poses_in, goal.poses_in),
+        tolerance=(length or _TOLERANCE, angle or _TOLERANCE),
+        non_geometric=non_geometric,
+        accept=model.accept,
+    )
+
+
+def _write(commands: Commands, outputs: CommandOutputs) -> None:
+    """Write the table of commands, if it was asked for."""
+    from calib.compensation.commands import write_commands
+
+    if outputs.output is None:
+        return
+    write_commands(
+        commands,
+        outputs.output,
+        send=outputs.send,
+        orientation=outputs.orientation,
+        overwrite=outputs.force,
+    )

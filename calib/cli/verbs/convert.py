@@ -2,22 +2,63 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from calib.cli.options import Accept, Base, Force, Hold, Quiet, verb
+from calib.cli.notices import say_accepted
+from calib.cli.options import Accept, Base, Force, Hold, Quiet
+from calib.cli.outputs import check_outputs
+from calib.cli.verb import verb
+from calib.cli.words import parse_held
 
-_SOURCE = "result.json, calibration.conf, kinematics.yaml, origins.yaml, a URDF or xacro, or a robot's name."
-_FORMATS = (
-    "Format of FILE: urdf, ur-yaml, ur-conf, origins; dh: standard DH rows; modified-dh: Craig's; hayati: standard, "
-    "with beta between near-parallel axes; each as .csv or .json. Default: what its ending says."
-)
-_ROBOT = "Nominal URDF, xacro or name. Default: the one in a result; a bare arm for --ur-model."
-_HASH = (
-    "The robot's own kinematics.yaml or calibration.conf, whose hash a new kinematics.yaml keeps."
-)
+
+@dataclass(frozen=True, slots=True)
+class ArmOptions:
+    """Nominal robot and chain."""
+
+    robot: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ROBOT",
+            help="Nominal URDF, xacro or name. Default: the one in a result; a bare arm for "
+            "--ur-model.",
+        ),
+    ] = None
+    ur_model: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Arm of Universal Robots, such as 'UR5e'."),
+    ] = None
+    base: Base = None
+    tip: Annotated[
+        str | None,
+        typer.Option(help="Link that the chain ends at. Default: that of SOURCE."),
+    ] = None
+    hold: Hold = None
+
+
+@dataclass(frozen=True, slots=True)
+class ControllerFiles:
+    """Files of the robot's own controller that a new one is made from."""
+
+    urcontrol: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="urcontrol.conf with the nominal rows."),
+    ] = None
+    hash_from: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="The robot's own kinematics.yaml or calibration.conf, whose hash a new "
+            "kinematics.yaml keeps.",
+        ),
+    ] = None
+    update: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="calibration.conf whose other lines are kept."),
+    ] = None
 
 
 @verb("""Write a calibrated robot in the formats that controllers and ROS take.
@@ -34,40 +75,48 @@ What is written is read back and compared with the robot before it appears; what
 whose verdict is 'do not use', or a URDF that states it, is refused with exit status 3, unless --accept is given.
 """)
 def convert(
-    source: Annotated[str, typer.Argument(metavar="SOURCE", help=_SOURCE)],
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="SOURCE",
+            help="result.json, calibration.conf, kinematics.yaml, origins.yaml, a URDF or xacro, "
+            "or a robot's name.",
+        ),
+    ],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="File to write.")],
-    to: Annotated[str | None, typer.Option(metavar="FORMAT", help=_FORMATS)] = None,
-    robot: Annotated[str | None, typer.Option(metavar="ROBOT", help=_ROBOT)] = None,
-    ur_model: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Arm of Universal Robots, such as 'UR5e'.")
+    arm: ArmOptions,
+    files: ControllerFiles,
+    to: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FORMAT",
+            help="Format of FILE: {formats}; DH rows as .csv or .json. Default: by the ending of FILE.",
+        ),
     ] = None,
-    urcontrol: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="urcontrol.conf with the nominal rows.")
-    ] = None,
-    hash_from: Annotated[Path | None, typer.Option(metavar="FILE", help=_HASH)] = None,
-    update: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="calibration.conf whose other lines stay.")
-    ] = None,
-    base: Base = None,
-    tip: Annotated[
-        str | None, typer.Option(help="Link that the chain ends at. Default: that of SOURCE.")
-    ] = None,
-    hold: Hold = None,
     accept: Accept = False,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """See the text of `verb`."""
-    from calib.cli.setup import check_outputs, parse_held, say_accepted
-    from calib.conversion import convert as converted
+    """Run the verb; its help is the text of `verb`."""
+    from calib.conversion import convert as convert_robot
     from calib.formats.convert import Options
     from calib.text.convert import text
 
-    inputs = [source, *(path for path in (robot, urcontrol, hash_from, update) if path)]
+    inputs = [source, arm.robot, files.urcontrol, files.hash_from, files.update]
     check_outputs([output], inputs, force=force)
-    held = parse_held(hold or [])
-    options = Options(to, robot, ur_model, urcontrol, hash_from, update, base, tip, held, force)
-    done = converted(source, output, options, accept=accept)
+    options = Options(
+        to=to,
+        robot=arm.robot,
+        ur_model=arm.ur_model,
+        urcontrol=files.urcontrol,
+        hash_from=files.hash_from,
+        update=files.update,
+        base=arm.base,
+        tip=arm.tip,
+        held=parse_held(arm.hold or []),
+        overwrite=force,
+    )
+    conversion = convert_robot(source, output, options, accept=accept)
     if not quiet:
-        typer.echo(text(done, source))
-    say_accepted(f"'{source}'", done.against)
+        typer.echo(text(conversion, source))
+    say_accepted(f"'{source}'", conversion.against)

@@ -7,16 +7,20 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calib.cli.options import Force, Quiet, verb
+from calib.cli.options import Force, Quiet
+from calib.cli.outputs import check_outputs, written_lines
+from calib.cli.terminal import command_line, say
+from calib.cli.verb import verb
 
 if TYPE_CHECKING:
     from calib.calibration import Calibration
+    from calib.numerics.errors import Errors
 
 
-#: What is written into the folder.
+#: The files that are written into the folder.
 _FILES = ("ur3_calibrated.urdf", "calibration.json", "report.html", "view.html")
 
-#: What the paper reports for rows 31 to 35, its Table 5 [mm].
+#: What the paper reports for rows 31 to 35, its Table 5: max, mean and rms [mm].
 _PAPER = {"before": (3.5645, 2.5678, 2.7485), "after": (1.8721, 1.5926, 1.6382)}
 
 _NOTE = """The signs of the paper's Table 1 do not fit its Table 2 as printed. This demo uses what fits,
@@ -43,51 +47,78 @@ def demo(
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """See the text of `verb`."""
-    from calib.calibration import calibrate
-    from calib.cli.setup import check_outputs
-    from calib.cli.terminal import command_line, say
-    from calib.data.cell import Cell
-    from calib.data.measurements import Measurements
-    from calib.example import PAPER_TARGET, paper_measurements, paper_urdf
+    """Run the verb; its help is the text of `verb`."""
     from calib.files import make_folder
-    from calib.report.report import write_report
-    from calib.robot.robot import Robot, read_only
-    from calib.viewer.page import write_page
 
     make_folder(out)
     paths = [out / name for name in _FILES]
     check_outputs(paths, [], force=force)
+    result, by_paper = _calibrate()
+    _write(result, paths, force=force)
+    if quiet:
+        return
+    say("\n\n".join([result.summary(), _against_the_paper(result, by_paper), _NOTE]) + "\n")
+    for line in written_lines(*paths):
+        typer.echo(line)
+    report, view = paths[2:]
+    typer.echo(f"Open {report} and {view} in a browser.")
+
+
+def _calibrate() -> tuple[Calibration, Calibration]:
+    """Calibrate the paper's robot by calib, and by the paper's algorithm."""
+    from calib.calibration import calibrate
+    from calib.data.cell import Cell
+    from calib.data.measurements import Measurements
+    from calib.example import PAPER_TARGET, paper_measurements, paper_urdf
+    from calib.robot.robot import Robot, read_only
+
     robot = Robot.load(paper_urdf(), base="base", tip="tool0")
-    table = Measurements.read(
+    measurements = Measurements.read(
         paper_measurements(), joint_names=robot.joint_names, joint_types=robot.joint_types
     )
     cell = Cell(target=read_only(PAPER_TARGET), model="paper")
-    result = calibrate(robot, table, cell=cell)
-    as_paper = calibrate(robot, table, cell=cell, solver="paper", validate=False)
-    result.write_urdf(paths[0], overwrite=force)
-    result.write_json(paths[1], overwrite=force)
-    write_report(result, paths[2], command=command_line(), overwrite=force)
-    write_page(result, paths[3], overwrite=force)
-    if quiet:
-        return
-    say("\n\n".join([result.summary(), _against_the_paper(result, as_paper), _NOTE]) + "\n")
-    for path in paths:
-        typer.echo(f"Written: {path}")
-    typer.echo(f"Open {paths[2]} and {paths[3]} in a browser.")
+    result = calibrate(robot, measurements, cell=cell)
+    by_paper = calibrate(robot, measurements, cell=cell, solver="paper", validate=False)
+    return result, by_paper
 
 
-def _against_the_paper(result: Calibration, as_paper: Calibration) -> str:
-    """The errors on rows 31 to 35 beside those that the paper prints, [mm]."""
-    rows = [("nominal, as the paper prints it", _PAPER["before"])]
-    for label, one, who in (
-        ("nominal, here", result, "nominal"),
-        ("calibrated, the paper's algorithm here", as_paper, "calibrated"),
-        ("calibrated, calib", result, "calibrated"),
-    ):
-        errors = one.errors[who]["validation"]
-        rows.append((label, (1e3 * errors.max, 1e3 * errors.mean, 1e3 * errors.rms)))
-    rows.insert(2, ("calibrated, as the paper prints it", _PAPER["after"]))
+def _write(result: Calibration, paths: list[Path], *, force: bool) -> None:
+    """Write URDF, result, report and page."""
+    from calib.report.report import write_report
+    from calib.viewer.page import write_page
+
+    urdf, json, report, view = paths
+    result.write_urdf(urdf, overwrite=force)
+    result.write_json(json, overwrite=force)
+    write_report(result, report, command=command_line(), overwrite=force)
+    write_page(result, view, overwrite=force)
+
+
+def _against_the_paper(result: Calibration, by_paper: Calibration) -> str:
+    """Compare the errors on rows 31 to 35 with those that the paper prints, [mm].
+
+    Args:
+        result: The calibration by calib.
+        by_paper: That by the paper's algorithm.
+    """
+    nominal = result.errors["nominal"]["validation"]
+    algorithm = by_paper.errors["calibrated"]["validation"]
+    calibrated = result.errors["calibrated"]["validation"]
+    rows = [
+        ("nominal, as the paper prints it", _PAPER["before"]),
+        ("nominal, here", _in_mm(nominal)),
+        ("calibrated, as the paper prints it", _PAPER["after"]),
+        ("calibrated, the paper's algorithm here", _in_mm(algorithm)),
+        ("calibrated, calib", _in_mm(calibrated)),
+    ]
     head = f"{'Position error on rows 31 to 35 [mm]':<58}{'max':>10}{'mean':>10}{'rms':>10}"
-    lines = [f"{name:<58}" + "".join(f"{v:>10.3f}" for v in values) for name, values in rows]
-    return "\n".join([head, *lines])
+    lines = [head]
+    for label, values in rows:
+        cells = "".join(f"{value:>10.3f}" for value in values)
+        lines.append(f"{label:<58}{cells}")
+    return "\n".join(lines)
+
+
+def _in_mm(errors: Errors) -> tuple[float, float, float]:
+    """Return max, mean and rms [mm]."""
+    return 1e3 * errors.max, 1e3 * errors.mean, 1e3 * errors.rms

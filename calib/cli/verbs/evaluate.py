@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from calib.cli.exit_status import ExitStatus
+from calib.cli.notices import say_ignored
 from calib.cli.options import (
     CellOptions,
     DataFile,
@@ -17,22 +18,71 @@ from calib.cli.options import (
     ResultTarget,
     RobotFile,
     TableOptions,
-    verb,
 )
-from calib.cli.setup import parse_pair
+from calib.cli.outputs import check_outputs
+from calib.cli.setup import load_with_data, read_cell, with_chain_of_result, with_target_link
+from calib.cli.terminal import say
+from calib.cli.verb import verb
+from calib.cli.words import parse_pair
 from calib.errors import CalibError
 
-
-@dataclass(frozen=True, slots=True)
-class _Options(CellOptions):
-    """The set-up; targets are those of the result where it has them."""
-
-    target: ResultTarget = None
-
+if TYPE_CHECKING:
+    from calib.data.cell import Cell
+    from calib.result.calibration import CalibrationValues
+    from calib.robot.robot import Robot
 
 #: A tolerance as it could be typed.
 _EXAMPLE = "0.5 mm 0.1 deg"
 _METAVAR = '"LENGTH [ANGLE]"'
+
+
+@dataclass(frozen=True, slots=True)
+class SetupOptions(CellOptions):
+    """Measurement setup; targets are those of the result where it has them."""
+
+    target: ResultTarget = None
+
+
+@dataclass(frozen=True, slots=True)
+class AcceptanceOptions:
+    """Acceptance test of the pose accuracy."""
+
+    tolerance: Annotated[
+        str | None,
+        typer.Option(metavar=_METAVAR, help="Tolerance of the pose accuracy."),
+    ] = None
+    uncertainty: Annotated[
+        str | None,
+        typer.Option(metavar=_METAVAR, help="Expanded measuring uncertainty (k = 2)."),
+    ] = None
+    criterion: Annotated[
+        Literal["max", "mean", "single"] | None,
+        typer.Option(help="What must be within: every AP, their mean, or every single row."),
+    ] = None
+    judge: Annotated[
+        Literal["nominal", "urdf", "calibration", "non_geometric"] | None,
+        typer.Option(help="Robot to judge. Default: calibration, or else urdf."),
+    ] = None
+
+    def limits(self) -> dict[str, Any]:
+        """Return the limits as `calib.result.acceptance.assess` takes them [m], [rad]; empty without a tolerance.
+
+        Raises:
+            CalibError: An option that needs a tolerance is given without one.
+        """
+        if self.tolerance is None:
+            if self.uncertainty or self.criterion or self.judge:
+                raise CalibError("--uncertainty, --criterion and --judge need a --tolerance.")
+            return {}
+        length, angle = parse_pair(self.tolerance, "--tolerance", _EXAMPLE)
+        uncertainty = parse_pair(self.uncertainty or "0 mm", "--uncertainty", _EXAMPLE)
+        return {
+            "tolerance": length,
+            "tolerance_angle": angle,
+            "uncertainty": uncertainty[0] or 0.0,
+            "uncertainty_angle": uncertainty[1] or 0.0,
+            "criterion": self.criterion or "max",
+        }
 
 
 @verb("""Compare a robot with measurements, and judge its accuracy by a tolerance.
@@ -51,70 +101,54 @@ be within the tolerance, and 3 if not.
 def evaluate(
     robot: RobotFile,
     data: DataFile,
-    said: _Options,
-    read: TableOptions,
+    setup: SetupOptions,
+    table: TableOptions,
+    test: AcceptanceOptions,
     calibration: Annotated[
         Path | None,
         typer.Option("--calibration", help="Result that 'calib calibrate --json' wrote."),
-    ] = None,
-    tolerance: Annotated[str | None, typer.Option(metavar=_METAVAR, help="To judge by.")] = None,
-    uncertainty: Annotated[
-        str | None,
-        typer.Option(metavar=_METAVAR, help="Expanded measuring uncertainty (k = 2)."),
-    ] = None,
-    criterion: Annotated[
-        Literal["max", "mean", "single"] | None,
-        typer.Option(help="What must be within: every AP, their mean, or every single row."),
-    ] = None,
-    judge: Annotated[
-        Literal["nominal", "urdf", "calibration", "non_geometric"] | None,
-        typer.Option(help="Robot to judge. Default: calibration, or else urdf."),
     ] = None,
     json: Annotated[Path | None, typer.Option("--json", help="Write the errors as JSON.")] = None,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """See the text of `verb`."""
-    from calib.cli.setup import (
-        check_chain,
-        check_outputs,
-        load_with_data,
-        read_cell,
-        say_ignored,
-        with_target_link,
-    )
-    from calib.cli.terminal import say
+    """Run the verb; its help is the text of `verb`."""
     from calib.result.acceptance import assess
     from calib.result.calibration_file import read_result, write_table
     from calib.text.evaluation import assessment_table, assessment_text
 
-    inputs: list[str | Path] = [robot, data, *filter(None, (said.cell, calibration, read.points))]
-    check_outputs([json], inputs, force=force)
-    if tolerance is None and (uncertainty or criterion or judge):
-        raise CalibError("--uncertainty, --criterion and --judge need a --tolerance.")
-    limits: dict[str, Any] = {}
-    if tolerance is not None:
-        names = ("tolerance", "tolerance_angle", "uncertainty", "uncertainty_angle")
-        sure = parse_pair(uncertainty or "0 mm", "--uncertainty", _EXAMPLE)
-        sizes = (*parse_pair(tolerance, "--tolerance", _EXAMPLE), *(one or 0.0 for one in sure))
-        limits = dict(zip(names, sizes, strict=True), criterion=criterion or "max")
-    cell = read_cell(**asdict(said))
-    stored = None if calibration is None else read_result(calibration)
-    if stored is not None:
-        check_chain(cell, stored, str(calibration))
-        own = stored.nominal
-        cell = replace(cell, base=own.base, tip=own.tip, held={**own.held, **cell.held})
-    arm, table = load_with_data(robot, cell, data, **asdict(read))
-    source = "as given" if stored is None or said.target is not None else "as the result has it"
-    if stored is None and cell.target is None and not cell.targets:
-        cell, source = with_target_link(arm, cell), "as the URDF's link 'calib_target' has it"
-    which = tuple(name for name in ("frame", "target") if getattr(said, name) is None)
-    found = assess(arm, table, cell, stored, which=which, judge=judge, limits=limits)
-    written = None if json is None else write_table(assessment_table(found), json, overwrite=force)
+    check_outputs([json], [robot, data, setup.cell, calibration, table.points], force=force)
+    limits = test.limits()
+    cell = read_cell(**asdict(setup))
+    result = None
+    if calibration is not None:
+        result = read_result(calibration)
+        cell = with_chain_of_result(cell, result, str(calibration))
+    arm, measurements = load_with_data(robot, cell, data, **asdict(table))
+    cell, target_source = _with_target(arm, cell, setup, result)
+    from_result = tuple(name for name in ("frame", "target") if getattr(setup, name) is None)
+    assessment = assess(
+        arm, measurements, cell, result, which=from_result, judge=test.judge, limits=limits
+    )
+    if json is not None:
+        write_table(assessment_table(assessment), json, overwrite=force)
     if not quiet:
-        say_ignored(table, arm)
-        say(assessment_text(found, calibration.name if calibration else "", source))
-        if written is not None:
-            typer.echo(f"\nWritten: {written}")
-    if found.accepted is not None and found.accepted.outcome != "pass":
+        say_ignored(measurements, arm)
+        name = calibration.name if calibration else ""
+        say(assessment_text(assessment, name, target_source))
+        if json is not None:
+            typer.echo(f"\nWritten: {json}")
+    if assessment.accepted is not None and assessment.accepted.outcome != "pass":
         raise typer.Exit(ExitStatus.NOT_ACCEPTED)
+
+
+def _with_target(
+    arm: Robot, cell: Cell, setup: SetupOptions, result: CalibrationValues | None
+) -> tuple[Cell, str]:
+    """Return the cell with the URDF's target where nothing else gives one, and words for where targets are from."""
+    if result is not None:
+        words = "as the result has it" if setup.target is None else "as given"
+        return cell, words
+    if cell.target is None and not cell.targets:
+        return with_target_link(arm, cell), "as the URDF's link 'calib_target' has it"
+    return cell, "as given"

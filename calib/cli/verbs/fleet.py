@@ -2,28 +2,55 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from calib.cli.executor import executor_of
 from calib.cli.exit_status import ExitStatus
 from calib.cli.options import (
     Accept,
     Columns,
-    Dask,
     FitOptions,
+    JobOptions,
     PointsUnit,
     Quiet,
-    Robust,
-    SolverName,
+    SolverOptions,
     TargetLink,
-    Validate,
-    Workers,
-    verb,
 )
-from calib.cli.setup import executor_of
+from calib.cli.terminal import command_line, progress_bar, say_table
+from calib.cli.verb import verb
 from calib.errors import FileError, choices
+
+if TYPE_CHECKING:
+    from calib.fleets.fleet import Fleet, FleetOptions, FleetRobot
+
+
+@dataclass(frozen=True, slots=True)
+class FleetTables:
+    """Reading of the tables of all robots; a row of the manifest wins."""
+
+    points_unit: PointsUnit = None
+    columns: Columns = None
+
+
+@dataclass(frozen=True, slots=True)
+class FleetOutputs:
+    """Files that are written for each robot."""
+
+    target_link: TargetLink = False
+    reports: Annotated[
+        bool,
+        typer.Option(
+            help="Write a report for each robot, which takes longer than its calibration."
+        ),
+    ] = True
+    accept: Accept = False
+    force: Annotated[
+        bool, typer.Option("--force", help="Calibrate all robots anew, finished ones too.")
+    ] = False
 
 
 @verb("""Calibrate a batch of robots and flag outliers.
@@ -52,71 +79,87 @@ def fleet(
         ),
     ],
     setup: FitOptions,
-    solver: SolverName = "lm",
-    points_unit: PointsUnit = None,
-    columns: Columns = None,
-    target_link: TargetLink = False,
-    robust: Robust = True,
-    validate: Validate = True,
-    reports: Annotated[
-        bool,
-        typer.Option(
-            help="Write a report for each robot, which takes longer than its calibration."
-        ),
-    ] = True,
-    workers: Workers = None,
-    dask: Dask = None,
-    accept: Accept = False,
-    force: Annotated[
-        bool, typer.Option("--force", help="Calibrate all robots anew, finished ones too.")
-    ] = False,
+    estimation: SolverOptions,
+    tables: FleetTables,
+    outputs: FleetOutputs,
+    jobs: JobOptions,
     quiet: Quiet = False,
 ) -> None:
-    """See the text of `verb`."""
+    """Run the verb; its help is the text of `verb`."""
     from calib.cli.manifest import read_manifest
-    from calib.cli.terminal import command_line, progress_bar, say_table
-    from calib.fleets.fleet import CSV, JSON, FleetOptions, fleet as calibrate_fleet
+    from calib.fleets.fleet import CSV, FleetOptions
 
     if manifest.resolve() == (out / CSV).resolve():
         raise FileError(f"{manifest} would be the table of results too; choose another --out.")
-    robots = read_manifest(manifest, setup, columns or (), points_unit)
+    robots = read_manifest(manifest, setup, tables.columns or (), tables.points_unit)
     options = FleetOptions(
-        solver=solver,
-        robust=robust,
-        validate=validate,
-        reports=reports,
-        target_link=target_link,
-        accept=accept,
+        solver=estimation.solver,
+        robust=estimation.robust,
+        validate=estimation.validate,
+        reports=outputs.reports,
+        target_link=outputs.target_link,
+        accept=outputs.accept,
         command=command_line(),
     )
+    calibrated = _calibrate(robots, out, options, jobs, force=outputs.force, quiet=quiet)
+    if not quiet:
+        _say_results(calibrated, out)
+    _say_failed_and_withheld(calibrated)
+    if calibrated.failed:
+        raise typer.Exit(ExitStatus.REFUSED)
+    if calibrated.withheld:
+        raise typer.Exit(ExitStatus.NOT_ACCEPTED)
+
+
+def _calibrate(
+    robots: tuple[FleetRobot, ...],
+    folder: Path,
+    options: FleetOptions,
+    jobs: JobOptions,
+    *,
+    force: bool,
+    quiet: bool,
+) -> Fleet:
+    """Calibrate the robots into a folder; an interruption says how to go on."""
+    from calib.fleets.fleet import fleet as calibrate_fleet
+
     try:
         with (
-            executor_of(workers, dask, len(robots)) as executor,
+            executor_of(jobs.workers, jobs.dask, len(robots)) as executor,
             progress_bar("robots", quiet=quiet) as progress,
         ):
-            found = calibrate_fleet(
-                robots, out, options, executor=executor, progress=progress, force=force
+            return calibrate_fleet(
+                robots, folder, options, executor=executor, progress=progress, force=force
             )
     except KeyboardInterrupt as error:
-        text = f"Finished robots are kept in {out}: the same command goes on with the others."
+        text = f"Finished robots are kept in {folder}: the same command goes on with the others."
         raise KeyboardInterrupt(text) from error
-    if not quiet:
-        from calib.text.fleet import fleet_cells, fleet_text
 
-        table = found.table()
-        say_table("Errors and noise, rms [mm]", *fleet_cells(table))
-        for paragraph in fleet_text(table, found.kept):
-            typer.echo(paragraph)
-        for name in (CSV, JSON):
-            typer.echo(f"Written: {out / name}")
-    if found.failed:
-        typer.echo(f"calib: {len(found.failed)} of {len(found.rows)} robots failed.", err=True)
-    for rows, said in (
-        (found.withheld, "No URDF was written; to write it all the same, add --accept."),
-        (found.accepted, "With --accept the URDF was written all the same."),
-    ):
+
+def _say_results(calibrated: Fleet, folder: Path) -> None:
+    """Print the table of robots, the outliers, and the files."""
+    from calib.fleets.fleet import CSV, JSON
+    from calib.text.fleet import fleet_cells, fleet_text
+
+    table = calibrated.table()
+    heads, rows = fleet_cells(table)
+    say_table("Errors and noise, rms [mm]", heads, rows)
+    for paragraph in fleet_text(table, calibrated.kept):
+        typer.echo(paragraph)
+    for name in (CSV, JSON):
+        typer.echo(f"Written: {folder / name}")
+
+
+def _say_failed_and_withheld(calibrated: Fleet) -> None:
+    """Say on stderr how many robots failed, and which verdicts were obeyed or overridden."""
+    if calibrated.failed:
+        failed, every = len(calibrated.failed), len(calibrated.rows)
+        typer.echo(f"calib: {failed} of {every} robots failed.", err=True)
+    consequences = (
+        (calibrated.withheld, "No URDF was written; to write it anyway, add --accept."),
+        (calibrated.accepted, "Because of --accept the URDF was written anyway."),
+    )
+    for rows, consequence in consequences:
         if rows:
             names = choices(row.name for row in rows)
-            typer.echo(f"calib: the verdict on {names} is 'do not use'. {said}", err=True)
-    if found.failed or found.withheld:
-        raise typer.Exit(ExitStatus.REFUSED if found.failed else ExitStatus.NOT_ACCEPTED)
+            typer.echo(f"calib: the verdict on {names} is 'do not use'. {consequence}", err=True)

@@ -1,4 +1,4 @@
-"""``calib inspect``: what a robot is made of, and what measurements can tell of it."""
+"""``calib inspect``: a robot's chain, and what measurements can identify of it."""
 
 from __future__ import annotations
 
@@ -8,26 +8,29 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.options import ModelOptions, RobotFile, TableOptions, verb
+from calib.cli.notices import say_ignored
+from calib.cli.options import ModelOptions, RobotFile, TableOptions
+from calib.cli.setup import load, load_with_data, read_cell
+from calib.cli.verb import verb
 
 
 @dataclass(frozen=True, slots=True)
-class _Options(ModelOptions):
-    """The set-up; what is given of tip and target holds without a table too."""
+class SetupOptions(ModelOptions):
+    """Measurement setup; what is given of tip and target holds without a table too."""
 
     tip: Annotated[
         str | None,
         typer.Option(
-            help="Link that the target is mounted on. Default: the end of the longest chain, with DATA of joints that "
-            "are in it."
+            help="Link that the target is mounted on. Default: the end of the longest chain, with "
+            "DATA of joints that are in it."
         ),
     ] = None
     target: Annotated[
         str | None,
         typer.Option(
             metavar='"X Y Z UNIT"',
-            help='Target in the tip, such as "70 -70 22.5 mm". Default: found from DATA; without it 50, 70, 30 mm off '
-            "the tip.",
+            help='Target in the tip, such as "70 -70 22.5 mm". Default: estimated from DATA; '
+            "without it 50, 70, 30 mm off the tip.",
         ),
     ] = None
 
@@ -43,23 +46,24 @@ With a table, identifiability is that of its poses; without one, of 200 poses sp
 """)
 def inspect(
     robot: RobotFile,
-    said: _Options,
-    read: TableOptions,
+    setup: SetupOptions,
+    table: TableOptions,
     data: Annotated[
         Path | None, typer.Argument(metavar="[DATA]", help="CSV table, to judge its poses.")
     ] = None,
 ) -> None:
-    """See the text of `verb`."""
-    from calib.cli.setup import load, load_with_data, read_cell, say_ignored
+    """Run the verb; its help is the text of `verb`."""
     from calib.design.forecast import forecast_of_table
     from calib.estimate.inspection import inspect as inspect_robot
     from calib.text.inspection import inspection_text
 
-    cell, table, foreseen = read_cell(**asdict(said)), None, None
+    cell = read_cell(**asdict(setup))
+    measurements, forecast = None, None
     if data is None:
         arm = load(robot, cell)
     else:
-        arm, table = load_with_data(robot, cell, data, **asdict(read))
-        say_ignored(table, arm)
-        foreseen = forecast_of_table(arm, cell, table)
-    typer.echo(inspection_text(arm, inspect_robot(arm, cell, table), foreseen))
+        arm, measurements = load_with_data(robot, cell, data, **asdict(table))
+        say_ignored(measurements, arm)
+        forecast = forecast_of_table(arm, cell, measurements)
+    inspection = inspect_robot(arm, cell, measurements)
+    typer.echo(inspection_text(arm, inspection, forecast))

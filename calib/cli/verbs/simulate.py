@@ -2,37 +2,118 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from calib.cli.options import Dask, Force, ModelOptions, Quiet, RobotFile, Workers, verb
-from calib.cli.setup import check_outputs, executor_of, load, read_cell
+from calib.cli.executor import executor_of
+from calib.cli.options import Force, JobOptions, ModelOptions, Quiet, RobotFile
+from calib.cli.outputs import check_outputs, written_lines
+from calib.cli.setup import load, read_cell
+from calib.cli.terminal import progress_bar
+from calib.cli.verb import verb
 from calib.errors import CalibError, choices
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
+    from calib.data.cell import Cell
+    from calib.simulation.scenario import Scenario
+    from calib.units import Array
 
 _Text = str | None
 _File = Path | None
-_SIZES = 'Standard deviations, "length 0.5 mm, angle 3 mrad", or none. Default: typical; none with --error.'
-_ERROR = 'One error, "elbow_joint.rx=2 mrad". Can be repeated.'
-_NOISE = (
-    'Of a coordinate: "0.05 mm", "15 um + 6 um/m", or none. Default: the cell\'s, or a tracker\'s.'
-)
-_PLACE = "Standard deviation of the targets' places. Default: 1 mm."
-_EXTRA = "Random poses for validation. Default: 10; 0 with --poses."
 
 
 @dataclass(frozen=True, slots=True)
 class ScenarioOptions:
-    """What is wrong with the robot, and what disturbs the measurements."""
+    """Errors of the robot, and disturbances of the measurements."""
 
-    sizes: Annotated[_Text, typer.Option(metavar='"FAMILY VALUE, ..."', help=_SIZES)] = None
-    error: Annotated[list[str] | None, typer.Option(metavar="NAME=VALUE", help=_ERROR)] = None
+    sizes: Annotated[
+        _Text,
+        typer.Option(
+            metavar='"FAMILY VALUE, ..."',
+            help='Standard deviations of the errors, "length 0.5 mm, angle 3 mrad", or none. '
+            "Default: typical; none with --error.",
+        ),
+    ] = None
+    error: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=VALUE", help='One error, "elbow_joint.rx=2 mrad". Can be repeated.'
+        ),
+    ] = None
     truth_robot: Annotated[_File, typer.Option(help="URDF of the true robot.")] = None
-    target_error: Annotated[_Text, typer.Option(help=_PLACE)] = None
-    noise: Annotated[_Text, typer.Option(help=_NOISE)] = None
-    outliers: Annotated[_Text, typer.Option(metavar='N|"P %"', help="Rows far off.")] = None
+    target_error: Annotated[
+        _Text,
+        typer.Option(help="Standard deviation of the targets' places. Default: 1 mm."),
+    ] = None
+    noise: Annotated[
+        _Text,
+        typer.Option(
+            help='Of a coordinate: "0.05 mm", "15 um + 6 um/m", or none. Default: the cell\'s, or a '
+            "tracker's."
+        ),
+    ] = None
+    outliers: Annotated[_Text, typer.Option(metavar='N|"P %"', help="Outliers.")] = None
+
+
+@dataclass(frozen=True, slots=True)
+class PoseOptions:
+    """Poses of a table, and the seed of all random numbers."""
+
+    poses: Annotated[_File, typer.Option(help="Poses, from this plan or table.")] = None
+    count: Annotated[int, typer.Option(min=1, metavar="N", help="Random poses.")] = 30
+    validation: Annotated[
+        int | None,
+        typer.Option(min=0, help="Random poses for validation. Default: 10; 0 with --poses."),
+    ] = None
+    seed: Annotated[int, typer.Option(min=0, help="Of all random numbers.")] = 0
+
+
+@dataclass(frozen=True, slots=True)
+class SimulateOutputs:
+    """Files that are written."""
+
+    output: Annotated[_File, typer.Option("-o", "--output", help="Write the table.")] = None
+    truth: Annotated[_File, typer.Option(help="Default: TABLE_truth.json.")] = None
+    truth_urdf: Annotated[_File, typer.Option(help="Write the URDF of the true robot.")] = None
+    json: Annotated[_File, typer.Option(help="Of a study: write every trial as JSON.")] = None
+    force: Force = False
+
+    @property
+    def truth_path(self) -> Path | None:
+        """The file of the truth: as given, or beside the table; None without a table."""
+        if self.truth is not None or self.output is None:
+            return self.truth
+        return self.output.with_name(f"{self.output.stem}_truth.json")
+
+
+@dataclass(frozen=True, slots=True)
+class StudyOptions:
+    """A study: simulation, calibration and verification of many robots."""
+
+    study: Annotated[int | None, typer.Option(min=2, help="Simulate and calibrate N robots.")] = (
+        None
+    )
+    planned: Annotated[bool, typer.Option("--planned", help="Of a study: plan the poses.")] = False
+    fit_model: Annotated[_Text, typer.Option(help="Of a study: what is estimated.")] = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Simulation:
+    """A virtual cell and the poses to measure in it."""
+
+    scenario: Scenario
+    cell: Cell
+    poses: Array | None  # (N, m), [rad] or [m]; None: random ones
+    sets: tuple[str, ...]  # The set of each of these poses
+    count: int  # Number of random poses to fit
+    validation: int  # Number of random poses to validate with
+    seed: int
 
 
 @verb("""Simulate measurements of a robot whose errors are known.
@@ -53,67 +134,134 @@ resolution, drift, a moved target and more. A study repeats simulation, calibrat
 def simulate(
     robot: RobotFile,
     setup: ModelOptions,
-    words: ScenarioOptions,
-    poses: Annotated[_File, typer.Option(help="Poses, from this plan or table.")] = None,
-    count: Annotated[int, typer.Option(min=1, metavar="N", help="Random poses.")] = 30,
-    validation: Annotated[int | None, typer.Option(min=0, help=_EXTRA)] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of all random numbers.")] = 0,
-    output: Annotated[_File, typer.Option("-o", "--output", help="Write the table.")] = None,
-    truth: Annotated[_File, typer.Option(help="Default: TABLE_truth.json.")] = None,
-    truth_urdf: Annotated[_File, typer.Option(help="Write the URDF of the true robot.")] = None,
-    study: Annotated[
-        int | None, typer.Option(min=2, help="Simulate and calibrate N robots.")
-    ] = None,
-    planned: Annotated[bool, typer.Option("--planned", help="Of a study: plan the poses.")] = False,
-    fit_model: Annotated[_Text, typer.Option(help="Of a study: what is estimated.")] = None,
-    workers: Workers = None,
-    dask: Dask = None,
-    json: Annotated[_File, typer.Option(help="Of a study: write every trial as JSON.")] = None,
-    force: Force = False,
+    errors: ScenarioOptions,
+    poses: PoseOptions,
+    outputs: SimulateOutputs,
+    study: StudyOptions,
+    jobs: JobOptions,
     quiet: Quiet = False,
 ) -> None:
-    """See the text of `verb`."""
-    of_one = {"-o": output, "--truth": truth, "--truth-urdf": truth_urdf}
-    of_study = {"--fit-model": fit_model, "--json": json, "--planned": planned or None}
-    if unfit := [n for n, v in (of_study if study is None else of_one).items() if v is not None]:
-        raise CalibError(
-            f"{choices(unfit)} does not go {'without' if study is None else 'with'} --study."
-        )
-    if study is None and output is None:
-        raise CalibError("Name the table to write: -o table.csv.")
-    truth = truth or (output and output.with_name(f"{output.stem}_truth.json"))
-    inputs = [robot, *(str(path) for path in (poses, setup.cell, words.truth_robot) if path)]
-    check_outputs([output, truth, truth_urdf, json], inputs, force=force)
+    """Run the verb; its help is the text of `verb`."""
+    _check_options(outputs, study)
+    check_outputs(
+        [outputs.output, outputs.truth_path, outputs.truth_urdf, outputs.json],
+        [robot, poses.poses, setup.cell, errors.truth_robot],
+        force=outputs.force,
+    )
     # Workers begin first: they import what they need while robot and scenario are prepared here.
-    with executor_of(workers, dask, study) as executor:
-        import calib.simulation.scenario as cells
-        import calib.simulation.study as studies
-        from calib.cli.terminal import progress_bar
-        from calib.design.plan import read_poses
-        from calib.result.calibration_file import write_table
-        from calib.text import simulation as text
-
-        cell = read_cell(**asdict(setup))
-        arm = load(robot, cell)
-        scenario = cells.read_scenario(arm, cell, setup.cell, **asdict(words))
-        given, sets = (None, ()) if poses is None else read_poses(poses, arm)[:2]
-        extra = (10 if given is None else 0) if validation is None else validation
-        if study is None:
-            assert output is not None and truth is not None  # noqa: PT018
-            made = cells.simulate(scenario, count, extra, seed, given, sets)
-            made.measurements.write(output, overwrite=force)
-            written = [output, cells.write_truth(scenario, made, truth, overwrite=force)]
-            if truth_urdf is not None:
-                written.append(made.truth.write_urdf(truth_urdf, overwrite=force))
-            said = text.simulated_text(scenario, made)
+    with executor_of(jobs.workers, jobs.dask, study.study) as executor:
+        simulation = _prepare(robot, setup, errors, poses)
+        if study.study is None:
+            text, written = _simulate_table(simulation, outputs)
         else:
-            # The fit knows what a person would tell it, and not what the robot is wrong in.
-            told = replace(cell, model=fit_model or "auto")
-            trials = studies.Trials(scenario, told, given, sets, count, extra, planned)
-            with progress_bar("trials", quiet=quiet) as progress:
-                found = studies.study(trials, study, seed, executor, progress)
-            table = studies.study_table(found, trials, seed)
-            written = [write_table(table, json, overwrite=force)] if json else []
-            said = text.study_text(found, trials)
+            text, written = _run_study(simulation, study, outputs, executor, quiet=quiet)
     if not quiet:
-        typer.echo("\n".join([f"{said}\n", *(f"Written: {path}" for path in written)]))
+        typer.echo("\n".join([f"{text}\n", *written_lines(*written)]))
+
+
+def _check_options(outputs: SimulateOutputs, study: StudyOptions) -> None:
+    """Refuse options of a table with a study, and those of a study without one; raises `CalibError`."""
+    of_table: dict[str, Any] = {
+        "-o": outputs.output,
+        "--truth": outputs.truth,
+        "--truth-urdf": outputs.truth_urdf,
+    }
+    of_study: dict[str, Any] = {
+        "--fit-model": study.fit_model,
+        "--json": outputs.json,
+        "--planned": study.planned or None,
+    }
+    if study.study is None:
+        _refuse_given(of_study, "does not go without --study")
+    else:
+        _refuse_given(of_table, "does not go with --study")
+    if study.study is None and outputs.output is None:
+        raise CalibError("Name the table to write: -o table.csv.")
+
+
+def _refuse_given(options: Mapping[str, Any], reason: str) -> None:
+    """Refuse the options, by name, that have a value; None: not given."""
+    given = [name for name, value in options.items() if value is not None]
+    if given:
+        raise CalibError(f"{choices(given)} {reason}.")
+
+
+def _prepare(
+    robot: str, setup: ModelOptions, errors: ScenarioOptions, poses: PoseOptions
+) -> _Simulation:
+    """Load the robot, and read the scenario and the poses."""
+    import calib.simulation.study  # noqa: F401  while the workers import it too
+    from calib.design.plan import read_poses
+    from calib.simulation.scenario import read_scenario
+
+    cell = read_cell(**asdict(setup))
+    arm = load(robot, cell)
+    scenario = read_scenario(arm, cell, setup.cell, **asdict(errors))
+    joints: Array | None = None
+    sets: tuple[str, ...] = ()
+    default_validation = 10
+    if poses.poses is not None:
+        table = read_poses(poses.poses, arm)
+        joints, sets = table.joints, table.sets
+        default_validation = 0
+    validation = default_validation if poses.validation is None else poses.validation
+    return _Simulation(scenario, cell, joints, sets, poses.count, validation, poses.seed)
+
+
+def _simulate_table(simulation: _Simulation, outputs: SimulateOutputs) -> tuple[str, list[Path]]:
+    """Simulate one table, and write it with the truth; returns the text, and the files."""
+    from calib.simulation.scenario import simulate as simulate_rows, write_truth
+    from calib.text.simulation import simulated_text
+
+    assert outputs.output is not None
+    assert outputs.truth_path is not None
+    scenario = simulation.scenario
+    simulated = simulate_rows(
+        scenario,
+        simulation.count,
+        simulation.validation,
+        simulation.seed,
+        simulation.poses,
+        simulation.sets,
+    )
+    simulated.measurements.write(outputs.output, overwrite=outputs.force)
+    truth = write_truth(scenario, simulated, outputs.truth_path, overwrite=outputs.force)
+    written = [outputs.output, truth]
+    if outputs.truth_urdf is not None:
+        urdf = simulated.truth.write_urdf(outputs.truth_urdf, overwrite=outputs.force)
+        written.append(urdf)
+    return simulated_text(scenario, simulated), written
+
+
+def _run_study(
+    simulation: _Simulation,
+    options: StudyOptions,
+    outputs: SimulateOutputs,
+    executor: Executor | None,
+    *,
+    quiet: bool,
+) -> tuple[str, list[Path]]:
+    """Simulate and calibrate many robots; returns the text, and the files."""
+    from calib.result.calibration_file import write_table
+    from calib.simulation.study import Trials, study, study_table
+    from calib.text.simulation import study_text
+
+    assert options.study is not None
+    # The fit is given what a person would know, and not the errors of the robot.
+    fit_cell = replace(simulation.cell, model=options.fit_model or "auto")
+    trials = Trials(
+        simulation.scenario,
+        fit_cell,
+        simulation.poses,
+        simulation.sets,
+        simulation.count,
+        simulation.validation,
+        options.planned,
+    )
+    with progress_bar("trials", quiet=quiet) as progress:
+        done = study(trials, options.study, simulation.seed, executor, progress)
+    written = []
+    if outputs.json is not None:
+        table = study_table(done, trials, simulation.seed)
+        written.append(write_table(table, outputs.json, overwrite=outputs.force))
+    return study_text(done, trials), written

@@ -2,15 +2,93 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calib.cli.options import CellOptions, Columns, Force, Quiet, RobotFile, Seed, verb
+from calib.cli.options import CellOptions, Columns, Force, Quiet, RobotFile, Seed
+from calib.cli.outputs import check_outputs, written_lines
+from calib.cli.setup import read_cell
+from calib.cli.terminal import progress_bar
+from calib.cli.verb import verb
+from calib.cli.words import parse_columns
 
-File = Path | None
+if TYPE_CHECKING:
+    from calib.data.cell import Cell
+    from calib.data.measurements import Measurements
+    from calib.design.workspace import Checked, RegionView
+    from calib.robot.robot import Robot
+    from calib.units import Array
+
+_File = Path | None
+
+
+@dataclass(frozen=True, slots=True)
+class RangeOptions:
+    """Ranges of the joints, and a table whose rows are checked."""
+
+    like: Annotated[_File, typer.Option(help="Table whose estimation rows give the ranges.")] = None
+    margin: Annotated[
+        str,
+        typer.Option(metavar="ANGLE", help="Margin around --like (5 mm for prismatic joints)."),
+    ] = "0 deg"
+    check: Annotated[_File, typer.Option(help="Table: which of its rows lie in the region.")] = None
+    columns: Columns = None
+
+
+@dataclass(frozen=True, slots=True)
+class SamplingOptions:
+    """Samples of the joint values, and the region that is made of them."""
+
+    share: Annotated[float, typer.Option(metavar="P", help="Probability in the region.")] = 0.95
+    samples: Annotated[
+        int, typer.Option(min=1000, max=2**24, metavar="N", help="Samples of the joint values.")
+    ] = 2**19
+    voxel: Annotated[
+        str | None,
+        typer.Option(metavar="LENGTH", help="Edge of a voxel. Default: by the samples."),
+    ] = None
+    seed: Seed = 0
+
+
+@dataclass(frozen=True, slots=True)
+class WorkspaceOutputs:
+    """Files that are written."""
+
+    output: Annotated[
+        _File,
+        typer.Option("-o", "--output", help="Region file, for 'calib plan --region'."),
+    ] = None
+    picture: Annotated[_File, typer.Option(help="Density and region: .png, .svg or .pdf.")] = None
+    view: Annotated[_File, typer.Option(help="3D page of robot and region.")] = None
+    force: Force = False
+
+    def check(self, inputs: list[str | Path | None]) -> None:
+        """Refuse outputs that cannot be written before the work begins."""
+        check_outputs([self.output, self.picture, self.view], inputs, force=self.force)
+        if self.picture is not None:
+            from calib.report.figure_region import check_ending  # with matplotlib
+
+            check_ending(self.picture)
+
+    def write(self, view: RegionView, seed: int) -> list[str]:
+        """Write the files that were asked for; returns a line for each."""
+        from calib.design.workspace import write_region
+
+        if self.output is not None:
+            write_region(view, self.output, seed, overwrite=self.force)
+        if self.picture is not None:
+            from calib.report.figure_region import write_picture
+
+            write_picture(view, self.picture, overwrite=self.force)
+        if self.view is not None:
+            from calib.viewer.design_view import region_page
+
+            region_page(view).write(self.view, overwrite=self.force)
+        return written_lines(self.output, self.picture, self.view)
 
 
 @verb("""Sample the reachable workspace of the target, and find the region to measure in.
@@ -27,86 +105,100 @@ poses inside it. Collisions are not checked here.
 def workspace(
     robot: RobotFile,
     setup: CellOptions,
-    like: Annotated[File, typer.Option(help="Table whose estimation rows give the ranges.")] = None,
-    margin: Annotated[
-        str,
-        typer.Option(metavar="ANGLE", help="Margin around --like (5 mm for prismatic joints)."),
-    ] = "0 deg",
-    share: Annotated[float, typer.Option(metavar="P", help="Probability in the region.")] = 0.95,
-    samples: Annotated[
-        int, typer.Option(min=1000, max=2**24, metavar="N", help="Samples of the joint values.")
-    ] = 2**19,
-    voxel: Annotated[
-        str | None, typer.Option(metavar="LENGTH", help="Edge of a voxel. Default: by the samples.")
-    ] = None,
-    seed: Seed = 0,
-    check: Annotated[File, typer.Option(help="Table: which of its rows lie in the region.")] = None,
-    columns: Columns = None,
-    output: Annotated[
-        File, typer.Option("-o", "--output", help="Region file, for 'calib plan --region'.")
-    ] = None,
-    picture: Annotated[File, typer.Option(help="Density and region: .png, .svg or .pdf.")] = None,
-    view: Annotated[File, typer.Option(help="3D page of robot and region.")] = None,
-    force: Force = False,
+    ranges: RangeOptions,
+    sampling: SamplingOptions,
+    outputs: WorkspaceOutputs,
     quiet: Quiet = False,
 ) -> None:
-    """See the text of `verb`."""
-    import numpy as np
-
-    from calib.cli.setup import check_outputs, parse_columns, read_cell
-    from calib.cli.terminal import progress_bar
-    from calib.data.table import Table
-    from calib.design.candidates import by_joint
-    from calib.design.workspace import (
-        Checked,
-        Density,
-        RegionView,
-        read_rows,
-        row_points,
-        workspace as sample,
-        write_region,
-    )
-    from calib.robot.readback import joint_ranges
-    from calib.robot.robot import Robot
+    """Run the verb; its help is the text of `verb`."""
     from calib.text.plan import workspace_text
-    from calib.units import ANGLE, LENGTH, parse_amount
 
-    tables = [path for path in (like, check) if path is not None]
-    inputs: list[str | Path] = [robot, *tables, *filter(None, [setup.cell])]
-    check_outputs([output, picture, view], inputs, force=force)
-    if picture is not None:
-        from calib.report.figure_region import check_ending, write_picture  # with matplotlib
-
-        check_ending(picture)
-    wider = parse_amount(margin, "--margin", ANGLE, "5 deg")
-    edge = None if voxel is None else parse_amount(voxel, "--voxel", LENGTH, "20 mm")
-    cell, renamed = read_cell(**asdict(setup)), parse_columns(columns or [])
-    known = [Table.read(path).names(renamed) for path in tables]
-    joints = set.intersection(*known) if known else None
-    arm = Robot.load(robot, cell.base, cell.tip, measured=joints, held=cell.held)
-    rows = {path: read_rows(path, arm, renamed, cell.kind) for path in tables}
-    own = None if like is None else rows[like].joints_for(arm.joint_names)[rows[like].estimation]
-    ends = joint_ranges(arm, cell.ranges, own, by_joint(arm, wider))
-    # The cell's target, or its only named one, or the tip itself.
-    only = [*cell.targets.values()] if len(cell.targets) == 1 else [np.zeros(3)]
-    point = only[0] if cell.target is None else cell.target
-    with progress_bar("workspace", quiet=quiet) as progress:
-        points = sample(arm, point, ends, samples, seed, progress)
-    density, checked = Density.of(points, edge), None
-    if (path := check or like) is not None:
-        checked = Checked(rows[path], *row_points(arm, rows[path], cell, point))
-    found = RegionView(arm, point, ends, density, density.region(share), checked)
-    if output is not None:
-        write_region(found, output, seed, overwrite=force)
-    if picture is not None:
-        write_picture(found, picture, overwrite=force)
-    if view is not None:
-        from calib.viewer.design_view import region_page
-
-        region_page(found).write(view, overwrite=force)
+    outputs.check([robot, ranges.like, ranges.check, setup.cell])
+    cell = read_cell(**asdict(setup))
+    view = _region_view(robot, cell, ranges, sampling, quiet=quiet)
+    lines = outputs.write(view, sampling.seed)
     if quiet:
         return
-    origin = "" if like is None else f"the estimation rows of {like.name}, {margin} wider"
-    lines = [workspace_text(found, origin, seed, every_row=check is not None), ""]
-    lines += [f"Written: {path}" for path in (output, picture, view) if path is not None]
-    typer.echo("\n".join(lines))
+    origin = ""
+    if ranges.like is not None:
+        origin = f"the estimation rows of {ranges.like.name}, {ranges.margin} wider"
+    text = workspace_text(view, origin, sampling.seed, every_row=ranges.check is not None)
+    typer.echo("\n".join([text, "", *lines]))
+
+
+def _region_view(
+    robot: str, cell: Cell, ranges: RangeOptions, sampling: SamplingOptions, *, quiet: bool
+) -> RegionView:
+    """Sample the workspace, find the region, and check the rows of a table, if there is one."""
+    from calib.design.workspace import Density, RegionView, workspace as sample_workspace
+    from calib.units import LENGTH, parse_amount
+
+    voxel = None
+    if sampling.voxel is not None:
+        voxel = parse_amount(sampling.voxel, "--voxel", LENGTH, "20 mm")
+    arm, tables = _load_with_tables(robot, cell, ranges)
+    limits = _joint_ranges(arm, cell, ranges, tables)
+    target = _target(cell)
+    with progress_bar("workspace", quiet=quiet) as progress:
+        points = sample_workspace(arm, target, limits, sampling.samples, sampling.seed, progress)
+    density = Density.of(points, voxel)
+    checked = _checked_rows(arm, cell, ranges, tables)
+    region = density.region(sampling.share)
+    return RegionView(arm, target, limits, density, region, checked)
+
+
+def _load_with_tables(
+    robot: str, cell: Cell, ranges: RangeOptions
+) -> tuple[Robot, Mapping[Path, Measurements]]:
+    """Load the robot and the tables of ``--like`` and ``--check``, whose common joints tell the chain."""
+    from calib.data.table import Table
+    from calib.design.workspace import read_rows
+    from calib.robot.robot import Robot
+
+    paths = [path for path in (ranges.like, ranges.check) if path is not None]
+    renamed = parse_columns(ranges.columns or [])
+    columns = [Table.read(path).names(renamed) for path in paths]
+    common = set.intersection(*columns) if columns else None
+    arm = Robot.load(robot, cell.base, cell.tip, measured=common, held=cell.held)
+    tables = {path: read_rows(path, arm, renamed, cell.kind) for path in paths}
+    return arm, tables
+
+
+def _joint_ranges(
+    arm: Robot, cell: Cell, ranges: RangeOptions, tables: Mapping[Path, Measurements]
+) -> Array:
+    """Return the lowest and highest value of each joint, shape (m, 2), [rad] or [m]."""
+    from calib.design.candidates import by_joint
+    from calib.robot.ranges import joint_ranges
+    from calib.units import ANGLE, parse_amount
+
+    margin = parse_amount(ranges.margin, "--margin", ANGLE, "5 deg")
+    measured = None
+    if ranges.like is not None:
+        rows = tables[ranges.like]
+        measured = rows.joints_for(arm.joint_names)[rows.estimation]
+    return joint_ranges(arm, cell.ranges, measured, by_joint(arm, margin))
+
+
+def _target(cell: Cell) -> Array:
+    """Return the cell's target in the tip [m], shape (3,): its only named one, or else the tip itself."""
+    import numpy as np
+
+    if cell.target is not None:
+        return cell.target
+    if len(cell.targets) == 1:
+        return next(iter(cell.targets.values()))
+    return np.zeros(3)
+
+
+def _checked_rows(
+    arm: Robot, cell: Cell, ranges: RangeOptions, tables: Mapping[Path, Measurements]
+) -> Checked | None:
+    """Return the points of the table that is checked; None without a table."""
+    from calib.design.workspace import Checked, row_points
+
+    path = ranges.check or ranges.like
+    if path is None:
+        return None
+    points, measured = row_points(arm, tables[path], cell, _target(cell))
+    return Checked(tables[path], points, measured)

@@ -1,0 +1,62 @@
+"""Notices of a call: rows and columns that were not used, a verdict that was overridden."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import typer
+
+from calib.errors import choices
+from calib.text.lines import fill, row_ranges
+
+if TYPE_CHECKING:
+    from calib.data.measurements import Measurements
+    from calib.robot.robot import Robot
+
+
+def say_accepted(name: str, stated: str) -> None:
+    """Say on stderr, even with ``--quiet``, which verdict ``do not use`` was overridden by ``--accept``.
+
+    Args:
+        name: The file that the verdict is on.
+        stated: The verdict, as `calib.text.verdict.against` gives it; nothing is said where it is empty.
+    """
+    if stated:
+        typer.echo(
+            f"calib: the verdict on {name} is: {stated} Because of --accept it was used anyway.",
+            err=True,
+        )
+
+
+def say_ignored(measurements: Measurements, robot: Robot) -> None:
+    """Name the rows and columns that were not used; a joint among these hints at a wrong base or tip.
+
+    Args:
+        measurements: The table, which knows what of it was not used.
+        robot: The chain that was measured.
+    """
+    empty = measurements.unmeasured
+    if empty:
+        total = len(measurements) + len(empty)
+        text = f"{len(empty)} of {total} rows not measured, and left out: {row_ranges(empty)}."
+        typer.echo(fill(text) + "\n")
+    if not measurements.ignored:
+        return
+    text = f"Columns not used: {choices(measurements.ignored)}."
+    outside = _joints_outside(measurements, robot)
+    if outside:
+        text += (
+            f" Not between '{robot.base}' and '{robot.tip}' (--base, --tip): {choices(outside)}."
+        )
+    typer.echo(fill(text) + "\n")
+
+
+def _joints_outside(measurements: Measurements, robot: Robot) -> list[str]:
+    """Return the joints of the URDF that have a column and are not in the chain."""
+    from calib.units import split_header
+
+    moving = {joint.name for joint in robot.urdf.joints if joint.type != "fixed"}
+    # A held joint and one that follows another have columns that are not needed: nothing is wrong with the chain.
+    outside = moving - {*robot.held, *(joint.name for joint in robot.joints)}
+    names = [split_header(label)[0] for label in measurements.ignored]
+    return [name for name in names if name in outside]

@@ -1,0 +1,185 @@
+"""Values from the words of a command line: points, poses, tolerances, payloads, joint values, names of columns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from calib.errors import CalibError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from calib.data.cell import Tracker
+    from calib.robot.payload import Payload
+
+
+def parse_point(text: str, option: str, example: str = "70 -70 22.5 mm") -> NDArray[np.float64]:
+    """Parse a point: three numbers and a unit of length, such as ``70 -70 22.5 mm``.
+
+    Args:
+        text: As typed.
+        option: The option that it was given with, for messages.
+        example: A text that would be right, for messages.
+
+    Returns:
+        The point [m], shape (3,), read-only.
+
+    Raises:
+        CalibError: It is no such text.
+    """
+    from calib.robot.robot import read_only
+    from calib.units import LENGTH, parse_quantities
+
+    return read_only(parse_quantities(text, option, {LENGTH: 3}, example)[LENGTH])
+
+
+def parse_tool(text: str) -> NDArray[np.float64] | str:
+    """Parse ``--tool``: ``X Y Z UNIT [RX RY RZ UNIT]``, or ``target[:NAME]``.
+
+    Args:
+        text: As typed; the rotation is a rotation vector.
+
+    Returns:
+        T_tip_tool, shape (4, 4) [m]; or the name of a target, empty for the only one.
+
+    Raises:
+        CalibError: It is neither.
+    """
+    import numpy as np
+    from scipy.spatial.transform import Rotation
+
+    from calib.units import ANGLE, LENGTH, parse_quantities
+
+    word, _, name = text.strip().partition(":")
+    if word == "target":
+        return name.strip()
+    example = "0 0 100 mm 0 0 90 deg"
+    if not any(character.isdigit() for character in text):
+        raise CalibError(f'--tool "{text}": it must be a pose, "{example}", or target[:NAME].')
+    values = parse_quantities(text, "--tool", {LENGTH: 3, ANGLE: 3}, example)
+    zero = [0.0, 0.0, 0.0]
+    T_tip_tool = np.eye(4)
+    T_tip_tool[:3, 3] = values.get(LENGTH, zero)
+    T_tip_tool[:3, :3] = Rotation.from_rotvec(values.get(ANGLE, zero)).as_matrix()
+    return T_tip_tool
+
+
+def parse_tracker(text: str | None, tracker: Tracker | None) -> Tracker | None:
+    """Parse ``--tracker``: a position in the robot's base, such as ``2500 0 500 mm``.
+
+    Args:
+        text: As typed; None without the option.
+        tracker: That of the cell file, whose range and noise are kept; None if it has none.
+
+    Returns:
+        The tracker at that position; without the option, that of the cell file.
+    """
+    from calib.data.cell import Tracker
+
+    if text is None:
+        return tracker
+    position = parse_point(text, "--tracker", "2500 0 500 mm")
+    if tracker is None:
+        return Tracker(position)
+    return replace(tracker, position=position)
+
+
+def parse_pair(text: str, option: str, example: str) -> tuple[float | None, float | None]:
+    """Parse a length, an angle, or both, such as ``10 mm 2 deg``.
+
+    Args:
+        text: As typed.
+        option: The option that it was given with, for messages.
+        example: A text that would be right, for messages.
+
+    Returns:
+        Length [m] and angle [rad]; None for one that is not given.
+
+    Raises:
+        CalibError: It is neither, or negative.
+    """
+    from calib.units import ANGLE, LENGTH, parse_quantities
+
+    values = parse_quantities(text, option, {LENGTH: 1, ANGLE: 1}, example, signed=False)
+    length = values.get(LENGTH, [None])[0]
+    angle = values.get(ANGLE, [None])[0]
+    return length, angle
+
+
+def parse_payload(text: str, payload: Payload | None) -> Payload:
+    """Parse ``--payload``: a mass, such as ``5 kg``.
+
+    Args:
+        text: As typed.
+        payload: That of the cell file, whose centre of mass is kept; None: the centre of mass is the tip.
+
+    Returns:
+        The payload with this mass.
+
+    Raises:
+        CalibError: It is no mass.
+    """
+    from calib.robot.payload import Payload
+    from calib.units import MASS, parse_amount
+
+    mass = parse_amount(text, "--payload", MASS, "5 kg")
+    return Payload(mass) if payload is None else replace(payload, mass=mass)
+
+
+def parse_held(pairs: Iterable[str], option: str = "--hold") -> dict[str, float]:
+    """Parse ``--hold`` or another option of the form ``joint=value``.
+
+    Args:
+        pairs: As typed, one for each joint.
+        option: The option that they were given with, for messages.
+
+    Returns:
+        The joints' values by name [rad or m].
+
+    Raises:
+        CalibError: One is not of that form, or a joint is named twice.
+    """
+    from calib.units import parse_joint_value
+
+    form = "'joint=value' with a unit, such as 'torso_lift_joint=0.3 m', and each joint once"
+    texts = _mapping(pairs, option, form)
+    return {
+        name: parse_joint_value(text, f"{option} '{name}={text}'") for name, text in texts.items()
+    }
+
+
+def parse_columns(pairs: Iterable[str]) -> dict[str, str]:
+    """Parse ``--columns``: texts ``name in the table=name in the URDF``.
+
+    Args:
+        pairs: As typed, one for each column.
+
+    Returns:
+        Names that calib uses, by the table's names.
+
+    Raises:
+        CalibError: One is not of that form, or a column is named twice.
+    """
+    form = "'name in the table=name in the URDF', with a unit in brackets if the table has none, each name once"
+    return _mapping(pairs, "--columns", form)
+
+
+def _mapping(pairs: Iterable[str], option: str, form: str) -> dict[str, str]:
+    """Parse texts ``name=value``; a name may contain an equals sign, a value may not.
+
+    Args:
+        pairs: As typed.
+        option: The option that they were given with, for messages.
+        form: What is allowed, for messages.
+    """
+    values: dict[str, str] = {}
+    for pair in pairs:
+        # rpartition leaves all of a text without an equals sign in the last part.
+        name, _, value = (part.strip() for part in pair.rpartition("="))
+        if not (name and value) or name in values:
+            raise CalibError(f"{option} was given '{pair}'; it must be {form}.")
+        values[name] = value
+    return values

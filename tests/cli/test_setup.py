@@ -1,0 +1,93 @@
+"""Cell, robot and table of a call: options over the cell file, the chain of a result, the URDF's target."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.cli.setup import load_with_data, read_cell, with_chain_of_result, with_target_link
+from calib.data.cell import Cell
+from calib.errors import CalibError
+from calib.example import paper_urdf
+from calib.model.error_model import DIRECTIONS
+from calib.result.calibration_file import read_result
+from calib.robot.robot import Robot
+
+CELL = """
+base = "base"
+model = "zeros+gain"
+kind = "point"
+frame = ["x"]
+[payload]
+mass_kg = 2
+com_mm = [0, 0, 50]
+[held]
+lift = "0.1 m"
+pan = "10 deg"
+"""
+
+
+def test_the_line_wins_over_the_file(tmp_path: Path):
+    path = tmp_path / "cell.toml"
+    path.write_text(CELL, encoding="utf-8")
+    plain = read_cell(path)
+    assert repr(plain) == repr(Cell.read(path))
+    cell = read_cell(
+        path, tip="tool0", frame="estimate", model="dh", kind="pose", hold=["lift=0.3 m"],
+        payload="5 kg", target="1 2 3 mm",
+    )  # fmt: skip
+    assert (cell.base, cell.tip, cell.model, cell.kind) == ("base", "tool0", "dh", "pose")
+    assert cell.estimate_frame
+    assert cell.frame_directions == DIRECTIONS
+    assert cell.held == {"lift": 0.3, "pan": plain.held["pan"]}
+    assert cell.payload is not None
+    assert cell.payload.mass == 5.0
+    assert cell.payload.com[2] == 0.05
+    assert cell.target is not None
+    assert not read_cell(path, frame="known").estimate_frame
+
+
+def test_the_kind_of_the_cell_is_that_of_the_table(shop: Path):
+    cell = Cell(base="base", kind="fixed")
+    text = (shop / "joints.csv").read_text(encoding="utf-8").splitlines()
+    grouped = [text[0] + ",group", *(line + ",socket" for line in text[1:])]
+    (shop / "grouped.csv").write_text("\n".join(grouped), encoding="utf-8")
+    _, table = load_with_data(str(shop / "robot.urdf"), cell, shop / "grouped.csv", None)
+    assert set(table.kinds) == {"fixed"}
+
+
+def test_data_in_the_place_of_the_robot_are_refused(shop: Path):
+    with pytest.raises(CalibError, match="ROBOT comes first"):
+        load_with_data("data.csv", Cell(), shop / "robot.urdf")
+    with pytest.raises(CalibError, match="--points-unit"):
+        load_with_data("robot.urdf", Cell(), shop / "data.csv", points_unit="mm")
+
+
+def test_the_chain_of_a_result_is_that_of_the_cell(examples):
+    result = read_result(examples.folder / "result.json")
+    cell = with_chain_of_result(Cell(held={"lift": 0.1}), result, "result.json")
+    assert (cell.base, cell.tip) == (result.nominal.base, result.nominal.tip)
+    assert cell.held == {**result.nominal.held, "lift": 0.1}
+    for wrong in (Cell(base="elsewhere"), Cell(tip="elsewhere")):
+        with pytest.raises(CalibError, match="elsewhere"):
+            with_chain_of_result(wrong, result, "result.json")
+
+
+def test_the_target_of_a_urdf_is_at_its_link(tmp_path: Path):
+    """A link at p in the tip gives the target p; without a link the cell stays as it is."""
+    place = (0.01, -0.02, 0.03)
+    robot = Robot.load(paper_urdf(), base="base", tip="tool0")
+    assert with_target_link(robot, Cell()).target is None
+    text = Path(paper_urdf()).read_text(encoding="utf-8")
+    joint = (
+        '<link name="calib_target"/><joint name="calib_target_joint" type="fixed">'
+        '<parent link="tool0"/><child link="calib_target"/>'
+        f'<origin xyz="{place[0]} {place[1]} {place[2]}" rpy="0 0 0"/></joint></robot>'
+    )
+    path = tmp_path / "with_link.urdf"
+    path.write_text(text.replace("</robot>", joint), encoding="utf-8")
+    target = with_target_link(Robot.load(path, base="base", tip="tool0"), Cell()).target
+    assert target is not None
+    np.testing.assert_allclose(target, place, rtol=0, atol=1e-12)
