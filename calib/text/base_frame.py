@@ -11,8 +11,8 @@ import pinocchio as pin
 from calib.circle_points.fits import Circle, Plane
 from calib.circle_points.survey import BaseFrame, Survey
 from calib.robot.robot import Robot
-from calib.text.lines import deg, fill, mm
-from calib.text.tables import Column, name_column, table_lines
+from calib.text.layout.lines import deg, fill, mm
+from calib.text.layout.tables import Column, name_column, table_lines
 
 _CORRELATED = (
     "{{where}}: the errors of neighbouring points are correlated {} ({{value:.2f}}), so they are not noise and the "

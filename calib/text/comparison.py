@@ -11,7 +11,7 @@ from calib.errors import choices
 from calib.result.calibration import CalibrationValues
 from calib.result.calibration_file import versions
 from calib.result.comparison import LEVEL, ComparisonValues, Displacement, own_names, unknown_frame
-from calib.text.lines import deg, mm, wrap
+from calib.text.layout.lines import deg, mm, wrap
 from calib.version import __version__
 
 #: The layout of `comparison_table`; a word, so that it is not taken for a result.

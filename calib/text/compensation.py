@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from calib.compensation.expected import BAND
 from calib.robot.robot import rigid_inverse
-from calib.text.lines import fill
-from calib.text.tables import Column, name_column, table_lines
+from calib.text.layout.lines import fill
+from calib.text.layout.tables import Column, name_column, table_lines
 from calib.text.verdict import reason_text
 from calib.units import Array
 

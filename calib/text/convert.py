@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calib.robot.ranges import spread_poses
-from calib.text.lines import deg, fill, mm
+from calib.text.layout.lines import deg, fill, mm
 
 if TYPE_CHECKING:
     from calib.formats.convert import Conversion

@@ -15,9 +15,9 @@ from calib.numerics.errors import Errors
 from calib.result.acceptance import Acceptance, Assessment, Check
 from calib.result.calibration_file import error_table as stored_errors, pose_table, versions
 from calib.result.evaluation import FEWEST_APART, Accuracy, Evaluation, PoseAccuracy
-from calib.text.lines import WIDTH, deg, mm, plural, wrap
+from calib.text.layout.lines import WIDTH, deg, mm, plural, wrap
+from calib.text.layout.tables import Column, name_column, table_lines
 from calib.text.summary import angle_table, error_table, error_title
-from calib.text.tables import Column, name_column, table_lines
 from calib.text.verdict import outside_text, reason_text
 
 #: Poses that are listed; the others are counted.

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from calib.text.lines import fill, plural
+from calib.text.layout.lines import fill, plural
 
 #: Of more robots than this only those are listed that somebody should look at.
 LISTED = 40

@@ -12,9 +12,9 @@ from calib.estimate.inspection import GENERIC_ANCHOR, GENERIC_TARGET, Inspection
 from calib.model.dh import DHRow, dh_table
 from calib.robot.robot import Robot
 from calib.robot.urdf import UrdfJoint
-from calib.text.lines import fill, number, wrap
+from calib.text.layout.lines import fill, number, wrap
+from calib.text.layout.tables import Column, name_column, table_lines
 from calib.text.summary import combination_text
-from calib.text.tables import Column, name_column, table_lines
 from calib.units import Array, Mask
 
 _DEG = float(np.degrees(1.0))

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calib.robot.ranges import range_text
-from calib.text.lines import fill, row_ranges
-from calib.text.tables import Column, labelled, name_column, table_lines
+from calib.text.layout.lines import fill, row_ranges
+from calib.text.layout.tables import Column, labelled, name_column, table_lines
 
 if TYPE_CHECKING:
     from calib.design.candidates import Code, Note

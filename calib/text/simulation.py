@@ -10,8 +10,8 @@ from calib.model.families import FAMILIES, unit_of
 from calib.numerics.errors import rms
 from calib.simulation.scenario import Scenario, Simulated
 from calib.simulation.study import VERIFIED, Study, Trials
-from calib.text.lines import fill, mm, row_ranges
-from calib.text.tables import Column, labelled, name_column, table_lines
+from calib.text.layout.lines import fill, mm, row_ranges
+from calib.text.layout.tables import Column, labelled, name_column, table_lines
 from calib.units import Array
 
 #: Columns from a label to its text.

@@ -7,34 +7,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pinocchio as pin
 
-import calib.data.kinds as registry
-from calib.data.kinds import Kind
-from calib.model.error_model import placed_name
 from calib.model.families import FAMILIES, unit_of
 from calib.model.observability import Combination
 from calib.model.parameters import FRAME, TARGET
 from calib.numerics.errors import Errors
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import Outlier, ParameterEstimate
-from calib.text.lines import deg, mm, number, wrap
-from calib.text.tables import Column, name_column, table_lines
+from calib.text.layout.lines import deg, mm, number, wrap
+from calib.text.layout.tables import Column, name_column, table_lines
+from calib.text.places import frame_sentences, target_sentences
 from calib.text.verdict import reason_text, robustness_text
-from calib.units import Array, Mask
+from calib.units import Mask
 from calib.version import __version__
 
 if TYPE_CHECKING:
-    from calib.result.uncertainty import Bootstrap, Profile
+    pass
 
 #: Rows, or combinations of parameters, that are listed; the others are counted.
 _MOST_ROWS = 12
-
-#: Targets, or measurement frames, that are listed; the others are counted.
-_MOST_PLACES = 6
 
 #: Parameters of a combination that are named; the others are counted.
 _MOST_NAMES = 6
@@ -49,9 +43,6 @@ _ENOUGH_FREEDOM = 6.0
 
 #: A prior standard deviation below this is shown as none [mm, mrad, urad/Nm]: the last digit shown.
 _NOTHING = 2e-3
-
-#: A target further than this from the position given was given wrongly, not mounted inexactly [m].
-_GIVEN_WRONGLY = 5e-3
 
 #: Description of each method of cross-validation.
 _HELD_OUT = {
@@ -371,125 +362,6 @@ def solver_text(c: CalibrationValues) -> str:
     return f"Solver '{c.solver}': {s.status} after {s.iterations} iterations, {s.evaluations} evaluations"
 
 
-def target_sentences(c: CalibrationValues, most: int = _MOST_PLACES) -> list[str]:
-    """Word the place of each target in the tip, its uncertainty, and its distance from the place given.
-
-    Args:
-        c: The result.
-        most: The most targets that get a sentence each; the others are counted.
-
-    Returns:
-        The sentences.
-    """
-    names, count = c.setup.target_names, len(c.setup.targets)
-    sentences = [_target(c, number, name) for number, name in enumerate(names[:most])]
-    if count > most:
-        sentences.append(f"... and {count - most} more targets")
-    return sentences
-
-
-def _target(c: CalibrationValues, t: int, name: str) -> str:
-    """Word the place of target number ``t``; the name is empty if there is only one."""
-    T, rotation = c.setup.T_tip_target[t], c.setup.rotation
-    label = f"Target '{name}'" if name else "Target"
-    place = f"({_listed(T[:3, 3])}) mm{_rpy(T) if rotation else ''} in {c.nominal.tip}"
-    if not c.setup.target_unknown[t]:
-        return f"{label}: {place}, as given."
-    if placed_name("target", "x", name) not in c.model.names:
-        return f"{label}: registered to its validation rows, {place}."
-    interval = f"({_half_widths(c, 'target', 'xyz', name)}) mm"
-    if rotation:
-        turns = _half_widths(c, "target", ("rx", "ry", "rz"), name)
-        interval += f" and ({turns}) deg about its axes"
-    if not c.setup.target_given[t]:
-        return f"{label}: estimated at {place}, 95 % ± {interval}."
-    moved = float(np.linalg.norm(T[:3, 3] - c.nominal_setup.T_tip_target[t, :3, 3]))
-    text = f"{label}: {place}, 95 % ± {interval}; {mm(moved, 1)} mm from the position given."
-    if moved > _GIVEN_WRONGLY:
-        text += " Check the sign and the order of the numbers given."
-    return text
-
-
-def frame_sentences(c: CalibrationValues, most: int = _MOST_PLACES) -> list[str]:
-    """Word the pose of the base in each frame that was estimated, and its uncertainty.
-
-    Args:
-        c: The result.
-        most: The most frames that get a sentence each; the others are counted.
-
-    Returns:
-        The sentences; of a socket the point in the base, of a plane its normal and distance.
-    """
-    several = len(c.setup.groups) > 1
-    estimated = [f for f, directions in enumerate(c.setup.unknown) if directions]
-    sentences = [_frame(c, f, c.setup.groups[f] if several else "") for f in estimated[:most]]
-    if len(estimated) > most:
-        sentences.append(f"... and {len(estimated) - most} more stations")
-    return sentences
-
-
-def _frame(c: CalibrationValues, f: int, group: str) -> str:
-    """Word estimated frame number ``f``; the group is empty if there is only one."""
-    T, directions = c.setup.T_frame_base[f], c.setup.unknown[f]
-    kinds = _kinds_in(c, f)
-    fitted = placed_name("frame", directions[0], group) in c.model.names
-    label = min(kind.place for kind in kinds)  # of an anchor in a socket: anchor
-    if group:
-        label += f" '{group}'"
-    if not fitted:
-        label += ", registered to its validation rows"
-    own_directions = {kind.directions if kind.own_frame else () for kind in kinds}
-    base = c.nominal.base
-    if own_directions == {("x", "y", "z")}:
-        return f"{label}: estimated at ({_listed(-T[:3, :3].T @ T[:3, 3])}) mm in {base}."
-    if own_directions == {("z", "rx", "ry")}:
-        normal = ", ".join(f"{v:.5f}" for v in T[2, :3])
-        return (
-            f"{label}: estimated with the normal ({normal}) in {base}, {mm(-T[2, 3])} mm along it."
-        )
-    place = f"{label}: {base} estimated at ({_listed(T[:3, 3])}) mm{_rpy(T)} in it"
-    return f"{place}; {_frame_interval(c, f, group)}." if fitted else f"{place}."
-
-
-def _kinds_in(c: CalibrationValues, f: int) -> list[Kind]:
-    """Kinds of the rows in frame number ``f``."""
-    pairs = zip(c.rows.kinds, c.rows.groups, strict=True)
-    names = {kind for kind, group in pairs if group == c.setup.groups[f]}
-    return [registry.get(name) for name in names]
-
-
-def _frame_interval(c: CalibrationValues, f: int, group: str) -> str:
-    """Word the 95 % intervals of the estimated directions of frame number ``f``."""
-    directions = c.setup.unknown[f]
-    lengths = [direction for direction in directions if direction in "xyz"]
-    angles = [direction for direction in directions if direction not in "xyz"]
-    parts = []
-    if lengths:
-        parts.append(f"({_half_widths(c, 'frame', lengths, group)}) mm")
-    if angles:
-        parts.append(f"({_half_widths(c, 'frame', angles, group)}) deg")
-    axes = "the frame" if c.setup.own_axes[f] else c.nominal.base
-    names = ", ".join(directions)
-    return f"95 % ± {' and '.join(parts)} for {names} along and about the axes of {axes}"
-
-
-def _listed(lengths: Iterable[float]) -> str:
-    """List lengths [m] in mm."""
-    return ", ".join(map(mm, lengths))
-
-
-def _rpy(T: Array) -> str:
-    """Format roll, pitch and yaw of a pose."""
-    return f", rpy ({', '.join(map(deg, pin.rpy.matrixToRpy(T[:3, :3])))}) deg"
-
-
-def _half_widths(c: CalibrationValues, place: str, directions: Iterable[str], name: str) -> str:
-    """List half the 95 % intervals of parameters of a frame or target, [mm] or [deg]."""
-    factors = {"m": 1e3, "rad": _DEG}
-    parameters = [c.parameter(placed_name(place, direction, name)) for direction in directions]
-    return ", ".join(f"{0.5 * factors[p.unit] * (p.high - p.low):.3g}" for p in parameters)
-
-
 def _errors(c: CalibrationValues) -> str:
     """Write the error tables; a second one for orientations."""
     rows = error_rows(c)
@@ -556,7 +428,7 @@ def _parameters(c: CalibrationValues) -> str:
         return ""
     columns = [
         name_column("Parameter"),
-        Column("nominal", 12, gap=2),
+        Column("nominal", 11, gap=2),
         Column("value", 11),
         Column("change", 10),
         Column("95 % +-", 9),
@@ -584,93 +456,3 @@ def _parameter_row(p: ParameterEstimate, none: frozenset[str]) -> tuple[str, ...
     if p.name in none:
         half, mark = "-", " #"
     return p.name, nominal, number(factor * p.value), change, half, f"{unit}{mark}"
-
-
-# Intervals besides those of the covariance
-
-#: Probability that an interval holds the true value.
-LEVEL = 0.95
-
-
-def bootstrap_text(result: CalibrationValues, bootstrap: Bootstrap) -> str:
-    """Write the bootstrap's intervals beside those of the covariance.
-
-    Those of frames are not shown: their parameters count from where registration put the frame.
-
-    Args:
-        result: The result.
-        bootstrap: Its bootstrap.
-
-    Returns:
-        A table of intervals, and the spread of predicted positions.
-    """
-    rows = []
-    ends = bootstrap.intervals(LEVEL).tolist()
-    parameters = zip(bootstrap.parameters, ends, result.model.parameters, strict=True)
-    for estimate, (low, high), parameter in parameters:
-        if parameter.family != FRAME:
-            rows.append((estimate, low, high))
-    lines = [
-        f"Bootstrap: {len(bootstrap.x)} samples of whole poses, seed {bootstrap.seed}",
-        *_interval_table(rows, "bootstrap"),
-        f"Predicted positions spread by {mm(bootstrap.measured_rms)} mm rms at the measured poses and "
-        f"{mm(bootstrap.everywhere_rms)} mm",
-        f"over the joint limits; by the covariance {mm(result.expected_measured)} mm and "
-        f"{mm(result.expected_everywhere)} mm.",
-    ]
-    if bootstrap.stopped:
-        lines.append(f"The solver did not converge on {bootstrap.stopped} of the samples.")
-    return "\n".join(lines)
-
-
-def profile_text(profiles: list[tuple[ParameterEstimate, Profile]]) -> str:
-    """Write intervals by the profile of the cost beside those of the covariance."""
-    rows = [(estimate, profile.low, profile.high) for estimate, profile in profiles]
-    return "\n".join(["Profile of the cost", *_interval_table(rows, "profile")])
-
-
-def _interval_table(rows: list[tuple[ParameterEstimate, float, float]], method: str) -> list[str]:
-    """Write a table of parameters, each with the covariance's interval and that of another method, in SI units."""
-    columns = [
-        name_column("95 % intervals"),
-        Column("value", 10, gap=2),
-        Column("covariance", 23),
-        Column(method, 23),
-        Column("", left=True),
-    ]
-    cells = []
-    for p, low, high in rows:
-        factor, unit = (_DEG, "deg") if p.unit == "rad" else unit_of(p.unit).shown
-        covariance = "at bound" if p.at_bound else _interval(factor * p.low, factor * p.high)
-        other = _interval(factor * low, factor * high)
-        cells.append((p.name, _end(factor * p.value), covariance, other, unit))
-    return table_lines(columns, cells)
-
-
-def _interval(low: float, high: float) -> str:
-    """Format an interval."""
-    return f"{_end(low):>9} .. {_end(high):>10}"
-
-
-def _end(value: float) -> str:
-    """Format an end of an interval; one that is not finite is open."""
-    return number(value) if math.isfinite(value) else "open"
-
-
-def bootstrap_table(bootstrap: Bootstrap) -> dict[str, Any]:
-    """Bootstrap as nested tables of plain values in SI units, for the result file."""
-    parameters = []
-    ends = bootstrap.intervals(LEVEL)
-    for p, std, (low, high) in zip(bootstrap.parameters, bootstrap.std, ends, strict=True):
-        parameters.append({"name": p.name, "unit": p.unit, "std": std, "low": low, "high": high})
-    return {
-        "samples": len(bootstrap.x),
-        "seed": bootstrap.seed,
-        "stopped": bootstrap.stopped,
-        "level": LEVEL,
-        "parameters": parameters,
-        "expected": {
-            "measured_rms_m": bootstrap.measured_rms,
-            "everywhere_rms_m": bootstrap.everywhere_rms,
-        },
-    }

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from calib.text.lines import WIDTH, fill, wrap
+from calib.text.layout.lines import WIDTH, fill, wrap
 
 
 @dataclass(frozen=True, slots=True)
