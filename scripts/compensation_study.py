@@ -30,7 +30,7 @@ from calib.compensation.program import Program
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.example import PAPER_TARGET, paper_measurements, paper_urdf
-from calib.robot.readback import column_limits, random_joint_values
+from calib.robot.ranges import column_limits, random_joint_values
 from calib.robot.robot import Robot, read_only
 from calib.simulation.scenario import Scenario
 from calib.units import Array

@@ -42,9 +42,11 @@ from calib.estimate.fitting import Fitted, fit
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Samples
 from calib.result.calibrate import fit_table
-from calib.robot.readback import random_joint_values
-from calib.robot.robot import Payload, Robot, gravity_loads
-from calib.selection.selection import judged_by
+from calib.robot.gravity import gravity_loads
+from calib.robot.payload import Payload
+from calib.robot.ranges import random_joint_values
+from calib.robot.robot import Robot
+from calib.selection.reference_fit import with_better_weights
 from calib.simulation.truth import Truth, draw_truth
 from calib.units import Array
 
@@ -315,7 +317,7 @@ def run_geometry(seed: int) -> tuple[str, int, float]:
     rows = fits.fitted.estimate.problem.rows
     likeliest_fit = fit(replace(fits.fitted.task, model=likeliest), rows)
     reference = fits.non_geometric or fits.fitted
-    error = table.error(judged_by(likeliest_fit, rows, reference))
+    error = table.error(with_better_weights(likeliest_fit, rows, reference))
     return geometry, count, table.error(fits.fitted) / error
 
 

@@ -25,7 +25,7 @@ from calib.estimate.fitting import Fitted
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
 from calib.result.calibrate import fit_table
-from calib.robot.readback import random_joint_values
+from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.units import Array
 

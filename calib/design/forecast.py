@@ -18,8 +18,8 @@ from scipy.linalg import solve_triangular
 
 import calib.data.kinds as registry
 from calib.data.cell import AUTO, Cell, Tracker
+from calib.data.columns import DEFAULT_TARGET
 from calib.data.measurements import Measurements
-from calib.data.table import DEFAULT_TARGET
 from calib.design.candidates import Note, planning_ranges
 from calib.errors import ModelError, choices
 from calib.estimate.fitting import Task, model_of
@@ -33,9 +33,10 @@ from calib.registration.setup import Setup
 from calib.registration.table_rows import FIRST_SIGMA_ANGLE, rows_of
 from calib.registration.table_setup import setup_of
 from calib.result.prediction import without_rigid_motion
+from calib.robot.gravity import gravity_loads
 from calib.robot.kernel import over_blocks
-from calib.robot.readback import spread_between
-from calib.robot.robot import Robot, gravity_loads, read_only
+from calib.robot.ranges import spread_between
+from calib.robot.robot import Robot, read_only
 from calib.units import Array
 
 #: What `auto` is planned for: the largest geometry, so that every smaller one is covered.

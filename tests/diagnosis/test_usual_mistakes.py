@@ -20,7 +20,7 @@ from calib.errors import MeasurementError
 from calib.example import PAPER_TARGET, paper_urdf
 from calib.registration.table_rows import rows_of
 from calib.result.calibrate import calibrate
-from calib.robot.readback import random_joint_values
+from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot, read_only
 from calib.simulation.truth import draw_truth
 
