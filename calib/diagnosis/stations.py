@@ -9,7 +9,7 @@ import numpy as np
 from calib.diagnosis.patterns import prediction_square, unpredicted
 from calib.diagnosis.reasons import Reason, Why
 from calib.estimate.fitting import Fitted
-from calib.numerics.likelihood import Priors
+from calib.numerics.likelihood import GaussianPriors
 from calib.numerics.repeats import pose_means
 from calib.registration.known_distances import joined_setups
 from calib.selection.cross_validation import only_there
@@ -32,7 +32,7 @@ def disagreeing_stations(fitted: Fitted) -> tuple[Reason, ...]:
     if labels.max() < 1 or estimate.freedom < _FEWEST_FREEDOM:
         return ()
     linear, of_fit = problem.linear(estimate.x), np.array([estimate.noise])
-    priors, noise = Priors(problem.precision, problem.centre), linear.noise_of(of_fit)[0]
+    priors, noise = GaussianPriors(problem.precision, problem.centre), linear.noise_of(of_fit)[0]
     counts = np.any(linear.used, axis=1) & (estimate.weights > 0.0)
     # Set-ups that only validation rows have are not among these.
     present = np.unique(labels[counts])

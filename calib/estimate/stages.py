@@ -14,7 +14,7 @@ import numpy as np
 from calib.estimate.linear import Linear
 from calib.estimate.prior_terms import PriorTerms
 from calib.model.families import FAMILIES
-from calib.numerics.likelihood import Priors
+from calib.numerics.likelihood import GaussianPriors
 from calib.numerics.reml import prior_std_by_reml
 from calib.numerics.repeats import repeats
 from calib.numerics.scores import Limits, median_noise
@@ -77,10 +77,10 @@ class Stage:
         return self.weights * self.share
 
     @property
-    def priors(self) -> Priors:
+    def priors(self) -> GaussianPriors:
         """The priors of all parameters, at these sizes."""
         own = (1.0 / self.prior_std**2) @ self.prior.families
-        return Priors(own + self.prior.precision, self.prior.centre)
+        return GaussianPriors(own + self.prior.precision, self.prior.centre)
 
     def fit(self, linear: Linear) -> tuple[Array, Array, Array]:
         """See `calib.estimate.problem.Linear.fit`."""
@@ -127,7 +127,7 @@ class Stage:
                 prior.families[free],
                 stage.noise,
                 stage.prior_std[:, free],
-                Priors(prior.precision, prior.centre) if adapts else self.priors,
+                GaussianPriors(prior.precision, prior.centre) if adapts else self.priors,
                 smallest_noise=linear.smallest,
                 bounds=tuple(FAMILIES[f].bounds for f in prior.names[free]),
                 noise_spread=_NOISE_SPREAD,

@@ -21,7 +21,7 @@ from calib.estimate.stages import FEWEST_FREEDOM, Stage, staged
 from calib.jobs import Progress
 from calib.model.error_model import DIRECTIONS
 from calib.numerics.errors import CrossValidation, Errors
-from calib.numerics.likelihood import Priors
+from calib.numerics.likelihood import GaussianPriors
 from calib.registration.known_distances import joined_setups
 from calib.registration.registration import ENOUGH, nominal_setup, register_poses
 from calib.registration.rows import Rows
@@ -238,7 +238,7 @@ def fold_means(fitted: Fitted, linear: Linear, masks: Sequence[Mask] | Mask) -> 
     problem = fitted.estimate.problem
     weights = np.where(np.array(masks), 0.0, problem.weights)
     noise = np.tile(fitted.estimate.noise, (len(masks), 1))
-    priors = Priors(problem.precision, problem.centre)
+    priors = GaussianPriors(problem.precision, problem.centre)
     return linear.fit(weights, problem.rho, noise, priors)[0]
 
 

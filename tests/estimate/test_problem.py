@@ -12,7 +12,7 @@ from calib.data.cell import Cell
 from calib.estimate.problem import Problem
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
-from calib.numerics.likelihood import Priors
+from calib.numerics.likelihood import GaussianPriors
 from calib.numerics.reml import prior_std_by_reml
 from calib.registration.known_distances import KnownDistance
 from calib.registration.table_rows import rows_of
@@ -149,7 +149,7 @@ def test_noise_has_a_normal_prior_on_its_logarithm(virtual, spread):
     def loss(logs):
         noise, size = np.exp(logs)
         own = members[0] / size**2
-        likelihood = data.log_likelihood(np.array([[noise]]), Priors(weak + own, 0.0), own[None])
+        likelihood = data.log_likelihood(np.array([[noise]]), GaussianPriors(weak + own, 0.0), own[None])
         return 0.5 * (logs[0] / spread) ** 2 - likelihood[0]
 
     noise, prior_std = prior_std_by_reml(
@@ -157,7 +157,7 @@ def test_noise_has_a_normal_prior_on_its_logarithm(virtual, spread):
         members,
         np.ones((1, 1)),
         np.full((1, 1), 1e-2),
-        Priors(weak, np.zeros(27)),
+        GaussianPriors(weak, np.zeros(27)),
         smallest_noise=(1e-4,),
         bounds=((1e-6, 1.0),),
         noise_spread=spread,

@@ -16,7 +16,7 @@ from calib.estimate.stages import Stage
 from calib.model.error_model import error_model
 from calib.model.families import ZERO
 from calib.model.kinematics import FRAME, TARGET, Samples
-from calib.numerics.likelihood import Priors
+from calib.numerics.likelihood import GaussianPriors
 from calib.registration.table_rows import rows_of
 
 #: How far registration moves the target.
@@ -79,7 +79,7 @@ def test_freedom_is_what_scalars_are_left_after_the_parameters(virtual):
     nothing, free = np.zeros(27), np.full(27, 1e-6)
     weights, noise = np.stack([np.ones(40), np.full(40, 0.5)]), np.ones((2, 1))
     (held, _), (loose, half) = (
-        linear.fit(weights, np.zeros((1, 2)), noise, Priors(precision, nothing))[2]
+        linear.fit(weights, np.zeros((1, 2)), noise, GaussianPriors(precision, nothing))[2]
         for precision in (np.full(27, 1e20), free)
     )
     assert held == pytest.approx(120, abs=1e-3)

@@ -18,7 +18,7 @@ from calib.estimate.fitting import Task, fit
 from calib.estimate.problem import Problem
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
-from calib.numerics.likelihood import Priors
+from calib.numerics.likelihood import GaussianPriors
 from calib.registration.table_rows import rows_of
 from calib.result.prediction import parameter_estimates
 from calib.result.uncertainty import _fit_sample
@@ -143,7 +143,7 @@ def test_normal_equations_and_likelihood_by_the_dense_covariance(mixed, monkeypa
     weights = np.where(rng.uniform(size=(2, len(mixed.rows))) < 0.2, 0.0, 1.0)
     rho, noise = np.stack([RHO, 0.5 * RHO]), np.array([[1.0, 2.0, 3.0], [1.5, 1.0, 0.5]])
     data, alone = linear.data(weights, rho), linear.data(weights, 0.0 * rho)
-    priors = Priors(np.full((2, p), 1e4), np.zeros(p))
+    priors = GaussianPriors(np.full((2, p), 1e4), np.zeros(p))
     told = data.log_likelihood(noise, priors, priors.precision)
     for b in range(2):
         K, row, column, number = dense(mixed, weights[b], rho[b])
@@ -252,7 +252,7 @@ def test_shares_against_monte_carlo_truth(make_scene, own, shift, turn):
         table, lever = displaced(scene, q, np.random.default_rng(seed), own, shift, turn)
         problem = problem_of(scene, table)
         linear, one = problem.linear(np.zeros(problem.size)), np.ones((1, 100))
-        rho, priors = np.zeros((1, 1, 2)), Priors(np.zeros(problem.size), np.zeros(problem.size))
+        rho, priors = np.zeros((1, 1, 2)), GaussianPriors(np.zeros(problem.size), np.zeros(problem.size))
         for _ in range(8):
             x, covariance, _ = linear.fit(one, rho, np.ones((1, 1)), priors)
             # The noise that goes with them.
@@ -272,7 +272,7 @@ def test_shares_maximise_the_restricted_likelihood(make_scene):
     table, _ = displaced(scene, q, np.random.default_rng(42), 5e-5, 1e-4, 1.5e-3)
     problem = problem_of(scene, table)
     linear, one, p = problem.linear(np.zeros(problem.size)), np.ones((1, 36)), problem.size
-    priors = Priors(np.full((1, p), 1e5), np.zeros(p))
+    priors = GaussianPriors(np.full((1, p), 1e5), np.zeros(p))
 
     def fall(values):
         """Of the restricted likelihood, at noise and shares."""
@@ -334,7 +334,7 @@ def test_rows_are_judged_one_by_one(hand):
     _, fitted = hand
     estimate, problem = fitted.estimate, fitted.estimate.problem
     linear, noise = problem.linear(estimate.x), np.array([estimate.noise])
-    priors = Priors(problem.precision, problem.centre)
+    priors = GaussianPriors(problem.precision, problem.centre)
     _, alone, _ = linear.fit(problem.weights[None], 0.0 * problem.rho, noise, priors)
     assert np.min(np.diag(alone[0]) / np.diag(estimate.covariance)) < 0.5
     scores = linear.scores(estimate.x[None], alone, problem.weights[None], noise)[0]
@@ -346,7 +346,7 @@ def test_folds_are_fitted_with_what_stops_share(hand):
     estimate, problem = fitted.estimate, fitted.estimate.problem
     linear, mask = problem.linear(estimate.x), problem.rows.blocks < 5
     (x,) = fold_means(fitted, linear, mask[None])
-    noise, priors = np.array([estimate.noise]), Priors(problem.precision, problem.centre)
+    noise, priors = np.array([estimate.noise]), GaussianPriors(problem.precision, problem.centre)
     rest = linear.select(~mask)
     found = rest.fit(problem.weights[None, ~mask], problem.rho, noise, priors)[0][0]
     alone = rest.fit(problem.weights[None, ~mask], 0.0 * problem.rho, noise, priors)[0][0]

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from calib.estimate.linear import Linear
-from calib.numerics.likelihood import Normal, Priors
+from calib.numerics.likelihood import NormalEquations, GaussianPriors
 from calib.numerics.reml import _score, prior_std_by_reml
 
 P = 14
 FAMILIES = np.arange(P) // 6 == np.arange(2)[:, None]  # the last two parameters are flat
 MEMBERS = FAMILIES.astype(float)
-FLAT = Priors(np.zeros(P), np.zeros(P))
+FLAT = GaussianPriors(np.zeros(P), np.zeros(P))
 
 
 def data_of(rng, n, noise, tau):
@@ -54,7 +54,7 @@ def several(found):
     """Problems one after the other as one of several."""
     names = ("H", "g", "yy", "count")
     parts = (np.concatenate([getattr(one, name) for one in found]) for name in names)
-    return Normal(*parts, found[0].known, found[0].held)
+    return NormalEquations(*parts, found[0].known, found[0].held)
 
 
 def reml(data, noise, prior_std=(0.01, 0.01), smallest=1e-6, families=FAMILIES, **further):
@@ -119,7 +119,7 @@ def test_log_likelihood_against_the_dense_restricted_likelihood(count, more):
     known, further, constraints = FLAT, {}, None
     if more:
         held, centre, C, z = further_knowledge(rng)
-        known, constraints = Priors(held, centre), (C, z)
+        known, constraints = GaussianPriors(held, centre), (C, z)
         further = {"held": held, "centre": centre, "C": C, "z": z}
     data = linearised(A, y, count, known=constraints)
     mine, dense = [], []
@@ -156,7 +156,7 @@ def test_score_and_information_against_the_likelihood(count, more):
     known, constraints = FLAT, None
     if more:
         held, centre, C, z = further_knowledge(rng)
-        known, constraints = Priors(held, centre), (C, z)
+        known, constraints = GaussianPriors(held, centre), (C, z)
     row = constraints[0][1] if more else None
     data = linearised(A, y, count, known=constraints, held=row)
     logs = np.log(np.array([*(0.07, 0.3)[:count], 0.2, 0.15]))
@@ -222,7 +222,7 @@ def test_posterior_is_the_ridge_solution_and_survives_a_singular_matrix():
     precision = np.array([0.05, 0.02]) ** -2 @ FAMILIES
     noise = np.array([[0.1]])
     mean, covariance = (
-        f[0] for f in linearised(A, y).posterior(noise, Priors(precision, np.zeros(P)))
+        f[0] for f in linearised(A, y).posterior(noise, GaussianPriors(precision, np.zeros(P)))
     )
     flat = A.reshape(-1, P)
     M = flat.T @ flat / 0.01 + np.diag(precision)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, f as f_distribution
 
-from calib.numerics.scores import Limits, as_of_a_point, deleted_norms, median_noise
+from calib.numerics.scores import Limits, point_scores, deleted_norms, median_noise
 
 
 def linear_rows(rng, n=25, p=12, noise=0.3, d=3):
@@ -18,7 +18,7 @@ def linear_rows(rng, n=25, p=12, noise=0.3, d=3):
 def scores(residual, jacobian, covariance, weights, used):
     ones = np.ones((1, *residual.shape))
     norms = deleted_norms(residual[None], jacobian, covariance[None], weights[None], ones)
-    return as_of_a_point(norms[0], np.sum(used, axis=1))
+    return point_scores(norms[0], np.sum(used, axis=1))
 
 
 def every(A):
