@@ -19,7 +19,7 @@ from calib.example import PAPER_TARGET, paper_urdf
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
 from calib.result.evaluation import Accuracy, accuracy, evaluate
-from calib.robot.readback import random_joint_values
+from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.units import Array
 

@@ -38,7 +38,7 @@ from calib.data.cell import Cell, TrackerNoise
 from calib.data.measurements import Measurements
 from calib.errors import CalibError
 from calib.model.error_model import error_model
-from calib.robot.readback import random_joint_values
+from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.units import Array
 

@@ -20,7 +20,8 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.example import PAPER_TARGET, paper_urdf
 from calib.model.error_model import error_model
-from calib.model.kinematics import ErrorModel, Kinematics
+from calib.model.kinematics import Kinematics
+from calib.model.parameters import ErrorModel
 from calib.result.comparison import ComparisonValues, compare
 from calib.robot.robot import Robot
 from calib.units import Array

@@ -24,8 +24,10 @@ from calib.estimate.fitting import Fitted, fit
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Samples
 from calib.result.calibrate import fit_table
-from calib.robot.readback import random_joint_values
-from calib.robot.robot import Payload, Robot, gravity_loads
+from calib.robot.gravity import gravity_loads
+from calib.robot.payload import Payload
+from calib.robot.ranges import random_joint_values
+from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from calib.selection.selection import judged_by
 from calib.simulation.truth import Truth, draw_truth

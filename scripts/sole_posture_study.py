@@ -19,7 +19,7 @@ from studies import add_noise, print_table, rms_length, run_jobs, study_parser, 
 
 from calib.calibration import Calibration, calibrate
 from calib.data.measurements import Measurements
-from calib.robot.readback import random_joint_values
+from calib.robot.ranges import random_joint_values
 from calib.simulation.truth import Truth, draw_truth
 from calib.units import Array
 

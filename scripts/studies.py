@@ -21,7 +21,7 @@ from rich.progress import Progress
 
 from calib.calibration import Calibration
 from calib.diagnosis.reasons import Verdict
-from calib.robot.readback import random_joint_values
+from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.units import Array
 

@@ -16,19 +16,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import calib.data.kinds as registry
-from calib.data.kinds import FARTHEST, SIGMAS, Kind, no_rotation, to_quaternions
-from calib.data.layout import Layout, read_values
+from calib.data.columns import COMMON, DEFAULT_TARGET, POINT, QUATERNION, SETS, TORQUE, reserved
+from calib.data.geometry import FARTHEST, not_rotations, to_quaternions
+from calib.data.kinds import SIGMAS, Kind
+from calib.data.layout import Layout
 from calib.data.points_file import read_points
-from calib.data.table import (
-    COMMON,
-    DEFAULT_TARGET,
-    POINT,
-    QUATERNION,
-    SETS,
-    TORQUE,
-    Table,
-    reserved,
-)
+from calib.data.table import Table
+from calib.data.values import read_values
 from calib.errors import MeasurementError, choices
 from calib.files import csv_bytes, write_atomically
 from calib.robot.robot import read_only
@@ -108,7 +102,7 @@ class Measurements:
                 array = read_only(np.full((count, *tail), np.nan))
             fill(name, array)
         if self.rotations is not None:
-            for i in np.flatnonzero(turned)[no_rotation(self.rotations[turned])]:
+            for i in np.flatnonzero(turned)[not_rotations(self.rotations[turned])]:
                 what = "'rotations' holds no rotation; each is orthonormal with determinant 1"
                 self._fail(int(i), what)
         if self.torques is not None:

@@ -12,7 +12,9 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.data.table import POINT, Column, Table, implausible, read_text
+from calib.data.columns import POINT
+from calib.data.plausibility import implausible_length as implausible
+from calib.data.table import Column, Table, read_text
 from calib.errors import MeasurementError, choices, did_you_mean
 from calib.units import UNITS, Unit, symbols
 

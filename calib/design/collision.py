@@ -24,10 +24,10 @@ from pinocchio import hppfcl
 from calib.data.cell import Box
 from calib.design.candidates import Code, Note
 from calib.errors import UrdfError
-from calib.robot.chain import full_configurations, full_model, link_frame
+from calib.robot.full_model import full_configurations, full_model, link_frame
 from calib.robot.kernel import turns_to
 from calib.robot.meshes import LinkShape, find_mesh, link_shapes, load_mesh, mesh_folders
-from calib.robot.readback import spread_poses
+from calib.robot.ranges import spread_poses
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf, UrdfJoint
 from calib.units import Array, Mask

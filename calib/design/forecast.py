@@ -18,8 +18,8 @@ from scipy.linalg import solve_triangular
 
 import calib.data.kinds as registry
 from calib.data.cell import AUTO, Cell, Tracker
+from calib.data.columns import DEFAULT_TARGET
 from calib.data.measurements import Measurements
-from calib.data.table import DEFAULT_TARGET
 from calib.design.candidates import Note, planning_ranges
 from calib.errors import ModelError, choices
 from calib.estimate.fitting import Task, model_of
@@ -30,12 +30,13 @@ from calib.model.observability import Observability, analyse
 from calib.registration.registration import register
 from calib.registration.rows import Rows
 from calib.registration.setup import Setup
-from calib.registration.table_rows import FIRST_SIGMA_ANGLE, rows_of
-from calib.registration.table_setup import setup_of
+from calib.registration.table_rows import FIRST_SIGMA_ANGLE, rows_and_setup
+from calib.registration.table_setup import measurement_setup
 from calib.result.prediction import without_rigid_motion
+from calib.robot.gravity import gravity_loads
 from calib.robot.kernel import over_blocks
-from calib.robot.readback import spread_between
-from calib.robot.robot import Robot, gravity_loads, read_only
+from calib.robot.ranges import spread_between
+from calib.robot.robot import Robot, read_only
 from calib.units import Array
 
 #: What `auto` is planned for: the largest geometry, so that every smaller one is covered.
@@ -75,7 +76,7 @@ class Sensitivity:
         groups = (next(iter(cell.frames), ""),) * len(targets)
         table = table_of_poses(robot, kind, np.zeros((len(targets), len(robot.inputs))))
         table = replace(table, targets=targets, groups=groups)
-        setup = setup_of(cell, table, np.full(len(targets), registry.names().index(kind)))
+        setup = measurement_setup(cell, table, np.full(len(targets), registry.names().index(kind)))
         notes = []
         if not np.all(setup.target_given):
             T_tip_target = setup.T_tip_target.copy()
@@ -293,7 +294,7 @@ def forecast_of_table(robot: Robot, cell: Cell, measurements: Measurements) -> F
         or not registry.get(seen.kinds[0]).free
     ):
         return None
-    rows, setup = rows_of(robot, measurements, cell)
+    rows, setup = rows_and_setup(robot, measurements, cell)
     rows = rows.select(measurements.estimation)
     started = register(robot.poses(rows.joints), setup, rows)
     known = replace(

@@ -23,9 +23,11 @@ from numpy.typing import ArrayLike
 
 import calib.data.kinds as registry
 from calib.data.cell import Cell, Reflector, Tracker
-from calib.data.layout import Layout, read_values
+from calib.data.columns import DEFAULT_TARGET, EXPECTED, POINT, QUATERNION, name_columns
+from calib.data.layout import Layout
 from calib.data.measurements import Measurements
-from calib.data.table import DEFAULT_TARGET, EXPECTED, POINT, QUATERNION, Table, name_columns
+from calib.data.table import Table
+from calib.data.values import read_values
 from calib.design.candidates import Condition, Note, draw, planning_ranges
 from calib.design.collision import CollisionCheck, CollisionModel
 from calib.design.forecast import Forecast, Sensitivity

@@ -23,12 +23,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from calib.data.cell import Cell, vector
+from calib.data.cell import Cell
+from calib.data.columns import POINT, name_columns
+from calib.data.geometry import vector
 from calib.data.measurements import Measurements
-from calib.data.table import POINT, Table, name_columns
+from calib.data.table import Table
 from calib.errors import CalibError, FileError
 from calib.files import damage, json_bytes, read_json, write_atomically
-from calib.robot.readback import joint_ranges
+from calib.robot.ranges import joint_ranges
 from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.units import Array, Mask
 from calib.version import __version__

@@ -22,7 +22,7 @@ from calib.estimate.prior_terms import PriorTerms
 from calib.estimate.stages import Stage
 from calib.model.dh import zero_poses
 from calib.model.families import ANGLE, LENGTH, ZERO
-from calib.model.kinematics import FRAME, TARGET
+from calib.model.parameters import FRAME, TARGET
 from calib.numerics.errors import rms
 from calib.numerics.likelihood import GaussianPriors
 from calib.registration.rows import Rows
@@ -150,7 +150,9 @@ def _error_of_blocks(fitted: Fitted, linear: Linear, weights: Array) -> float:
     block = np.arange(len(rows)) * _BLOCKS // len(rows)
     masks = block == np.unique(block)[:, None]
     noise = np.tile(fitted.estimate.noise, (len(masks), 1))
-    priors = GaussianPriors(*(np.pad(one, (0, further)) for one in (problem.precision, problem.centre)))
+    priors = GaussianPriors(
+        *(np.pad(one, (0, further)) for one in (problem.precision, problem.centre))
+    )
     x = linear.fit(np.where(masks, 0.0, weights), problem.rho, noise, priors)[0]
     residual = linear.residual(x) / linear.noise_of(noise)
     squares = []

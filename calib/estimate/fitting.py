@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from calib.blas import one_blas_thread
 from calib.data.cell import Cell, Priors
 from calib.errors import MeasurementError, ModelError, choices
 from calib.estimate.linear import Linear
@@ -17,15 +18,15 @@ from calib.estimate.problem import Problem
 from calib.estimate.sole_postures import open_directions, open_scores, sole_postures, updated
 from calib.estimate.stages import Stage, staged
 from calib.model.error_model import error_model
-from calib.model.kinematics import FRAME, TARGET, ErrorModel, Kinematics, Parameter, Samples
+from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import steps
+from calib.model.parameters import FRAME, TARGET, ErrorModel, Parameter
 from calib.numerics.scores import Limits
 from calib.numerics.solvers import SOLVERS, Solution, Solver, paper_levenberg_marquardt
 from calib.registration.known_distances import KnownDistance
-from calib.registration.registration import register, register_unseen
+from calib.registration.registration import register, register_held_out
 from calib.registration.rows import Rows
 from calib.registration.setup import Setup
-from calib.robot.kernel import one_blas_thread
 from calib.robot.robot import Robot, read_only
 from calib.units import Array, Mask
 
@@ -117,7 +118,7 @@ class Fitted:
         if not unseen.count:
             return self
         T_base_tip = self.tip_poses(rows.samples)
-        found, own = register_unseen(T_base_tip, self.placed(), unseen, rows), self.setup
+        found, own = register_held_out(T_base_tip, self.placed(), unseen, rows), self.setup
         frames, targets = own.T_frame_base.copy(), own.T_tip_target.copy()
         loose, unknown = list(map(bool, unseen.unknown)), unseen.target_unknown
         frames[loose], targets[unknown] = found.T_frame_base[loose], found.T_tip_target[unknown]
@@ -178,7 +179,7 @@ def fit(
     if started is None:
         # The paper's algorithm starts at the given targets, if all are given.
         at_given = task.solver == PAPER and bool(np.all(setup.target_given))
-        sought = setup.as_known(
+        sought = setup.with_fixed(
             np.zeros(len(setup.groups), bool), np.full(len(setup.targets), at_given)
         )
         found = register(task.robot.poses(rows.joints), sought, rows)

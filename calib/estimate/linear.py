@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.estimate.stop_errors import Stops
-from calib.numerics.likelihood import NormalEquations, GaussianPriors
-from calib.numerics.scores import point_scores, deleted_norms
+from calib.numerics.likelihood import GaussianPriors, NormalEquations
+from calib.numerics.scores import deleted_norms, point_scores
 from calib.robot.kernel import over_blocks
 from calib.units import Array, Mask
 
@@ -30,7 +30,9 @@ class Linear:
     z: Array  # (K,), what C x should be
     held: Array  # (p,), see `NormalEquations`
     stops: Stops | None = None  # Where several targets were seen
-    _made: list[tuple[Array, Array, NormalEquations]] = field(init=False, repr=False, default_factory=list)
+    _made: list[tuple[Array, Array, NormalEquations]] = field(
+        init=False, repr=False, default_factory=list
+    )
 
     def __len__(self) -> int:
         """Number of rows."""
@@ -91,7 +93,9 @@ class Linear:
         # [A r] are at hand; what is asked for is [A y] with y = r + A x.
         H, g, rr = both[..., :p, :p], both[..., :p, p], both[..., p, p]
         Hx, known = H @ self.x, (self.C.T @ self.C, self.C.T @ self.z, float(self.z @ self.z))
-        made = NormalEquations(H, g + Hx, rr + (2.0 * g + Hx) @ self.x, count, known, self.held, log_det)
+        made = NormalEquations(
+            H, g + Hx, rr + (2.0 * g + Hx) @ self.x, count, known, self.held, log_det
+        )
         self._made[:] = [(weights.copy(), rho.copy(), made), *self._made[: _KEPT - 1]]
         return made
 

@@ -3,12 +3,13 @@
 Measurements y = A x + n of C instruments, n of variance sigma_c^2 / w for a row of weight w, and priors
 x_k ~ N(m_k, 1 / precision_k) have the posterior precision, covariance and mean
 
-    M = sum_c A_c^T W A_c / sigma_c^2 + diag(precision),    C = M^-1,    x = C (sum_c A_c^T W y_c / sigma_c^2 + precision m)
+    M = sum_c A_c^T W A_c / sigma_c^2 + diag(precision),    C = M^-1,
+    x = C (sum_c A_c^T W y_c / sigma_c^2 + precision m)
 
-Parameters of the measurement setup are flat: their prior is too wide to count. The likelihood is restricted: integrated
-over all parameters (H. D. Patterson, R. Thompson, 1971).
+Parameters of the measurement setup are flat: their prior is too wide to count. The likelihood is restricted, that is
+integrated over all parameters (H. D. Patterson, R. Thompson, 1971).
 
-B fits that differ in the weights of their rows are worked on together: they are the first axis of all arrays. Letters of
+B fits that differ in the weights of their rows are computed together: they are the first axis of all arrays. Letters of
 shapes: B fits, C instruments, D scalars of a row, N rows, p parameters, K families of parameters.
 """
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.numerics.likelihood import GaussianPriors, NormalEquations, diagonals
-from calib.units import Array, Mask
+from calib.units import Array, Integers, Mask
 
 #: The most scoring steps.
 _ITERATIONS = 30
@@ -50,8 +50,12 @@ class VarianceLimits:
     """Bounds of the standard deviations that are estimated, and the prior of the noise."""
 
     smallest_noise: tuple[float, ...]  # (C,), of each instrument, in units of the given sigma
-    prior_std: tuple[tuple[float, float], ...]  # (K,), lowest and highest of each family, in its parameters' unit
-    noise_spread: float = np.inf  # Standard deviation of a normal prior on log noise about 0 (the given
+    prior_std: tuple[
+        tuple[float, float], ...
+    ]  # (K,), lowest and highest of each family, in its parameters' unit
+    noise_spread: float = (
+        np.inf
+    )  # Standard deviation of a normal prior on log noise about 0 (the given
     # noise), which decides where rows are too few to separate noise from errors of the robot
 
 
@@ -114,7 +118,7 @@ def _log_bounds(noise: Array, limits: VarianceLimits) -> tuple[Array, Array]:
     return lowest, np.log(np.hstack([_HIGHEST_NOISE * noise, high]))
 
 
-def _some_fits(data: NormalEquations, which: Array) -> NormalEquations:
+def _some_fits(data: NormalEquations, which: Integers) -> NormalEquations:
     """The normal equations of some of the B fits, by their numbers."""
     return NormalEquations(
         H=data.H[which],
@@ -143,7 +147,7 @@ def _scoring_step(score: Array, information: Array, at_bound: Mask) -> Array:
     step = np.clip(step, -_STEP_DOWN, _STEP_UP)
     # A prior standard deviation that vanishes may be arbitrarily small: its steps do not raise the likelihood.
     step[np.abs(np.sum(step * score, axis=1)) < _NO_RISE] = 0.0
-    return step
+    return np.asarray(step)
 
 
 def score_and_information(

@@ -4,8 +4,9 @@ A scalar of repeat i of pose k has the error
 
     e_ki = b_k + w_ki,        var b = s_b^2,        var w = s_w^2,        rho = s_b^2 / (s_b^2 + s_w^2)
 
-where b is shared by all repeats of the pose and w is each one's own; rho is their intraclass correlation. Both variances
-follow from the mean squares within and between poses (one-way analysis of variance with unequal groups, by moments).
+where b is shared by all repeats of the pose and w is each one's own; rho is their intraclass correlation. Both
+variances follow from the mean squares within and between poses (one-way analysis of
+variance with unequal groups, by moments).
 """
 
 from __future__ import annotations

@@ -40,7 +40,9 @@ class Iteration:
 
     cost: float  # E before the step
     mu: float  # Its damping; 0 for SciPy, which has a trust region instead
-    gain: float | None  # Actual over predicted decrease of E; None where the solver does not state it
+    gain: (
+        float | None
+    )  # Actual over predicted decrease of E; None where the solver does not state it
     step: float  # Length of the step, in the solver's units
     accepted: bool  # Whether x moved
 

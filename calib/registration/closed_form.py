@@ -1,4 +1,4 @@
-"""Frames and targets in closed form, on given poses of the tip: where the equations are linear, and as starts elsewhere.
+"""Frames and targets in closed form, on given poses of the tip: solutions of linear equations, and starts elsewhere.
 
 With the rotation R_f and translation s_f of frame f (T_frame_base), the pose (R_i, p_i) of the tip at row i, and the
 target at t in the tip, a measured point is m_i = R_f (R_i t + p_i) + s_f: linear in t and s_f where R_f is known. A
@@ -16,7 +16,7 @@ from calib.data.kinds import Kind
 from calib.model.error_model import DIRECTIONS
 from calib.registration.rows import Rows
 from calib.registration.setup import Setup
-from calib.units import Array, Integers
+from calib.units import Array, Integers, Mask
 
 #: Directions of a frame's translation.
 _TRANSLATIONS = ("x", "y", "z")
@@ -196,7 +196,7 @@ def _frame_by_points(measured: Array, points: Array) -> Array:
     return T
 
 
-def _kind_that_locates(rows: Rows, of_frame: Integers) -> tuple[Kind, Array] | None:
+def _kind_that_locates(rows: Rows, of_frame: Integers) -> tuple[Kind, Mask] | None:
     """The kind with the most scalars a row that locates its frame, among rows of a frame, and which are of it.
 
     Args:

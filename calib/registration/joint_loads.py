@@ -6,7 +6,8 @@ import numpy as np
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.robot.robot import Robot, gravity_loads
+from calib.robot.gravity import gravity_loads
+from calib.robot.robot import Robot
 from calib.units import Array
 
 
@@ -20,7 +21,7 @@ def joint_loads(robot: Robot, measurements: Measurements, cell: Cell, q: Array) 
         q: shape (N, m), joint values of the rows in the robot's order [rad] or [m].
 
     Returns:
-        shape (N, n, n + 3), [Nm] or [N]; see `calib.robot.robot.gravity_loads`.
+        shape (N, n, n + 3), [Nm] or [N]; see `calib.robot.gravity.gravity_loads`.
     """
     load = gravity_loads(robot, q, cell.payload, cell.gravity)
     if measurements.torques is None:

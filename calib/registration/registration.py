@@ -6,15 +6,14 @@ equations are linear, else by Levenberg-Marquardt from several starts.
 
 from __future__ import annotations
 
-import itertools
 from functools import partial
 
 import numpy as np
 
 from calib.errors import MeasurementError
 from calib.model.error_model import DIRECTIONS, frame_and_target_model
-from calib.model.kinematics import ErrorModel
 from calib.model.observability import steps
+from calib.model.parameters import ErrorModel
 from calib.numerics.errors import LENGTHS
 from calib.numerics.solvers import levenberg_marquardt
 from calib.registration.closed_form import linear_setup, with_measured_target_rotations
@@ -101,9 +100,7 @@ def _sum_of_squares(setup: Setup, T_base_tip: Array, rows: Rows) -> float:
     return float(np.sum(residual[rows.used] ** 2))
 
 
-def _refined(
-    start: Setup, T_base_tip: Array, rows: Rows, tolerance: float
-) -> tuple[float, Setup]:
+def _refined(start: Setup, T_base_tip: Array, rows: Rows, tolerance: float) -> tuple[float, Setup]:
     """The cost and the setup at the minimum near a start, by Levenberg-Marquardt."""
     model = frame_and_target_model(
         start.frame_unknowns, start.unknown_targets, start.target_names, rotation=start.rotation
@@ -159,9 +156,7 @@ def register_held_out(T_base_tip: Array, fitted: Setup, held_out: Setup, rows: R
     """
     concerned = held_out.unknown_at(rows.samples)
     start = held_out.placed(fitted.T_frame_base, fitted.T_tip_target)
-    registered = _register_without_outliers(
-        T_base_tip[concerned], start, rows.select(concerned)
-    )
+    registered = _register_without_outliers(T_base_tip[concerned], start, rows.select(concerned))
     return fitted.placed(registered.T_frame_base, registered.T_tip_target)
 
 
@@ -206,9 +201,7 @@ def _check_enough(setup: Setup, rows: Rows) -> None:
             )
 
 
-def _check_part(
-    name: str, rows: Rows, part: Mask, unknowns: int, *, points_needed: bool
-) -> None:
+def _check_part(name: str, rows: Rows, part: Mask, unknowns: int, *, points_needed: bool) -> None:
     """Raise `MeasurementError` where a part of the rows, (N,), has fewer numbers than unknowns.
 
     ``points_needed`` says that a frame is wholly unknown: two points leave the rotation about the line through them.

@@ -12,7 +12,8 @@ from itertools import compress
 
 import numpy as np
 
-from calib.model.kinematics import FRAME, TARGET, ErrorModel, Parameter, Samples
+from calib.model.kinematics import Samples
+from calib.model.parameters import FRAME, TARGET, ErrorModel, Parameter
 from calib.robot.robot import read_only
 from calib.units import Array, Mask
 
@@ -25,7 +26,9 @@ class Setup:
     targets: tuple[str, ...]  # Names of the targets
     T_frame_base: Array  # (F, 4, 4), pose of the base in each frame [m]
     T_tip_target: Array  # (T, 4, 4), pose of each target in the tip [m]
-    unknown: tuple[tuple[str, ...], ...]  # For each frame the directions that are estimated: "x" ... "rz"
+    unknown: tuple[
+        tuple[str, ...], ...
+    ]  # For each frame the directions that are estimated: "x" ... "rz"
     frame_given: Mask  # (F,), frames whose pose the user gave; of others it is registered
     target_unknown: Mask  # (T,), targets that are estimated
     target_given: Mask  # (T,), targets whose place the user gave, to be kept or as a start

@@ -60,9 +60,7 @@ def rows_and_setup(robot: Robot, measurements: Measurements, cell: Cell) -> tupl
         measured=_measured(measurements, kinds),
         partner=partner,
         sigma=_sigma(len(q), measurements.sigma, cell.sigma, FIRST_SIGMA),
-        sigma_angle=_sigma(
-            len(q), measurements.sigma_angle, cell.sigma_angle, FIRST_SIGMA_ANGLE
-        ),
+        sigma_angle=_sigma(len(q), measurements.sigma_angle, cell.sigma_angle, FIRST_SIGMA_ANGLE),
         poses=_repeats(pose, samples, kinds, partner),
         blocks=joined_labels(pose, pairs),
     )
@@ -126,8 +124,8 @@ def _measured(measurements: Measurements, kinds: Integers) -> Array:
             parts.append(measurements.points[rows])
         if kind.orientation and measurements.rotations is not None:
             parts.append(measurements.rotations[rows].reshape(-1, 9))
-        for reading in kind.readings:
-            parts.append(measurements.reading(reading.name)[rows, None])
+        readings = [measurements.reading(reading.name) for reading in kind.readings]
+        parts += [values[rows, None] for values in readings]
         if parts:
             result[rows, : kind.size] = np.hstack(parts)
     return result

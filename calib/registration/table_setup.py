@@ -79,9 +79,7 @@ def _kinds_in(numbers: Integers) -> list[Kind]:
     return [registry.at(k) for k in np.unique(numbers).tolist() if k != NONE]
 
 
-def _estimated_directions(
-    cell: Cell, locating: list[Kind], part_of_scene: bool
-) -> tuple[str, ...]:
+def _estimated_directions(cell: Cell, locating: list[Kind], part_of_scene: bool) -> tuple[str, ...]:
     """Directions of a group's frame that are estimated, of those that its kinds of rows depend on."""
     observed = [
         direction

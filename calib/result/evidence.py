@@ -9,13 +9,13 @@ import numpy as np
 from calib.diagnosis.reasons import NO, Reason, Why
 from calib.diagnosis.verdict import Evidence
 from calib.estimate.fitting import Fitted
-from calib.model.kinematics import FRAME, TARGET
+from calib.model.parameters import FRAME, TARGET
 from calib.numerics.errors import Errors
 from calib.registration.rows import Rows
 from calib.result.calibration import CalibrationValues
 from calib.result.doubts import noise_doubts
 from calib.result.prediction import NonGeometric, Solved, without_rigid_motion
-from calib.robot.readback import spread_poses
+from calib.robot.ranges import spread_poses
 from calib.units import Array, Mask
 
 #: A share of validation rows up to which those that do not fit are set aside as accidents.
@@ -135,7 +135,7 @@ def _over_joint_limits(result: CalibrationValues, part: Solved) -> tuple[float, 
     robot, nominal = result.nominal, result.nominal_setup
     samples = result.samples(spread_poses(robot))
     poses, twists = part.kinematics.twists(part.x, samples, rotation=False)
-    T_nominal = nominal.seen(robot.poses(samples.q), samples)
+    T_nominal = nominal.target_poses(robot.poses(samples.q), samples)
     points, columns = poses[:, :3, 3], twists
     away = (T_nominal[:, :3, 3] - points)[:, :, None]
     if result.frame_estimated or not result.tells_place:

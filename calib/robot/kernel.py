@@ -10,15 +10,12 @@ Samples are worked on in blocks that stay in the processor's cache.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import ThreadpoolController
 
 from calib.units import Array
 
@@ -217,16 +214,3 @@ BLOCK = 1024  #: Samples of one block.
 def over_blocks(work: Callable[[slice], T], count: int) -> list[T]:
     """What ``work`` gives for each block of samples, in their order."""
     return [work(slice(k, min(k + BLOCK, count))) for k in range(0, count, BLOCK)]
-
-
-@cache
-def _libraries() -> ThreadpoolController:
-    """The libraries that are loaded; to look for them takes as long as a fit."""
-    return ThreadpoolController()
-
-
-@contextmanager
-def one_blas_thread() -> Iterator[None]:
-    """Linear algebra has one thread within the block: on matrices this small more of them wait for each other."""
-    with _libraries().limit(limits=1, user_api="blas"):
-        yield

@@ -22,8 +22,8 @@ from calib.jobs import Progress
 from calib.model.error_model import DIRECTIONS
 from calib.numerics.errors import CrossValidation, Errors
 from calib.numerics.likelihood import GaussianPriors
-from calib.registration.known_distances import joined_setups
-from calib.registration.registration import ENOUGH, nominal_setup, register_poses
+from calib.registration.known_distances import joined_stations
+from calib.registration.registration import ENOUGH, nominal_setup, register_all_rows
 from calib.registration.rows import Rows
 from calib.registration.setup import Setup
 from calib.robot.robot import read_only
@@ -73,7 +73,7 @@ class Folds:
 
         A set-up stays with the others where it alone says what they cannot: orientations, or where the base stands.
         """
-        setups = joined_setups(rows, task.distances)
+        setups = joined_stations(rows, task.distances)
         # Each target whose orientation was measured must be so in two set-ups: one alone cannot be predicted.
         turned, targets = rows.where(lambda kind: kind.orientation), rows.samples.target
         seen = [len(np.unique(setups[turned & (targets == t)])) for t in np.unique(targets[turned])]
@@ -136,11 +136,11 @@ def _left_over(
 ) -> Array:
     """Measured minus predicted of held-out rows; frames and targets that only they see are registered to them."""
     left, samples = rows.select(mask), rows.samples
-    loose = placed.as_known(*placed.seen_by(samples.select(seen)))
+    loose = placed.with_fixed(*placed.seen_by(samples.select(seen)))
     if loose.count:
         kept = left.without(outliers[mask])
-        placed = register_poses(T_base_tip[kept], loose, left.select(kept))
-    return left.residual(placed.seen(T_base_tip, left.samples))
+        placed = register_all_rows(T_base_tip[kept], loose, left.select(kept))
+    return left.residual(placed.target_poses(T_base_tip, left.samples))
 
 
 def _on_the_linearised(fitted: Fitted, masks: tuple[Mask, ...], outliers: Mask) -> dict[int, Array]:

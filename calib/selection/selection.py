@@ -14,9 +14,8 @@ import numpy as np
 
 from calib.errors import MeasurementError, ModelError, choices
 from calib.estimate.fitting import Fitted, Task, fit, model_of
-from calib.model.error_model import joint_parameters
 from calib.model.families import family_of, joint_families
-from calib.model.kinematics import joint_displacements
+from calib.model.joint_errors import joint_displacements, joint_parameters
 from calib.numerics.errors import CrossValidation
 from calib.registration.rows import Rows
 from calib.robot.robot import read_only

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 import calib.data.kinds as registry
 from calib.model.error_model import placed_name
 from calib.model.families import FAMILIES, unit_of
-from calib.model.kinematics import FRAME, TARGET
 from calib.model.observability import Combination
+from calib.model.parameters import FRAME, TARGET
 from calib.numerics.errors import Errors
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import Outlier, ParameterEstimate

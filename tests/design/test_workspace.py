@@ -24,7 +24,7 @@ from calib.design.workspace import (
     write_region,
 )
 from calib.errors import CalibError, FileError, MeasurementError
-from calib.robot.readback import joint_ranges
+from calib.robot.ranges import joint_ranges
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 

@@ -15,18 +15,19 @@ from calib.errors import MeasurementError, ModelError
 from calib.estimate.fitting import Task, _pulled_inwards, fit
 from calib.estimate.prior_terms import PriorTerms
 from calib.model.error_model import MODELS, error_model
-from calib.model.kinematics import Kinematics, Parameter
+from calib.model.kinematics import Kinematics
+from calib.model.parameters import Parameter
 from calib.numerics.solvers import SOLVERS, Solution
 from calib.registration.known_distances import known_distances
-from calib.registration.table_rows import rows_of
-from calib.robot.readback import random_joint_values
+from calib.registration.table_rows import rows_and_setup
+from calib.robot.ranges import random_joint_values
 
 OFF = Priors(source="off")
 FREE = Cell(estimate_frame=True, priors=OFF)
 
 
 def task_of(scene, table, cell, model="dh", **options):
-    rows, setup = rows_of(scene.robot, table, cell)
+    rows, setup = rows_and_setup(scene.robot, table, cell)
     task = Task(scene.robot, cell, setup, model, known_distances(cell, setup), **options)
     return task, rows
 

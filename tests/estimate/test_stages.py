@@ -15,9 +15,10 @@ from calib.estimate.problem import Problem
 from calib.estimate.stages import Stage
 from calib.model.error_model import error_model
 from calib.model.families import ZERO
-from calib.model.kinematics import FRAME, TARGET, Samples
+from calib.model.kinematics import Samples
+from calib.model.parameters import FRAME, TARGET
 from calib.numerics.likelihood import GaussianPriors
-from calib.registration.table_rows import rows_of
+from calib.registration.table_rows import rows_and_setup
 
 #: How far registration moves the target.
 OFF = np.zeros((4, 4))
@@ -32,7 +33,7 @@ def prior_terms(virtual, model, **given):
     )
     cell = Cell(target=virtual.kinematics.T_tip_target[0, :3, 3], estimate_frame=True, **given)
     table = Measurements(robot.joint_names, rows.joints, rows.measured)
-    _, setup = rows_of(robot, table, cell)
+    _, setup = rows_and_setup(robot, table, cell)
     started = setup.placed(setup.T_frame_base, virtual.kinematics.T_tip_target + OFF)
     return PriorTerms.of(cell, model, setup, started, lenient=False)
 

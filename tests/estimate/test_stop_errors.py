@@ -19,10 +19,10 @@ from calib.estimate.problem import Problem
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
 from calib.numerics.likelihood import GaussianPriors
-from calib.registration.table_rows import rows_of
+from calib.registration.table_rows import rows_and_setup
 from calib.result.prediction import parameter_estimates
 from calib.result.uncertainty import _fit_sample
-from calib.robot.readback import random_joint_values
+from calib.robot.ranges import random_joint_values
 from calib.selection.cross_validation import fold_means
 from tests.fits import joined, place
 
@@ -44,7 +44,7 @@ def at(scene, q, target, *, pose=False, frame=0):
 
 def problem_of(scene, table):
     """The problem of a table, with the nominal robot where the scene's frames and targets are."""
-    rows, setup = rows_of(scene.robot, table, Cell())
+    rows, setup = rows_and_setup(scene.robot, table, Cell())
     frames, targets = ([int(name[-1:]) for name in one] for one in (setup.groups, setup.targets))
     places = dict.fromkeys(setup.groups if len(frames) > 1 else ("",), ())
     model = error_model(scene.robot, "dh", frame=places, targets=setup.target_names, target=False)
@@ -252,7 +252,10 @@ def test_shares_against_monte_carlo_truth(make_scene, own, shift, turn):
         table, lever = displaced(scene, q, np.random.default_rng(seed), own, shift, turn)
         problem = problem_of(scene, table)
         linear, one = problem.linear(np.zeros(problem.size)), np.ones((1, 100))
-        rho, priors = np.zeros((1, 1, 2)), GaussianPriors(np.zeros(problem.size), np.zeros(problem.size))
+        rho, priors = (
+            np.zeros((1, 1, 2)),
+            GaussianPriors(np.zeros(problem.size), np.zeros(problem.size)),
+        )
         for _ in range(8):
             x, covariance, _ = linear.fit(one, rho, np.ones((1, 1)), priors)
             # The noise that goes with them.
@@ -308,7 +311,7 @@ def test_too_few_stops_share_nothing(make_scene):
 def hand(ur3):
     """A fit to four markers of a hand whose stops are missed by three times the cameras' noise."""
     hand = Hand.drawn(ur3, 25, 3.0, 11)
-    rows, setup = rows_of(ur3, hand.by_points(), Cell(estimate_frame=True))
+    rows, setup = rows_and_setup(ur3, hand.by_points(), Cell(estimate_frame=True))
     return hand, fit(Task(ur3, Cell(estimate_frame=True), setup, "dh"), rows)
 
 
@@ -370,7 +373,7 @@ def test_stops_are_drawn_whole(hand):
 def test_what_stops_share_is_no_pattern(ur3):
     cell, found = Cell(estimate_frame=True), []
     for seed in range(5):
-        rows, setup = rows_of(ur3, Hand.drawn(ur3, 30, 3.0, seed).by_points(), cell)
+        rows, setup = rows_and_setup(ur3, Hand.drawn(ur3, 30, 3.0, seed).by_points(), cell)
         fitted = fit(Task(ur3, cell, setup, "dh"), rows)
         order = Order(np.arange(len(rows)), np.zeros(rows.joints.shape))
         found += [one.why for one in residual_patterns(fitted, order)]
@@ -396,7 +399,7 @@ def test_the_covariance_against_monte_carlo(make_scene, own, shift, turn):
         scene = make_scene(seed, frames=[np.eye(4)], targets=HAND, length=4e-4, angle=3e-3)
         q = random_joint_values(scene.robot, 25, seed)
         table, _ = displaced(scene, q, np.random.default_rng(seed), own, shift, turn)
-        rows, setup = rows_of(scene.robot, table, cell)
+        rows, setup = rows_and_setup(scene.robot, table, cell)
         fitted = fit(Task(scene.robot, cell, setup, "dh"), rows)
         samples = scene.samples(100, 0, 2, random_joint_values(scene.robot, 100, 5))
         poses, J = fitted.kinematics.twists(fitted.estimate.x, samples, rotation=False)

@@ -13,7 +13,7 @@ from calib.data.measurements import Measurements
 from calib.design.workspace import Checked, Density, RegionView, workspace
 from calib.errors import FileError
 from calib.report.figure_region import draw_region, headings, write_picture
-from calib.robot.readback import joint_ranges
+from calib.robot.ranges import joint_ranges
 
 
 @pytest.fixture(scope="module")

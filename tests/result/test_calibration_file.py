@@ -24,8 +24,9 @@ from calib.result.calibration_file import (
     write_table,
 )
 from calib.result.evaluation import evaluate
-from calib.robot.readback import random_joint_values
-from calib.robot.robot import Payload, Robot
+from calib.robot.payload import Payload
+from calib.robot.ranges import random_joint_values
+from calib.robot.robot import Robot
 from calib.text.evaluation import assessment_table
 from calib.text.summary import summary
 

@@ -25,7 +25,7 @@ from calib.files import plain
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
 from calib.result.comparison import LEVEL, DriftTest, Estimate, drift_test, joint_covariance
-from calib.robot.readback import spread_between
+from calib.robot.ranges import spread_between
 from calib.robot.robot import Robot
 from calib.text.comparison import notes
 

@@ -17,7 +17,7 @@ from calib.numerics.errors import CrossValidation, Errors
 from calib.registration.known_distances import known_distances
 from calib.registration.registration import register
 from calib.registration.rows import Rows
-from calib.registration.table_rows import rows_of
+from calib.registration.table_rows import rows_and_setup
 from calib.selection import cross_validation as module
 from calib.selection.cross_validation import (
     Folds,
@@ -34,7 +34,7 @@ POSE = 1
 
 
 def task_of(scene: Any, table: Measurements, cell: Cell, model: str = "dh") -> tuple[Task, Rows]:
-    every, setup = rows_of(scene.robot, table, cell)
+    every, setup = rows_and_setup(scene.robot, table, cell)
     task = Task(scene.robot, cell, setup, model, known_distances(cell, setup), lenient=True)
     return task, every.select(table.estimation)
 
@@ -124,13 +124,13 @@ def test_nominal_errors_are_those_of_a_registration_without_the_pose(make_scene,
     for pose in range(10):
         kept = ~outliers & (np.arange(10) != pose)
         registered = register(T_base_tip[kept], task.setup, rows.select(kept))
-        predicted = registered.seen(T_base_tip, rows.samples)
+        predicted = registered.target_poses(T_base_tip, rows.samples)
         expected[pose] = rows.residual(predicted)[pose]
     found = nominal_cross_validation(task, rows, outliers)
     np.testing.assert_allclose(found.residual, expected, atol=1e-9)
     # Far from what a registration to all rows leaves.
     setup = register(T_base_tip, task.setup, rows)
-    fitted = rows.residual(setup.seen(T_base_tip, rows.samples))
+    fitted = rows.residual(setup.target_poses(T_base_tip, rows.samples))
     assert np.sum(expected**2) > 1.2 * np.sum(fitted**2)
 
 
@@ -143,9 +143,9 @@ def test_a_station_that_was_held_out_is_registered_with_the_target_of_the_others
     for station in range(3):
         held_out = rows.samples.frame == station
         others = register(T_base_tip[~held_out], task.setup, rows.select(~held_out))
-        target = others.as_known(np.zeros(3, dtype=bool), np.ones(1, dtype=bool))
+        target = others.with_fixed(np.zeros(3, dtype=bool), np.ones(1, dtype=bool))
         own = register(T_base_tip[held_out], target, rows.select(held_out))
-        predicted = own.seen(T_base_tip, rows.samples)
+        predicted = own.target_poses(T_base_tip, rows.samples)
         expected[held_out] = rows.residual(predicted)[held_out]
     found = nominal_cross_validation(task, rows, np.zeros(24, dtype=bool))
     np.testing.assert_allclose(found.residual, expected, atol=1e-9)
@@ -167,7 +167,7 @@ def test_parameters_that_only_the_left_out_rows_see(calibrated):
 
 
 def fitted_to(scene: Any, table: Measurements, cell: Cell, model: str = "dh") -> Fitted:
-    every, setup = rows_of(scene.robot, table, cell)
+    every, setup = rows_and_setup(scene.robot, table, cell)
     task = Task(scene.robot, cell, setup, model, known_distances(cell, setup), lenient=True)
     return fit(task, every.select(table.estimation))
 
@@ -231,7 +231,7 @@ def test_folds_are_fitted_from_the_beginning_where_the_linearised_problem_does_n
 ):
     scene = make_scene(93, frames=[np.eye(4)], length=3e-4, angle=3e-3, noise=2e-5)
     table = scene.points(count)
-    every, setup = rows_of(scene.robot, table, cell)
+    every, setup = rows_and_setup(scene.robot, table, cell)
     fitted = fit(Task(scene.robot, cell, setup, "dh", solver=solver), every)
     linear, refitted = both(fitted)
     np.testing.assert_array_equal(linear.residual, refitted.residual)
@@ -270,3 +270,26 @@ def test_the_chance_of_a_fall_is_student_s_one_sided():
     assert chance_of_fall(np.array([1.0])) == 1.0
     assert chance_of_fall(np.zeros(4)) == 1.0
     assert chance_of_fall(np.ones(4)) == 0.0
+
+
+@pytest.mark.parametrize("rows", [1, 2, 30, 60, 61, 1000])
+def test_each_row_is_left_out_once(rows):
+    found = Folds.of(np.arange(rows))
+    method, masks = found.method, found.masks
+    assert method == ("leave-one-out" if rows <= 60 else "10-fold")
+    assert len(masks) == (rows if rows <= 60 else 10)
+    np.testing.assert_array_equal(np.sum(masks, axis=0), np.ones(rows))
+
+
+@pytest.mark.parametrize("names", [[0, 1], [3, 5, 9], range(4), range(150)])
+def test_from_three_set_ups_on_each_is_left_out_as_a_whole(names):
+    setups = np.repeat(list(names), 4)
+    held_out = Folds.of(np.arange(len(setups)), setups)
+    if len(names) < 3:
+        assert held_out.method == "leave-one-out"
+        return
+    np.testing.assert_array_equal(np.sum(held_out.masks, axis=0), np.ones(len(setups)))
+    for mask in held_out.masks:
+        assert set(setups[mask]).isdisjoint(setups[~mask])
+    assert len(held_out.masks) == min(len(names), 50)
+    assert held_out.method == ("leave-one-set-up-out" if len(names) < 60 else "leave-set-ups-out")

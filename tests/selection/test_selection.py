@@ -15,7 +15,7 @@ from calib.errors import ModelError
 from calib.estimate.fitting import Fitted, Task, fit
 from calib.model.families import FAMILIES, joint_families
 from calib.numerics.errors import CrossValidation, Errors
-from calib.registration.table_rows import rows_of
+from calib.registration.table_rows import rows_and_setup
 from calib.selection.selection import (
     LADDER,
     Candidate,
@@ -37,7 +37,7 @@ def scene_of(make_scene: Callable[..., Any], seed: int, model: str, **given: Any
 
 def chosen(scene: Any, count: int = 80, cell: Cell | None = None) -> Selection:
     cell = Cell() if cell is None else cell
-    rows, setup = rows_of(scene.robot, scene.points(count), cell)
+    rows, setup = rows_and_setup(scene.robot, scene.points(count), cell)
     return select(Task(scene.robot, cell, setup, "auto"), rows)
 
 
@@ -176,7 +176,7 @@ def with_outliers(fitted: Fitted, *rows: int) -> Fitted:
 
 def test_a_judge_that_explains_more_rows_keeps_its_weights(make_scene):
     scene = scene_of(make_scene, 115, "dh")
-    rows, setup = rows_of(scene.robot, scene.points(40), Cell())
+    rows, setup = rows_and_setup(scene.robot, scene.points(40), Cell())
     large, small = (fit(Task(scene.robot, Cell(), setup, m), rows) for m in ("dh", "zeros"))
     assert explains_more(with_outliers(large), with_outliers(small, 3, 5))
     assert explains_more(with_outliers(large, 3), with_outliers(small, 3, 5))
@@ -193,7 +193,7 @@ def robust_and_plain(make_scene):
     table = scene.points(30)
     points = table.points.copy()
     points[[4, 17]] += [[2e-3, 0.0, 1e-3], [0.0, -3e-3, 0.0]]
-    rows, setup = rows_of(scene.robot, replace(table, points=points), Cell())
+    rows, setup = rows_and_setup(scene.robot, replace(table, points=points), Cell())
     task = Task(scene.robot, Cell(), setup, "dh")
     robust, plain = fit(task, rows), fit(replace(task, robust=False), rows)
     assert np.flatnonzero(robust.estimate.outliers).tolist() == [4, 17]

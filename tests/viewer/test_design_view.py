@@ -14,7 +14,7 @@ from calib.data.measurements import Measurements
 from calib.design.optimal import PlanRequest
 from calib.design.plan import plan
 from calib.design.workspace import Checked, Density, RegionView, workspace
-from calib.robot.readback import joint_ranges, random_joint_values
+from calib.robot.ranges import joint_ranges, random_joint_values
 from calib.viewer.design_view import plan_page, region_page
 from tests.viewer.conftest import scene_of
 
