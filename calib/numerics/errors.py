@@ -101,9 +101,9 @@ def _figures_of_norms(vectors: Array) -> tuple[float, float, float]:
 class CrossValidation:
     """Errors on held-out rows: each row is predicted by a fit without it."""
 
-    method: str  # ``"leave-one-out"``, ``"leave-one-pose-out"``, ``"leave-one-set-up-out"``, ``"10-fold"``, ...
+    method: str  # ``"leave-one-out"``, ``"leave-one-pose-out"``, ``"leave-one-station-out"``, ``"10-fold"``, ...
     folds: int  # Number of fits
-    poses: Integers  # (N,), rows of one number were held out together: `calib.registration.rows.Rows.blocks`
+    poses: Integers  # (N,), from 0: rows of one number are of one pose or one pair, and held out together
     residual: Array  # (N, D), measured minus predicted by the fit without the row [m], [rad]
     errors: Errors  # Of all rows
     errors_without_outliers: Errors  # Of the rows that the fit to all rows did not flag

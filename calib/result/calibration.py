@@ -29,7 +29,7 @@ from calib.result.prediction import NonGeometric, Outlier, ParameterEstimate, So
 from calib.result.robustness import Robustness
 from calib.robot.payload import Payload
 from calib.robot.robot import Robot, rigid_inverse
-from calib.selection.selection import Candidate
+from calib.selection.candidates import Candidate
 from calib.units import Array, Mask
 
 #: Values that stand for all those between the ends of a measured range.

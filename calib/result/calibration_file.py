@@ -41,7 +41,7 @@ from calib.result.robustness import Robustness
 from calib.robot.payload import Payload
 from calib.robot.robot import Robot, read_only
 from calib.robot.urdf import Urdf
-from calib.selection.selection import Candidate
+from calib.selection.candidates import Candidate
 from calib.units import Array
 from calib.version import __version__
 

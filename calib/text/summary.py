@@ -48,8 +48,8 @@ _NOTHING = 2e-3
 _LEFT_OUT = {
     "leave-one-out": "each row predicted from the others alone",
     "leave-one-pose-out": "each pose, repeats and all, predicted from the others alone",
-    "leave-one-set-up-out": "each set-up predicted from the others, but for its own frame",
-    "leave-set-ups-out": "some set-ups predicted from the others, but for their own frames",
+    "leave-one-station-out": "each station predicted from the others, but for its own frame",
+    "leave-stations-out": "some stations predicted from the others, but for their own frames",
     "10-fold": "a tenth of the poses at a time, predicted from the others",
 }
 

@@ -24,7 +24,7 @@ from calib.model.parameters import FRAME
 from calib.result.calibrate import calibrate
 from calib.result.calibration import CalibrationValues
 from calib.robot.ranges import random_joint_values
-from calib.selection.selection import Candidate
+from calib.selection.candidates import Candidate
 from tests.hard_cases import made, ur3
 
 KNOWN_BASE = np.zeros((6, 6))

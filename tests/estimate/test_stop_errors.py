@@ -23,7 +23,7 @@ from calib.registration.table_rows import rows_and_setup
 from calib.result.prediction import parameter_estimates
 from calib.result.uncertainty import _fit_sample
 from calib.robot.ranges import random_joint_values
-from calib.selection.cross_validation import fold_means
+from calib.selection.linear_folds import fold_posterior_means
 from tests.fits import joined, place
 
 sys.path.append(str(Path(__file__).parents[2] / "scripts"))
@@ -348,7 +348,7 @@ def test_folds_are_fitted_with_what_stops_share(hand):
     _, fitted = hand
     estimate, problem = fitted.estimate, fitted.estimate.problem
     linear, mask = problem.linear(estimate.x), problem.rows.blocks < 5
-    (x,) = fold_means(fitted, linear, mask[None])
+    (x,) = fold_posterior_means(fitted, linear, mask[None])
     noise, priors = np.array([estimate.noise]), GaussianPriors(problem.precision, problem.centre)
     rest = linear.select(~mask)
     found = rest.fit(problem.weights[None, ~mask], problem.rho, noise, priors)[0][0]

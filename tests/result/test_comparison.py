@@ -20,7 +20,7 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Verdict
 from calib.errors import FileError
-from calib.example import PAPER_TARGET
+from calib.example.__init__ import PAPER_TARGET
 from calib.files import plain
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
