@@ -16,7 +16,7 @@ from calib.errors import SolverError
 from calib.units import Array
 
 #: Message of a solver that converged.
-_CONVERGED = "Converged: relative change of cost and parameters below tolerance."
+_CONVERGED = "Relative change of cost and parameters below tolerance."
 
 #: Message of a solver that did not.
 _LIMIT = "The limit of {} iterations was reached before the steps became negligible."
