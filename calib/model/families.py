@@ -164,9 +164,8 @@ class Factor:
     loaded: bool = False  #: True if it needs the load on the joints.
     #: True if there is one for each later point of the chain, ``<joint>.<name>[<point>]``.
     later: bool = False
-    point: str = (
-        ""  #: The name of that point; "" where ``later`` is False or the point is not chosen yet.
-    )
+    #: The name of that point; "" where ``later`` is False or the point is not chosen yet.
+    point: str = ""
 
 
 @dataclass(frozen=True, slots=True)
