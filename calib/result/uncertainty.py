@@ -23,7 +23,7 @@ from calib.blas import one_blas_thread
 from calib.errors import CalibError, ModelError
 from calib.estimate.fitting import Fitted
 from calib.jobs import Progress, batch_size, run
-from calib.model.kinematics import Samples, Where
+from calib.model.kinematics import Samples, SamplesOrValues
 from calib.model.observability import steps
 from calib.numerics.errors import rms
 from calib.numerics.solvers import levenberg_marquardt
