@@ -29,6 +29,7 @@ ORDER = (
     "selection",
     "diagnosis",
     "result",
+    "regions",
     "design",
     "simulation",
     "circle_points",

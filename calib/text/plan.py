@@ -14,9 +14,9 @@ from calib.text.lines import fill, row_ranges
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from calib.design.candidates import Code, Note
+    from calib.design.notes import Code, Note
     from calib.design.plan import Plan
-    from calib.design.workspace import Checked, RegionView
+    from calib.regions.region_rows import Checked, RegionView
 
 _CRITERIA = {
     "V": "least mean error over the workspace (V-optimal)",
