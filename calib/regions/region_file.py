@@ -136,9 +136,12 @@ def _region_of(table: Mapping[str, Any]) -> Region:
 def _origin_of(table: Mapping[str, Any]) -> _Origin:
     """Return what a file's region was made for; raises what damage to it causes."""
     robot = table["robot"]
-    joints = [joint["name"] for joint in robot["joints"]]
-    target = read_only(table["target_xyz_m"]).reshape(3)
-    return _Origin(robot["base"], robot["tip"], joints, target)
+    return _Origin(
+        base=robot["base"],
+        tip=robot["tip"],
+        joints=[joint["name"] for joint in robot["joints"]],
+        target=read_only(table["target_xyz_m"]).reshape(3),
+    )
 
 
 def _check_origin(

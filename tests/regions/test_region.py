@@ -45,11 +45,11 @@ def test_points_in_voxels():
 
 
 def test_the_order_is_that_of_smoothed_counts_and_the_share_that_of_counts():
-    """One isolated full voxel has a higher smoothed density than a denser neighbourhood's rim."""
-    points = np.array([[0.05, 0.05, 0.05]] * 4 + [[0.55, 0.05, 0.05]] * 3 + [[0.65, 0.05, 0.05]])
+    points = np.array([[0.0, 0.0, 0.0]] * 4 + [[0.55, 0.0, 0.0]] * 3 + [[0.66, 0.0, 0.0]])
     density = Density.of(points, 0.1)
     order = np.argsort(-density.smooth.ravel(), kind="stable")[:3]
     held = np.cumsum(density.counts.ravel()[order]) / len(points)
+    np.testing.assert_allclose(density.smooth.ravel()[order], [4.0, 7.0 / 3.0, 5.0 / 3.0])
     np.testing.assert_allclose(density.needed.ravel()[order], held)
     assert density.region(0.5).held == held[0] == 0.5
 
