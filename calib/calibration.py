@@ -16,7 +16,8 @@ from calib.model.kinematics import Samples
 from calib.result.calibrate import calibrate as calibrate_values
 from calib.result.calibration import CalibrationValues
 from calib.result.comparison import ComparisonValues, compare as compare_values
-from calib.robot.readback import check_written, random_joint_values
+from calib.robot.ranges import random_joint_values
+from calib.robot.readback import check_written
 from calib.robot.urdf import Urdf
 from calib.text.verdict import against, refusal
 

@@ -1,20 +1,17 @@
-"""How well an acceptance test tells a robot's accuracy: for docs/acceptance.md.
-
-What registering a target or a frame to the judged rows takes away, what few repeats make of RP, and what noise makes of
-AP. A UR3, poses anywhere within its joint limits.
+"""How far an acceptance test is from the true accuracy of a robot: the figures of docs/acceptance.md.
 
     python scripts/acceptance_study.py --trials 300
+
+The first table shows what it does to AP to register a target or a frame to the evaluated rows, the second how few
+repeats change RP and how noise changes AP. The robot is a UR3, at poses anywhere within its joint limits.
 """
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
-from numpy.typing import NDArray
-from rich.console import Console
-from rich.progress import track
+from studies import add_noise, print_table, show_progress, study_parser
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
@@ -22,90 +19,127 @@ from calib.example import PAPER_TARGET, paper_urdf
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
 from calib.result.evaluation import Accuracy, accuracy, evaluate
-from calib.robot.readback import random_joint_values
+from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
+from calib.units import Array
 
-Array = NDArray[np.float64]
+#: Points that a robot reaches at joint values, shape (N, m), with errors from random numbers: shape (N, 3), [m].
+DrawPoints = Callable[[Kinematics, Array, np.random.Generator], Array]
 
-#: Where the progress is shown; tables go to stdout, each as soon as it is there.
-BARS = Console(stderr=True)
+#: Nothing is registered: target and frame are given.
+GIVEN = Cell(target=np.array(PAPER_TARGET), estimate_target=False)
 
-#: What is registered to the rows, with what is known else.
-CELLS = {
+#: Cells of an evaluation by what it registers to its own rows.
+REGISTERING = {
     "target": Cell(),
     "frame": Cell(target=np.array(PAPER_TARGET), estimate_target=False, estimate_frame=True),
     "target and frame": Cell(estimate_frame=True),
 }
-KNOWN = Cell(target=np.array(PAPER_TARGET), estimate_target=False)
+
+#: Numbers of evaluated poses.
+COUNTS = (5, 10, 20, 50)
+
+#: Numbers of repeats of one pose.
+REPEATS = (1, 3, 5, 10, 30, 100)
+
+#: Constant errors of a pose, over the standard deviation of one coordinate's scatter.
+CONSTANT_ERRORS = (0.0, 1.0, 3.0, 10.0)
 
 
-def judged(robot: Robot, q: Array, points: Array, cell: Cell) -> Accuracy:
-    """The accuracy of a robot that puts its target at these points."""
+def points_with_random_errors(kinematics: Kinematics, q: Array, rng: np.random.Generator) -> Array:
+    """Draw points of a robot whose errors, 0.1 mm a coordinate, are independent at each pose."""
+    right = np.zeros(len(kinematics.model))
+    return add_noise(kinematics.points(right, q), 1e-4, rng)
+
+
+def points_with_robot_errors(kinematics: Kinematics, q: Array, rng: np.random.Generator) -> Array:
+    """Draw points of a robot with errors of 0.05 mm and 0.1 mrad in all placements."""
+    model = kinematics.model
+    std = np.where([unit == "m" for unit in model.units], 5e-5, 1e-4)
+    return kinematics.points(std * rng.normal(size=len(model)), q)
+
+
+def accuracy_of(robot: Robot, q: Array, points: Array, cell: Cell) -> Accuracy:
+    """Return the accuracy that an evaluation finds of points, shape (N, 3), [m], at joint values q."""
     return accuracy(evaluate(robot, Measurements(robot.joint_names, q, points), cell))
 
 
-def registering(robot: Robot, trials: int, rng: np.random.Generator) -> None:
-    """The largest AP after registering, over the true one: as it is, and with the factor."""
+def ap_ratios(
+    kinematics: Kinematics, draw: DrawPoints, cell: Cell, count: int, rng: np.random.Generator
+) -> tuple[float, float]:
+    """Return the largest AP after registration over the true one, of one draw.
+
+    Args:
+        kinematics: The robot, with target and frame where they truly are.
+        draw: Draws the points.
+        cell: States what is registered.
+        count: Number of poses.
+        rng: Random numbers.
+
+    Returns:
+        The ratio as evaluated, and with the factor that corrects for registration.
+    """
+    robot = kinematics.robot
+    q = random_joint_values(robot, count, int(rng.integers(2**31)))
+    points = draw(kinematics, q, rng)
+    true = accuracy_of(robot, q, points, GIVEN).of("ap").max()
+    registered = accuracy_of(robot, q, points, cell)
+    ap = registered.of("ap").max()
+    return ap / true, registered.factor * ap / true
+
+
+def registration_rows(trials: int, rng: np.random.Generator) -> Iterator[list[str]]:
+    """Yield mean ratios of AP for each registration and number of poses."""
+    robot = Robot.load(paper_urdf(), base="base", tip="tool0")
     T_tip_target = np.eye(4)
     T_tip_target[:3, 3] = PAPER_TARGET
     model = error_model(robot, "placement", target=False)
     kinematics = Kinematics(robot, model, np.eye(4), T_tip_target)
-    sizes = np.where([unit == "m" for unit in model.units], 5e-5, 1e-4)
-
-    def of_robot(q: Array) -> Array:
-        return kinematics.points(sizes * rng.normal(size=len(sizes)), q)
-
-    def of_chance(q: Array) -> Array:
-        return kinematics.points(np.zeros(len(sizes)), q) + 1e-4 * rng.normal(size=(len(q), 3))
-
-    errors: dict[str, Callable[[Array], Array]] = {"random": of_chance, "robot": of_robot}
-    print(f"{'registered':<18}{'poses':>6}" + "".join(f"{f'{e} errors':>24}" for e in errors))
-    for what, cell in CELLS.items():
-        for count in (5, 10, 20, 50):
-            line = f"{what:<18}{count:>6}"
-            for draw in errors.values():
-                shares = []
-                bar = track(range(trials), line.strip(), console=BARS, transient=True)
-                for _ in bar:
-                    q = random_joint_values(robot, count, int(rng.integers(2**31)))
-                    points = draw(q)
-                    true = judged(robot, q, points, KNOWN).of("ap").max()
-                    found = judged(robot, q, points, cell)
-                    shares.append(np.array([1.0, found.factor]) * found.of("ap").max() / true)
-                bare, mended = np.mean(shares, axis=0)
-                line += f"{bare:>16.2f}{mended:>8.2f}"
-            print(line, flush=True)
+    for name, cell in REGISTERING.items():
+        for count in COUNTS:
+            row = [name, str(count)]
+            for draw in (points_with_random_errors, points_with_robot_errors):
+                ratios = [
+                    ap_ratios(kinematics, draw, cell, count, rng)
+                    for _ in show_progress(range(trials), f"{name}, {count} poses")
+                ]
+                row += [f"{mean:.2f}" for mean in np.mean(ratios, axis=0)]
+            yield row
 
 
-def repeating(trials: int, rng: np.random.Generator) -> None:
-    """RP of few repeats, and the mean AP of an error and noise, in units of the scatter of one coordinate."""
-    print("\nrepeats        RP    spread     AP of an error of 0, 1, 3, 10")
-    for repeats in (1, 3, 5, 10, 30, 100):
-        e = rng.normal(size=(100 * trials, repeats, 3))
-        mean = e.mean(axis=1)
-        away = np.linalg.norm(e - mean[:, None], axis=2)
-        rp = (
-            away.mean(axis=1) + 3.0 * away.std(axis=1, ddof=1)
-            if repeats > 1
-            else np.full(1, np.nan)
-        )
-        sizes = [
-            float(np.linalg.norm(mean + np.array([error, 0.0, 0.0]), axis=1).mean())
-            for error in (0.0, 1.0, 3.0, 10.0)
-        ]
-        told = "".join(f"{size:>8.2f}" for size in sizes)
-        print(f"{repeats:>7}{rp.mean():>10.2f}{rp.std():>10.2f}   {told}")
+def repeat_rows(trials: int, rng: np.random.Generator) -> Iterator[list[str]]:
+    """Yield RP and its scatter, and mean AP with each constant error, for numbers of repeats."""
+    for repeats in REPEATS:
+        points = rng.normal(size=(100 * trials, repeats, 3))
+        mean = points.mean(axis=1)
+        distance = np.linalg.norm(points - mean[:, None], axis=2)
+        rp = np.full(1, np.nan)
+        if repeats > 1:
+            rp = distance.mean(axis=1) + 3.0 * distance.std(axis=1, ddof=1)
+        row = [str(repeats), f"{rp.mean():.2f}", f"{rp.std():.2f}"]
+        for error in CONSTANT_ERRORS:
+            ap = np.linalg.norm(mean + np.array([error, 0.0, 0.0]), axis=1)
+            row.append(f"{ap.mean():.2f}")
+        yield row
 
 
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = study_parser(__doc__)
     parser.add_argument("--trials", type=int, default=300)
     parser.add_argument("--seed", type=int, default=1)
-    given = parser.parse_args()
-    rng = np.random.default_rng(given.seed)
-    registering(Robot.load(paper_urdf(), base="base", tip="tool0"), given.trials, rng)
-    repeating(given.trials, rng)
+    arguments = parser.parse_args()
+    rng = np.random.default_rng(arguments.seed)
+    print("Largest AP after registration over the true one\n")
+    titles = ["registered", "poses", "random errors", "with the factor"]
+    titles += ["errors of the robot", "with the factor"]
+    print_table(titles, registration_rows(arguments.trials, rng), widths=[16])
+    print(
+        "\nRP of few repeats, and mean AP with a constant error, over the scatter of one coordinate\n"
+    )
+    titles = ["repeats", "RP", "std of RP"]
+    titles += [f"AP, error {error:g}" for error in CONSTANT_ERRORS]
+    print_table(titles, repeat_rows(arguments.trials, rng))
 
 
 if __name__ == "__main__":

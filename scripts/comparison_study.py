@@ -1,22 +1,19 @@
-"""How often `calib compare` finds a drift, where there is none and where there is one: for docs/comparison.md.
+"""How often `calib compare` reports a drift, with and without one: the figures of docs/comparison.md.
+
+    python scripts/comparison_study.py --trials 300
 
 A UR3 whose DH parameters err by 0.3 mm and 1 mrad is measured twice by a tracker of 0.05 mm noise a coordinate, which
-stands elsewhere the second time; the target is mounted anew. In between nothing changes, or one joint's zero does.
-
-    python scripts/comparison_study.py --trials 300 --workers 4
+stands elsewhere the second time; the target is mounted anew. In between nothing changes, or the zero of one joint does.
 """
 
 from __future__ import annotations
 
-import argparse
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
-from rich.console import Console
-from rich.progress import track
 from scipy.spatial.transform import Rotation
+from studies import add_noise, print_table, rms, run_cases, study_parser
 
 from calib.calibration import Calibration, calibrate
 from calib.data.cell import Cell
@@ -24,25 +21,33 @@ from calib.data.measurements import Measurements
 from calib.example import PAPER_TARGET, paper_urdf
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
+from calib.model.parameters import ErrorModel
 from calib.result.comparison import ComparisonValues, compare
 from calib.robot.robot import Robot
+from calib.units import Array
+
+#: Outcomes of a comparison that are counted: a drift, and too little in common to tell.
+DRIFT = "drift"
+CANNOT_TELL = "cannot tell"
+
+TITLES = ("case", "drift", "cannot tell", "p < 0.05", "chi2/k", "rms mm", "noise mm")
 
 
 @dataclass(frozen=True)
 class Case:
-    """One set-up: what is wrong with the robot, how it is measured, what changes in between."""
+    """Two measurements of a robot: its errors, how it is measured, and what changes in between."""
 
     title: str
-    rows: tuple[int, int] = (30, 30)
-    noise: float = 5e-5
-    span: float = 2.5
-    frame: bool = True
-    models: tuple[str, str] = ("dh", "dh")
-    truth: str = "dh"
-    size: float = 1.0
-    same_poses: bool = False
-    joint: str = ""
-    drift: float = 0.0
+    rows: tuple[int, int] = (30, 30)  # Poses of each measurement
+    noise: float = 5e-5  # Standard deviation of a coordinate [m]
+    span: float = 2.5  # Joint values are from -span to span [rad]
+    frame: bool = True  # The tracker stands anywhere, and its pose is estimated
+    models: tuple[str, str] = ("dh", "dh")  # Fitted to each measurement
+    truth: str = "dh"  # Model of the robot's errors
+    size: float = 1.0  # Factor of their standard deviations
+    same_poses: bool = False  # The second measurement repeats the poses of the first
+    joint: str = ""  # Parameter that changes in between; none if empty
+    drift: float = 0.0  # Its change [m] or [rad]
 
 
 UNCHANGED = (
@@ -61,33 +66,57 @@ UNCHANGED = (
     Case("errors that dh lacks, other poses", truth="placement"),
     Case("errors that dh lacks, the same poses", truth="placement", same_poses=True),
 )
-DRIFTED = (
-    *(
-        Case(
-            f"theta{joint} by 0.3 mrad, {rows} poses",
-            rows=(rows, rows),
-            joint=f"theta{joint}",
-            drift=3e-4,
-        )
-        for rows in (30, 60)
-        for joint in (1, 2, 3, 4, 5)
-    ),
-    Case("theta3, 60 poses, no errors", rows=(60, 60), size=0.0, joint="theta3", drift=3e-4),
-    Case("theta1, frame known", frame=False, joint="theta1", drift=3e-4),
-)
-#: Where the progress is shown; tables go to stdout, each as soon as it is there.
-BARS = Console(stderr=True)
-
-HEAD = ("drift", "untold", "p < 0.05", "chi2/k", "rms mm", "noise mm")
 
 
-def trial(case: Case, seed: int) -> ComparisonValues:
-    """Measure twice, calibrate twice, compare."""
+def drifted_cases() -> Iterator[Case]:
+    """Yield the cases in which the zero of one joint changes by 0.3 mrad."""
+    drift = 3e-4
+    for rows in (30, 60):
+        for joint in ("theta1", "theta2", "theta3", "theta4", "theta5"):
+            title = f"{joint} by 0.3 mrad, {rows} poses"
+            yield Case(title, rows=(rows, rows), joint=joint, drift=drift)
+    yield Case("theta3, 60 poses, no errors", rows=(60, 60), size=0.0, joint="theta3", drift=drift)
+    yield Case("theta1, frame known", frame=False, joint="theta1", drift=drift)
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Figures of one comparison."""
+
+    p: float  # Of the test for a drift
+    chi_square: float  # Over the number of combinations that are compared
+    outcome: str
+    rms: float  # Change of the predicted positions [m]
+    noise: float  # Expected of it from noise alone [m]
+
+
+def draw_placement(case: Case, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Draw T_frame_base of the tracker and T_tip_target of the target, shape (4, 4) each, [m]."""
+    T_frame_base = np.eye(4)
+    if case.frame:
+        T_frame_base[:3, :3] = Rotation.random(random_state=rng).as_matrix()
+        T_frame_base[:3, 3] = rng.uniform(-3.0, 3.0, 3)
+    T_tip_target = np.eye(4)
+    T_tip_target[:3, 3] = PAPER_TARGET + rng.normal(0.0, 0.02, 3)
+    return T_frame_base, T_tip_target
+
+
+def measure(
+    case: Case, robot: Robot, errors: ErrorModel, x: Array, q: Array, rng: np.random.Generator
+) -> Measurements:
+    """Measure a robot whose errors are x, shape (p,), at joint values q, shape (N, 6), [rad]."""
+    kinematics = Kinematics(robot, errors, *draw_placement(case, rng))
+    points = kinematics.points(x, q)
+    return Measurements(robot.joint_names, q, add_noise(points, case.noise, rng))
+
+
+def compare_twice(case: Case, seed: int) -> ComparisonValues:
+    """Measure a robot twice, calibrate each time, and compare the two calibrations."""
     rng = np.random.default_rng([2026, seed])
     robot = Robot.load(paper_urdf(), base="base", tip="tool0")
     errors = error_model(robot, case.truth, target=False)
-    x = rng.normal(size=len(errors)) * np.where(np.array(errors.units) == "m", 3e-4, 1e-3)
-    x *= case.size
+    std = np.where(np.array(errors.units) == "m", 3e-4, 1e-3)
+    x = rng.normal(size=len(errors)) * std * case.size
     changed = x.copy()
     if case.joint:
         changed[errors.index(case.joint)] += case.drift
@@ -96,56 +125,50 @@ def trial(case: Case, seed: int) -> ComparisonValues:
     for truth, count, model in zip((x, changed), case.rows, case.models, strict=True):
         if not case.same_poses:
             q = rng.uniform(-case.span, case.span, (count, 6))
-        T_frame_base, T_tip_target = np.eye(4), np.eye(4)
-        if case.frame:
-            T_frame_base[:3, :3] = Rotation.random(random_state=rng).as_matrix()
-            T_frame_base[:3, 3] = rng.uniform(-3.0, 3.0, 3)
-        T_tip_target[:3, 3] = PAPER_TARGET + rng.normal(0.0, 0.02, 3)
-        points = Kinematics(robot, errors, T_frame_base, T_tip_target).points(truth, q)
-        points += rng.normal(0.0, case.noise, points.shape)
-        table = Measurements(robot.joint_names, q, points)
+        table = measure(case, robot, errors, truth, q, rng)
         cell = Cell(estimate_frame=case.frame, model=model)
         results.append(calibrate(robot, table, cell=cell, validate=False))
     return compare(results[0], results[1])
 
 
-def figures(case: Case, seed: int) -> tuple[float, ...]:
-    """p, chi-square over combinations, outcome, rms and expected rms of the move."""
-    c = trial(case, seed)
-    move = c.moves[0]
-    return (
-        c.test.p,
-        c.test.chi_square / max(c.test.combinations, 1),
-        {"drift": 1.0, "no drift shown": 0.0, "cannot tell": -1.0}[c.outcome],
-        move.rms,
-        move.noise,
+def run_once(case: Case, seed: int) -> Figures:
+    """Return the figures of one comparison."""
+    comparison = compare_twice(case, seed)
+    test = comparison.test
+    move = comparison.moves[0]
+    return Figures(
+        p=test.p,
+        chi_square=test.chi_square / max(test.combinations, 1),
+        outcome=comparison.outcome,
+        rms=move.rms,
+        noise=move.noise,
     )
+
+
+def case_row(case: Case, runs: Sequence[Figures]) -> list[str]:
+    """Return the row of a case: shares and means over its runs."""
+    numbers = (
+        np.mean([run.outcome == DRIFT for run in runs]),
+        np.mean([run.outcome == CANNOT_TELL for run in runs]),
+        np.mean([run.p < 0.05 for run in runs]),
+        np.mean([run.chi_square for run in runs]),
+        1e3 * rms(np.array([run.rms for run in runs])),
+        1e3 * rms(np.array([run.noise for run in runs])),
+    )
+    return [case.title, *(f"{number:.3f}" for number in numbers)]
 
 
 def main() -> None:
     """Print a row for each case."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = study_parser(__doc__, parallel=True)
     parser.add_argument("--trials", type=int, default=300)
-    parser.add_argument("--workers", type=int, default=2)
-    given = parser.parse_args()
-    with ProcessPoolExecutor(given.workers) as pool:
-        for title, cases in (("Nothing changed", UNCHANGED), ("One joint's zero changed", DRIFTED)):
-            print(f"\n{title}: {given.trials} trials each")
-            print(f"{'':<44}" + "".join(f"{name:>11}" for name in HEAD))
-            for case in cases:
-                trials = pool.map(partial(figures, case), range(given.trials), chunksize=5)
-                bar = track(trials, case.title, given.trials, console=BARS, transient=True)
-                found = np.array(list(bar))
-                p, chi, outcome, rms, noise = found.T
-                numbers = (
-                    np.mean(outcome == 1),
-                    np.mean(outcome == -1),
-                    np.mean(p < 0.05),
-                    np.mean(chi),
-                    1e3 * np.sqrt(np.mean(rms**2)),
-                    1e3 * np.sqrt(np.mean(noise**2)),
-                )
-                print(f"{case.title:<44}" + "".join(f"{n:>11.3f}" for n in numbers), flush=True)
+    arguments = parser.parse_args()
+    seeds = range(arguments.trials)
+    tables = {"Nothing changed": UNCHANGED, "One joint's zero changed": tuple(drifted_cases())}
+    for title, cases in tables.items():
+        print(f"\n{title}: {arguments.trials} trials each\n")
+        results = run_cases(run_once, cases, seeds, workers=arguments.workers, label=title)
+        print_table(TITLES, (case_row(case, runs) for case, runs in results), widths=[36])
 
 
 if __name__ == "__main__":

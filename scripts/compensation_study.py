@@ -36,8 +36,9 @@ from calib.compensation.program import Program
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.example import PAPER_TARGET, paper_measurements, paper_urdf
-from calib.robot.readback import column_limits, random_joint_values
-from calib.robot.robot import Payload, Robot, read_only
+from calib.robot.payload import Payload
+from calib.robot.ranges import column_limits, random_joint_values
+from calib.robot.robot import Robot, read_only
 from calib.simulation.scenario import Scenario
 from calib.simulation.truth import Truth, draw_truth
 

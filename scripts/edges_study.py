@@ -1,191 +1,204 @@
-"""Cells at the edges of what a verdict can say: most of the error stays, the base has moved, a target is not there.
+"""Verdicts of cells at the edges of what a verdict can know: the base has moved, the target is elsewhere, a gain errs.
 
-    .venv/bin/python scripts/edges_study.py [SEEDS] [NAME ...]
+    python scripts/edges_study.py [SEEDS] [NAME ...]
 
-Each case is measured with typical errors of geometry besides, at so many seeds and three arms. One line a table:
-held-out errors before and after, the verdict and its reasons. But for scales, which nothing tells, no case may be told
-`use`, and its own reason comes first.
+Each case has typical errors of the geometry besides, and is measured with three arms at so many seeds. Printed are the
+held-out errors before and after, the verdict and its reasons, ``+`` where the first reason is one of the case's own.
+Only a scale error, which nothing can show, may get the verdict `use`.
 """
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
+from itertools import product, tee
 
 import numpy as np
+from arms import load_arm
 from scipy.spatial.transform import Rotation
+from studies import add_noise, print_table, run_jobs, study_parser, verdict_of, verdict_text
 
+from calib.calibration import Calibration, calibrate
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.result.calibrate import calibrate
-from calib.result.calibration import CalibrationValues
-from calib.robot.readback import random_joint_values
+from calib.diagnosis.reasons import USE
+from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.simulation.truth import draw_truth
 from calib.units import Array
 
-ARMS = {
-    "ur3": ("base", "tool0"),
-    "ur5": ("base_link", "tool0"),
-    "panda": ("panda_link0", "panda_link8"),
-}
-ROWS, NOISE = 40, 5e-5
+ARMS = ("ur3", "ur5", "panda")
 
-#: The joint that errs alone, by its number in the chain.
-ELBOW = 2
+#: Rows of a table, of which each fourth is for validation.
+ROWS = 40
+
+#: Noise of a coordinate [m].
+NOISE = 5e-5
+
+TITLES = ("case", "arm", "held-out [mm]", "model", "first reason", "verdict")
+WIDTHS = (32, 6, 16, 20, 12)
 
 
-def no_errors(_robot: Robot) -> dict[str, float]:
-    """No error by name."""
+def no_errors(robot: Robot) -> dict[str, float]:  # noqa: ARG001  one of several functions
+    """Return no error."""
     return {}
 
 
-def as_they_are(q: Array) -> Array:
-    """Joint values as they are."""
+def unchanged(q: Array) -> Array:
+    """Return joint values as they are."""
     return q
 
 
-def at_the_frame(_rng: np.random.Generator) -> Array:
-    """A base that stands where the known frame has it."""
+def at_known_frame(rng: np.random.Generator) -> Array:  # noqa: ARG001  one of several functions
+    """Return the pose of a base that stands where the known frame says."""
     return np.eye(4)
 
 
 @dataclass(frozen=True)
 class Edge:
-    """A case: what is wrong with the robot, with the table, and with what calib is given."""
+    """A case: errors of the robot, of the table, and of what calib is given."""
 
-    codes: tuple[str, ...]  # Of which one is the first reason
-    model: str = "dh"  # In which errors the robot is wrong
-    sizes: dict[str, float] = field(default_factory=dict)  # Of families that are not typical
-    errors: Callable[[Robot], dict[str, float]] = no_errors
-    had: Callable[[Array], Array] = as_they_are  # From joint values read to those the arm had
-    read: Callable[[Array], Array] = as_they_are  # From joint values read to those in the table
-    T: Callable[[np.random.Generator], Array] = at_the_frame  # The base in the frame of the points
-    scale: float = 1.0  # Of all that was measured
-    given: Callable[[Array, np.random.Generator], Array] | None = None  # Target, from the true one
+    codes: tuple[str, ...]  # Reasons of which one comes first in a right verdict
+    model: str = "dh"  # Model of the robot's errors
+    std: dict[str, float] = field(
+        default_factory=dict
+    )  # Their standard deviations by family; else typical ones
+    errors: Callable[[Robot], dict[str, float]] = no_errors  # Values of single errors by name
+    reached: Callable[[Array], Array] = (
+        unchanged  # Joint values read, (N, m) -> those that the arm had
+    )
+    read: Callable[[Array], Array] = unchanged  # Joint values read, (N, m) -> those in the table
+    base: Callable[[np.random.Generator], Array] = (
+        at_known_frame  # True pose of the base in the frame, (4, 4) [m]
+    )
+    scale: float = 1.0  # Measured positions over true ones
+    given: Callable[[Array, np.random.Generator], Array] | None = (
+        None  # True target, (3,) [m] -> the given one
+    )
     cell: Cell = field(default_factory=Cell)
 
 
-def moved(length: float = 0.0, angle: float = 0.0) -> Callable[[np.random.Generator], Array]:
-    """A base that stands so far away [m], turned so far [rad], in some direction."""
+def third_gain(robot: Robot) -> dict[str, float]:
+    """Return a gain of 1 % of the third joint."""
+    return {f"{robot.joint_names[2]}.gain": 0.01}
+
+
+def displaced_base(
+    length: float = 0.0, angle: float = 0.0
+) -> Callable[[np.random.Generator], Array]:
+    """Return a function that draws the pose of a base displaced by a length [m] and turned by an angle [rad]."""
 
     def draw(rng: np.random.Generator) -> Array:
+        vectors = rng.normal(size=(2, 3))
+        direction, axis = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
         T = np.eye(4)
-        along, about = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
-        T[:3, 3] = length * along
-        T[:3, :3] = Rotation.from_rotvec(angle * about).as_matrix()
+        T[:3, 3] = length * direction
+        T[:3, :3] = Rotation.from_rotvec(angle * axis).as_matrix()
         return T
 
     return draw
 
 
 def lagging(share: float) -> Callable[[Array], Array]:
-    """Joint values that miss a share of the last move."""
+    """Return a function to joint values that miss a share of the last move."""
     return lambda q: q - share * np.diff(q, axis=0, prepend=q[:1])
 
 
-def elsewhere(length: float) -> Callable[[Array, np.random.Generator], Array]:
-    """A target that is given so far from where it is [m]."""
+def displaced_target(length: float) -> Callable[[Array, np.random.Generator], Array]:
+    """Return a function that draws a target at a distance [m] from the true one."""
 
     def draw(target: Array, rng: np.random.Generator) -> Array:
-        away = rng.normal(size=3)
-        return np.asarray(target + length * away / np.linalg.norm(away))
+        direction = rng.normal(size=3)
+        return np.asarray(target + length * direction / np.linalg.norm(direction))
 
     return draw
 
 
 def last_turned(q: Array) -> Array:
-    """The last joint with the other sign."""
-    return np.asarray(q * np.where(np.arange(q.shape[1]) == q.shape[1] - 1, -1.0, 1.0))
+    """Return joint values with the other sign of the last joint."""
+    last = np.arange(q.shape[1]) == q.shape[1] - 1
+    return np.asarray(q * np.where(last, -1.0, 1.0))
 
 
-def left_by_geometry(*codes: str) -> tuple[str, ...]:
-    """Reasons that say that the geometry leaves errors."""
-    return (
-        "no_urdf_holds",
-        "much_remains",
-        "noise_large",
-        "unknown_elsewhere",
-        "no_better",
-        *codes,
-    )
-
+#: Reasons that state that the geometry leaves errors.
+GEOMETRY_LEAVES = (
+    "no_urdf_holds",
+    "much_remains",
+    "noise_large",
+    "unknown_elsewhere",
+    "no_better",
+)
 
 EDGES = {
     "eccentricity of 5 mrad": Edge(
-        left_by_geometry(), "dh+eccentricity", {"eccentricity": 5e-3}
+        GEOMETRY_LEAVES, model="dh+eccentricity", std={"eccentricity": 5e-3}
     ),
     "one gain 1 % off": Edge(
-        left_by_geometry(), "dh+gain", {"gain": 0.0},
-        errors=lambda robot: {f"{robot.joint_names[ELBOW]}.gain": 0.01},
+        GEOMETRY_LEAVES, model="dh+gain", std={"gain": 0.0}, errors=third_gain
     ),
-    "zeros alone": Edge(left_by_geometry("model_lacks"), cell=Cell(model="zeros")),
-    "lag of 0.1 %": Edge(left_by_geometry("joint_lags"), had=lagging(1e-3)),
-    "gains of 5e-3": Edge(left_by_geometry(), "dh+gain", {"gain": 5e-3}),
-    "gains of 5e-3 alone": Edge(left_by_geometry(), "frames+gain", {"gain": 5e-3}),
-    "base 10 mm off": Edge(("base_moved",), T=moved(10e-3)),
-    "base 5 mm off": Edge(("base_moved",), T=moved(5e-3)),
-    "base 1 deg off": Edge(("base_moved",), T=moved(angle=np.radians(1.0))),
-    "base 0.3 deg off": Edge(("base_moved",), T=moved(angle=np.radians(0.3))),
-    "target 280 mm off": Edge(("target_far",), given=elsewhere(0.28)),
+    "zeros alone": Edge((*GEOMETRY_LEAVES, "model_lacks"), cell=Cell(model="zeros")),
+    "lag of 0.1 %": Edge((*GEOMETRY_LEAVES, "joint_lags"), reached=lagging(1e-3)),
+    "gains of 5e-3": Edge(GEOMETRY_LEAVES, model="dh+gain", std={"gain": 5e-3}),
+    "gains of 5e-3 alone": Edge(GEOMETRY_LEAVES, model="frames+gain", std={"gain": 5e-3}),
+    "base 10 mm off": Edge(("base_moved",), base=displaced_base(10e-3)),
+    "base 5 mm off": Edge(("base_moved",), base=displaced_base(5e-3)),
+    "base 1 deg off": Edge(("base_moved",), base=displaced_base(angle=np.radians(1.0))),
+    "base 0.3 deg off": Edge(("base_moved",), base=displaced_base(angle=np.radians(0.3))),
+    "target 280 mm off": Edge(("target_far",), given=displaced_target(0.28)),
     "last joint turned": Edge(("joints_turned", "joint_zero"), read=last_turned),
     "last joint turned, target given": Edge(
-        ("joints_turned", "joint_zero"), read=last_turned, given=elsewhere(1e-3)
+        ("joints_turned", "joint_zero"), read=last_turned, given=displaced_target(1e-3)
     ),
     "scale 0.1 %": Edge(("gain",), scale=1.001),
     "scale 0.2 %": Edge(("gain",), scale=1.002),
-}  # fmt: skip
+}
 
 
-def calibration(edge: Edge, arm: str, seed: int) -> CalibrationValues:
-    """One table of a case, calibrated; a quarter of its rows are for validation."""
-    robot = Robot.load(arm, *ARMS[arm])
-    errors: dict[str, Any] = {"errors": edge.errors(robot)}
-    truth = draw_truth(robot, edge.model, edge.sizes, seed, **errors)
+def calibrate_case(name: str, arm: str, seed: int) -> Calibration:
+    """Draw, measure and calibrate one table of a case."""
+    edge = EDGES[name]
+    robot = load_arm(arm)
+    truth = draw_truth(robot, edge.model, edge.std, seed, errors=edge.errors(robot))
     rng = np.random.default_rng([11, seed])
     q = random_joint_values(robot, ROWS, seed + 50)
-    T_frame_base = edge.T(rng)
-    true = truth.points(edge.had(q)) @ T_frame_base[:3, :3].T + T_frame_base[:3, 3]
-    points = edge.scale * true + NOISE * rng.normal(size=true.shape)
-    sets = tuple("validate" if k % 4 == 3 else "estimate" for k in range(ROWS))
+    T_frame_base = edge.base(rng)
+    true = truth.points(edge.reached(q)) @ T_frame_base[:3, :3].T + T_frame_base[:3, 3]
+    points = add_noise(edge.scale * true, NOISE, rng)
+    sets = tuple("validate" if row % 4 == 3 else "estimate" for row in range(ROWS))
     cell = edge.cell
     if edge.given is not None:
         cell = replace(cell, target=edge.given(truth.T_tip_target[0, :3, 3], rng))
-    return calibrate(
-        robot, Measurements(robot.joint_names, edge.read(q), points, sets=sets), cell=cell
-    )
+    table = Measurements(robot.joint_names, edge.read(q), points, sets=sets)
+    return calibrate(robot, table, cell=cell)
 
 
-def line(name: str, arm: str, result: CalibrationValues) -> str:
-    """What became of one table."""
-    verdict, values = result.verdict, (result.nominal_cross_validation, result.cross_validation)
-    assert verdict is not None
-    errors = " -> ".join(
-        f"{1e3 * v.errors_without_outliers.rms:6.3f}" for v in values if v is not None
-    )
-    non_geometric = result.non_geometric.name if result.non_geometric else "-"
-    right = verdict.reasons[0].code in EDGES[name].codes
-    codes = ", ".join(reason.code for reason in verdict.reasons)
-    return f"{name:32} {arm:6} {errors:17} {non_geometric:22} {'+' if right else '?'} {verdict.use}: {codes}"
-
-
-def lines(seeds: int, names: list[str]) -> Iterator[str]:
-    """A line for each table."""
-    for name in names or EDGES:
-        for arm in ARMS:
-            for seed in range(seeds):
-                yield line(name, arm, calibration(EDGES[name], arm, seed))
+def case_row(name: str, arm: str, seed: int) -> list[str]:
+    """Return the row of one table."""
+    result = calibrate_case(name, arm, seed)
+    validations = (result.nominal_cross_validation, result.cross_validation)
+    errors = [v.errors_without_outliers.rms for v in validations if v is not None]
+    first = verdict_of(result).reasons[0].code
+    return [
+        name,
+        arm,
+        " -> ".join(f"{1e3 * error:.3f}" for error in errors),
+        result.non_geometric.name if result.non_geometric else "-",
+        "+" if first in EDGES[name].codes else "?",
+        verdict_text(result),
+    ]
 
 
 def main() -> None:
-    """Print the lines, and how many are told `use`."""
-    used = 0
-    for text in lines(int(sys.argv[1]) if len(sys.argv) > 1 else 1, sys.argv[2:]):
-        used += " use: " in text and "not use: " not in text
-        print(text, flush=True)
-    print(f"use: {used}")
+    """Print a row for each table, and how many are `use`."""
+    parser = study_parser(__doc__, parallel=True)
+    parser.add_argument("seeds", type=int, nargs="?", default=1, metavar="SEEDS")
+    parser.add_argument("names", nargs="*", metavar="NAME", help="cases; all of them by default")
+    arguments = parser.parse_args()
+    jobs = list(product(arguments.names or EDGES, ARMS, range(arguments.seeds)))
+    printed, counted = tee(run_jobs(case_row, jobs, workers=arguments.workers, label="tables"))
+    print_table(TITLES, printed, WIDTHS)
+    used = sum(row[-1].startswith(f"{USE}:") for row in counted)
+    print(f"\n{USE}: {used} of {len(jobs)}")
 
 
 if __name__ == "__main__":

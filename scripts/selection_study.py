@@ -24,10 +24,12 @@ from calib.estimate.fitting import Fitted, fit
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Samples
 from calib.result.calibrate import fit_table
-from calib.robot.readback import random_joint_values
-from calib.robot.robot import Payload, Robot, gravity_loads
+from calib.robot.gravity import gravity_loads
+from calib.robot.payload import Payload
+from calib.robot.ranges import random_joint_values
+from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
-from calib.selection.selection import judged_by
+from calib.selection.reference_fit import with_better_weights
 from calib.simulation.truth import Truth, draw_truth
 from calib.units import Array
 
@@ -240,7 +242,7 @@ def geometry(runs: int, first: int = 0) -> Iterator[str]:
             task, rows = fits.fitted.task, fits.fitted.estimate.problem.rows
             other = fit(replace(task, model=likeliest), rows)
             judge = fits.non_geometric or fits.fitted
-            ratio = table.error(fits.fitted) / table.error(judged_by(other, rows, judge))
+            ratio = table.error(fits.fitted) / table.error(with_better_weights(other, rows, judge))
         count = len(table.measurements)
         for group in ("all", wrong, "below 16 poses" if count < 16 else "16 poses and more"):
             ratios[group].append(ratio)

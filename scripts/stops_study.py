@@ -21,7 +21,7 @@ from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
 from calib.numerics.errors import rms
 from calib.result.calibrate import fit_table
-from calib.robot.readback import random_joint_values
+from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.units import Array
 

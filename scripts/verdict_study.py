@@ -24,8 +24,9 @@ from calib.diagnosis.reasons import CARE, NO, USE, Verdict
 from calib.result.calibrate import calibrate
 from calib.result.calibration import CalibrationValues
 from calib.result.evaluation import evaluate
-from calib.robot.readback import random_joint_values
-from calib.robot.robot import Payload, Robot
+from calib.robot.payload import Payload
+from calib.robot.ranges import random_joint_values
+from calib.robot.robot import Robot
 from calib.simulation.truth import Truth, draw_truth
 from calib.units import Array
 

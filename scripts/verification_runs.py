@@ -361,7 +361,7 @@ def _aligned(found: Array, true: Array, free: str) -> Array:
 
 def with_known_payload(run: Run) -> Run:
     """The run with the payload told to calib."""
-    from calib.robot.robot import Payload
+    from calib.robot.payload import Payload
 
     payload = Payload(run.truth.payload, read_only(run.truth.com))
     return replace(run, cell=replace(run.cell, payload=payload))

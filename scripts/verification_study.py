@@ -43,7 +43,7 @@ from calib.calibration import Calibration, calibrate
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.estimate.inspection import inspect
-from calib.model.kinematics import FRAME
+from calib.model.parameters import FRAME
 from calib.numerics.intervals import interval_factor
 from calib.robot.robot import Robot
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from calib.errors import UrdfError
 from calib.model.error_model import error_model
-from calib.robot.readback import random_joint_values
+from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 

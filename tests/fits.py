@@ -18,8 +18,10 @@ from calib.example import PAPER_TARGET, paper_measurements, paper_urdf
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
 from calib.registration.rows import Rows
-from calib.robot.readback import random_joint_values
-from calib.robot.robot import GRAVITY, Payload, Robot, gravity_loads, read_only
+from calib.robot.gravity import GRAVITY, gravity_loads
+from calib.robot.payload import Payload
+from calib.robot.ranges import random_joint_values
+from calib.robot.robot import Robot, read_only
 
 #: Numbers of kinds in the registry.
 POINT = 0

@@ -17,7 +17,8 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.example import PAPER_TARGET, paper_measurements, paper_urdf
 from calib.result.calibration import CalibrationValues, RowNames
-from calib.robot.robot import Payload, Robot, read_only
+from calib.robot.payload import Payload
+from calib.robot.robot import Robot, read_only
 from calib.robot.urdf import Urdf
 from calib.simulation.scenario import Scenario
 from calib.simulation.truth import Outliers

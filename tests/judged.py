@@ -11,7 +11,7 @@ from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Why
 from calib.result.calibrate import calibrate
 from calib.result.calibration import CalibrationValues
-from calib.robot.readback import random_joint_values
+from calib.robot.ranges import random_joint_values
 
 
 def table_of(scene: Any, q: np.ndarray, rng: np.random.Generator, bias: Any = 0.0) -> Measurements:

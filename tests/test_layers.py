@@ -19,6 +19,7 @@ ORDER = (
     "units",
     "files",
     "jobs",
+    "blas",
     "example",
     "robot",
     "numerics",

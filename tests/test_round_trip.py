@@ -14,7 +14,7 @@ import pytest
 import yourdfpy
 
 from calib.errors import UrdfError
-from calib.robot.readback import random_joint_values
+from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot, rigid_inverse
 from calib.robot.urdf import Urdf
 

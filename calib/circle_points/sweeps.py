@@ -12,10 +12,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from calib.data.layout import Layout, read_values
+from calib.data.columns import ORIENTATION, list_columns, name_columns, reserved
+from calib.data.layout import Layout
 from calib.data.measurements import Measurements
 from calib.data.points_file import PARTS, Points, read_points
-from calib.data.table import ORIENTATION, Table, list_columns, name_columns, reserved
+from calib.data.table import Table
+from calib.data.values import read_values
 from calib.errors import MeasurementError, choices
 from calib.robot.robot import read_only
 from calib.units import Array

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from calib.data.cell import Tracker
-    from calib.robot.robot import Payload
+    from calib.robot.payload import Payload
 
 
 def parse_point(text: str, option: str, example: str = "70 -70 22.5 mm") -> NDArray[np.float64]:
@@ -122,7 +122,7 @@ def parse_payload(text: str, payload: Payload | None) -> Payload:
     Raises:
         CalibError: It is no mass.
     """
-    from calib.robot.robot import Payload
+    from calib.robot.payload import Payload
     from calib.units import MASS, parse_amount
 
     mass = parse_amount(text, "--payload", MASS, "5 kg")

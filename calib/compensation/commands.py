@@ -37,14 +37,15 @@ from calib.compensation.inverse import (
 )
 from calib.compensation.nominal_actual import Pair, pair_of
 from calib.compensation.program import CORRECTION, EXPECTED, Program
-from calib.data.kinds import to_quaternions
-from calib.data.table import POINT, QUATERNION, ROLL_PITCH_YAW, ROTATION_VECTOR, STATUS
+from calib.data.columns import POINT, QUATERNION, ROLL_PITCH_YAW, ROTATION_VECTOR, STATUS
 from calib.diagnosis.reasons import NO
 from calib.errors import VerdictError
 from calib.files import csv_bytes, write_atomically
+from calib.numerics.geometry import to_quaternions
 from calib.result.calibration import CalibrationValues
-from calib.robot.readback import column_limits
-from calib.robot.robot import Payload, Robot, read_only, rigid_inverse
+from calib.robot.payload import Payload
+from calib.robot.ranges import column_limits
+from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.units import Array, Mask
 
 Code = Literal[

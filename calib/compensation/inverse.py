@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.compensation.nominal_actual import Arm
 from calib.errors import ModelError, choices
-from calib.robot.readback import column_limits, full_ranges, spread_between
+from calib.robot.ranges import column_limits, full_ranges, spread_between
 from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.units import Array, Mask, unit_fault
 

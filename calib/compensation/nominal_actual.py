@@ -15,15 +15,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.data.kinds import no_rotation
 from calib.errors import ModelError, choices
-from calib.model.error_model import axis_twists, error_model
+from calib.model.error_model import error_model
 from calib.model.families import Factor, JointState
-from calib.model.kinematics import TIP, ErrorModel, Kinematics, Parameter, Samples
+from calib.model.joint_errors import axis_twists
+from calib.model.kinematics import Kinematics, Samples
+from calib.model.parameters import TIP, ErrorModel, Parameter
+from calib.numerics.geometry import not_rotations
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import NonGeometric
-from calib.robot.readback import spread_poses
-from calib.robot.robot import Payload, Robot, read_only
+from calib.robot.payload import Payload
+from calib.robot.ranges import spread_poses
+from calib.robot.robot import Robot, read_only
 from calib.units import Array
 
 #: The family that moves a measured joint, and with it all joints that follow it.
@@ -257,7 +260,7 @@ def _pose(given: ArrayLike | str | None, what: str) -> Array:
     if values.shape == (3,):
         T[:3, 3] = values
         values = T
-    if values.shape != (4, 4) or no_rotation(values[None, :3, :3]) or np.isnan(values).any():
+    if values.shape != (4, 4) or not_rotations(values[None, :3, :3]) or np.isnan(values).any():
         raise ModelError(f"The {what} is a pose (4, 4) or a position (3,), not {values.tolist()}.")
     return read_only(values)
 

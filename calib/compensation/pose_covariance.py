@@ -23,7 +23,8 @@ import pinocchio as pin
 import calib.data.kinds as registry
 from calib.model.error_model import DIRECTIONS, OWN, error_model, split_name
 from calib.model.families import FAMILIES
-from calib.model.kinematics import FRAME, TARGET, Parameter, Samples
+from calib.model.kinematics import Samples
+from calib.model.parameters import FRAME, TARGET, Parameter
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import Solved, moved_by, twists_in_base
 from calib.robot.robot import rigid_inverse

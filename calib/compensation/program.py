@@ -15,22 +15,22 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from calib.compensation.inverse import MATCHES, POSITION
-from calib.data.kinds import no_rotation
-from calib.data.layout import Layout, read_values
-from calib.data.measurements import Measurements
-from calib.data.table import (
+from calib.data.columns import (
     POINT,
     QUATERNION,
     ROLL_PITCH_YAW,
     ROTATION_VECTOR,
     STATUS,
-    Column,
-    Table,
     list_columns,
     name_columns,
     with_unit,
 )
+from calib.data.layout import Layout
+from calib.data.measurements import Measurements
+from calib.data.table import Column, Table
+from calib.data.values import read_values
 from calib.errors import MeasurementError, ModelError, choices
+from calib.numerics.geometry import not_rotations
 from calib.robot.robot import Robot, read_only
 from calib.units import Array, Quantity
 
@@ -85,7 +85,7 @@ class Program:
         for name, values in (("q", self.q), ("T_wanted", self.T_wanted)):
             if values is not None:
                 turned = values[:, :3, :3] if values.ndim == 3 else np.eye(3)[None]
-                if not np.isfinite(values).all() or no_rotation(turned).any():
+                if not np.isfinite(values).all() or not_rotations(turned).any():
                     raise ModelError(f"{name} of a program has a number or a pose that is none.")
                 object.__setattr__(self, name, read_only(values))
 

@@ -14,18 +14,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.errors import CalibError, FileError, choices, did_you_mean
 from calib.files import read_bytes
 from calib.model.error_model import DIRECTIONS
 from calib.model.families import FAMILIES
+from calib.numerics.geometry import pose_of
 from calib.units import (
     ANGLE,
     COMPLIANCE,
     LENGTH,
     PLAIN,
+    Array,
     is_number,
     parse_joint_range,
     parse_joint_value,
@@ -38,136 +39,216 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-#: Reads a value, given where it stands, into SI units.
+#: Reads a TOML value into SI units: (value, where it stands, for messages) to what is kept.
+#: Raises `CalibError` for a value of the wrong kind.
 Read = Callable[[Any, str], Any]
 
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """A key of a table: the attribute that it gives, what reads its value, and whether it must be there."""
+    """A key of a TOML table: the attribute that it gives, and how its value is read."""
 
-    name: str
-    read: Read
-    needed: bool = False
+    name: str  #: The attribute, such as ``"sigma"`` for the key ``sigma_mm``.
+    read: Read  #: Reads the value.
+    needed: bool = False  #: Whether a table must have the key.
 
 
-def kept(value: Any, what: str, must: str, convert: Callable[[Any], Any]) -> Any:  # noqa: ANN401
-    """A value as it is kept: ``convert`` gives it, or refuses it by None, a TypeError or a ValueError; ``what`` is it.
+def checked(value: Any, what: str, must: str, convert: Callable[[Any], Any]) -> Any:  # noqa: ANN401
+    """Return a given value as it is kept.
+
+    Args:
+        value: The value as given.
+        what: Where it stands or what it is, for the message: ``"'target_mm'"``.
+        must: What it must be, for the message: ``"three numbers"``.
+        convert: Gives the value that is kept; refuses by None, a TypeError or a ValueError.
+
+    Returns:
+        What ``convert`` gives.
 
     Raises:
-        CalibError: It is refused.
+        CalibError: ``convert`` refuses the value.
     """
     try:
-        found = convert(value)
+        result = convert(value)
     except (TypeError, ValueError):
-        found = None
-    if found is None:
+        result = None
+    if result is None:
         written = value.tolist() if isinstance(value, np.ndarray) else value
         raise CalibError(f"{what} is {written!r}; it must be {must}.")
-    return found
+    return result
 
 
 def read_table(
     values: Mapping[str, Any], fields: Mapping[str, Field], where: str = ""
 ) -> dict[str, Any]:
-    """The values of a table, headed ``where``, by the names of their fields.
+    """Read the values of a TOML table.
+
+    Args:
+        values: The table, by its keys.
+        fields: The fields of the keys that it may have, by key.
+        where: Heading of the table, for messages; empty for the outermost one.
+
+    Returns:
+        The values in SI units, by the attributes' names.
 
     Raises:
         CalibError: An unknown key, one that is missing, or a value of the wrong kind.
     """
-    found = {}
+    result = {}
     for key, value in values.items():
         place = f"'{key}' in {where}" if where else f"'{key}'"
         if key not in fields:
             raise CalibError(
-                f"{place}: unknown key{did_you_mean(key, fields)}. It may be one of {choices(fields, limit=40)}."
+                f"{place}: unknown key{did_you_mean(key, fields)}. It may be one of "
+                f"{choices(fields, limit=40)}."
             )
-        found[fields[key].name] = fields[key].read(value, place)
+        field = fields[key]
+        result[field.name] = field.read(value, place)
     missing = [key for key, field in fields.items() if field.needed and key not in values]
     if missing:
         raise CalibError(f"{where} lacks {choices(missing)}.")
-    return found
+    return result
+
+
+# Readers of values
 
 
 def _form(must: str, convert: Callable[[Any], Any]) -> Read:
-    """What reads values that ``must`` be something."""
-    return lambda value, where: kept(value, where, must, convert)
+    """Return a reader by a conversion; ``must`` says what a value must be, see `checked`."""
+    return lambda value, where: checked(value, where, must, convert)
 
 
 def _of_type(kind: type, must: str) -> Read:
-    """What reads a value of a type."""
+    """Return a reader that keeps values of a type and refuses others."""
     return _form(must, lambda value: value if isinstance(value, kind) else None)
 
 
 def numbers(count: int, to_si: Callable[[Any], Any] = lambda value: value) -> Read:
-    """What reads a number, or a list of three, into SI units."""
+    """Return a reader of one number or of a list of three.
 
-    def convert(value: Any) -> Any:  # noqa: ANN401  TOML values are of any kind
-        if count == 1:
-            return float(to_si(value)) if is_number(value) else None
-        good = len(value) == count and all(map(is_number, value))
-        return to_si(np.array(value, dtype=np.float64)) if good else None
+    Args:
+        count: 1 or 3.
+        to_si: Conversion of the number, or of an array of shape (3,), into SI units.
 
-    return _form("a number" if count == 1 else "three numbers", convert)
+    Returns:
+        A reader that gives a float, or an array of shape (3,).
+    """
+
+    def convert_one(value: Any) -> float | None:  # noqa: ANN401  TOML values are of any kind
+        return float(to_si(value)) if is_number(value) else None
+
+    def convert_list(value: Any) -> Any:  # noqa: ANN401
+        if len(value) != count or not all(map(is_number, value)):
+            return None
+        return to_si(np.array(value, dtype=np.float64))
+
+    if count == 1:
+        return _form("a number", convert_one)
+    return _form("three numbers", convert_list)
 
 
 def millimetres(value: Any) -> Any:  # noqa: ANN401
-    """Lengths in mm as metres."""
+    """Convert lengths from mm to m."""
     return value / 1e3
 
 
-#: Texts, numbers, points, angles; roll, pitch, yaw about fixed axes [deg] as a matrix, shape (3, 3).
+def _rpy_matrix(rpy: Array) -> Array:
+    """Return Rz(yaw) Ry(pitch) Rx(roll), shape (3, 3), of roll, pitch, yaw [deg]."""
+    matrix: Array = Rotation.from_euler("xyz", np.radians(rpy)).as_matrix()
+    return matrix
+
+
+#: A name.
 TEXT = _of_type(str, "a name in quotes")
-MM, POINT = numbers(1, millimetres), numbers(3, millimetres)
-DEGREES, NUMBERS = numbers(1, np.radians), numbers(3)
-_RPY = numbers(3, lambda rpy: Rotation.from_euler("xyz", np.radians(rpy)).as_matrix())
+#: A length in mm, as [m].
+MM = numbers(1, millimetres)
+#: A position in mm, as an array (3,) [m].
+POINT = numbers(3, millimetres)
+#: An angle in deg, as [rad].
+DEGREES = numbers(1, np.radians)
+#: Three numbers as they are, as an array (3,).
+NUMBERS = numbers(3)
+#: Roll, pitch, yaw about fixed axes in deg, as a rotation matrix (3, 3).
+_RPY = numbers(3, _rpy_matrix)
+#: A nested TOML table, as a dict.
 _TABLE = _of_type(dict, "a table")
+#: A list of names.
+_NAMES = _of_type(list, "a list of names")
+#: A truth value.
+_TRUTH = _of_type(bool, "true or false")
 
 
 def _named(header: str, read: Read) -> Read:
-    """A table whose keys are names that the user chose, each with a value that ``read`` reads."""
-    return lambda value, where: {
-        name: read(one, f"'{name}' in [{header}]") for name, one in _TABLE(value, where).items()
-    }
+    """Return a reader of the table ``[header]``, whose keys are names that the user chose.
+
+    ``read`` reads each value; the result is a dict by name.
+    """
+
+    def read_named(value: Any, where: str) -> dict[str, Any]:  # noqa: ANN401
+        entries = _TABLE(value, where).items()
+        return {name: read(entry, f"'{name}' in [{header}]") for name, entry in entries}
+
+    return read_named
 
 
 def _table(header: str, fields: Mapping[str, Field]) -> Read:
-    """A table with keys of its own."""
+    """Return a reader of the table ``[header]`` with these keys, see `read_table`."""
     return lambda value, where: read_table(_TABLE(value, where), fields, f"[{header}]")
 
 
 def _tables(header: str, fields: Mapping[str, Field]) -> Read:
-    """A list of such tables."""
-    listed = _of_type(list, f"a list of tables, each headed [[{header}]]")
-    return lambda value, where: [
-        read_table(_TABLE(one, where), fields, f"[[{header}]] number {k}")
-        for k, one in enumerate(listed(value, where), 1)
-    ]
+    """Return a reader of tables ``[[header]]`` with these keys; the result is a list of dicts."""
+    read_list = _of_type(list, f"a list of tables, each headed [[{header}]]")
+
+    def read_tables(value: Any, where: str) -> list[dict[str, Any]]:  # noqa: ANN401
+        tables = []
+        for k, entry in enumerate(read_list(value, where), 1):
+            heading = f"[[{header}]] number {k}"
+            tables.append(read_table(_TABLE(entry, where), fields, heading))
+        return tables
+
+    return read_tables
 
 
-def pose(
-    xyz: NDArray[np.float64] | None = None, rotation: NDArray[np.float64] | None = None
-) -> NDArray[np.float64]:
-    """A pose, shape (4, 4), of a place and a rotation; what is left out is zero."""
-    T = np.eye(4)
-    T[:3, :3] = T[:3, :3] if rotation is None else rotation
-    T[:3, 3] = 0.0 if xyz is None else xyz
-    return T
+def frame_attributes(value: str | Sequence[str]) -> dict[str, Any]:
+    """Return what the key ``frame`` gives, as attributes of a cell.
 
+    Args:
+        value: ``"known"``, ``"estimate"`` (in all directions), or the directions of the base that
+            are estimated, as a list or a text such as ``"x,y,rz"``.
 
-def frame(said: str | Sequence[str]) -> dict[str, Any]:
-    """``known``, ``estimate``, or the directions that are estimated, such as ``x,y,rz``, as attributes of a cell."""
-    if said in ("known", "estimate"):
-        return {"estimate_frame": said == "estimate", "frame_directions": DIRECTIONS}
-    words = said.replace(",", " ").split() if isinstance(said, str) else said
+    Returns:
+        ``estimate_frame`` and ``frame_directions``.
+
+    Raises:
+        ValueError: Anything else.
+    """
+    if value in ("known", "estimate"):
+        return {"estimate_frame": value == "estimate", "frame_directions": DIRECTIONS}
+    words = value.replace(",", " ").split() if isinstance(value, str) else value
     if not words or not {*words} <= {*DIRECTIONS}:
         raise ValueError
     return {"estimate_frame": True, "frame_directions": tuple(words)}
 
 
+#: Reads the measurement frame, in a file or on the command line; its pose has keys of its own.
+FRAME = _form(
+    f"'known', 'estimate' or some of {', '.join(DIRECTIONS)}; its place is frame_xyz_mm and "
+    "frame_rpy_deg",
+    frame_attributes,
+)
+
+#: Reads whether the target is estimated.
+_IS_ESTIMATED = _form("'known' or 'estimate'", {"known": False, "estimate": True}.get)
+
+
+# Changes of parameters, with units
+
+#: An example of a change of each quantity, for messages.
 _EXAMPLES = {LENGTH: '"0.5 mm"', ANGLE: '"1 mrad"', PLAIN: "1e-3", COMPLIANCE: '"1e-5 rad/Nm"'}
 
-#: How parameters are named, and what they are; see docs/parameters.md. The first that fits is taken.
+#: Quantities of geometric parameters by a pattern of their names, see docs/parameters.md; the
+#: first that fits is taken.
 _PARAMETERS: tuple[tuple[str, tuple[str, ...]], ...] = (
     (r"[ad]\d+|(frame|target)_[xyz](\[.*\])?|.*\.[xyz]", (LENGTH,)),
     (r"(alpha|beta|theta)\d+|(frame|target)_r[xyz](\[.*\])?|.*\.r[xyz]", (ANGLE,)),
@@ -175,43 +256,67 @@ _PARAMETERS: tuple[tuple[str, tuple[str, ...]], ...] = (
 )
 
 
+def _quantities_of(parameter: str) -> tuple[str, ...]:
+    """Return the quantities that a parameter may be of, by its name; all if none is known."""
+    for pattern, quantities in _PARAMETERS:
+        if re.fullmatch(pattern, parameter):
+            return quantities
+    factor_name = parameter.rpartition(".")[2]
+    quantities_of_families = []
+    for family in FAMILIES.values():
+        if factor_name in [factor.name for factor in family.factors]:
+            units = (family.unit, family.sliding)
+            quantities_of_families += [unit.quantity for unit in units if unit]
+    return tuple(dict.fromkeys(quantities_of_families)) or tuple(_EXAMPLES)
+
+
 def _change(value: Any, where: str) -> float:  # noqa: ANN401
-    """The change of a parameter in SI units; its name, which ``where`` begins with, tells what it can be."""
-    name = where[1 : where.rindex("' in [")]
-    units = (
-        unit.quantity
-        for row in FAMILIES.values()
-        for unit in (row.unit, row.sliding)
-        if unit and name.rpartition(".")[2] in [factor.name for factor in row.factors]
-    )
-    fits = (kinds for pattern, kinds in _PARAMETERS if re.fullmatch(pattern, name))
-    allowed = next(fits, tuple(dict.fromkeys(units))) or tuple(_EXAMPLES)
-    examples = " or ".join(_EXAMPLES[kind] for kind in allowed)
+    """Read the change of a parameter from its nominal value, in SI units.
+
+    ``where`` begins with the parameter's name, ``"'a2' in [bounds]"``, which tells its quantity.
+    """
+    parameter = where[1 : where.rindex("' in [")]
+    allowed = _quantities_of(parameter)
+    examples = " or ".join(_EXAMPLES[quantity] for quantity in allowed)
     try:
-        change, kind = parse_quantity(value)
+        change, quantity = parse_quantity(value)
     except CalibError as error:
         raise CalibError(f"{where}: {error}. Write {examples}.") from error
-    if kind not in allowed:
-        raise CalibError(f"{where} is {value!r}, which is {kind}; write {examples}.")
+    if quantity not in allowed:
+        raise CalibError(f"{where} is {value!r}, which is {quantity}; write {examples}.")
     return change
 
 
 def _bounds(value: Any, where: str) -> tuple[float, ...]:  # noqa: ANN401
-    """The least and the largest change of a parameter; one value is both ways."""
+    """Read the least and the largest change of a parameter; one value stands for both signs."""
     if isinstance(value, list):
-        return tuple(_change(one, where) for one in value)
-    high = _change(value, where)
-    return -high, high
+        return tuple(_change(bound, where) for bound in value)
+    largest = _change(value, where)
+    return -largest, largest
+
+
+def _tie(value: Any, _where: str) -> Any:  # noqa: ANN401
+    """Read what a parameter is tied to: another one's name, or (name, factor)."""
+    return (value, 1.0) if isinstance(value, str) else value
+
+
+# The keys
 
 
 def _fields(**rows: tuple[str, Read]) -> dict[str, Field]:
-    """Fields by key; a name that ends in ``!`` is of one that must be there."""
-    return {
-        k: Field(name.rstrip("!"), read, name.endswith("!")) for k, (name, read) in rows.items()
-    }
+    """Return fields by key, from (attribute, reader); an attribute that ends in ``!`` is needed."""
+    result = {}
+    for key, (name, read) in rows.items():
+        result[key] = Field(name.rstrip("!"), read, needed=name.endswith("!"))
+    return result
 
 
-_PLACE = _fields(xyz_mm=("xyz", POINT), rpy_deg=("rotation", _RPY))
+def _noise(value: Any, where: str) -> Any:  # noqa: ANN401
+    """Read an instrument's noise, ``"15 um + 6 um/m"``, as [m] and [m/m]."""
+    return parse_noise(str(value), where)
+
+
+_POSE = _fields(xyz_mm=("xyz", POINT), rpy_deg=("rotation", _RPY))
 _PAYLOAD = _fields(mass_kg=("mass!", numbers(1)), com_mm=("com", POINT))
 _DISTANCE = _fields(
     first=("first!", TEXT),
@@ -223,31 +328,28 @@ _TRACKER = _fields(
     xyz_mm=("position!", POINT),
     nearest_mm=("nearest", MM),
     farthest_mm=("farthest", MM),
-    noise=("noise", lambda value, where: parse_noise(str(value), where)),
+    noise=("noise", _noise),
     repeatability_mm=("repeatability", MM),
 )
 _REFLECTOR = _fields(normal=("normal!", NUMBERS), acceptance_deg=("acceptance", DEGREES))
-_BOX = _PLACE | _fields(name=("name!", TEXT), size_mm=("size!", POINT), xyz_mm=("xyz!", POINT))
+_BOX = _POSE | _fields(name=("name!", TEXT), size_mm=("size!", POINT), xyz_mm=("xyz!", POINT))
 
 
-def _place(value: Any, where: str) -> Any:  # noqa: ANN401
-    """The pose of a measurement frame."""
-    return pose(**read_table(_TABLE(value, where), _PLACE, where))
-
-
-#: The measurement frame, in a file or on the line; where it stands has keys of its own.
-FRAME = _form(
-    f"'known', 'estimate' or some of {', '.join(DIRECTIONS)}; its place is frame_xyz_mm and frame_rpy_deg",
-    frame,
-)
-_KNOWN = _form("'known' or 'estimate'", {"known": False, "estimate": True}.get)
+def _frame_pose(value: Any, where: str) -> Array:  # noqa: ANN401
+    """Read the pose of the base in a measurement frame, T_frame_base, shape (4, 4) [m]."""
+    return pose_of(**read_table(_TABLE(value, where), _POSE, where))
 
 
 #: The keys of a cell file: the attribute of a cell that each gives, and how its value is read.
+#: `read_cell_file` joins ``frame``, ``xyz``, ``rotation`` and ``source`` into attributes.
 FIELDS: dict[str, Field] = {
-    **{key: Field(key, TEXT) for key in ("base", "tip", "model", "kind", "repeats")},
-    "freeze": Field("frozen", _of_type(list, "a list of names")),
-    "target": Field("estimate_target", _KNOWN),
+    "base": Field("base", TEXT),
+    "tip": Field("tip", TEXT),
+    "model": Field("model", TEXT),
+    "kind": Field("kind", TEXT),
+    "repeats": Field("repeats", TEXT),
+    "freeze": Field("frozen", _NAMES),
+    "target": Field("estimate_target", _IS_ESTIMATED),
     "target_mm": Field("target", POINT),
     "target_rpy_deg": Field("target_rotation", _RPY),
     "frame": Field("frame", FRAME),
@@ -255,14 +357,12 @@ FIELDS: dict[str, Field] = {
     "frame_rpy_deg": Field("rotation", _RPY),
     "sigma_mm": Field("sigma", MM),
     "sigma_angle_deg": Field("sigma_angle", DEGREES),
-    "scale_certified": Field("scale_certified", _of_type(bool, "true or false")),
+    "scale_certified": Field("scale_certified", _TRUTH),
     "priors": Field("source", TEXT),
     "gravity_m_per_s2": Field("gravity", NUMBERS),
     "targets_mm": Field("targets", _named("targets_mm", POINT)),
-    "frames": Field("frames", _named("frames", _place)),
-    "ties": Field(
-        "ties", _named("ties", lambda one, _: (one, 1.0) if isinstance(one, str) else one)
-    ),
+    "frames": Field("frames", _named("frames", _frame_pose)),
+    "ties": Field("ties", _named("ties", _tie)),
     "bounds": Field("bounds", _named("bounds", _bounds)),
     "parameter_priors": Field("parameter_priors", _named("parameter_priors", _change)),
     "payload": Field("payload", _table("payload", _PAYLOAD)),
@@ -276,48 +376,76 @@ FIELDS: dict[str, Field] = {
 
 
 def _in_si(to_si: float, value: float) -> float:
-    """A number in a unit, so much in SI, as SI has it."""
+    """Convert a number to SI, where one of its unit is ``to_si``.
+
+    Division by the inverse, such as 1000, gives the double nearest to the decimal value in SI.
+    """
     return value / (1.0 / to_si)
 
 
 def fields() -> dict[str, Field]:
-    """Every key of a cell file: `FIELDS`, and the size of the prior of each family, such as ``prior_length_mm``."""
-    priors = {}
-    for name, row in FAMILIES.items():
-        suffix, to_si = row.unit.cell
-        priors[f"prior_{name}{suffix}"] = Field(f"prior_{name}", numbers(1, partial(_in_si, to_si)))
-    return FIELDS | priors
+    """Return the fields of all keys of a cell file.
+
+    These are `FIELDS`, and one for the prior standard deviation of each registered family, such as
+    ``prior_length_mm`` with the attribute ``prior_length``.
+    """
+    prior_fields = {}
+    for name, family in FAMILIES.items():
+        suffix, to_si = family.unit.cell
+        read = numbers(1, partial(_in_si, to_si))
+        prior_fields[f"prior_{name}{suffix}"] = Field(f"prior_{name}", read)
+    return FIELDS | prior_fields
+
+
+# The file
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
-    """The whole of a cell file.
+    """Read a TOML file as nested tables, without a check of its keys.
+
+    Args:
+        path: The file, in UTF-8.
+
+    Returns:
+        The outermost table.
 
     Raises:
         FileError: The file cannot be read or is not TOML.
     """
+    data = read_bytes(path, "cell file")
     try:
-        found: dict[str, Any] = tomllib.loads(read_bytes(path, "cell file").decode("utf-8-sig"))
-    except (ValueError, RecursionError) as error:  # TOMLDecodeError is one
+        table: dict[str, Any] = tomllib.loads(data.decode("utf-8-sig"))
+    except (ValueError, RecursionError) as error:  # TOMLDecodeError is a ValueError
         raise FileError(f"{path}: this is not a TOML file: {error}") from error
-    return found
+    return table
 
 
 def read_cell_file(path: str | Path) -> dict[str, Any]:
-    """The values that a cell file gives, by the names of a cell's attributes, in SI units.
+    """Read a cell file.
 
-    ``priors`` are the word and the sizes by family; what has a class of its own is a dict of its attributes.
+    Args:
+        path: The TOML file; its table ``[simulation]`` is not read here.
+
+    Returns:
+        The values by the names of a cell's attributes, in SI units. Attributes with a class of
+        their own are dicts of its arguments; ``priors`` has the ``source`` and the prior standard
+        deviations by family.
 
     Raises:
         FileError: The file cannot be read or is not TOML.
         CalibError: It has an unknown key, or a value of the wrong kind.
     """
-    given = read_toml(path)
-    given.pop("simulation", None)
-    values = read_table(given, fields())
+    table = read_toml(path)
+    table.pop("simulation", None)
+    values = read_table(table, fields())
     values |= values.pop("frame", {})
-    placed = {name: values.pop(name) for name in ("xyz", "rotation") if name in values}
-    if placed:
-        values["T_frame_base"] = pose(**placed)
-    prior_std = {f: values.pop(f"prior_{f}") for f in FAMILIES if f"prior_{f}" in values}
-    values["priors"] = {"source": values.pop("source", "data"), **prior_std}
+    frame_pose = {name: values.pop(name) for name in ("xyz", "rotation") if name in values}
+    if frame_pose:
+        values["T_frame_base"] = pose_of(**frame_pose)
+    priors = {"source": values.pop("source", "data")}
+    for family in FAMILIES:
+        key = f"prior_{family}"
+        if key in values:
+            priors[family] = values.pop(key)
+    values["priors"] = priors
     return values

@@ -1,6 +1,6 @@
 """Kinds of measurement: what a row of a table says of the pose of its target, one row of a registry for each kind.
 
-With the pose (R, p) of the target in its set-up's frame, what is measured, what is predicted, and the residual are
+With the pose (R, p) of the target in its measurement frame, what is measured, what is predicted, and the residual are
 
     point      the position                      p              m - p
     pose       position and orientation          p, R           m - p, log(M R^T)    the rotation vector in SO(3)
@@ -19,125 +19,153 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.errors import CalibError, MeasurementError, choices
 from calib.model.error_model import DIRECTIONS
+from calib.numerics.geometry import inverse_right_jacobian
 from calib.units import Array, Quantity
+
+#: Least and largest standard deviation accepted for a measurement [m or rad]: no instrument is
+#: better or worse, and the squares of numbers beyond leave the range of doubles.
+SIGMAS = (1e-15, 1e6)
 
 #: A distance below this has no direction [m].
 _TINY = 1e-12
 
-#: No instrument is better or worse than this [m or rad], and squares beyond it leave the range of numbers.
-SIGMAS = (1e-15, 1e6)
-
-#: Beyond this [m or rad] doubles are further apart than what calib computes to, and no robot gets there.
-FARTHEST = 1e6
-
-#: A matrix of seven digits is orthonormal to this.
-_MATRIX_TOLERANCE = 1e-6
+#: Relative singular value below which an anchor's coordinates count as undetermined.
+_RANK_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
     """A column of the table with a number that rows of a kind measure."""
 
-    name: str  #: Of the column, as in ``"distance [mm]"``.
-    quantity: Quantity = "length"  #: What it measures: ``"length"`` or ``"angle"``.
-    positive: bool = False  #: Whether it is greater than zero, as a distance is.
+    name: str  #: Name of the column without its unit, ``"distance"``.
+    quantity: Quantity = "length"  #: ``"length"`` or ``"angle"``.
+    positive: bool = False  #: Whether it is always greater than zero, as a distance is.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Kind:
-    """A kind of measurement.
+    """A kind of measurement: what its rows measure, and the prediction with its derivative.
 
-    What n rows measured is an array of shape (n, k): x, y, z of kinds that measure a position; then the nine entries of
-    R_frame_target, row after row, of those that measure an orientation; then the readings; all in SI units. Poses are
-    T_frame_target, shape (n, 4, 4) [m]; of a ``paired`` kind those of both rows, shape (n, 2, 4, 4). Twists are the
-    derivatives of these poses by p parameters: of the origin, then (where any row of the table measures an
-    orientation) the rotation, along the frame's axes, shape (n, 3 or 6, p); of a paired kind (n, 2, 3 or 6, p).
+    The functions of a kind take and return arrays over n rows, in SI units, not whitened:
+
+    * ``measured``, shape (n, k): what the rows measured. First x, y, z of kinds that measure a
+      position; then the nine entries of R_frame_target, row after row, of kinds that measure an
+      orientation; then one number for each of ``readings``.
+    * ``T_frame_target``, shape (n, 4, 4) [m]: pose of the target in the measurement frame.
+    * ``twists``, shape (n, 6, p): derivative of these poses by p parameters, along the axes of the
+      measurement frame: velocity of the target's origin [m per parameter unit], then angular
+      velocity [rad per parameter unit]. Only the first three rows, (n, 3, p), where no row of the
+      table measures an orientation.
+
+    Of a ``paired`` kind poses and twists are those of both rows: (n, 2, 4, 4), (n, 2, 6, p).
+
+    Raises:
+        CalibError: Neither ``residual`` nor ``measure`` is given, or ``units`` are not lengths
+            followed by angles.
     """
 
-    name: str  #: Of the kind, as in the column ``kind``.
+    name: str  #: Name of the kind, as in the table's column ``kind``.
     words: str  #: What a row measures, for texts: ``"position of the target"``.
-    units: tuple[
-        str, ...
-    ]  #: Of each of the s residual scalars, lengths first: ``"m"`` or ``"rad"``.
-    #: Of the prediction, minus that of the residual: from what was measured, poses and twists to shape (n, s, p).
+    #: Unit of each of the s residual scalars: ``"m"`` for lengths, which come first, or ``"rad"``.
+    units: tuple[str, ...]
+    #: Derivative of the prediction by the parameters, which is minus that of the residual:
+    #: (measured, T_frame_target, twists) to shape (n, s, p) [m or rad per parameter unit].
     derivative: Callable[[Array, Array, Array], Array]
-    #: What a perfect instrument reads at some poses, shape (n, k), to simulate and to predict with; None where poses
-    #: are not free, because the target is held somewhere.
+    #: Reading of a perfect instrument, to predict and to simulate with: T_frame_target to shape
+    #: (n, k) [m or rad]. None for kinds whose target is held, such as a ball in a socket: their
+    #: poses cannot be chosen.
     measure: Callable[[Array], Array] | None = None
-    #: Measured minus predicted, from what was measured and poses to shape (n, s); None where that is the difference to
-    #: what ``measure`` gives.
+    #: Residual, measured minus predicted: (measured, T_frame_target) to shape (n, s) [m or rad].
+    #: None: the difference ``measured - measure(T_frame_target)``.
     residual: Callable[[Array, Array], Array] | None = None
     position: bool = False  #: Whether the columns x, y, z are measured.
-    orientation: bool = False  #: Whether an orientation is.
+    orientation: bool = False  #: Whether an orientation is measured.
     readings: tuple[Reading, ...] = ()  #: The other columns that are measured.
-    #: Whether two rows, which share a word in the column ``pair``, give one measurement.
+    #: Whether one measurement takes two rows, which share a word in the column ``pair``.
     paired: bool = False
-    #: The directions of the set-up's frame that such rows tell, of `DIRECTIONS`.
+    #: Directions of the measurement frame, of `DIRECTIONS`, that rows of this kind determine.
     directions: tuple[str, ...] = DIRECTIONS
-    #: Whether the frame is that of what is measured against, unknown unless the cell gives it, such as a socket; else
-    #: it is the instrument's.
+    #: Whether the measurement frame is that of the object measured against, such as a socket, and
+    #: is estimated unless the cell gives it; False: it is the instrument's frame.
     own_frame: bool = False
-    #: Whether the directions are along that frame's own axes; else along those of the base.
+    #: Whether ``directions`` are along the axes of the measurement frame; False: of the base.
     own_axes: bool = False
-    fewest: int = (
-        1  #: With fewer rows in a group what is unknown of its frame fits whatever the robot does.
-    )
-    #: Where the frame stands, T_frame_base, for the target's places in the base, shape (n, 3), what was measured, and a
-    #: first guess; None: as a measured position's.
+    #: Least number of rows of a group: with fewer, its frame fits whatever the robot does.
+    fewest: int = 1
+    #: Start of the estimate of the measurement frame: (positions of the targets in the base,
+    #: shape (n, 3) [m]; measured, (n, k); a guess of T_frame_base, (4, 4) [m]) to T_frame_base,
+    #: (4, 4) [m]. None: it is found from the measured positions, as of an instrument's frame.
     locate: Callable[[Array, Array, Array], Array] | None = None
-    #: The frame with the directions that no row tells put somewhere definite; None: as they come.
+    #: Choice of the directions that no row determines, after the estimate: T_frame_base, shape
+    #: (4, 4) [m], to an equivalent T_frame_base. None: they stay as the estimate left them.
     settle: Callable[[Array], Array] | None = None
-    place: str = "Measurement frame"  #: What the frame stands for, in a text: ``"Socket"``.
+    place: str = "Measurement frame"  #: What the frame stands for, in texts: ``"Socket"``.
 
     def __post_init__(self) -> None:
-        """Refuse a kind that does not say what is left over, or in what unit."""
-        ordered = self.units == ("m",) * self.lengths + ("rad",) * self.angles
-        if not (self.units and ordered) or (self.residual is None and self.measure is None):
+        """Check that the residual is defined and its units are ordered."""
+        ordered = ("m",) * self.lengths + ("rad",) * self.angles
+        is_ordered = bool(self.units) and self.units == ordered
+        has_residual = self.residual is not None or self.measure is not None
+        if not (is_ordered and has_residual):
             raise CalibError(
-                f"The kind '{self.name}' needs 'residual' or 'measure', and 'units' of 'm' and 'rad', lengths first."
+                f"The kind '{self.name}' needs 'residual' or 'measure', and 'units' of 'm' and "
+                "'rad', lengths first."
             )
 
     @property
     def lengths(self) -> int:
-        """How many of the residual scalars are lengths."""
+        """Number of residual scalars that are lengths; they come first."""
         return self.units.count("m")
 
     @property
     def angles(self) -> int:
-        """How many are angles."""
+        """Number of residual scalars that are angles; they follow the lengths."""
         return self.units.count("rad")
 
     @property
     def coordinates(self) -> bool:
-        """Whether the lengths are the three coordinates of the target's place, as of ``point``, ``pose``, ``fixed``."""
+        """True if the lengths are the target's three coordinates: ``point``, ``pose``, ``fixed``."""
         return self.position or (self.lengths == 3 and not self.readings)
 
     @property
     def measures_length(self) -> bool:
-        """Whether a row compares the arm with a unit of length: a socket or a touched plane does not."""
-        return self.position or any(reading.quantity == "length" for reading in self.readings)
+        """True if rows compare the arm with a unit of length: not a socket or a touched plane."""
+        reads_length = any(reading.quantity == "length" for reading in self.readings)
+        return self.position or reads_length
 
     @property
     def free(self) -> bool:
-        """Whether the target may be anywhere, and each row says something by itself: poses can be chosen for it."""
+        """True if each row is a measurement and its target may be anywhere: poses can be planned."""
         return self.measure is not None and not self.paired
 
     @property
     def size(self) -> int:
-        """How many numbers a row measures, k."""
+        """Number k of measured numbers a row."""
         return 3 * self.position + 9 * self.orientation + len(self.readings)
 
     def residual_of(self, measured: Array, T_frame_target: Array) -> Array:
-        """Measured, shape (n, k), minus predicted at poses, (n, 4, 4), of a paired kind (n, 2, 4, 4); shape (n, s)."""
+        """Return the residual, measured minus predicted.
+
+        Args:
+            measured: Measured numbers, shape (n, k), in SI units.
+            T_frame_target: Poses, shape (n, 4, 4) [m]; of a paired kind (n, 2, 4, 4).
+
+        Returns:
+            The residual, shape (n, s) [m or rad], not whitened.
+        """
         if self.residual is not None:
             return self.residual(measured, T_frame_target)
         assert self.measure is not None
         return measured - self.measure(T_frame_target)
+
+
+# The registry
+
+_KINDS: dict[str, Kind] = {}
 
 
 def register(kind: Kind) -> None:
@@ -145,224 +173,278 @@ def register(kind: Kind) -> None:
 
     Nothing can be replaced or taken out again. Worker processes register what they need themselves, on import.
 
+    Args:
+        kind: The kind, with a name of its own; its readings have names of their own too, or are
+            those of a kind that is registered.
+
     Raises:
-        CalibError: There is a kind, or a column, of this name.
+        CalibError: A kind or a column of this name is registered.
     """
-    taken = any(readings().get(one.name, one) != one for one in kind.readings)
-    if kind.name in _KINDS or taken:
-        message = f"There is a kind '{kind.name}', or a column of its name, already; rename yours."
-        raise CalibError(message)
+    columns = readings()
+    column_taken = any(columns.get(r.name, r) != r for r in kind.readings)
+    if kind.name in _KINDS or column_taken:
+        raise CalibError(
+            f"There is a kind '{kind.name}', or a column of its name, already; rename yours."
+        )
     _KINDS[kind.name] = kind
 
 
 def names() -> tuple[str, ...]:
-    """The names of all kinds, in the order of their numbers."""
+    """Return the names of all kinds, in the order of their numbers."""
     return tuple(_KINDS)
 
 
 def get(name: str) -> Kind:
-    """The kind of this name.
+    """Return the kind of this name.
 
     Raises:
-        MeasurementError: There is none; the text names those there are.
+        MeasurementError: There is none; the message lists the names of all kinds.
     """
     if name not in _KINDS:
-        message = f"'{name}' is not a kind of measurement; allowed are {choices(_KINDS)}"
-        raise MeasurementError(message)
+        raise MeasurementError(
+            f"'{name}' is not a kind of measurement; allowed are {choices(_KINDS)}"
+        )
     return _KINDS[name]
 
 
 def at(number: int) -> Kind:
-    """The kind of this number, its place among `names`."""
+    """Return the kind of this number, from 0: its position in `names`."""
     return tuple(_KINDS.values())[number]
 
 
 def readings() -> dict[str, Reading]:
-    """The readings of all kinds, by their columns' names."""
-    return {one.name: one for kind in _KINDS.values() for one in kind.readings}
+    """Return the readings of all kinds, by the names of their columns."""
+    return {reading.name: reading for kind in _KINDS.values() for reading in kind.readings}
 
 
-def no_rotation(matrices: Array) -> NDArray[np.bool_]:
-    """True for matrices (N, 3, 3) that are not finite, orthonormal and right-handed, shape (N,)."""
-    product = np.swapaxes(matrices, 1, 2) @ matrices
-    error = np.abs(product - np.eye(3)).max(axis=(1, 2), initial=0.0)
-    good = (error <= _MATRIX_TOLERANCE) & (np.linalg.det(np.nan_to_num(matrices)) > 0.0)
-    return np.asarray(~good, dtype=np.bool_)
+# Positions and poses
 
 
-def to_quaternions(rotations: Array) -> Array:
-    """Unit quaternions (x, y, z, w) with w >= 0, shape (N, 4), of matrices (N, 3, 3). NaN rows stay NaN."""
-    result = np.full((len(rotations), 4), np.nan)
-    there = np.isfinite(rotations).all(axis=(1, 2))
-    if there.any():
-        result[there] = Rotation.from_matrix(rotations[there]).as_quat(canonical=True)
-    return result
-
-
-def _unit(v: Array) -> Array:
-    """Unit vectors, shape (..., 3)."""
-    return np.asarray(v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), _TINY))
-
-
-def _place(T: Array) -> Array:
-    """Positions, shape (..., 3)."""
+def _position(T: Array) -> Array:
+    """Return the positions of poses (..., 4, 4), shape (..., 3) [m]."""
     return T[..., :3, 3]
 
 
-def _of_position(_measured: Array, _T: Array, twists: Array) -> Array:
-    """The derivative of a position."""
+def _position_derivative(_measured: Array, _T: Array, twists: Array) -> Array:
+    """Return the derivative of a position, shape (n, 3, p)."""
     return twists[:, :3]
 
 
-def _turned(measured: Array, T: Array) -> Rotation:
-    """M R^T: the rotations that are left over."""
+def _pose_reading(T: Array) -> Array:
+    """Return position and rotation matrix, row after row, of poses, shape (n, 12)."""
+    return np.hstack([_position(T), T[:, :3, :3].reshape(-1, 9)])
+
+
+def _rotation_error(measured: Array, T: Array) -> Rotation:
+    """Return M R^T, the rotations from the predicted to the measured orientation."""
     M = measured[:, 3:12].reshape(-1, 3, 3)
     return Rotation.from_matrix(M @ T[:, :3, :3].transpose(0, 2, 1))
 
 
+def _pose_residual(measured: Array, T: Array) -> Array:
+    """Return m - p and log(M R^T), shape (n, 6) [m] and [rad]."""
+    shift = measured[:, :3] - _position(T)
+    return np.hstack([shift, _rotation_error(measured, T).as_rotvec()])
+
+
 def _pose_derivative(measured: Array, T: Array, twists: Array) -> Array:
-    """The derivative of position and orientation."""
-    turned = _log_derivative(_turned(measured, T)) @ twists[:, 3:]
-    return np.concatenate([twists[:, :3], turned], axis=1)
+    """Return the derivative of position and orientation, shape (n, 6, p).
 
-
-def _log_derivative(rotation: Rotation) -> Array:
-    """D log(E exp(-w)) / d(-w) at w = 0, the inverse right Jacobian of SO(3), shape (n, 3, 3).
-
-    I + [r]x / 2 + (1 / t^2 - 1 / (2 t tan(t / 2))) [r]x^2 with r = log E and t = |r|; finite up to t = pi.
+    A rotation w of the target along the frame's axes makes log(M R^T) of the residual to
+    log(M R^T exp(-w)): the residual changes by -J w, the prediction by J w, with the inverse
+    right Jacobian J of M R^T.
     """
-    r = rotation.as_rotvec()
-    t = np.linalg.norm(r, axis=1)
-    small = t < 1e-4
-    safe = np.where(small, 1.0, t)
-    factor = 1.0 / safe**2 - 0.5 / (safe * np.tan(0.5 * safe))
-    factor = np.where(small, 1.0 / 12.0, factor)
-    cross = np.zeros((len(r), 3, 3))
-    cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -r[:, 2], r[:, 1], -r[:, 0]
-    cross = cross - cross.transpose(0, 2, 1)
-    result: Array = np.eye(3) + 0.5 * cross + factor[:, None, None] * (cross @ cross)
-    return result
+    jacobian = inverse_right_jacobian(_rotation_error(measured, T))
+    return np.concatenate([twists[:, :3], jacobian @ twists[:, 3:]], axis=1)
 
 
-def _between_derivative(_measured: Array, T: Array, twists: Array) -> Array:
-    """The derivative of a distance between two rows."""
-    p = _place(T)
-    along, apart = _unit(p[:, 0] - p[:, 1]), twists[:, 0, :3] - twists[:, 1, :3]
-    return np.asarray(np.einsum("ni,nip->np", along, apart)[:, None])
+# Distances
 
 
-def _anchor(points: Array, measured: Array, T_frame_base: Array) -> Array:
-    """The frame at the anchor: |p|^2 - d^2 = 2 p a - |a|^2 is linear in (a, |a|^2)."""
+def _unit(v: Array) -> Array:
+    """Return vectors (..., 3) divided by their lengths; a zero vector stays zero."""
+    return np.asarray(v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), _TINY))
+
+
+def _distance(T: Array) -> Array:
+    """Return the distances of the targets from the frame's origin, shape (n, 1) [m]."""
+    return np.asarray(np.linalg.norm(_position(T), axis=1, keepdims=True))
+
+
+def _distance_derivative(_measured: Array, T: Array, twists: Array) -> Array:
+    """Return the derivative of the distance from the frame's origin, shape (n, 1, p)."""
+    along = _unit(_position(T))
+    return np.asarray(np.einsum("ni,nip->np", along, twists[:, :3])[:, None])
+
+
+def _pair_distance(T: Array) -> Array:
+    """Return the distances between the targets of pairs of poses (n, 2, 4, 4), shape (n, 1) [m]."""
+    apart = T[:, 0, :3, 3] - T[:, 1, :3, 3]
+    return np.asarray(np.linalg.norm(apart, axis=1, keepdims=True))
+
+
+def _pair_derivative(_measured: Array, T: Array, twists: Array) -> Array:
+    """Return the derivative of the distance between both rows of pairs, shape (n, 1, p)."""
+    p = _position(T)
+    along = _unit(p[:, 0] - p[:, 1])
+    relative = twists[:, 0, :3] - twists[:, 1, :3]
+    return np.asarray(np.einsum("ni,nip->np", along, relative)[:, None])
+
+
+def _anchor_frame(points: Array, measured: Array, T_frame_base: Array) -> Array:
+    """Locate an anchor from distances d: |p|^2 - d^2 = 2 p a - |a|^2, linear in (a, |a|^2)."""
     centre = points.mean(axis=0)
     p = points - centre
     A = np.column_stack([2.0 * p, -np.ones(len(p))])
     rhs = np.sum(p**2, axis=1) - measured[:, 0] ** 2
-    anchor = np.linalg.lstsq(A, rhs, rcond=1e-9)[0][:3] + centre
-    return _standing(T_frame_base, anchor)
+    solution = np.linalg.lstsq(A, rhs, rcond=_RANK_TOLERANCE)[0]
+    return _with_origin_at(T_frame_base, solution[:3] + centre)
 
 
-def _standing(T_frame_base: Array, place: Array) -> Array:
-    """The frame with its origin at a place in the base."""
+def _with_origin_at(T_frame_base: Array, point: Array) -> Array:
+    """Return T_frame_base, turned as it is, of a frame with its origin at a point of the base [m]."""
     T: Array = T_frame_base.copy()
-    T[:3, 3] = -T[:3, :3] @ place
+    T[:3, 3] = -T[:3, :3] @ point
     return T
 
 
-def _plane(points: Array, _measured: Array, _T_frame_base: Array) -> Array:
-    """The frame in the plane that fits the targets' places best."""
+# Sockets and planes
+
+
+def _socket_residual(_measured: Array, T: Array) -> Array:
+    """Return 0 - p, shape (n, 3) [m]: the socket is the frame's origin."""
+    return -_position(T)
+
+
+def _socket_frame(points: Array, _measured: Array, T_frame_base: Array) -> Array:
+    """Locate a socket: the mean of the targets' positions in the base."""
+    return _with_origin_at(T_frame_base, points.mean(axis=0))
+
+
+def _plane_residual(_measured: Array, T: Array) -> Array:
+    """Return 0 - p_z, shape (n, 1) [m]: the plane is the frame's x-y plane."""
+    return -T[:, 2:3, 3]
+
+
+def _plane_derivative(_measured: Array, _T: Array, twists: Array) -> Array:
+    """Return the derivative of the height over the plane, shape (n, 1, p)."""
+    return twists[:, 2:3]
+
+
+def _fitted_plane(points: Array, _measured: Array, _T_frame_base: Array) -> Array:
+    """Locate a plane: the best fit to the targets' positions in the base."""
     centre = points.mean(axis=0)
     normal = np.linalg.svd(points - centre)[2][-1]
     return _plane_frame(normal, float(normal @ centre))
 
 
-def _plane_frame(normal: Array, distance: float) -> Array:
-    """T_frame_base of a frame whose x-y plane is normal p = distance, turned as little as can be, shape (4, 4).
+def _settled_plane(T_frame_base: Array) -> Array:
+    """Choose position within the plane and turn about its normal as `_plane_frame` does."""
+    return _plane_frame(T_frame_base[2, :3], -float(T_frame_base[2, 3]))
 
-    Which side its z points to is arbitrary: to that where the largest component of the normal is positive.
+
+def _plane_frame(normal: Array, distance: float) -> Array:
+    """Return the frame of a plane, with its origin and axes as near to the base's as can be.
+
+    Its z axis points to the side on which the largest component of the normal is positive.
+
+    Args:
+        normal: Unit normal of the plane in the base, shape (3,); its sign does not matter.
+        distance: Distance from the base to the plane along ``normal``, signed [m].
+
+    Returns:
+        T_frame_base of a frame whose x-y plane is the plane, shape (4, 4) [m].
     """
     sign = float(np.sign(normal[np.argmax(np.abs(normal))]))
     axis = np.cross(sign * normal, [0.0, 0.0, 1.0])
-    sine, T = float(np.linalg.norm(axis)), np.eye(4)
+    sine = float(np.linalg.norm(axis))
+    T = np.eye(4)
     if sine > _TINY:
-        turn = np.arctan2(sine, sign * normal[2]) / sine
-        T[:3, :3] = Rotation.from_rotvec(turn * axis).as_matrix()
+        angle_per_sine = np.arctan2(sine, sign * normal[2]) / sine
+        T[:3, :3] = Rotation.from_rotvec(angle_per_sine * axis).as_matrix()
     T[2, 3] = -sign * distance
     return T
 
 
-_LENGTH = (Reading("distance", positive=True),)
+# The six kinds
 
-_KINDS: dict[str, Kind] = {}
-for _kind in (
+_DISTANCE_READING = Reading("distance", positive=True)
+
+register(
     Kind(
         name="point",
         words="position of the target",
         units=("m",) * 3,
-        measure=_place,
-        derivative=_of_position,
+        measure=_position,
+        derivative=_position_derivative,
         position=True,
-    ),
+    )
+)
+register(
     Kind(
         name="pose",
         words="position and orientation of the target",
         units=("m",) * 3 + ("rad",) * 3,
-        measure=lambda T: np.hstack([_place(T), T[:, :3, :3].reshape(-1, 9)]),
-        residual=lambda measured, T: np.hstack(
-            [measured[:, :3] - _place(T), _turned(measured, T).as_rotvec()]
-        ),
+        measure=_pose_reading,
+        residual=_pose_residual,
         derivative=_pose_derivative,
         position=True,
         orientation=True,
-    ),
+    )
+)
+register(
     Kind(
         name="distance",
         words="distance from the target to an anchor",
         units=("m",),
-        measure=lambda T: np.linalg.norm(_place(T), axis=1, keepdims=True),
-        derivative=lambda _, T, twists: np.asarray(
-            np.einsum("ni,nip->np", _unit(_place(T)), twists[:, :3])[:, None]
-        ),
-        readings=_LENGTH,
+        measure=_distance,
+        derivative=_distance_derivative,
+        readings=(_DISTANCE_READING,),
         directions=("x", "y", "z"),
         own_frame=True,
-        locate=_anchor,
+        locate=_anchor_frame,
         place="Anchor",
-    ),
+    )
+)
+register(
     Kind(
         name="pair",
         words="distance between the target's places at two poses",
         units=("m",),
-        measure=lambda T: np.linalg.norm(T[:, 0, :3, 3] - T[:, 1, :3, 3], axis=1, keepdims=True),
-        derivative=_between_derivative,
-        readings=_LENGTH,
+        measure=_pair_distance,
+        derivative=_pair_derivative,
+        readings=(_DISTANCE_READING,),
         paired=True,
         directions=(),
-    ),
+    )
+)
+register(
     Kind(
         name="fixed",
         words="the target sits at one unknown point",
         units=("m",) * 3,
-        residual=lambda _, T: -_place(T),
-        derivative=_of_position,
+        residual=_socket_residual,
+        derivative=_position_derivative,
         directions=("x", "y", "z"),
         own_frame=True,
         fewest=2,
-        locate=lambda points, _, T_frame_base: _standing(T_frame_base, points.mean(axis=0)),
+        locate=_socket_frame,
         place="Socket",
-    ),
+    )
+)
+register(
     Kind(
         name="plane",
         words="the target touches one unknown plane",
         units=("m",),
-        residual=lambda _, T: -T[:, 2:3, 3],
-        derivative=lambda _measured, _T, twists: twists[:, 2:3],
+        residual=_plane_residual,
+        derivative=_plane_derivative,
         directions=("z", "rx", "ry"),
         own_frame=True,
         own_axes=True,
         fewest=4,
-        locate=_plane,
-        settle=lambda T: _plane_frame(T[2, :3], -float(T[2, 3])),
+        locate=_fitted_plane,
+        settle=_settled_plane,
         place="Plane",
-    ),
-):
-    register(_kind)
+    )
+)

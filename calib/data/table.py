@@ -1,4 +1,4 @@
-"""A table as text and its header: separator, rows of cells, and columns by name and unit.
+"""A table as text: separator, header and rows of cells.
 
 One reader for all tables of calib: comma, semicolon or tab between the cells, units in the header, blank lines and
 those that begin with # skipped.
@@ -12,85 +12,59 @@ import hashlib
 import io
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
 
-import calib.data.kinds as registry
-from calib.errors import CalibError, FileError, MeasurementError, choices, did_you_mean
+from calib.errors import CalibError, FileError, MeasurementError
 from calib.files import read_bytes
-from calib.units import (
-    NUMBER,
-    UNITS,
-    Array,
-    Quantity,
-    Unit,
-    find_unit,
-    split_header,
-    symbols,
-)
+from calib.units import NUMBER, Array, Unit, find_unit, split_header
 
+#: What may separate cells; in a tie the first wins.
 SEPARATORS = (",", ";", "\t")
 
-POINT = ("x", "y", "z")
-QUATERNION = ("qx", "qy", "qz", "qw")
-ROTATION_VECTOR = ("rx", "ry", "rz")
-ORIENTATION = (*ROTATION_VECTOR, *QUATERNION)
-ROLL_PITCH_YAW = ("roll", "pitch", "yaw")
-WORDS = ("row", "set", "kind", "target", "group", "pair", "point")
-
-#: The column of a table of commands that says whether a row has one.
-STATUS = "status"
-
-#: What the column ``set`` may say, and the name of a target that has none.
-SETS = ("estimate", "validate")
-DEFAULT_TARGET = "target"
-
-#: What stands behind a joint's name in the header of its torque.
-TORQUE = ".torque"
-
-#: The name that a column is mapped to so that it is not read.
-IGNORE = "-"
-
-#: What stands before the name of a column that says what to expect there, for a person to compare: see plan_file.
-EXPECTED = "expected "
-
-#: The points of a robot cell lie between these distances from the origin of any frame in use [m].
-_FAR_M, _NEAR_M = 100.0, 5e-3
-
-#: The unit that headers are proposed in, and tables written in.
-COMMON: Mapping[Quantity, str] = {"length": "mm", "angle": "deg", "torque": "Nm", "force": "N"}
-
-#: The line before the header that tells Excel what stands between the cells.
+#: A line before the header that tells Excel the separator: ``sep=;``.
 _SEPARATOR_LINE = re.compile(r'"?sep=([,;\t])"?[\s,;]*$', re.IGNORECASE)
+
+#: Characters of a line without content.
+_BLANKS = " \t,;\n"
+
+#: What a line to be skipped begins with.
+_COMMENTS = ("#", '"#')
 
 _EXAMPLE = "such as: set,joint_1 [deg],joint_2 [deg],x [mm],y [mm],z [mm]"
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column: where it stands, its header as written, and the name and unit that calib takes it by."""
+    """One column of a table: its position, its header, and the name and unit that calib reads it by."""
 
-    index: int  #: From 0.
+    index: int  #: Position in the table, from 0.
     label: str  #: The header cell as written, for messages.
-    name: str  #: After ``--columns`` was applied.
-    symbol: str | None  #: Of the unit; None without brackets.
+    name: str  #: Name that calib reads it by, after ``--columns`` was applied.
+    symbol: str | None  #: Symbol of the unit as written; None without brackets.
 
     @property
     def unit(self) -> Unit | None:
-        """The unit; None without one, and for one that is unknown: it may not matter."""
+        """The unit; None without one, and for an unknown one, which may not matter."""
+        if self.symbol is None:
+            return None
         try:
-            return None if self.symbol is None else find_unit(self.symbol)
+            return find_unit(self.symbol)
         except CalibError:
             return None
 
     @property
     def to_si(self) -> float:
-        """What a value is multiplied by; 1 for numbers without a unit, those of a quaternion."""
+        """Factor from the numbers as written to SI units; 1 without a unit, as of quaternions."""
         unit = self.unit
         return 1.0 if unit is None else unit.to_si
+
+
+#: A line of the file that is not skipped: its number, from 1, and its text.
+_Line = tuple[int, str]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,242 +75,213 @@ class Table:
     """
 
     source: str  #: The file's name, for messages.
-    sha256: str  #: Of the file's bytes.
+    sha256: str  #: Hash of the file's bytes.
     separator: str  #: One of `SEPARATORS`.
     header: tuple[str, ...]  #: The header's cells.
-    lines: tuple[int, ...]  #: Where each row ends in the file.
+    lines: tuple[int, ...]  #: Line of the file at which each row ends, from 1.
     cells: tuple[list[str], ...]  #: The stripped cells of each row, as many as the header has.
 
     @classmethod
     def read(cls, path: str | Path) -> Table:
-        """Read a file.
+        """Read a table from a file.
+
+        Args:
+            path: A text file in UTF-8, UTF-16 or Windows' own encoding.
+
+        Returns:
+            The table; the numbers in its cells are not read yet.
 
         Raises:
-            MeasurementError: There is no such file, it is no text, has no header, or a row with other cells than it.
+            MeasurementError: The file does not exist, is no text, has no header, or a row with
+                another number of cells than the header.
         """
         source, sha256, text = read_text(path, "The table")
-        kept = [
-            (at, line)
-            for at, line in enumerate(io.StringIO(text), 1)
-            if line.strip(" \t,;\n") and not line.lstrip().startswith(("#", '"#'))
-        ]
-        named = _SEPARATOR_LINE.match(kept[0][1]) if kept else None
+        content = _content(text)
+        named = _SEPARATOR_LINE.match(content[0][1]) if content else None
         if named is not None:
-            del kept[0]
-        if not kept:
-            message = f"{path}: the file is empty. A table begins with a header line, {_EXAMPLE}"
-            raise MeasurementError(message)
-        separator = max(SEPARATORS, key=kept[0][1].count)  # in a tie, the first: the comma
-        if named is not None and named[1] in kept[0][1]:
-            separator = named[1]
-        reader = csv.reader(
-            (line for _, line in kept), delimiter=separator, skipinitialspace=True, strict=True
-        )
-        lines, cells = [], []
-        try:
-            for row in reader:
-                lines.append(kept[reader.line_num - 1][0])
-                cells.append([cell.strip() for cell in row])
-        except csv.Error as error:
+            del content[0]
+        if not content:
             raise MeasurementError(
-                f"{source}, line {kept[reader.line_num - 1][0]}: not a CSV table ({error}). Check the double quotes "
-                '(") there and above.'
-            ) from error
+                f"{path}: the file is empty. A table begins with a header line, {_EXAMPLE}"
+            )
+        header_line = content[0][1]
+        separator = max(SEPARATORS, key=header_line.count)
+        if named is not None and named[1] in header_line:
+            separator = named[1]
+        lines, cells = _split_lines(source, content, separator)
         header = tuple(cells[0])
         if all(NUMBER.fullmatch(cell) for cell in header):
             raise MeasurementError(
                 f"{source}: the first line holds numbers where the header should stand, {_EXAMPLE}"
             )
-        for n, (line, row) in enumerate(zip(lines, cells, strict=True)):
-            if len(row) != len(header):
-                comma = " A decimal comma needs semicolons between the columns." * (
-                    separator == "," and len(row) > len(header)
-                )
-                raise MeasurementError(
-                    f"{source}, line {line} (row {n}): the row has {len(row)} cells, the header has {len(header)}. "
-                    f"Make them as many.{comma}"
-                )
-        return cls(source, sha256, separator, header, tuple(lines[1:]), tuple(cells[1:]))
+        table = cls(source, sha256, separator, header, tuple(lines[1:]), tuple(cells[1:]))
+        table._check_widths()
+        return table
+
+    def _check_widths(self) -> None:
+        """Refuse a row with more or fewer cells than the header."""
+        width = len(self.header)
+        for number, (line, row) in enumerate(zip(self.lines, self.cells, strict=True), 1):
+            if len(row) == width:
+                continue
+            comma = ""
+            if self.separator == "," and len(row) > width:
+                comma = " A decimal comma needs semicolons between the columns."
+            raise MeasurementError(
+                f"{self.source}, line {line} (row {number}): the row has {len(row)} cells, the "
+                f"header has {width}. Make them as many.{comma}"
+            )
 
     def names(self, columns: Mapping[str, str]) -> set[str]:
-        """The names of the columns without their units, and those that ``--columns`` gives them."""
+        """Return the names that columns may be called by, without their units.
+
+        Args:
+            columns: Mapping from names of this table to calib's, as of ``--columns``.
+
+        Returns:
+            The names in the header, and those that they are mapped to.
+        """
         return {split_header(label)[0] for label in (*self.header, *columns.values())}
 
     def column(self, column: Column) -> list[str]:
-        """The cells of a column."""
+        """Return the cells of a column, one a row."""
         return [row[column.index] for row in self.cells]
 
     def numbers(self, columns: Sequence[Column]) -> Array:
-        """The numbers of columns as written, shape (rows, columns): NaN where empty, infinite where there is none.
+        """Read the numbers of columns, in the units as written.
+
+        Args:
+            columns: The columns, of which there are c.
+
+        Returns:
+            Numbers, shape (rows, c); NaN where a cell is empty, infinite where it holds no number.
 
         Raises:
-            MeasurementError: There are decimal points beside decimal commas, one of which may separate thousands.
+            MeasurementError: Decimal points stand beside decimal commas, of which one may separate
+                thousands.
         """
-        found = np.empty((len(self.cells), len(columns)))
-        signs: dict[str, int] = {}  # the line of the first of each
-        for k, column in enumerate(columns):
-            texts = self.column(column)
-            if self.separator != ",":
-                for sign in ".,":
-                    at = next((i for i, text in enumerate(texts) if sign in text), None)
-                    if at is not None:
-                        signs.setdefault(sign, self.lines[at])
-                texts = [text.replace(",", ".") for text in texts]
-            try:  # the usual column at once: ten times as fast
-                found[:, k] = list(map(float, texts))
-                usual = np.isfinite(found[:, k]).all() and not any("_" in text for text in texts)
-            except ValueError:
-                usual = False
-            if not usual:
-                found[:, k] = [
-                    float(text) if NUMBER.fullmatch(text) else np.inf if text else np.nan
-                    for text in texts
-                ]
-        if len(signs) == 2:
-            raise MeasurementError(
-                f"{self.source}: numbers have a decimal point in line {signs['.']} and a decimal comma in line "
-                f"{signs[',']}. Write all in one way, without a sign between thousands."
-            )
-        return found
+        texts = [self.column(column) for column in columns]
+        if self.separator != ",":
+            self._check_decimal_signs(texts)
+            texts = [[text.replace(",", ".") for text in column] for column in texts]
+        result = np.empty((len(self.cells), len(columns)))
+        for k, column_texts in enumerate(texts):
+            result[:, k] = _parsed(column_texts)
+        return result
 
-    def fail(self, row: int, column: Column, what: str, numbers: Column | None = None) -> NoReturn:
-        """Refuse the cell of a row, from 0, for what it is; ``numbers`` is the column of the rows' own numbers."""
-        number = (self.cells[row][numbers.index] if numbers else "") or str(row + 1)
+    def _check_decimal_signs(self, texts: Sequence[Sequence[str]]) -> None:
+        """Refuse columns of cells with a decimal point in one and a decimal comma in another."""
+        first_lines: dict[str, int] = {}
+        for column in texts:
+            for sign in ".,":
+                row = next((i for i, text in enumerate(column) if sign in text), None)
+                if row is not None:
+                    first_lines.setdefault(sign, self.lines[row])
+        if len(first_lines) == 2:
+            raise MeasurementError(
+                f"{self.source}: numbers have a decimal point in line {first_lines['.']} and a "
+                f"decimal comma in line {first_lines[',']}. Write all in one way, without a sign "
+                "between thousands."
+            )
+
+    def fail(
+        self, row: int, column: Column, what: str, row_numbers: Column | None = None
+    ) -> NoReturn:
+        """Refuse a cell.
+
+        Args:
+            row: The cell's row, from 0.
+            column: The cell's column.
+            what: What is wrong with it and how to mend it, for the message.
+            row_numbers: The column with the table's own row numbers, for the message; None: the
+                rows are counted from 1.
+
+        Raises:
+            MeasurementError: Always.
+        """
+        written = self.cells[row][row_numbers.index] if row_numbers else ""
+        number = written or str(row + 1)
         raise MeasurementError(
             f"{self.source}, line {self.lines[row]} (row {number}), column '{column.label}': {what}"
         )
 
 
-def read_text(path: str | Path, what: str) -> tuple[str, str, str]:
-    r"""The name of a file for messages, its SHA-256, and its text, whose lines end in ``\n``.
+def _content(text: str) -> list[_Line]:
+    """Return the lines of a text that are neither blank nor comments."""
+    result = []
+    for number, line in enumerate(io.StringIO(text), 1):
+        if line.strip(_BLANKS) and not line.lstrip().startswith(_COMMENTS):
+            result.append((number, line))
+    return result
 
-    UTF-8 with or without its mark, UTF-16 with one (Excel's "Unicode text"), else Windows' own encoding.
+
+def _split_lines(
+    source: str, content: Sequence[_Line], separator: str
+) -> tuple[list[int], list[list[str]]]:
+    """Return the line at which each row ends, and its stripped cells; the header is the first."""
+    reader = csv.reader(
+        (line for _, line in content), delimiter=separator, skipinitialspace=True, strict=True
+    )
+    lines: list[int] = []
+    cells: list[list[str]] = []
+    try:
+        for row in reader:
+            lines.append(content[reader.line_num - 1][0])
+            cells.append([cell.strip() for cell in row])
+    except csv.Error as error:
+        raise MeasurementError(
+            f"{source}, line {content[reader.line_num - 1][0]}: not a CSV table ({error}). Check "
+            'the double quotes (") there and above.'
+        ) from error
+    return lines, cells
+
+
+def _parsed(texts: Sequence[str]) -> Array:
+    """Return numbers of cells, shape (rows,): NaN of an empty one, infinite of what is no number."""
+    try:  # the usual column at once: ten times as fast
+        numbers = np.array(list(map(float, texts)), dtype=np.float64)
+    except ValueError:
+        numbers = np.array([np.nan])
+    # float() also reads nan, inf and 1_000, which no cell may hold.
+    is_usual = np.isfinite(numbers).all() and not any("_" in text for text in texts)
+    if is_usual:
+        return numbers
+    return np.array([_number(text) for text in texts], dtype=np.float64)
+
+
+def _number(text: str) -> float:
+    """Return the number in a cell; NaN if it is empty, infinite if it holds no number."""
+    if NUMBER.fullmatch(text):
+        return float(text)
+    return np.inf if text else np.nan
+
+
+def read_text(path: str | Path, what: str) -> tuple[str, str, str]:
+    r"""Read a text file.
+
+    Args:
+        path: A file in UTF-8 with or without its mark, in UTF-16 with one (Excel's "Unicode
+            text"), else in Windows' own encoding.
+        what: What the file should be, for messages: ``"The table"``.
+
+    Returns:
+        The file's name for messages, the SHA-256 of its bytes, and the text, with lines that end
+        in ``\n``.
 
     Raises:
-        MeasurementError: There is no such file, or it is no text.
+        MeasurementError: The file does not exist, or is no text.
     """
     source = Path(path).name or str(path)
     try:
         data = read_bytes(path, what)
     except FileError as error:
         raise MeasurementError(str(error)) from error
-    utf16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    is_utf16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     try:
-        text = data.decode("utf-16" if utf16 else "utf-8-sig")
+        text = data.decode("utf-16" if is_utf16 else "utf-8-sig")
     except UnicodeDecodeError:
         text = data.decode("cp1252", errors="replace")
     if "\0" in text:
         raise MeasurementError(f"{source}: this is not a text file. Save it as text (CSV, UTF-8).")
-    return source, hashlib.sha256(data).hexdigest(), text.replace("\r\n", "\n").replace("\r", "\n")
-
-
-# Columns
-
-
-def reserved() -> tuple[str, ...]:
-    """The names of columns that no joint can have: those of words, noise, positions, and of the kinds' readings."""
-    return (*WORDS, "sigma", "sigma_angle", *registry.readings(), *POINT)
-
-
-def list_columns(table: Table) -> str:
-    """The sentence that lists the table's columns."""
-    return f"The columns found: {choices((label for label in table.header if label), limit=30)}."
-
-
-def name_columns(
-    table: Table, joint_names: Sequence[str], columns: Mapping[str, str]
-) -> tuple[dict[str, Column], tuple[Column, ...]]:
-    """The columns by the name calib uses, each once, ``joint_names`` as they are; and all that are called ``group``.
-
-    Raises:
-        MeasurementError: A name of ``columns`` is not there, or two columns have one name.
-    """
-    written = {i: split_header(label)[0] for i, label in enumerate(table.header) if label}
-    given: dict[int, str] = {}
-    for key, wanted in columns.items():
-        # By the names as written: two columns may swap theirs.
-        hits = [i for i, name in written.items() if key.strip() in (name, table.header[i])]
-        if not hits:
-            raise MeasurementError(
-                f"{table.source}: there is no column '{key}', which --columns maps to '{wanted}'"
-                f"{did_you_mean(key, written.values())}. {list_columns(table)}"
-            )
-        given |= dict.fromkeys(hits, wanted)
-    meant = {*reserved(), *ORIENTATION, *ROLL_PITCH_YAW, STATUS}
-    named: dict[str, Column] = {}
-    groups: list[Column] = []
-    for i in written:
-        label = table.header[i]
-        name, symbol = split_header(given.get(i, label))
-        if name == IGNORE and i in given:
-            continue
-        own = split_header(label)[1]
-        if None not in (symbol, own) and symbol != own:
-            raise MeasurementError(
-                f"{table.source}, column '{label}': --columns gives it another unit, '{given[i]}'. Correct one of them."
-            )
-        column = Column(i, label, name, symbol or own)
-        if column.name.casefold() in meant and column.name not in joint_names:
-            column = replace(column, name=column.name.casefold())
-        if column.name == "group":
-            groups.append(column)
-        # Columns that only happen to be called 'group' were hardly meant to be joined.
-        joined = column.name == "group" and any(one.index in given for one in groups)
-        if column.name in named and not joined:
-            first = named[column.name]
-            raise MeasurementError(
-                f"{table.source}: two columns are called '{column.name}': number {first.index + 1} ('{first.label}') "
-                f"and number {i + 1} ('{column.label}'). Rename one, or leave one out: --columns \"{column.label}=-\"."
-            )
-        named.setdefault(column.name, column)
-    return named, tuple(groups)
-
-
-def with_unit(
-    table: Table, column: Column, quantity: Quantity | None, what: str = "", common: str = ""
-) -> Column:
-    """The column, which must be in a unit of this quantity, or have none; ``what`` it is, and a unit to propose.
-
-    Raises:
-        MeasurementError: It has no unit, or one of another quantity.
-    """
-    unit, where = column.unit, f"{table.source}, column '{column.label}'{f' ({what})' * bool(what)}"
-    if quantity is None:
-        if column.symbol not in (None, "", "-", "1"):
-            raise MeasurementError(f"{where}: '{column.symbol}' cannot be; there is no unit here.")
-        return column
-    if unit is not None and unit.quantity == quantity:
-        return column
-    header = f"{split_header(column.label)[0]} [{common or COMMON[quantity]}]"
-    fault = f"'{column.symbol}' is not a unit of {quantity}"
-    raise MeasurementError(
-        f"{where}: {fault if column.symbol else 'the column has no unit'}. Write the header '{header}', or --columns "
-        f'"{header.replace(" [", f"={column.name} [")}"; allowed are {choices(symbols(quantity))}.'
-    )
-
-
-# Numbers
-
-
-def implausible(
-    values: Array, units: Sequence[Unit], *, near: bool = True
-) -> tuple[int, int, str] | None:
-    """The row and column of a length, of places (N, k) as written, that cannot be in this unit, and why; else None.
-
-    The place furthest from the origin is further than a cell is wide, or, if ``near``, all are at the origin.
-    """
-    metres = np.nan_to_num(values) * [unit.to_si for unit in units]
-    distance = np.hypot.reduce(metres, axis=1)  # does not square: a huge number stays one
-    row = int(np.argmax(distance))
-    if not distance[row] <= _FAR_M:
-        what = f"further from the origin than {_FAR_M:g} m"
-    elif near and distance[row] < _NEAR_M and units[0].symbol != "m":
-        what = f"and none is further from the origin than {_NEAR_M * 1e3:g} mm"
-    else:
-        return None
-    k = int(np.argmax(np.abs(metres[row])))
-    fits = [u for u in ("mm", "m", "um") if 0.01 <= abs(values[row, k]) * UNITS[u].to_si <= 20.0]
-    fix = "Correct the value."
-    if fits and fits[0] != units[k].symbol:
-        fix = f"If it is in {fits[0]}, say so in the header: [{fits[0]}]."
-    return row, k, f"{values[row, k]:.10g} was read as {metres[row, k]:.6g} m, {what}. {fix}"
+    sha256 = hashlib.sha256(data).hexdigest()
+    return source, sha256, text.replace("\r\n", "\n").replace("\r", "\n")

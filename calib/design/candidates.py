@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from calib.errors import ModelError
 from calib.jobs import Progress
-from calib.robot.readback import column_limits, joint_ranges
+from calib.robot.ranges import column_limits, joint_ranges
 from calib.robot.robot import Robot, read_only
 from calib.units import UNITS, Array
 

@@ -27,7 +27,7 @@ from calib.design.sensitivity import Sensitivity
 from calib.registration.registration import register
 from calib.registration.table_rows import rows_of
 from calib.robot.kernel import over_blocks
-from calib.robot.readback import spread_between
+from calib.robot.ranges import spread_between
 from calib.robot.robot import Robot, read_only
 from calib.units import Array
 

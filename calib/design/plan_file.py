@@ -17,9 +17,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import calib.data.kinds as registry
-from calib.data.layout import Layout, read_values
+from calib.data.columns import DEFAULT_TARGET, QUATERNION, name_columns
+from calib.data.layout import Layout
 from calib.data.measurements import Measurements
-from calib.data.table import DEFAULT_TARGET, EXPECTED, POINT, QUATERNION, Table, name_columns
+from calib.data.table import EXPECTED, POINT, Table
+from calib.data.values import read_values
 from calib.design.forecast import Forecast
 from calib.design.plan import Plan
 from calib.errors import MeasurementError

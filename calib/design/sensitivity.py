@@ -11,8 +11,8 @@ import numpy as np
 
 import calib.data.kinds as registry
 from calib.data.cell import AUTO, Cell, Tracker
+from calib.data.columns import DEFAULT_TARGET
 from calib.data.measurements import Measurements
-from calib.data.table import DEFAULT_TARGET
 from calib.design.notes import Note
 from calib.errors import ModelError, choices
 from calib.estimate.fitting import Task, model_of
@@ -25,7 +25,8 @@ from calib.registration.setup import Setup
 from calib.registration.table_rows import FIRST_SIGMA_ANGLE
 from calib.registration.table_setup import setup_of
 from calib.result.prediction import without_rigid_motion
-from calib.robot.robot import Robot, gravity_loads, read_only
+from calib.robot.gravity import gravity_loads
+from calib.robot.robot import Robot, read_only
 from calib.units import Array
 
 #: What `auto` is planned for: the largest geometry, so that every smaller one is covered.

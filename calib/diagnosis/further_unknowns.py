@@ -22,7 +22,7 @@ from calib.estimate.prior_terms import PriorTerms
 from calib.estimate.stages import Stage
 from calib.model.dh import zero_poses
 from calib.model.families import ANGLE, LENGTH, ZERO
-from calib.model.kinematics import FRAME, TARGET
+from calib.model.parameters import FRAME, TARGET
 from calib.numerics.errors import rms
 from calib.numerics.likelihood import Priors
 from calib.registration.rows import Rows

@@ -25,7 +25,8 @@ from calib.diagnosis.reasons import Reason, Why
 from calib.diagnosis.stations import SOME_FLAGGED
 from calib.estimate.fitting import Fitted
 from calib.model.error_model import error_model
-from calib.model.kinematics import ErrorModel, Kinematics
+from calib.model.kinematics import Kinematics
+from calib.model.parameters import ErrorModel
 from calib.units import Array, Integers, Mask
 
 #: Noise below this is rounding, in which any test finds patterns [m, rad].

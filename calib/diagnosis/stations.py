@@ -12,7 +12,7 @@ from calib.estimate.fitting import Fitted
 from calib.numerics.likelihood import Priors
 from calib.numerics.repeats import pose_means
 from calib.registration.known_distances import joined_setups
-from calib.selection.cross_validation import only_there
+from calib.selection.held_out import seen_only_by
 from calib.units import Mask
 
 #: With fewer degrees of freedom set-ups are not compared.
@@ -42,7 +42,7 @@ def disagreeing_stations(fitted: Fitted) -> tuple[Reason, ...]:
         x, covariance, freedom = (
             f[0] for f in linear.fit(weights[None], problem.rho, of_fit, priors)
         )
-        loose = only_there(fitted, own)
+        loose = seen_only_by(fitted, own)
         x = np.where(loose, estimate.x, x)
         rest = np.where(linear.used, linear.residual(x) / noise, 0.0)
         # Repeats count for one measurement where they share what the model lacks.

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from calib.blas import one_blas_thread
 from calib.data.cell import Cell, Priors
 from calib.errors import MeasurementError, ModelError, choices
 from calib.estimate.linear import Linear
@@ -17,15 +18,15 @@ from calib.estimate.problem import Problem
 from calib.estimate.sole_postures import open_directions, open_scores, sole_postures, updated
 from calib.estimate.stages import Stage, staged
 from calib.model.error_model import error_model
-from calib.model.kinematics import FRAME, TARGET, ErrorModel, Kinematics, Parameter, Samples
+from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import steps
+from calib.model.parameters import FRAME, TARGET, ErrorModel, Parameter
 from calib.numerics.scores import Limits
 from calib.numerics.solvers import SOLVERS, Solution, Solver, paper_levenberg_marquardt
 from calib.registration.known_distances import KnownDistance
 from calib.registration.registration import register, register_unseen
 from calib.registration.rows import Rows
 from calib.registration.setup import Setup
-from calib.robot.kernel import one_blas_thread
 from calib.robot.robot import Robot, read_only
 from calib.units import Array, Mask
 

@@ -17,11 +17,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.model.kinematics import FRAME, TARGET, Kinematics
+from calib.model.kinematics import Kinematics
+from calib.model.parameters import FRAME, TARGET
 from calib.numerics.errors import rms
 from calib.registration.known_distances import KnownDistance
 from calib.registration.rows import Rows
-from calib.robot.readback import spread_poses
+from calib.robot.ranges import spread_poses
 from calib.robot.robot import read_only
 from calib.units import Array, Mask
 

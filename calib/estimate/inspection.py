@@ -12,12 +12,13 @@ from calib.data.measurements import Measurements
 from calib.errors import ModelError
 from calib.estimate.fitting import Task, model_of
 from calib.estimate.problem import Problem
-from calib.model.kinematics import ErrorModel, Kinematics
+from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability
+from calib.model.parameters import ErrorModel
 from calib.registration.known_distances import known_distances
 from calib.registration.registration import register
 from calib.registration.table_rows import rows_of
-from calib.robot.readback import spread_poses
+from calib.robot.ranges import spread_poses
 from calib.robot.robot import Robot
 from calib.units import Array
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.data.cell import Cell
 from calib.errors import ModelError
-from calib.model.kinematics import FRAME, TARGET, ErrorModel
+from calib.model.parameters import FRAME, TARGET, ErrorModel
 from calib.registration.setup import Setup
 from calib.robot.robot import rigid_inverse
 from calib.units import Array, Mask

@@ -31,7 +31,7 @@ from scipy.special import stdtrit
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import NO
 from calib.files import JsonLayout
-from calib.model.kinematics import FRAME, TARGET
+from calib.model.parameters import FRAME, TARGET
 from calib.result.calibration import CalibrationValues
 from calib.text.fleet import data_text, few_text, figure_text
 from calib.units import Array, Mask

@@ -20,7 +20,8 @@ from calib.formats.universal_robots import Source, read_ur, write_ur_conf, write
 from calib.formats.ur_arms import Mount, UrModel, the_mount, ur_model, ur_robot
 from calib.model.dh import HAYATI, MODIFIED, STANDARD
 from calib.result.calibration_file import read_result
-from calib.robot.readback import check_written, random_joint_values
+from calib.robot.ranges import random_joint_values
+from calib.robot.readback import check_written
 from calib.robot.robot import Robot
 from calib.robot.xacro_file import is_xacro
 

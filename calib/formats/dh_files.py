@@ -27,7 +27,8 @@ from calib.model.dh import (
     near_parallel,
     taken_as_parallel,
 )
-from calib.robot.readback import TOLERANCE, column_ranges, spread_between
+from calib.robot.ranges import column_ranges, spread_between
+from calib.robot.readback import TOLERANCE
 from calib.robot.robot import Robot, rigid_inverse
 
 Code = Literal[

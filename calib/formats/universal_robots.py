@@ -50,7 +50,7 @@ from calib.formats.ur_arms import (
     ur_robot,
 )
 from calib.model.dh import STANDARD, dh_table
-from calib.robot.readback import random_joint_values
+from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot, read_only
 from calib.units import NUMBER, Array
 

@@ -22,23 +22,14 @@ from calib.errors import ModelError, choices
 from calib.model.dh import dh_frames, dh_table, screw, zero_poses
 from calib.model.families import (
     ANGLE,
-    ENDS,
     LENGTH,
     ZERO,
-    factor_of,
-    family_of,
     joint_families,
 )
-from calib.model.kinematics import (
-    FRAME,
-    TARGET,
-    TIP,
-    ErrorModel,
-    Parameter,
-)
-from calib.robot.readback import spread_poses
-from calib.robot.robot import GRAVITY, Robot, gravity_loads, read_only, rigid_inverse
-from calib.robot.urdf import UrdfJoint
+from calib.model.joint_errors import axis_twists, joint_parameters
+from calib.model.parameters import FRAME, TARGET, TIP, ErrorModel, Parameter, twist_of
+from calib.robot.gravity import GRAVITY
+from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.units import Array
 
 DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")  #: Of a frame or a placement.
@@ -49,9 +40,6 @@ _TWISTS = {one: read_only(row) for one, row in zip(DIRECTIONS, np.eye(6), strict
 
 OWN = "own"  #: The name of a set of parameters that was given, not named.
 _ALIGNED = 1e-6  #: An axis within this of a coordinate axis is one [rad].
-
-#: Lever arms that differ by less at so many poses are one [m].
-_NO_LEVER, _POSES = 1e-6, 20
 
 
 def error_model(
@@ -185,19 +173,19 @@ def _dh_parameters(robot: Robot, *, hayati: bool = False) -> list[Parameter]:
         if robot.carriers[number] is not None:
             T = rigid_inverse([*T_base_joint, T_base_tip][number]) @ frame
             x, origin = T[:3, 0], T[:3, 3]
-            about = _twist(np.cross(origin, x), x)
+            about = twist_of(np.cross(origin, x), x)
             behind += [
-                Parameter(f"a{number}", "m", places[i], _twist(x, zeros), LENGTH, row.a),
+                Parameter(f"a{number}", "m", places[i], twist_of(x, zeros), LENGTH, row.a),
                 Parameter(f"alpha{number}", "rad", places[i], about, ANGLE, row.alpha),
             ]
             if parallel:
                 y = (T @ screw(1, row.beta, 0.0))[:3, 1]
-                about = _twist(np.cross(origin, y), y)
+                about = twist_of(np.cross(origin, y), y)
                 behind.append(Parameter(f"beta{number}", "rad", places[i], about, ANGLE, row.beta))
         if not parallel:
-            own.append(_before_joint(robot, i, f"d{number}", _twist(axis, zeros), LENGTH, row.d))
+            own.append(_before_joint(robot, i, f"d{number}", twist_of(axis, zeros), LENGTH, row.d))
         family = ANGLE if row.prismatic else ZERO
-        turn = _twist(zeros, axis)
+        turn = twist_of(zeros, axis)
         own.append(_before_joint(robot, i, f"theta{number}", turn, family, row.theta))
         # Where d and theta act at the same place as a and alpha, they come first, as in the row's product.
         parameters += behind + own if robot.carriers[i] is not None else own + behind
@@ -252,54 +240,3 @@ MODELS: dict[str, Callable[[Robot], list[Parameter]]] = {
     "zeros": _zero_parameters,
     "frames": lambda _robot: [],  # no error of the robot: frame and target alone
 }
-
-
-def joint_parameters(robot: Robot, family: str, gravity: ArrayLike = GRAVITY) -> list[Parameter]:
-    """The parameters of one family of the joints' state, named ``<joint>.gain`` and so on; ModelError without such."""
-    row = family_of(family)
-    joints = robot.joints if row.every_joint else robot.inputs
-    units = [(j, row.sliding if j.type == "prismatic" else row.unit) for j in joints]
-    factors = [(j, u, f) for j, u in units for f in row.factors if u is not None]
-    if any(f.later for f in row.factors):
-        points = _later_points(robot, tuple(np.asarray(gravity, dtype=np.float64).tolist()))
-        factors = [
-            (j, u, factor_of(f"{f.name}[{point}]"))
-            for j, u, f in factors
-            for point in points[j.name]
-        ]
-    return [
-        Parameter(f"{j.name}.{f.name}", u.symbol, j.name, _joint_twist(j), family, factor=f)
-        for j, u, f in factors
-    ]
-
-
-@lru_cache(maxsize=16)
-def _later_points(robot: Robot, gravity: tuple[float, ...]) -> dict[str, list[str]]:
-    """The points at which a mass loads each joint: of those that it cannot tell apart the first."""
-    levers = gravity_loads(robot, spread_poses(robot, _POSES), None, gravity)[:, :, 1:]
-    names = (*(joint.name for joint in robot.joints), *ENDS)
-    points: dict[str, list[str]] = {}
-    for i, joint in enumerate(robot.joints):
-        told = [np.zeros(len(levers))]
-        points[joint.name] = own = []
-        for name, column in zip(names, levers[:, i].T, strict=True):
-            if all(np.abs(column - other).max() > _NO_LEVER for other in told):
-                told.append(column)
-                own.append(name)
-    return points
-
-
-def axis_twists(robot: Robot) -> Array:
-    """The twist of a unit of each joint of the chain, in its own frame, shape (n, 6)."""
-    return read_only([_joint_twist(joint) for joint in robot.joints])
-
-
-def _joint_twist(joint: UrdfJoint) -> Array:
-    """The twist of a unit of a joint."""
-    zeros = np.zeros(3)
-    return _twist(joint.axis, zeros) if joint.type == "prismatic" else _twist(zeros, joint.axis)
-
-
-def _twist(linear: Array, angular: Array) -> Array:
-    """A twist, linear part first, read-only."""
-    return read_only(np.concatenate([linear, angular]))

@@ -70,7 +70,7 @@ class JointState:
     joint_names: tuple[str, ...]  #: The m measured joints.
     values: Array  #: shape (N, m), of all measured joints, [rad] or [m].
     chain: tuple[str, ...] = ()  #: Names of the n joints of the chain.
-    #: shape (N, n, n + 3), see `calib.robot.robot.gravity_loads`; None if not known.
+    #: shape (N, n, n + 3), see `calib.robot.gravity.gravity_loads`; None if not known.
     loads: Array | None = None
     point: str = ""  #: Of which point of the chain a mass is asked for: the joint that lies there, or of `ENDS`.
 

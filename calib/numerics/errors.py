@@ -62,9 +62,9 @@ class Errors:
 class CrossValidation:
     """Errors on rows that the fit did not see."""
 
-    method: str  # ``"leave-one-out"``, ``"leave-one-pose-out"``, ``"leave-one-set-up-out"``, ``"10-fold"``, ...
+    method: str  # ``"leave-one-out"``, ``"leave-one-pose-out"``, ``"leave-one-station-out"``, ``"10-fold"``, ...
     folds: int  # Number of fits
-    poses: Integers  # (N,), the pose of each row, see `calib.registration.same_poses`
+    poses: Integers  # (N,), from 0: rows of one number are of one pose or of one pair, and held out together
     residual: Array  # (N, D), measured minus predicted by the fit without the row [m], [rad]
     errors: Errors  # Of all rows
     errors_without_outliers: Errors  # Of the rows that the fit to all rows did not flag

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calib.data.cell import vector
-from calib.robot.readback import joint_ranges
+from calib.robot.ranges import joint_ranges
 from calib.robot.robot import Robot
 from calib.units import Array
 

@@ -6,7 +6,8 @@ import numpy as np
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.robot.robot import Robot, gravity_loads
+from calib.robot.gravity import gravity_loads
+from calib.robot.robot import Robot
 from calib.units import Array
 
 
@@ -20,7 +21,7 @@ def joint_loads(robot: Robot, m: Measurements, cell: Cell, q: Array) -> Array:
         q: shape (N, m), their joint values in the robot's order.
 
     Returns:
-        shape (N, n, n + 3), see `calib.robot.robot.gravity_loads`.
+        shape (N, n, n + 3), see `calib.robot.gravity.gravity_loads`.
     """
     load = gravity_loads(robot, q, cell.payload, cell.gravity)
     torques = np.empty((0, 0)) if m.torques is None else m.torques.T

@@ -13,8 +13,8 @@ import numpy as np
 
 from calib.errors import MeasurementError
 from calib.model.error_model import DIRECTIONS, frame_and_target_model
-from calib.model.kinematics import ErrorModel
 from calib.model.observability import steps
+from calib.model.parameters import ErrorModel
 from calib.numerics.solvers import levenberg_marquardt
 from calib.registration.rows import LENGTHS, NONE, Rows
 from calib.registration.setup import Setup

@@ -8,7 +8,8 @@ from itertools import compress
 
 import numpy as np
 
-from calib.model.kinematics import FRAME, TARGET, ErrorModel, Parameter, Samples
+from calib.model.kinematics import Samples
+from calib.model.parameters import FRAME, TARGET, ErrorModel, Parameter
 from calib.robot.robot import read_only
 from calib.units import Array, Mask
 

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 import calib.report.figure_base as base
 from calib.result.calibration import CalibrationValues
-from calib.robot.readback import spread_poses
+from calib.robot.ranges import spread_poses
 from calib.units import Array
 
 #: The two axes of each view, and what it is called.

@@ -22,7 +22,7 @@ from calib.errors import FileError
 from calib.files import make_folder, write_atomically
 from calib.report.figure_base import check_kind, rows_text, saved, styled
 from calib.result.calibration import CalibrationValues
-from calib.robot.readback import SPREAD
+from calib.robot.ranges import SPREAD
 
 #: The file of the captions, beside the figures.
 CAPTIONS = "captions.md"

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.blas import one_blas_thread
 from calib.data.cell import AUTO, Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.coverage import outside
@@ -24,8 +25,9 @@ from calib.estimate.extrapolation import extrapolation
 from calib.estimate.fitting import Fitted, Task, fit
 from calib.jobs import Progress
 from calib.model.error_model import OWN, split_name
-from calib.model.kinematics import Parameter, Samples
+from calib.model.kinematics import Samples
 from calib.model.observability import Observability
+from calib.model.parameters import Parameter
 from calib.numerics.errors import CrossValidation, rms
 from calib.numerics.repeats import Repeats, repeats
 from calib.numerics.scores import Limits
@@ -48,19 +50,14 @@ from calib.result.prediction import (
     tells_place,
 )
 from calib.result.robustness import compare_weights
-from calib.robot.kernel import one_blas_thread
-from calib.robot.readback import spread_poses
-from calib.robot.robot import Robot, gravity_loads, read_only
+from calib.robot.gravity import gravity_loads
+from calib.robot.ranges import spread_poses
+from calib.robot.robot import Robot, read_only
+from calib.selection.candidates import Candidate, alternative_models, mark_chosen
 from calib.selection.cross_validation import cross_validation, nominal_cross_validation
-from calib.selection.selection import (
-    Candidate,
-    alternatives,
-    check_names,
-    judged_by,
-    marked,
-    select,
-    widest,
-)
+from calib.selection.ladder import check_parameter_names
+from calib.selection.reference_fit import fit_with_all_families, with_better_weights
+from calib.selection.selection import select
 from calib.units import Array, Mask
 
 #: A smaller share of outliers is not worth the time that a non-geometric model takes.
@@ -149,7 +146,7 @@ def fit_table(
     told, distances = setup.as_known(~frames, ~targets), known_distances(cell, setup)
     task = Task(robot, cell, told, model, distances, solver, robust)
     if hint and model == AUTO:  # nothing that is told of such a fit means anything
-        check_names(task)
+        check_parameter_names(task)
         task = replace(task, model="zeros", lenient=True)
     fitted, non_geometric, candidates = _fitted(task, rows)
     if isinstance(model, str) and not (hint or non_geometric or candidates):
@@ -167,7 +164,7 @@ def _fitted(task: Task, rows: Rows) -> tuple[Fitted, Fitted | None, tuple[Candid
         return fit(replace(task, model="dh", lenient=True), rows), None, ()
     if task.model == AUTO:
         chosen = select(task, rows)
-        base, candidates, judge = chosen.geometry, chosen.candidates, chosen.judge
+        base, candidates, judge = chosen.geometry, chosen.candidates, chosen.reference
     else:
         base = split_name(task.model)[0] if isinstance(task.model, str) else OWN
         candidates, judge = (), fit(task, rows)
@@ -175,7 +172,7 @@ def _fitted(task: Task, rows: Rows) -> tuple[Fitted, Fitted | None, tuple[Candid
         return judge, None, candidates
     rows = replace(rows, sole=judge.estimate.problem.rows.sole)
     own = fit(replace(task, model=base, lenient=True), rows, started=judge.setup)
-    return judged_by(own, rows, judge), judge, candidates
+    return with_better_weights(own, rows, judge), judge, candidates
 
 
 def _judged(fitted: Fitted, m: Measurements) -> Fitted:
@@ -187,15 +184,15 @@ def _judged(fitted: Fitted, m: Measurements) -> Fitted:
     if len(rows) > _MANY and _outliers_of_few(fitted, m):
         return fitted
     rows = _loaded(fitted, m, np.ones(len(rows), dtype=bool))
-    judge = widest(fitted, rows)
+    judge = fit_with_all_families(fitted, rows)
     none_is_good = np.all(judge.estimate.outliers[flagged])
-    return fitted if none_is_good else judged_by(fitted, rows, judge)
+    return fitted if none_is_good else with_better_weights(fitted, rows, judge)
 
 
 def _outliers_of_few(fitted: Fitted, m: Measurements) -> bool:
     """Confirm that a non-geometric model fitted to a part of the rows calls every outlier one too."""
     rows, flagged = fitted.estimate.problem.rows, fitted.estimate.outliers
-    judge = widest(fitted, _loaded(fitted, m, rows.evenly(_MANY)))
+    judge = fit_with_all_families(fitted, _loaded(fitted, m, rows.evenly(_MANY)))
     chosen = rows.with_partners(flagged)
     scores = judge.unseen_scores(_loaded(fitted, m, chosen))[flagged[chosen]]
     limit = Limits.of(len(rows), judge.estimate.freedom).flagged
@@ -280,7 +277,7 @@ def _contenders(m: Measurements, fits: Fits, chosen: Fitted) -> Iterator[Fitted]
     """The non-geometric model that was chosen, then the alternatives, each fitted when it is its turn."""
     yield chosen
     others = fits.every.select(m.validation)
-    for name in alternatives(fits.candidates):
+    for name in alternative_models(fits.candidates):
         fitted = fit(replace(chosen.task, model=name), fits.rows)
         yield fitted.with_unseen(fits.unseen, others)
 
@@ -292,7 +289,7 @@ def _with_non_geometric(fits: Fits, non_geometric: Fitted | None) -> Fits:
         "" if non_geometric is None else str(non_geometric.task.model),
     )
     return replace(
-        fits, non_geometric=non_geometric, candidates=marked(fits.candidates, geometry, name)
+        fits, non_geometric=non_geometric, candidates=mark_chosen(fits.candidates, geometry, name)
     )
 
 

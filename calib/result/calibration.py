@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from calib.data.cell import Cell
+from calib.data.columns import SETS
 from calib.data.measurements import Measurements
-from calib.data.table import SETS
 from calib.diagnosis.coverage import OutsideRow, outside
 from calib.diagnosis.reasons import Verdict
 from calib.errors import ModelError, choices
@@ -27,8 +27,9 @@ from calib.numerics.solvers import Solution
 from calib.registration.setup import Setup
 from calib.result.prediction import NonGeometric, Outlier, ParameterEstimate, Solved, tells_place
 from calib.result.robustness import Robustness
-from calib.robot.robot import Payload, Robot, rigid_inverse
-from calib.selection.selection import Candidate
+from calib.robot.payload import Payload
+from calib.robot.robot import Robot, rigid_inverse
+from calib.selection.candidates import Candidate
 from calib.units import Array, Mask
 
 #: Values that stand for all those between the ends of a measured range.

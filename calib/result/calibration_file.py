@@ -30,16 +30,18 @@ from calib.files import (
     write_atomically,
 )
 from calib.model.families import FAMILIES, Factor, factor_of
-from calib.model.kinematics import ErrorModel, Kinematics, Parameter
+from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability
+from calib.model.parameters import ErrorModel, Parameter
 from calib.numerics.errors import CrossValidation, Errors
 from calib.numerics.repeats import Repeats
 from calib.result.calibration import CalibrationValues, Source
 from calib.result.prediction import NonGeometric, Outlier, Solved
 from calib.result.robustness import Robustness
-from calib.robot.robot import Payload, Robot, read_only
+from calib.robot.payload import Payload
+from calib.robot.robot import Robot, read_only
 from calib.robot.urdf import Urdf
-from calib.selection.selection import Candidate
+from calib.selection.candidates import Candidate
 from calib.units import Array
 from calib.version import __version__
 

@@ -36,11 +36,12 @@ from scipy.special import fdtrc, ndtri
 from calib.diagnosis.reasons import NO
 from calib.errors import ModelError
 from calib.model.error_model import DIRECTIONS
-from calib.model.kinematics import FRAME, TARGET, Kinematics
+from calib.model.kinematics import Kinematics
 from calib.model.observability import steps
+from calib.model.parameters import FRAME, TARGET
 from calib.result.calibration import CalibrationValues
 from calib.result.calibration_file import read_result
-from calib.robot.readback import spread_between, spread_poses
+from calib.robot.ranges import spread_between, spread_poses
 from calib.robot.robot import Robot
 from calib.units import Array
 

@@ -30,7 +30,7 @@ from calib.model.families import FAMILIES, joint_families
 from calib.registration.registration import ENOUGH
 from calib.registration.rows import LENGTHS, Rows
 from calib.result.calibration import CalibrationValues
-from calib.robot.readback import column_ranges, spread_poses
+from calib.robot.ranges import column_ranges, spread_poses
 from calib.robot.robot import Robot
 from calib.units import Mask
 

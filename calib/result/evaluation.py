@@ -22,9 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from calib.blas import one_blas_thread
 from calib.data.cell import Cell
+from calib.data.columns import DEFAULT_TARGET
 from calib.data.measurements import Measurements
-from calib.data.table import DEFAULT_TARGET
 from calib.diagnosis.reasons import Reason, Why
 from calib.errors import CalibError, MeasurementError, ModelError, choices
 from calib.model.error_model import DIRECTIONS
@@ -35,7 +36,6 @@ from calib.registration.setup import Setup
 from calib.registration.table_rows import rows_of
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import NonGeometric
-from calib.robot.kernel import one_blas_thread
 from calib.robot.robot import Robot, read_only
 from calib.units import Array, Mask
 

@@ -9,13 +9,13 @@ import numpy as np
 from calib.diagnosis.reasons import NO, Reason, Why
 from calib.diagnosis.verdict import Evidence
 from calib.estimate.fitting import Fitted
-from calib.model.kinematics import FRAME, TARGET
+from calib.model.parameters import FRAME, TARGET
 from calib.numerics.errors import Errors
 from calib.registration.rows import Rows
 from calib.result.calibration import CalibrationValues
 from calib.result.doubts import noise_doubts
 from calib.result.prediction import NonGeometric, Solved, without_rigid_motion
-from calib.robot.readback import spread_poses
+from calib.robot.ranges import spread_poses
 from calib.units import Array, Mask
 
 #: A share of validation rows up to which those that do not fit are set aside as accidents.

@@ -17,12 +17,15 @@ import numpy as np
 import calib.data.kinds as registry
 from calib.diagnosis.reasons import Verdict
 from calib.estimate.fitting import Fitted
-from calib.model.kinematics import FRAME, TARGET, ErrorModel, Kinematics, Samples
+from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability
+from calib.model.parameters import FRAME, TARGET, ErrorModel
 from calib.numerics.errors import CrossValidation, rms
 from calib.numerics.intervals import interval_factor
 from calib.registration.setup import Setup
-from calib.robot.robot import Payload, Robot, gravity_loads, read_only
+from calib.robot.gravity import gravity_loads
+from calib.robot.payload import Payload
+from calib.robot.robot import Robot, read_only
 from calib.units import Array
 
 #: Points that lie nearer to a line than this tell nothing of a turn about it [m].

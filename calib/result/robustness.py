@@ -13,7 +13,7 @@ from calib.errors import MeasurementError
 from calib.estimate.fitting import Fitted, fit
 from calib.numerics.errors import Errors
 from calib.result.prediction import without_rigid_motion
-from calib.selection.cross_validation import linear_cross_validation
+from calib.selection.linear_folds import linear_cross_validation
 
 
 @dataclass(frozen=True, slots=True, eq=False)

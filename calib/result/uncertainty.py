@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtri, gammaincinv
 
+from calib.blas import one_blas_thread
 from calib.errors import CalibError, ModelError
 from calib.estimate.fitting import Fitted
 from calib.jobs import Progress, batch_size, run
@@ -28,8 +29,7 @@ from calib.numerics.errors import rms
 from calib.numerics.solvers import levenberg_marquardt
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import ParameterEstimate, without_rigid_motion
-from calib.robot.kernel import one_blas_thread
-from calib.robot.readback import spread_poses
+from calib.robot.ranges import spread_poses
 from calib.robot.robot import read_only
 from calib.units import Array, Integers
 

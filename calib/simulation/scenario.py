@@ -21,15 +21,15 @@ from scipy.spatial.transform import Rotation
 import calib.data.kinds as registry
 from calib.data.cell import Cell, TrackerNoise
 from calib.data.cell_file import DEGREES, MM, POINT, TEXT, Field, numbers, read_table, read_toml
+from calib.data.columns import SETS
 from calib.data.kinds import Kind
 from calib.data.measurements import Measurements
-from calib.data.table import SETS
 from calib.errors import CalibError, choices
 from calib.files import json_bytes, write_atomically
 from calib.model.error_model import error_model
 from calib.model.families import unit_of
-from calib.model.kinematics import ErrorModel
-from calib.robot.readback import joint_ranges
+from calib.model.parameters import ErrorModel
+from calib.robot.ranges import joint_ranges
 from calib.robot.robot import Robot, read_only
 from calib.simulation.truth import (
     NONE,

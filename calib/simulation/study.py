@@ -27,7 +27,8 @@ from calib.model.kinematics import Samples
 from calib.numerics.errors import rms
 from calib.result.calibrate import calibrate, fit_table
 from calib.result.prediction import without_rigid_motion
-from calib.robot.robot import gravity_loads, rigid_inverse
+from calib.robot.gravity import gravity_loads
+from calib.robot.robot import rigid_inverse
 from calib.simulation.scenario import DEFAULT_TRACKER, Scenario, Simulated
 from calib.simulation.truth import Truth
 from calib.units import Array

@@ -24,13 +24,17 @@ from scipy.spatial.transform import Rotation
 
 import calib.data.kinds as registry
 from calib.data.cell import Cell
-from calib.data.table import DEFAULT_TARGET
+from calib.data.columns import DEFAULT_TARGET
 from calib.errors import CalibError, ModelError, choices
 from calib.model.error_model import error_model, split_name
 from calib.model.families import FAMILIES, unit_of
-from calib.model.kinematics import ErrorModel, Kinematics, Samples
-from calib.robot.readback import check_written, random_joint_values
-from calib.robot.robot import Payload, Robot, gravity_loads, read_only, rigid_inverse
+from calib.model.kinematics import Kinematics, Samples
+from calib.model.parameters import ErrorModel
+from calib.robot.gravity import gravity_loads
+from calib.robot.payload import Payload
+from calib.robot.ranges import random_joint_values
+from calib.robot.readback import check_written
+from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.units import Array, parse_amount
 
 #: Where the target is said to sit on the tip, if nothing else is said [m]: off the last axis, so that all is seen.

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calib.robot.readback import spread_poses
+from calib.robot.ranges import spread_poses
 from calib.text.lines import fill
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calib.robot.readback import range_text
+from calib.robot.ranges import range_text
 from calib.text.lines import fill, row_ranges
 
 if TYPE_CHECKING:

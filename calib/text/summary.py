@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 import calib.data.kinds as registry
 from calib.model.error_model import placed_name
 from calib.model.families import FAMILIES, unit_of
-from calib.model.kinematics import FRAME, TARGET
 from calib.model.observability import Combination
+from calib.model.parameters import FRAME, TARGET
 from calib.numerics.errors import Errors
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import Outlier, ParameterEstimate
@@ -48,8 +48,8 @@ _NOTHING = 2e-3
 _LEFT_OUT = {
     "leave-one-out": "each row predicted from the others alone",
     "leave-one-pose-out": "each pose, repeats and all, predicted from the others alone",
-    "leave-one-set-up-out": "each set-up predicted from the others, but for its own frame",
-    "leave-set-ups-out": "some set-ups predicted from the others, but for their own frames",
+    "leave-one-station-out": "each station predicted from the others, but for its own frame",
+    "leave-stations-out": "some stations predicted from the others, but for their own frames",
     "10-fold": "a tenth of the poses at a time, predicted from the others",
 }
 

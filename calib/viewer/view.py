@@ -24,9 +24,9 @@ from calib.report.figure_base import angles_of, flagged_rows, lengths_of, measur
 from calib.result.calibration import CalibrationValues
 from calib.result.comparison import ComparisonValues
 from calib.result.evaluation import PLACES, Evaluation, evaluate
-from calib.robot.chain import full_configurations, full_model, link_frame
+from calib.robot.full_model import full_configurations, full_model, link_frame
 from calib.robot.meshes import LinkShape, find_mesh, link_shapes, mesh_folders, read_mesh
-from calib.robot.readback import column_ranges, spread_poses
+from calib.robot.ranges import column_ranges, spread_poses
 from calib.robot.robot import Robot, rigid_inverse
 from calib.robot.urdf import Urdf
 from calib.text.comparison import sentence

@@ -12,7 +12,7 @@ import pytest
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.example import PAPER_TARGET, paper_urdf
-from calib.robot.readback import random_joint_values
+from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from tests.circle_points.virtual_sweeps import virtual_sweeps, write_sweeps
 

@@ -107,7 +107,9 @@ def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from calib.data.measurements import Measurements
     from calib.example import paper_urdf
     from calib.result.calibration_file import write_result
-    from calib.robot.robot import Payload, Robot, gravity_loads, read_only
+    from calib.robot.gravity import gravity_loads
+    from calib.robot.payload import Payload
+    from calib.robot.robot import Robot, read_only
 
     folder = tmp_path_factory.mktemp("large")
     shutil.copy(paper_urdf(), folder / "robot.urdf")

@@ -16,7 +16,7 @@ import pytest
 
 import calib
 from calib.data.measurements import Measurements
-from calib.robot.readback import random_joint_values
+from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 
 DOC = Path(__file__).parents[2] / "docs" / "command-line.md"

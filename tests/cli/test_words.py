@@ -11,7 +11,7 @@ import pytest
 
 from calib.cli.words import parse_held, parse_pair, parse_payload, parse_point
 from calib.errors import CalibError
-from calib.robot.robot import Payload
+from calib.robot.payload import Payload
 from calib.units import Angle, Length
 
 

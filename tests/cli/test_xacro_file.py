@@ -14,7 +14,7 @@ import pytest
 
 from calib.example import paper_measurements
 from calib.formats.origins import origins_of, read_origins
-from calib.robot.readback import random_joint_values
+from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.robot.urdf import read_urdf
 

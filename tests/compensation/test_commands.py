@@ -21,7 +21,7 @@ from calib.compensation.inverse import Matching, Solved, solve
 from calib.compensation.nominal_actual import Arm, pair_of
 from calib.compensation.program import Program, read_program
 from calib.errors import VerdictError
-from calib.robot.readback import column_limits, random_joint_values
+from calib.robot.ranges import column_limits, random_joint_values
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from tests.compensation.arms import off, turned

@@ -27,7 +27,7 @@ from calib.model.error_model import error_model
 from calib.numerics.repeats import Repeats
 from calib.result.calibrate import calibrate
 from calib.result.calibration import CalibrationValues
-from calib.robot.readback import random_joint_values
+from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.simulation.truth import draw_truth
 from tests.compensation.arms import off

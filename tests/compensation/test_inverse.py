@@ -9,7 +9,7 @@ from scipy.optimize import minimize
 from calib.compensation.inverse import Matching, following, solve, start_values
 from calib.compensation.nominal_actual import Arm
 from calib.errors import ModelError
-from calib.robot.readback import column_limits, random_joint_values
+from calib.robot.ranges import column_limits, random_joint_values
 from calib.robot.robot import Robot
 from calib.units import Length
 from tests.compensation.arms import off, turned

@@ -9,8 +9,10 @@ from calib.errors import ModelError
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
 from calib.result.prediction import NonGeometric
-from calib.robot.readback import random_joint_values
-from calib.robot.robot import GRAVITY, Payload, Robot, gravity_loads, read_only
+from calib.robot.gravity import GRAVITY, gravity_loads
+from calib.robot.payload import Payload
+from calib.robot.ranges import random_joint_values
+from calib.robot.robot import Robot, read_only
 from tests.compensation.arms import off, turned
 from tests.hard_cases import made
 

@@ -19,11 +19,12 @@ from calib.data.cell import Cell, Priors
 from calib.data.measurements import Measurements
 from calib.model.error_model import DIRECTIONS
 from calib.model.families import FAMILIES
-from calib.model.kinematics import FRAME, Samples
+from calib.model.kinematics import Samples
+from calib.model.parameters import FRAME
 from calib.result.calibrate import calibrate
 from calib.result.calibration import CalibrationValues
-from calib.robot.readback import random_joint_values
-from calib.selection.selection import Candidate
+from calib.robot.ranges import random_joint_values
+from calib.selection.candidates import Candidate
 from tests.hard_cases import made, ur3
 
 KNOWN_BASE = np.zeros((6, 6))

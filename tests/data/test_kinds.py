@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 import calib
 from calib.data import kinds
 from calib.data.cell import TrackerNoise
-from calib.data.kinds import Kind, Reading, get, names, no_rotation, register, to_quaternions
+from calib.data.kinds import Kind, Reading, get, names, register
 from calib.design.plan_file import write_plan
 from calib.errors import CalibError, MeasurementError
 from calib.estimate.inspection import inspect
@@ -215,20 +215,3 @@ def test_poses_are_inspected_and_planned_for_a_kind_from_outside(ur3, tmp_path):
     T[:, :3, 3] = found.expected[:, 0]
     expected = [float(row.split(",")[-1]) for row in written[1:]]
     np.testing.assert_allclose(expected, 1e3 * line_distance(T)[:, 0], atol=1e-3)
-
-
-def test_quaternions_of_matrices():
-    turned = Rotation.random(5, rng=np.random.default_rng(1))
-    quaternions = to_quaternions(np.concatenate([turned.as_matrix(), np.full((1, 3, 3), np.nan)]))
-    assert (quaternions[:5, 3] >= 0).all()
-    assert np.isnan(quaternions[5]).all()
-    again = Rotation.from_quat(quaternions[:5])
-    np.testing.assert_allclose((again * turned.inv()).magnitude(), 0.0, atol=1e-14)
-
-
-@pytest.mark.parametrize(
-    "matrix",
-    [np.diag([1, 1, -1]), np.eye(3) * 1.001, np.full((3, 3), np.nan), np.ones((3, 3))],
-)
-def test_what_is_no_rotation(matrix):
-    assert no_rotation(np.array([np.eye(3), matrix])).tolist() == [False, True]

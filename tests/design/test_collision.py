@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from calib import example
 from calib.data.cell import Box
 from calib.design.collision import CollisionCheck, CollisionModel
-from calib.robot.readback import spread_poses
+from calib.robot.ranges import spread_poses
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from tests.design.fcl_scene import bodies, objects, touch

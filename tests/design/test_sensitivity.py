@@ -18,8 +18,9 @@ from calib.model.kinematics import Kinematics, Samples
 from calib.registration.table_rows import FIRST_SIGMA_ANGLE
 from calib.result.calibrate import calibrate
 from calib.result.prediction import without_rigid_motion
-from calib.robot.readback import random_joint_values, spread_poses
-from calib.robot.robot import Payload, gravity_loads
+from calib.robot.gravity import gravity_loads
+from calib.robot.payload import Payload
+from calib.robot.ranges import random_joint_values, spread_poses
 
 TARGET = np.array([0.05, -0.06, 0.04])
 SIGMA = 1e-4

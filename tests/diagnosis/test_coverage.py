@@ -13,7 +13,7 @@ from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
 from calib.result.calibrate import calibrate
 from calib.result.calibration import CalibrationValues
-from calib.robot.readback import random_joint_values
+from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 
 TYPES = ("revolute",) * 6

@@ -16,9 +16,9 @@ from calib.diagnosis.further_unknowns import (
     motion_of_base,
 )
 from calib.estimate.fitting import Task, fit
-from calib.model.kinematics import FRAME
+from calib.model.parameters import FRAME
 from calib.registration.table_rows import rows_of
-from calib.robot.readback import random_joint_values
+from calib.robot.ranges import random_joint_values
 from tests.judged import arm, table_of
 
 

@@ -20,7 +20,7 @@ from calib.errors import MeasurementError
 from calib.example import PAPER_TARGET, paper_urdf
 from calib.registration.table_rows import rows_of
 from calib.result.calibrate import calibrate
-from calib.robot.readback import random_joint_values
+from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot, read_only
 from calib.simulation.truth import draw_truth
 
@@ -167,10 +167,12 @@ def test_orientations_that_are_written_otherwise(ur3: Robot, change, why, values
 def test_every_mistake_of_the_study_is_named_by_its_cause():
     sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
     study = importlib.import_module("mistakes_study")
-    cells = [cell for what in study.MISTAKES for cell in study.line(what, free=False) if cell]
-    assert len(cells) == 60
-    assert np.mean([right for *_, right in cells]) >= 0.9
-    assert all(use == "do not use" for _, use, _ in cells)
+    tables = [(name, kind) for name in study.MISTAKES for kind in study.TABLES]
+    outcomes = [study.outcome(name, kind, free=False) for name, kind in tables]
+    outcomes = [outcome for outcome in outcomes if outcome is not None]
+    assert len(outcomes) == 60
+    assert np.mean([outcome.named for outcome in outcomes]) >= 0.9
+    assert all(outcome.use == "do not use" for outcome in outcomes)
 
 
 def test_a_cell_may_name_targets_that_few_rows_of_a_long_table_see(ur3: Robot):

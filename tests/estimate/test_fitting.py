@@ -15,11 +15,12 @@ from calib.errors import MeasurementError, ModelError
 from calib.estimate.fitting import Task, _pulled_inwards, fit
 from calib.estimate.prior_terms import PriorTerms
 from calib.model.error_model import MODELS, error_model
-from calib.model.kinematics import Kinematics, Parameter
+from calib.model.kinematics import Kinematics
+from calib.model.parameters import Parameter
 from calib.numerics.solvers import SOLVERS, Solution
 from calib.registration.known_distances import known_distances
 from calib.registration.table_rows import rows_of
-from calib.robot.readback import random_joint_values
+from calib.robot.ranges import random_joint_values
 
 OFF = Priors(source="off")
 FREE = Cell(estimate_frame=True, priors=OFF)

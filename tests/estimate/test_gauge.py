@@ -13,10 +13,11 @@ from calib.estimate.fitting import Task, fit
 from calib.estimate.problem import Problem
 from calib.model.dh import dh_table
 from calib.model.error_model import error_model
-from calib.model.kinematics import FRAME, TARGET, Kinematics
+from calib.model.kinematics import Kinematics
+from calib.model.parameters import FRAME, TARGET
 from calib.registration.known_distances import known_distances
 from calib.registration.table_rows import rows_of
-from calib.robot.readback import random_joint_values
+from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from tests.fits import place
 

@@ -12,7 +12,7 @@ from calib.data.cell import Cell, Priors
 from calib.data.measurements import Measurements
 from calib.estimate.fitting import Fitted, Task, fit
 from calib.registration.table_rows import rows_of
-from calib.robot.readback import random_joint_values
+from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.selection.cross_validation import cross_validation
 from calib.simulation.truth import Truth, draw_truth

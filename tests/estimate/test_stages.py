@@ -15,7 +15,8 @@ from calib.estimate.problem import Problem
 from calib.estimate.stages import Stage
 from calib.model.error_model import error_model
 from calib.model.families import ZERO
-from calib.model.kinematics import FRAME, TARGET, Samples
+from calib.model.kinematics import Samples
+from calib.model.parameters import FRAME, TARGET
 from calib.numerics.likelihood import Priors
 from calib.registration.table_rows import rows_of
 

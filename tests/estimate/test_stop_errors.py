@@ -22,8 +22,8 @@ from calib.numerics.likelihood import Priors
 from calib.registration.table_rows import rows_of
 from calib.result.prediction import parameter_estimates
 from calib.result.uncertainty import _fit_sample
-from calib.robot.readback import random_joint_values
-from calib.selection.cross_validation import fold_means
+from calib.robot.ranges import random_joint_values
+from calib.selection.linear_folds import fold_posterior_means
 from tests.fits import joined, place
 
 sys.path.append(str(Path(__file__).parents[2] / "scripts"))
@@ -345,7 +345,7 @@ def test_folds_are_fitted_with_what_stops_share(hand):
     _, fitted = hand
     estimate, problem = fitted.estimate, fitted.estimate.problem
     linear, mask = problem.linear(estimate.x), problem.rows.blocks < 5
-    (x,) = fold_means(fitted, linear, mask[None])
+    (x,) = fold_posterior_means(fitted, linear, mask[None])
     noise, priors = np.array([estimate.noise]), Priors(problem.precision, problem.centre)
     rest = linear.select(~mask)
     found = rest.fit(problem.weights[None, ~mask], problem.rho, noise, priors)[0][0]

@@ -8,7 +8,7 @@ import yaml
 
 from calib.errors import FileError, UrdfError
 from calib.formats.origins import origins_of, read_origins, with_origins, write_origins
-from calib.robot.readback import random_joint_values
+from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 

@@ -12,7 +12,8 @@ from calib.model.error_model import (
     error_model,
 )
 from calib.model.families import ANGLE, LENGTH, ZERO
-from calib.model.kinematics import FRAME, TARGET, TIP, ErrorModel, Kinematics
+from calib.model.kinematics import Kinematics
+from calib.model.parameters import FRAME, TARGET, TIP, ErrorModel
 from calib.robot.robot import Robot
 from tests.robot.shared import joint, urdf_of
 

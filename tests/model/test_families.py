@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from calib.model import families
-from calib.model.error_model import joint_parameters
 from calib.model.families import FAMILIES, Factor, Family, JointState, register
+from calib.model.joint_errors import joint_parameters
 from calib.units import UNITS
 
 

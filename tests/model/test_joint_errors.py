@@ -4,9 +4,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib.model.error_model import error_model, joint_parameters
-from calib.model.kinematics import Kinematics, Samples, joint_displacements
-from calib.robot.robot import Payload, Robot, gravity_loads
+from calib.model.error_model import error_model
+from calib.model.joint_errors import joint_displacements, joint_parameters
+from calib.model.kinematics import Kinematics, Samples
+from calib.robot.gravity import gravity_loads
+from calib.robot.payload import Payload
+from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from tests.robot.shared import LIMIT, joint, urdf_of
 

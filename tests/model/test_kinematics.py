@@ -7,7 +7,8 @@ import pinocchio as pin
 import pytest
 
 from calib.model.error_model import DIRECTIONS, error_model
-from calib.model.kinematics import ErrorModel, Kinematics, Samples
+from calib.model.kinematics import Kinematics, Samples
+from calib.model.parameters import ErrorModel
 from calib.robot.chain import pinocchio_chain
 from calib.robot.robot import Robot
 from tests.robot.shared import joint, urdf_of

@@ -7,9 +7,12 @@ from hypothesis import given, settings, strategies as st
 from calib.example import PAPER_TARGET
 from calib.model.error_model import error_model
 from calib.model.families import ANGLE, LENGTH
-from calib.model.kinematics import FRAME, TARGET, TIP, ErrorModel, Kinematics, Parameter, Samples
+from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability, analyse, rank_by_gap
-from calib.robot.robot import Payload, Robot, gravity_loads
+from calib.model.parameters import FRAME, TARGET, TIP, ErrorModel, Parameter
+from calib.robot.gravity import gravity_loads
+from calib.robot.payload import Payload
+from calib.robot.robot import Robot
 from calib.text.summary import combination_text
 
 ON_AXIS_6 = (0.0, 0.0, 0.05)

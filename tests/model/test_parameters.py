@@ -9,13 +9,7 @@ from calib.errors import ModelError
 from calib.example import paper_urdf
 from calib.model.error_model import error_model
 from calib.model.families import ANGLE, LENGTH, Factor
-from calib.model.kinematics import (
-    FRAME,
-    TARGET,
-    TIP,
-    ErrorModel,
-    Parameter,
-)
+from calib.model.parameters import FRAME, TARGET, TIP, ErrorModel, Parameter
 from calib.robot.robot import Robot
 
 COMPLIANCE, ECCENTRICITY, GAIN = "compliance", "eccentricity", "gain"

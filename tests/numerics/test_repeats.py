@@ -10,7 +10,6 @@ from calib.numerics.intervals import interval_factor
 from calib.numerics.repeats import repeats
 from calib.numerics.scores import Limits
 from calib.registration.same_poses import same_poses
-from calib.selection.cross_validation import Folds
 
 # The paper's Table 4: errors of rows 31 to 35 before and after calibration [mm].
 BEFORE = np.array(
@@ -47,29 +46,6 @@ def test_lengths_and_angles_of_several_kinds():
     assert np.all(np.isnan(errors.mean_axis))  # not all have axes
     whole = Errors.of(residual[:2], used[:2])
     np.testing.assert_allclose(whole.mean_axis, [1.5, 1.0, 2.0])
-
-
-@pytest.mark.parametrize("rows", [1, 2, 30, 60, 61, 1000])
-def test_each_row_is_left_out_once(rows):
-    found = Folds.of(np.arange(rows))
-    method, masks = found.method, found.masks
-    assert method == ("leave-one-out" if rows <= 60 else "10-fold")
-    assert len(masks) == (rows if rows <= 60 else 10)
-    np.testing.assert_array_equal(np.sum(masks, axis=0), np.ones(rows))
-
-
-@pytest.mark.parametrize("names", [[0, 1], [3, 5, 9], range(4), range(150)])
-def test_from_three_set_ups_on_each_is_left_out_as_a_whole(names):
-    setups = np.repeat(list(names), 4)
-    held_out = Folds.of(np.arange(len(setups)), setups)
-    if len(names) < 3:
-        assert held_out.method == "leave-one-out"
-        return
-    np.testing.assert_array_equal(np.sum(held_out.masks, axis=0), np.ones(len(setups)))
-    for mask in held_out.masks:
-        assert set(setups[mask]).isdisjoint(setups[~mask])
-    assert len(held_out.masks) == min(len(names), 50)
-    assert held_out.method == ("leave-one-set-up-out" if len(names) < 60 else "leave-set-ups-out")
 
 
 @pytest.mark.parametrize(

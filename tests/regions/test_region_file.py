@@ -14,7 +14,7 @@ from calib.regions.region import Density, Region
 from calib.regions.region_file import read_region, write_region
 from calib.regions.region_rows import RegionView
 from calib.regions.workspace import workspace
-from calib.robot.readback import joint_ranges
+from calib.robot.ranges import joint_ranges
 
 TARGET = np.array(example.PAPER_TARGET)
 

@@ -9,7 +9,7 @@ from calib import example
 from calib.data.measurements import Measurements
 from calib.regions.region import MOST_VOXELS, Density
 from calib.regions.workspace import workspace
-from calib.robot.readback import joint_ranges
+from calib.robot.ranges import joint_ranges
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.data.cell import Cell
 from calib.model.error_model import frame_and_target_model
-from calib.model.kinematics import FRAME
+from calib.model.parameters import FRAME
 from calib.registration.registration import _system, register
 from calib.registration.table_rows import rows_of
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from math import factorial
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.data.cell import Cell
-from calib.data.kinds import _log_derivative, at as kind_at
+from calib.data.kinds import at as kind_at
 from calib.model.error_model import DIRECTIONS, error_model
 from calib.model.kinematics import Kinematics, Samples
 from calib.registration.rows import NONE, Rows
@@ -143,17 +142,3 @@ def test_derivatives_against_differences(make_scene, join, kind):
         e[k] = 1e-3
         near, far = (at(x + e) - at(x - e)) / 2e-3, (at(x + 2 * e) - at(x - 2 * e)) / 4e-3
         np.testing.assert_allclose(-derivative[:, :, k], (4 * near - far) / 3, atol=1e-7)
-
-
-@pytest.mark.parametrize(
-    "angle", [0.0, 1e-12, 1e-6, 0.9e-4, 1.1e-4, 0.1, 1.0, 3.0, np.pi - 1e-3, np.pi - 1e-7, np.pi]
-)
-def test_the_derivative_of_the_logarithm_against_its_inverse_series(angle):
-    """d exp(r) by its power series, sum (-1)^k [r]x^k / (k + 1)!, inverted; log has no limit but its own at pi."""
-    turned = Rotation.from_rotvec(angle * np.array([[0.48, -0.6, 0.64]]))
-    x, y, z = turned.as_rotvec()[0]
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    series = sum(
-        (-1.0) ** k * np.linalg.matrix_power(cross, k) / factorial(k + 1) for k in range(40)
-    )
-    np.testing.assert_allclose(_log_derivative(turned)[0], np.linalg.inv(series), atol=1e-7)

@@ -11,11 +11,14 @@ from scipy.spatial.transform import Rotation
 from calib.data.cell import Cell, GroupDistance
 from calib.data.measurements import Measurements
 from calib.model.error_model import frame_and_target_model
-from calib.model.kinematics import ErrorModel, Kinematics
+from calib.model.kinematics import Kinematics
+from calib.model.parameters import ErrorModel
 from calib.registration.known_distances import KnownDistance, joined_setups, known_distances
 from calib.registration.rows import NONE
 from calib.registration.table_rows import FIRST_SIGMA, FIRST_SIGMA_ANGLE, rows_of
-from calib.robot.robot import Payload, Robot, gravity_loads
+from calib.robot.gravity import gravity_loads
+from calib.robot.payload import Payload
+from calib.robot.robot import Robot
 
 ALL = ("x", "y", "z", "rx", "ry", "rz")
 UR3 = Robot.load("ur3", base="base", tip="tool0")

@@ -15,7 +15,7 @@ from calib.regions.region import Density
 from calib.regions.region_rows import Checked, RegionView
 from calib.regions.workspace import workspace
 from calib.report.figure_region import draw_region, headings, write_picture
-from calib.robot.readback import joint_ranges
+from calib.robot.ranges import joint_ranges
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import pytest
 
 from calib.report.figure_base import measured_in_base, placed, styled
 from calib.report.figure_space import POSES, measured_places, points, uncertainty
-from calib.robot.readback import SPREAD, spread_poses
+from calib.robot.ranges import SPREAD, spread_poses
 
 
 @pytest.fixture(autouse=True)

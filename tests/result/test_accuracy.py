@@ -16,7 +16,7 @@ from calib.data.measurements import Measurements
 from calib.result.calibration import CalibrationValues
 from calib.result.calibration_file import read_result, write_result
 from calib.result.evaluation import Accuracy, accuracy, evaluate, fitted_rows, judged_rows
-from calib.robot.readback import random_joint_values
+from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 
 #: Target and frame known: what is measured minus what is predicted is what was put in.

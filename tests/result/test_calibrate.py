@@ -21,10 +21,12 @@ from calib.numerics.errors import Errors
 from calib.result.calibrate import _validated, fit_table
 from calib.result.calibration_file import read_result
 from calib.result.evaluation import evaluate
-from calib.robot.readback import random_joint_values
-from calib.robot.robot import Payload, Robot, gravity_loads, read_only, rigid_inverse
+from calib.robot.gravity import gravity_loads
+from calib.robot.payload import Payload
+from calib.robot.ranges import random_joint_values
+from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.robot.urdf import Urdf
-from calib.selection.selection import marked
+from calib.selection.candidates import mark_chosen
 from tests.fits import FREE, SOCKETS, TARGETS, TRACKERS, gaps, in_each, two_targets
 
 # The paper's Table 3: nominal positions of rows 31 to 35 before calibration [mm].
@@ -510,7 +512,7 @@ def refused(make_scene):
     return m, replace(
         fits,
         non_geometric=non_geometric,
-        candidates=marked(fits.candidates, "dh", "dh+eccentricity"),
+        candidates=mark_chosen(fits.candidates, "dh", "dh+eccentricity"),
     )
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from calib.errors import ModelError
 from calib.model.kinematics import Samples
-from calib.robot.readback import random_joint_values
+from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 
 

@@ -15,7 +15,7 @@ import calib
 from calib.calibration import Calibration, calibrate
 from calib.data.cell import Cell
 from calib.errors import FileError, ModelError
-from calib.example import paper_urdf
+from calib.example.__init__ import paper_urdf
 from calib.result.acceptance import assess
 from calib.result.calibration import CalibrationValues
 from calib.result.calibration_file import (
@@ -24,8 +24,9 @@ from calib.result.calibration_file import (
     write_table,
 )
 from calib.result.evaluation import evaluate
-from calib.robot.readback import random_joint_values
-from calib.robot.robot import Payload, Robot
+from calib.robot.payload import Payload
+from calib.robot.ranges import random_joint_values
+from calib.robot.robot import Robot
 from calib.text.evaluation import assessment_table
 from calib.text.summary import summary
 
@@ -144,7 +145,7 @@ def test_the_values_are_those_of_the_calibration(
     result_json: dict[str, Any], default_result: Calibration
 ):
     c = default_result
-    assert result_json["schema"] == 5
+    assert result_json["schema"] == 6
     for who, sets in c.errors.items():
         for name, errors in sets.items():
             stored = result_json["errors"][who][name]

@@ -20,12 +20,12 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Verdict
 from calib.errors import FileError
-from calib.example import PAPER_TARGET
+from calib.example.__init__ import PAPER_TARGET
 from calib.files import plain
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
 from calib.result.comparison import LEVEL, DriftTest, Estimate, drift_test, joint_covariance
-from calib.robot.readback import spread_between
+from calib.robot.ranges import spread_between
 from calib.robot.robot import Robot
 from calib.text.comparison import notes
 

@@ -11,7 +11,7 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Why
 from calib.result.calibrate import calibrate
-from calib.robot.readback import random_joint_values
+from calib.robot.ranges import random_joint_values
 from tests.judged import arm, judged, reasons, table_of
 
 

@@ -14,7 +14,7 @@ from calib.registration.setup import Setup
 from calib.result.acceptance import assess
 from calib.result.calibrate import calibrate
 from calib.result.evaluation import accuracy, evaluate, moved
-from calib.robot.readback import random_joint_values
+from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from tests.fits import FREE, TARGETS, TRACKERS
 

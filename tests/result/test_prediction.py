@@ -13,7 +13,7 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.model.error_model import error_model
 from calib.result.calibration import CalibrationValues
-from calib.robot.readback import random_joint_values
+from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 
 TARGET = np.array([0.05, -0.06, 0.04])

@@ -24,7 +24,7 @@ from calib.result.uncertainty import (
     profile,
     profile_interval,
 )
-from calib.robot.readback import random_joint_values, spread_poses
+from calib.robot.ranges import random_joint_values, spread_poses
 from calib.robot.robot import Robot
 
 TARGET = np.array([0.05, -0.06, 0.04])

@@ -4,8 +4,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from calib.robot.gravity import GRAVITY, gravity_loads
 from calib.robot.kernel import BLOCK
-from calib.robot.robot import GRAVITY, Payload, Robot, gravity_loads
+from calib.robot.payload import Payload
+from calib.robot.robot import Robot
 
 STEP = 1e-5
 

@@ -7,11 +7,12 @@ import pinocchio as pin
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from calib.model.error_model import axis_twists, error_model
-from calib.model.kinematics import Kinematics, Samples, joint_displacements
+from calib.blas import one_blas_thread
+from calib.model.error_model import error_model
+from calib.model.joint_errors import axis_twists, joint_displacements
+from calib.model.kinematics import Kinematics, Samples
 from calib.robot import kernel
 from calib.robot.chain import pinocchio_chain
-from calib.robot.kernel import one_blas_thread
 from calib.robot.robot import Robot, rigid_inverse
 from tests.model.test_kinematics import CHAINS, pose, robots  # noqa: F401
 

@@ -8,7 +8,7 @@ import pytest
 from calib import example
 from calib.data.measurements import Measurements
 from calib.errors import CalibError
-from calib.robot.readback import column_limits, column_ranges, full_ranges, joint_ranges
+from calib.robot.ranges import column_limits, column_ranges, full_ranges, joint_ranges
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from calib.units import Angle, Length

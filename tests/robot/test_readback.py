@@ -7,15 +7,15 @@ import pinocchio as pin
 import pytest
 
 from calib.errors import UrdfError
-from calib.robot.readback import (
+from calib.robot.ranges import (
     _DIRECTIONS,
-    check_written,
     column_ranges,
     random_joint_values,
     sobol,
     spread_between,
     spread_poses,
 )
+from calib.robot.readback import check_written
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 

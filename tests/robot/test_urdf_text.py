@@ -10,9 +10,10 @@ import pytest
 
 from calib.design.solids import read_solids
 from calib.errors import UrdfError
-from calib.robot.chain import full_model
+from calib.robot.full_model import full_model
 from calib.robot.meshes import link_shapes
-from calib.robot.readback import check_written, random_joint_values
+from calib.robot.ranges import random_joint_values
+from calib.robot.readback import check_written
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 

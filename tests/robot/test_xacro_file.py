@@ -11,7 +11,7 @@ import pytest
 
 from calib.errors import UrdfError
 from calib.robot.meshes import find_mesh, link_shapes, mesh_folders
-from calib.robot.readback import random_joint_values
+from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.robot.urdf import find_urdf, read_urdf
 from calib.robot.xacro_file import XacroCall, package_folder

@@ -7,7 +7,7 @@ import pytest
 
 from calib.data.cell import Cell, Tracker, TrackerNoise
 from calib.errors import CalibError
-from calib.robot.readback import column_ranges
+from calib.robot.ranges import column_ranges
 from calib.simulation.scenario import (
     DEFAULT_TRACKER,
     FIELDS,

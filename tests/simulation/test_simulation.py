@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from calib.calibration import calibrate
 from calib.data.cell import Cell, TrackerNoise
 from calib.data.measurements import Measurements
-from calib.robot.readback import random_joint_values
+from calib.robot.ranges import random_joint_values
 from calib.simulation.truth import Encoder, MovedTarget, Outliers, draw_truth, tracker_pose
 from tests.simulation.cells import changed, virtual
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from calib.data.cell import Cell, Tracker
 from calib.model.error_model import error_model
 from calib.model.families import FAMILIES
-from calib.robot.readback import random_joint_values
+from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot, rigid_inverse
 from calib.simulation.truth import (
     TARGET_ERROR,

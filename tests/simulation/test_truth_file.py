@@ -9,8 +9,9 @@ import pinocchio as pin
 import pytest
 
 from calib.data.cell import Cell
-from calib.robot.readback import random_joint_values
-from calib.robot.robot import Payload, gravity_loads
+from calib.robot.gravity import gravity_loads
+from calib.robot.payload import Payload
+from calib.robot.ranges import random_joint_values
 from calib.simulation.scenario import SCHEMA, Scenario, write_truth
 from calib.simulation.truth import Encoder, MovedTarget, Outliers, tracker_pose
 

@@ -15,7 +15,7 @@ from calib.data.measurements import Measurements
 from calib.example import PAPER_TARGET
 from calib.result.calibration_file import read_result
 from calib.robot.meshes import mesh_folders
-from calib.robot.readback import column_ranges, random_joint_values
+from calib.robot.ranges import column_ranges, random_joint_values
 from calib.robot.robot import Robot, rigid_inverse
 from calib.text.verdict import reason_text
 from calib.viewer.page import puppets

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from calib.compensation.commands import Commands
     from calib.compensation.program import Program
     from calib.result.calibration import CalibrationValues
-    from calib.robot.robot import Payload, Robot
+    from calib.robot.payload import Payload
+    from calib.robot.robot import Robot
 
 #: What `--poses-in` calls the robot's base, and the (only) frame that was measured in.
 _BASE = "base"

@@ -171,7 +171,7 @@ def _joint_ranges(
 ) -> Array:
     """Return the lowest and highest value of each joint, shape (m, 2), [rad] or [m]."""
     from calib.design.candidates import by_joint
-    from calib.robot.readback import joint_ranges
+    from calib.robot.ranges import joint_ranges
     from calib.units import ANGLE, parse_amount
 
     margin = parse_amount(ranges.margin, "--margin", ANGLE, "5 deg")

@@ -1,0 +1,192 @@
+"""Columns of a table by name and unit: calib's names, the mapping from the table's, checks of units."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import NoReturn
+
+import calib.data.kinds as registry
+from calib.data.table import Column, Table
+from calib.errors import MeasurementError, choices, did_you_mean
+from calib.units import Quantity, split_header, symbols
+
+#: Columns of a position.
+POINT = ("x", "y", "z")
+
+#: Columns of an orientation as a quaternion, without unit.
+QUATERNION = ("qx", "qy", "qz", "qw")
+
+#: Columns of an orientation as a rotation vector.
+ROTATION_VECTOR = ("rx", "ry", "rz")
+
+#: Columns of an orientation, of either form.
+ORIENTATION = (*ROTATION_VECTOR, *QUATERNION)
+
+#: Columns of an orientation in tables of commands.
+ROLL_PITCH_YAW = ("roll", "pitch", "yaw")
+
+#: Columns of words.
+WORDS = ("row", "set", "kind", "target", "group", "pair", "point")
+
+#: The column of a table of commands that says whether a row has one.
+STATUS = "status"
+
+#: What the column ``set`` may say.
+SETS = ("estimate", "validate")
+
+#: Name of the target of rows without a column ``target``.
+DEFAULT_TARGET = "target"
+
+#: What follows a joint's name in the name of the column of its torque.
+TORQUE = ".torque"
+
+#: The name that ``--columns`` maps a column to so that it is not read.
+IGNORE = "-"
+
+#: Begins the name of a column with the predicted value, for a person to compare: see plan files.
+EXPECTED = "expected "
+
+#: The unit of each quantity that headers are proposed in, and tables written in.
+COMMON: Mapping[Quantity, str] = {"length": "mm", "angle": "deg", "torque": "Nm", "force": "N"}
+
+#: Columns that are used, by calib's name of each.
+Named = Mapping[str, Column]
+
+#: Several columns, in order.
+Columns = tuple[Column, ...]
+
+
+def reserved() -> tuple[str, ...]:
+    """Return the names of columns that no joint can have: words, noise, readings, positions."""
+    return (*WORDS, "sigma", "sigma_angle", *registry.readings(), *POINT)
+
+
+def list_columns(table: Table) -> str:
+    """Return the sentence that lists a table's columns, for messages."""
+    labels = [label for label in table.header if label]
+    return f"The columns found: {choices(labels, limit=30)}."
+
+
+def name_columns(
+    table: Table, joint_names: Sequence[str], columns: Mapping[str, str]
+) -> tuple[dict[str, Column], Columns]:
+    """Name the columns of a table as calib does.
+
+    Args:
+        table: The table.
+        joint_names: Names of joints, which are kept as written; names that mean something to
+            calib are otherwise read in any case (``QX`` is ``qx``).
+        columns: Mapping from names of the table to names of calib, as of ``--columns``: the
+            table's name or header to calib's name, with or without a unit; to ``"-"`` for a column
+            that is not read.
+
+    Returns:
+        The columns by calib's names, each once; and all that are called ``group``, in the order of
+        the table.
+
+    Raises:
+        MeasurementError: The table lacks a name of ``columns``, or two columns have one name.
+    """
+    renamed = _renamed(table, columns)
+    known = {*reserved(), *ORIENTATION, *ROLL_PITCH_YAW, STATUS}
+    named: dict[str, Column] = {}
+    groups: list[Column] = []
+    for index, label in enumerate(table.header):
+        if not label:
+            continue
+        column = _column(table, index, renamed)
+        if column is None:
+            continue
+        if column.name.casefold() in known and column.name not in joint_names:
+            column = replace(column, name=column.name.casefold())
+        is_group = column.name == "group"
+        if is_group:
+            groups.append(column)
+        # Only groups that --columns maps are joined: two that happen to be called so were hardly
+        # meant to be.
+        is_joined = is_group and any(group.index in renamed for group in groups)
+        if column.name in named and not is_joined:
+            _fail_on_two(table, named[column.name], column)
+        named.setdefault(column.name, column)
+    return named, tuple(groups)
+
+
+def _renamed(table: Table, columns: Mapping[str, str]) -> dict[int, str]:
+    """Return what ``columns`` maps columns to, by their position in the table, from 0.
+
+    Keys are the names as written in the table, so that two columns can swap theirs.
+    """
+    written = {i: split_header(label)[0] for i, label in enumerate(table.header) if label}
+    renamed: dict[int, str] = {}
+    for key, new_name in columns.items():
+        hits = [i for i, name in written.items() if key.strip() in (name, table.header[i])]
+        if not hits:
+            raise MeasurementError(
+                f"{table.source}: there is no column '{key}', which --columns maps to "
+                f"'{new_name}'{did_you_mean(key, written.values())}. {list_columns(table)}"
+            )
+        renamed |= dict.fromkeys(hits, new_name)
+    return renamed
+
+
+def _column(table: Table, index: int, renamed: Mapping[int, str]) -> Column | None:
+    """Return a column with the name and unit that it is read by; None if it is not to be read."""
+    label = table.header[index]
+    name, symbol = split_header(renamed.get(index, label))
+    if index in renamed and name == IGNORE:
+        return None
+    written_symbol = split_header(label)[1]
+    if symbol is not None and written_symbol is not None and symbol != written_symbol:
+        raise MeasurementError(
+            f"{table.source}, column '{label}': --columns gives it another unit, "
+            f"'{renamed[index]}'. Correct one of them."
+        )
+    return Column(index, label, name, symbol or written_symbol)
+
+
+def _fail_on_two(table: Table, first: Column, second: Column) -> NoReturn:
+    """Refuse two columns of one name."""
+    raise MeasurementError(
+        f"{table.source}: two columns are called '{second.name}': number {first.index + 1} "
+        f"('{first.label}') and number {second.index + 1} ('{second.label}'). Rename one, or leave "
+        f'one out: --columns "{second.label}=-".'
+    )
+
+
+def with_unit(
+    table: Table, column: Column, quantity: Quantity | None, what: str = "", proposed: str = ""
+) -> Column:
+    """Return a column if it is in a unit of the right quantity.
+
+    Args:
+        table: The column's table, for messages.
+        column: The column.
+        quantity: What its numbers are; None: numbers without a unit.
+        what: What the column holds, for messages: ``"a quaternion"``.
+        proposed: Unit to propose in the message; empty: that of `COMMON`.
+
+    Returns:
+        The column.
+
+    Raises:
+        MeasurementError: It has no unit, one of another quantity, or one where there is none.
+    """
+    kind_of_column = f" ({what})" if what else ""
+    where = f"{table.source}, column '{column.label}'{kind_of_column}"
+    if quantity is None:
+        if column.symbol not in (None, "", "-", "1"):
+            raise MeasurementError(f"{where}: '{column.symbol}' cannot be; there is no unit here.")
+        return column
+    unit = column.unit
+    if unit is not None and unit.quantity == quantity:
+        return column
+    fault = "the column has no unit"
+    if column.symbol:
+        fault = f"'{column.symbol}' is not a unit of {quantity}"
+    header = f"{split_header(column.label)[0]} [{proposed or COMMON[quantity]}]"
+    mapping = header.replace(" [", f"={column.name} [")
+    raise MeasurementError(
+        f"{where}: {fault}. Write the header '{header}', or --columns \"{mapping}\"; allowed are "
+        f"{choices(symbols(quantity))}."
+    )

@@ -1,0 +1,150 @@
+"""Checks of numbers against their units: metres read as millimetres, degrees read as radians."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+import calib.data.kinds as registry
+from calib.data.layout import Layout
+from calib.data.table import Column, Table
+from calib.errors import MeasurementError
+from calib.units import UNITS, Array, Unit
+
+#: No point of a robot cell is farther from the origin of a frame in use [m].
+_FARTHEST_M = 100.0
+
+#: Not all points of a table are nearer to the origin than this [m].
+_NEAREST_M = 5e-3
+
+#: Units to propose for a length, and the range in metres of what one would measure.
+_PROPOSED_UNITS = ("mm", "m", "um")
+_PROPOSED_RANGE_M = (0.01, 20.0)
+
+#: Median of the values of a joint, or of rotation vectors, beyond which radians are taken for
+#: degrees [rad]: hardly any joint turns so far, and degrees mostly do.
+_TURNS_RAD = 7.0
+
+#: A quaternion written with four digits has length one to half of this.
+_LENGTH_TOLERANCE = 1e-3
+
+
+class Fault(NamedTuple):
+    """A number that cannot be in its unit."""
+
+    row: int  #: From 0.
+    column: int  #: Among the columns that were checked, from 0.
+    what: str  #: What is wrong and how to mend it, for the message.
+
+
+def implausible_length(values: Array, units: Sequence[Unit], *, near: bool = True) -> Fault | None:
+    """Find a position or a length that cannot be in its unit.
+
+    The row farthest from the origin decides: it is farther than a cell is wide or, if ``near``,
+    so close that all rows are at the origin.
+
+    Args:
+        values: Positions or lengths as written, shape (N, k); NaN where nothing is measured.
+        units: Unit of each of the k columns.
+        near: Whether rows that are all close to the origin are a fault too.
+
+    Returns:
+        The number to blame; None if all are plausible.
+    """
+    metres = np.nan_to_num(values) * [unit.to_si for unit in units]
+    distance = np.hypot.reduce(metres, axis=1)  # does not square: a huge number stays one
+    row = int(np.argmax(distance))
+    if not distance[row] <= _FARTHEST_M:
+        what = f"further from the origin than {_FARTHEST_M:g} m"
+    elif near and distance[row] < _NEAREST_M and units[0].symbol != "m":
+        what = f"and none is further from the origin than {_NEAREST_M * 1e3:g} mm"
+    else:
+        return None
+    k = int(np.argmax(np.abs(metres[row])))
+    number = values[row, k]
+    fix = _proposed_unit(number, units[k])
+    return Fault(row, k, f"{number:.10g} was read as {metres[row, k]:.6g} m, {what}. {fix}")
+
+
+def _proposed_unit(number: float, unit: Unit) -> str:
+    """Return the sentence that says how to mend a length as written."""
+    least, largest = _PROPOSED_RANGE_M
+    for symbol in _PROPOSED_UNITS:
+        if not least <= abs(number) * UNITS[symbol].to_si <= largest:
+            continue
+        if symbol == unit.symbol:
+            break
+        return f"If it is in {symbol}, say so in the header: [{symbol}]."
+    return "Correct the value."
+
+
+@np.errstate(over="ignore")  # an infinite length is too large as well
+def check_units(table: Table, layout: Layout, numbers: Mapping[str, Array]) -> None:
+    """Refuse numbers that cannot be in their units.
+
+    Args:
+        table: The table, for messages.
+        layout: Its columns.
+        numbers: Numbers of the columns of each block of ``layout`` as written, shape (N, columns);
+            NaN where a row has none.
+
+    Raises:
+        MeasurementError: A length, an angle or a quaternion is implausible; the message names the
+            column, the row where one is to blame, and the unit that is likely meant.
+    """
+    for name, block in numbers.items():
+        columns = layout.blocks[name]
+        if name == "joints":  # each by its own column, anything else by all columns of a row
+            for k, column in enumerate(columns):
+                _check_block(table, layout, name, [column], block[:, [k]])
+        else:
+            _check_block(table, layout, name, columns, block)
+
+
+def _check_block(
+    table: Table, layout: Layout, name: str, columns: Sequence[Column], values: Array
+) -> None:
+    """Refuse columns of one quantity whose numbers (N, columns) cannot be in their units."""
+    complete = np.isfinite(values).all(axis=1)
+    if not complete.any():
+        return
+    units = [column.unit for column in columns if column.unit]
+    fault: Fault | None = None
+    if name == "orientation" and not units:
+        fault = _quaternion_fault(values)
+    elif name in ("orientation", "joints") and {unit.symbol for unit in units} == {"rad"}:
+        _check_radians(table, columns[0], values[complete])
+    elif name == "points":
+        fault = implausible_length(values, units)
+    elif name == "joints" and units[0].quantity == "length":
+        fault = implausible_length(values, units, near=False)
+    elif name in registry.readings():
+        reading = registry.readings()[name]
+        if reading.quantity == "length":
+            fault = implausible_length(values, units, near=reading.positive)
+    if fault is not None:
+        table.fail(fault.row, columns[fault.column], fault.what, layout.words.get("row"))
+
+
+def _quaternion_fault(values: Array) -> Fault | None:
+    """Return the first quaternion, of (N, 4), whose length is not one."""
+    lengths = np.linalg.norm(values, axis=1)
+    wrong = np.flatnonzero(np.abs(lengths - 1.0) > _LENGTH_TOLERANCE)
+    if not wrong.size:
+        return None
+    length = lengths[wrong[0]]
+    what = f"the quaternion has the length {length:.6g}; that of an orientation is 1."
+    return Fault(int(wrong[0]), 0, what)
+
+
+def _check_radians(table: Table, column: Column, values: Array) -> None:
+    """Refuse angles, or rotation vectors, in rad whose median norm is that of degrees."""
+    median = np.median(np.linalg.norm(values, axis=1))
+    if median > _TURNS_RAD:
+        raise MeasurementError(
+            f"{table.source}, column '{column.label}': half of the values are beyond "
+            f"{median:.4g} rad, more than a turn; they look like degrees. If they are, write "
+            f"'{column.name} [deg]' into the header."
+        )

@@ -1,0 +1,75 @@
+"""Priors: zero-mean Gaussian distributions of a robot's errors, one standard deviation for each family."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from calib.errors import CalibError, choices
+from calib.model.families import family_of
+
+#: What `Priors.source` may be.
+PRIOR_SOURCES = ("data", "given", "off")
+
+#: Least and largest prior standard deviation, in the family's SI unit: a larger one has no effect,
+#: a smaller one is a constraint, and the squares of both leave the range of doubles.
+PRIOR_STD_RANGE = (1e-15, 1e6)
+
+
+@dataclass(frozen=True, slots=True, init=False)
+class Priors:
+    """Prior standard deviations of a robot's errors, by family, and whether they are estimated.
+
+    Example:
+        >>> Priors("given", length=1e-3).of("length")
+        0.001
+    """
+
+    #: ``"data"``: the prior standard deviations are estimated from the measurements, starting at
+    #: those given; ``"given"``: they are those given; ``"off"``: plain least squares, but for a
+    #: weak prior on what no measurement determines.
+    source: str
+    #: (family, prior standard deviation in the family's SI unit) of the families whose value is
+    #: not the default of the registry, sorted by name.
+    given: tuple[tuple[str, float], ...]
+
+    def __init__(self, source: str = "data", **given: float) -> None:
+        """Set prior standard deviations by family, ``Priors("given", length=1e-3, compliance=2e-6)``.
+
+        Args:
+            source: ``"data"``, ``"given"`` or ``"off"``, see `source`.
+            **given: Prior standard deviation by the name of the family, in its SI unit, such as
+                [m] or [rad/Nm]; families that are left out have the default of the registry.
+
+        Raises:
+            CalibError: An unknown source or family, or a value out of `PRIOR_STD_RANGE`.
+        """
+        if source not in PRIOR_SOURCES:
+            raise CalibError(
+                f"Priors of the kind '{source}' were asked for; choose one of "
+                f"{choices(PRIOR_SOURCES)}."
+            )
+        least, largest = PRIOR_STD_RANGE
+        for name, std in given.items():
+            if not least <= std <= largest:
+                raise CalibError(
+                    f"The prior's {name} is {std:g} {family_of(name).unit.symbol}; it lies "
+                    f"between {least:g} and {largest:g}. Use the source 'off' for none."
+                )
+        changed = [(name, std) for name, std in given.items() if std != family_of(name).prior]
+        object.__setattr__(self, "source", source)
+        object.__setattr__(self, "given", tuple(sorted(changed)))
+
+    def with_source(self, source: str) -> Priors:
+        """Return the same prior standard deviations with another source, see `source`."""
+        return Priors(source, **dict(self.given))
+
+    def of(self, family: str) -> float:
+        """Return the prior standard deviation of a family's errors, in its SI unit.
+
+        Args:
+            family: Name of the family, ``"length"``.
+
+        Returns:
+            The value given, else the default of the registry.
+        """
+        return dict(self.given).get(family, family_of(family).prior)

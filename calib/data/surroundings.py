@@ -1,0 +1,134 @@
+"""Surroundings of the robot while it is measured: instrument with its noise, reflector, obstacles."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+import numpy as np
+
+from calib.data.cell_file import checked
+from calib.errors import CalibError, choices
+from calib.numerics.geometry import pose_or_none, vector
+from calib.robot.robot import read_only
+from calib.units import Array
+
+Distance = TypeVar("Distance", float, Array)
+
+#: What a pose must be, for messages.
+POSE = "a 4 x 4 pose with a right-handed rotation [m]"
+
+#: A given direction that is shorter has none: its squares leave the range of doubles.
+_SHORTEST_NORMAL = 1e-100
+
+
+@dataclass(frozen=True, slots=True)
+class TrackerNoise:
+    """Noise of a laser tracker and of the robot's repeatability: standard deviation of one coordinate.
+
+    At a distance d [m], sigma^2 = (constant + per_length d)^2 + repeatability^2. Data sheets print
+    largest errors; taking them for standard deviations is on the safe side. The default is a Leica
+    AT901's 15 um + 6 um/m and a robot's 0.02 mm (the paper, section 2).
+    """
+
+    constant: float = 15e-6  #: Standard deviation at no distance [m].
+    per_length: float = 6e-6  #: Increase with the distance [m/m].
+    repeatability: float = 20e-6  #: Standard deviation of the robot's position, one coordinate [m].
+
+    def __post_init__(self) -> None:
+        """Check that no part is negative, and that not all are zero."""
+        parts = (self.constant, self.per_length, self.repeatability)
+        if not min(parts) >= 0.0 or not any(parts):
+            raise CalibError(f"A noise is {parts} m; none may be below 0, and not all 0.")
+
+    def std(self, distance: Distance) -> Distance:
+        """Return the standard deviation of one measured coordinate.
+
+        Args:
+            distance: Distance from the instrument to the target, a number or an array [m].
+
+        Returns:
+            The standard deviation, of the same shape [m].
+        """
+        instrument = self.constant + self.per_length * distance
+        return (instrument**2 + self.repeatability**2) ** 0.5  # type: ignore[no-any-return]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Box:
+    """A box that the robot must not touch and the tracker's beam must not cross."""
+
+    name: str  #: For messages; each box of a cell has its own.
+    size: Array  #: shape (3,), lengths of the edges along x, y, z of the box [m].
+    T_base_box: Array  #: shape (4, 4), pose of the box's centre in the robot's base [m].
+
+    def __post_init__(self) -> None:
+        """Check size and pose, and keep read-only copies."""
+        size = vector(self.size, f"size of the box '{self.name}'")
+        if not (size > 0.0).all():
+            raise CalibError(
+                f"The box '{self.name}' has the edges {size.tolist()} m; each must be longer "
+                "than 0."
+            )
+        what = f"The pose of the box '{self.name}'"
+        T_base_box = checked(self.T_base_box, what, POSE, pose_or_none)
+        object.__setattr__(self, "size", size)
+        object.__setattr__(self, "T_base_box", T_base_box)
+
+
+def check_box_names(boxes: Iterable[Box]) -> None:
+    """Check that each box has a name of its own.
+
+    Raises:
+        CalibError: Several boxes have one name; the message lists such names.
+    """
+    names = [box.name for box in boxes]
+    repeated = dict.fromkeys(name for name in names if names.count(name) > 1)
+    if repeated:
+        raise CalibError(f"Each box needs a name of its own; more than one is {choices(repeated)}.")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tracker:
+    """A laser tracker: its position, its range and its noise."""
+
+    position: Array  #: shape (3,), point that its beam turns about, in the robot's base [m].
+    nearest: float = 0.0  #: Least distance that it measures [m].
+    farthest: float = 80.0  #: Largest distance that it measures [m].
+    #: Standard deviation of a coordinate, as a function of the distance.
+    noise: TrackerNoise = field(default_factory=TrackerNoise)
+
+    def __post_init__(self) -> None:
+        """Check position and range, and keep a read-only copy."""
+        object.__setattr__(self, "position", vector(self.position, "tracker's position"))
+        if not 0.0 <= self.nearest < self.farthest:
+            raise CalibError(
+                f"The tracker measures from {self.nearest:g} m to {self.farthest:g} m; give a "
+                "range from 0 or more."
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reflector:
+    """A reflector that is fixed to the tip and is seen from within a cone only."""
+
+    #: shape (3,), direction in the tip that the reflector's opening faces; kept as a unit vector.
+    normal: Array
+    #: Half angle of the cone: largest angle between ``normal`` and the direction to the tracker
+    #: [rad]. The default is that of a corner cube.
+    acceptance: float = math.radians(30.0)
+
+    def __post_init__(self) -> None:
+        """Check direction and angle, and keep a read-only unit vector."""
+        normal = vector(self.normal, "reflector's normal")
+        length = float(np.linalg.norm(normal))
+        has_direction = length > _SHORTEST_NORMAL
+        if not (has_direction and 0.0 < self.acceptance <= math.pi):
+            raise CalibError(
+                f"The reflector's normal is {normal.tolist()}, its acceptance "
+                f"{np.degrees(self.acceptance):g} deg; give a direction, such as [0, 0, 1], and a "
+                "half angle above 0 and at most 180 deg."
+            )
+        object.__setattr__(self, "normal", read_only(normal / length))

@@ -1,0 +1,353 @@
+"""Values of a table of measurements: what its rows hold, in SI units, as arguments of `Measurements`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from itertools import compress
+from typing import Any, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+import calib.data.kinds as registry
+from calib.data.columns import SETS, STATUS, TORQUE
+from calib.data.kinds import Kind
+from calib.data.layout import Layout, slides
+from calib.data.plausibility import check_units
+from calib.data.points_file import Points
+from calib.data.table import Column, Table
+from calib.errors import MeasurementError, choices
+from calib.numerics.geometry import to_matrices
+from calib.units import Array, Mask
+
+#: Numbers of a layout's blocks by name, shape (rows, columns) each.
+Blocks = Mapping[str, Array]
+
+#: A word a row.
+Words = NDArray[np.str_]
+
+#: A whole number in a cell.
+_WHOLE = re.compile(r"[+-]?[0-9]{1,18}")
+
+#: Begins the status of a row of a table of commands that has none.
+_NO_COMMAND = "no command: "
+
+#: Longest text of a cell that a message quotes.
+_QUOTED = 80
+
+#: Blocks of several columns; the others have one.
+_WIDE = ("joints", "torques", "points", "orientation")
+
+
+def read_values(table: Table, layout: Layout, elsewhere: Points | None = None) -> dict[str, Any]:
+    """Read what the rows of a table hold.
+
+    Rows in which all cells of the measurement are empty are left out.
+
+    Args:
+        table: The table.
+        layout: Its columns.
+        elsewhere: A list of measured points, which the rows name in the column ``point`` or are in
+            the order of; rows whose point is not in it are left out. None: the table has them.
+
+    Returns:
+        Arguments of `Measurements`, in SI units.
+
+    Raises:
+        MeasurementError: A cell or a column's values cannot be used, a point is not there or is
+            that of another row, or nothing is measured.
+    """
+    kinds = _kinds_of_rows(table, layout)
+    blocks = _without_unused(layout, _numbers(table, layout), kinds)
+    measured = _measured_rows(table, layout, blocks, kinds)
+    if not measured.any():
+        _fail_without_measurement(table, layout)
+    words = _words(table, layout)
+    _check_words(table, layout, words, kinds, measured)
+    row_numbers = _row_numbers(table, words)
+    points: Array | None = None
+    if elsewhere is not None:
+        needs_point = measured & _of_kinds(layout, kinds, "position")
+        points = _points_of_rows(table, elsewhere, needs_point, row_numbers, words.get("point"))
+        measured = measured & (~needs_point | np.isfinite(points[:, 0]))
+    _check_sets(table, layout, words.get("set", ()), measured)
+    blanked = {n: np.where(measured[:, None], v, np.nan) for n, v in blocks.items()}
+    check_units(table, layout, blanked)
+    si = _in_si(layout, {name: block[measured] for name, block in blocks.items()})
+    if points is not None:
+        si["points"] = points[measured]
+    chosen = {name: list(compress(column, measured)) for name, column in words.items()}
+    return {
+        **_of_files(table, elsewhere),
+        **_arrays(layout, si, int(measured.sum())),
+        "ignored": layout.ignored,
+        "sets": chosen.get("set", ()),
+        "targets": chosen.get("target", ()),
+        "groups": chosen.get("group", ()),
+        "pairs": chosen.get("pair", ()),
+        "kinds": kinds[measured].tolist(),
+        "rows": list(compress(row_numbers, measured)),
+        "unmeasured": list(compress(row_numbers, ~measured)),
+    }
+
+
+def _of_files(table: Table, elsewhere: Points | None) -> dict[str, str]:
+    """Return names and hashes of the files read, joined by a plus."""
+    files = (table,) if elsewhere is None else (table, elsewhere)
+    return {
+        "source": " + ".join(file.source for file in files),
+        "sha256": " + ".join(file.sha256 for file in files),
+    }
+
+
+# Kinds of the rows
+
+
+def _kinds_of_rows(table: Table, layout: Layout) -> Words:
+    """Return the name of each row's kind, shape (rows,)."""
+    if "kind" in layout.words:
+        return np.array(table.column(layout.words["kind"]), dtype=np.str_)
+    return np.full(len(table.cells), layout.kinds[0])
+
+
+def _of_kinds(layout: Layout, kinds: Words, attribute: str) -> Mask:
+    """Mark the rows of kinds with a true attribute of `Kind`, ``"paired"``, shape (rows,)."""
+    chosen = [name for name in layout.kinds if getattr(registry.get(name), attribute)]
+    return np.isin(kinds, chosen)
+
+
+def _measured_blocks(kind: Kind, blocks: Blocks) -> list[str]:
+    """Return the names of the blocks that rows of a kind measure.
+
+    None of a kind whose target is held, or whose points are in a list.
+    """
+    names = ["points"] * kind.position + ["orientation"] * kind.orientation
+    names += [reading.name for reading in kind.readings]
+    return [name for name in names if name in blocks]
+
+
+def _used_blocks(kind: Kind, blocks: Blocks) -> set[str]:
+    """Return the names of the blocks that rows of a kind use: measured ones, joints and noise."""
+    used = {"joints", "torques", "sigma", *_measured_blocks(kind, blocks)}
+    if kind.angles > 0:
+        used.add("sigma_angle")
+    return used
+
+
+# Numbers
+
+
+def _numbers(table: Table, layout: Layout) -> dict[str, Array]:
+    """Return the numbers of each block that is not empty, in the units as written."""
+    columns = [column for block in layout.blocks.values() for column in block]
+    numbers = table.numbers(columns)
+    blocks = {}
+    start = 0
+    for name, block in layout.blocks.items():
+        if block:
+            blocks[name] = numbers[:, start : start + len(block)]
+            start += len(block)
+    return blocks
+
+
+def _without_unused(layout: Layout, blocks: Blocks, kinds: Words) -> dict[str, Array]:
+    """Return the blocks with NaN in rows whose kind does not use them."""
+    result = {}
+    used = {name: _used_blocks(registry.get(name), blocks) for name in layout.kinds}
+    for block_name, block in blocks.items():
+        using = [kind for kind, names in used.items() if block_name in names]
+        is_used = np.isin(kinds, using)
+        result[block_name] = np.where(is_used[:, None], block, np.nan)
+    return result
+
+
+def _measured_rows(table: Table, layout: Layout, blocks: Blocks, kinds: Words) -> Mask:
+    """Mark the rows that hold a measurement, shape (rows,).
+
+    Raises:
+        MeasurementError: A number that such a row needs is missing or none.
+    """
+    measured = np.ones(len(table.cells), dtype=np.bool_)
+    if STATUS in layout.words:
+        status = table.column(layout.words[STATUS])
+        measured &= [not word.startswith(_NO_COMMAND) for word in status]
+    for kind in map(registry.get, layout.kinds):
+        of_kind = kinds == kind.name
+        names = _measured_blocks(kind, blocks)
+        if names and not kind.paired:  # one row of a pair has the measurement of both
+            cells = np.hstack([blocks[name] for name in names])
+            measured &= ~(of_kind & np.isnan(cells).all(axis=1))
+        _check_numbers(table, layout, blocks, kind, of_kind & measured)
+    return measured
+
+
+def _check_numbers(table: Table, layout: Layout, blocks: Blocks, kind: Kind, rows: Mask) -> None:
+    """Refuse a cell without a finite number in measured rows of a kind, a mask of shape (rows,).
+
+    The measurement of a pair may be empty in one of its rows.
+    """
+    used = _used_blocks(kind, blocks)
+    measured_blocks = _measured_blocks(kind, blocks)
+    for name, block in blocks.items():
+        if name not in used:
+            continue
+        bad = ~np.isfinite(block) & rows[:, None]
+        if kind.paired and name in measured_blocks:
+            bad &= ~np.isnan(block)
+        if bad.any():
+            row, k = np.argwhere(bad)[0].tolist()
+            _fail_on_number(table, layout, row, layout.blocks[name][k])
+
+
+def _fail_on_number(table: Table, layout: Layout, row: int, column: Column) -> NoReturn:
+    """Refuse a cell, of a row from 0, that should hold a finite number."""
+    text = table.cells[row][column.index][:_QUOTED]
+    if not text:
+        what = "the cell is empty. Fill in the number, or remove the row."
+    elif "," in text:
+        what = (
+            f"'{text}' has a decimal comma. Write a point, or put semicolons between the columns."
+        )
+    else:
+        what = f"'{text}' is not a finite number. Write it as 123.45; the unit is in the header."
+    table.fail(row, column, what, layout.words.get("row"))
+
+
+def _fail_without_measurement(table: Table, layout: Layout) -> NoReturn:
+    """Refuse a table in which nothing is measured, or without a row."""
+    count = len(table.cells)
+    if not count:
+        raise MeasurementError(f"{table.source}: there is a header, and no row below it.")
+    listed = ""
+    if "point" in layout.kinds:
+        listed = ", or give the instrument's list of points (--points)"
+    raise MeasurementError(
+        f"{table.source}: nothing is measured yet in its {count} rows. Fill in what was measured "
+        f"at each pose{listed}."
+    )
+
+
+# Words
+
+
+def _words(table: Table, layout: Layout) -> dict[str, list[str]]:
+    """Return the words of all rows by the names of their columns; ``group`` joins its columns."""
+    words = {name: table.column(column) for name, column in layout.words.items()}
+    if layout.groups:
+        words["group"] = ["/".join(row[c.index] for c in layout.groups) for row in table.cells]
+    return words
+
+
+def _check_words(
+    table: Table,
+    layout: Layout,
+    words: Mapping[str, Sequence[str]],
+    kinds: Words,
+    measured: Mask,
+) -> None:
+    """Refuse row numbers that are none, and empty words in rows that must have one."""
+    for i, text in enumerate(words.get("row", ())):
+        if not _WHOLE.fullmatch(text):
+            what = f"'{text}' is not a whole number. Number the rows."
+            table.fail(i, layout.words["row"], what)
+    needed = {
+        "target": measured,
+        "pair": measured & _of_kinds(layout, kinds, "paired"),
+        "point": measured & _of_kinds(layout, kinds, "position"),
+    }
+    for name, rows in needed.items():
+        if name not in words:
+            continue
+        for i in np.flatnonzero(rows).tolist():
+            if not words[name][i]:
+                what = "the cell is empty. Fill it in, or remove the row."
+                table.fail(i, layout.words[name], what, layout.words.get("row"))
+
+
+def _check_sets(table: Table, layout: Layout, sets: Sequence[str], measured: Mask) -> None:
+    """Refuse words of the column ``set``, one a row, that are no set in a measured row."""
+    for word in set(sets) - set(SETS):
+        column = layout.words["set"]
+        what = (
+            f"'{word}' is no set; allowed are {choices(SETS)}. Correct it; if the column means "
+            f'something else, --columns "{column.label}=-" leaves it out.'
+        )
+        for i in np.flatnonzero(measured).tolist():
+            if sets[i] == word:
+                table.fail(i, column, what, layout.words.get("row"))
+
+
+def _row_numbers(table: Table, words: Mapping[str, Sequence[str]]) -> list[int]:
+    """Return the numbers of the rows as the table has them, else from 1."""
+    if "row" in words:
+        return [int(text) for text in words["row"]]
+    return list(range(1, len(table.cells) + 1))
+
+
+def _points_of_rows(
+    table: Table,
+    elsewhere: Points,
+    rows: Mask,
+    row_numbers: Sequence[int],
+    names: Sequence[str] | None,
+) -> Array:
+    """Return the points of rows from a list of points.
+
+    Args:
+        table: The table, for messages.
+        elsewhere: The list of points.
+        rows: Which rows need a point, shape (rows,).
+        row_numbers: The table's number of each row.
+        names: Name of each row's point; None: the points are in the order of the rows.
+
+    Returns:
+        Positions, shape (rows, 3) [m]; NaN in other rows, and where the list lacks the point.
+    """
+    at = np.flatnonzero(rows)
+    chosen_numbers = list(compress(row_numbers, rows))
+    chosen_names = None if names is None else list(compress(names, rows))
+    indices = np.array(elsewhere.of_rows(table.source, chosen_numbers, chosen_names), dtype=np.intp)
+    is_listed = indices >= 0
+    points = np.full((len(rows), 3), np.nan)
+    points[at[is_listed]] = elsewhere.points[indices[is_listed]]
+    return points
+
+
+# In SI units
+
+
+def _in_si(layout: Layout, blocks: Blocks) -> dict[str, Array]:
+    """Return the numbers of blocks in SI units."""
+    result = {}
+    for name, block in blocks.items():
+        result[name] = block * [column.to_si for column in layout.blocks[name]]
+    return result
+
+
+def _arrays(layout: Layout, si: Blocks, count: int) -> dict[str, Any]:
+    """Return joints and arrays of `Measurements`, from blocks of ``count`` rows in SI units."""
+    joints = layout.blocks["joints"]
+    single = {name: block[:, 0] for name, block in si.items() if name not in _WIDE}
+    readings = {name: single[name] for name in registry.readings() if name in single}
+    return {
+        "joint_names": [column.name for column in joints],
+        "prismatic": [column.name for column in joints if slides(column)],
+        "joints": si.get("joints", np.empty((count, 0))),
+        "points": si.get("points", np.full((count, 3), np.nan)),
+        "rotations": to_matrices(si["orientation"]) if "orientation" in si else None,
+        "torques": _torques(layout, si["torques"]) if "torques" in si else None,
+        "distances": readings.pop("distance", None),
+        "readings": readings,
+        "sigma": single.get("sigma"),
+        "sigma_angle": single.get("sigma_angle"),
+    }
+
+
+def _torques(layout: Layout, block: Array) -> Array:
+    """Return torques of all joints, shape (rows, n) [Nm or N]; NaN of joints without a column."""
+    joint_names = [column.name for column in layout.blocks["joints"]]
+    driven = [column.name.removesuffix(TORQUE) for column in layout.blocks["torques"]]
+    torques = np.full((len(block), len(joint_names)), np.nan)
+    torques[:, [joint_names.index(name) for name in driven]] = block
+    return torques

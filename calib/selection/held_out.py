@@ -1,0 +1,74 @@
+"""Residuals of held-out rows: measured minus what a fit without them predicts."""
+
+from __future__ import annotations
+
+from itertools import compress
+
+import numpy as np
+
+from calib.estimate.fitting import Fitted
+from calib.registration.registration import register_poses
+from calib.registration.rows import Rows
+from calib.registration.setup import Setup
+from calib.units import Array, Mask
+
+
+def held_out_residual(fitted: Fitted, rows: Rows, held_out: Mask, outliers: Mask) -> Array:
+    """Return the residual of held-out rows, by a fit to the others.
+
+    Args:
+        fitted: Fit to all rows but those that are held out.
+        rows: The N rows of all folds.
+        held_out: Rows that the fit has not used, shape (N,).
+        outliers: Rows that have no part in a registration, shape (N,).
+
+    Returns:
+        Measured minus predicted at the held-out rows, shape (n, D), [m] and [rad].
+    """
+    T_base_tip = fitted.tip_poses(rows.samples.select(held_out))
+    return residual_after_registration(
+        T_base_tip, fitted.placed(), rows, held_out, ~held_out, outliers
+    )
+
+
+def residual_after_registration(
+    T_base_tip: Array, placed: Setup, rows: Rows, held_out: Mask, used: Mask, outliers: Mask
+) -> Array:
+    """Return the residual of held-out rows; frames and targets that only they see are registered to them first.
+
+    Args:
+        T_base_tip: Predicted poses of the tip at the n held-out rows, shape (n, 4, 4), [m].
+        placed: Frames and targets as estimated from the rows that were used.
+        rows: The N rows of all folds.
+        held_out: Rows to predict, shape (N,).
+        used: Rows from which frames and targets were estimated, shape (N,).
+        outliers: Rows that have no part in the registration, shape (N,).
+
+    Returns:
+        Measured minus predicted at the held-out rows, shape (n, D), [m] and [rad].
+    """
+    own_rows = rows.select(held_out)
+    known_frames, known_targets = placed.seen_by(rows.samples.select(used))
+    remaining = placed.as_known(known_frames, known_targets)
+    if remaining.count:
+        good = own_rows.without(outliers[held_out])
+        placed = register_poses(T_base_tip[good], remaining, own_rows.select(good))
+    return own_rows.residual(placed.seen(T_base_tip, own_rows.samples))
+
+
+def seen_only_by(fitted: Fitted, chosen: Mask) -> Mask:
+    """Find the parameters of frames and targets that only some rows see.
+
+    Args:
+        fitted: A fit with p parameters to N rows.
+        chosen: The rows in question, shape (N,).
+
+    Returns:
+        True for the parameters of places that none of the other rows sees, shape (p,).
+    """
+    others = fitted.estimate.problem.rows.samples.select(~chosen)
+    frames, targets = fitted.setup.places
+    frames_seen, targets_seen = fitted.setup.seen_by(others)
+    unseen = {*compress(frames, ~frames_seen), *compress(targets, ~targets_seen)}
+    parameters = fitted.kinematics.model.parameters
+    return np.array([parameter.place in unseen for parameter in parameters], dtype=bool)

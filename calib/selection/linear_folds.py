@@ -1,0 +1,213 @@
+"""Cross-validation on the problem linearised at the fit to all rows: y = A x + n, without a new fit for each fold.
+
+Two uses. Candidates of the search are compared by `linear_cross_validation`, at the weights, noise and prior standard
+deviations of the fit to all rows. The cross-validation that is reported takes from `held_out_residuals_linear` those
+folds for which the linear problem is accurate; there weights, noise and priors are estimated anew in each fold.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from calib.estimate.fitting import PAPER, Fitted, given_weights, weighting
+from calib.estimate.linear import Linear
+from calib.estimate.prior_terms import PriorTerms
+from calib.estimate.stages import FEWEST_FREEDOM, Stage, staged
+from calib.numerics.errors import CrossValidation
+from calib.numerics.likelihood import Priors
+from calib.selection.folds import Folds
+from calib.selection.held_out import held_out_residual, seen_only_by
+from calib.units import Array, Mask
+
+#: The linear problem is accurate where its residuals differ from the robot's by less than this share of the noise, rms.
+_LINEAR = 1e-3
+
+#: A fold is fitted anew where it leaves a frame with fewer scalars than this: places then move far.
+_FEWEST_SCALARS = 18.0
+
+#: From this number of rows on, a small fold hardly changes weights, noise and priors: those of the fit to all rows do.
+_MANY = 1500
+
+#: A fold is small if it holds out less than this share of the rows.
+_SMALL_SHARE = 0.15
+
+#: Rows of all folds together that are fitted at a time, for they are held in memory.
+_AT_A_TIME = 4096
+
+
+def linear_cross_validation(fitted: Fitted, outliers: Mask | None = None) -> CrossValidation:
+    """Cross-validate on the linearised problem, with prior std, noise and weights of the fit to all rows.
+
+    Args:
+        fitted: Fit to N rows.
+        outliers: Rows to leave out of the errors without outliers, shape (N,); None: those that the fit flagged.
+    """
+    problem, estimate = fitted.estimate.problem, fitted.estimate
+    rows = problem.rows
+    linear = problem.linear(estimate.x)
+    folds = Folds.of_task(fitted.task, rows)
+    means = fold_posterior_means(fitted, linear, folds.masks)
+    residuals = []
+    for mask, x in zip(folds.masks, means, strict=True):
+        part = linear.select(mask)
+        own = seen_only_by(fitted, mask)
+        if np.any(own):
+            x = _with_own_places(part, x, own, problem.weights[mask])
+        residuals.append(part.residual(x) * rows.scales[mask])
+    return folds.joined(rows, residuals, estimate.outliers if outliers is None else outliers)
+
+
+def _with_own_places(part: Linear, x: Array, own: Mask, weights: Array) -> Array:
+    """Return parameters with those of places that only these rows see fitted to these rows.
+
+    Args:
+        part: The linear problem of the n held-out rows.
+        x: Parameters by the other rows, shape (p,).
+        own: True for the parameters to fit, shape (p,).
+        weights: Weights of the rows, shape (n,). A row without weight must not move the frame of the others.
+    """
+    row, _ = np.nonzero(part.used)
+    root = np.sqrt(weights)[row]
+    by_others = part.residual(np.where(own, 0.0, x))[part.used]
+    columns = part.A[part.used][:, own]
+    result = x.copy()
+    result[own] = np.linalg.lstsq(columns * root[:, None], by_others * root, rcond=1e-9)[0]
+    return np.asarray(result)
+
+
+def fold_posterior_means(fitted: Fitted, linear: Linear, masks: Sequence[Mask] | Mask) -> Array:
+    """Return the parameters by the rows outside of each fold, at weights, noise and priors of the fit to all rows.
+
+    Args:
+        fitted: Fit to N rows with p parameters.
+        linear: Its problem, linearised.
+        masks: For each of F folds, True for the rows that it holds out, each of shape (N,).
+
+    Returns:
+        Offsets from the registered start like ``fitted.estimate.x``, shape (F, p).
+    """
+    problem = fitted.estimate.problem
+    weights = np.where(np.array(masks), 0.0, problem.weights)
+    noise = np.tile(fitted.estimate.noise, (len(masks), 1))
+    priors = Priors(problem.precision, problem.centre)
+    x, _, _ = linear.fit(weights, problem.rho, noise, priors)
+    return np.asarray(x)
+
+
+def held_out_residuals_linear(
+    fitted: Fitted, masks: tuple[Mask, ...], outliers: Mask
+) -> dict[int, Array]:
+    """Return held-out residuals of the folds for which the linear problem is accurate.
+
+    Args:
+        fitted: Fit to all N rows.
+        masks: For each fold, True for the rows that it holds out, each of shape (N,).
+        outliers: Rows that have no part in a registration, shape (N,).
+
+    Returns:
+        Residuals, shape (n, D), [m] and [rad], by the fold's index from 0. Folds that are not in it must be fitted
+        anew: too few rows are left, a parameter would exceed its bounds, or the robot is not linear that far.
+    """
+    task, estimate = fitted.task, fitted.estimate
+    if task.solver == PAPER or estimate.at_bound:
+        return {}
+    candidates = [k for k, mask in enumerate(masks) if _leaves_enough_rows(fitted, mask)]
+    if not candidates:
+        return {}
+    linear = estimate.problem.linear(estimate.x)
+    prior = PriorTerms.of(
+        task.cell, fitted.kinematics.model, task.setup, fitted.setup, lenient=task.lenient
+    )
+    x, freedom = _fold_estimates(fitted, linear, prior, np.array([masks[k] for k in candidates]))
+    low, high = prior.limits.T
+    inside = np.all((x >= low) & (x <= high), axis=1)
+    accepted = np.flatnonzero((freedom > FEWEST_FREEDOM) & inside).tolist()
+    result = {}
+    for i in accepted:
+        k = candidates[i]
+        residual = _accurate_residual(fitted, linear, x[i], masks[k])
+        if residual is None:
+            continue
+        if np.any(seen_only_by(fitted, masks[k])):
+            without_fold = replace(fitted, estimate=replace(estimate, x=x[i]))
+            rows = estimate.problem.rows
+            result[k] = held_out_residual(without_fold, rows, masks[k], outliers)
+        else:
+            result[k] = residual[masks[k]]
+    return result
+
+
+def _leaves_enough_rows(fitted: Fitted, mask: Mask) -> bool:
+    """Tell if the rows outside of a fold are many for the parameters, in each frame, and of every kind.
+
+    Args:
+        fitted: Fit to all N rows.
+        mask: True for the rows that are held out, shape (N,).
+    """
+    rows = fitted.estimate.problem.rows
+    scalars = np.sum(rows.used & ~mask[:, None], axis=1)
+    if np.sum(scalars) < len(fitted.kinematics.model) + FEWEST_FREEDOM:
+        return False
+    in_frame = np.bincount(rows.samples.frame, scalars)
+    if np.any((in_frame > 0.0) & (in_frame < _FEWEST_SCALARS)):
+        return False
+    return len(np.unique(rows.kinds[~mask])) == len(np.unique(rows.kinds))
+
+
+def _fold_estimates(
+    fitted: Fitted, linear: Linear, prior: PriorTerms, masks: Mask
+) -> tuple[Array, Array]:
+    """Return the parameters by the rows outside of each fold.
+
+    Weights, noise and prior standard deviations are estimated anew, unless the folds are small parts of many rows.
+
+    Args:
+        fitted: Fit to all N rows with p parameters.
+        linear: Its problem, linearised.
+        prior: Priors of the fit.
+        masks: True for the rows that each fold holds out, shape (F, N).
+
+    Returns:
+        Offsets x, shape (F, p), and degrees of freedom of each, shape (F,); infinite where they were not counted.
+    """
+    task, rows = fitted.task, fitted.estimate.problem.rows
+    if len(rows) >= _MANY and masks.mean(axis=1).max() < _SMALL_SHARE:
+        return fold_posterior_means(fitted, linear, masks), np.full(len(masks), np.inf)
+    size = max(_AT_A_TIME // len(rows), 1)
+    x, freedom = [], []
+    for first in range(0, len(masks), size):
+        kept = rows.checked & ~masks[first : first + size]
+        stage = Stage.first(prior, kept, len(linear.smallest), given_weights(rows))
+        stage, freedom_of_part = staged(
+            stage, lambda _: linear, rows.poses, **weighting(task, rows)
+        )
+        x.append(stage.fit(linear)[0])
+        freedom.append(freedom_of_part)
+    return np.concatenate(x), np.concatenate(freedom)
+
+
+def _accurate_residual(fitted: Fitted, linear: Linear, x: Array, mask: Mask) -> Array | None:
+    """Return the residual at parameters of a fold, or None if the linear problem is not accurate there.
+
+    It is compared with the robot itself at the rows that the fold keeps.
+
+    Args:
+        fitted: Fit to all N rows.
+        linear: Its problem, linearised.
+        x: Parameters without the fold, shape (p,).
+        mask: True for the rows that are held out, shape (N,).
+
+    Returns:
+        Measured minus predicted of all rows, shape (N, D), [m] and [rad].
+    """
+    problem, estimate = fitted.estimate.problem, fitted.estimate
+    rows = problem.rows
+    residual = problem.residual(x)
+    difference = (linear.residual(x) * rows.scales - residual) / problem.scales
+    kept_rows = rows.checked & ~mask & (estimate.weights > 0.0)
+    kept = rows.used & kept_rows[:, None]
+    accurate = np.sqrt(np.mean(difference[kept] ** 2)) < _LINEAR
+    return residual if accurate else None
