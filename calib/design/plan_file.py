@@ -17,10 +17,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import calib.data.kinds as registry
-from calib.data.columns import DEFAULT_TARGET, QUATERNION, name_columns
+from calib.data.columns import DEFAULT_TARGET, EXPECTED, POINT, QUATERNION, name_columns
 from calib.data.layout import Layout
 from calib.data.measurements import Measurements
-from calib.data.table import EXPECTED, POINT, Table
+from calib.data.table import Table
 from calib.data.values import read_values
 from calib.design.forecast import Forecast
 from calib.design.plan import Plan

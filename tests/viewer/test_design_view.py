@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from calib.design.workspace import workspace
 
 from calib import example
 from calib.data.cell import Box, Cell, Tracker
@@ -16,6 +15,7 @@ from calib.design.choice import PlanRequest
 from calib.design.plan import plan
 from calib.regions.region import Density
 from calib.regions.region_rows import Checked, RegionView
+from calib.regions.workspace import workspace
 from calib.robot.ranges import joint_ranges, random_joint_values
 from calib.viewer.design_view import plan_page, region_page
 from tests.viewer.conftest import scene_of
