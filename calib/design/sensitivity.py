@@ -18,8 +18,9 @@ from calib.errors import ModelError, choices
 from calib.estimate.fitting import Task, model_of
 from calib.estimate.inspection import GENERIC_TARGET, table_of_poses
 from calib.model.families import FAMILIES
-from calib.model.kinematics import ErrorModel, Kinematics, Samples
+from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability, analyse
+from calib.model.parameters import ErrorModel
 from calib.registration.rows import Rows
 from calib.registration.setup import Setup
 from calib.registration.table_rows import FIRST_SIGMA_ANGLE

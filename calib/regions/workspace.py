@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.data.cell import vector
+from calib.numerics.geometry import vector
 from calib.robot.ranges import joint_ranges
 from calib.robot.robot import Robot
 from calib.units import Array
