@@ -33,8 +33,7 @@ from calib.design.solids import (
     rods,
     target_solids,
 )
-from calib.robot.chain import full_model
-from calib.robot.full_model import full_configurations, link_frame
+from calib.robot.full_model import full_configurations, full_model, link_frame
 from calib.robot.ranges import spread_poses
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf

@@ -17,8 +17,7 @@ from pinocchio import hppfcl
 
 from calib.data.cell import Box
 from calib.errors import UrdfError
-from calib.robot.chain import full_model
-from calib.robot.full_model import link_frame
+from calib.robot.full_model import full_model, link_frame
 from calib.robot.kernel import turns_to
 from calib.robot.meshes import LinkShape, find_mesh, link_shapes, load_mesh, mesh_folders
 from calib.robot.robot import Robot
