@@ -68,7 +68,7 @@ def levenberg_marquardt(
     scale, (R, rhs) = _column_norms(J), _triangle(J, r)
     mu, raise_by = 1e-8, 2.0
     history: list[Iteration] = []
-    status, message = "converged", "The steps no longer change the cost or the parameters."
+    status, message = "converged", "Relative change of cost and parameters below tolerance."
     while True:
         # A square of R's size carries all that J and r say, so that each mu costs p^3 and not m p^2.
         dx = _damped_step(R, rhs, np.sqrt(mu) * scale)
