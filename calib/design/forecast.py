@@ -25,7 +25,7 @@ from calib.data.measurements import Measurements
 from calib.design.candidates import planning_ranges
 from calib.design.sensitivity import Sensitivity
 from calib.registration.registration import register
-from calib.registration.table_rows import rows_of
+from calib.registration.table_rows import rows_and_setup
 from calib.robot.kernel import over_blocks
 from calib.robot.ranges import spread_between
 from calib.robot.robot import Robot, read_only
@@ -164,7 +164,7 @@ def forecast_of_table(robot: Robot, cell: Cell, measurements: Measurements) -> F
     kind = fitted.kinds[0]
     if len(sorts) > 1 or not registry.get(kind).free:
         return None
-    rows, setup = rows_of(robot, measurements, cell)
+    rows, setup = rows_and_setup(robot, measurements, cell)
     rows = rows.select(measurements.estimation)
     registered = register(robot.poses(rows.joints), setup, rows)
     T_frame_base = cell.T_frame_base

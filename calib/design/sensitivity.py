@@ -24,7 +24,7 @@ from calib.model.parameters import ErrorModel
 from calib.registration.rows import Rows
 from calib.registration.setup import Setup
 from calib.registration.table_rows import FIRST_SIGMA_ANGLE
-from calib.registration.table_setup import setup_of
+from calib.registration.table_setup import measurement_setup
 from calib.result.prediction import without_rigid_motion
 from calib.robot.gravity import gravity_loads
 from calib.robot.robot import Robot, read_only
@@ -70,7 +70,7 @@ class Sensitivity:
         cell = replace(cell, distances=())
         table = _one_pose(robot, cell, kind)
         kinds = np.full(len(table), registry.names().index(kind))
-        setup = setup_of(cell, table, kinds)
+        setup = measurement_setup(cell, table, kinds)
         notes = []
         if not np.all(setup.target_given):
             setup = _with_generic_targets(setup)
