@@ -20,9 +20,10 @@ from studies import core_count, print_table, process_pool, study_parser
 from calib.data.cell import Box, Cell, Reflector, Tracker
 from calib.data.measurements import Measurements
 from calib.design.candidates import draw, planning_ranges
-from calib.design.forecast import Forecast, Sensitivity, Workspace
-from calib.design.optimal import PlanRequest
+from calib.design.choice import PlanRequest
+from calib.design.forecast import Forecast, Workspace
 from calib.design.plan import Plan, plan
+from calib.design.sensitivity import Sensitivity
 from calib.example import PAPER_TARGET, paper_measurements, paper_urdf
 from calib.robot.robot import Robot
 from calib.simulation.scenario import Scenario
