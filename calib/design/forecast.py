@@ -27,12 +27,12 @@ from calib.estimate.inspection import GENERIC_TARGET, table_of_poses
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability, analyse
+from calib.numerics.rigid_motion import without_rigid_motion
 from calib.registration.registration import register
 from calib.registration.rows import Rows
 from calib.registration.setup import Setup
 from calib.registration.table_rows import FIRST_SIGMA_ANGLE, rows_of
 from calib.registration.table_setup import setup_of
-from calib.result.prediction import without_rigid_motion
 from calib.robot.gravity import gravity_loads
 from calib.robot.kernel import over_blocks
 from calib.robot.ranges import spread_between
