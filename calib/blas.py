@@ -1,4 +1,4 @@
-"""Threads of the linear algebra library."""
+"""Threads of the linear algebra library (BLAS) that NumPy calls."""
 
 from __future__ import annotations
 
@@ -11,12 +11,15 @@ from threadpoolctl import ThreadpoolController
 
 @cache
 def _libraries() -> ThreadpoolController:
-    """The libraries that are loaded; to look for them takes as long as a fit."""
+    """Return the libraries that are loaded; searching for them takes as long as a fit."""
     return ThreadpoolController()
 
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Linear algebra has one thread within the block: on matrices this small more of them wait for each other."""
+    """Limit linear algebra to one thread inside a ``with`` block, or a function that this decorates.
+
+    On matrices as small as those of a fit, several threads wait for each other longer than they compute.
+    """
     with _libraries().limit(limits=1, user_api="blas"):
         yield

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from calib.errors import VerdictError
 from calib.formats.convert import FORMATS, Conversion, Options, read_source
-from calib.formats.universal_robots import Source
+from calib.formats.source import Source
 from calib.text.verdict import against, refusal
 
 __all__ = ["convert"]

@@ -1,8 +1,8 @@
-"""How Sphinx makes the site of these pages: ``make docs`` builds it into ``site/``, and loads nothing from the network.
+"""Sphinx configuration: ``make docs`` builds the site of these pages into ``site/`` and loads nothing from the network.
 
-The pages are plain Markdown that reads as well where the files lie. What Sphinx needs besides stands here: links that
-leave this folder, docstrings with indented equations, names of calib wherever they are defined, and pages that no table
-of contents names yet.
+The pages are plain Markdown that can also be read as files. This module adapts them for Sphinx: links out of this
+folder, docstrings with indented equations, names of calib independent of the module that defines them, and pages that
+are in no table of contents yet.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ from sphinx.application import Sphinx
 from sphinx.environment import BuildEnvironment
 
 HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE.parent))  # as `python -m sphinx` from another folder does not
+sys.path.insert(0, str(HERE.parent))  # for `python -m sphinx` from another folder
 
 import calib  # noqa: E402
 
 
 def _named(name: str) -> type:
-    """A type that is shown by this name alone."""
+    """Return a type that Sphinx shows by this name alone."""
     return type(name, (), {"__module__": "builtins"})
 
 
 class _Arrays:
-    """In place of NDArray: "Array" says more than numpy.ndarray[tuple[Any, ...], numpy.dtype[numpy.float64]]."""
+    """Replacement of NDArray that is shown as "Array" in place of numpy.ndarray[tuple[Any, ...], ...]."""
 
     def __class_getitem__(cls, number: type) -> type:
-        """The array of numbers of a type."""
-        kinds = {"b": _named("BoolArray"), "i": _named("IntArray")}
+        """Return the type of an array of these numbers: Array, BoolArray or IntArray."""
+        names = {"b": "BoolArray", "i": "IntArray"}
         kind = "f" if number is np.floating else np.dtype(number).kind
-        return kinds.get(kind, _named("Array"))
+        return _named(names.get(kind, "Array"))
 
 
 # The modules of calib are imported by autodoc, after this line.
@@ -57,7 +57,7 @@ smartquotes = False
 default_role = "py:obj"
 suppress_warnings = ["config.cache"]
 
-# A heading's anchor is what hosts of Git repositories make of it, so that links work in both places.
+# Anchors of headings are those of Git hosts, so that links work in both places.
 myst_heading_anchors = 4
 
 autodoc_default_options = {"members": True}
@@ -69,7 +69,7 @@ napoleon_use_rtype = False
 python_maximum_signature_line_length = 90
 python_use_unqualified_type_names = True
 
-# What does not say what it is, is a table or what a program printed: nothing to colour.
+# Code blocks without a language are tables or printed output, which need no colours.
 highlight_language = "text"
 toc_object_entries_show_parents = "hide"
 
@@ -82,27 +82,22 @@ html_show_sphinx = False
 pygments_style = "friendly"
 pygments_dark_style = "github-dark"
 
-#: Sections of a docstring, whose text is indented for another reason than an equation.
+#: Headings of docstring sections; the text below them is indented, but no equation.
 _SECTION = re.compile(r"(Args|Attributes|Example|Examples|Raises|Returns|Yields):$")
 
-#: What napoleon takes the first colon of for the end of a type, and what stands for a colon meanwhile.
-_TYPED, _COLON = {"property", "attribute", "data"}, "\N{RATIO}"
+#: Objects in whose docstring napoleon takes text before the first colon for a type.
+_TYPED = {"property", "attribute", "data"}
 
-#: An attribute as napoleon writes it: its head, its text, its type.
+#: Character that replaces colons of such docstrings while napoleon runs.
+_COLON = "\N{RATIO}"
+
+#: An attribute as written by napoleon: head, text, type.
 _ATTRIBUTE = re.compile(r"(\.\. attribute:: \w+\n)\n((?:   .*\n|\n)*?)   :type: (.*)\n")
 
-#: Classes of calib that only its functions make.
-_GIVEN = {
-    "Calibration",
-    "Commands",
-    "Comparison",
-    "Evaluation",
-    "Plan",
-} | {
-    "Robot",
-}
+#: Public classes that only functions of calib make; their constructors are not documented.
+_RESULTS = {"Calibration", "Commands", "Comparison", "Evaluation", "Plan", "Robot"}
 
-#: What other packages' names begin with. They are shown as text: their pages lie elsewhere.
+#: Beginnings of names of other packages; these are shown as text, without a link.
 _FOREIGN = (
     "collections.",
     "concurrent.",
@@ -120,7 +115,7 @@ _FOREIGN = (
 
 
 def setup(app: Sphinx) -> None:
-    """Connect what follows."""
+    """Connect the functions below with Sphinx's events."""
     app.add_lexer("csv", TextLexer)
     app.connect("source-read", _read_page)
     app.connect("autodoc-process-docstring", _docstring, priority=400)  # before napoleon
@@ -131,13 +126,13 @@ def setup(app: Sphinx) -> None:
 
 
 def _read_page(_: Sphinx, _name: str, source: list[str]) -> None:
-    """Fill in the lists that follow from the files, and lead links to where the site has their pages."""
+    """Fill in the generated lists of a page, and adapt its links to the site."""
     text = source[0]
     text = re.sub(
         r"^( *)\.\. unlisted$", lambda m: _lines(m[1], _unlisted()), text, flags=re.MULTILINE
     )
     text = re.sub(r"^\.\. modules:: (\w*)$", lambda m: _modules(m[1]), text, flags=re.MULTILINE)
-    # A link that shows a file's name shows the page's title here.
+    # A link whose text is a file name shows the title of the page.
     text = re.sub(r"\[([\w-]+\.md)\]\((\1(?:#[\w-]+)?)\)", r"[](\2)", text)
     text = re.sub(r"\]\(\.\./CHANGELOG\.md(#[\w-]+)?\)", r"](changelog.rst\1)", text)
     # Folders and sources are not part of the site.
@@ -150,7 +145,7 @@ def _lines(indent: str, names: list[str]) -> str:
 
 
 def _unlisted() -> list[str]:
-    """Pages that no table of contents names."""
+    """Return the pages that are in no table of contents."""
     named = set(
         re.findall(r"^   ([\w-]+)$", (HERE / "index.rst").read_text(encoding="utf-8"), re.MULTILINE)
     )
@@ -158,55 +153,57 @@ def _unlisted() -> list[str]:
 
 
 def _modules(folder: str) -> str:
-    """What each module of a folder says of itself; of no folder: the modules beside the folders."""
+    """Return the docstrings of the modules of a folder of calib, as reStructuredText; "" is calib itself."""
     place = HERE.parent / "calib" / folder
     entries = []
     for path in sorted(place.glob("*.py")):
         if not path.stem.startswith("__"):
             title = ".".join(["calib", *([folder] if folder else []), path.stem])
-            said = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
-            entries.append("\n".join([f".. rubric:: ``{title}``", "", *_shown(said.split("\n"))]))
+            docstring = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+            text = _shown(docstring.split("\n"))
+            entries.append("\n".join([f".. rubric:: ``{title}``", "", *text]))
     return "\n\n".join(entries)
 
 
 def _docstring(
     _: Sphinx, what: str, _name: str, _obj: object, _options: object, lines: list[str]
 ) -> None:
-    """Make an indented block of a docstring's text, which is an equation or a table, one that keeps its lines."""
-    if what in _TYPED:  # napoleon would take what stands before the first colon for a type
+    """Mark the indented blocks of a docstring, which are equations or tables, as literal blocks."""
+    if what in _TYPED:  # napoleon would take the text before the first colon for a type
         lines[:] = [line.replace(":", _COLON) for line in lines]
     lines[:] = _shown(lines)
 
 
 def _shown(lines: list[str]) -> list[str]:
-    """The lines of a docstring, whose indented blocks stay as they stand."""
+    """Return the lines of a docstring with its indented blocks marked as literal."""
     text: list[str] = []
-    before, drawn = "", False
+    before = ""  # the last line that is not blank
+    literal = False
     for index, line in enumerate(lines):
         indented = line.startswith("    ")
-        if indented and not drawn and index and not lines[index - 1] and _is_prose(before):
-            drawn = not line.lstrip().startswith(">>>")
-            text += ["::", ""] if drawn else []
-        drawn = drawn and (indented or not line)
-        text.append(line if drawn else _linked(line.replace("|", r"\|")))
+        if indented and not literal and index and not lines[index - 1] and _is_prose(before):
+            literal = not line.lstrip().startswith(">>>")
+            text += ["::", ""] if literal else []
+        literal = literal and (indented or not line)
+        text.append(line if literal else _linked(line.replace("|", r"\|")))
         before = line or before
     return text
 
 
 def _linked(line: str) -> str:
-    """A line with the pages that it names as links."""
+    """Return a line in which names of pages are links."""
     return re.sub(r"(?<!`)\bdocs/([\w-]+)\.md\b", r":doc:`/\1`", line)
 
 
 def _is_prose(line: str) -> bool:
-    """Whether a line is one of running text: neither indented, nor in a list, nor the head of a section."""
+    """Return True for a line of running text: not indented, no list item, no heading of a section."""
     return bool(line) and not line.startswith((" ", "- ")) and not _SECTION.match(line)
 
 
 def _types(
     _: Sphinx, what: str, _name: str, _obj: object, _options: object, lines: list[str]
 ) -> None:
-    """Give colons back, and put the type of an attribute beside its name, where names in it become links."""
+    """Restore colons, and put the type of an attribute next to its name, where its parts become links."""
     text = "\n".join(lines)
     if what in _TYPED:
         text = text.replace(_COLON, ":")
@@ -217,15 +214,15 @@ def _types(
 def _signature(
     _: Sphinx, what: str, name: str, _obj: object, _options: object, args: str | None, returns: str
 ) -> tuple[str, str] | None:
-    """No signature of a class that users are given and do not make: its attributes stand below it."""
-    if what == "class" and (name.count(".") > 1 or name.rpartition(".")[2] in _GIVEN):
+    """Return the signature to show; none for classes that users do not construct."""
+    if what == "class" and (name.count(".") > 1 or name.rpartition(".")[2] in _RESULTS):
         return ("", returns) if args else None
-    # A default that a function makes, such as an empty table, is no Python and would stop the links.
+    # The text of a default factory is no Python and would prevent links.
     return (args.replace("<factory>", "..."), returns) if args else None
 
 
 def _short_contents(_: Sphinx, page: nodes.document) -> None:
-    """Leave what a class has out of the list of a page's contents: the classes themselves are long enough a list."""
+    """Omit members of classes from the contents of a page, which list the classes only."""
     for signature in page.findall(desc_signature):
         if signature.parent["objtype"] in {"attribute", "property", "method"}:
             signature["_toc_name"] = ""
@@ -234,31 +231,33 @@ def _short_contents(_: Sphinx, page: nodes.document) -> None:
 def _elsewhere(
     app: Sphinx, env: BuildEnvironment, node: pending_xref, shown: nodes.TextElement
 ) -> nodes.Node | None:
-    """A name by its last part where one documented thing is called so; one that exists, but has no entry, as text."""
+    """Resolve a name by its last part if one documented object has it; show other known names as text."""
     if node.get("refdomain") != "py":
         return None
     target = node["reftarget"]
     last = target.rpartition(".")[2]
     domain = env.domains.python_domain
-    found = [name for name in domain.objects if name == last or name.endswith(f".{last}")]
-    found = [f"calib.{last}"] if f"calib.{last}" in found else found  # and not where it is defined
-    if len(found) == 1 and not target.startswith(_FOREIGN):
-        kind = "obj" if node["reftype"] == "obj" else domain.objects[found[0]].objtype
-        return domain.resolve_xref(env, node["refdoc"], app.builder, kind, found[0], node, shown)
-    # What these values are made of in turn is shown by name: it has no page of its own.
+    documented = [name for name in domain.objects if name == last or name.endswith(f".{last}")]
+    if f"calib.{last}" in documented:  # the public name, not the module that defines it
+        documented = [f"calib.{last}"]
+    if len(documented) == 1 and not target.startswith(_FOREIGN):
+        name = documented[0]
+        kind = "obj" if node["reftype"] == "obj" else domain.objects[name].objtype
+        return domain.resolve_xref(env, node["refdoc"], app.builder, kind, name, node, shown)
+    # Types without a page of their own are shown by name.
     known = target.startswith(("calib ", *_FOREIGN)) or last in _names()
     return shown if known else None
 
 
 @cache
 def _names() -> frozenset[str]:
-    """Every name that calib's modules define, and theirs."""
-    found: set[str] = set()
+    """Return the names of all modules, folders, classes, functions and variables of calib."""
+    names: set[str] = set()
     for path in (HERE.parent / "calib").rglob("*.py"):
-        found |= {path.stem, path.parent.name}
+        names |= {path.stem, path.parent.name}
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, (ast.ClassDef, ast.FunctionDef)):
-                found.add(node.name)
+                names.add(node.name)
             elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
-                found.add(node.id)
-    return frozenset(found)
+                names.add(node.id)
+    return frozenset(names)

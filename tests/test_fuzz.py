@@ -18,7 +18,8 @@ from calib.design.collision import read_solids
 from calib.design.workspace import read_region
 from calib.errors import CalibError
 from calib.example import paper_measurements, paper_urdf
-from calib.formats.convert import KINDS, Options, source_kind
+from calib.formats.convert import KINDS, Options
+from calib.formats.source_kinds import source_kind
 
 ROOT = Path(__file__).parents[1]
 ARM, DATA = str(paper_urdf()), paper_measurements()

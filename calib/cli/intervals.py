@@ -69,7 +69,7 @@ class Intervals:
             Texts to print, and tables for the result file by key.
         """
         from calib.result.uncertainty import bootstrap, profile_interval
-        from calib.text.summary import LEVEL, bootstrap_table, bootstrap_text, profile_text
+        from calib.text.intervals import LEVEL, bootstrap_table, bootstrap_text, profile_text
 
         texts: list[str] = []
         tables: dict[str, Any] = {}

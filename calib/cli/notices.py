@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from calib.errors import choices
-from calib.text.lines import fill, row_ranges
+from calib.text.layout.lines import fill, row_ranges
 
 if TYPE_CHECKING:
     from calib.data.measurements import Measurements

@@ -38,10 +38,10 @@ from calib.compensation.inverse import (
 from calib.compensation.nominal_actual import Pair, pair_of
 from calib.compensation.program import CORRECTION, EXPECTED, Program
 from calib.data.columns import POINT, QUATERNION, ROLL_PITCH_YAW, ROTATION_VECTOR, STATUS
-from calib.data.geometry import to_quaternions
 from calib.diagnosis.reasons import NO
 from calib.errors import VerdictError
 from calib.files import csv_bytes, write_atomically
+from calib.numerics.geometry import to_quaternions
 from calib.result.calibration import CalibrationValues
 from calib.robot.payload import Payload
 from calib.robot.ranges import column_limits

@@ -15,13 +15,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.data.geometry import not_rotations
 from calib.errors import ModelError, choices
 from calib.model.error_model import error_model
 from calib.model.families import Factor, JointState
 from calib.model.joint_errors import axis_twists
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.parameters import TIP, ErrorModel, Parameter
+from calib.numerics.geometry import not_rotations
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import NonGeometric
 from calib.robot.payload import Payload

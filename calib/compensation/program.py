@@ -25,12 +25,12 @@ from calib.data.columns import (
     name_columns,
     with_unit,
 )
-from calib.data.geometry import not_rotations
 from calib.data.layout import Layout
 from calib.data.measurements import Measurements
 from calib.data.table import Column, Table
 from calib.data.values import read_values
 from calib.errors import MeasurementError, ModelError, choices
+from calib.numerics.geometry import not_rotations
 from calib.robot.robot import Robot, read_only
 from calib.units import Array, Quantity
 

@@ -19,7 +19,6 @@ from numpy.typing import ArrayLike
 
 import calib.data.kinds as registry
 from calib.data.cell_file import checked, read_cell_file
-from calib.data.geometry import FARTHEST, pose_of, pose_or_none, rotation_or_none, vector
 from calib.data.kinds import SIGMAS
 from calib.data.priors import PRIOR_STD_RANGE, Priors
 from calib.data.surroundings import (
@@ -32,6 +31,7 @@ from calib.data.surroundings import (
 )
 from calib.errors import CalibError, FileError, choices
 from calib.model.error_model import DIRECTIONS
+from calib.numerics.geometry import FARTHEST, pose_of, pose_or_none, rotation_or_none, vector
 from calib.robot.gravity import GRAVITY
 from calib.robot.payload import Payload
 from calib.robot.robot import read_only

@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.data.geometry import pose_of
 from calib.errors import CalibError, FileError, choices, did_you_mean
 from calib.files import read_bytes
 from calib.model.error_model import DIRECTIONS
 from calib.model.families import FAMILIES
+from calib.numerics.geometry import pose_of
 from calib.units import (
     ANGLE,
     COMPLIANCE,

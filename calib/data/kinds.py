@@ -21,9 +21,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.data.geometry import inverse_right_jacobian
 from calib.errors import CalibError, MeasurementError, choices
 from calib.model.error_model import DIRECTIONS
+from calib.numerics.geometry import inverse_right_jacobian
 from calib.units import Array, Quantity
 
 #: Least and largest standard deviation accepted for a measurement [m or rad]: no instrument is

@@ -4,38 +4,46 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NoReturn
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.data.columns import POINT
-from calib.data.plausibility import implausible_length as implausible
+from calib.data.plausibility import implausible_length
 from calib.data.table import Column, Table, read_text
 from calib.errors import MeasurementError, choices, did_you_mean
 from calib.units import UNITS, Unit, symbols
 
-#: Between collection, group and point.
+#: Between collection, group and point in a point's whole name.
 PARTS = "::"
 
 #: In the order in which they are tried; the last one stands for any number of blanks.
 _SEPARATORS = (";", "\t", ",", " ")
 
+#: What a remark begins with.
 _COMMENT = ("#", "//", "!", "%", ";")
+
+#: A ruled line.
 _RULE = re.compile(r"[-=_*+\s]+")
+
+#: A coordinate, with a decimal point or comma.
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?")
+
+#: A word of a remark.
 _WORDS = re.compile(r"[^\W\d_]+")
 
-# What the column of names is called in a header; the first two stand before the point's own.
+#: Headings of the columns of names, in the order in which a whole name has its parts.
 _NAMES = (
     *("collection", "coll", "group", "pointgroup", "point group", "group name"),
     *("point", "name", "pointname", "point name", "point id", "pointid", "id", "label", "target"),
 )
 
-# "in" is also a word, so it only counts where no other unit stands.
+#: Symbols of units by the words for them. "in" is also a word, so it only counts where no other
+#: unit stands.
 _UNIT_WORDS = {
     **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetre", "millimetres"), "mm"),
     **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), "m"),
@@ -45,142 +53,232 @@ _UNIT_WORDS = {
     **dict.fromkeys(("ft", "foot", "feet", "yd", "yard", "yards"), "ft"),
 }
 
+#: Most lines, and most names, that a message lists.
+_LISTED_LINES = 8
+_COMPARED_NAMES = 1000
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Points:
     """N measured points of a file."""
 
-    #: With collection and group before them, ``"A::Main::P1"``, if the file has them; empty without.
+    #: Whole names, with collection and group if the file has them, ``"A::Main::P1"``; empty if it has no names.
     names: tuple[str, ...]
     points: NDArray[np.float64]  #: Positions, shape (N, 3), [m], read-only.
-    lines: tuple[int, ...]  #: Of the file, for each point.
+    lines: tuple[int, ...]  #: Line of the file of each point, from 1.
     source: str  #: The file's name, for messages.
-    sha256: str  #: Of the file's bytes.
+    sha256: str  #: Hash of the file's bytes.
 
     def of_rows(self, source: str, rows: Sequence[int], names: Sequence[str] | None) -> list[int]:
-        """Which point, from 0, each row of a table has, by its name, or in their order where names are None.
+        """Find the point of each row of a table.
 
-        -1 for rows whose point was not measured yet: none if the list has points that nobody names, for then a name is
-        more likely misspelt.
+        Args:
+            source: The table's name, for messages.
+            rows: The numbers of the table's rows, for messages.
+            names: Name of each row's point, whole or without collection and group; None: the
+                points are in the order of the rows.
+
+        Returns:
+            Index of each row's point, from 0; -1 for a row whose point is not measured yet. That is
+            taken to be so only if rows name all points of the list; else a name that is not in it
+            is more likely misspelt.
 
         Raises:
-            MeasurementError: A row's point is not there, is several, or is that of another row; or the counts differ.
+            MeasurementError: A row's point is not in the list, is ambiguous, or is that of another
+                row; or there are no names, and more or fewer points than rows.
         """
         if names is None:
-            if len(self.points) != len(rows):
-                raise MeasurementError(
-                    f"{self.source} has {len(self.points)} points and {source} {len(rows)} rows to match them with, in "
-                    "their order. Add a column 'point' with the points' names, or remove what has no counterpart."
-                )
+            self._check_count(source, len(rows))
             return list(range(len(rows)))
-        at: dict[str, list[int]] = {}
-        for part in (_last, str):  # a whole name wins
-            own: dict[str, list[int]] = {}
-            for i, whole in enumerate(self.names):
-                own.setdefault(part(whole), []).append(i)
-            at |= own
-        found = [at.get(name, []) for name in names]
-        complete = {i for hits in found for i in hits} == {*range(len(self.points))}
-        taken: dict[int, int] = {}  # point: row
-        for row, name, hits in zip(rows, names, found, strict=True):
-            fault = ""
-            if len(hits) > 1:
-                lines = ", ".join(str(self.lines[i]) for i in hits[:8])
-                whole = choices(dict.fromkeys(self.names[i] for i in hits))
-                fault = f"several points are called '{name}', in lines {lines}; write the whole name: {whole}"
-            elif not hits and not complete:
-                near = did_you_mean(name, [*self.names, *map(_last, self.names)][:1000])
-                fault = f"there is no point '{name}'{near}; it has {choices(self.names)}"
-            elif hits and taken.setdefault(hits[0], row) != row:
-                fault = (
-                    f"row {taken[hits[0]]} names the point '{name}' too, which was measured once"
-                )
-            if fault:
+        indices_by_name = self._indices_by_name()
+        hits = [indices_by_name.get(name, []) for name in names]
+        is_complete = {i for indices in hits for i in indices} == {*range(len(self.points))}
+        row_of_point: dict[int, int] = {}
+        for row, name, indices in zip(rows, names, hits, strict=True):
+            fault = None
+            if len(indices) > 1:
+                fault = self._ambiguous(name, indices)
+            elif not indices and not is_complete:
+                fault = self._unknown(name)
+            elif indices:
+                first_row = row_of_point.setdefault(indices[0], row)
+                if first_row != row:
+                    fault = f"row {first_row} names the point '{name}' too, which was measured once"
+            if fault is not None:
                 raise MeasurementError(
-                    f"{source}, row {row}: in {self.source} {fault}. Correct the name or remove the row; where the "
-                    'points are in the order of the rows, --columns "point=-" does without names.'
+                    f"{source}, row {row}: in {self.source} {fault}. Correct the name or remove "
+                    "the row; where the points are in the order of the rows, --columns "
+                    '"point=-" does without names.'
                 )
-        return [hits[0] if hits else -1 for hits in found]
+        return [indices[0] if indices else -1 for indices in hits]
+
+    def _check_count(self, source: str, count: int) -> None:
+        """Refuse a table of another number of rows than points."""
+        if len(self.points) != count:
+            raise MeasurementError(
+                f"{self.source} has {len(self.points)} points and {source} {count} rows to match "
+                "them with, in their order. Add a column 'point' with the points' names, or remove "
+                "what has no counterpart."
+            )
+
+    def _indices_by_name(self) -> Mapping[str, list[int]]:
+        """Return the indices of points, from 0, by whole and by last names; whole names win."""
+        by_last: dict[str, list[int]] = {}
+        by_whole: dict[str, list[int]] = {}
+        for i, name in enumerate(self.names):
+            by_last.setdefault(_last(name), []).append(i)
+            by_whole.setdefault(name, []).append(i)
+        return by_last | by_whole
+
+    def _ambiguous(self, name: str, indices: Sequence[int]) -> str:
+        """Return the fault of a name that several points have."""
+        lines = ", ".join(str(self.lines[i]) for i in indices[:_LISTED_LINES])
+        whole = choices(dict.fromkeys(self.names[i] for i in indices))
+        return (
+            f"several points are called '{name}', in lines {lines}; write the whole name: {whole}"
+        )
+
+    def _unknown(self, name: str) -> str:
+        """Return the fault of a name that no point has."""
+        known = [*self.names, *map(_last, self.names)][:_COMPARED_NAMES]
+        near = did_you_mean(name, known)
+        return f"there is no point '{name}'{near}; it has {choices(self.names)}"
 
 
 def _last(name: str) -> str:
-    """The point's own name, without collection and group."""
+    """Return the point's own name, without collection and group."""
     return name.rpartition(PARTS)[2].strip()
 
 
 def read_points(path: str | Path, unit: str | None = None) -> Points:
-    """Read a list of points: a name and x, y, z in each line, and what follows is not used.
+    """Read a list of points: a name and x, y, z in each line; what follows is not used.
 
     The cells are separated by blanks, tabs, commas or semicolons. Lines before the first point, and those that begin
     with #, //, !, % or ;, are remarks. A header with the cells x, y, z tells the order; without one the three
     numbers behind the name count. The unit comes from a remark (``Units: mm``), from the header (``x [mm]``) or from
     ``unit``.
 
+    Args:
+        path: The file.
+        unit: Symbol of the unit of the coordinates, ``"mm"``; None: the file names it.
+
+    Returns:
+        The points, in metres.
+
     Raises:
         MeasurementError: No such file, no points in it, no unit or two; the text names the file and the line.
     """
     source, sha256, text = read_text(path, "The list of points")
+    content = _content_of(text)
+    if not content.lines:
+        raise MeasurementError(
+            f"{source}: no line of it holds three numbers. A list of points has lines such as "
+            "'P1 100.0 200.0 300.0', separated by blanks, tabs, commas or semicolons."
+        )
+    cells = _padded(content.cells)
+    table = Table(source, sha256, content.separator, (), tuple(content.lines), cells)
+    name_columns, point_columns = _columns(table, content.headings)
+    length_unit = _find_unit(content.remarks, unit, source)
+    metres = _positions(table, point_columns, length_unit)
+    between = " " if content.separator == " " else PARTS
+    names: list[str] = []
+    if name_columns:
+        names = [between.join(row[i] for i in name_columns) for row in cells]
+    return Points(tuple(names), metres, table.lines, source, sha256)
+
+
+class _Content(NamedTuple):
+    """The lines of a list of points, sorted into remarks and points."""
+
+    separator: str  #: One of `_SEPARATORS`, as in the first point; empty without a point
+    lines: list[int]  #: Line of each point, from 1
+    cells: list[list[str]]  #: Cells of each point's line
+    remarks: list[str]  #: All remarks
+    headings: list[str]  #: The remarks above the first point
+
+
+def _content_of(text: str) -> _Content:
+    """Sort the lines of a text into remarks and points."""
     remarks: list[str] = []
-    headings: list[str] = []  # the remarks above the first point
+    headings: list[str] = []
     separator = ""
     lines: list[int] = []
     cells: list[list[str]] = []
     for number, line in enumerate(text.split("\n"), 1):
         remark = _remark(line)
         if remark is None and not lines:
-            tried = ((s, _split(line, s)) for s in _SEPARATORS)
-            separator = next(
-                (s for s, c in tried if any(_has_point(c, i) for i in range(len(c)))), ""
-            )
+            separator = _separator_of(line)
             remark = None if separator else line.strip()
         if remark is None:
             lines.append(number)
             cells.append(_split(line, separator))
         elif remark:
             remarks.append(remark)
-            headings += [] if lines else [remark]
-    if not lines:
-        raise MeasurementError(
-            f"{source}: no line of it holds three numbers. A list of points has lines such as 'P1 100.0 200.0 300.0', "
-            "separated by blanks, tabs, commas or semicolons."
-        )
+            if not lines:
+                headings.append(remark)
+    return _Content(separator, lines, cells, remarks, headings)
+
+
+def _separator_of(line: str) -> str:
+    """Return the separator by which a line holds a point; empty if it holds none."""
+    for separator in _SEPARATORS:
+        cells = _split(line, separator)
+        if any(_has_point(cells, i) for i in range(len(cells))):
+            return separator
+    return ""
+
+
+def _padded(cells: Sequence[Sequence[str]]) -> tuple[list[str], ...]:
+    """Return the rows with empty cells at their ends, all of one length."""
     width = max(map(len, cells))
-    padded = tuple([*row, *[""] * (width - len(row))] for row in cells)
-    table = Table(source, sha256, separator, (), tuple(lines), padded)
-    named, at = _columns(table, headings)
-    length = _find_unit(remarks, unit, source)
-    columns = [Column(i, axis, axis, length.symbol) for i, axis in zip(at, POINT, strict=True)]
-    values = table.numbers(columns)
-    for i in np.flatnonzero(~np.isfinite(values).all(axis=1)):
-        _refuse(table, int(i))
-    fault = implausible(values, [length] * 3)
+    return tuple([*row, *[""] * (width - len(row))] for row in cells)
+
+
+def _positions(table: Table, columns: Sequence[int], unit: Unit) -> NDArray[np.float64]:
+    """Return the positions of the points, shape (N, 3) [m], read-only.
+
+    Args:
+        table: The points' lines.
+        columns: Positions of the columns x, y, z in the table, from 0.
+        unit: Unit of the coordinates.
+    """
+    named = [Column(i, axis, axis, unit.symbol) for i, axis in zip(columns, POINT, strict=True)]
+    values = table.numbers(named)
+    incomplete = np.flatnonzero(~np.isfinite(values).all(axis=1))
+    if incomplete.size:
+        _refuse(table, int(incomplete[0]))
+    fault = implausible_length(values, [unit] * 3)
     if fault is not None:
-        raise MeasurementError(f"{source}, line {lines[fault[0]]}: {fault[2]}")
-    metres = values * length.to_si
+        raise MeasurementError(f"{table.source}, line {table.lines[fault.row]}: {fault.what}")
+    metres = values * unit.to_si
     metres.setflags(write=False)
-    sign = " " if separator == " " else PARTS
-    names = tuple(sign.join(row[i] for i in named) for row in padded) if named else ()
-    return Points(names, metres, table.lines, source, sha256)
+    return metres
 
 
 def _refuse(table: Table, row: int) -> NoReturn:
-    """Refuse a line that does not fit the others."""
+    """Refuse a line, by its row from 0, that does not fit the others."""
+    text = " ".join(table.cells[row]).strip()[:80]
     raise MeasurementError(
-        f"{table.source}, line {table.lines[row]}: '{' '.join(table.cells[row]).strip()[:80]}' has not its three "
-        "numbers where the other lines have theirs. Correct or remove the line, or make it a comment with #."
+        f"{table.source}, line {table.lines[row]}: '{text}' has not its three numbers where the "
+        "other lines have theirs. Correct or remove the line, or make it a comment with #."
     )
 
 
+# Lines
+
+
 def _remark(line: str) -> str | None:
-    """What a comment, a blank line or a ruled one says; None for any other line."""
+    """Return the text of a comment, empty for a blank or ruled line; None for any other line."""
     plain = line.strip().strip('"').strip()
     if _RULE.fullmatch(plain) or not plain.strip(",;"):
         return ""
-    return plain.lstrip("".join(_COMMENT)).strip() if plain.startswith(_COMMENT) else None
+    if not plain.startswith(_COMMENT):
+        return None
+    return plain.lstrip("".join(_COMMENT)).strip()
 
 
 def _split(line: str, separator: str) -> list[str]:
-    """The stripped cells of a line, without the empty ones at its end."""
+    """Return the stripped cells of a line, without the empty ones at its end."""
     plain = line.replace("\t", " ") if separator == " " else line
     reader = csv.reader([plain.strip(" \r\n")], delimiter=separator, skipinitialspace=True)
     try:
@@ -193,62 +291,118 @@ def _split(line: str, separator: str) -> list[str]:
 
 
 def _has_point(cells: Sequence[str], start: int) -> bool:
-    """Whether three numbers stand there, with a decimal point or comma."""
+    """Return True if three cells from ``start`` on are numbers, with a decimal point or comma."""
     three = cells[start : start + 3]
     return len(three) == 3 and all(map(_NUMBER.fullmatch, three))
 
 
+# Columns
+
+
 def _columns(table: Table, headings: Sequence[str]) -> tuple[list[int], list[int]]:
-    """The columns of the names, none when there are none, and those of x, y, z: by the last header that has these."""
-    cells = table.cells
-    width = len(cells[0])
+    """Find the columns of the names and of the coordinates.
+
+    Args:
+        table: The points' lines.
+        headings: The remarks above them, one of which may be a header.
+
+    Returns:
+        Positions of the columns of the names, from 0, none if there are no names; and those of
+        x, y, z.
+    """
     for remark in reversed(headings):
-        names = _split(remark, table.separator)
-        names = [re.sub(r"\s*[\[(].*", "", name).casefold() for name in names]
-        # Between blanks a column's name may be of two words: then the header says nothing of places.
-        fits = len(names) >= width if table.separator != " " else len(names) == width
-        if fits and all(names.count(axis) == 1 for axis in POINT):
-            at = [names.index(axis) for axis in POINT]
-            named = [names.index(name) for name in _NAMES if names.count(name) == 1]
-            return named or list(range(min(at))), at
-    first = next(i for i in range(width) if _has_point(cells[0], i))
-    here = (i for i in range(width - 2) if all(_has_point(row, i) for row in cells))
-    start = next(here, None)
-    if start is None:
-        _refuse(table, next((i for i, row in enumerate(cells) if not _has_point(row, first)), -1))
-    # Whole numbers there, and three more behind, name the points, unless the names before do.
-    counted = all(row[start].isdigit() and _has_point(row, start + 1) for row in cells)
-    if counted and len({tuple(row[:start]) for row in cells}) < len(cells):
-        rest = [cell for row in cells for cell in row[start + 1 : start + 4]]
-        if all(cell.lstrip("+-").isdigit() for cell in rest):
-            raise MeasurementError(
-                f"{table.source}, line {table.lines[0]}: all are whole numbers, so the point's number cannot be told "
-                "from x. Write a header line above the points, 'name x y z'."
-            )
+        columns = _columns_of_header(table, remark)
+        if columns is not None:
+            return columns
+    start = _first_coordinate(table)
+    if _is_numbered(table, start):
         start += 1
     return list(range(start)), [start, start + 1, start + 2]
 
 
-def _find_unit(remarks: Sequence[str], given: str | None, source: str) -> Unit:
-    """The unit of the coordinates, from the file or as given; both agree."""
-    named = dict.fromkeys(filter(None, [*map(_unit_of, remarks), given]))
-    if len(named) != 1 or not {*named} <= {*symbols("length")}:
+def _columns_of_header(table: Table, remark: str) -> tuple[list[int], list[int]] | None:
+    """Return the columns of names and of x, y, z if a remark is a header, as `_columns` does."""
+    width = len(table.cells[0])
+    cells = _split(remark, table.separator)
+    headings = [re.sub(r"\s*[\[(].*", "", cell).casefold() for cell in cells]
+    # Between blanks a heading may be of two words: then the header says nothing of positions.
+    fits = len(headings) == width if table.separator == " " else len(headings) >= width
+    if not fits or any(headings.count(axis) != 1 for axis in POINT):
+        return None
+    point_columns = [headings.index(axis) for axis in POINT]
+    name_columns = [headings.index(name) for name in _NAMES if headings.count(name) == 1]
+    return name_columns or list(range(min(point_columns))), point_columns
+
+
+def _first_coordinate(table: Table) -> int:
+    """Return the first column from which on all lines have three numbers."""
+    cells = table.cells
+    width = len(cells[0])
+    for start in range(width - 2):
+        if all(_has_point(row, start) for row in cells):
+            return start
+    first = next(i for i in range(width) if _has_point(cells[0], i))
+    differing = (i for i, row in enumerate(cells) if not _has_point(row, first))
+    _refuse(table, next(differing, -1))
+
+
+def _is_numbered(table: Table, start: int) -> bool:
+    """Return True if whole numbers in a column name the points, and the coordinates follow.
+
+    That is so if three more numbers follow, unless the cells before already name each point.
+
+    Raises:
+        MeasurementError: The coordinates are whole numbers too: they cannot be told apart.
+    """
+    cells = table.cells
+    is_counted = all(row[start].isdigit() and _has_point(row, start + 1) for row in cells)
+    names = {tuple(row[:start]) for row in cells}
+    if not is_counted or len(names) == len(cells):
+        return False
+    coordinates = [cell for row in cells for cell in row[start + 1 : start + 4]]
+    if all(cell.lstrip("+-").isdigit() for cell in coordinates):
         raise MeasurementError(
-            f"{source}: the points need one unit of length, and {choices(named) if named else 'none'} is named. Write "
-            f"a first line '# Units: mm', or give it (--points-unit mm); allowed are {choices(symbols('length'))}."
+            f"{table.source}, line {table.lines[0]}: all are whole numbers, so the point's number "
+            "cannot be told from x. Write a header line above the points, 'name x y z'."
+        )
+    return True
+
+
+# Units
+
+
+def _find_unit(remarks: Sequence[str], given: str | None, source: str) -> Unit:
+    """Return the unit of the coordinates that remarks or ``given`` name; they must agree."""
+    named = dict.fromkeys(filter(None, [*map(_unit_of, remarks), given]))
+    lengths = symbols("length")
+    if len(named) != 1 or not {*named} <= {*lengths}:
+        which = choices(named) if named else "none"
+        raise MeasurementError(
+            f"{source}: the points need one unit of length, and {which} is named. Write a first "
+            "line '# Units: mm', or give it (--points-unit mm); allowed are "
+            f"{choices(lengths)}."
         )
     return UNITS[next(iter(named))]
 
 
 def _unit_of(remark: str) -> str:
-    """The unit of length that a remark names: behind the word unit, behind x, or alone; ``"ft"`` for a strange one."""
+    """Return the symbol of the unit of length that a remark names, empty if it names none.
+
+    It is looked for in brackets behind x, behind the word unit, or alone; ``"ft"`` stands for feet
+    and yards, which are refused.
+    """
     plain = remark.casefold()
-    behind = re.search(r"\bunits?\b(.*)", plain) or re.search(r"\bunit[^\W\d_]*\b(.*)", plain)
     bracket = re.search(r"\bx\s*[\[(]\s*([^\W\d_]+)\s*[\])]", plain)
-    words = _WORDS.findall(behind[1] if behind else plain)
+    behind = re.search(r"\bunits?\b(.*)", plain) or re.search(r"\bunit[^\W\d_]*\b(.*)", plain)
     if bracket:
         words = [bracket[1]]
-    elif not behind and len(words) != 1:
-        words = []
+    elif behind:
+        words = _WORDS.findall(behind[1])
+    else:
+        words = _WORDS.findall(plain)
+        if len(words) != 1:
+            return ""
     known = [_UNIT_WORDS[word] for word in words if word in _UNIT_WORDS]
-    return known[0] if known else "in" if words[:1] == ["in"] else ""
+    if known:
+        return known[0]
+    return "in" if words[:1] == ["in"] else ""

@@ -10,8 +10,8 @@ from typing import TypeVar
 import numpy as np
 
 from calib.data.cell_file import checked
-from calib.data.geometry import pose_or_none, vector
 from calib.errors import CalibError, choices
+from calib.numerics.geometry import pose_or_none, vector
 from calib.robot.robot import read_only
 from calib.units import Array
 

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 import calib.data.kinds as registry
 from calib.data.columns import SETS, STATUS, TORQUE
-from calib.data.geometry import to_matrices
 from calib.data.kinds import Kind
 from calib.data.layout import Layout, slides
 from calib.data.plausibility import check_units
 from calib.data.points_file import Points
 from calib.data.table import Column, Table
 from calib.errors import MeasurementError, choices
+from calib.numerics.geometry import to_matrices
 from calib.units import Array, Mask
 
 #: Numbers of a layout's blocks by name, shape (rows, columns) each.

@@ -31,8 +31,8 @@ from calib.numerics.rigid_motion import without_rigid_motion
 from calib.registration.registration import register
 from calib.registration.rows import Rows
 from calib.registration.setup import Setup
-from calib.registration.table_rows import FIRST_SIGMA_ANGLE, rows_of
-from calib.registration.table_setup import setup_of
+from calib.registration.table_rows import FIRST_SIGMA_ANGLE, rows_and_setup
+from calib.registration.table_setup import measurement_setup
 from calib.robot.gravity import gravity_loads
 from calib.robot.kernel import over_blocks
 from calib.robot.ranges import spread_between
@@ -76,7 +76,7 @@ class Sensitivity:
         groups = (next(iter(cell.frames), ""),) * len(targets)
         table = table_of_poses(robot, kind, np.zeros((len(targets), len(robot.inputs))))
         table = replace(table, targets=targets, groups=groups)
-        setup = setup_of(cell, table, np.full(len(targets), registry.names().index(kind)))
+        setup = measurement_setup(cell, table, np.full(len(targets), registry.names().index(kind)))
         notes = []
         if not np.all(setup.target_given):
             T_tip_target = setup.T_tip_target.copy()
@@ -294,7 +294,7 @@ def forecast_of_table(robot: Robot, cell: Cell, measurements: Measurements) -> F
         or not registry.get(seen.kinds[0]).free
     ):
         return None
-    rows, setup = rows_of(robot, measurements, cell)
+    rows, setup = rows_and_setup(robot, measurements, cell)
     rows = rows.select(measurements.estimation)
     started = register(robot.poses(rows.joints), setup, rows)
     known = replace(

@@ -25,11 +25,11 @@ from scipy import ndimage
 
 from calib.data.cell import Cell
 from calib.data.columns import POINT, name_columns
-from calib.data.geometry import vector
 from calib.data.measurements import Measurements
 from calib.data.table import Table
 from calib.errors import CalibError, FileError
 from calib.files import damage, json_bytes, read_json, write_atomically
+from calib.numerics.geometry import vector
 from calib.robot.ranges import joint_ranges
 from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.units import Array, Mask

@@ -1,1 +1,1 @@
-"""Arrays in, arrays out: solvers, likelihood, scores and repeats of rows. Imports robot.kernel and below."""
+"""Arrays in, arrays out: solvers, likelihood, scores and repeats of rows, rotations. Imports robot and below."""

@@ -29,7 +29,8 @@ from calib.report.figure_base import angles_of, lengths_of
 from calib.result.calibration import CalibrationValues
 from calib.result.calibration_file import versions
 from calib.robot.robot import rigid_inverse
-from calib.text.lines import deg, mm, number
+from calib.text.layout.lines import deg, mm, number
+from calib.text.places import frame_sentences, target_sentences
 from calib.text.verdict import outside_text, reason_text, robustness_text
 
 if TYPE_CHECKING:
@@ -129,7 +130,7 @@ def _content(c: CalibrationValues, command: str, date: str) -> dict[str, Any]:
         "unweighted": int(np.sum(c.weights[m.estimation] <= 0.0)),
         "factor": f"{interval_factor(c.fitted.estimate.freedom):.2f}",
         **{make.__name__: make for make in tables},
-        "places": [*texts.target_sentences(c, _MOST), *texts.frame_sentences(c, _MOST)],
+        "places": [*target_sentences(c, _MOST), *frame_sentences(c, _MOST)],
         "combinations": every[:_MOST] + [f"and {len(every) - _MOST} more"] * (len(every) > _MOST),
         "kinds": "; ".join(
             f"{kind_named(k).words} ({n:,} rows)" for k, n in Counter(m.kinds).items()

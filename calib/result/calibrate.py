@@ -24,12 +24,12 @@ from calib.jobs import Progress
 from calib.model.kinematics import Samples
 from calib.model.observability import Observability
 from calib.model.parameters import Parameter
-from calib.numerics.errors import CrossValidation, rms
-from calib.numerics.repeats import Repeats, repeats
+from calib.numerics.errors import LENGTHS, CrossValidation, rms
+from calib.numerics.repeats import Repeats, scatter_of_repeats
 from calib.numerics.scores import Limits
 from calib.numerics.solvers import Solver
-from calib.registration.registration import nominal_setup, register_unseen
-from calib.registration.rows import LENGTHS, Rows
+from calib.registration.registration import nominal_setup, register_held_out
+from calib.registration.rows import Rows
 from calib.registration.setup import Setup
 from calib.result.calibration import CalibrationValues, Fit, RowNames, Source
 from calib.result.doubts import doubts_of
@@ -256,7 +256,7 @@ def _assembled(
     observability = estimate.problem.observability(estimate.x)
     scored = _scored(m, fits)
     nominal_places = _nominal_places(m, fits)
-    nominal_poses = nominal_places.seen(robot.poses(all_rows.joints), all_rows.samples)
+    nominal_poses = nominal_places.target_poses(robot.poses(all_rows.joints), all_rows.samples)
     return CalibrationValues(
         **_model_values(geometry, observability, validations.geometry),
         nominal=robot,
@@ -372,8 +372,8 @@ def _nominal_places(measurements: Measurements, fits: Fits) -> Setup:
     T_base_tip = task.robot.poses(rows.joints)
     estimation, validation = measurements.estimation, measurements.validation
     placed = nominal_setup(T_base_tip[estimation], task.setup, rows.select(estimation))
-    unseen = fits.unseen.not_given()
-    return register_unseen(T_base_tip[validation], placed, unseen, rows.select(validation))
+    unseen = fits.unseen.with_given_fixed()
+    return register_held_out(T_base_tip[validation], placed, unseen, rows.select(validation))
 
 
 def _scored(measurements: Measurements, fits: Fits) -> _Scored:
@@ -473,7 +473,7 @@ def _repeats(fitted: Fitted) -> Repeats | None:
         return None
     # The scalars' worth of information that the parameters have taken.
     paid = float(np.sum(estimate.problem.weights @ rows.used)) - estimate.freedom
-    scatter = repeats(
+    scatter = scatter_of_repeats(
         fitted.residual(rows), rows.used, rows.poses, estimate.weights, fitted=max(paid, 0.0)
     )
     return scatter if scatter.freedom > 0 else None

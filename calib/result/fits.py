@@ -26,7 +26,7 @@ from calib.registration.joint_loads import joint_loads
 from calib.registration.known_distances import known_distances
 from calib.registration.rows import Rows
 from calib.registration.setup import Setup
-from calib.registration.table_rows import rows_of
+from calib.registration.table_rows import rows_and_setup
 from calib.robot.robot import Robot
 from calib.selection.candidates import Candidate
 from calib.selection.ladder import check_parameter_names
@@ -83,17 +83,17 @@ def fit_table(
         MeasurementError: Too few rows, or columns that the robot needs are missing.
         SolverError: No finite result.
     """
-    all_rows, setup = rows_of(robot, measurements, cell)
+    all_rows, setup = rows_and_setup(robot, measurements, cell)
     rows = all_rows.select(measurements.estimation)
     validation_rows = all_rows.select(measurements.validation)
     check_positions(robot, rows, measurements.source)
     frames_seen, targets_seen = setup.seen_by(rows.samples)
-    unseen = setup.as_known(frames_seen, targets_seen)
+    unseen = setup.with_fixed(frames_seen, targets_seen)
 
     began = time.perf_counter()
     model = cell.model if model is None else model
     mistake = find_usual_mistake(robot, cell, measurements.select(measurements.estimation))
-    seen = setup.as_known(~frames_seen, ~targets_seen)
+    seen = setup.with_fixed(~frames_seen, ~targets_seen)
     distances = known_distances(cell, setup)
     task = Task(robot, cell, seen, model, distances, solver, robust)
     if mistake and model == AUTO:  # no model of such measurements means anything

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 import numpy as np
 import pinocchio as pin
@@ -28,63 +27,90 @@ from calib.units import Array, unit_fault
 MOVING = ("revolute", "continuous", "prismatic")
 """The types of joints that a chain may move by."""
 
-
-#: Where an <origin> is in a placement: before, after, inverted; before @ origin (or its inverse) @ after.
-Around: TypeAlias = tuple[Array, Array, bool]
-
-#: joints, placements, carriers, T_root_base, around, base_moves, see `calib.robot.robot.Robot`.
-Geometry: TypeAlias = tuple[
-    tuple[UrdfJoint, ...], Array, tuple[str | None, ...], Array, tuple[Around, ...], bool
-]
+#: Names of a tip, in the order of preference, where several links lie equally far out.
+_USUAL_TIPS = ("tool0", "tcp", "tool", "flange", "ee_link")
 
 
-def chain_between(urdf: Urdf, base: str, tip: str) -> Geometry:
-    """The path between two links as a serial chain of n moving joints."""
+@dataclass(frozen=True, slots=True, eq=False)
+class OriginFactors:
+    """A placement as the product of a URDF joint's ``<origin>`` O and constant poses: before O after.
+
+    A placement that no ``<origin>`` holds has none of them, and identities here.
+    """
+
+    before: Array  #: shape (4, 4), [m].
+    after: Array  #: shape (4, 4), [m].
+    inverted: bool  #: True where the joint is walked from child to parent: before O^-1 after.
+
+    def origin(self, placement: Array) -> Array:
+        """Return the ``<origin>`` O of a placement, both of shape (4, 4), [m]."""
+        factor = rigid_inverse(self.before) @ placement @ rigid_inverse(self.after)
+        if self.inverted:
+            return rigid_inverse(factor)
+        return factor
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SerialChain:
+    """The path between two links as a serial chain of n moving joints; see `calib.robot.robot.Robot`."""
+
+    joints: tuple[
+        UrdfJoint, ...
+    ]  #: Base to tip, n of them; those on the base's side with the axis turned round.
+    placements: Array  #: shape (n + 1, 4, 4), [m]: of each joint in the one before it, of the tip in the last.
+    #: n + 1 names of URDF joints whose ``<origin>`` holds the placement; None where a moving joint carries the end.
+    carriers: tuple[str | None, ...]
+    T_root_base: Array  #: shape (4, 4), [m], pose of the base in the frame that the first placement is given in.
+    factors: tuple[
+        OriginFactors, ...
+    ]  #: The n + 1 placements as products of an ``<origin>`` and constants.
+    base_moves: bool  #: True if joints lie on the base's side of the link where the branches part.
+
+
+def chain_between(urdf: Urdf, base: str, tip: str) -> SerialChain:
+    """Return the path between two links as a serial chain.
+
+    Args:
+        urdf: The robot.
+        base: Link that the chain starts at.
+        tip: Link that it ends at.
+
+    Raises:
+        UrdfError: No joint moves between the links, one is of a type other than `MOVING`, a link does not exist, or
+            Pinocchio reads the URDF otherwise than it is written.
+    """
     path = _path(urdf, base, tip)
     moving = [step for step in path if step.joint.type != "fixed"]
-    wrong = [step.joint for step in moving if step.joint.type not in MOVING]
-    if not moving or wrong:
-        types = [f"'{joint.name}' of type '{joint.type}'" for joint in wrong]
-        fault = f"joint {types[0]} is not one of {choices(MOVING)}" if wrong else "no joint moves"
-        raise UrdfError(
-            f"{urdf.source}: {fault} between the base '{base}' and the tip '{tip}'. Name two links with the arm "
-            f"between them by --base and --tip; the links are {choices(urdf.links)}."
-        )
+    _check_moving(urdf, base, tip, [step.joint for step in moving])
     full_model(urdf)  # which refuses what Pinocchio cannot read, or reads otherwise
-    T_root_base, base_moves = np.eye(4), moving[0].up
-    if not base_moves:  # then the chain starts in the URDF's root, joints above the base at zero
+    T_root_base = np.eye(4)
+    base_moves = moving[0].up
+    if not base_moves:
+        # The chain starts in the URDF's root, with the joints above the base at zero.
         T_root_base = _product(_path(urdf, urdf.root, base))
         path = _path(urdf, urdf.root, tip)
-    names = {step.joint.name for step in moving}
-    groups: list[list[_Step]] = [[]]  # the origins that each placement is the product of
-    for step in path:
-        if step.joint.name in names and step.up:  # it moves first, its origin comes behind it
-            groups.append([])
-        groups[-1].append(step)
-        if step.joint.name in names and not step.up:
-            groups.append([])
+    groups = _placement_groups(path, {step.joint.name for step in moving})
     carriers: list[str | None] = []
-    around = []
+    factors = []
     for k, group in enumerate(groups):
         # A moving joint's own origin, at the chain's ends else that of the fixed joint next to the moving one, so
         # that all that is mounted behind it moves along.
-        last = k == 0 or (k < len(moving) and not moving[k].up)
-        carrier = group[-1 if last else 0] if group else None
-        before, after = (group[:-1], []) if last else ([], group[1:])
-        around.append((_product(before), _product(after), carrier is not None and carrier.up))
-        carriers.append(None if carrier is None else carrier.joint.name)
-    return (
-        tuple(step.path_joint for step in moving),
-        read_only([_product(group) for group in groups]),
-        tuple(carriers),
-        read_only(T_root_base),
-        tuple(around),
-        base_moves,
+        carried_by_last = k == 0 or (k < len(moving) and not moving[k].up)
+        carrier, factor = _origin_factors(group, carried_by_last=carried_by_last)
+        carriers.append(carrier)
+        factors.append(factor)
+    return SerialChain(
+        joints=tuple(step.path_joint for step in moving),
+        placements=read_only([_product(group) for group in groups]),
+        carriers=tuple(carriers),
+        T_root_base=read_only(T_root_base),
+        factors=tuple(factors),
+        base_moves=base_moves,
     )
 
 
 def rigid_inverse(T: Array) -> Array:
-    """The inverses of poses, shape (..., 4, 4): (R^T, -R^T p)."""
+    """Return the inverses (R^T, -R^T p) of poses (R, p), shape (..., 4, 4), [m]."""
     result = np.zeros_like(T)
     R_T = np.swapaxes(T[..., :3, :3], -1, -2)
     result[..., :3, :3] = R_T
@@ -95,10 +121,10 @@ def rigid_inverse(T: Array) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Step:
-    """A joint of the path, fixed ones included; ``up`` where it is walked from its child to its parent."""
+    """A joint of the path, fixed ones included."""
 
     joint: UrdfJoint
-    up: bool
+    up: bool  #: True where the path goes from the joint's child link to its parent.
 
     @property
     def origin(self) -> Array:
@@ -115,14 +141,58 @@ class _Step:
 
 
 def _path(urdf: Urdf, base: str, tip: str) -> list[_Step]:
-    """All joints from base to tip: up to the link where the branches part, and down from there."""
+    """Return all joints from base to tip: up to the link where the branches part, and down from it."""
     to_base, to_tip = urdf.chain(base, tip)
     up = [_Step(urdf.joint(name), up=True) for name in reversed(to_base)]
     return up + [_Step(urdf.joint(name), up=False) for name in to_tip]
 
 
+def _check_moving(urdf: Urdf, base: str, tip: str, joints: Sequence[UrdfJoint]) -> None:
+    """Refuse a path without moving joints, or with one of several coordinates."""
+    wrong = [joint for joint in joints if joint.type not in MOVING]
+    if joints and not wrong:
+        return
+    fault = "no joint moves"
+    if wrong:
+        fault = f"joint '{wrong[0].name}' of type '{wrong[0].type}' is not one of {choices(MOVING)}"
+    raise UrdfError(
+        f"{urdf.source}: {fault} between the base '{base}' and the tip '{tip}'. Name two links with the arm "
+        f"between them by --base and --tip; the links are {choices(urdf.links)}."
+    )
+
+
+def _placement_groups(path: Sequence[_Step], moving: Collection[str]) -> list[list[_Step]]:
+    """Return the steps whose origins each placement is the product of, n + 1 lists; ``moving`` are n joints' names."""
+    groups: list[list[_Step]] = [[]]
+    for step in path:
+        moves = step.joint.name in moving
+        if moves and step.up:  # it moves first, its origin comes behind it
+            groups.append([])
+        groups[-1].append(step)
+        if moves and not step.up:
+            groups.append([])
+    return groups
+
+
+def _origin_factors(
+    group: list[_Step], *, carried_by_last: bool
+) -> tuple[str | None, OriginFactors]:
+    """Return the name of the joint that carries a placement, the last or the first of its steps, and its factors."""
+    before: list[_Step] = []
+    after: list[_Step] = []
+    if carried_by_last:
+        before = group[:-1]
+    else:
+        after = group[1:]
+    if not group:
+        return None, OriginFactors(_product(before), _product(after), inverted=False)
+    carrier = group[-1] if carried_by_last else group[0]
+    factors = OriginFactors(_product(before), _product(after), inverted=carrier.up)
+    return carrier.joint.name, factors
+
+
 def _product(steps: Sequence[_Step]) -> Array:
-    """The product of the steps' origins, (4, 4)."""
+    """Return the product of the steps' origins, (4, 4)."""
     T = np.eye(4)
     for step in steps:
         T = T @ step.origin
@@ -130,77 +200,131 @@ def _product(steps: Sequence[_Step]) -> Array:
 
 
 def pinocchio_chain(joints: Sequence[UrdfJoint], placements: Array) -> pin.Model:
-    """A Pinocchio model of n joints in a row, whose configuration is their values; a tip's placement is no part."""
+    """Return a Pinocchio model of n joints in a row, whose configuration is their values.
+
+    Args:
+        joints: The n joints, base to tip.
+        placements: Shape (n, 4, 4) or more, [m], of each joint in the one before it; a tip's is left out.
+    """
     model = pin.Model()
     for parent, (joint, P) in enumerate(zip(joints, placements, strict=False)):
-        slides = joint.type == "prismatic"
-        kind = pin.JointModelPrismaticUnaligned if slides else pin.JointModelRevoluteUnaligned
-        model.addJoint(parent, kind(np.array(joint.axis)), pin.SE3(P), joint.name)
+        axis = np.array(joint.axis)
+        if joint.type == "prismatic":
+            kind = pin.JointModelPrismaticUnaligned(axis)
+        else:
+            kind = pin.JointModelRevoluteUnaligned(axis)
+        model.addJoint(parent, kind, pin.SE3(P), joint.name)
     return model
-
-
-#: Names of a tip, in the order of preference, where several links lie equally far out.
-_USUAL_TIPS = ("tool0", "tcp", "tool", "flange", "ee_link")
 
 
 def farthest_link(
     urdf: Urdf, base: str, measured: Collection[str] | None = None, held: Collection[str] = ()
 ) -> str:
-    """The link with the most moving joints between it and ``base``; a usual tip's name breaks ties.
+    """Return the link with the most moving joints between it and the base: the default tip.
 
-    Only links that ``measured`` joints alone lead to count (all joints if None), if there are any; ``held`` joints lead
-    on but do not count.
+    Among links equally far out a usual name such as ``tool0`` wins, else the last one.
+
+    Args:
+        urdf: The robot.
+        base: Link that the chain starts at.
+        measured: Names of joints; links that these alone lead to are preferred. None for all joints.
+        held: Names of joints that stay where they are: they lead on, but do not count.
+
+    Raises:
+        UrdfError: There is no link ``base``.
     """
-    urdf.chain(base, base)  # raises, with the names there are, for a link that does not exist
+    urdf.chain(base, base)  # raises, with the names of all links, for one that does not exist
     every = {joint.name for joint in urdf.joints}
-    above, start = {joint.child: joint for joint in urdf.joints}, base
-    while start in above and above[start].type == "fixed":
-        start = above[start].parent
-    below: dict[str, list[UrdfJoint]] = {}
-    for joint in urdf.joints:
-        below.setdefault(joint.parent, []).append(joint)
+    start = _fixed_ancestor(urdf, base)
+    count: dict[str, int] = {}
     for known in (every if measured is None else measured, every):
-        count, waiting = {start: 0}, [start]
-        for link in waiting:
-            for joint in below.get(link, []):
-                still = joint.type == "fixed" or joint.name in held
-                moves = joint.type in MOVING and joint.mimic is None and joint.name in known
-                if still or moves:
-                    count[joint.child] = count[link] + (not still)
-                    waiting.append(joint.child)
+        count = _moving_joints_to(urdf, start, known, held)
         if max(count.values()):
             break
-    farthest = [link for link in count if count[link] == max(count.values())]
+    most = max(count.values())
+    farthest = [link for link, number in count.items() if number == most]
     return next((name for name in _USUAL_TIPS if name in farthest), farthest[-1])
 
 
-def coupling(
-    urdf: Urdf, joints: Sequence[UrdfJoint], held: Mapping[str, float]
-) -> tuple[tuple[UrdfJoint, ...], Array, Array]:
-    """How the n joints of a chain follow m columns: the joint of each column, A (n, m) and b (n,).
+def _fixed_ancestor(urdf: Urdf, link: str) -> str:
+    """Return the uppermost link that a link is fixed to."""
+    above = {joint.child: joint for joint in urdf.joints}
+    while link in above and above[link].type == "fixed":
+        link = above[link].parent
+    return link
 
-    A has 1 where a joint is its own column and the multiplier where it mimics another; b, [rad] or [m], has the offsets
-    of mimic joints and held values.
+
+def _moving_joints_to(
+    urdf: Urdf, start: str, known: Collection[str], held: Collection[str]
+) -> dict[str, int]:
+    """Return the number of known moving joints from a link to each link below it that these, fixed and held lead to."""
+    below: dict[str, list[UrdfJoint]] = {}
+    for joint in urdf.joints:
+        below.setdefault(joint.parent, []).append(joint)
+    count = {start: 0}
+    waiting = [start]
+    for link in waiting:
+        for joint in below.get(link, []):
+            still = joint.type == "fixed" or joint.name in held
+            moves = joint.type in MOVING and joint.mimic is None and joint.name in known
+            if still or moves:
+                count[joint.child] = count[link] + (not still)
+                waiting.append(joint.child)
+    return count
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Coupling:
+    """Motion of a chain's n joints with the m columns of q: q_chain = A q + b."""
+
+    inputs: tuple[
+        UrdfJoint, ...
+    ]  #: The joint of each column; the driver of a mimic joint may lie beside the chain.
+    matrix: Array  #: A, shape (n, m): 1 where a joint is its own column, the multiplier where it mimics another.
+    offset: Array  #: b, shape (n,), offsets of mimic joints and held values [rad or m].
+
+
+def coupling(urdf: Urdf, joints: Sequence[UrdfJoint], held: Mapping[str, float]) -> Coupling:
+    """Return how the joints of a chain follow the columns of q.
+
+    Args:
+        urdf: The robot.
+        joints: The n joints of the chain, base to tip.
+        held: Values [rad or m] of joints that stay where they are, by name.
+
+    Raises:
+        UrdfError: No joint is left to move, or one mimics what cannot drive it.
     """
     # A joint of the chain may have its axis turned round.
     by_name = {joint.name: joint for joint in (*urdf.joints, *joints)}
     rules = [_rule(urdf.source, by_name, joint.name, held) for joint in joints]
-    drivers = list(dict.fromkeys(driver for driver, _, _ in rules if driver is not None))
+    drivers = list(dict.fromkeys(rule.driver for rule in rules if rule.driver is not None))
     if not drivers:
         raise UrdfError(
             f"{urdf.source}: the joints of the chain are {choices(joint.name for joint in joints)}, and none of "
             "them is left to move: each is held at a value or mimics one that is. Hold fewer joints."
         )
     matrix = np.zeros((len(joints), len(drivers)))
-    for row, (driver, factor, _) in zip(matrix, rules, strict=True):
-        if driver is not None:
-            row[drivers.index(driver)] = factor
-    columns = tuple(by_name[name] for name in drivers)
-    return columns, read_only(matrix), read_only([offset for _, _, offset in rules])
+    for row, rule in zip(matrix, rules, strict=True):
+        if rule.driver is not None:
+            row[drivers.index(rule.driver)] = rule.factor
+    return Coupling(
+        inputs=tuple(by_name[name] for name in drivers),
+        matrix=read_only(matrix),
+        offset=read_only([rule.offset for rule in rules]),
+    )
 
 
 def checked_held(urdf: Urdf, held: Mapping[str, float] | None) -> tuple[tuple[str, float], ...]:
-    """The held joints and their values [rad or m], by name."""
+    """Return the held joints and their values [rad or m], sorted by name.
+
+    Args:
+        urdf: The robot.
+        held: Values by the joint's name; None for none.
+
+    Raises:
+        UrdfError: A joint does not exist or does not move, or its value is no number or of the wrong unit.
+    """
     given = dict(held or {})
     moving = {joint.name: joint for joint in urdf.joints if joint.type in MOVING}
     for name, value in given.items():
@@ -210,8 +334,9 @@ def checked_held(urdf: Urdf, held: Mapping[str, float] | None) -> tuple[tuple[st
                 f"{did_you_mean(name, moving)}. Joints that can be held: {choices(moving, limit=60)}."
             )
         fault = unit_fault(value, slides=moving[name].type == "prismatic")
-        if fault is not None or not np.isfinite(value):
-            fault = fault or f"is {value}; give a finite number"
+        if fault is None and not np.isfinite(value):
+            fault = f"is {value}; give a finite number"
+        if fault is not None:
             raise UrdfError(f"{urdf.source}: the value that the joint '{name}' is held at {fault}.")
     return tuple(sorted((name, float(value)) for name, value in given.items()))
 
@@ -219,42 +344,74 @@ def checked_held(urdf: Urdf, held: Mapping[str, float] | None) -> tuple[tuple[st
 def all_values(
     urdf: Urdf, columns: Mapping[str, Array], held: Mapping[str, float], count: int
 ) -> dict[str, Array]:
-    """The value of every joint of a URDF that has one coordinate, by name, shape (N,), [rad] or [m].
+    """Return the value of every joint of a URDF that has one coordinate.
 
-    A joint that is neither a column nor held nor follows one is at zero, or at its mimic offset.
+    Args:
+        urdf: The robot.
+        columns: Values of the joints that move freely, by name, each of shape (N,), [rad] or [m].
+        held: Values of joints that stay where they are, by name [rad or m].
+        count: N.
+
+    Returns:
+        Values by the joint's name, each of shape (N,), [rad] or [m]. A joint that is neither a column nor held nor
+        mimics one is at zero, or at its mimic offset.
     """
     by_name = {joint.name: joint for joint in urdf.joints}
     result = {}
     for joint in urdf.joints:
         if joint.type in MOVING:
             try:
-                driver, factor, offset = _rule(urdf.source, by_name, joint.name, held)
-            except UrdfError:  # it follows nothing; the chain's own joints were checked
-                driver, factor, offset = None, 0.0, 0.0
-            moved = np.zeros(count) if driver is None else columns.get(driver, np.zeros(count))
-            result[joint.name] = factor * moved + offset
+                rule = _rule(urdf.source, by_name, joint.name, held)
+            except UrdfError:  # it mimics what cannot drive it; the chain's own joints were checked
+                rule = _Rule(None, 0.0, 0.0)
+            driver_values = np.zeros(count)
+            if rule.driver is not None:
+                driver_values = columns.get(rule.driver, driver_values)
+            result[joint.name] = rule.factor * driver_values + rule.offset
     return result
+
+
+@dataclass(frozen=True, slots=True)
+class _Rule:
+    """A joint's value by the one that drives it: factor * driver + offset."""
+
+    driver: (
+        str | None
+    )  #: Name of the driving joint, the joint itself where it moves freely; None where none drives it.
+    factor: float
+    offset: float  #: [rad or m].
 
 
 def _rule(
     source: str, by_name: Mapping[str, UrdfJoint], name: str, held: Mapping[str, float]
-) -> tuple[str | None, float, float]:
-    """Driver, factor, offset: a joint's value is factor * driver + offset, or the offset where none drives it."""
-    factor, offset = 1.0, 0.0
+) -> _Rule:
+    """Return how a joint follows the joint at the end of its chain of mimics.
+
+    Args:
+        source: Name of the URDF, for messages.
+        by_name: All joints.
+        name: The joint's name.
+        held: Values [rad or m] of joints that stay where they are, by name.
+
+    Raises:
+        UrdfError: It mimics itself, a joint that does not exist, or one that cannot drive it.
+    """
+    factor = 1.0
+    offset = 0.0
     followed = [name]
     while True:
         if name in held:
-            return None, 0.0, factor * held[name] + offset
+            return _Rule(None, 0.0, factor * held[name] + offset)
         joint = by_name[name]
         if joint.type == "fixed" or factor == 0.0:
-            return None, 0.0, offset
+            return _Rule(None, 0.0, offset)
         if joint.type not in MOVING:
             raise UrdfError(
                 f"{source}: joint '{followed[0]}' mimics '{name}', which is of type '{joint.type}'; only "
                 f"{choices(MOVING)} joints can drive others. Hold '{followed[0]}' at a value instead."
             )
         if joint.mimic is None:
-            return name, factor, offset
+            return _Rule(name, factor, offset)
         offset += factor * joint.mimic_offset
         factor *= joint.mimic_multiplier
         if joint.mimic not in by_name or joint.mimic in followed:

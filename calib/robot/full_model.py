@@ -1,4 +1,4 @@
-"""The Pinocchio model of all of a URDF: every joint, also those beside a chain."""
+"""The Pinocchio model of all of a URDF: every joint, also those beside a chain, mimic joints moving freely."""
 
 from __future__ import annotations
 
@@ -13,18 +13,25 @@ from calib.errors import UrdfError, choices
 from calib.robot.urdf import Urdf
 from calib.units import Array
 
-#: What stands before the links' names in the Pinocchio model.
+#: Prefix of the links' names in the Pinocchio model.
 _LINK = "link:"
+
+#: Poses of links by Pinocchio and by the URDF's text may differ by this, absolute and relative [m; rotations: 1].
+_SAME_POSE = 1e-9
 
 
 def full_model(urdf: Urdf) -> pin.Model:
-    """The Pinocchio model of all of a URDF, mimic joints free; links are found by `link_frame`."""
+    """Return the Pinocchio model of all of a URDF, a copy that may be changed; links are found by `link_frame`.
+
+    Raises:
+        UrdfError: Pinocchio cannot read the URDF, or reads it otherwise than it is written.
+    """
     return _built_model(urdf).copy()
 
 
 @lru_cache(maxsize=8)
 def _built_model(urdf: Urdf) -> pin.Model:
-    """What `full_model` hands out copies of: reading the XML takes ten times as long as a copy."""
+    """Return the model that `full_model` copies: reading the XML takes ten times as long as a copy."""
     try:
         model = pin.buildModelFromXML(urdf.data.decode(urdf.encoding))
     except (ValueError, RuntimeError) as error:
@@ -33,29 +40,42 @@ def _built_model(urdf: Urdf) -> pin.Model:
         ) from error
     data = model.createData()
     pin.framesForwardKinematics(model, data, pin.neutral(model))
-    bodies = [i for i, frame in enumerate(model.frames) if frame.type == pin.FrameType.BODY]
-    T = {model.frames[i].name: data.oMf[i].homogeneous for i in bodies}
-    # It reads some numbers and names otherwise than they are written.
-    wrong = [
-        joint.name
-        for joint in urdf.joints
-        if not {joint.parent, joint.child} <= T.keys()
-        or not np.allclose(T[joint.parent] @ joint.T_parent_joint, T[joint.child], 1e-9, 1e-9)
-    ]
-    if wrong:
+    links = [i for i, frame in enumerate(model.frames) if frame.type == pin.FrameType.BODY]
+    T_root_link = {model.frames[i].name: data.oMf[i].homogeneous for i in links}
+    misread = _misread_joints(urdf, T_root_link)
+    if misread:
         raise UrdfError(
-            f"{urdf.source}: Pinocchio reads the joints {choices(wrong)} in another way than they are written. Look "
+            f"{urdf.source}: Pinocchio reads the joints {choices(misread)} in another way than they are written. Look "
             "for unusual characters in numbers and names, and for comments inside of tags."
         )
     # Pinocchio cannot lock a joint that shares its name with a link, as ANYmal's do: let links be told apart.
-    for i in bodies:
+    for i in links:
         model.frames[i].name = _LINK + model.frames[i].name
     return model
 
 
+def _misread_joints(urdf: Urdf, T_root_link: Mapping[str, Array]) -> list[str]:
+    """Return the names of joints whose origin differs from what Pinocchio read, by its poses of links (4, 4) [m]."""
+    misread = []
+    for joint in urdf.joints:
+        if not {joint.parent, joint.child} <= T_root_link.keys():
+            misread.append(joint.name)
+            continue
+        T_root_child = T_root_link[joint.parent] @ joint.T_parent_joint
+        if not np.allclose(T_root_child, T_root_link[joint.child], _SAME_POSE, _SAME_POSE):
+            misread.append(joint.name)
+    return misread
+
+
 def full_configurations(model: pin.Model, values: Mapping[str, Array]) -> Array:
-    """Pinocchio's configurations of a `full_model`, shape (N, nq), from `Robot.urdf_values`; other joints neutral."""
-    count = max((len(value) for value in values.values()), default=0)
+    """Return Pinocchio's configurations of N samples, shape (N, nq).
+
+    Args:
+        model: A `full_model`.
+        values: Joint values by name, each of shape (N,), [rad] or [m], as of `Robot.urdf_values`; other joints are
+            neutral.
+    """
+    count = _sample_count(values)
     result = np.tile(pin.neutral(model), (count, 1))
     for name, value in values.items():
         joint = model.getJointId(name)
@@ -63,40 +83,48 @@ def full_configurations(model: pin.Model, values: Mapping[str, Array]) -> Array:
         if model.nqs[joint] == 1:
             result[:, first] = value
         else:  # a continuous joint's configuration is (cos q, sin q)
-            result[:, first], result[:, first + 1] = np.cos(value), np.sin(value)
+            result[:, first] = np.cos(value)
+            result[:, first + 1] = np.sin(value)
     return result
 
 
 def joint_frames(
-    model: pin.Model, urdf: Urdf, values: Mapping[str, Array], wanted: Collection[int]
+    model: pin.Model, urdf: Urdf, values: Mapping[str, Array], numbers: Collection[int]
 ) -> dict[int, Array]:
-    """The poses of joints after they moved in the URDF's root, T_root_joint (N, 4, 4) [m], by their numbers.
+    """Return the poses of joints, after they moved, in the URDF's root.
 
     Args:
         model: A `full_model` of the URDF.
         urdf: The URDF.
-        values: What `Robot.urdf_values` says of N samples, each of shape (N,), [rad] or [m]; other joints are neutral.
-        wanted: Numbers of joints of the model.
+        values: Joint values by name, each of shape (N,), [rad] or [m], as of `Robot.urdf_values`; other joints are
+            neutral.
+        numbers: Pinocchio's numbers of joints of the model.
 
     Returns:
-        The poses of these joints, of all joints that carry them, and of 0, the root itself.
+        T_root_joint (N, 4, 4) [m] by number: of these joints, of all joints that carry them, and of 0, the root.
     """
-    count = max((len(value) for value in values.values()), default=0)
-    frames: dict[int, Array] = {0: np.tile(np.eye(4), (count, 1, 1))}
+    frames: dict[int, Array] = {0: np.tile(np.eye(4), (_sample_count(values), 1, 1))}
     # A joint's supports begin with the root and end with the joint itself.
-    for number in sorted({k for joint in wanted for k in model.supports[joint]} - {0}):
+    supports = {k for number in numbers for k in model.supports[number]}
+    for number in sorted(supports - {0}):
         T = frames[model.parents[number]] @ model.jointPlacements[number].homogeneous
         name = model.names[number]
         if name in values:
-            joint, value = urdf.joint(name), values[name][:, None]
-            if joint.type == "prismatic":
-                T[:, :3, 3] += (T[:, :3, :3] @ joint.axis) * value
+            axis = urdf.joint(name).axis
+            value = values[name][:, None]
+            if urdf.joint(name).type == "prismatic":
+                T[:, :3, 3] += (T[:, :3, :3] @ axis) * value
             else:
-                T[:, :3, :3] = T[:, :3, :3] @ Rotation.from_rotvec(value * joint.axis).as_matrix()
+                T[:, :3, :3] = T[:, :3, :3] @ Rotation.from_rotvec(value * axis).as_matrix()
         frames[number] = T
     return frames
 
 
 def link_frame(model: pin.Model, link: str) -> int:
-    """The index of a link's frame in a `full_model`, or in one that was reduced from it."""
+    """Return the index of a link's frame in a `full_model`, or in one that was reduced from it."""
     return int(model.getFrameId(_LINK + link, pin.FrameType.BODY))
+
+
+def _sample_count(values: Mapping[str, Array]) -> int:
+    """Return N of joint values (N,) by name; 0 without any."""
+    return max((len(value) for value in values.values()), default=0)

@@ -1,7 +1,11 @@
 """Loads of gravity on the joints of a chain, and lever arms of masses about them.
 
-Gravity loads each joint by load_i(q) = - dU(q) / dq_i, with the potential energy U of all links and the payload. A
-joint of compliance c [rad/Nm or m/N] gives way by c load_i.
+Gravity loads each joint by
+
+    load_i(q) = - dU(q) / dq_i
+
+with the potential energy U of all links and the payload: positive where gravity drives the joint towards larger values.
+A joint of compliance c [rad/Nm or m/N] gives way by c load_i.
 """
 
 from __future__ import annotations
@@ -21,49 +25,57 @@ from calib.units import Array
 GRAVITY = (0.0, 0.0, -9.81)
 """The acceleration of gravity where the URDF's root link has z up, [m/s^2]."""
 
-
-#: The least length that is divided by.
+#: The least acceleration that is divided by [m/s^2]; without gravity all lever arms are then zero.
 _TINY = float(np.finfo(np.float64).tiny)
 
 
 def gravity_loads(
     robot: Robot, q: ArrayLike, payload: Payload | None = None, gravity: ArrayLike = GRAVITY
 ) -> Array:
-    """What gravity can load each of the chain's n joints with, shape (N, n, n + 3).
+    """Return the load of gravity on each joint of the chain, and the lever arms of masses along the chain about it.
 
-    First the load itself [Nm] or [N], by the masses of all links of the URDF, also beside the chain, where their joints
-    are as `Robot.urdf_values` says; a link without a mass is massless. Then the lever arms [m] of a mass at the origin
-    of each joint of the chain, at the tip, and at a base that joints move: its load over its weight. All are positive
-    where gravity drives the joint towards larger values.
+    The masses are those of all links of the URDF, also beside the chain, where their joints are as
+    `Robot.urdf_values` says; a link without a mass is massless. A lever arm is the load of a mass over its weight.
 
     Args:
-        robot: The robot.
-        q: shape (N, m) or (m,), [rad] or [m], in the order of ``robot.joint_names``.
-        payload: What the tip carries besides.
-        gravity: shape (3,), acceleration in the URDF's root link [m/s^2], which stands still.
+        robot: The robot, n joints in its chain.
+        q: Shape (N, m) or (m,), [rad] or [m], in the order of ``robot.joint_names``.
+        payload: Mass at the tip besides those of the URDF; None for none.
+        gravity: Shape (3,), acceleration in the URDF's root link [m/s^2], which stands still.
+
+    Returns:
+        Shape (N, n, n + 3). Of each joint first its load, [Nm] or [N] where it slides; then the lever arms, [m] or 1
+        where it slides, of masses at the origins of the n joints, at the tip, and at a base that joints move. All
+        are positive where gravity drives the joint towards larger values.
+
+    Raises:
+        ModelError: The values do not fit the chain, or gravity is not three finite numbers.
     """
     values = robot.urdf_values(q)
-    down = finite_vector(gravity, "acceleration of gravity", "[m/s^2]")
-    model = _loaded_model(robot, payload, down)
+    acceleration = finite_vector(gravity, "acceleration of gravity", "[m/s^2]")
+    down = acceleration / max(float(np.linalg.norm(acceleration)), _TINY)
+    model = _loaded_model(robot, payload, acceleration)
     data = model.createData()
     columns = [model.idx_vs[model.getJointId(joint.name)] for joint in robot.joints]
-    towards = down / max(float(np.linalg.norm(down)), _TINY)
 
     def work(block: slice) -> Array:
-        """The loads of a block of samples."""
-        joints = {name: value[block] for name, value in values.items()}
+        """Return the loads and lever arms of a block of samples, (B, n, n + 3)."""
+        block_values = {name: value[block] for name, value in values.items()}
         torques = [
             pin.computeGeneralizedGravity(model, data, configuration)
-            for configuration in full_configurations(model, joints)
+            for configuration in full_configurations(model, block_values)
         ]
-        drives = -np.array(torques).reshape(-1, model.nv)[:, columns, None]
-        return np.concatenate([drives, _lever_arms(robot, model, joints, towards)], axis=2)
+        # Pinocchio's are those that hold the robot against gravity.
+        loads = -np.array(torques).reshape(-1, model.nv)[:, columns, None]
+        arms = _lever_arms(robot, model, block_values, down)
+        return np.concatenate([loads, arms], axis=2)
 
-    return np.concatenate(kernel.over_blocks(work, len(next(iter(values.values())))))
+    count = len(next(iter(values.values())))
+    return np.concatenate(kernel.over_blocks(work, count))
 
 
 def _loaded_model(robot: Robot, payload: Payload | None, gravity: Array) -> pin.Model:
-    """The model of the whole URDF with a payload at the tip, in this gravity, (3,) [m/s^2]."""
+    """Return the model of the whole URDF with a payload at the tip, in this gravity, (3,) [m/s^2]."""
     model = full_model(robot.urdf)
     model.gravity.linear = np.array(gravity)
     model.gravity.angular = np.zeros(3)
@@ -75,7 +87,7 @@ def _loaded_model(robot: Robot, payload: Payload | None, gravity: Array) -> pin.
 
 
 def _lever_arms(robot: Robot, model: pin.Model, values: Mapping[str, Array], down: Array) -> Array:
-    """The lever arms of `gravity_loads`: how much deeper a unit of each joint moves each point.
+    """Return the lever arms of `gravity_loads`: how much deeper a unit of each joint moves each point.
 
     A turning joint at o with the axis a moves a point p by a x (p - o), which is (p - o) . (down x a) deeper; a sliding
     one by a, which is a . down deeper.
@@ -83,29 +95,49 @@ def _lever_arms(robot: Robot, model: pin.Model, values: Mapping[str, Array], dow
     Args:
         robot: The robot.
         model: The model of its whole URDF.
-        values: What `Robot.urdf_values` says of N samples.
-        down: shape (3,), the direction of gravity in the URDF's root.
+        values: Joint values of N samples as of `Robot.urdf_values`.
+        down: Shape (3,), unit vector of gravity in the URDF's root, or zeros.
 
     Returns:
-        shape (N, n, n + 2), [m] per rad or m: at the origins of the n joints, the tip and the base.
+        Shape (N, n, n + 2), [m] per rad or m: at the origins of the n joints, the tip and the base.
     """
     numbers = [model.getJointId(joint.name) for joint in robot.joints]
     ends = [model.frames[link_frame(model, link)] for link in (robot.tip, robot.base)]
     carriers = [*numbers, *(end.parentJoint for end in ends)]
     frames = joint_frames(model, robot.urdf, values, carriers)
-    T = np.stack([frames[number] for number in numbers], axis=1)
-    axes, origins = (T[:, :, :3, :3] @ _urdf_axes(robot)[:, :, None])[..., 0], T[:, :, :3, 3]
-    T_ends = [frames[end.parentJoint] @ end.placement.homogeneous for end in ends]
-    points = np.concatenate([origins, *(T[:, None, :3, 3] for T in T_ends)], axis=1)
-    slopes = np.cross(down, axes)
-    arms = slopes @ points.swapaxes(1, 2) - np.sum(slopes * origins, axis=2)[:, :, None]
-    slides = np.array([joint.type == "prismatic" for joint in robot.joints])
-    arms[:, slides] = (axes[:, slides] @ down)[:, :, None]
+    T_root_joint = np.stack([frames[number] for number in numbers], axis=1)
+    axes = (T_root_joint[:, :, :3, :3] @ _urdf_axes(robot)[:, :, None])[..., 0]
+    origins = T_root_joint[:, :, :3, 3]
+    T_root_end = [frames[end.parentJoint] @ end.placement.homogeneous for end in ends]
+    points = np.concatenate([origins, *(T[:, None, :3, 3] for T in T_root_end)], axis=1)
+    arms = _depths_per_unit(robot, axes, origins, points, down)
     # A joint bears what comes behind it in the URDF.
     bears = [[number in model.supports[carrier] for carrier in carriers] for number in numbers]
     return np.asarray(arms * np.array(bears))
 
 
+def _depths_per_unit(
+    robot: Robot, axes: Array, origins: Array, points: Array, down: Array
+) -> Array:
+    """Return how much deeper a unit of each joint would move each point if it carried it.
+
+    Args:
+        robot: The robot.
+        axes: Shape (N, n, 3), of the joints in the URDF's root.
+        origins: Shape (N, n, 3), of the joints in the URDF's root [m].
+        points: Shape (N, k, 3), in the URDF's root [m].
+        down: Shape (3,), unit vector of gravity in the URDF's root, or zeros.
+
+    Returns:
+        Shape (N, n, k), [m] per rad or m.
+    """
+    slopes = np.cross(down, axes)
+    depths: Array = slopes @ points.swapaxes(1, 2) - np.sum(slopes * origins, axis=2)[:, :, None]
+    slides = np.array([joint.type == "prismatic" for joint in robot.joints])
+    depths[:, slides] = (axes[:, slides] @ down)[:, :, None]
+    return depths
+
+
 def _urdf_axes(robot: Robot) -> Array:
-    """The axes of the chain's joints as the URDF has them, none turned round, shape (n, 3)."""
+    """Return the axes of the chain's joints as the URDF has them, none turned round, shape (n, 3)."""
     return np.array([robot.urdf.joint(joint.name).axis for joint in robot.joints])

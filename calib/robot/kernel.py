@@ -26,7 +26,7 @@ Numbers = NDArray[np.int_]
 class Geometry:
     """A serial chain, seen at targets from measurement frames; every pose of shape (4, 4) [m]."""
 
-    #: shape (n,), which joints slide along their axis; the others turn about it.
+    #: shape (n,), True for joints that slide along their axis; the others turn about it.
     slides: NDArray[np.bool_]
     turns: Array  #: shape (n, 3, 3), a rotation that takes z to each joint's axis, see `turns_to`.
     placements: Array  #: shape (n + 1, 4, 4): of each joint in the one before it, of the tip in the last joint.
@@ -37,99 +37,142 @@ class Geometry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Directions:
-    """What a unit of each of p parameters does: twists, linear part first, in the local axes of the places."""
+    """Twists per unit of each of p parameters, linear part first, in the local axes of the place that they move."""
 
-    bases: Array  #: shape (F, 6, p), of the base behind each frame.
+    bases: Array  #: shape (F, 6, p), of the base behind each measurement frame.
     placements: Array  #: shape (n + 1, 6, p), of the joints and the tip.
     targets: Array  #: shape (T, 6, p).
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChainSamples:
-    """Where the robot stood in N samples, and which frame saw which target."""
+    """Joint values of the chain in N samples, and the frame and the target of each."""
 
-    values: Array  #: shape (N, n), of the chain's joints [rad or m].
-    frame: Numbers  #: shape (N,), number of the frame.
-    target: Numbers  #: shape (N,), number of the target.
-    moved: Array  #: shape (N, n, k), how far a unit of some parameters moves each joint besides; k = 0 for none.
-    columns: Numbers  #: shape (k,), which parameters these are.
+    values: Array  #: shape (N, n), of the chain's joints, their own errors included [rad or m].
+    frame: Numbers  #: shape (N,), index of the measurement frame, from 0.
+    target: Numbers  #: shape (N,), index of the target, from 0.
+    #: shape (N, n, k), derivative of ``values`` by the k parameters that change them; k = 0 without such.
+    moved: Array
+    columns: Numbers  #: shape (k,), indices of these among the p parameters.
 
 
 def turns_to(axes: Array) -> Array:
-    """For each unit vector, shape (n, 3), a rotation that takes z there, shape (n, 3, 3)."""
+    """Return a rotation that takes z to each of n unit vectors, (n, 3) to (n, 3, 3)."""
     x, y, z = np.reshape(axes, (-1, 3)).T
     # From the nearer of z and -z, for the other one's formula divides by next to nothing.
     side = np.where(z >= 0.0, 1.0, -1.0)
-    y, z = side * y, side * z
+    y = side * y
+    z = side * z
     c = 1.0 / (1.0 + z)
     turns = np.array(
-        [[1.0 - c * x * x, -c * x * y, x], [-c * x * y, 1.0 - c * y * y, y], [-x, -y, z]]
+        [
+            [1.0 - c * x * x, -c * x * y, x],
+            [-c * x * y, 1.0 - c * y * y, y],
+            [-x, -y, z],
+        ]
     )
     turns[1:] *= side
     return np.ascontiguousarray(np.moveaxis(turns, 2, 0))
 
 
-def poses(geometry: Geometry, stood: ChainSamples) -> Array:
-    """T_frame_target, shape (N, 4, 4), [m]."""
-    found = np.empty((len(stood.values), 4, 4))
-    found[:, 3] = 0.0, 0.0, 0.0, 1.0
+def poses(geometry: Geometry, samples: ChainSamples) -> Array:
+    """Return T_frame_target of every sample.
+
+        T_frame_target = T_frame_base T_base_root  P_1 J_1(q_1) ... P_n J_n(q_n)  P_tip  T_tip_target
+
+    Args:
+        geometry: The chain, its measurement frames and its targets.
+        samples: N samples.
+
+    Returns:
+        Shape (N, 4, 4), [m].
+    """
+    count = len(samples.values)
+    T_frame_target = _poses_to_fill(count)
     steps = _steps(geometry)
 
-    def work(own: slice) -> None:
-        found[own, :3] = _frames(geometry, steps, stood, own)[-1].transpose(2, 1, 0)
+    def work(block: slice) -> None:
+        target_frame = _frames(geometry, steps, samples, block)[-1]
+        T_frame_target[block, :3] = target_frame.transpose(2, 1, 0)
 
-    over_blocks(work, len(found))
-    return found
+    over_blocks(work, count)
+    return T_frame_target
 
 
 def twists(
-    geometry: Geometry, directions: Directions, stood: ChainSamples, *, rotation: bool = True
+    geometry: Geometry, directions: Directions, samples: ChainSamples, *, rotation: bool = True
 ) -> tuple[Array, Array]:
-    """T_frame_target, (N, 4, 4), [m], and the target's velocity in a unit of each parameter, in the frame's axes.
+    """Return T_frame_target and its Jacobian: the target's velocity per unit of each parameter.
 
-    The velocity has shape (N, 6, p), or (N, 3, p) without ``rotation``; samples are last in memory.
+    The velocity is that of the target's origin, then the angular velocity, both along the axes of the measurement
+    frame: column k is (dp, dphi) / dx_k, with dR = [dphi]_x R.
+
+    Args:
+        geometry: The chain, its measurement frames and its targets.
+        directions: Twists of the p parameters at the places that they move.
+        samples: N samples.
+        rotation: False for the velocity of the origin alone.
+
+    Returns:
+        T_frame_target, shape (N, 4, 4), [m]; and the Jacobian, shape (N, 6, p), or (N, 3, p) without ``rotation``,
+        [m and rad per unit of the parameter]. In the Jacobian's memory samples come last.
     """
-    N, p = len(stood.values), directions.placements.shape[2]
-    T_frame_target = np.empty((N, 4, 4))
-    T_frame_target[:, 3] = 0.0, 0.0, 0.0, 1.0
-    found = np.empty((p, 6 if rotation else 3, N))
-    steps, n = _steps(geometry), len(geometry.slides)
+    count, n = samples.values.shape
+    p = directions.placements.shape[2]
+    T_frame_target = _poses_to_fill(count)
+    jacobian = np.empty((p, 6 if rotation else 3, count))
+    steps = _steps(geometry)
+    joints = np.arange(1, n + 1)
     # Joints are looked at along their turned axes, and a place that many samples share is like a joint.
     inner = directions.placements.reshape(n + 1, 2, 3, p).copy()
     inner[:n] = geometry.turns.transpose(0, 2, 1)[:, None] @ inner[:n]
-    seen = (directions.bases, stood.frame), (directions.targets, stood.target)
     linear = inner.reshape(6 * (n + 1), p).T
     angular = inner[:, 1].reshape(3 * (n + 1), p).T
 
-    def work(own: slice) -> None:
-        frames = _frames(geometry, steps, stood, own)
-        T_frame_target[own, :3] = frames[-1].transpose(2, 1, 0)
-        moves, axes = regressor(frames, frames[-1, 3]), frames[:, :3]
+    def work(block: slice) -> None:
+        frames = _frames(geometry, steps, samples, block)
+        T_frame_target[block, :3] = frames[-1].transpose(2, 1, 0)
         B = frames.shape[3]
-        joints = np.arange(1, n + 1)
+        moves = regressor(frames, frames[-1, 3])
         along = moves[joints, np.where(geometry.slides, 2, 5)]
         part = (linear @ moves[1:-1].reshape(6 * (n + 1), 3 * B)).reshape(p, 3, B)
-        add(part, moves, 0, along, own)
-        found[:, :3, own] = part
+        add_outer_columns(part, moves, slice(0, 6), along, block)
+        jacobian[:, :3, block] = part
         if rotation:
+            axes = frames[:, :3]
             about = np.where(geometry.slides[:, None, None], 0.0, axes[joints, 2])
             part = (angular @ axes[1:-1].reshape(3 * (n + 1), 3 * B)).reshape(p, 3, B)
-            add(part, axes, 3, about, own)
-            found[:, 3:, own] = part
+            add_outer_columns(part, axes, slice(3, 6), about, block)
+            jacobian[:, 3:, block] = part
 
-    def add(part: Array, moves: Array, first: int, along: Array, own: slice) -> None:
-        """What parameters of frames, targets and the joints' state do besides."""
-        for k, (local, which) in zip((0, -1), seen, strict=True):
-            add_columns(part, moves[k], local[:, first:], which[own])
-        if len(stood.columns):
-            part[stood.columns] += np.einsum("idb,bik->kdb", along, stood.moved[own])
+    def add_outer_columns(
+        part: Array, moves: Array, components: slice, joint_moves: Array, block: slice
+    ) -> None:
+        """Add to (p, 3, B) the columns of measurement frames, targets and errors of the joints' state."""
+        bases = directions.bases[:, components]
+        targets = directions.targets[:, components]
+        add_columns(part, moves[0], bases, samples.frame[block])
+        add_columns(part, moves[-1], targets, samples.target[block])
+        if len(samples.columns):
+            moved = samples.moved[block]
+            part[samples.columns] += np.einsum("idb,bik->kdb", joint_moves, moved)
 
-    over_blocks(work, N)
-    return T_frame_target, found.transpose(2, 1, 0)
+    over_blocks(work, count)
+    return T_frame_target, jacobian.transpose(2, 1, 0)
 
 
 def regressor(frames: Array, point: Array) -> Array:
-    """The velocity of a point, (3, B), that unit twists of bodies, (P, 4, 3, B), carry along; shape (P, 6, 3, B)."""
+    """Return the velocity of a point that unit twists of P bodies carry along.
+
+        v_point = R v + (R w) x (point - origin)
+
+    Args:
+        frames: Shape (P, 4, 3, B), axes R and origin of each body in B samples [m].
+        point: Shape (3, B), [m].
+
+    Returns:
+        Shape (P, 6, 3, B): the velocity per unit of v along, then of w about, the x, y and z axis of each body.
+    """
     axes = frames[:, :3]
     d = (point - frames[:, 3])[:, None]
     moves = np.empty((len(frames), 6, *frames.shape[2:]))
@@ -140,32 +183,58 @@ def regressor(frames: Array, point: Array) -> Array:
     return moves
 
 
-def add_columns(columns: Array, moves: Array, local: Array, which: Numbers) -> None:
-    """Add to columns (p, 3, B) what parameters of one of several like places do, each to its own samples.
+def add_columns(columns: Array, moves: Array, twists_at: Array, place: Numbers) -> None:
+    """Add the Jacobian columns of frame or target parameters to the samples that see them.
 
-    ``moves`` (d, 3, B) is what unit twists of each sample's place do, ``local`` (K, d, p) the parameters' twists there,
-    ``which`` (B,) the place of each sample.
+    Args:
+        columns: Shape (p, 3, B), the Jacobian of B samples, added to in place.
+        moves: Shape (d, 3, B), velocity per unit twist of the place that each sample sees; d = 6, or 3 angular.
+        twists_at: Shape (K, d, p), twists of the parameters at each of K frames or targets.
+        place: Shape (B,), index of the frame or target that each sample sees.
     """
-    for k, twist in enumerate(local):
+    for k, twist in enumerate(twists_at):
         used = np.flatnonzero(twist.any(axis=0))
         if not len(used):
             continue
-        first, last = int(used[0]), int(used[-1]) + 1  # columns between them get nothing
-        own = slice(None) if len(local) == 1 else np.flatnonzero(which == k)
-        there = moves[:, :, own]
-        part = twist[:, first:last].T @ there.reshape(len(there), -1)
-        columns[first:last, :, own] += part.reshape(last - first, *there.shape[1:])
+        # Columns between the first and the last used one get zeros added.
+        first = int(used[0])
+        last = int(used[-1]) + 1
+        seeing: slice | Numbers = slice(None)
+        if len(twists_at) > 1:
+            seeing = np.flatnonzero(place == k)
+        seen_moves = moves[:, :, seeing]
+        part = twist[:, first:last].T @ seen_moves.reshape(len(seen_moves), -1)
+        columns[first:last, :, seeing] += part.reshape(last - first, *seen_moves.shape[1:])
 
 
-def carried(frames: Array, T: Array, which: Numbers) -> Array:
-    """Frames, shape (4, 3, B), followed by one of some placements, shapes (K, 4, 4) and (B,)."""
+def carried(frames: Array, T: Array, place: Numbers) -> Array:
+    """Return frames followed by the placement that belongs to each sample.
+
+    Args:
+        frames: Shape (4, 3, B), [m].
+        T: Shape (K, 4, 4), [m], the placements to choose from.
+        place: Shape (B,), index of each sample's placement.
+
+    Returns:
+        Shape (4, 3, B), [m].
+    """
     if len(T) == 1:
         return np.asarray((T[0].T @ frames.reshape(4, -1)).reshape(frames.shape))
-    return np.asarray(np.einsum("bkc,kib->cib", T[which], frames))
+    return np.asarray(np.einsum("bkc,kib->cib", T[place], frames))
+
+
+def _poses_to_fill(count: int) -> Array:
+    """Return N poses whose last row alone is written, (N, 4, 4)."""
+    T = np.empty((count, 4, 4))
+    T[:, 3] = 0.0, 0.0, 0.0, 1.0
+    return T
 
 
 def _steps(geometry: Geometry) -> Array:
-    """The placements between turned joints, whose axis is z: of the first in the base, ..., of the tip in the last."""
+    """Return the placements between joints turned so that their axis is z, (n + 1, 4, 4): P_1 in the base, ..., P_tip.
+
+    A joint J(axis, q) = Q J(z, q) Q^-1 with the rotation Q = ``turns``; Q^-1 and the next Q go into the placements.
+    """
     n = len(geometry.slides)
     steps: Array = geometry.placements.copy()
     steps[:n, :3, :3] = steps[:n, :3, :3] @ geometry.turns
@@ -174,36 +243,46 @@ def _steps(geometry: Geometry) -> Array:
     return steps
 
 
-def _frames(geometry: Geometry, steps: Array, stood: ChainSamples, own: slice) -> Array:
-    """The frames of base, joints before they move, tip and target, shape (n + 3, 4, 3, B)."""
-    values, n = stood.values[own].T, len(geometry.slides)
-    B = values.shape[1]
+def _frames(geometry: Geometry, steps: Array, samples: ChainSamples, block: slice) -> Array:
+    """Return the frames of base, joints before they move, tip and target, shape (n + 3, 4, 3, B)."""
+    values = samples.values[block].T
+    n, B = values.shape
+    sines = np.sin(values)
+    cosines = np.cos(values)
     frames = np.empty((n + 3, 4, 3, B))
     bases = geometry.bases[:, :3]
     if len(bases) == 1:
         frames[0] = bases[0].T[:, :, None]
     else:
-        frames[0] = bases[stood.frame[own]].transpose(2, 1, 0)
-    sines, cosines = np.sin(values), np.cos(values)
+        frames[0] = bases[samples.frame[block]].transpose(2, 1, 0)
     moved = frames[0]
-    room = np.empty((4, 3, B))
+    moved_joint = np.empty((4, 3, B))
     for i in range(n):
-        frame = frames[i + 1]
-        np.matmul(steps[i].T, moved.reshape(4, 3 * B), out=frame.reshape(4, 3 * B))
-        moved = room
+        np.matmul(steps[i].T, moved.reshape(4, -1), out=frames[i + 1].reshape(4, -1))
         if geometry.slides[i]:
-            moved[:] = frame
-            moved[3] += frame[2] * values[i]
+            _slide(frames[i + 1], values[i], out=moved_joint)
         else:
-            s, c = sines[i], cosines[i]
-            np.multiply(frame[0], c, out=moved[0])
-            moved[0] += frame[1] * s
-            np.multiply(frame[1], c, out=moved[1])
-            moved[1] -= frame[0] * s
-            moved[2:] = frame[2:]
-    np.matmul(steps[n].T, moved.reshape(4, 3 * B), out=frames[n + 1].reshape(4, 3 * B))
-    frames[n + 2] = carried(frames[n + 1], geometry.targets, stood.target[own])
+            _turn(frames[i + 1], sines[i], cosines[i], out=moved_joint)
+        moved = moved_joint
+    np.matmul(steps[n].T, moved.reshape(4, -1), out=frames[n + 1].reshape(4, -1))
+    frames[n + 2] = carried(frames[n + 1], geometry.targets, samples.target[block])
     return frames
+
+
+def _slide(frame: Array, value: Array, out: Array) -> None:
+    """Move frames (4, 3, B) along their own z by values (B,) [m], into ``out``."""
+    out[:] = frame
+    out[3] += frame[2] * value
+
+
+def _turn(frame: Array, sine: Array, cosine: Array, out: Array) -> None:
+    """Turn frames (4, 3, B) about their own z by angles of these sines and cosines (B,), into ``out``."""
+    x, y = frame[:2]
+    np.multiply(x, cosine, out=out[0])
+    out[0] += y * sine
+    np.multiply(y, cosine, out=out[1])
+    out[1] -= x * sine
+    out[2:] = frame[2:]
 
 
 T = TypeVar("T")
@@ -212,5 +291,13 @@ BLOCK = 1024  #: Samples of one block.
 
 
 def over_blocks(work: Callable[[slice], T], count: int) -> list[T]:
-    """What ``work`` gives for each block of samples, in their order."""
+    """Call a function for each block of samples, so that what it computes stays in the processor's cache.
+
+    Args:
+        work: Function of the slice of one block's samples.
+        count: Number of all samples.
+
+    Returns:
+        Its results, block by block.
+    """
     return [work(slice(k, min(k + BLOCK, count))) for k in range(0, count, BLOCK)]

@@ -14,26 +14,34 @@ from calib.units import Array
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Payload:
-    """A mass that the tip carries and that the URDF does not hold."""
+    """A point mass that the tip carries and that the URDF does not hold."""
 
-    mass: float  #: [kg].
-    #: shape (3,), its centre of mass in the tip [m].
+    mass: float  #: [kg], 0 or more.
+    #: shape (3,), its centre of mass in the frame of the tip [m].
     com: Array = field(default_factory=lambda: np.zeros(3))
 
     def __post_init__(self) -> None:
         """Copy the centre of mass and check the numbers."""
-        object.__setattr__(
-            self, "com", finite_vector(self.com, "centre of mass of a payload", "[m]")
-        )
+        com = finite_vector(self.com, "centre of mass of a payload", "[m]")
+        object.__setattr__(self, "com", com)
         if not (np.isfinite(self.mass) and self.mass >= 0):
             raise ModelError(
                 f"The mass of a payload is {self.mass} kg; give a number of kg, 0 or more."
             )
 
 
-def finite_vector(values: ArrayLike, what: str, unit: str) -> Array:
-    """Three finite numbers, read-only; refused otherwise."""
+def finite_vector(values: ArrayLike, name: str, unit: str) -> Array:
+    """Return three finite numbers as a read-only array of shape (3,).
+
+    Args:
+        values: The numbers.
+        name: Their name in the message, such as ``"acceleration of gravity"``.
+        unit: Their unit in the message, such as ``"[m/s^2]"``.
+
+    Raises:
+        ModelError: They are not three, or not finite.
+    """
     array = read_only(values)
     if array.shape != (3,) or not np.isfinite(array).all():
-        raise ModelError(f"The {what} is {values!r}; give three finite numbers {unit}.")
+        raise ModelError(f"The {name} is {values!r}; give three finite numbers {unit}.")
     return array

@@ -18,12 +18,12 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from calib.errors import ModelError, UrdfError, choices
 from calib.robot import kernel
 from calib.robot.chain import (
-    Around,
+    OriginFactors,
     all_values,
     chain_between,
     checked_held,
@@ -32,9 +32,9 @@ from calib.robot.chain import (
     rigid_inverse,
 )
 from calib.robot.urdf import Urdf, UrdfJoint, read_only, read_urdf
+from calib.units import Array, Mask
 
 __all__ = ["Robot", "read_only", "rigid_inverse"]
-
 
 #: A placement that no <origin> holds may differ by rounding [m; rotation matrices: 1].
 _ROUNDING = 1e-12
@@ -49,23 +49,24 @@ class Robot:
 
     #: The n moving joints, base to tip, mimic and held ones too; those on the base's side with the axis turned round.
     joints: tuple[UrdfJoint, ...] = field(compare=False)
-    #: Shape (n + 1, 4, 4), [m]; see the module's text. The last one is the tip's.
-    placements: NDArray[np.float64] = field(compare=False)
+    #: shape (n + 1, 4, 4), [m]; see the module's text. The last one is the tip's.
+    placements: Array = field(compare=False)
     #: For each placement the URDF joint whose ``<origin>`` holds it; None where a moving joint carries the end.
     carriers: tuple[str | None, ...] = field(compare=False)
-    #: Pose of the base, (4, 4), [m], where the chain starts: the URDF's root, or a base that its joints move.
-    T_root_base: NDArray[np.float64] = field(compare=False)
-    _around: tuple[Around, ...] = field(compare=False)
-    base_moves: bool = field(compare=False)  #: Whether joints lie on the base's side.
+    #: shape (4, 4), [m], pose of the base where the chain starts: the URDF's root, or a base that its joints move.
+    T_root_base: Array = field(compare=False)
+    #: The n + 1 placements as products of an ``<origin>`` and constants.
+    _origin_factors: tuple[OriginFactors, ...] = field(compare=False)
+    base_moves: bool = field(compare=False)  #: True if joints lie on the base's side.
     urdf: Urdf  #: The URDF that describes this robot; always in step with ``placements``.
     base: str  #: Link in whose frame poses are given.
     tip: str  #: Link whose pose is given.
-    _held: tuple[tuple[str, float], ...]
+    _held: tuple[tuple[str, float], ...]  #: Held joints and their values [rad or m], by name.
     #: The joint of each column of q, m of them; a driver that lies outside the chain is among them.
     inputs: tuple[UrdfJoint, ...] = field(compare=False)
     #: A of q_chain = A q + b, shape (n, m): how the joints of the chain follow the columns of q.
-    coupling: NDArray[np.float64] = field(compare=False)
-    _offset: NDArray[np.float64] = field(compare=False)
+    coupling: Array = field(compare=False)
+    _offset: Array = field(compare=False)  #: b, shape (n,), [rad] or [m].
 
     @classmethod
     def load(
@@ -106,17 +107,54 @@ class Robot:
         measured: Collection[str] | None = None,
         held: Mapping[str, float] | None = None,
     ) -> Robot:
-        """The chain from ``base`` to ``tip`` of a URDF that has been read; see `load`."""
-        kept = checked_held(urdf, held)
-        base = urdf.root if base is None else base
-        tip = farthest_link(urdf, base, measured, dict(kept)) if tip is None else tip
+        """Return the chain from ``base`` to ``tip`` of a URDF that has been read.
+
+        Args:
+            urdf: The URDF.
+            base: Link in whose frame the poses are given; default the URDF's root link.
+            tip: Link that the chain ends at; default the link with the most moving joints before it.
+            measured: Names of the joints whose values are known: the default tip is reached by these alone, if it can.
+            held: Values [rad or m] of joints that stay where they are, by name; see `load`.
+
+        Raises:
+            UrdfError: No such link or joint, or a chain that calib cannot take.
+        """
+        held_values = checked_held(urdf, held)
+        if base is None:
+            base = urdf.root
+        if tip is None:
+            tip = farthest_link(urdf, base, measured, dict(held_values))
         chain = chain_between(urdf, base, tip)
-        return cls(*chain, urdf, base, tip, kept, *coupling(urdf, chain[0], dict(kept)))
+        columns = coupling(urdf, chain.joints, dict(held_values))
+        return cls(
+            joints=chain.joints,
+            placements=chain.placements,
+            carriers=chain.carriers,
+            T_root_base=chain.T_root_base,
+            _origin_factors=chain.factors,
+            base_moves=chain.base_moves,
+            urdf=urdf,
+            base=base,
+            tip=tip,
+            _held=held_values,
+            inputs=columns.inputs,
+            coupling=columns.matrix,
+            _offset=columns.offset,
+        )
 
     def rebuilt(
         self, urdf: Urdf | None = None, base: str | None = None, tip: str | None = None
     ) -> Robot:
-        """The robot read anew from another URDF or between other links, what is held and not named kept."""
+        """Return the robot read anew from another URDF or between other links, with the same joints held.
+
+        Args:
+            urdf: The URDF to read; None for this robot's.
+            base: Link in whose frame the poses are given; None for this robot's.
+            tip: Link that the chain ends at; None for this robot's.
+
+        Raises:
+            UrdfError: No such link or joint, or a chain that calib cannot take.
+        """
         return Robot.from_urdf(
             self.urdf if urdf is None else urdf,
             self.base if base is None else base,
@@ -125,7 +163,7 @@ class Robot:
         )
 
     def __repr__(self) -> str:
-        """In one line, such as ``Robot('ur3', base to tool0, 6 joints)``."""
+        """Return one line, such as ``Robot('ur3', base to tool0, 6 joints)``."""
         return f"Robot('{self.name}', {self.base} to {self.tip}, {len(self.joints)} joints)"
 
     @property
@@ -135,44 +173,73 @@ class Robot:
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """The names of the measured joints, the columns of q, in the order in which the chain needs them."""
+        """The names of the measured joints, the m columns of q, in the order in which the chain needs them."""
         return tuple(joint.name for joint in self.inputs)
 
     @property
     def joint_types(self) -> dict[str, str]:
-        """The URDF type of each column's joint: revolute, continuous or prismatic."""
+        """The URDF type of each column's joint by its name: revolute, continuous or prismatic."""
         return {joint.name: joint.type for joint in self.inputs}
 
     @property
     def held(self) -> dict[str, float]:
-        """The values of joints that stay where they are [rad or m], a new dictionary each time."""
+        """The values of joints that stay where they are [rad or m] by name, a new dictionary each time."""
         return dict(self._held)
 
-    def poses(self, q: ArrayLike) -> NDArray[np.float64]:
-        """T_base_tip, shape (N, 4, 4), [m], at q, shape (N, m) or (m,), [rad] or [m]."""
+    def poses(self, q: ArrayLike) -> Array:
+        """Return T_base_tip, the pose of the tip in the base, shape (N, 4, 4), [m].
+
+        Args:
+            q: Shape (N, m) or (m,), [rad] or [m], columns in the order of ``joint_names``.
+
+        Raises:
+            ModelError: The shape does not fit the chain, or a value is not finite.
+        """
         values = self.chain_values(q)
-        first = np.zeros(len(values), dtype=np.int_)
-        stood = kernel.ChainSamples(values, first, first, np.zeros((*values.shape, 0)), first[:0])
-        return kernel.poses(self.geometry(self.placements), stood)
+        count, n = values.shape
+        index = np.zeros(count, dtype=np.int_)  # the one frame and the one target
+        samples = kernel.ChainSamples(
+            values=values,
+            frame=index,
+            target=index,
+            moved=np.zeros((count, n, 0)),
+            columns=index[:0],
+        )
+        return kernel.poses(self.geometry(self.placements), samples)
 
     def geometry(
         self,
-        placements: NDArray[np.float64],
-        T_frame_base: NDArray[np.float64] | None = None,
-        T_tip_target: NDArray[np.float64] | None = None,
+        placements: Array,
+        T_frame_base: Array | None = None,
+        T_tip_target: Array | None = None,
     ) -> kernel.Geometry:
-        """The chain with these placements, (n + 1, 4, 4), as arrays, see `calib.robot.kernel`.
+        """Return the chain with other placements as arrays for `calib.robot.kernel`.
 
-        T_frame_base, (F, 4, 4), are the measurement frames and T_tip_target, (T, 4, 4), the targets [m]; None for one
-        that is the base or the tip.
+        Args:
+            placements: Shape (n + 1, 4, 4), [m].
+            T_frame_base: Shape (F, 4, 4), [m], pose of the base in each measurement frame; None: one, the base itself.
+            T_tip_target: Shape (T, 4, 4), [m], pose of each target in the tip; None: one, the tip itself.
         """
         slides, turns, T_base_root = _axes_of(self)
-        bases = np.eye(4)[None] if T_frame_base is None else T_frame_base
-        targets = np.eye(4)[None] if T_tip_target is None else T_tip_target
-        return kernel.Geometry(slides, turns, placements, bases, T_base_root, targets)
+        identity = np.eye(4)[None]
+        return kernel.Geometry(
+            slides=slides,
+            turns=turns,
+            placements=placements,
+            bases=identity if T_frame_base is None else T_frame_base,
+            T_base_root=T_base_root,
+            targets=identity if T_tip_target is None else T_tip_target,
+        )
 
-    def chain_values(self, q: ArrayLike) -> NDArray[np.float64]:
-        """The values of ``joints``, q_chain = A q + b, shape (N, n), [rad] or [m]; raises as `poses`."""
+    def chain_values(self, q: ArrayLike) -> Array:
+        """Return the values of ``joints``, q_chain = A q + b, shape (N, n), [rad] or [m].
+
+        Args:
+            q: Shape (N, m) or (m,), [rad] or [m], columns in the order of ``joint_names``.
+
+        Raises:
+            ModelError: The shape does not fit the chain, or a value is not finite.
+        """
         values = np.atleast_2d(np.asarray(q, dtype=np.float64))
         names = self.joint_names
         if values.ndim != 2 or values.shape[1] != len(names) or not np.isfinite(values).all():
@@ -182,21 +249,30 @@ class Robot:
             )
         if tuple(joint.name for joint in self.joints) == names:
             return values  # every joint is its own column
-        result: NDArray[np.float64] = values @ self.coupling.T + self._offset
+        result: Array = values @ self.coupling.T + self._offset
         return result
 
-    def urdf_values(self, q: ArrayLike) -> dict[str, NDArray[np.float64]]:
-        """The value of every joint of the URDF with one coordinate, by name, shape (N,), [rad] or [m].
+    def urdf_values(self, q: ArrayLike) -> dict[str, Array]:
+        """Return the value of every joint of the URDF with one coordinate, by name, shape (N,), [rad] or [m].
 
         Joints that are neither held nor follow a column of q are at zero.
+
+        Args:
+            q: Shape (N, m) or (m,), [rad] or [m], columns in the order of ``joint_names``.
+
+        Raises:
+            ModelError: The shape does not fit the chain, or a value is not finite.
         """
         count = len(self.chain_values(q))  # checks shape and numbers
         columns = np.reshape(np.asarray(q, dtype=np.float64), (count, -1)).T
-        named = dict(zip(self.joint_names, columns, strict=True))
-        return all_values(self.urdf, named, self.held, count)
+        by_name = dict(zip(self.joint_names, columns, strict=True))
+        return all_values(self.urdf, by_name, self.held, count)
 
-    def with_placements(self, placements: NDArray[np.float64]) -> Robot:
-        """A new robot with placements of shape (n + 1, 4, 4), [m], and the ``<origin>`` elements to match.
+    def with_placements(self, placements: Array) -> Robot:
+        """Return a new robot with other placements, and the ``<origin>`` elements to match.
+
+        Args:
+            placements: Shape (n + 1, 4, 4), [m].
 
         Raises:
             UrdfError: A placement differs but no URDF joint can carry it: the tip's, or that of a moving base.
@@ -204,33 +280,38 @@ class Robot:
         placements = np.array(placements, dtype=np.float64)
         for i, carrier in enumerate(self.carriers):
             if carrier is None:
-                if np.abs(placements[i] - self.placements[i]).max() > _ROUNDING:
-                    end = f"base '{self.base}'" if i == 0 else f"tip '{self.tip}'"
-                    raise UrdfError(
-                        f"The {end} of '{self.name}' is moved by its joint directly: the URDF has no <origin> between "
-                        "them that could hold a correction. Choose a link that is fixed to it, or add a fixed joint "
-                        "and a link to the URDF."
-                    )
+                self._check_unchanged(i, placements[i])
                 placements[i] = self.placements[i]
         moved = replace(self, placements=read_only(placements))
-        was = self.origins()
-        origins = {name: T for name, T in moved.origins().items() if (was[name] != T).any()}
-        return replace(moved, urdf=self.urdf.with_origins(origins))
+        before = self.origins()
+        after = moved.origins()
+        changed = {name: T for name, T in after.items() if (before[name] != T).any()}
+        return replace(moved, urdf=self.urdf.with_origins(changed))
 
-    def origins(self) -> dict[str, NDArray[np.float64]]:
-        """The ``<origin>`` of each URDF joint that carries a placement, shape (4, 4), [m]."""
+    def _check_unchanged(self, i: int, placement: Array) -> None:
+        """Refuse another placement, (4, 4), in place of number i, from 0, which no ``<origin>`` holds."""
+        if np.abs(placement - self.placements[i]).max() > _ROUNDING:
+            end = f"base '{self.base}'" if i == 0 else f"tip '{self.tip}'"
+            raise UrdfError(
+                f"The {end} of '{self.name}' is moved by its joint directly: the URDF has no <origin> between "
+                "them that could hold a correction. Choose a link that is fixed to it, or add a fixed joint "
+                "and a link to the URDF."
+            )
+
+    def origins(self) -> dict[str, Array]:
+        """Return the ``<origin>`` of each URDF joint that carries a placement, by name, shape (4, 4), [m]."""
         origins = {}
-        for P, carrier, how in zip(self.placements, self.carriers, self._around, strict=True):
-            before, after, inverted = how
+        for carrier, factors, P in zip(
+            self.carriers, self._origin_factors, self.placements, strict=True
+        ):
             if carrier is not None:
-                factor = rigid_inverse(before) @ P @ rigid_inverse(after)
-                origins[carrier] = rigid_inverse(factor) if inverted else factor
+                origins[carrier] = factors.origin(P)
         return origins
 
 
 @lru_cache(maxsize=16)
-def _axes_of(robot: Robot) -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.float64]]:
-    """Which joints slide, shape (n,), rotations that take z to their axes, (n, 3, 3), and T_base_root, (4, 4)."""
+def _axes_of(robot: Robot) -> tuple[Mask, Array, Array]:
+    """Return the mask of sliding joints (n,), rotations that take z to their axes (n, 3, 3), and T_base_root (4, 4)."""
     slides = np.array([joint.type == "prismatic" for joint in robot.joints])
     turns = kernel.turns_to(np.array([joint.axis for joint in robot.joints]))
     return slides, turns, rigid_inverse(robot.T_root_base)

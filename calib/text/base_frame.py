@@ -1,116 +1,148 @@
-"""What ``calib base-frame`` prints and writes as text: the frame, the axes and sweeps, findings, a cell file."""
+"""The base frame as `calib base-frame` prints it, with axes, sweeps and findings, and as a cell file."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import pinocchio as pin
 
-from calib.circle_points.fits import Circle
+from calib.circle_points.fits import Circle, Plane
 from calib.circle_points.survey import BaseFrame, Survey
 from calib.robot.robot import Robot
-from calib.text.lines import deg, fill, mm
+from calib.text.layout.lines import deg, fill, mm
+from calib.text.layout.tables import Column, name_column, table_lines
 
-Table = list[tuple[str, ...]]
-
-#: The sentence of each finding; its numbers are in mm and mrad.
-_ALIKE = (
-    "{{where}}: neighbouring points err alike {} (correlation {{value:.2f}}): that is no noise, so the stated "
-    "uncertainty is too small. Look for a worn bearing, play, bending, drift, or a target or tracker that moved."
+_CORRELATED = (
+    "{{where}}: the errors of neighbouring points are correlated {} ({{value:.2f}}), so they are not noise and the "
+    "stated uncertainty is too small. Look for a worn bearing, backlash, bending, drift, or a target or tracker that "
+    "moved."
 )
+
+#: The sentence of each finding; {mm} is its value in mm.
 _FINDINGS = {
-    "gross": "{where} is {mm:.3g} mm off and was left out: measure it again.",
-    "radial": _ALIKE.format("radially"),
-    "axial": _ALIKE.format("axially"),
-    "scatter": "{where}: the points scatter {value:.3g} times more than sigma says. The uncertainty is that of the "
-    "scatter.",
+    "gross": "{where} is {mm:.3g} mm off and was ignored: measure it again.",
+    "radial": _CORRELATED.format("radially"),
+    "axial": _CORRELATED.format("axially"),
+    "scatter": "{where}: the points scatter {value:.3g} times more than sigma says. The uncertainty given is that of "
+    "the scatter.",
 }
 
 
 def survey_text(survey: Survey, source: str, robot: Robot | None) -> list[str]:
-    """All that is printed of a survey of a file: the frame, sweeps, axes, findings."""
-    what = "z along axis 1, y along axis 2, origin where axis 1 meets the plane"
+    """Write a survey: the base frame, sweeps, axes, findings.
+
+    Args:
+        survey: The survey.
+        source: The file of sweeps.
+        robot: The robot whose base link is surveyed; None where none was given.
+
+    Returns:
+        Paragraphs and lines of at most 100 columns.
+    """
+    frame = "z along axis 1, y along axis 2, origin where axis 1 meets the plane"
     if robot is not None:
-        what = f"the link '{robot.base}' of {robot.name}"
-    lines = [fill(f"Base frame from {source}: {what}."), *_frame_text(survey.frame)]
-    for table in (_sweeps_table(survey), _pairs_table(survey)):
-        if len(table) > 1:
-            lines += ["", *_aligned(table)]
+        frame = f"the link '{robot.base}' of {robot.name}"
+    lines = [fill(f"Base frame from {source}: {frame}."), *_frame_text(survey.frame)]
+    lines += ["", *_sweeps_table(survey)]
+    if survey.pairs:
+        lines += ["", *_pairs_table(survey)]
     lines.append("")
     if not survey.findings:
         return [*lines, "No findings: the residuals look like noise."]
-    told = (
-        _FINDINGS[one.code].format(where=one.where, value=one.value, mm=1e3 * one.value)
-        for one in survey.findings
-    )
-    return [*lines, "Findings:", *(fill(f"- {text}", "", "  ") for text in told)]
+    lines.append("Findings:")
+    for finding in survey.findings:
+        text = _FINDINGS[finding.code].format(
+            where=finding.where, value=finding.value, mm=1e3 * finding.value
+        )
+        lines.append(fill(f"- {text}", "", "  "))
+    return lines
 
 
-def _aligned(table: Table) -> Iterator[str]:
-    """The lines of a table with its heads, the first column to the left, the others to the right."""
-    first, *widths = (max(map(len, column)) for column in zip(*table, strict=True))
-    for k, (name, *cells) in enumerate(table):
-        inside = "  " * (k > 0)
-        right = "".join(f"{cell:>{w + 2}}" for cell, w in zip(cells, widths, strict=True))
-        yield f"{inside + name:<{first + 2}}{right}"
+def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """Write a table whose names are indented."""
+    columns = [name_column(heads[0]), *(Column(head, gap=2) for head in heads[1:])]
+    width = max(len(name) for name in (heads[0], *(row[0] for row in rows)))
+    columns[0] = name_column(heads[0], width + 2)
+    return table_lines(columns, [(f"  {name}", *cells) for name, *cells in rows])
 
 
 def _frame_text(frame: BaseFrame) -> Iterator[str]:
-    """The frame and how well it is known."""
+    """Write the pose of the frame and its uncertainty."""
     T = frame.T_tracker_base
+    place = "  ".join(mm(v, 4) for v in T[:3, 3])
+    rpy = "  ".join(deg(v, 6) for v in pin.rpy.matrixToRpy(T[:3, :3]))
+    tracker = "  ".join(mm(v, 1) for v in frame.T_base_tracker[:3, 3])
     yield "Pose of the base in the tracker's frame:"
-    yield f"  x y z           {'  '.join(mm(v, 4) for v in T[:3, 3])} mm"
-    rpy = pin.rpy.matrixToRpy(T[:3, :3])
-    yield f"  roll pitch yaw  {'  '.join(deg(v, 6) for v in rpy)} deg"
+    yield f"  x y z           {place} mm"
+    yield f"  roll pitch yaw  {rpy} deg"
     yield "Origin of the tracker's frame in the base:"
-    yield f"  x y z           {'  '.join(mm(v, 1) for v in frame.T_base_tracker[:3, 3])} mm"
+    yield f"  x y z           {tracker} mm"
     yield ""
     axes = [*(f"{axis} [mm]" for axis in "xyz"), *(f"about {axis} [mrad]" for axis in "xyz")]
-    numbers = zip(axes, frame.std, frame.within(0.95), strict=True)
-    rows = [(axis, mm(std, 4), f"+-{mm(within, 4)}") for axis, std, within in numbers]
-    yield from _aligned([("Along and about the axes of the base", "std", "95 % within"), *rows])
+    rows = []
+    # Radians in mrad have the same digits as metres in mm.
+    for axis, std, half in zip(axes, frame.std, frame.within(0.95), strict=True):
+        rows.append((axis, mm(std, 4), f"+-{mm(half, 4)}"))
+    yield from _table(("Along and about the axes of the base", "std", "95 % within"), rows)
 
 
-def _sweeps_table(survey: Survey) -> Table:
-    """The plane and the circles."""
+def _sweeps_table(survey: Survey) -> list[str]:
+    """Write the table of the plane and the circles, with their residuals."""
     heads = ("Sweep", "points", "radius [mm]", "arc [deg]", "radial rms", "max", "axial rms")
-    table: Table = [(*heads, "max [mm]")]
-    for name, figure in (("plane", survey.plane), *((j.name, j.circle) for j in survey.joints)):
-        off = figure.residuals[figure.used]
-        sizes = zip(np.sqrt(np.mean(off**2, axis=0)), np.abs(off).max(axis=0), strict=True)
-        cells = [text for rms, most in sizes for text in (mm(rms, 4), mm(most))]
-        shape = ["-"] * 4
-        if isinstance(figure, Circle):
-            shape = [mm(figure.radius), deg(figure.arc, 1)]
-        table.append((name, str(figure.used.sum()), *shape, *cells))
-    return table
+    figures: list[tuple[str, Plane | Circle]] = [("plane", survey.plane)]
+    figures += [(joint.name, joint.circle) for joint in survey.joints]
+    rows = [_sweep_row(name, figure) for name, figure in figures]
+    return _table((*heads, "max [mm]"), rows)
 
 
-def _pairs_table(survey: Survey) -> Table:
-    """How neighbouring axes stand to each other, beside the URDF's."""
-    heads = ("To the next axis", "angle [deg]", "std", "nominal", "distance [mm]", "std")
-    table: Table = [(*heads, "nominal")]
+def _sweep_row(name: str, figure: Plane | Circle) -> list[str]:
+    """Cells of a plane or a circle."""
+    residuals = figure.residuals[figure.used]
+    cells = [name, str(figure.used.sum())]
+    if isinstance(figure, Circle):
+        cells += [mm(figure.radius), deg(figure.arc, 1)]
+    else:
+        cells += ["-"] * 4
+    for column in residuals.T:
+        rms, largest = np.sqrt(np.mean(column**2)), np.abs(column).max()
+        cells += [mm(rms, 4), mm(largest)]
+    return cells
+
+
+def _pairs_table(survey: Survey) -> list[str]:
+    """Write the table of angles and distances between neighbouring axes, beside the URDF's."""
+    heads = ("To the next axis", "angle [deg]", "std", "nominal", "distance [mm]", "std", "nominal")
+    rows = []
     for pair in survey.pairs:
         angles = (pair.angle, pair.angle_std, pair.angle_nominal)
         distances = (pair.distance, pair.distance_std, pair.distance_nominal)
-        numbers = [*(deg(value, 4) for value in angles), *(mm(value, 4) for value in distances)]
-        table.append((pair.joints[0], *numbers))
-    return table
+        cells = [*(deg(angle, 4) for angle in angles), *(mm(length, 4) for length in distances)]
+        rows.append((pair.joints[0], *cells))
+    return _table(heads, rows)
 
 
 def cell_text(frame: BaseFrame, source: str, **links: str | None) -> str:
-    """The base frame as a cell file, with which measurements in the tracker's frame can be used as they are.
+    """Write the base frame as a cell file, for measurements in the tracker's frame.
 
-    ``source``, the file of sweeps, stands in a comment; ``base`` and ``tip`` are links, if they are named.
+    Args:
+        frame: The base frame.
+        source: The file of sweeps, which a comment names.
+        **links: ``base`` and ``tip``, the links of the robot; None leaves one out.
+
+    Returns:
+        The content of the file.
     """
     T, std = frame.T_tracker_base, 1e3 * frame.std
-    along, about = (", ".join(f"{v:.3g}" for v in part) for part in (std[:3], std[3:]))
+    along = ", ".join(f"{v:.3g}" for v in std[:3])
+    about = ", ".join(f"{v:.3g}" for v in std[3:])
     lines = [
         f"# The base in the tracker's frame, by calib base-frame from {json.dumps(source)}.",
         f"# Standard deviation along x, y, z of the base: {along} mm, about them: {about} mrad.",
-        *(f"{key} = {json.dumps(name)}" for key, name in links.items() if name),
+    ]
+    lines += [f"{key} = {json.dumps(name)}" for key, name in links.items() if name]
+    lines += [
         'frame = "known"',
         f"frame_xyz_mm = {(1e3 * T[:3, 3]).tolist()}",
         f"frame_rpy_deg = {np.degrees(pin.rpy.matrixToRpy(T[:3, :3])).tolist()}",

@@ -10,13 +10,17 @@ import numpy as np
 from calib.errors import choices
 from calib.result.calibration import CalibrationValues
 from calib.result.calibration_file import versions
-from calib.result.comparison import LEVEL, ComparisonValues, own_names, unknown_frame
-from calib.text.lines import deg, mm, wrap
+from calib.result.comparison import LEVEL, ComparisonValues, Displacement, own_names, unknown_frame
+from calib.text.layout.lines import deg, mm, wrap
 from calib.version import __version__
 
 #: The layout of `comparison_table`; a word, so that it is not taken for a result.
 COMPARISON_SCHEMA = "comparison 4"
 
+#: A p-value below this is shown as such: its digits mean nothing.
+_SMALLEST_P = 1e-12
+
+#: Joint values over which predictions are compared.
 _WHERE = {
     "measured ranges": "the joint values that both measured",
     "joint limits": "the joint limits",
@@ -24,7 +28,7 @@ _WHERE = {
 
 
 def comparison_text(c: ComparisonValues) -> str:
-    """The whole text."""
+    """Write a comparison: the results, the answer with its numbers, notes."""
     parts = (
         _heading(c),
         _answer(c),
@@ -39,128 +43,175 @@ def _both(c: ComparisonValues) -> tuple[tuple[str, str, CalibrationValues], ...]
 
 
 def _heading(c: ComparisonValues) -> str:
-    """Which results of which robot."""
-    r, lines = c.a.nominal, []
-    for letter, name, one in _both(c):
-        use = "" if one.verdict is None else f", verdict: {one.verdict.use}"
-        data = one.source.name or "memory"
-        text = f"{letter}: {name}, {len(one.rows)} rows of {data}, model '{one.model.name}'{use}"
+    """Name the robot and both results."""
+    robot = c.a.nominal
+    title = f"calib {__version__}: two calibrations of robot '{robot.name}', {robot.base} to {robot.tip}"
+    lines = [wrap(title)]
+    for letter, name, result in _both(c):
+        data = result.source.name or "memory"
+        text = f"{letter}: {name}, {len(result.rows)} rows of {data}, model '{result.model.name}'"
+        if result.verdict is not None:
+            text += f", verdict: {result.verdict.use}"
         lines.append(wrap(text, "  "))
-    title = f"calib {__version__}: two calibrations of robot '{r.name}', {r.base} to {r.tip}"
-    return "\n".join([wrap(title), *lines])
+    return "\n".join(lines)
 
 
 def sentence(c: ComparisonValues) -> str:
-    """The answer in a sentence."""
+    """Word the answer in a sentence."""
     if c.outcome == "drift":
         move = c.moves[0]
         return (
             f"The robot drifted ({c.test.sigma:.1f} sigma): between a and b its target moved by "
             f"{mm(move.moved)} ± {mm(move.std)} mm rms over {_WHERE[move.where]}."
         )
+    if not c.why:
+        return "No drift that these data could show."
+    return f"Cannot tell whether the robot drifted: {_obstacle(c)}"
+
+
+def _obstacle(c: ComparisonValues) -> str:
+    """Word why no drift can be tested, by the comparison's code."""
     return {
-        "": "No drift that these data could show.",
-        "same data": "Cannot tell whether the robot drifted: both results are made of the same measurements.",
-        "bad verdict": "Cannot tell whether the robot drifted: the verdict on "
-        f"{_judged(c, 'do not use')} is 'do not use'.",
-        "nothing known": "Cannot tell whether the robot drifted: no combination of its parameters is known from both "
-        "data. Measure more poses.",
-        "other errors": "Cannot tell whether the robot drifted: the results differ by more than chance, but estimate "
-        f"different errors ({_only(c)}). Fit both with the same --model.",
+        "same data": "both results are made from the same measurements.",
+        "bad verdict": f"the verdict on {_results_with(c, 'do not use')} is 'do not use'.",
+        "nothing known": "no combination of its parameters is known from both data. Measure more poses.",
+        "other errors": "the results differ by more than chance, but estimate different errors "
+        f"({_only(c)}). Fit both with the same --model.",
     }[c.why]
 
 
-def _judged(c: ComparisonValues, use: str) -> str:
-    """The results with this verdict."""
-    found = [n for _, n, one in _both(c) if one.verdict is not None and one.verdict.use == use]
-    return " and on ".join(found)
+def _results_with(c: ComparisonValues, use: str) -> str:
+    """Name the results with this verdict."""
+    names = []
+    for _, name, result in _both(c):
+        if result.verdict is not None and result.verdict.use == use:
+            names.append(name)
+    return " and on ".join(names)
 
 
 def _only(c: ComparisonValues) -> str:
-    """Which parameters only one result has."""
-    return " and ".join(
-        f"only {name} ('{one.model.name}') has {choices(own, limit=4)}"
-        for (_, name, one), own in zip(_both(c), (c.only_a, c.only_b), strict=True)
-        if own
-    )
+    """List the parameters that only one result has."""
+    parts = []
+    for (_, name, result), parameters in zip(_both(c), (c.only_a, c.only_b), strict=True):
+        if parameters:
+            listed = choices(parameters, limit=4)
+            parts.append(f"only {name} ('{result.model.name}') has {listed}")
+    return " and ".join(parts)
 
 
 def _answer(c: ComparisonValues) -> str:
-    """The answer and the numbers behind it."""
-    test, below = c.test, []
-    if test.combinations and (c.outcome != "cannot tell" or c.only_a or c.only_b):
-        odds = f"p = {test.p:.2g}" if test.p > 1e-12 else "p < 1e-12"
-        below.append(
-            f"Test: chi-square {test.chi_square:.1f} over {test.combinations} combinations known from both data, "
-            f"{test.freedom:.0f} d.o.f. of noise: {odds}; a drift below {LEVEL:g}."
-        )
-    for move in c.moves:
-        turn = f", {deg(move.rms_angle)} deg" if np.isfinite(move.rms_angle) else ""
-        below.append(
-            f"Over {_WHERE[move.where]}: {mm(move.rms)} mm rms{turn}, at most {mm(move.max)} mm; expected from noise "
-            f"alone: {mm(move.noise)} mm rms."
-        )
-    found = ["the base"] * bool(unknown_frame(c.a) or unknown_frame(c.b))
-    found += ["the target"] * (c.a.setup.estimate_target or c.b.setup.estimate_target)
-    if found:
-        lost = f"; a drift of {choices(c.untold, limit=8)} cannot be seen" if c.untold else ""
-        below.append(f"Displacements are up to the place of {' and '.join(found)}{lost}.")
-    return "\n".join([wrap(sentence(c)), *(wrap(text, "  ") for text in below)])
+    """Write the answer and the numbers behind it."""
+    lines = []
+    if c.test.combinations and (c.outcome != "cannot tell" or c.only_a or c.only_b):
+        lines.append(_test(c))
+    lines += map(_move, c.moves)
+    registered = []
+    if unknown_frame(c.a) or unknown_frame(c.b):
+        registered.append("the base")
+    if c.a.setup.estimate_target or c.b.setup.estimate_target:
+        registered.append("the target")
+    if registered:
+        text = f"Displacements are up to the place of {' and '.join(registered)}"
+        if c.untold:
+            text += f"; a drift of {choices(c.untold, limit=8)} cannot be seen"
+        lines.append(f"{text}.")
+    return "\n".join([wrap(sentence(c)), *(wrap(line, "  ") for line in lines)])
+
+
+def _test(c: ComparisonValues) -> str:
+    """Word the chi-square test."""
+    test = c.test
+    p = f"p = {test.p:.2g}" if test.p > _SMALLEST_P else "p < 1e-12"
+    return (
+        f"Test: chi-square {test.chi_square:.1f} over {test.combinations} combinations known from both data, "
+        f"{test.freedom:.0f} d.o.f. of noise: {p}; a drift below {LEVEL:g}."
+    )
+
+
+def _move(move: Displacement) -> str:
+    """Word how far predictions of both results are apart."""
+    turn = f", {deg(move.rms_angle)} deg" if np.isfinite(move.rms_angle) else ""
+    return (
+        f"Over {_WHERE[move.where]}: {mm(move.rms)} mm rms{turn}, at most {mm(move.max)} mm; expected from noise "
+        f"alone: {mm(move.noise)} mm rms."
+    )
 
 
 def notes(c: ComparisonValues) -> tuple[str, ...]:
-    """What to mind, sentences."""
+    """List caveats of a comparison, in sentences."""
+    result = []
+    robots = c.a.nominal.name, c.b.nominal.name
+    if robots[0] != robots[1]:
+        result.append(f"The URDFs name their robots '{robots[0]}' and '{robots[1]}'.")
+    if (c.only_a or c.only_b) and not c.why:
+        result.append(f"The results estimate different errors: {_only(c)}.")
+    if not unknown_frame(c.a) and not unknown_frame(c.b):
+        result.append(
+            "Both take the measurement frame as known: its error looks like a drift of the first joints."
+        )
     non_geometric = [
-        f"{n} ('{one.non_geometric.name}')"
-        for _, n, one in _both(c)
+        f"{name} ('{one.non_geometric.name}')"
+        for _, name, one in _both(c)
         if one.non_geometric is not None
     ]
-    bounded = {
-        p.name
-        for one in (c.a, c.b)
-        for p in one.parameters
-        if p.at_bound and p.name in own_names(one)
-    }
-    careful = _judged(c, "use with care")
-    names = f"'{c.a.nominal.name}' and '{c.b.nominal.name}'"
-    every = {
-        f"The URDFs name their robots {names}.": c.a.nominal.name != c.b.nominal.name,
-        f"The results estimate different errors: {_only(c)}.": (c.only_a or c.only_b) and not c.why,
-        "Both take the measurement frame as known: its error looks like a drift of the first joints.": (
-            not unknown_frame(c.a) and not unknown_frame(c.b)
-        ),
-        f"The non-geometric model of {' and of '.join(non_geometric)} is not compared. Loads, speeds and poses should "
-        "be alike in both measurements.": non_geometric,
-        f"At a bound, and taken as known there: {choices(sorted(bounded))}.": bounded,
-        f"The verdict on {careful} is 'use with care'; see there.": careful,
-    }
-    return tuple(text for text, applies in every.items() if applies)
+    if non_geometric:
+        result.append(
+            f"The non-geometric model of {' and of '.join(non_geometric)} is not compared. Loads, speeds and poses "
+            "should be alike in both measurements."
+        )
+    bounded = _at_bounds(c.a) | _at_bounds(c.b)
+    if bounded:
+        result.append(f"At a bound, and taken as known there: {choices(sorted(bounded))}.")
+    careful = _results_with(c, "use with care")
+    if careful:
+        result.append(f"The verdict on {careful} is 'use with care'; see there.")
+    return tuple(result)
+
+
+def _at_bounds(result: CalibrationValues) -> set[str]:
+    """Names of the robot's parameters at a bound."""
+    names = own_names(result)
+    return {p.name for p in result.parameters if p.at_bound and p.name in names}
 
 
 def comparison_table(c: ComparisonValues) -> dict[str, Any]:
-    """The comparison as nested tables of plain values; the keys are documented in docs/comparison.md."""
+    """Comparison as nested tables of plain values in SI units; the keys are documented in docs/comparison.md."""
+    robot = c.a.nominal
     return {
         "schema": COMPARISON_SCHEMA,
-        "robot": {"name": c.a.nominal.name, "base": c.a.nominal.base, "tip": c.a.nominal.tip},
+        "robot": {"name": robot.name, "base": robot.base, "tip": robot.tip},
         "outcome": c.outcome,
         "why": c.why,
         "test": {**asdict(c.test), "level": LEVEL},
-        "moves": [
-            {"where": m.where, "moved_rms_m": m.moved, "rms_rad": m.rms_angle}
-            | {"rms_m": m.rms, "max_m": m.max, "noise_rms_m": m.noise, "moved_std_m": m.std}
-            for m in c.moves
-        ],
-        **{name: list(getattr(c, name)) for name in ("untold", "only_a", "only_b")},
-        "results": [
-            {
-                "name": name,
-                "set": one.model.name,
-                "verdict": None if one.verdict is None else one.verdict.use,
-                "sigma_m": one.sigma,
-                "urdf_sha256": one.nominal.urdf.sha256,
-                "measurements_sha256": one.source.sha256,
-            }
-            for _, name, one in _both(c)
-        ],
+        "moves": [_move_table(move) for move in c.moves],
+        "untold": list(c.untold),
+        "only_a": list(c.only_a),
+        "only_b": list(c.only_b),
+        "results": [_result_table(name, result) for _, name, result in _both(c)],
         "versions": versions(),
+    }
+
+
+def _move_table(move: Displacement) -> dict[str, Any]:
+    """Difference of predictions, in SI units."""
+    return {
+        "where": move.where,
+        "moved_rms_m": move.moved,
+        "rms_rad": move.rms_angle,
+        "rms_m": move.rms,
+        "max_m": move.max,
+        "noise_rms_m": move.noise,
+        "moved_std_m": move.std,
+    }
+
+
+def _result_table(name: str, result: CalibrationValues) -> dict[str, Any]:
+    """One of the results that are compared."""
+    return {
+        "name": name,
+        "set": result.model.name,
+        "verdict": None if result.verdict is None else result.verdict.use,
+        "sigma_m": result.sigma,
+        "urdf_sha256": result.nominal.urdf.sha256,
+        "measurements_sha256": result.source.sha256,
     }

@@ -1,4 +1,4 @@
-"""What ``calib compensate`` prints: what to expect of the commands, how large the corrections are, what to look at."""
+"""Commands of a program as `calib compensate` prints them: expected errors, corrections, warnings."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from calib.compensation.expected import BAND
 from calib.robot.robot import rigid_inverse
-from calib.text.lines import fill
+from calib.text.layout.lines import fill
+from calib.text.layout.tables import Column, name_column, table_lines
 from calib.text.verdict import reason_text
 from calib.units import Array
 
@@ -21,10 +22,15 @@ if TYPE_CHECKING:
     from calib.robot.robot import Robot
 
 
-_MM, _DEG = 1e3, float(np.degrees(1.0))
+_MM = 1e3
+_DEG = float(np.degrees(1.0))
 
-#: Joint values of a program further from its poses than this ask for a second look [m]: no calibration moves a tool so.
-_ELSEWHERE = 0.02
+#: The median distance of a program's positions from those at its joint values, above which these do not belong
+#: together [m]: no calibration moves a tool so far.
+_MISMATCH = 0.02
+
+#: Angles of a pose below this are rounding [deg].
+_ROUNDING_DEG = 1e-9
 
 _MATCHED = {
     "pose": "position and orientation",
@@ -35,9 +41,12 @@ _MATCHED = {
 #: A source of expected errors with a smaller share of their mean square is not shown.
 _SMALL_SHARE = 0.005
 
-#: What each source of expected errors is.
+#: Width of the labels of both tables.
+_LABEL = 58
+
+#: The label of each source of expected errors.
 _SOURCES: dict[Source, str] = {
-    "model": "what the model lacks, by held-out rows",
+    "model": "errors that the model lacks, from held-out rows",
     "parameters": "the model's parameters, near the measured poses",
     "poses": "the program's poses away from these",
     "tool": "the tool away from the measured target",
@@ -46,7 +55,7 @@ _SOURCES: dict[Source, str] = {
 
 #: What lowers the contribution of a source, where nothing else is known.
 _REMEDIES: dict[Source, str] = {
-    "model": "errors remain that no parameter of this model holds, and more poses do not lower them; "
+    "model": "errors remain that no parameter of this model represents, and more poses do not lower them; "
     "docs/troubleshooting.md.",
     "parameters": "measure more poses, planned with calib plan --taken, or with less noise.",
     "poses": "measure where the program is, too: calib plan --taken.",
@@ -55,7 +64,7 @@ _REMEDIES: dict[Source, str] = {
     "base": "measure in a frame of known points on the base (--frame known).",
 }
 
-#: What each code says: {0} and {1} are its numbers in {unit}, or both as {miss}; {joint}, {row} what it is about.
+#: The text of each code: {0} and {1} are its numbers in {unit}, or both as {miss}; {joint}, {row} are its subject.
 _TEXTS: dict[Code, str] = {
     "unreachable": "the true robot cannot reach it: {miss} would be left",
     "beyond limit": "'{joint}' would have to be at {0:.4f} {unit}, beyond its limit {1:.4f}",
@@ -64,122 +73,160 @@ _TEXTS: dict[Code, str] = {
     "large pose correction": "the pose to send is moved by {miss}",
     "large joint correction": "a joint is corrected by {0:.1f} {unit}: '{joint}'",
     "jump": "a jump: from {row} '{joint}' moves {0:.1f} {unit}, much more than in the program",
-    "ambiguous pose": "sent as a pose it may end {miss} off: the controller can come to other joint values",
+    "ambiguous pose": "sent as a pose it may end {miss} off: the controller may choose other joint values",
     "outside measured range": "outside the joint range that was measured: '{joint}' by {0:.3g} {unit}",
 }
 
 
-def text(found: Commands, name: str, written: Path | None) -> str:
-    """All of it; ``name`` is the file that the true robot is from, ``written`` the table, None where there is none."""
-    after = "Nothing was written; -o commands.csv writes the commands."
-    if written is not None:
-        after = f"Written: {written}\n" + fill(
-            "Send the joint values, or the poses to a controller that keeps its nominal model: one that has the "
-            "corrected model would correct twice. Then measure some rows: docs/compensation.md."
-        )
-    parts = [_verdict(found, name), _expected_errors(found), _program(found), _sizes(found)]
-    parts += map(fill, _notes(found))
-    reasons = [(one,) if one else () for one in found.reasons]
-    for what, rows in (("without a command", reasons), ("with a warning", found.warnings)):
-        if any(rows):
-            head = f"Rows {what}: {sum(map(bool, rows))} of {len(found)}"
-            parts.append("\n".join([head, *_findings(found, rows)]))
-    return "\n\n".join([part for part in parts if part] + [after])
+def text(commands: Commands, name: str, written: Path | None) -> str:
+    """Write commands.
+
+    Args:
+        commands: The commands.
+        name: The file that the actual robot is from.
+        written: The table of commands that was written; None where there is none.
+
+    Returns:
+        Verdict, expected errors, program, corrections, notes, and warnings by row, in lines of 100 columns.
+    """
+    parts = [
+        _verdict(commands, name),
+        _expected_errors(commands),
+        _program(commands),
+        _corrections(commands),
+        *map(fill, _notes(commands)),
+        _warnings(commands, "without a command", _reasons(commands)),
+        _warnings(commands, "with a warning", commands.warnings),
+        _written(written),
+    ]
+    return "\n\n".join(part for part in parts if part)
 
 
-def no_commands(found: Commands) -> str:
-    """The message about rows without a command: why they have none."""
-    lines = _findings(found, [(one,) if one else () for one in found.reasons])
-    advice = _elsewhere(found) or (
-        "Check --tool, --poses-in and the units; --tolerance takes rows of which little is left, --match position "
-        "those whose orientation may be free; --skip leaves rows empty, but for the reason."
+def _written(path: Path | None) -> str:
+    """Word which table was written, and how to use it."""
+    if path is None:
+        return "Nothing was written; -o commands.csv writes the commands."
+    advice = (
+        "Send the joint values, or the poses to a controller that keeps its nominal model: one that has the "
+        "corrected model would correct twice. Then measure some rows: docs/compensation.md."
     )
-    head = f"{sum(~found.reached)} of {len(found)} rows have no command, and nothing was written:"
-    return "\n".join([head, *lines, fill(advice)])
+    return f"Written: {path}\n{fill(advice)}"
+
+
+def _reasons(commands: Commands) -> list[tuple[Finding, ...]]:
+    """Why each row has no command; empty for a row that has one."""
+    return [(reason,) if reason else () for reason in commands.reasons]
+
+
+def _warnings(commands: Commands, what: str, rows: Sequence[Sequence[Finding]]) -> str:
+    """Write a paragraph of findings with its heading; empty if there are none."""
+    if not any(rows):
+        return ""
+    head = f"Rows {what}: {sum(map(bool, rows))} of {len(commands)}"
+    return "\n".join([head, *_findings(commands, rows)])
+
+
+def no_commands(commands: Commands) -> str:
+    """Word the message about rows without a command, with the reasons and the remedy."""
+    advice = _mismatch(commands) or (
+        "Check --tool, --poses-in and the units; --tolerance accepts rows with a small remaining error, --match "
+        "position those whose orientation may be free; --skip leaves rows empty, but for the reason."
+    )
+    missing = sum(~commands.reached)
+    head = f"{missing} of {len(commands)} rows have no command, and nothing was written:"
+    return "\n".join([head, *_findings(commands, _reasons(commands)), fill(advice)])
 
 
 def finding_text(finding: Finding, robot: Robot) -> str:
-    """A finding in words, in mm and deg."""
-    numbers, scale, unit, miss = finding.numbers, _DEG, "deg", ""
+    """Word a finding on a row.
+
+    Args:
+        finding: The finding, its numbers in SI units.
+        robot: The robot, whose joint types decide on units.
+
+    Returns:
+        A sentence without its end, with numbers in mm and deg.
+    """
+    numbers, factor, unit = finding.numbers, _DEG, "deg"
     if robot.joint_types.get(finding.joint) == "prismatic":
-        scale, unit = _MM, "mm"
+        factor, unit = _MM, "mm"
+    miss = ""
     if not finding.joint and numbers:
-        angle = "" if np.isnan(numbers[1]) else f", {_DEG * numbers[1]:.4f} deg"
-        miss = f"{_MM * numbers[0]:.4f} mm{angle}"
-    scaled = (scale * number for number in numbers)
+        miss = f"{_MM * numbers[0]:.4f} mm"
+        if not np.isnan(numbers[1]):
+            miss += f", {_DEG * numbers[1]:.4f} deg"
+    scaled = [factor * number for number in numbers]
     words = {"joint": finding.joint, "row": finding.row, "unit": unit, "miss": miss}
     return _TEXTS[finding.code].format(*scaled, **words)
 
 
-def _verdict(found: Commands, name: str) -> str:
-    """The verdict of the result, and which of its models is used."""
-    result, non_geometric = found.pair.result, found.pair.non_geometric
-    if result is None:
+def _verdict(commands: Commands, name: str) -> str:
+    """Write the verdict on the result, and which of its models is used."""
+    pair = commands.pair
+    if pair.result is None:
         lines = [
-            f"The true robot is {name}, a URDF: with --calibration the errors to expect are known."
+            f"The true robot is {name}, a URDF: with --calibration the expected errors are known."
         ]
-        if stated := found.pair.actual.robot.urdf.verdict:
+        stated = pair.actual.robot.urdf.verdict
+        if stated:
             lines.insert(0, f"Verdict on {name}: {stated}")
         return "\n".join(map(fill, lines))
-    part, verdict = (
-        result.part(non_geometric=non_geometric),
-        result.verdict_on(non_geometric=non_geometric),
-    )
-    own = f"non-geometric model '{part.model.name}'" if non_geometric else "joint origins"
+    model = "joint origins"
+    if pair.non_geometric:
+        model = f"non-geometric model '{pair.result.part(non_geometric=True).model.name}'"
+    verdict = pair.result.verdict_on(non_geometric=pair.non_geometric)
     if verdict is None:
-        return f"Verdict: none ({name}, {own}), the result was not validated."
-    lines = [f"Verdict: {verdict.use} ({name}, {own})"]
+        return f"Verdict: none ({name}, {model}), the result was not validated."
+    lines = [f"Verdict: {verdict.use} ({name}, {model})"]
     if verdict.use != "use":
         lines += [fill(reason_text(reason), "  ") for reason in verdict.reasons]
     return "\n".join(lines)
 
 
 def _expected_errors(commands: Commands) -> str:
-    """The position error to expect, the sources that it comes from, and what lowers the largest."""
+    """Write the expected position error, its sources, and what lowers the largest; empty where it is not known."""
     expected = commands.expected
     if expected is None:
         return ""
     errors, (low, high) = _MM * expected.errors[:, 0], expected.band
-    labels = [
-        label
-        for label, there in zip(commands.program.labels, commands.reached, strict=True)
-        if there
-    ]
-    parts = [
-        fill(
-            f"Expect position errors of {_MM * expected.mean:.3f} mm (mean over the rows), {errors.max():.3f} mm at "
-            f"{labels[int(np.argmax(errors))]}. Of ten calibrations like this one, {10 * BAND:.0f} have a mean between "
-            f"{_MM * low:.3f} and {_MM * high:.3f} mm."
-        ),
-        _sources(expected),
-    ]
-    parts += map(fill, _remedies(commands, expected))
-    return "\n\n".join(parts)
+    labels = np.array(commands.program.labels, dtype=object)[commands.reached]
+    sentence = (
+        f"Expect position errors of {_MM * expected.mean:.3f} mm (mean over the rows), {errors.max():.3f} mm at "
+        f"{labels[int(np.argmax(errors))]}. Of ten calibrations like this one, {10 * BAND:.0f} have a mean between "
+        f"{_MM * low:.3f} and {_MM * high:.3f} mm."
+    )
+    remedies = map(fill, _remedies(commands, expected))
+    return "\n\n".join([fill(sentence), _sources(expected), *remedies])
 
 
 def _sources(expected: ExpectedErrors) -> str:
-    """The table of sources: the mean error that each would leave alone, and its share of the mean square."""
-    total = sum(one.square for one in expected.contributions)
-    lines = [f"{'Expected error, by its source':<58}   mean mm     share"]
-    for one in expected.contributions:
-        share = one.square / total if total > 0.0 else 0.0
+    """Write the table of sources: the mean error that each would leave alone, and its share of the mean square."""
+    total = sum(contribution.square for contribution in expected.contributions)
+    columns = [
+        name_column("Expected error, by its source", _LABEL),
+        Column("mean mm", 9),
+        Column("share", 9),
+    ]
+    rows = []
+    for contribution in expected.contributions:
+        share = contribution.square / total if total > 0.0 else 0.0
         if share >= _SMALL_SHARE:
             alone = _MM * expected.mean * np.sqrt(share)
-            lines.append(f"{_SOURCES[one.source]:<58}{alone:>10.3f}{100.0 * share:>8.0f} %")
-    return "\n".join(lines)
+            label = _SOURCES[contribution.source]
+            rows.append((label, f"{alone:.3f}", f"{100.0 * share:.0f} %"))
+    return "\n".join(table_lines(columns, rows))
 
 
 def _remedies(commands: Commands, expected: ExpectedErrors) -> Iterator[str]:
-    """What lowers the largest contribution, and what is not known of the errors."""
-    pair = commands.pair
+    """Word what lowers the largest contribution, and what is not known of the errors."""
+    pair, largest = commands.pair, expected.largest
     result = pair.result
     assert result is not None  # else nothing is expected
     if not expected.validated:
         yield (
-            "The result was not cross-validated: what its model lacks is not in these errors. Calibrate without "
+            "The result was not cross-validated: errors that its model lacks are not included. Calibrate without "
             "--no-validate."
         )
-    largest = expected.largest
     if largest == "model" and expected.noise == "unknown":
         yield (
             "To know better: the instrument's noise was not stated, and held-out errors count in full. State it at the "
@@ -188,65 +235,82 @@ def _remedies(commands: Commands, expected: ExpectedErrors) -> Iterator[str]:
     elif largest == "model" and result.non_geometric is not None and not pair.non_geometric:
         yield "To lower it: use the non-geometric model, without --geometry."
     elif largest == "base" and expected.in_measured_frame is not None:
-        name = "measured" if len(result.setup.groups) == 1 else f'"{result.setup.groups[0]}"'
+        groups = result.setup.groups
+        name = "measured" if len(groups) == 1 else f'"{groups[0]}"'
         yield (
             f"To lower it: give the program in the measurement frame, --poses-in {name} "
-            f"({_MM * expected.in_measured_frame:.3f} mm): a frame that is estimated takes up whatever displaces the "
-            "first joint in the base. Or measure in a frame of known points on the base (--frame known)."
+            f"({_MM * expected.in_measured_frame:.3f} mm): an estimated frame absorbs whatever displaces the first "
+            "joint in the base. Or measure in a frame of known points on the base (--frame known)."
         )
     else:
         yield f"To lower it: {_REMEDIES[largest]}"
 
 
-def _program(found: Commands) -> str:
-    """What is to arrive, how it is matched, and in which frame poses are."""
-    robot, program, pair = found.nominal, found.program, found.pair
-    what = "joint values"
+def _program(commands: Commands) -> str:
+    """Word the program, how it is matched, and the frame of its poses."""
+    robot, program, pair = commands.nominal, commands.program, commands.pair
+    content = "joint values"
     if program.T_wanted is not None:
-        what = program.form and f"poses ({program.form})"
-        what = what or ("poses" if program.oriented else "positions")
-        what += " with joint values to start at" * (program.q is not None)
-    frame = f"the measured frame{f' of {pair.set_up!r}' * bool(pair.set_up)}"
-    frame = f"'{robot.base}'" if pair.set_up is None else frame
-    unread = ", ".join(label for label, _ in program.kept if label)
-    unread = f" Passed through unread: {unread}." if unread else ""
-    return fill(
-        f"Program: {len(found)} rows of {what}. Tool: {_place(pair.actual.T_tip_tool)} in '{robot.tip}'. Matched: "
-        f"{_MATCHED[found.match]}. Poses are in {frame}.{unread}"
+        content = "poses" if program.oriented else "positions"
+        if program.form:
+            content = f"poses ({program.form})"
+        if program.q is not None:
+            content += " with joint values to start at"
+    frame = f"'{robot.base}'"
+    if pair.set_up is not None:
+        frame = "the measured frame"
+        if pair.set_up:
+            frame += f" of {pair.set_up!r}"
+    text = (
+        f"Program: {len(commands)} rows of {content}. Tool: {_place(pair.actual.T_tip_tool)} in '{robot.tip}'. "
+        f"Matched: {_MATCHED[commands.match]}. Poses are in {frame}."
     )
+    kept = ", ".join(label for label, _ in program.kept if label)
+    if kept:
+        text += f" Copied as they are: {kept}."
+    return fill(text)
 
 
-def _sizes(found: Commands) -> str:
-    """How far the robot would have missed, what is left, and how far poses and joints are moved."""
-    rows, robot = found.reached, found.nominal
+def _corrections(commands: Commands) -> str:
+    """Write the table of errors with and without compensation, and of corrections of poses and joints."""
+    rows, robot = commands.reached, commands.nominal
     slides = np.array([robot.joint_types[name] == "prismatic" for name in robot.joint_names])
-    joints = np.abs(found.joint_corrections[rows])
-    table = {
-        "error without compensation": found.missed[rows].T,
-        "model residual after compensation": found.left[rows].T,
-        "model residual if sent as a pose": found.left_by_pose[rows].T,
-        "error to expect after compensation": found.expected_errors[rows].T,
-        "correction of the pose to send": found.pose_corrections[rows].T,
+    joints = np.abs(commands.joint_corrections[rows])
+    #: Lengths [m] and angles [rad] of each row of the table.
+    values = {
+        "error without compensation": commands.missed[rows].T,
+        "model residual after compensation": commands.left[rows].T,
+        "model residual if sent as a pose": commands.left_by_pose[rows].T,
+        "expected error after compensation": commands.expected_errors[rows].T,
+        "correction of the pose to send": commands.pose_corrections[rows].T,
         "correction of a joint": (joints[:, slides], joints[:, ~slides]),
     }
     title = f"By the calibrated model, rows with commands: {int(rows.sum())}"
-    lines = [f"{title:<58}    max mm   mean mm   max deg  mean deg"]
-    for label, (lengths, angles) in table.items():
-        there = [one[np.isfinite(one)] for one in (_MM * lengths, _DEG * angles)]
-        cells = (
-            f"{one.max():>10.4f}{one.mean():>10.4f}" if one.size else f"{'-':>10}" * 2
-            for one in there
-        )
-        if any(one.size for one in there):
-            lines.append(f"{label:<58}{''.join(cells)}")
-    return "\n".join(lines)
+    columns = [name_column(title, _LABEL)]
+    columns += [Column(head, 9) for head in ("max mm", "mean mm", "max deg", "mean deg")]
+    cells = []
+    for label, (lengths, angles) in values.items():
+        known_lengths = lengths[np.isfinite(lengths)]
+        known_angles = angles[np.isfinite(angles)]
+        if known_lengths.size or known_angles.size:
+            figures = (*_figures(_MM * known_lengths), *_figures(_DEG * known_angles))
+            cells.append((label, *figures))
+    return "\n".join(table_lines(columns, cells))
 
 
-def _notes(found: Commands) -> Iterator[str]:
-    """What to look at before the commands go to the robot, a note each."""
-    pair, robot = found.pair, found.nominal
-    if elsewhere := _elsewhere(found):
-        yield elsewhere
+def _figures(values: Array) -> tuple[str, str]:
+    """Format maximum and mean; dashes where there are no values."""
+    if not values.size:
+        return "-", "-"
+    return f"{values.max():.4f}", f"{values.mean():.4f}"
+
+
+def _notes(commands: Commands) -> Iterator[str]:
+    """Word what to check before the commands go to the robot, a note each."""
+    pair, robot = commands.pair, commands.nominal
+    mismatch = _mismatch(commands)
+    if mismatch:
+        yield mismatch
     if pair.target is not None:
         yield (
             f"Set the controller's tool to {_place(pair.nominal.T_tip_tool)} in '{robot.tip}': the poses to send, and "
@@ -258,40 +322,46 @@ def _notes(found: Commands) -> Iterator[str]:
 
 
 def _place(T: Array) -> str:
-    """A pose in words; its rotation vector where it is turned."""
+    """Format a pose as its position [mm] and, where it is turned, its rotation vector [deg]."""
     turn = _DEG * Rotation.from_matrix(T[:3, :3]).as_rotvec()
-    place, turned = (
-        ", ".join(f"{v:.4f}" for v in one.round(4) + 0.0) for one in (_MM * T[:3, 3], turn)
-    )
-    return f"({place}) mm" + f", rotation vector ({turned}) deg" * bool(np.abs(turn).max() > 1e-9)
+    text = f"({_listed(_MM * T[:3, 3])}) mm"
+    if np.abs(turn).max() > _ROUNDING_DEG:
+        text += f", rotation vector ({_listed(turn)}) deg"
+    return text
 
 
-def _elsewhere(found: Commands) -> str:
-    """A program whose joint values do not belong to its poses: mostly another tool, or another frame."""
-    program, pair = found.program, found.pair
+def _listed(values: Array) -> str:
+    """List numbers with four digits, none of them -0."""
+    return ", ".join(f"{value:.4f}" for value in values.round(4) + 0.0)
+
+
+def _mismatch(commands: Commands) -> str:
+    """Word that the joint values of a program do not belong to its poses: mostly another tool, or another frame."""
+    program, pair = commands.program, commands.pair
     if program.q is None or program.T_wanted is None:
         return ""
     poses = pair.T_frame_base @ pair.nominal.poses(program.q)
-    far = float(np.median(np.linalg.norm(poses[:, :3, 3] - program.T_wanted[:, :3, 3], axis=1)))
-    if far < _ELSEWHERE:
+    apart = np.linalg.norm(poses[:, :3, 3] - program.T_wanted[:, :3, 3], axis=1)
+    median = float(np.median(apart))
+    if median < _MISMATCH:
         return ""
     return (
-        f"At the program's joint values the nominal robot has the tool {_MM * far:.0f} mm from the program's positions "
-        "(median). Are these of another tool (--tool), in another frame (--poses-in), or measured ones (--columns "
-        '"x=-" leaves one out)?'
+        f"At the program's joint values the nominal robot has the tool {_MM * median:.0f} mm from the program's "
+        "positions (median). Are these of another tool (--tool), in another frame (--poses-in), or measured ones "
+        '(--columns "x=-" leaves one out)?'
     )
 
 
-def _findings(found: Commands, rows: Sequence[Sequence[Finding]]) -> list[str]:
-    """What was found of the rows, one line for each code, the first of its rows as the example."""
-    kinds: dict[str, dict[str, Finding]] = {}
-    for label, said in zip(found.program.labels, rows, strict=True):
-        for one in said:
-            kinds.setdefault(one.code, {}).setdefault(label, one)
+def _findings(commands: Commands, rows: Sequence[Sequence[Finding]]) -> list[str]:
+    """Write a line for each code among the findings of the rows, with its first row as the example."""
+    by_code: dict[str, dict[str, Finding]] = {}
+    for label, findings in zip(commands.program.labels, rows, strict=True):
+        for finding in findings:
+            by_code.setdefault(finding.code, {}).setdefault(label, finding)
     lines = []
-    for labels in kinds.values():
-        first, *others = labels
+    for by_row in by_code.values():
+        first, *others = by_row
         more = f"; and {len(others)} more" if others else ""
-        words = finding_text(labels[first], found.nominal)
+        words = finding_text(by_row[first], commands.nominal)
         lines.append(fill(f"{first}: {words}{more}", "  ", "  "))
     return lines

@@ -1,4 +1,4 @@
-"""What ``calib convert`` prints: what was read, how far the tip is moved, what the file cannot hold."""
+"""A conversion as `calib convert` prints it: what was read, displacement of the tip, limits of the file's format."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calib.robot.ranges import spread_poses
-from calib.text.lines import fill
+from calib.text.layout.lines import deg, fill, mm
 
 if TYPE_CHECKING:
     from calib.formats.convert import Conversion
-    from calib.formats.dh_files import Code, Note
+    from calib.formats.notes import Code, Note
 
 _DISPLACED = (
     "by ({0:.6f}, {1:.6f}, {2:.6f}) mm and ({3:.6f}, {4:.6f}, {5:.6f}) mrad (rotation vector), in the axes of the "
     "controller's"
 )
 
-#: What each code says; lengths are in mm, angles in mrad.
+#: The sentence of each note; lengths are in mm, angles in mrad.
 _NOTES: dict[Code, str] = {
     "arm not certain": "The deltas in {0} fit {1} alike. Taken for another one than the {2}, the flange is up to "
     "{3:.0f} mm off; the controller's urcontrol.conf (--urcontrol) has the right nominal rows.",
@@ -41,65 +41,89 @@ _NOTES: dict[Code, str] = {
 }
 
 
-def text(done: Conversion, name: str) -> str:
-    """All of it; ``name`` is what was read."""
+def text(conversion: Conversion, name: str) -> str:
+    """Write a conversion.
+
+    Args:
+        conversion: The conversion.
+        name: The file that was read.
+
+    Returns:
+        What was read, its verdict, the displacement of the tip, notes, and the file written, in lines of 100 columns.
+    """
     from calib.formats.convert import FORMATS
 
-    found, robot = done.source, done.source.robot
-    arm = f", {found.model.name}" if found.model else ""
-    hash = f", {found.hash}" if found.hash else ""
+    notes = map(note_text, (*conversion.source.notes, *conversion.notes))
     parts = [
-        f"Read: {name}, {found.kind}{arm}{hash}, '{robot.base}' to '{robot.tip}', {len(robot.joints)} joints.",
-        *_verdict(done, name),
-        _moved(done),
-        # Reader and writer may say the same.
-        *dict.fromkeys(map(note_text, (*found.notes, *done.notes))),
-        f"Written: {done.path}, {FORMATS[done.format].what}.",
+        _read(conversion, name),
+        *_verdict(conversion, name),
+        _displacement(conversion),
+        *dict.fromkeys(notes),  # reader and writer may say the same
+        f"Written: {conversion.path}, {FORMATS[conversion.format].what}.",
     ]
     printed = "\n\n".join(map(fill, parts))
-    if done.format == "ur-yaml":
-        kind = "TYPE"
-        if found.model is not None and found.model.known:
-            kind = found.model.plain
-        here = "" if done.path.is_absolute() else '"$PWD"/'
-        # On lines of its own, to be copied.
-        printed += (
-            f"\n\n  ros2 launch ur_robot_driver ur_control.launch.py ur_type:={kind} robot_ip:=ADDRESS \\"
-            f"\n    kinematics_params_file:={here}{shlex.quote(str(done.path))}"
-        )
+    if conversion.format == "ur-yaml":
+        printed += f"\n\n{_launch(conversion)}"
     return printed
 
 
+def _read(conversion: Conversion, name: str) -> str:
+    """Word what was read."""
+    source = conversion.source
+    parts = [f"Read: {name}", source.kind]
+    if source.model:
+        parts.append(source.model.name)
+    if source.hash:
+        parts.append(source.hash)
+    robot = source.robot
+    parts += [f"'{robot.base}' to '{robot.tip}'", f"{len(robot.joints)} joints"]
+    return ", ".join(parts) + "."
+
+
+def _launch(conversion: Conversion) -> str:
+    """Command that starts the ROS driver with the file, in lines of its own, to be copied."""
+    model = conversion.source.model
+    ur_type = model.plain if model is not None and model.known else "TYPE"
+    folder = "" if conversion.path.is_absolute() else '"$PWD"/'
+    return (
+        f"  ros2 launch ur_robot_driver ur_control.launch.py ur_type:={ur_type} robot_ip:=ADDRESS \\"
+        f"\n    kinematics_params_file:={folder}{shlex.quote(str(conversion.path))}"
+    )
+
+
 def note_text(note: Note) -> str:
-    """A note in words, in mm and mrad."""
-    values = (v if isinstance(v, str) else 1e3 * v + 0.0 for v in note.values)
+    """Word a note, in mm and mrad."""
+    values = [value if isinstance(value, str) else 1e3 * value + 0.0 for value in note.values]
     return _NOTES[note.code].format(*values)
 
 
-def _verdict(done: Conversion, name: str) -> Iterator[str]:
-    """The verdict on what was read, if it is a result, or a URDF that states one."""
-    verdict = done.source.verdict
-    if done.against:
-        yield f"Verdict on {name}: {done.against}"
+def _verdict(conversion: Conversion, name: str) -> Iterator[str]:
+    """Word the verdict on what was read, if it is a result, or a URDF that states one."""
+    verdict = conversion.source.verdict
+    if conversion.against:
+        yield f"Verdict on {name}: {conversion.against}"
     elif verdict is not None:
         yield f"Verdict on {name}: {verdict.use}"
-    elif done.source.kind == "result":
+    elif conversion.source.kind == "result":
         yield f"Verdict on {name}: none, the result was not validated."
 
 
-def _moved(done: Conversion) -> str:
-    """How far the tip lies from where the nominal robot has it, over the joint limits."""
-    found = done.source
-    if found.nominal is None:
-        return "How far it is from its nominal robot is not known; --robot names that."
-    if found.robot is found.nominal:
+def _displacement(conversion: Conversion) -> str:
+    """Word the displacement of the tip from that of the nominal robot, over the joint limits."""
+    source = conversion.source
+    if source.nominal is None:
+        return "The distance from its nominal robot is not known; --robot names that robot."
+    if source.robot is source.nominal:
         return "Read as a nominal robot: there is no calibration to compare it with."
-    q = spread_poses(found.nominal)
-    apart = found.robot.poses(q)[:, :3] - found.nominal.poses(q)[:, :3]
-    chord = np.linalg.norm(apart[:, :, :3], axis=(1, 2)) / np.sqrt(8.0)
-    mm = 1e3 * np.linalg.norm(apart[:, :, 3], axis=1)
-    deg = np.degrees(2.0 * np.arcsin(np.clip(chord, 0.0, 1.0)))
+    q = spread_poses(source.nominal)
+    actual, nominal = source.robot.poses(q), source.nominal.poses(q)
+    difference = actual[:, :3] - nominal[:, :3]
+    lengths = np.linalg.norm(difference[:, :, 3], axis=1)
+    # The Frobenius norm of a difference of rotations is sqrt(8) sin(angle / 2).
+    sines = np.linalg.norm(difference[:, :, :3], axis=(1, 2)) / np.sqrt(8.0)
+    angles = 2.0 * np.arcsin(np.clip(sines, 0.0, 1.0))
     return (
-        f"Over the joint limits '{found.robot.tip}' lies {mm.mean():.3f} mm (mean) and at most {mm.max():.3f} mm from "
-        f"where the nominal robot has it, turned by {deg.mean():.3f} deg (mean) and at most {deg.max():.3f} deg."
+        f"Over the joint limits '{source.robot.tip}' lies {mm(lengths.mean())} mm (mean) and at most "
+        f"{mm(lengths.max())} mm from where the nominal robot has it, turned by {deg(angles.mean())} deg (mean) and at "
+        f"most {deg(angles.max())} deg."
     )

@@ -1,6 +1,6 @@
-"""What ``calib fleet`` prints: a row for each robot, the odd ones, the failed ones, and how many there were.
+"""A fleet in words: a row for each robot, the fleet's outliers, failed robots, and their counts.
 
-A fleet is here what stands in its file ``fleet.json``; see docs/fleet.md.
+A fleet is here the content of its file ``fleet.json``; see docs/fleet.md.
 """
 
 from __future__ import annotations
@@ -9,92 +9,179 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from calib.text.lines import fill
+from calib.text.layout.lines import fill, plural
 
-#: More robots than this are counted, and those are listed that need somebody to look at them.
+#: Of more robots than this only those are listed that somebody should look at.
 LISTED = 40
 
-_WITHHELD = "No corrected URDF, because the verdict is 'do not use' (summary.txt says why; --accept writes it):"
+#: Robots with the same data that are named; the others are counted.
+_MOST_NAMES = 3
 
+_OUTLIERS = "Fleet outliers:"
+_COPIES = "Data given twice, which count once in the statistics:"
+_WITHHELD = "No corrected URDF, because the verdict is 'do not use' (summary.txt says why; --accept writes it):"
+_FAILED = "Failed:"
+
+#: Columns of figures: the heading, and the key of a robot in ``fleet.json`` [m].
 _SIZES = {
     "nominal": "nominal_rms_m",
     "calibrated": "calibrated_rms_m",
-    "unseen": "unseen_rms_m",
+    "held-out": "unseen_rms_m",
     "noise": "sigma_m",
 }
 
 
 def figure_text(figure: str, unit: str, value: float, usual: float, z: float, limit: float) -> str:
-    """Why a robot is odd, by a figure."""
-    scale, shown = {"m": (1e3, "mm"), "rad": (1e3, "mrad")}.get(unit, (1.0, unit))
-    numbers = f"{scale * value:.4g} {shown}, usually {scale * usual:.4g} {shown}"
+    """Word a figure that is unlike that of the other robots.
+
+    Args:
+        figure: Name of the figure.
+        unit: ``"m"``, ``"rad"``, or the unit in which it is given and shown.
+        value: Of this robot, in that unit.
+        usual: The median over the fleet.
+        z: Robust score of the value.
+        limit: Scores beyond this are outliers.
+
+    Returns:
+        The figure beside the median, in mm or mrad, and the score.
+    """
+    factor, shown = {"m": (1e3, "mm"), "rad": (1e3, "mrad")}.get(unit, (1.0, unit))
+    numbers = f"{factor * value:.4g} {shown}, usually {factor * usual:.4g} {shown}"
     return f"{figure} {numbers} (|z| {abs(z):.1f}, limit {limit:.1f})"
 
 
 def data_text(others: Sequence[str], source: str) -> str:
-    """Why a robot is odd, by its data, which are those of others."""
-    more = f" and {len(others) - 3} more" * (len(others) > 3)
-    return f"the same measurements as {', '.join(others[:3])}{more} ({source})"
+    """Word that a robot has the data of others.
+
+    Args:
+        others: Their names.
+        source: The file of the data.
+
+    Returns:
+        The names, the first few of many, and the file.
+    """
+    names = ", ".join(others[:_MOST_NAMES])
+    if len(others) > _MOST_NAMES:
+        names += f" and {len(others) - _MOST_NAMES} more"
+    return f"the same measurements as {names} ({source})"
 
 
 def few_text(robots: int, counted: int, needed: int, kind: str) -> str:
-    """What cannot be said of so few robots, of a kind, if there are several."""
-    text = f"{robots} robot{'s' * (robots > 1)}"
-    text += f" with the data of {counted}" * (counted < robots)
-    text += f" of the kind '{kind}'" * bool(kind)
-    return f"Too few to tell what is usual: {text}; it takes {needed}. Only data given twice are looked for."
+    """Word that a fleet is too small for outliers to be detected.
+
+    Args:
+        robots: How many robots there are.
+        counted: How many of them have data of their own.
+        needed: How many are needed.
+        kind: The kind of robot; empty if there is only one kind.
+
+    Returns:
+        Two sentences.
+    """
+    found = plural(robots, "robot")
+    if counted < robots:
+        found += f" with the data of {counted}"
+    if kind:
+        found += f" of the kind '{kind}'"
+    return (
+        f"Outlier detection needs {needed} robots; there {'is' if robots == 1 else 'are'} {found}. Only data given "
+        "twice are looked for."
+    )
 
 
 def fleet_cells(fleet: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
-    """Heads and rows of the table of robots; of a large fleet those that are odd or not simply to be used."""
+    """Make the table of robots.
+
+    Args:
+        fleet: The content of ``fleet.json``.
+
+    Returns:
+        Headings, and the cells of each robot, lengths in mm; of a large fleet only outliers and robots whose verdict
+        is not ``use``.
+    """
     shown = [robot for robot in fleet["robots"] if not robot["message"]]
     if len(shown) > LISTED:
-        odd = {one["name"] for one in fleet["odd"]}
-        shown = [r for r in shown if r["name"] in odd or r["verdict"] not in ("use", "")]
-    rows = []
-    for robot in shown:
-        model = robot["model"] + f" ({robot['non_geometric']})" * bool(robot["non_geometric"])
-        numbers = (robot[key] for key in _SIZES.values())
-        cells = ["" if value is None else f"{1e3 * value:.3f}" for value in numbers]
-        counts = [str(robot["rows"]), str(robot["outliers"])]
-        words = [robot["verdict"] or "-", robot["urdf"] or "-", model]
-        rows.append([robot["name"], *words, *cells, *counts])
-    return ["robot", "verdict", "urdf", "model", *_SIZES, "rows", "out"], rows
+        outliers = {outlier["name"] for outlier in fleet["odd"]}
+        shown = [
+            robot
+            for robot in shown
+            if robot["name"] in outliers or robot["verdict"] not in ("use", "")
+        ]
+    heads = ["robot", "verdict", "urdf", "model", *_SIZES, "rows", "out"]
+    return heads, [_cells(robot) for robot in shown]
+
+
+def _cells(robot: Mapping[str, Any]) -> list[str]:
+    """Cells of a robot."""
+    model = robot["model"]
+    if robot["non_geometric"]:
+        model += f" ({robot['non_geometric']})"
+    sizes = []
+    for key in _SIZES.values():
+        value = robot[key]
+        sizes.append("" if value is None else f"{1e3 * value:.3f}")
+    words = [robot["name"], robot["verdict"] or "-", robot["urdf"] or "-", model]
+    return [*words, *sizes, str(robot["rows"]), str(robot["outliers"])]
 
 
 def fleet_text(fleet: Mapping[str, Any], kept: int) -> Iterator[str]:
-    """The odd ones, the failed ones, what could not be said, and how many there were; ``kept`` by an earlier run."""
-    odd: dict[str, list[str]] = {}
-    twice: dict[str, list[str]] = {}
-    failed: dict[str, list[str]] = {}
-    for one in fleet["odd"]:
-        (twice if one["figure"] == "data" else odd).setdefault(one["name"], []).append(one["text"])
-    done = [robot for robot in fleet["robots"] if not robot["message"]]
+    """Write paragraphs on a fleet: outliers, data given twice, robots without a URDF, failed robots, notes, counts.
+
+    Args:
+        fleet: The content of ``fleet.json``.
+        kept: How many of its robots an earlier run had calibrated.
+
+    Yields:
+        The paragraphs.
+    """
+    outliers = _texts_by_name(one for one in fleet["odd"] if one["figure"] != "data")
+    copies = _texts_by_name(one for one in fleet["odd"] if one["figure"] == "data")
     withheld = [robot["name"] for robot in fleet["robots"] if robot["urdf"] == "withheld"]
+    failed: dict[str, list[str]] = {}
     for robot in fleet["robots"]:
         if robot["message"]:
             failed.setdefault(robot["message"], []).append(robot["name"])
-    for head, lines in (
-        ("Odd ones out:", [f"{name}: {'; '.join(texts)}" for name, texts in odd.items()]),
-        (
-            "Data given twice, which count once in what is usual:",
-            [f"{name}: {'; '.join(texts)}" for name, texts in twice.items()],
-        ),
-        (_WITHHELD, [", ".join(withheld)] * bool(withheld)),
-        ("Failed:", [f"{', '.join(names)}: {text}" for text, names in failed.items()]),
-    ):
+    sections = {
+        _OUTLIERS: [f"{name}: {'; '.join(texts)}" for name, texts in outliers.items()],
+        _COPIES: [f"{name}: {'; '.join(texts)}" for name, texts in copies.items()],
+        _WITHHELD: [", ".join(withheld)] if withheld else [],
+        _FAILED: [f"{', '.join(names)}: {message}" for message, names in failed.items()],
+    }
+    for head, lines in sections.items():
         if lines:
             yield "\n".join([head, *(fill(line, "  ", "  ") for line in lines), ""])
     yield from map(fill, fleet["notes"])
-    verdicts = Counter(robot["verdict"] or "no verdict" for robot in done)
-    words = ", ".join(f"{count} {word}" for word, count in verdicts.most_common())
+    counts = {
+        "by an earlier run": kept,
+        "outliers": len(outliers),
+        "copies": len(copies),
+        "withheld": len(withheld),
+    }
+    yield _counts(fleet, counts)
+
+
+def _texts_by_name(outliers: Iterator[Mapping[str, Any]]) -> dict[str, list[str]]:
+    """Collect the texts of each robot."""
+    texts: dict[str, list[str]] = {}
+    for outlier in outliers:
+        texts.setdefault(outlier["name"], []).append(outlier["text"])
+    return texts
+
+
+def _counts(fleet: Mapping[str, Any], counts: Mapping[str, int]) -> str:
+    """Count the robots of a fleet by their outcome, in a sentence."""
+    calibrated = [robot for robot in fleet["robots"] if not robot["message"]]
     count = len(fleet["robots"])
-    yield (
-        f"{len(done)} of {count} robots calibrated"
-        + f" ({words})" * bool(words)
-        + f", {kept} of them by an earlier run" * bool(kept)
-        + f"; {len(odd)} odd"
-        + f", {len(twice)} with the data of another" * bool(twice)
-        + f", {len(withheld)} without a corrected URDF" * bool(withheld)
-        + f", {count - len(done)} failed."
-    )
+    text = f"{len(calibrated)} of {count} robots calibrated"
+    verdicts = Counter(robot["verdict"] or "no verdict" for robot in calibrated)
+    if verdicts:
+        words = ", ".join(f"{number} {verdict}" for verdict, number in verdicts.most_common())
+        text += f" ({words})"
+    if counts["by an earlier run"]:
+        text += f", {counts['by an earlier run']} of them by an earlier run"
+    text += f"; {plural(counts['outliers'], 'fleet outlier')}"
+    if counts["copies"]:
+        text += f", {counts['copies']} with the data of another"
+    if counts["withheld"]:
+        text += f", {counts['withheld']} without a corrected URDF"
+    return f"{text}, {count - len(calibrated)} failed."

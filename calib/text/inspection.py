@@ -1,119 +1,177 @@
-"""What inspect finds as text: the chain, its DH rows, what poses can tell, and what a fit to them can reach."""
+"""An inspection as text: the chain, its DH rows, what poses determine, and the forecast of a fit to them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import pinocchio as pin
 
 from calib.design.forecast import Forecast
 from calib.estimate.inspection import GENERIC_ANCHOR, GENERIC_TARGET, Inspection
-from calib.model.dh import dh_table
+from calib.model.dh import DHRow, dh_table
 from calib.robot.robot import Robot
-from calib.text.lines import fill, wrap
+from calib.robot.urdf import UrdfJoint
+from calib.text.layout.lines import fill, number, wrap
+from calib.text.layout.tables import Column, name_column, table_lines
 from calib.text.summary import combination_text
+from calib.units import Array, Mask
 
 _DEG = float(np.degrees(1.0))
 
+#: Pose differences below this are rounding: the pose is shown as the identity.
+_ROUNDING = 1e-9
 
-def inspection_text(robot: Robot, found: Inspection, foreseen: Forecast | None = None) -> str:
-    """The chain, its DH rows, what the poses can tell, and the forecast of a fit to them, in 100 columns."""
-    parts = ["\n".join(part) for part in (_chain(robot), _dh(robot), _parameters(found))]
-    if foreseen is not None:
-        bound = foreseen.sigma * (foreseen.workspace_rank / foreseen.poses) ** 0.5
-        numbers = (foreseen.sigma, foreseen.rms, foreseen.rms_low, foreseen.rms_high, foreseen.max)
-        sigma, rms, low, high, most, best = (f"{1e3 * value:.3f}" for value in (*numbers, bound))
-        parts.append(
-            fill(
-                f"Forecast for a fit of these {foreseen.poses} poses with a noise of {sigma} mm a coordinate: position "
-                f"error {rms} mm rms over the joint limits (90 % of calibrations: {low} to {high}), {most} mm where it "
-                f"is worst. The best {foreseen.poses} poses would give about {best} mm rms; calib plan finds such.",
-                hang="  ",
-            )
-        )
+
+def inspection_text(robot: Robot, inspection: Inspection, forecast: Forecast | None = None) -> str:
+    """Write an inspection.
+
+    Args:
+        robot: The robot.
+        inspection: The observability of its model's parameters.
+        forecast: The expected error of a fit to the poses of a table; None without a table.
+
+    Returns:
+        The chain, its DH rows, the parameters, and the forecast, in lines of 100 columns.
+    """
+    parts = ["\n".join(part) for part in (_chain(robot), _dh(robot), _parameters(inspection))]
+    if forecast is not None:
+        parts.append(fill(_forecast(forecast), hang="  "))
     return "\n\n".join(parts)
 
 
+def _forecast(f: Forecast) -> str:
+    """Word a forecast, beside the error that the best poses would leave."""
+    best = f.sigma * (f.workspace_rank / f.poses) ** 0.5
+    values = (f.sigma, f.rms, f.rms_low, f.rms_high, f.max, best)
+    sigma, rms, low, high, worst, bound = (f"{1e3 * value:.3f}" for value in values)
+    return (
+        f"Forecast for a fit of these {f.poses} poses with a noise of {sigma} mm per coordinate: position error {rms} "
+        f"mm rms over the joint limits (90 % of calibrations: {low} to {high}), {worst} mm where it is worst. The best "
+        f"{f.poses} poses would give about {bound} mm rms; calib plan finds such poses."
+    )
+
+
 def _chain(robot: Robot) -> Iterator[str]:
-    """The chain's joints with their limits; those without a column of their own, and a base that moves."""
+    """Write the table of joints with their limits, then joints without a column, and a base that moves."""
     yield f"Robot '{robot.name}' ({robot.urdf.source}), chain {robot.base} to {robot.tip}:"
-    yield f"  {'joint':<32}{'type':<12}{'axis':<24}limits"
+    columns = [
+        name_column("  joint", 33),
+        Column("type", 11, left=True),
+        Column("axis", 23, left=True),
+        Column("limits", left=True),
+    ]
+    yield from table_lines(columns, [_joint_row(joint) for joint in robot.joints])
     offsets = robot.chain_values(np.zeros(len(robot.inputs)))[0]
-    followers = []
-    for joint, row, offset in zip(robot.joints, robot.coupling, offsets, strict=True):
-        axis = " ".join(f"{v + 0.0:.4g}" for v in joint.axis)
-        scale, unit = (1e3, "mm") if joint.type == "prismatic" else (_DEG, "deg")
-        limits = "none"
-        if joint.lower is not None and joint.upper is not None:
-            limits = f"{scale * joint.lower:.1f} to {scale * joint.upper:.1f} {unit}"
-        yield from _row(joint.name, f"{joint.type:<12}{axis:<24}{limits}")
-        rest, driver = f"{scale * offset:g} {unit}", robot.inputs[int(np.argmax(np.abs(row)))].name
-        if not np.any(row):
-            followers.append(f"'{joint.name}' is held at {rest}.")
-        elif driver != joint.name:
-            more = "" if offset == 0 else f", plus {rest}"
-            factor = row[int(np.argmax(np.abs(row)))]
-            followers.append(f"'{joint.name}' follows '{driver}', times {factor:g}{more}.")
+    for joint, factors, offset in zip(robot.joints, robot.coupling, offsets, strict=True):
+        text = _coupled(robot, joint, factors, float(offset))
+        if text:
+            yield wrap(text, "  ")
     if robot.base_moves:
-        followers.append(
-            f"Joints move the base '{robot.base}' itself; they are passed from the base outwards."
+        text = (
+            f"Joints move the base '{robot.base}' itself; they are listed from the base outwards."
         )
-    yield from (wrap(text, "  ") for text in followers)
+        yield wrap(text, "  ")
 
 
-def _row(name: str, cells: str) -> list[str]:
-    """A row of a table that begins with a joint's name; a long name gets a line of its own."""
-    return [f"  {name:<32}{cells}"] if len(name) < 32 else [f"  {name}", f"  {'':<32}{cells}"]
+def _joint_row(joint: UrdfJoint) -> tuple[str, str, str, str]:
+    """Cells of a joint."""
+    axis = " ".join(f"{v + 0.0:.4g}" for v in joint.axis)
+    limits = "none"
+    if joint.lower is not None and joint.upper is not None:
+        factor, unit = _shown(joint)
+        limits = f"{factor * joint.lower:.1f} to {factor * joint.upper:.1f} {unit}"
+    return f"  {joint.name}", joint.type, axis, limits
 
 
-def _four(value: float, scale: float) -> str:
-    """A number with four digits, and no minus before a zero."""
-    return f"{round(scale * value, 4) + 0.0:.4f}"
+def _shown(joint: UrdfJoint) -> tuple[float, str]:
+    """Factor and unit of a joint's values."""
+    return (1e3, "mm") if joint.type == "prismatic" else (_DEG, "deg")
+
+
+def _coupled(robot: Robot, joint: UrdfJoint, factors: Array, offset: float) -> str:
+    """Word what a joint without a column follows; empty for others.
+
+    ``factors``, shape (m,), are those of the robot's measured joints in its value, ``offset`` is added [rad or m].
+    """
+    factor, unit = _shown(joint)
+    value = f"{factor * offset:g} {unit}"
+    if not np.any(factors):
+        return f"'{joint.name}' is held at {value}."
+    largest = int(np.argmax(np.abs(factors)))
+    driver = robot.inputs[largest].name
+    if driver == joint.name:
+        return ""
+    added = "" if offset == 0 else f", plus {value}"
+    return f"'{joint.name}' follows '{driver}', times {factors[largest]:g}{added}."
 
 
 def _dh(robot: Robot) -> Iterator[str]:
-    """The DH rows."""
-    table, columns = dh_table(robot), "{:>12}{:>13}{:>12}{:>13}{:>12}"
+    """Write the table of DH rows, and the frames before and after them."""
+    table = dh_table(robot)
     yield "Standard DH rows, T = Rz(theta + q) Tz(d) Tx(a) Rx(alpha) Ry(beta):"
-    head = columns.format("a [mm]", "alpha [deg]", "d [mm]", "theta [deg]", "beta [deg]")
-    yield f"  {'joint':<32}{head}"
-    for row in table.rows:
-        pairs = ((row.a, 1e3), (row.alpha, _DEG), (row.d, 1e3), (row.theta, _DEG))
-        beta = _four(row.beta, _DEG) if row.near_parallel else "-"
-        yield from _row(row.joint, columns.format(*(_four(*pair) for pair in pairs), beta))
+    columns = [name_column("  joint", 34), Column("a [mm]", 12, gap=0), Column("alpha [deg]", 12)]
+    columns += [Column("d [mm]", 11), Column("theta [deg]", 12), Column("beta [deg]", 11)]
+    yield from table_lines(columns, [_dh_row(row) for row in table.rows])
     yield "  beta is given only where axes are nearly parallel (Hayati); there d is set to 0 by convention."
-    for label, T in (("base to DH frame 0", table.T_base_0), ("DH frame n to tip", table.T_n_tip)):
-        place = "identity"
-        if np.abs(T - np.eye(4)).max() >= 1e-9:
-            xyz = " ".join(_four(v, 1e3) for v in T[:3, 3])
-            rpy = " ".join(_four(v, _DEG) for v in pin.rpy.matrixToRpy(T[:3, :3]))
-            place = f"xyz {xyz} mm, rpy {rpy} deg"
-        yield f"  {label}: {place}"
+    yield f"  base to DH frame 0: {_place(table.T_base_0)}"
+    yield f"  DH frame n to tip: {_place(table.T_n_tip)}"
 
 
-def _parameters(found: Inspection) -> Iterator[str]:
-    """Parameters of the model, and what the poses can tell of them."""
-    o, names = found.observability, found.model.names
-    marks = ("" if alone else "*" for alone in o.identifiable)
-    marked = "" if all(o.identifiable) else ", * known in combination with others only"
-    indices = ", ".join(f"{name} {value:.3g}" for name, value in o.indices.items())
-    poses = f"the {found.poses} estimation rows of {found.source}"
-    if found.source is None:
-        poses = f"{found.poses} poses spread over the joint limits"
-    for name, place, frame in (
-        ("target", GENERIC_TARGET, "off the tip"),
-        ("anchor", GENERIC_ANCHOR, "from the base"),
-    ):
-        if name in found.assumed:
-            poses += f", {name} {', '.join(f'{1e3 * v:.0f}' for v in place)} mm {frame}"
-    yield f"Parameters of the model '{found.model.name}' ({len(names)}{marked}):"
-    yield wrap(", ".join(map("".join, zip(names, marks, strict=True))), "  ")
+def _dh_row(row: DHRow) -> list[str]:
+    """Cells of a DH row, in mm and deg."""
+    beta = number(_DEG * row.beta, 4) if row.near_parallel else "-"
+    lengths_and_angles = (1e3 * row.a, _DEG * row.alpha, 1e3 * row.d, _DEG * row.theta)
+    return [f"  {row.joint}", *(number(value, 4) for value in lengths_and_angles), beta]
+
+
+def _place(T: Array) -> str:
+    """Format a pose as position and roll, pitch and yaw."""
+    if np.abs(T - np.eye(4)).max() < _ROUNDING:
+        return "identity"
+    xyz = " ".join(number(1e3 * v, 4) for v in T[:3, 3])
+    rpy = " ".join(number(_DEG * v, 4) for v in pin.rpy.matrixToRpy(T[:3, :3]))
+    return f"xyz {xyz} mm, rpy {rpy} deg"
+
+
+def _parameters(inspection: Inspection) -> Iterator[str]:
+    """Write the parameters of the model, and what the poses determine of them."""
+    o, names = inspection.observability, inspection.model.names
+    note = "" if all(o.identifiable) else ", * known in combination with others only"
+    yield f"Parameters of the model '{inspection.model.name}' ({len(names)}{note}):"
+    yield wrap(_marked(names, o.identifiable), "  ")
     yield ""
+    poses = _poses(inspection)
     yield wrap(
         f"Identifiable from {poses}: rank {o.rank} of {o.columns}, condition {o.condition:.1f}"
     )
+    indices = ", ".join(f"{name} {value:.3g}" for name, value in o.indices.items())
     yield wrap(f"Observability indices: {indices} (in steps of 1 mm, 1 mrad)")
     if o.unidentifiable:
-        yield "Unidentifiable combinations, which move nothing that is measured:"
-        yield from (wrap(combination_text(one), "  ") for one in o.unidentifiable)
+        yield "Unidentifiable combinations, without effect on the measurements:"
+        for combination in o.unidentifiable:
+            yield wrap(combination_text(combination), "  ")
+
+
+def _marked(names: Sequence[str], identifiable: Mask) -> str:
+    """List names, with a star behind those that are known in combination only."""
+    marked = []
+    for name, alone in zip(names, identifiable, strict=True):
+        marked.append(name if alone else f"{name}*")
+    return ", ".join(marked)
+
+
+def _poses(inspection: Inspection) -> str:
+    """Word the poses that were inspected, and the target and anchor that were assumed."""
+    text = f"the {inspection.poses} estimation rows of {inspection.source}"
+    if inspection.source is None:
+        text = f"{inspection.poses} poses spread over the joint limits"
+    assumed = (
+        ("target", GENERIC_TARGET, "off the tip"),
+        ("anchor", GENERIC_ANCHOR, "from the base"),
+    )
+    for name, place, frame in assumed:
+        if name in inspection.assumed:
+            xyz = ", ".join(f"{1e3 * v:.0f}" for v in place)
+            text += f", {name} {xyz} mm {frame}"
+    return text

@@ -17,7 +17,7 @@ def demo(examples):
 def test_what_it_prints(demo):
     assert (demo.code, demo.err) == (0, "")
     for words in (
-        "robot 'ur3', base to tool0, 6 joints; 30 rows to estimate and 5 to validate",
+        "robot 'ur3', base to tool0, 6 joints; 30 rows for estimation and 5 for validation",
         "Verdict: use",
         "Outliers (no weight in the fit): row 11 (",
         "The signs of the paper's Table 1 do not fit its Table 2 as printed.",

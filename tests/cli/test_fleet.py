@@ -33,10 +33,12 @@ def test_a_fleet_is_calibrated_compared_and_kept(call, arms_shop: Path):
     done = call(arms_shop, "fleet", "m.csv", "--out", "r", *ARM, "--no-reports")
     assert (done.code, done.err) == (0, "")
     assert done.lines[0] == "Errors and noise, rms [mm]"
-    heads = "robot verdict urdf model nominal calibrated unseen noise rows out"
+    heads = "robot verdict urdf model nominal calibrated held-out noise rows out"
     assert " ".join(done.lines[1].split()) == heads
     assert [line.split()[0] for line in done.lines[2:8]] == [f"SN-{k}" for k in range(6)]
-    assert re.fullmatch(r"6 of 6 robots calibrated \(.*\); \d odd, 0 failed\.", done.lines[-3])
+    assert re.fullmatch(
+        r"6 of 6 robots calibrated \(.*\); \d fleet outliers?, 0 failed\.", done.lines[-3]
+    )
     assert done.lines[-2:] == ["Written: r/fleet.csv", "Written: r/fleet.json"]
     again = call(arms_shop, "fleet", "m.csv", "--out", "r", *ARM, "--no-reports")
     assert "calibrated (" in again.lines[-3]
@@ -89,7 +91,7 @@ def test_failed_and_odd_ones_are_told(call, arms_shop: Path):
         "  SN-1: the same measurements as SN-6 (arm-1.csv)",
         "  SN-6: the same measurements as SN-1 (again.csv)",
     ]
-    assert re.search(r"; \d odd, 2 with the data of another, 2 failed\.", done.out)
+    assert re.search(r"; \d fleet outliers?, 2 with the data of another, 2 failed\.", done.out)
     assert any(
         line.startswith("  SN-8: m.csv, line 10: ") and "ur99" in line for line in done.lines
     )

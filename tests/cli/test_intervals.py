@@ -11,7 +11,7 @@ from calib.data.cell import Cell
 from calib.example import PAPER_TARGET
 from calib.result.uncertainty import Profile, bootstrap
 from calib.robot.robot import read_only
-from calib.text.summary import bootstrap_text, profile_text
+from calib.text.intervals import bootstrap_text, profile_text
 
 
 @pytest.fixture(scope="module")

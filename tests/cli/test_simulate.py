@@ -47,7 +47,7 @@ def test_a_table_and_the_truth_beside_it(simulate, shop: Path):
     point = (T @ [*said["targets"][0]["xyz_m"], 1.0])[:, :3]
     assert point == pytest.approx(np.array([row["xyz_m"] for row in said["rows"]]), abs=1e-9)
     for word in (
-        "40 rows (30 to estimate from, 10 to validate with)",
+        "40 rows (30 for estimation, 10 for validation)",
         "True errors               model placement",
         "length                  18, rms",
         "of the nominal robot",
@@ -84,9 +84,9 @@ def test_everything_that_disturbs_is_said(simulate, shop: Path):
     assert (done.code, done.err) == (0, "")
     text = " ".join(done.out.split())
     for words in (
-        "160 rows (120 to estimate from, 40 to validate with)",
+        "160 rows (120 for estimation, 40 for validation)",
         "Each row measures the position and orientation of the target",
-        "Targets at each pose upper, lower Set-ups in turn morning, evening Visits of each pose 2",
+        "Targets at each pose upper, lower Stations in turn morning, evening Visits of each pose 2",
         "Frame of 'evening' the base is at (2500, 0, 0) mm in it",
         "Noise of a coordinate 0.03 mm std: instrument 30 um Noise of an orientation 0.02 deg",
         "Encoder steps 0.001 deg Outliers of 8 mm rows ",

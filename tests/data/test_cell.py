@@ -1,204 +1,67 @@
+"""A cell: its defaults, the values that it refuses, and known distances between groups."""
+
 from __future__ import annotations
 
+import pickle
 import re
-from pathlib import Path
 
 import numpy as np
-import pinocchio as pin
 import pytest
-from hypothesis import given, strategies as st
 
-from calib.data.cell import Cell, GroupDistance, Priors, TrackerNoise
-from calib.data.cell_file import fields as keys
-from calib.errors import CalibError
-from calib.units import UNITS, parse_noise, parse_quantity
-
-DISTANCE = """
-[[distances]]
-first = "A"
-second = "B"
-length_mm = 20
-sigma_mm = 0.1
-"""
-
-DOC = Path(__file__).parents[2] / "docs" / "cell.md"
+from calib.data.cell import Cell, GroupDistance
+from calib.errors import CalibError, MeasurementError
 
 
-def read(folder: Path, text: str) -> Cell:
-    path = folder / "cell.toml"
-    path.write_text(text, encoding="utf-8")
-    return Cell.read(path)
-
-
-def test_an_empty_file_is_the_default(tmp_path: Path):
-    assert repr(read(tmp_path, "# nothing\n")) == repr(Cell())
-    assert Cell().estimate_target
-    assert not Cell().estimate_frame
-    assert Cell().model == "auto"
-
-
-def test_every_key(tmp_path: Path):
-    cell = read(
-        tmp_path,
-        """
-        base = "base"
-        tip = "tool0"
-        model = "hayati"
-        freeze = ["a1", "target_x"]
-        target = "known"
-        target_mm = [70, -70.5, 22.5]
-        frame = "estimate"
-        frame_xyz_mm = [1000, 2, -3]
-        frame_rpy_deg = [10, 20, 30]
-        sigma_mm = 0.2
-        priors = "given"
-        prior_length_mm = 2
-        prior_angle_mrad = 8
-        """,
-    )
-    assert (cell.base, cell.tip, cell.model) == ("base", "tool0", "hayati")
-    assert cell.frozen == ("a1", "target_x")
-    assert not cell.estimate_target
-    assert cell.target is not None
-    np.testing.assert_allclose(cell.target, [0.07, -0.0705, 0.0225], rtol=1e-15)
-    assert cell.estimate_frame
-    assert cell.T_frame_base is not None
-    np.testing.assert_allclose(cell.T_frame_base[:3, 3], [1.0, 0.002, -0.003], rtol=1e-15)
-    rpy = np.radians([10.0, 20.0, 30.0])
-    np.testing.assert_allclose(cell.T_frame_base[:3, :3], pin.rpy.rpyToMatrix(*rpy), atol=1e-15)
-    assert cell.sigma == pytest.approx(2e-4, rel=1e-15)
-    assert cell.priors == Priors("given", length=2e-3, angle=8e-3)
-
-
-def test_every_new_key_and_table(tmp_path: Path):
-    cell = read(
-        tmp_path,
-        """
-        kind = "pose"
-        repeats = "average"
-        target_rpy_deg = [10, 20, 30]
-        frame = ["rz", "x"]
-        sigma_angle_deg = 0.1
-        prior_zero_mrad = 1
-        prior_gain = 2e-4
-        prior_eccentricity_mrad = 3
-        prior_compliance_rad_per_Nm = 4e-6
-        gravity_m_per_s2 = [0, 9.81, 0]
-        [targets_mm]
-        up = [1, 2, 3]
-        [frames."1/left"]
-        xyz_mm = [1000, 0, 0]
-        rpy_deg = [0, 0, 90]
-        [frames.right]
-        [ties]
-        a3 = "a2"
-        a4 = ["a2", -2]
-        [bounds]
-        d1 = "0.5 mm"
-        "theta1" = ["-1 mrad", "180deg"]
-        "j.gain" = 1e-3
-        "target_x[up]" = ["-1um", "2 mm"]
-        [parameter_priors]
-        "j.compliance" = "2 mrad/Nm"
-        "lift.compliance" = "3 mm/N"
-        anything = "0.1 rad"
-        [payload]
-        mass_kg = 5
-        com_mm = [0, 0, 60]
-        [held]
-        lift = "0.3 m"
-        pan = "-90 deg"
-        [[distances]]
-        first = "*/left"
-        second = "*/right"
-        length_mm = 200
-        sigma_mm = 0.01
-        """,
-    )
-    assert (cell.kind, cell.repeats) == ("pose", "average")
-    assert cell.target_rotation is not None
-    rpy = np.radians([10.0, 20.0, 30.0])
-    np.testing.assert_allclose(cell.target_rotation, pin.rpy.rpyToMatrix(*rpy), atol=1e-15)
-    assert cell.estimate_frame
-    assert cell.frame_directions == ("x", "rz")
-    assert cell.sigma_angle == pytest.approx(np.radians(0.1), rel=1e-15)
-    assert cell.priors == Priors("data", zero=1e-3, gain=2e-4, eccentricity=3e-3, compliance=4e-6)
-    np.testing.assert_array_equal(cell.gravity, [0.0, 9.81, 0.0])
-    assert set(cell.targets) == {"up"}
-    np.testing.assert_allclose(cell.targets["up"], [1e-3, 2e-3, 3e-3], rtol=1e-15)
-    assert set(cell.frames) == {"1/left", "right"}
-    np.testing.assert_allclose(
-        cell.frames["1/left"] @ [1, 0, 0, 1], [1.0, 1.0, 0.0, 1.0], atol=1e-15
-    )
-    np.testing.assert_array_equal(cell.frames["right"], np.eye(4))
-    assert cell.ties == {"a3": ("a2", 1.0), "a4": ("a2", -2.0)}
-    assert cell.bounds == {
-        "d1": (-5e-4, 5e-4),
-        "theta1": (-1e-3, pytest.approx(np.pi, rel=1e-15)),
-        "j.gain": (-1e-3, 1e-3),
-        "target_x[up]": (-1e-6, 2e-3),
-    }
-    assert cell.parameter_priors == {"j.compliance": 2e-3, "lift.compliance": 3e-3, "anything": 0.1}
-    assert cell.payload is not None
-    assert cell.payload.mass == 5.0
-    np.testing.assert_allclose(cell.payload.com, [0.0, 0.0, 0.06], rtol=1e-15)
-    assert cell.held == {"lift": 0.3, "pan": pytest.approx(-np.pi / 2, rel=1e-15)}
-    assert cell.distances == (GroupDistance("*/left", "*/right", 0.2, 1e-5),)
-
-
-def test_half_a_frame_and_half_the_priors(tmp_path: Path):
-    moved = read(tmp_path, "frame_xyz_mm = [1, 2, 3]").T_frame_base
-    assert moved is not None
-    np.testing.assert_array_equal(moved[:3, :3], np.eye(3))
-    turned = read(tmp_path, "frame_rpy_deg = [0, 0, 90]").T_frame_base
-    assert turned is not None
-    np.testing.assert_allclose(turned[:3, :3] @ [1, 0, 0], [0, 1, 0], atol=1e-15)
-    np.testing.assert_array_equal(turned[:3, 3], np.zeros(3))
-    assert read(tmp_path, 'priors = "off"').priors == Priors("off")
-    assert read(tmp_path, "prior_length_mm = 1").priors == Priors("data", length=1e-3)
+def test_the_defaults():
+    cell = Cell()
+    assert cell.estimate_target
+    assert not cell.estimate_frame
+    assert cell.model == "auto"
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("arguments", "says"),
     [
-        ("targt_mm = [1, 2, 3]", "'targt_mm': unknown key (did you mean 'target_mm'"),
-        ('freeze = "d2"', "'freeze' is 'd2'"),
-        ('target = "fixed"', "'target' is 'fixed'"),
-        ("target_mm = [1, 2]", "'target_mm' is [1, 2]; it must be three numbers."),
-        ('target = "known"', "The target is said to be known but is not given"),
-        ('frame = ["u"]', "'frame' is ['u']"),
-        ('frame = "x,yaw"', "'frame' is 'x,yaw'"),
-        ("sigma_angle_deg = -1", "sigma_angle is -0.017"),
-        ('sigma_mm = "0.1"', "'sigma_mm' is '0.1'; it must be a number."),
-        ('kind = "ball"', "'ball' is not a kind of measurement; allowed are 'point', 'pose', "),
-        ('repeats = "often"', "repeats is 'often'; it must be one of 'weighted', 'average', "),
-        ('priors = "some"', "choose one of 'data', 'given', 'off'"),
-        ("prior_angle_mrad = 0", "The prior's angle is 0 rad"),
-        ("[frames]\na = 1", "'a' in [frames] is 1; it must be a table."),
-        ("[frames.a]\nxyz = [1, 2, 3]", "'xyz' in 'a' in [frames]: unknown key"),
-        ("[ties]\na1 = ['a2', 0]", "'a1' in a cell's ties is ['a2', 0]"),
-        ("[ties]\na1 = 'a2'\na2 = 'a3'", "'a1' is tied to 'a2'"),
-        ("[bounds]\na1 = '1 mrad'", "'a1' in [bounds] is '1 mrad', which is an angle; write"),
-        ("[bounds]\na1 = '1 furlong'", "'furlong' is not a unit that calib knows: "),
-        ("[bounds]\na1 = '-1 mm'", "'a1' in a cell's bounds is (0.001, -0.001)"),
-        ("[bounds]\n'j.zero' = 0.1", 'which is a number; write "0.5 mm" or "1 mrad".'),
-        ("[parameter_priors]\n'j.gain' = '1 mm'", "'j.gain' in [parameter_priors] is '1 mm', w"),
-        ("[held]\nlift = 0.3", "'lift' in [held] is 0.3; a joint's value needs a unit of angle"),
-        ("[payload]\ncom_mm = [1, 2, 3]", "[payload] lacks 'mass_kg'."),
-        ("[[distances]]\nfirst = 'a'", "number 1 lacks 'second', 'length_mm', 'sigma_mm'."),
-        (DISTANCE.replace("B", "A"), "between the groups 'A' and 'A'"),
-        ("[tracker]\nxyz_mm = [1, 2, 3]\nnoise = '15 um + 6'", 'given as "15 um + 6"'),
-        ("[tracker]\nxyz_mm = [1, 2, 3]\nnearest_mm = 90000", "from 90 m to 80 m"),
-        ("[reflector]\nnormal = [0, 0, 1]\nacceptance_deg = 181", "acceptance 181 deg"),
-        (2 * "[[boxes]]\nname = 'a'\nsize_mm = [1, 2, 3]\nxyz_mm = [0, 0, 0]\n", "name of its own"),
-        ("[ranges]\na = ['1 m', '1 mm']", "'a' in a cell's ranges is (1.0, 0.001)"),
+        ({"T_frame_base": -np.eye(4)}, "A cell's T_frame_base is [["),
+        ({"sigma": 0.0}, "A cell's sigma is 0.0; it must be a number from 1e-15"),
+        ({"target_rotation": np.ones((3, 3))}, "A cell's target_rotation is"),
+        ({"frame_directions": ("x", "x")}, "A cell's frame_directions is"),
+        ({"repeats": "often"}, "A cell's repeats is 'often'"),
+        ({"gravity": [0, 0]}, "The gravity is [0.0, 0.0]"),
+        ({"targets": {"a": [1, 2]}}, "The target is [1.0, 2.0]"),
+        ({"frames": {"a": np.eye(3)}}, "'a' in a cell's frames is"),
+        ({"bounds": {"a1": (1e-3, 2e-3)}}, "'a1' in a cell's bounds is (0.001, 0.002)"),
+        ({"held": {"j": float("inf")}}, "'j' in a cell's held is inf"),
+        ({"ties": {"a1": ("a2", 0)}}, "'a1' in a cell's ties is ('a2', 0)"),
+        ({"ties": {"a1": ("a2", 1)}, "frozen": ("a1",)}, "'a1' is tied to 'a2'"),
+        ({"estimate_target": False}, "The target is said to be known but is not given"),
     ],
 )
-def test_bad_values_are_named_with_what_is_allowed(tmp_path: Path, text: str, said: str):
-    with pytest.raises(CalibError, match=re.escape(said)) as caught:
-        read(tmp_path, text)
-    assert str(caught.value).startswith(f"{tmp_path / 'cell.toml'}: ")
-    assert "\n" not in str(caught.value)
+def test_values_that_are_refused(arguments, says):
+    with pytest.raises(CalibError, match=re.escape(says)):
+        Cell(**arguments)
+
+
+def test_a_kind_is_registered():
+    with pytest.raises(MeasurementError, match="'ball' is not a kind of measurement"):
+        Cell(kind="ball")
+
+
+def test_values_are_read_only_and_reach_another_process():
+    cell = Cell(frames={"a": np.eye(4)}, ties={"a1": ("a2", 2)}, frame_directions=("rz", "x"))
+    with pytest.raises(TypeError):
+        cell.frames["b"] = np.eye(4)
+    with pytest.raises(ValueError, match="read-only"):
+        cell.frames["a"][0, 0] = 2
+    assert cell.frame_directions == ("x", "rz")
+    assert cell.ties == {"a1": ("a2", 2.0)}
+    assert repr(pickle.loads(pickle.dumps(cell))) == repr(cell)
+
+
+def test_another_target():
+    cell = Cell(sigma=1e-4).with_target([1, 2, 3], estimate=False)
+    np.testing.assert_array_equal(cell.target, [1, 2, 3])
+    assert (cell.sigma, cell.estimate_target) == (1e-4, False)
 
 
 @pytest.mark.parametrize(
@@ -218,110 +81,3 @@ def test_the_star_stands_for_the_same_text(
     first: str, second: str, groups: list[str], pairs: tuple[tuple[str, str], ...]
 ):
     assert GroupDistance(first, second, 1.0, 1e-3).pairs(groups) == pairs
-
-
-@given(number=st.floats(-1e6, 1e6), unit=st.sampled_from(["mm", "m", "um", "deg", "mrad", "rad"]))
-def test_every_number_with_a_unit_is_read(number: float, unit: str):
-    value, kind = parse_quantity(f"{number!r} {unit}")
-    assert value == number * UNITS[unit].to_si
-    assert kind == f"a{'n' if UNITS[unit].quantity == 'angle' else ''} {UNITS[unit].quantity}"
-    assert parse_quantity(repr(number)) == (number, "a number")
-    assert (
-        parse_quantity(f" {number!r}{unit}/Nm" if unit == "mrad" else "1 rad/Nm")[1]
-        == "a compliance"
-    )
-
-
-EXAMPLES = re.findall(r"```toml\n(.*?)```", DOC.read_text(encoding="utf-8"), re.DOTALL)
-
-
-def test_the_documents_examples(tmp_path: Path):
-    first, by_name, single, loads, sockets, _ = (read(tmp_path, example) for example in EXAMPLES)
-    assert (first.base, first.tip, first.model, first.frozen) == ("base", "tool0", "dh", ("d2",))
-    assert list(by_name.targets) == ["upper", "lower"]
-    assert list(by_name.frames) == ["morning", "after lunch"]
-    assert not by_name.estimate_target
-    assert single.ties == {"a3": ("a2", 1.0), "a4": ("a2", -1.0)}
-    assert single.bounds["theta6"] == pytest.approx((np.radians(-0.02), 1e-3))
-    assert single.parameter_priors["shoulder_lift_joint.compliance"] == 1e-5
-    assert single.frame_directions == ("x", "y", "z", "rz")
-    assert loads.payload is not None
-    assert loads.payload.mass == 5.0
-    assert loads.gravity[2] == 9.81
-    assert loads.held["torso_lift_joint"] == 0.3
-    assert sockets.kind == "fixed"
-    assert sockets.distances[0].pairs(["3/right", "3/left"]) == (("3/left", "3/right"),)
-
-
-def test_the_documents_surroundings(tmp_path: Path):
-    text = EXAMPLES[-1]
-    cell = read(tmp_path, text)
-    assert cell.tracker is not None
-    assert cell.reflector is not None
-    np.testing.assert_allclose(cell.tracker.position, [2.5, 0.0, 0.5])
-    assert (cell.tracker.nearest, cell.tracker.farthest) == (0.8, 20.0)
-    np.testing.assert_array_equal(cell.reflector.normal, [0.0, 0.0, 1.0])
-    table, cabinet = cell.boxes
-    assert (table.name, cabinet.name) == ("table", "cabinet")
-    np.testing.assert_allclose(table.size, [1.2, 0.8, 0.04])
-    np.testing.assert_allclose(table.T_base_box[:3], [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, -0.02]])
-    turn = pin.rpy.rpyToMatrix(0.0, 0.0, np.radians(30.0))
-    np.testing.assert_allclose(cabinet.T_base_box[:3, :3], turn, atol=1e-15)
-    assert cell.ranges["shoulder_pan_joint"] == pytest.approx((-np.pi / 2, np.pi / 2))
-    assert cell.ranges["elbow_joint"] == (-2.0, 0.0)
-
-    # Without the keys that may be left out: the defaults that the text below the example states.
-    optional = "nearest_mm|farthest_mm|noise|repeatability_mm|acceptance_deg|rpy_deg"
-    least = read(tmp_path, re.sub(rf"(?m)^({optional}) = .*$", "", text))
-    assert least.tracker is not None
-    assert least.reflector is not None
-    assert (least.tracker.nearest, least.tracker.farthest) == (0.0, 80.0)
-    assert least.tracker.noise == TrackerNoise(15e-6, 6e-6, 20e-6)
-    assert cell.tracker.noise.std(3.0) == pytest.approx(least.tracker.noise.std(3.0), rel=1e-12)
-    assert least.reflector.acceptance == cell.reflector.acceptance == pytest.approx(np.radians(30))
-    np.testing.assert_array_equal(least.boxes[1].T_base_box[:3, :3], np.eye(3))
-
-
-def test_the_document_has_every_key_and_no_other():
-    documented = re.findall(r"^\| `(\w+)` \|", DOC.read_text(encoding="utf-8"), re.MULTILINE)
-    assert sorted(documented) == sorted([*keys(), "simulation"])
-
-
-def test_the_documents_defaults_are_the_defaults():
-    rows = re.findall(
-        r"^\| `(\w+)` \|[^|]*\| ([^|]*) \|", DOC.read_text(encoding="utf-8"), re.MULTILINE
-    )
-    said, cell = dict(rows), Cell()
-    assert said["model"] == f'`"{cell.model}"`'
-    assert said["repeats"] == f'`"{cell.repeats}"`'
-    assert [float(v) for v in said["gravity_m_per_s2"].split(",")] == cell.gravity.tolist()
-    for key, value in (
-        ("prior_length_mm", 1e3 * cell.priors.of("length")),
-        ("prior_angle_mrad", 1e3 * cell.priors.of("angle")),
-        ("prior_zero_mrad", 1e3 * cell.priors.of("zero")),
-        ("prior_gain", cell.priors.of("gain")),
-        ("prior_eccentricity_mrad", 1e3 * cell.priors.of("eccentricity")),
-        ("prior_compliance_rad_per_Nm", cell.priors.of("compliance")),
-        ("prior_gravity_mrad_per_m", 1e3 * cell.priors.of("gravity")),
-    ):
-        assert float(said[key]) == pytest.approx(value), key
-
-
-def test_at_three_metres_a_tracker_has_33_um_beside_the_robot_s_20():
-    assert TrackerNoise().std(3.0) == pytest.approx(np.hypot(33e-6, 20e-6))
-    assert TrackerNoise(repeatability=0.0).std(np.array([0.0, 3.0])) == pytest.approx(
-        [15e-6, 33e-6]
-    )
-
-
-@pytest.mark.parametrize(
-    ("text", "constant", "per_length"),
-    [
-        ("15 um + 6 um/m", 15e-6, 6e-6),
-        ("15µm+6 μm/m", 15e-6, 6e-6),
-        ("0.05 mm", 5e-5, 0.0),
-        ("1e-2 mm + 0.001mm / m", 1e-5, 1e-6),
-    ],
-)
-def test_words(text, constant, per_length):
-    assert parse_noise(text, "noise") == pytest.approx((constant, per_length))

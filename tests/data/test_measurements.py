@@ -1,16 +1,21 @@
+"""Measurements: the tables of the paper and of the documentation, selections, and the way out and back."""
+
 import csv
 import hashlib
-import itertools
+import pickle
 from dataclasses import FrozenInstanceError, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
+from scipy.spatial.transform import Rotation
 
 import calib
+from calib.data import kinds
 from calib.data.measurements import Measurements
 from calib.errors import MeasurementError
+from tests.data.tables import assert_same
 
 UR3 = Path(calib.__file__).parent / "example" / "ur3_leica.csv"
 UR3_JOINTS = (
@@ -21,32 +26,9 @@ UR3_JOINTS = (
     "wrist_2_joint",
     "wrist_3_joint",
 )
-HEADER = "row,set,a [deg],b [deg],x [mm],y [mm],z [mm]"
-ROWS = ("1,estimate,10,20,300,400,500", "2,validate,-30,420.75,301.5,-400,500")
 
 
-def refused(path, *, says, **arguments):
-    """The text with which a table is refused; it holds each of the words."""
-    with pytest.raises(MeasurementError) as caught:
-        Measurements.read(path, **arguments)
-    text = str(caught.value)
-    for word in [says] if isinstance(says, str) else says:
-        assert word in text
-    assert "\n" not in text
-    return text
-
-
-def assert_same(one, other, rtol=1e-15):
-    for name in ("joints", "points"):
-        np.testing.assert_allclose(getattr(one, name), getattr(other, name), rtol=rtol, atol=0)
-    assert (one.sigma is None) == (other.sigma is None)
-    if one.sigma is not None:
-        np.testing.assert_allclose(one.sigma, other.sigma, rtol=rtol, atol=0)
-    for name in ("joint_names", "sets", "targets", "groups", "rows", "prismatic"):
-        assert getattr(one, name) == getattr(other, name)
-
-
-# The paper's table
+# The tables of the paper and of the documentation
 
 
 def test_the_papers_table():
@@ -118,6 +100,13 @@ def test_arrays_are_read_only_copies():
         m.source = "other"
 
 
+def test_another_process_gets_the_same():
+    m = Measurements.read(UR3)
+    again = pickle.loads(pickle.dumps(m))
+    assert_same(again, m, rtol=0)
+    assert (again.source, again.sha256) == (m.source, m.sha256)
+
+
 def test_select_keeps_row_numbers_and_the_rest():
     m = replace(Measurements.read(UR3), sigma=np.linspace(1e-4, 2e-4, 35))
     held_back = m.select(m.validation)
@@ -143,210 +132,74 @@ def test_joints_for_another_order():
     assert "'wrist_3_joint'" in str(caught.value)
 
 
-# Reading
+def test_pairs(table):
+    header = "row,a [deg],pair,distance [mm]"
+    m = Measurements.read(table(header, "11,1,p,500", "12,2,q,", "13,3,p,500", "14,4,q,700"))
+    assert m.kinds == ("pair",) * 4
+    assert m.pairs == ("p", "q", "p", "q")
+    np.testing.assert_allclose(m.distances, [0.5, 0.7, 0.5, 0.7])
+    np.testing.assert_array_equal(m.pair_rows, [[0, 2], [1, 3]])
+    half = m.select(np.array([True, True, False, True]))
+    np.testing.assert_array_equal(half.pair_rows, [[1, 2]])
+    np.testing.assert_allclose(half.distances, [0.5, 0.7, 0.7])
+    assert half.select(np.array([True, False, False])).pair_rows.shape == (0, 2)
 
 
-def test_optional_columns_and_ignored_ones(table):
-    path = table(
-        "a [deg],target,group,sigma [um],x [mm],y [mm],z [mm],qx,rx [rad],force [N],note,",
-        "10,ball,north,50,300,400,500,0,0.1,3,warm,",
-        "20,cube,,60,300,400,600,0,0.1,,,",
-    )
-    m = Measurements.read(path)
-    assert m.joint_names == ("a",)
-    assert m.targets == ("ball", "cube")
-    assert m.groups == ("north", "")
-    np.testing.assert_allclose(m.sigma, [5e-5, 6e-5], rtol=1e-15)
-    assert m.rows == (1, 2)
-    assert m.sets == ("estimate", "estimate")
-    assert m.ignored == ("qx", "rx [rad]", "force [N]", "note")
+def test_copies_are_left_out_and_repeats_are_not():
+    joints, points = np.array([[1.0], [2.0], [1.0], [1.0], [1.0]]), np.ones((5, 3))
+    points[2, 0] += 1e-12  # a repeat has a noise of its own
+    groups = ("", "", "", "", "other")
+    m = Measurements(("a",), joints, points, groups=groups, rows=(3, 5, 7, 9, 11)).without_copies()
+    assert (m.rows, m.copies) == ((3, 5, 7, 11), (9,))
+    assert m.without_copies() is m
+    held = Measurements(("a",), joints[:2] * 0, points[:2], kinds=("fixed",) * 2)
+    assert held.without_copies() is held
 
 
-def test_columns_are_renamed_and_given_units(table):
-    path = table("J1,J2 [deg],East [mm],y [mm],z [mm]", "10,20,300,400,500")
-    columns = {"J1": "a [deg]", "J2": "b", "East": "x"}
-    m = Measurements.read(path, ["a", "b"], columns=columns)
-    np.testing.assert_allclose(m.joints, np.deg2rad([[10, 20]]), rtol=1e-15)
-    assert m.points[0, 0] == pytest.approx(0.3)
-    with_unit_in_key = {"J1": "a [deg]", "J2 [deg]": "b [deg]", "East": "x"}
-    assert_same(Measurements.read(path, ["a", "b"], columns=with_unit_in_key), m, rtol=0)
-
-
-def test_prismatic_joints(table):
-    path = table("rail [mm],a [deg],x [mm],y [mm],z [mm]", "1500,20,300,400,500")
-    types = {"rail": "prismatic", "a": "continuous"}
-    for arguments in ((["rail", "a"], types), (["rail", "a"],), (None, types)):
-        m = Measurements.read(path, *arguments)
-        np.testing.assert_allclose(m.joints, [[1.5, np.deg2rad(20)]], rtol=1e-15)
-        assert m.prismatic == ("rail",)
-    assert Measurements.read(path).ignored == ("rail [mm]",)
+@pytest.mark.parametrize("name", ["point", "pose", "distance"])
+def test_what_a_kind_measures_as_arguments_and_readings(name):
+    kind = kinds.get(name)
+    T = np.tile(np.eye(4), (2, 1, 1))
+    T[:, :3, 3] = [[1, 2, 2], [0, 3, 4]]
+    arguments = Measurements.columns_of(kind, kind.measure(T))
+    m = Measurements(("a",), np.zeros((2, 1)), kinds=(name,) * 2, **arguments)
+    if kind.position:
+        np.testing.assert_array_equal(m.points, T[:, :3, 3])
+    if kind.orientation:
+        np.testing.assert_array_equal(m.rotations, T[:, :3, :3])
+    expected = [3.0, 5.0] if name == "distance" else [np.nan] * 2
+    np.testing.assert_array_equal(m.reading("distance"), expected)
 
 
 # Writing
 
 
-names = st.text(alphabet="abJ_ 0[].,;'\"#é", min_size=1, max_size=8).filter(
-    lambda text: text == text.strip()
-)
-values = st.floats(-3, 3).filter(lambda value: value == 0 or abs(value) > 1e-300)
-
-
-# Refusals: the file
-
-
-def test_files_that_are_no_tables(tmp_path, table):
-    refused(tmp_path / "none.csv", says=["none.csv", "does not exist"])
-    refused(tmp_path, says="is a folder")
-    refused(table(""), says="the file is empty")
-    refused(table("# only a remark", "", ",,"), says="the file is empty")
-    refused(table(HEADER, ",,,,,,"), says=["data.csv", "no row below it"])
-    refused(table(HEADER, *ROWS, encoding="utf-16-le"), says="not a text file")
-    refused(table(HEADER, *ROWS, encoding="utf-32"), says="not a text file")
-    refused(table(*ROWS[:1], *ROWS), says="no column of joint angles")
-    refused(table("1,2,3", "4,5,6"), says="the first line holds numbers")
-    refused(table(HEADER, '1,estimate,"10,20'), says=["data.csv", "double quotes"])
-    refused(table("a" * 200_000), says=["data.csv", "field larger"])
-
-
-# Refusals: the header
-
-
-@pytest.mark.parametrize(
-    ("header", "joint_names", "says"),
-    [
-        ("a,b [deg],x [mm],y [mm],z [mm]", "ab", ["column 'a'", "no unit", "'a [deg]'", "mrad"]),
-        ("a [deg],b [deg],x,y [mm],z [mm]", "ab", ["column 'x'", "no unit", "'x [mm]'"]),
-        ("a [deg],b [deg],x [mm],y [mm],z (mm)", "ab", ["need a column 'z [mm]'", "'z (mm)'"]),
-        ("a [deg],b [grad],x [mm],y [mm],z [mm]", "ab", ["'b [grad]'", "'grad' is not a unit"]),
-        ("a [deg],b [deg],x [deg],y [mm],z [mm]", "ab", ["'x [deg]'", "not a unit of length"]),
-        ("a [deg],a [rad],x [mm],y [mm],z [mm]", "a", ["two columns", "'a'", "number 2"]),
-        ("a [deg],x [mm],X [m],y [mm],z [mm]", "a", ["two columns", "'x [mm]'", "'X [m]'"]),
-        ("a,x [mm],y [mm],z [mm],q", None, ["no column of joint angles", "'a'"]),
-        ("a [deg],b [deg],c,d,e", None, ["need a column 'x [mm]'", "'a [deg]'", "--columns"]),
-    ],
-)
-def test_headers_that_are_refused(table, header, joint_names, says):
-    refused(table(header, "1,2,3,4,5"), joint_names=joint_names, says=["data.csv", *says])
-
-
-def test_missing_joints_are_named_with_what_is_close(table):
-    path = table("Elbow [deg],sholder_pan_joint [deg],x [mm],y [mm],z [mm]", "1,2,3,4,5")
-    text = refused(path, joint_names=["shoulder_pan_joint", "elbow", "tool"], says="data.csv: ")
-    assert "'shoulder_pan_joint' (did you mean 'sholder_pan_joint'?)" in text
-    assert "'elbow' (did you mean 'Elbow'?), 'tool'." in text
-    assert "The columns found: 'Elbow [deg]', " in text
-    assert '--columns "name in the table=shoulder_pan_joint [deg]"' in text
-
-
-# Refusals: the cells
-
-
-@pytest.mark.parametrize(
-    ("row", "says"),
-    [
-        ("7,estimate,1,2,3,4", ["has 6 cells, the header has 7"]),
-        ("7,estimate,1,2,3,4,5,6", ["has 8 cells, the header has 7", "decimal comma"]),
-        ("7,estimate,1,,3,4,5", ["column 'b [deg]'", "the cell is empty"]),
-        ("7,estimate,1,2,3,nan,5", ["column 'y [mm]'", "'nan' is not a finite number"]),
-        ("7,estimate,1,2,3,4,5 mm", ["column 'z [mm]'", "'5 mm' is not a finite number"]),
-        ("7,estimate,1,2,3,4,1_000", ["column 'z [mm]'", "'1_000' is not a finite number"]),
-        ('7,estimate,1,2,3,4,"5,5"', ["column 'z [mm]'", "decimal comma", "semicolons"]),
-        ("7,estimate,1,2,3e8,4,5", ["column 'x [mm]'", "further from the origin than 100 m"]),
-    ],
-)
-def test_cells_that_are_refused(table, row, says):
-    path = table(HEADER, "# remark", ROWS[0], row)
-    refused(path, says=["data.csv, line 4 (row ", *says])
-
-
-def test_without_a_row_column_rows_are_counted(table):
-    path = table("", "a [deg],x [mm],y [mm],z [mm]", "1,2,3,4", "", "1,2,3,no")
-    refused(path, says="line 5 (row 2), column 'z [mm]'")
-
-
-def test_points_and_commas_in_one_table(table):
-    path = table("a [deg];x [mm];y [mm];z [mm]", "1;200;300;400", "1.5;1,234;300;400")
-    refused(path, says=["decimal point in line 3", "decimal comma in line 3"])
-
-
-def test_a_table_without_a_row_to_estimate_from(table):
-    path = table(HEADER, ROWS[1])
-    refused(path, says=["column 'set'", "no measured row is 'estimate'", "all 1"])
-
-
-# Refusals: the wrong unit
-
-
-@pytest.mark.parametrize(
-    ("unit", "point", "says"),
-    [
-        ("m", "-149.02,-207.5,742.6", ["'z [m]'", "742.6 was read as 742.6 m", "in mm"]),
-        ("mm", "-149020,-207500,742600", ["742600 was read as 742.6 m", "in um"]),
-        ("mm", "-0.149,-0.2075,0.7426", ["0.7426 was read as 0.0007426 m", "in m"]),
-        ("um", "-149.02,-207.5,742.6", ["742.6 was read as 0.0007426 m", "in mm"]),
-        ("m", "1e9,0,0", ["column 'x [m]'", "Correct the value"]),
-        ("mm", "0,0,0", ["none is further from the origin than 5 mm", "Correct the value"]),
-    ],
-)
-def test_points_in_the_wrong_unit(table, unit, point, says):
-    path = table(f"a [deg],x [{unit}],y [{unit}],z [{unit}]", f"1,{point}")
-    refused(path, says=["line 2 (row 1), column '", *says])
-
-
-def test_degrees_read_as_radians(table):
-    header = "a [rad],b [rad],x [mm],y [mm],z [mm]"
-    path = table(header, "1,-74.76,10,20,300", "1,6.1,10,20,300", "1,-72,10,20,300")
-    refused(path, says=["column 'b [rad]'", "look like degrees", "'b [deg]'"])
-
-
-# What programs of this world write
-
-
-FORM = [
-    "joint_1 [deg],joint_2 [deg],x [mm],y [mm],z [mm]",
-    "1.5,-20,300.25,0,50",
-    "2,30.125,-301,5,60.5",
-]
-
-
-def bytes_of(lines, sign=",", end="\n", encoding="utf-8"):
-    text = end.join(lines) + end
-    if sign == ";":
-        return text.replace(",", ";").replace(".", ",").encode(encoding)
-    return text.replace(",", sign).encode(encoding)
-
-
-@pytest.mark.parametrize("sign", [",", ";", "\t"])
-@pytest.mark.parametrize("more", ["", "blank", "comment", "last", "quotes", "trailing", "spaces"])
-def test_every_form_is_read_to_the_same_bits(tmp_path, sign, more):
-    path = tmp_path / "data.csv"
-    path.write_bytes(bytes_of(FORM))
-    plain = Measurements.read(path)
-    lines = list(FORM)
-    if more == "blank":
-        lines = ["", lines[0], "", ",,,,", lines[1], " ", lines[2], ""]
-    elif more == "comment":
-        lines = ["# by a program", lines[0], "  # more", lines[1], '"# quoted, too"', lines[2]]
-    elif more == "quotes":
-        lines = [",".join(f'"{cell}"' for cell in line.split(",")) for line in lines]
-    elif more == "trailing":
-        lines = [line + "," for line in lines]
-    elif more == "spaces":
-        lines = [line.replace(",", " , ") + "  " for line in lines]
-    for end, encoding in itertools.product(["\n", "\r\n", "\r"], ["utf-8", "utf-8-sig", "utf-16"]):
-        data = bytes_of(lines, sign, end, encoding)
-        path.write_bytes(data[:-1] if more == "last" and data.endswith(b"\n") else data)
-        assert_same(Measurements.read(path), plain, rtol=0)
-
-
-def test_forms_that_are_refused(tmp_path, table):
-    path = tmp_path / "data.csv"
-    path.write_bytes(bytes_of([FORM[0], FORM[1].replace(".", ",")]))
-    refused(path, says=["line 2 (row 1)", "the row has 7 cells, the header has 5", "decimal comma"])
-    path.write_bytes(bytes_of([FORM[0], '"1,5",-20,300,0,50']))
-    refused(path, says=["line 2 (row 1), column 'joint_1 [deg]'", "'1,5' has a decimal comma"])
-    refused(table(FORM[0], FORM[1] + ","), says=["line 2", "the row has 6 cells"])
-    header = "J\xf6int [deg],x [mm],y [mm],z [mm]"  # as Excel writes "CSV" on Windows
-    ansi = Measurements.read(table(header, "1,200,300,400", encoding="cp1252"))
-    assert ansi.joint_names == ("J\xf6int",)
-    assert len(refused(table(FORM[0], "a" * 100_000 + ",1,2,3,4"), says=["line 2 (row 1)"])) < 4000
+@given(st.data())
+def test_what_is_written_reads_back(tmp_path_factory, data):
+    names = data.draw(st.lists(st.sampled_from(kinds.names()), min_size=1, max_size=5))
+    for kind, count in (("pair", 2), ("fixed", 2), ("plane", 4)):
+        if kind in names:
+            names = [k for k in names if k != kind] + [kind] * count
+    count = len(names)
+    random = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
+    torques = np.where([[True, data.draw(st.booleans())]], random.normal(size=(count, 2)), np.nan)
+    m = Measurements(
+        ("a", "rail"),
+        random.uniform(-3, 3, (count, 2)),
+        random.uniform(1, 2, (count, 3)),
+        kinds=tuple(names),
+        rotations=Rotation.random(count, rng=random).as_matrix(),
+        distances=np.ones(count),
+        sigma=data.draw(st.none() | st.just(np.full(count, 1.3e-4))),
+        sigma_angle=data.draw(st.none() | st.just(np.full(count, 1.7e-4))),
+        pairs=tuple("p" if kind == "pair" else "" for kind in names),
+        groups=data.draw(st.just(()) | st.just(("A/1",) * count)),
+        torques=data.draw(st.none() | st.just(torques)),
+        prismatic=("rail",),
+    )
+    path = tmp_path_factory.mktemp("written") / "data.csv"
+    m.write(path)
+    again = Measurements.read(path, m.joint_names)
+    assert_same(again, m, rtol=4e-15, atol=4e-15)
+    inferred = set(names) == {"point"}
+    assert ("kind" in path.read_text().splitlines()[0].split(",")) != inferred

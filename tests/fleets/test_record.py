@@ -21,6 +21,7 @@ from calib.fleets.record import (
     measured_hash,
     scores,
 )
+from calib.text.fleet import few_text
 
 
 def row(k: int, rng: np.random.Generator, parameters: int = 10) -> FleetRow:
@@ -90,9 +91,7 @@ def test_data_given_many_times_count_once():
     }
     few = fleet_of(FEWEST - 1)
     notes = fleet_outliers([*few, replace(few[0], name="copy")])[1]
-    assert notes[0].startswith(
-        "Too few to tell what is usual: 5 robots with the data of 4; it takes 5."
-    )
+    assert notes[0] == few_text(robots=5, counted=4, needed=FEWEST, kind="")
 
 
 def test_robots_are_compared_with_their_own_kind():
@@ -103,9 +102,7 @@ def test_robots_are_compared_with_their_own_kind():
         [*rows, *others, replace(rows[0], name="x", kind="panda a b", measured="x")]
     )
     assert odd == ()
-    assert notes[0].startswith(
-        "Too few to tell what is usual: 1 robot of the kind 'panda'; it takes 5."
-    )
+    assert notes[0] == few_text(robots=1, counted=1, needed=FEWEST, kind="panda")
 
 
 def test_scores():

@@ -16,8 +16,9 @@ from scipy.spatial.transform import Rotation
 import calib.example
 from calib.conversion import convert
 from calib.errors import CalibError, FileError, ModelError, UrdfError
-from calib.formats.convert import FORMATS, KINDS, Options, chosen_format, source_kind
-from calib.formats.universal_robots import Source
+from calib.formats.convert import FORMATS, KINDS, Options, chosen_format
+from calib.formats.source import Source
+from calib.formats.source_kinds import source_kind
 from calib.formats.ur_arms import chain_of_rows, chain_poses, ur_model
 from calib.result.calibration_file import write_result
 from calib.robot.robot import Robot

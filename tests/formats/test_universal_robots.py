@@ -8,26 +8,12 @@ import pinocchio as pin
 import pytest
 
 from calib.errors import FileError, ModelError
-from calib.formats.universal_robots import (
-    Conf,
-    Source,
-    conf_bytes,
-    kinematics_bytes,
-    read_kinematics,
-    read_nominal,
-    read_numbers,
-    read_ur,
-    write_ur_conf,
-    write_ur_yaml,
-)
-from calib.formats.ur_arms import (
-    chain_of_rows,
-    chain_poses,
-    kinematics_hash,
-    the_mount,
-    ur_model,
-    ur_robot,
-)
+from calib.formats.source import Source
+from calib.formats.universal_robots import read_ur, write_ur_conf, write_ur_yaml
+from calib.formats.ur_arms import chain_of_rows, chain_poses, kinematics_hash, ur_model, ur_robot
+from calib.formats.ur_conf import Conf, conf_bytes, read_nominal
+from calib.formats.ur_mount import the_mount
+from calib.formats.ur_yaml import kinematics_bytes, read_kinematics, read_numbers
 from calib.robot.robot import Robot
 from tests.formats.ur_cases import WITH_DELTAS, rows, write_deltas
 

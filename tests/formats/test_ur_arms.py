@@ -10,10 +10,10 @@ from calib.formats.ur_arms import (
     chain_of_rows,
     chain_poses,
     kinematics_hash,
-    the_mount,
     ur_model,
     ur_robot,
 )
+from calib.formats.ur_mount import the_mount
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from tests.formats.ur_cases import CALIBRATIONS, CASES, rows

@@ -27,8 +27,8 @@ def test_orientations_are_told_beside_positions():
     values = {"before_m": 2e-3, "after_m": 1e-3, "before_rad": 0.1, "after_rad": 0.01}
     gain = Reason(Why.GAIN, values | {"method": "leave-one-out", "outliers": 2})
     assert reason_text(gain) == (
-        "On unseen rows (leave-one-out, outliers aside) the error falls from 2.000 mm and 5.730 deg to 1.000 mm and "
-        "0.573 deg rms."
+        "On held-out rows (leave-one-out, outliers excluded) the error falls from 2.000 mm and 5.730 deg to 1.000 "
+        "mm and 0.573 deg rms."
     )
 
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.data.geometry import (
+from calib.errors import CalibError
+from calib.numerics.geometry import (
     FARTHEST,
     inverse_right_jacobian,
     not_rotations,
@@ -19,7 +20,6 @@ from calib.data.geometry import (
     to_quaternions,
     vector,
 )
-from calib.errors import CalibError
 
 TURN = Rotation.from_rotvec([0.1, -0.2, 0.3]).as_matrix()
 

@@ -1,0 +1,276 @@
+"""Checks of what rows of measurements hold: numbers in range, rotations, words, and complete pairs and groups."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NoReturn
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+import calib.data.kinds as registry
+from calib.data.columns import SETS, reserved
+from calib.errors import MeasurementError, choices
+from calib.numerics.geometry import not_rotations
+from calib.robot.robot import read_only
+from calib.units import Array, Integers, Mask
+
+#: Two rows of a pair that both give its distance give the same to all digits of a table [m].
+_AGREE_M = 1e-9
+
+#: Most rows that a message lists.
+_LISTED_ROWS = 8
+
+
+@dataclass(frozen=True, slots=True)
+class RowLabels:
+    """What messages call N rows of measurements and their joints."""
+
+    source: str  #: The file's name; empty: none.
+    rows: Sequence[int]  #: Row numbers as the table has them.
+    kinds: Sequence[str]  #: Name of each row's kind.
+    joint_names: Sequence[str]  #: Names of the joints, in the order of the columns of joint values.
+
+    @property
+    def name(self) -> str:
+        """What messages call the measurements as a whole."""
+        return self.source or "Measurements"
+
+    def fail(self, index: int, what: str) -> NoReturn:
+        """Refuse a row by its index, from 0; the message has its row number.
+
+        Raises:
+            MeasurementError: Always.
+        """
+        raise MeasurementError(f"{self.name}, row {self.rows[index]}: {what}")
+
+    def fail_on(self, what: str, indices: Sequence[int], fix: str) -> NoReturn:
+        """Refuse several rows by their indices, from 0.
+
+        Raises:
+            MeasurementError: Always.
+        """
+        numbers = ", ".join(str(self.rows[i]) for i in indices[:_LISTED_ROWS])
+        plural = "s" if len(indices) > 1 else ""
+        raise MeasurementError(f"{self.source}: {what} stands in row{plural} {numbers}; {fix}")
+
+
+def by_word(words: Sequence[str], rows: Mask) -> dict[str, list[int]]:
+    """Group rows by their words.
+
+    Args:
+        words: Word of each row.
+        rows: Which rows to group, shape (N,).
+
+    Returns:
+        Indices of these rows, from 0, by their words.
+    """
+    result: dict[str, list[int]] = {}
+    for i in np.flatnonzero(rows).tolist():
+        result.setdefault(words[i], []).append(i)
+    return result
+
+
+# Words and names
+
+
+def check_words(labels: RowLabels, words: Mapping[str, Sequence[str]], count: int) -> None:
+    """Check the words and the numbers of rows.
+
+    Args:
+        labels: The rows, whose numbers are checked too.
+        words: Words by attribute of `Measurements`; ``sets`` and ``kinds`` among them.
+        count: The number of rows.
+
+    Raises:
+        MeasurementError: There are not ``count`` words or row numbers, a set or a kind does not
+            exist, or a row number repeats.
+    """
+    for name, entries in {**words, "rows": labels.rows}.items():
+        if len(entries) != count:
+            raise MeasurementError(
+                f"{labels.name}: '{name}' has {len(entries)} entries and should have {count}, "
+                "one a row"
+            )
+    for column, allowed in (("set", SETS), ("kind", registry.names())):
+        column_words = words[f"{column}s"]
+        for word in set(column_words) - set(allowed):
+            what = f"column '{column}': '{word}' is none of {choices(allowed)}."
+            labels.fail(column_words.index(word), what)
+    if len(set(labels.rows)) < count:
+        repeated = Counter(labels.rows).most_common(1)[0][0]
+        raise MeasurementError(
+            f"{labels.name}: the row number {repeated} stands there twice; each row has its own"
+        )
+
+
+def check_joint_names(labels: RowLabels) -> None:
+    """Check that names of joints are unique and no other column's.
+
+    Raises:
+        MeasurementError: They are not; the message lists them.
+    """
+    counts = Counter(labels.joint_names)
+    taken = [name for name, count in counts.items() if count > 1 or name in reserved()]
+    if taken:
+        raise MeasurementError(
+            f"{labels.name}: joint names are unique and no other column's; given were "
+            f"{choices(taken)}"
+        )
+
+
+# Numbers
+
+
+def checked_numbers(
+    labels: RowLabels,
+    name: str,
+    values: ArrayLike | None,
+    tail: tuple[int, ...],
+    rows: Mask,
+    limits: tuple[float, float],
+) -> Array | None:
+    """Return a checked, read-only copy of an array.
+
+    Args:
+        labels: The N rows, for messages.
+        name: The array's name, for messages; ``"sigma..."`` of a standard deviation.
+        values: shape (N, *tail), in SI units; None: not given.
+        tail: Shape of the entry of a row.
+        rows: Which rows measure it, shape (N,).
+        limits: Least and largest number of these rows.
+
+    Returns:
+        The array, NaN in other rows; None if no row measures it, or if it is a standard deviation
+        that is not given.
+
+    Raises:
+        MeasurementError: The array is missing, of another shape, or has a number out of range.
+    """
+    if not rows.any() or (values is None and name.startswith("sigma")):
+        return None
+    if values is None:
+        i = int(np.argmax(rows))
+        labels.fail(i, f"a row of the kind '{labels.kinds[i]}' needs '{name}', and there are none")
+    array = np.array(values, dtype=np.float64)
+    shape = (len(rows), *tail)
+    if array.shape != shape:
+        raise MeasurementError(
+            f"Measurements: '{name}' has shape {array.shape} and should have {shape}"
+        )
+    least, largest = limits
+    in_range = (array >= least) & (array <= largest)
+    is_bad = ~in_range & rows.reshape(-1, *(1 for _ in tail))
+    if is_bad.any():
+        at = np.argwhere(is_bad)[0].tolist()
+        what = labels.joint_names[at[1]] if name == "joints" else name
+        labels.fail(
+            at[0],
+            f"'{what}' is {array[tuple(at)]:g}; in a row of the kind '{labels.kinds[at[0]]}' it "
+            f"is a number from {least:g} to {largest:g}, in SI units. Correct it, or its unit.",
+        )
+    array[~rows] = np.nan
+    return read_only(array)
+
+
+def shared_by_pairs(labels: RowLabels, values: ArrayLike, pair_rows: Integers) -> Array:
+    """Return readings in which both rows of a pair have the pair's.
+
+    Args:
+        labels: The N rows, for messages.
+        values: Readings, shape (N,), in SI units; NaN in at most one row of a pair.
+        pair_rows: Indices of the two rows of each pair, from 0, shape (P, 2).
+
+    Returns:
+        The readings, shape (N,).
+
+    Raises:
+        MeasurementError: The rows of a pair have different readings.
+    """
+    result = np.array(values, dtype=np.float64)
+    for pair in pair_rows:
+        first, second = result[pair]
+        if abs(first - second) > _AGREE_M:
+            labels.fail(
+                int(pair[0]),
+                f"its pair has {first:.10g} m here and {second:.10g} m in row "
+                f"{labels.rows[pair[1]]}; give it once, or the same",
+            )
+        result[pair] = second if np.isnan(first) else first
+    return result
+
+
+def check_rotations(labels: RowLabels, rotations: Array, rows: Mask) -> None:
+    """Check the orientations of rows.
+
+    Args:
+        labels: The N rows, for messages.
+        rotations: Matrices, shape (N, 3, 3).
+        rows: Which rows measure an orientation, shape (N,).
+
+    Raises:
+        MeasurementError: A matrix of these rows is not a rotation.
+    """
+    indices = np.flatnonzero(rows)
+    wrong = indices[not_rotations(rotations[indices])]
+    if wrong.size:
+        what = "'rotations' holds no rotation; each is orthonormal with determinant 1"
+        labels.fail(int(wrong[0]), what)
+
+
+def check_torques(labels: RowLabels, torques: Array) -> None:
+    """Check that each joint has torques in all rows or in none.
+
+    Args:
+        labels: The N rows, for messages.
+        torques: shape (N, n) [Nm or N]; NaN where there is none.
+
+    Raises:
+        MeasurementError: A joint has torques in some rows only.
+    """
+    is_given = np.isfinite(torques)
+    missing = np.argwhere(~is_given & is_given.any(axis=0))
+    if missing.size:
+        row, joint = missing[0].tolist()
+        what = "has no torque here and has one in other rows; give all of them, or none"
+        labels.fail(row, f"joint '{labels.joint_names[joint]}' {what}")
+
+
+# Complete pairs and groups
+
+
+def check_pairs(labels: RowLabels, pairs: Mapping[str, Sequence[int]], sets: Sequence[str]) -> None:
+    """Check that each pair has two rows of one set.
+
+    Args:
+        labels: The rows, for messages.
+        pairs: Indices of the rows of each pair, from 0, by the word that they share.
+        sets: Set of each row.
+
+    Raises:
+        MeasurementError: A pair has another number of rows, or rows of two sets.
+    """
+    for word, indices in pairs.items():
+        if len(indices) != 2 or sets[indices[0]] != sets[indices[1]]:
+            fix = "a distance is between two rows of one set. Give each pair a word of its own."
+            labels.fail_on(f"the pair '{word}'", indices, fix)
+
+
+def check_groups(labels: RowLabels, kind: str, groups: Mapping[str, Sequence[int]]) -> None:
+    """Check that groups have enough rows of a kind to determine their frames.
+
+    Args:
+        labels: The rows, for messages.
+        kind: Name of the kind.
+        groups: Indices of the rows of this kind, from 0, by group.
+
+    Raises:
+        MeasurementError: A group has fewer rows than `Kind.fewest`.
+    """
+    fewest = registry.get(kind).fewest
+    for group, indices in groups.items():
+        if len(indices) < fewest:
+            fix = f"it takes {fewest} rows or more. Measure more, or correct the group's name."
+            labels.fail_on(f"the group '{group}' of the kind '{kind}'", indices, fix)

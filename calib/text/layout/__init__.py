@@ -1,0 +1,1 @@
+"""Layout of printed text: paragraphs, numbers and tables; no sentences."""
