@@ -138,7 +138,7 @@ class Table:
     def fit(self, model: str) -> Fitted:
         """Fit a model; return its non-geometric fit where it has one, for this predicts best."""
         fits = fit_table(self.robot, self.measurements, self.cell, model=model)
-        return fits.non_geometric or fits.fitted
+        return fits.non_geometric or fits.geometry
 
 
 def measure(truth: Truth, cell: Cell, count: int, seed: int) -> Table:
@@ -187,9 +187,9 @@ def table_of_truth(arm: str, true_model: str, count: int, seed: int) -> Table:
 def errors_by_model(table: Table) -> dict[str, float]:
     """Return the error of `auto` and of each fixed model, rms [m]."""
     auto = fit_table(table.robot, table.measurements, table.cell, model="auto")
-    errors = {"auto": table.error(auto.non_geometric or auto.fitted)}
-    task = replace(auto.fitted.task, lenient=True)
-    rows = auto.fitted.estimate.problem.rows
+    errors = {"auto": table.error(auto.non_geometric or auto.geometry)}
+    task = replace(auto.geometry.task, lenient=True)
+    rows = auto.geometry.estimate.problem.rows
     for model in FIXED:
         errors[model] = table.error(fit(replace(task, model=model), rows))
     return errors
@@ -312,13 +312,13 @@ def run_geometry(seed: int) -> tuple[str, int, float]:
     fits = fit_table(table.robot, table.measurements, table.cell, model="auto")
     geometries = [candidate for candidate in fits.candidates if "+" not in candidate.name]
     likeliest = max(geometries, key=lambda candidate: candidate.evidence).name
-    if likeliest == fits.fitted.task.model:
+    if likeliest == fits.geometry.task.model:
         return geometry, count, 1.0
-    rows = fits.fitted.estimate.problem.rows
-    likeliest_fit = fit(replace(fits.fitted.task, model=likeliest), rows)
-    reference = fits.non_geometric or fits.fitted
+    rows = fits.geometry.estimate.problem.rows
+    likeliest_fit = fit(replace(fits.geometry.task, model=likeliest), rows)
+    reference = fits.non_geometric or fits.geometry
     error = table.error(with_better_weights(likeliest_fit, rows, reference))
-    return geometry, count, table.error(fits.fitted) / error
+    return geometry, count, table.error(fits.geometry) / error
 
 
 def geometry_rows(runs: int, first: int, workers: int) -> Iterator[list[str]]:

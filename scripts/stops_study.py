@@ -184,9 +184,9 @@ def compare_fits(robot: Robot, stops: int, missed: float, seed: int) -> Figures:
     """Draw a hand, fit its markers and its poses; arguments as for `Hand.draw`."""
     hand = Hand.draw(robot, stops, missed, seed)
     cell = Cell(estimate_frame=True)
-    of_points = fit_table(robot, hand.point_table(), cell, model="dh").fitted
+    of_points = fit_table(robot, hand.point_table(), cell, model="dh").geometry
     table, body = hand.pose_table()
-    of_poses = fit_table(robot, table, cell, model="dh").fitted
+    of_poses = fit_table(robot, table, cell, model="dh").geometry
     by_translation, by_rotation = of_points.estimate.problem.rho[0]
     return Figures(
         by_points=rms(np.linalg.norm(point_fit_errors(hand, of_points), axis=2)),
