@@ -41,7 +41,7 @@ from calib.data.measurements import Measurements
 from calib.estimate.fitting import Fitted, fit
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Samples
-from calib.result.calibrate import fit_table
+from calib.result.fits import fit_table
 from calib.robot.gravity import gravity_loads
 from calib.robot.payload import Payload
 from calib.robot.ranges import random_joint_values

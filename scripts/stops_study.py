@@ -24,7 +24,7 @@ from calib.data.measurements import Measurements
 from calib.estimate.fitting import Fitted
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
-from calib.result.calibrate import fit_table
+from calib.result.fits import fit_table
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.units import Array
