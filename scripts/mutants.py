@@ -35,8 +35,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 
 #: The modules that decide numbers and verdicts.
-FOLDERS = ("model", "estimate", "selection", "result", "diagnosis", "compensation")
-MUTATED = (*(f"calib/{folder}/*.py" for folder in FOLDERS), "calib/data/kinds.py")
+CORE = "numerics model registration estimate selection diagnosis result compensation".split()
+MUTATED = (*(f"calib/{folder}/*.py" for folder in CORE), "calib/data/kinds.py")
 
 #: An operator between its operands.
 OPERATOR = re.compile(r"not\s+in|is\s+not|[^\s()]+")
