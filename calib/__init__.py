@@ -27,11 +27,11 @@ if TYPE_CHECKING:
     from calib.conversion import convert as convert
     from calib.data.cell import Cell as Cell
     from calib.data.measurements import Measurements as Measurements
+    from calib.design.inspection import inspect as inspect
     from calib.design.optimal import PlanRequest as PlanRequest
     from calib.design.plan import Plan as Plan, plan as plan
     from calib.design.workspace import Region as Region, workspace as workspace
     from calib.errors import CalibError as CalibError
-    from calib.estimate.inspection import inspect as inspect
     from calib.fleets.fleet import fleet as fleet
     from calib.result.evaluation import Evaluation as Evaluation, evaluate as evaluate
     from calib.result.uncertainty import bootstrap as bootstrap
@@ -54,7 +54,7 @@ _NAMES = {
     "calib.design.plan": "Plan plan",
     "calib.design.workspace": "Region workspace",
     "calib.errors": "CalibError",
-    "calib.estimate.inspection": "inspect",
+    "calib.design.inspection": "inspect",
     "calib.fleets.fleet": "fleet",
     "calib.result.evaluation": "Evaluation evaluate",
     "calib.result.uncertainty": "bootstrap",

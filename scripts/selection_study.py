@@ -140,7 +140,7 @@ def errors_by_model(table: Table) -> dict[str, float]:
     """The error of each fixed model, and of `auto`."""
     auto = fit_table(table.robot, table.measurements, table.cell, model="auto")
     found = {"auto": table.error(auto.non_geometric or auto.fitted)}
-    task, rows = replace(auto.fitted.task, lenient=True), auto.fitted.estimate.problem.rows
+    task, rows = replace(auto.fitted.task, allow_absent=True), auto.fitted.estimate.problem.rows
     found |= {m: table.error(fit(replace(task, model=m), rows)) for m in FIXED}
     return found
 

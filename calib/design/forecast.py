@@ -21,9 +21,9 @@ from calib.data.cell import AUTO, Cell, Tracker
 from calib.data.columns import DEFAULT_TARGET
 from calib.data.measurements import Measurements
 from calib.design.candidates import Note, planning_ranges
+from calib.design.inspection import GENERIC_TARGET, table_of_poses
 from calib.errors import ModelError, choices
-from calib.estimate.fitting import Task, model_of
-from calib.estimate.inspection import GENERIC_TARGET, table_of_poses
+from calib.estimate.task import Task
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability, analyse
@@ -87,7 +87,7 @@ class Sensitivity:
             notes.append(Note("orientation_noise", (FIRST_SIGMA_ANGLE,)))
         auto = cell.model == AUTO
         name = PLANNED_FOR_AUTO if auto else cell.model
-        model = model_of(Task(robot, cell, setup, name, lenient=auto))
+        model = Task(robot, cell, setup, name, allow_absent=auto).error_model()
         model = setup.aligned(model)
         for wanted in () if auto else (*cell.parameter_priors, *cell.bounds):
             model.index(wanted)

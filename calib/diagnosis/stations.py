@@ -32,7 +32,10 @@ def disagreeing_stations(fitted: Fitted) -> tuple[Reason, ...]:
     if labels.max() < 1 or estimate.freedom < _FEWEST_FREEDOM:
         return ()
     linear, of_fit = problem.linear(estimate.x), np.array([estimate.noise])
-    priors, noise = GaussianPriors(problem.precision, problem.centre), linear.noise_of(of_fit)[0]
+    priors, noise = (
+        GaussianPriors(problem.precision, problem.centre),
+        linear.noise_by_scalar(of_fit)[0],
+    )
     counts = np.any(linear.used, axis=1) & (estimate.weights > 0.0)
     # Set-ups that only validation rows have are not among these.
     present = np.unique(labels[counts])

@@ -51,9 +51,7 @@ def estimate_within_bounds(problem: Problem, task: Task, prior: PriorTerms) -> E
     return estimate
 
 
-def _pulled_inwards(
-    estimate: Estimate, prior: PriorTerms, fixed: Mapping[int, float]
-) -> set[int]:
+def _pulled_inwards(estimate: Estimate, prior: PriorTerms, fixed: Mapping[int, float]) -> set[int]:
     """Numbers of the parameters at a bound whose release would lower the sum of squares, within the bounds.
 
     Args:

@@ -32,14 +32,17 @@ class Estimate:
     """Estimated parameters of one fit to N rows."""
 
     x: Array  # (p,), offsets from the nominal robot and the registered setup [m, rad, ...]
-    problem: Problem  # The problem in its last form: weights, scales and prior precision as estimated
+    # The problem in its last form: weights, scales and prior precision as estimated
+    problem: Problem
     solution: Solution  # The solver's: all stages one after the other
     covariance: Array  # (p, p), of x
     scores: Array  # (N,), deleted residual norm of each row: `calib.numerics.scores`
     flag_limit: float  # A row with a higher score is flagged as an outlier
     freedom: float  # Degrees of freedom left for the noise
-    noise: tuple[float, ...]  # (C,), estimated noise of each instrument, in units of the given sigma
-    prior_std: Mapping[str, float]  # Prior standard deviation of each family, SI units; empty without priors
+    # (C,), estimated noise of each instrument, in units of the given sigma
+    noise: tuple[float, ...]
+    # Prior standard deviation of each family, SI units; empty without priors
+    prior_std: Mapping[str, float]
     weights: Array  # (N,), robust weights, repeats not shared out
     log_likelihood: float  # Restricted log-likelihood at these prior standard deviations and noise
     at_bound: tuple[int, ...] = ()  # Numbers of parameters that are at a bound
@@ -78,9 +81,7 @@ def estimate_at_stage(
     linear, prior = problem.linear(solution.x), stage.prior
     has_priors = prior.source != "off"
     _, covariance_for_scores, freedom = stage.scoring_fit(linear)
-    scores = linear.scores(
-        solution.x[None], covariance_for_scores, stage.effective, stage.noise
-    )
+    scores = linear.scores(solution.x[None], covariance_for_scores, stage.effective, stage.noise)
     covariance = _covariance(problem, stage, linear, covariance_factor)
     x = solution.x.copy()
     if has_priors:  # without, nothing keeps small what the target can replace: there are no traces

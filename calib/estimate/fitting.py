@@ -148,9 +148,7 @@ def fit(
     if registered is None:
         registered = _registered(task, rows)
     model = registered.aligned(model)
-    kinematics = Kinematics(
-        task.robot, model, registered.T_frame_base, registered.T_tip_target
-    )
+    kinematics = Kinematics(task.robot, model, registered.T_frame_base, registered.T_tip_target)
     problem = Problem.initial(kinematics, rows, task.distances).with_size_held()
     if task.solver == PAPER:
         estimate = paper_estimate(problem, task, registered)

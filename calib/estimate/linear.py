@@ -42,10 +42,13 @@ class LinearProblem:
     """N rows of D scalars linearised at x, by p parameters, in units of each scalar's given sigma."""
 
     x: Array  # (p,), x0, where the problem is linearised
-    columns: Array  # (p + 1, D, N): the Jacobian A of the prediction, and behind it the residual r at x0
+    # (p + 1, D, N): the Jacobian A of the prediction, and behind it the residual r at x0
+    columns: Array
     used: Mask  # (N, D), which scalars were measured
-    instruments: NDArray[np.int8]  # (N, D), which noise each scalar has, from 0; -1 where there is none
-    smallest_noise: tuple[float, ...]  # (C,), lowest noise of each instrument, in units of the given sigma
+    # (N, D), which noise each scalar has, from 0; -1 where there is none
+    instruments: NDArray[np.int8]
+    # (C,), lowest noise of each instrument, in units of the given sigma
+    smallest_noise: tuple[float, ...]
     C: Array  # (K, p), rows of constraints C x = z, whitened: known distances, last what is held
     z: Array  # (K,), value of each constraint
     held: Array  # (p,), see `NormalEquations.held`
@@ -218,8 +221,6 @@ class LinearProblem:
         if self.stops is None:
             return result
         for b, c in np.ndindex(*rho.shape[:2]):
-            moments = self.stops.moments(
-                self.columns, weights[b], c, x[b] - self.x, covariance[b]
-            )
+            moments = self.stops.moments(self.columns, weights[b], c, x[b] - self.x, covariance[b])
             result[b, c] = moments.shares(rho[b, c])
         return result

@@ -81,9 +81,7 @@ def _noise(linear: LinearProblem, stage: Stage) -> float:
     return float(max(noise, linear.smallest_noise[0]))
 
 
-def paper_system(
-    problem: Problem, nominal: Array, unit: Array, X: Array
-) -> tuple[Array, Array]:
+def paper_system(problem: Problem, nominal: Array, unit: Array, X: Array) -> tuple[Array, Array]:
     """The paper's error e_i = |r_i|^2 of N points and its Jacobian, as a solver takes them.
 
     Args:

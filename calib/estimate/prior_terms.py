@@ -34,8 +34,10 @@ class PriorTerms:
 
     names: tuple[str, ...]  # (K,), names of the families
     families: Mask  # (K, p), which parameters belong to each
-    start: tuple[float, ...]  # (K,), prior standard deviations as given or assumed before the fit, in SI units
-    precision: Array  # (p,), of parameters with a prior of their own, and of frames and targets; else 0
+    # (K,), prior standard deviations as given or assumed before the fit, in SI units
+    start: tuple[float, ...]
+    # (p,), of parameters with a prior of their own, and of frames and targets; else 0
+    precision: Array
     centre: Array  # (p,), means of the priors: 0, but for parameters at a bound, and given targets and frames
     flat: Mask  # (p,), frames and targets without a prior of their own
     source: str  # "data": prior standard deviations are estimated; "given": kept; "off": weak priors alone

@@ -1,8 +1,8 @@
-"""Stages of an estimation: row weights, noise and prior standard deviations on the linearised problem, until they settle.
+"""Stages of an estimation: row weights, noise and prior standard deviations are estimated until they settle.
 
-First come robust weights whose scale is a median; then noise and prior standard deviations by restricted likelihood,
-with weights that single out the outliers. B fits, each without some of the rows, go through the stages together. Letters
-of shapes: see `calib.estimate.problem`.
+On the linearised problem: first robust weights whose scale is a median; then noise and prior standard deviations by
+restricted likelihood, with weights that single out the outliers. B fits, each without some of the rows, go through the
+stages together. Letters of shapes: see `calib.estimate.problem`.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ class Weighting:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stage:
-    """Weights, noise and prior standard deviations at one point of an estimation, of B fits without some of the rows."""
+    """Weights, noise and prior standard deviations at one point of an estimation of B fits."""
 
     prior: PriorTerms  # Priors as given, the same for all fits
     kept: Mask  # (B, N), the rows that each fit has
@@ -272,7 +272,7 @@ class Stage:
         """Return the stage with those of some of the B fits, by their numbers, replaced by ``new``."""
 
         def joined(old_values: Array, new_values: Array) -> Array:
-            values = old_values.copy()
+            values: Array = old_values.copy()
             values[fits] = new_values
             return values
 
@@ -313,11 +313,10 @@ def run_stages(
             before = stage.select(moving)
             if by_likelihood:
                 after = before.by_likelihood(linear, robust)
+                after = after.sharing(linear, poses, weighting.repeats).by_stops(linear)
             else:
                 after = before.by_median(linear)
-            after = after.sharing(linear, poses, weighting.repeats)
-            if by_likelihood:
-                after = after.by_stops(linear)
+                after = after.sharing(linear, poses, weighting.repeats)
             linear = linear_at(after)
             stage = stage.updated(moving, after)
             settled = _has_settled(before, after, weights_only=not by_likelihood)

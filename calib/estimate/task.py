@@ -56,7 +56,9 @@ class Task:
         frozen, ties = self.cell.frozen, self.cell.ties
         leaders = [leader for leader, _ in ties.values()]
         named = {*frozen, *ties, *leaders}
-        of_setup = [parameter for parameter in model.parameters if parameter.family in (FRAME, TARGET)]
+        of_setup = [
+            parameter for parameter in model.parameters if parameter.family in (FRAME, TARGET)
+        ]
         refused = [parameter.name for parameter in of_setup if parameter.name in named]
         if refused:
             raise ModelError(

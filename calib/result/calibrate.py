@@ -18,11 +18,12 @@ from calib.blas import one_blas_thread
 from calib.data.cell import AUTO, Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.coverage import outside
+from calib.diagnosis.extrapolation import extrapolation
 from calib.diagnosis.reasons import NO, Reason, Verdict
 from calib.diagnosis.usual_mistakes import check_positions, find_usual_mistake
 from calib.diagnosis.verdict import verdict
-from calib.estimate.extrapolation import extrapolation
-from calib.estimate.fitting import Fitted, Task, fit
+from calib.estimate.fitting import Fitted, fit
+from calib.estimate.task import Task
 from calib.jobs import Progress
 from calib.model.error_model import OWN, split_name
 from calib.model.kinematics import Samples
@@ -147,12 +148,12 @@ def fit_table(
     task = Task(robot, cell, told, model, distances, solver, robust)
     if hint and model == AUTO:  # nothing that is told of such a fit means anything
         check_parameter_names(task)
-        task = replace(task, model="zeros", lenient=True)
+        task = replace(task, model="zeros", allow_absent=True)
     fitted, non_geometric, candidates = _fitted(task, rows)
     if isinstance(model, str) and not (hint or non_geometric or candidates):
         fitted = _judged(fitted, measurements)
-    fitted = fitted.with_unseen(unseen, others)
-    non_geometric = non_geometric and non_geometric.with_unseen(unseen, others)
+    fitted = fitted.with_held_out(unseen, others)
+    non_geometric = non_geometric and non_geometric.with_held_out(unseen, others)
     rows = replace(rows, sole=fitted.estimate.problem.rows.sole)
     seconds = time.perf_counter() - began
     return Fits(fitted, non_geometric, candidates, every, rows, unseen, hint, seconds)
@@ -161,7 +162,7 @@ def fit_table(
 def _fitted(task: Task, rows: Rows) -> tuple[Fitted, Fitted | None, tuple[Candidate, ...]]:
     """The fit of the geometry, that of the non-geometric model if there is one, and the candidates."""
     if task.model == AUTO and task.solver == "paper":
-        return fit(replace(task, model="dh", lenient=True), rows), None, ()
+        return fit(replace(task, model="dh", allow_absent=True), rows), None, ()
     if task.model == AUTO:
         chosen = select(task, rows)
         base, candidates, judge = chosen.geometry, chosen.candidates, chosen.reference
@@ -171,7 +172,7 @@ def _fitted(task: Task, rows: Rows) -> tuple[Fitted, Fitted | None, tuple[Candid
     if base == judge.kinematics.model.name:
         return judge, None, candidates
     rows = replace(rows, sole=judge.estimate.problem.rows.sole)
-    own = fit(replace(task, model=base, lenient=True), rows, started=judge.setup)
+    own = fit(replace(task, model=base, allow_absent=True), rows, registered=judge.setup)
     return with_better_weights(own, rows, judge), judge, candidates
 
 
@@ -194,7 +195,7 @@ def _outliers_of_few(fitted: Fitted, m: Measurements) -> bool:
     rows, flagged = fitted.estimate.problem.rows, fitted.estimate.outliers
     judge = fit_with_all_families(fitted, _loaded(fitted, m, rows.evenly(_MANY)))
     chosen = rows.with_partners(flagged)
-    scores = judge.unseen_scores(_loaded(fitted, m, chosen))[flagged[chosen]]
+    scores = judge.held_out_scores(_loaded(fitted, m, chosen))[flagged[chosen]]
     limit = Limits.of(len(rows), judge.estimate.freedom).flagged
     return bool(np.all(scores > limit))
 
@@ -279,7 +280,7 @@ def _contenders(m: Measurements, fits: Fits, chosen: Fitted) -> Iterator[Fitted]
     others = fits.every.select(m.validation)
     for name in alternative_models(fits.candidates):
         fitted = fit(replace(chosen.task, model=name), fits.rows)
-        yield fitted.with_unseen(fits.unseen, others)
+        yield fitted.with_held_out(fits.unseen, others)
 
 
 def _with_non_geometric(fits: Fits, non_geometric: Fitted | None) -> Fits:
@@ -340,7 +341,7 @@ def _assembled(m: Measurements, fits: Fits) -> CalibrationValues:
     residual = fitted.residual(every)
     scores, weights = np.empty(len(mask)), np.zeros(len(mask))
     weights[mask], scores[mask] = estimated.weights, estimated.scores
-    scores[~mask] = fitted.unseen_scores(every.select(~mask))
+    scores[~mask] = fitted.held_out_scores(every.select(~mask))
     measured = np.any(every.used[:, :3], axis=1)
     lengths = np.where(measured, np.linalg.norm(residual[:, :3], axis=1), np.nan)
 

@@ -32,7 +32,7 @@ def compare_weights(fitted: Fitted) -> Robustness:
     """Fit once more with robust weights where there were none, or without where there were, and compare."""
     estimate, rows = fitted.estimate, fitted.estimate.problem.rows
     task = replace(fitted.task, robust=not fitted.task.robust)
-    other = fit(task, replace(rows, weights=None), started=fitted.setup)
+    other = fit(task, replace(rows, weights=None), registered=fitted.setup)
     samples = rows.samples
     as_one_body = not any(kind.position for kind in rows.present)
     if as_one_body:

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from calib.data.cell import Cell, Priors, Tracker, TrackerNoise
 from calib.data.measurements import Measurements
 from calib.design.forecast import Sensitivity, forecast
+from calib.design.inspection import inspect
 from calib.errors import ModelError
-from calib.estimate.inspection import inspect
 from calib.model.kinematics import Kinematics, Samples
 from calib.registration.table_rows import FIRST_SIGMA_ANGLE
 from calib.result.calibrate import calibrate
