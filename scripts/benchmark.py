@@ -42,7 +42,7 @@ from calib.estimate.problem import Problem
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
 from calib.registration.rows import Rows
-from calib.registration.table_rows import rows_of
+from calib.registration.table_rows import rows_and_setup
 from calib.robot.chain import pinocchio_chain
 from calib.robot.robot import Robot
 from calib.simulation.scenario import Scenario
@@ -123,7 +123,7 @@ def task_of(count: int) -> tuple[Task, Rows]:
     """What the fit itself starts from."""
     robot, table = simulated(count)
     cell = Cell(model="dh")
-    rows, setup = rows_of(robot, table, cell)
+    rows, setup = rows_and_setup(robot, table, cell)
     return Task(robot, cell, setup, "dh"), rows
 
 

@@ -108,7 +108,7 @@ class GroupDistance:
 
 @dataclass(frozen=True, slots=True)
 class _Check:
-    """What a value of a cell must be."""
+    """A check of a value of a cell."""
 
     must: str  #: For the message: ``"three numbers [m]"``.
     #: Gives the value that is kept; refuses by None, a TypeError or a ValueError.

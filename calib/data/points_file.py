@@ -180,11 +180,8 @@ def read_points(path: str | Path, unit: str | None = None) -> Points:
     name_columns, point_columns = _columns(table, content.headings)
     length_unit = _find_unit(content.remarks, unit, source)
     metres = _positions(table, point_columns, length_unit)
-    between = " " if content.separator == " " else PARTS
-    names: list[str] = []
-    if name_columns:
-        names = [between.join(row[i] for i in name_columns) for row in cells]
-    return Points(tuple(names), metres, table.lines, source, sha256)
+    names = _whole_names(table, name_columns)
+    return Points(names, metres, table.lines, source, sha256)
 
 
 class _Content(NamedTuple):
@@ -232,6 +229,14 @@ def _padded(cells: Sequence[Sequence[str]]) -> tuple[list[str], ...]:
     """Return the rows with empty cells at their ends, all of one length."""
     width = max(map(len, cells))
     return tuple([*row, *[""] * (width - len(row))] for row in cells)
+
+
+def _whole_names(table: Table, columns: Sequence[int]) -> tuple[str, ...]:
+    """Return the names of the points from the columns of their parts, from 0; none without."""
+    if not columns:
+        return ()
+    between = " " if table.separator == " " else PARTS
+    return tuple(between.join(row[i] for i in columns) for row in table.cells)
 
 
 def _positions(table: Table, columns: Sequence[int], unit: Unit) -> NDArray[np.float64]:

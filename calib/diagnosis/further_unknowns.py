@@ -24,7 +24,7 @@ from calib.model.dh import zero_poses
 from calib.model.families import ANGLE, LENGTH, ZERO
 from calib.model.parameters import FRAME, TARGET
 from calib.numerics.errors import rms
-from calib.numerics.likelihood import Priors
+from calib.numerics.likelihood import GaussianPriors
 from calib.registration.rows import Rows
 from calib.units import Array, Mask
 
@@ -150,7 +150,9 @@ def _error_of_blocks(fitted: Fitted, linear: Linear, weights: Array) -> float:
     block = np.arange(len(rows)) * _BLOCKS // len(rows)
     masks = block == np.unique(block)[:, None]
     noise = np.tile(fitted.estimate.noise, (len(masks), 1))
-    priors = Priors(*(np.pad(one, (0, further)) for one in (problem.precision, problem.centre)))
+    priors = GaussianPriors(
+        *(np.pad(one, (0, further)) for one in (problem.precision, problem.centre))
+    )
     x = linear.fit(np.where(masks, 0.0, weights), problem.rho, noise, priors)[0]
     residual = linear.residual(x) / linear.noise_of(noise)
     squares = []

@@ -9,9 +9,9 @@ import numpy as np
 from calib.diagnosis.patterns import prediction_square, unpredicted
 from calib.diagnosis.reasons import Reason, Why
 from calib.estimate.fitting import Fitted
-from calib.numerics.likelihood import Priors
+from calib.numerics.likelihood import GaussianPriors
 from calib.numerics.repeats import pose_means
-from calib.registration.known_distances import joined_setups
+from calib.registration.known_distances import joined_stations
 from calib.selection.held_out import seen_only_by
 from calib.units import Mask
 
@@ -28,11 +28,11 @@ _SHARE_FLAGGED = 0.25
 def disagreeing_stations(fitted: Fitted) -> tuple[Reason, ...]:
     """Find the set-ups that a fit to the others does not predict, the two surest of them."""
     estimate, problem, rows = fitted.estimate, fitted.estimate.problem, fitted.estimate.problem.rows
-    labels = joined_setups(rows, fitted.task.distances)
+    labels = joined_stations(rows, fitted.task.distances)
     if labels.max() < 1 or estimate.freedom < _FEWEST_FREEDOM:
         return ()
     linear, of_fit = problem.linear(estimate.x), np.array([estimate.noise])
-    priors, noise = Priors(problem.precision, problem.centre), linear.noise_of(of_fit)[0]
+    priors, noise = GaussianPriors(problem.precision, problem.centre), linear.noise_of(of_fit)[0]
     counts = np.any(linear.used, axis=1) & (estimate.weights > 0.0)
     # Set-ups that only validation rows have are not among these.
     present = np.unique(labels[counts])
@@ -72,7 +72,7 @@ def _setup_name(fitted: Fitted, own: Mask) -> str:
 def flagged_station(fitted: Fitted) -> Iterator[Reason]:
     """Find a set-up whose rows are flagged far more often than the others': it has moved, they have not."""
     flagged = fitted.estimate.outliers
-    labels = joined_setups(fitted.estimate.problem.rows, fitted.task.distances)
+    labels = joined_stations(fitted.estimate.problem.rows, fitted.task.distances)
     for g in np.unique(labels) if labels.max() > 0 else ():
         own = labels == g
         count, inside, others = int(flagged[own].sum()), flagged[own].mean(), flagged[~own].mean()

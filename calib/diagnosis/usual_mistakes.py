@@ -19,10 +19,11 @@ from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Reason, Why
 from calib.errors import MeasurementError
 from calib.model.error_model import DIRECTIONS
+from calib.numerics.errors import LENGTHS
 from calib.registration.registration import register
-from calib.registration.rows import LENGTHS, Rows
+from calib.registration.rows import Rows
 from calib.registration.setup import Setup
-from calib.registration.table_rows import rows_of
+from calib.registration.table_rows import rows_and_setup
 from calib.robot.robot import Robot
 from calib.units import Array
 
@@ -107,7 +108,7 @@ def find_usual_mistake(robot: Robot, cell: Cell, table: Measurements) -> Reason 
     chosen[np.linspace(0, len(table) - 1, min(len(table), _ROWS)).astype(int)] = True
     table = table.select(chosen)
     cell = _naming_only(cell, table)
-    poses, setup = rows_of(robot, table, cell)
+    poses, setup = rows_and_setup(robot, table, cell)
     rows = _as_points(poses)
     given = _misfit(robot, setup, rows)[0]
     if given < PLAUSIBLE:
@@ -160,7 +161,7 @@ def _misfit(robot: Robot, setup: Setup, rows: Rows) -> tuple[float, float]:
     """Errors of the robot after registration of what the set-up leaves unknown, rms [m], [rad]."""
     T_base_tip = robot.poses(rows.joints)
     placed = register(T_base_tip, setup, rows, tolerance=_TOLERANCE)
-    square = np.mean(rows.residual(placed.seen(T_base_tip, rows.samples)) ** 2, axis=0)
+    square = np.mean(rows.residual(placed.target_poses(T_base_tip, rows.samples)) ** 2, axis=0)
     return float(np.sqrt(np.sum(square[:LENGTHS]))), float(np.sqrt(np.sum(square[LENGTHS:])))
 
 
@@ -222,7 +223,7 @@ def _tips(robot: Robot, cell: Cell, table: Measurements) -> Iterator[Trial]:
         if len(moving) > 2 and moving not in seen and moving <= set(table.joint_names):
             seen.add(moving)
             other = robot.rebuilt(tip=link)
-            rows, setup = rows_of(other, table, cell)
+            rows, setup = rows_and_setup(other, table, cell)
             yield (
                 1.5,
                 other,
@@ -244,7 +245,7 @@ def _constant_joints(robot: Robot, setup: Setup, rows: Rows) -> Iterator[Trial]:
             q = np.repeat(turned.joints, _TRIED, axis=0)
             q[:, j] += np.tile(np.linspace(-reach, reach, _TRIED), len(rows))
             again = turned.select(np.repeat(every, _TRIED))
-            error = again.residual(placed.seen(robot.poses(q), again.samples))
+            error = again.residual(placed.target_poses(robot.poses(q), again.samples))
             nearest = np.argmin(np.sum(error**2, axis=1).reshape(-1, _TRIED), axis=1)
             found = q[every * _TRIED + nearest]
             turned = replace(turned, samples=replace(turned.samples, q=found))

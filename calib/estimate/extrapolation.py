@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calib.estimate.fitting import Fitted
-from calib.numerics.likelihood import Priors
+from calib.numerics.likelihood import GaussianPriors
 from calib.registration.rows import Rows
 from calib.units import Mask
 
@@ -30,7 +30,7 @@ def extrapolation(fitted: Fitted) -> float:
     linear = problem.linear(estimate.x)
     noise = np.tile(estimate.noise, (len(masks), 1))
     weights = np.where(np.array(masks), 0.0, problem.weights)
-    priors = Priors(problem.precision, problem.centre)
+    priors = GaussianPriors(problem.precision, problem.centre)
     x, covariance, _ = linear.fit(weights, problem.rho, noise, priors)
     whitened = linear.residual(x) / linear.noise_of(noise)
     A = linear.A / linear.noise_of(noise[:1])[0][:, :, None]

@@ -24,7 +24,7 @@ from calib.model.parameters import FRAME, TARGET, ErrorModel, Parameter
 from calib.numerics.scores import Limits
 from calib.numerics.solvers import SOLVERS, Solution, Solver, paper_levenberg_marquardt
 from calib.registration.known_distances import KnownDistance
-from calib.registration.registration import register, register_unseen
+from calib.registration.registration import register, register_held_out
 from calib.registration.rows import Rows
 from calib.registration.setup import Setup
 from calib.robot.robot import Robot, read_only
@@ -118,7 +118,7 @@ class Fitted:
         if not unseen.count:
             return self
         T_base_tip = self.tip_poses(rows.samples)
-        found, own = register_unseen(T_base_tip, self.placed(), unseen, rows), self.setup
+        found, own = register_held_out(T_base_tip, self.placed(), unseen, rows), self.setup
         frames, targets = own.T_frame_base.copy(), own.T_tip_target.copy()
         loose, unknown = list(map(bool, unseen.unknown)), unseen.target_unknown
         frames[loose], targets[unknown] = found.T_frame_base[loose], found.T_tip_target[unknown]
@@ -179,7 +179,7 @@ def fit(
     if started is None:
         # The paper's algorithm starts at the given targets, if all are given.
         at_given = task.solver == PAPER and bool(np.all(setup.target_given))
-        sought = setup.as_known(
+        sought = setup.with_fixed(
             np.zeros(len(setup.groups), bool), np.full(len(setup.targets), at_given)
         )
         found = register(task.robot.poses(rows.joints), sought, rows)

@@ -17,7 +17,7 @@ from calib.model.observability import Observability
 from calib.model.parameters import ErrorModel
 from calib.registration.known_distances import known_distances
 from calib.registration.registration import register
-from calib.registration.table_rows import rows_of
+from calib.registration.table_rows import rows_and_setup
 from calib.robot.ranges import spread_poses
 from calib.robot.robot import Robot
 from calib.units import Array
@@ -49,7 +49,7 @@ def inspect(robot: Robot, cell: Cell, measurements: Measurements | None = None) 
     assumed = []
     if measurements is None:
         table = table_of_poses(robot, cell.kind or "point", spread_poses(robot))
-        rows, setup = rows_of(robot, table, cell)
+        rows, setup = rows_and_setup(robot, table, cell)
         frames, targets = setup.T_frame_base.copy(), setup.T_tip_target.copy()
         if not np.all(setup.target_given):
             targets[:, :3, 3] = GENERIC_TARGET
@@ -58,9 +58,9 @@ def inspect(robot: Robot, cell: Cell, measurements: Measurements | None = None) 
             frames[:, :3, 3] = np.negative(GENERIC_ANCHOR)
             assumed.append("anchor")
         setup = setup.placed(frames, targets)
-        rows = rows.as_measured_at(setup.seen(robot.poses(rows.joints), rows.samples))
+        rows = rows.as_measured_at(setup.target_poses(robot.poses(rows.joints), rows.samples))
     else:
-        rows, setup = rows_of(robot, measurements, cell)
+        rows, setup = rows_and_setup(robot, measurements, cell)
         rows = rows.select(measurements.estimation)
         setup = register(robot.poses(rows.joints), setup, rows)
     name = cell.model if cell.model != AUTO else "dh"

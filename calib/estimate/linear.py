@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.estimate.stop_errors import Stops
-from calib.numerics.likelihood import Normal, Priors
-from calib.numerics.scores import as_of_a_point, deleted_norms
+from calib.numerics.likelihood import GaussianPriors, NormalEquations
+from calib.numerics.scores import deleted_norms, point_scores
 from calib.robot.kernel import over_blocks
 from calib.units import Array, Mask
 
-#: Normal equations that are kept.
+#: NormalEquations equations that are kept.
 _KEPT = 3
 
 
@@ -28,9 +28,11 @@ class Linear:
     smallest: tuple[float, ...]  # Smallest noise believed of each instrument, in units of its sigma
     C: Array  # (K, p), of the known distances and of what is held, whitened
     z: Array  # (K,), what C x should be
-    held: Array  # (p,), see `Normal`
+    held: Array  # (p,), see `NormalEquations`
     stops: Stops | None = None  # Where several targets were seen
-    _made: list[tuple[Array, Array, Normal]] = field(init=False, repr=False, default_factory=list)
+    _made: list[tuple[Array, Array, NormalEquations]] = field(
+        init=False, repr=False, default_factory=list
+    )
 
     def __len__(self) -> int:
         """Number of rows."""
@@ -60,7 +62,7 @@ class Linear:
             self, columns=columns, used=self.used[mask], instruments=instruments, stops=stops
         )
 
-    def data(self, weights: Array, rho: Array) -> Normal:
+    def data(self, weights: Array, rho: Array) -> NormalEquations:
         """The normal equations with these weights, (B, N), and shares of stops, (C, 2) or (B, C, 2).
 
         The last ones are kept, for stages ask again.
@@ -91,12 +93,14 @@ class Linear:
         # [A r] are at hand; what is asked for is [A y] with y = r + A x.
         H, g, rr = both[..., :p, :p], both[..., :p, p], both[..., p, p]
         Hx, known = H @ self.x, (self.C.T @ self.C, self.C.T @ self.z, float(self.z @ self.z))
-        made = Normal(H, g + Hx, rr + (2.0 * g + Hx) @ self.x, count, known, self.held, log_det)
+        made = NormalEquations(
+            H, g + Hx, rr + (2.0 * g + Hx) @ self.x, count, known, self.held, log_det
+        )
         self._made[:] = [(weights.copy(), rho.copy(), made), *self._made[: _KEPT - 1]]
         return made
 
     def fit(
-        self, weights: Array, rho: Array, noise: Array, priors: Priors
+        self, weights: Array, rho: Array, noise: Array, priors: GaussianPriors
     ) -> tuple[Array, Array, Array]:
         """The linear fit with weights, shares of stops, noise and priors.
 
@@ -111,7 +115,7 @@ class Linear:
     def scores(self, x: Array, covariance: Array, weights: Array, noise: Array) -> Array:
         """How far each row lies from what the others predict, shape (B, N)."""
         found = self.norms(x, covariance, weights, 1.0 / self.noise_of(noise))
-        return as_of_a_point(found, np.sum(self.used, axis=1))
+        return point_scores(found, np.sum(self.used, axis=1))
 
     def norms(self, x: Array, covariance: Array, weights: Array, factors: Array) -> Array:
         """`deleted_norms` at x, shape (B, p)."""

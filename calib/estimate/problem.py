@@ -24,9 +24,10 @@ from calib.estimate.linear import Linear
 from calib.estimate.stop_errors import Stops
 from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability, analyse
+from calib.numerics.errors import LENGTHS
 from calib.numerics.solvers import triangle
 from calib.registration.known_distances import KnownDistance
-from calib.registration.rows import LENGTHS, Rows
+from calib.registration.rows import Rows
 from calib.robot.kernel import over_blocks
 from calib.units import Array
 

@@ -34,7 +34,7 @@ import numpy as np
 
 from calib.estimate.linear import Linear
 from calib.estimate.stages import Stage
-from calib.numerics.scores import as_of_a_point
+from calib.numerics.scores import point_scores
 from calib.registration.rows import Rows
 from calib.robot.kernel import over_blocks
 from calib.units import Array, Integers, Mask
@@ -166,7 +166,7 @@ def open_scores(linear: Linear, x: Array, stage: Stage, projections: Array) -> A
     predicted = np.eye(noise.shape[1]) + A @ covariance @ A.swapaxes(1, 2)
     squares = np.sum(residual * np.linalg.solve(predicted, residual), axis=(1, 2))
     directions = np.rint(np.trace(projections, axis1=1, axis2=2)).astype(np.int_)
-    return as_of_a_point(np.sqrt(squares), directions)
+    return point_scores(np.sqrt(squares), directions)
 
 
 def updated(

@@ -14,9 +14,9 @@ import numpy as np
 from calib.estimate.linear import Linear
 from calib.estimate.prior_terms import PriorTerms
 from calib.model.families import FAMILIES
-from calib.numerics.likelihood import Priors
-from calib.numerics.reml import prior_std_by_reml
-from calib.numerics.repeats import repeats
+from calib.numerics.likelihood import GaussianPriors
+from calib.numerics.reml import VarianceLimits, prior_std_by_reml
+from calib.numerics.repeats import scatter_of_repeats
 from calib.numerics.scores import Limits, median_noise
 from calib.units import Array, Integers, Mask
 
@@ -77,10 +77,10 @@ class Stage:
         return self.weights * self.share
 
     @property
-    def priors(self) -> Priors:
+    def priors(self) -> GaussianPriors:
         """The priors of all parameters, at these sizes."""
         own = (1.0 / self.prior_std**2) @ self.prior.families
-        return Priors(own + self.prior.precision, self.prior.centre)
+        return GaussianPriors(own + self.prior.precision, self.prior.centre)
 
     def fit(self, linear: Linear) -> tuple[Array, Array, Array]:
         """See `calib.estimate.problem.Linear.fit`."""
@@ -125,12 +125,13 @@ class Stage:
             noise, prior_std = prior_std_by_reml(
                 linear.data(stage.effective, stage.rho),
                 prior.families[free],
-                stage.noise,
-                stage.prior_std[:, free],
-                Priors(prior.precision, prior.centre) if adapts else self.priors,
-                smallest_noise=linear.smallest,
-                bounds=tuple(FAMILIES[f].bounds for f in prior.names[free]),
-                noise_spread=_NOISE_SPREAD,
+                (stage.noise, stage.prior_std[:, free]),
+                GaussianPriors(prior.precision, prior.centre) if adapts else self.priors,
+                VarianceLimits(
+                    linear.smallest,
+                    tuple(FAMILIES[f].bounds for f in prior.names[free]),
+                    _NOISE_SPREAD,
+                ),
             )
             stage = replace(stage, noise=noise, prior_std=prior_std if adapts else stage.prior_std)
         return stage
@@ -160,7 +161,9 @@ class Stage:
             residual = linear.residual(x) / linear.noise_of(self.noise)
             paid = np.maximum(np.sum(self.effective @ linear.used, axis=1) - freedom, 0.0)
             for b, weights in enumerate(self.weights):
-                found = repeats(residual[b], linear.used, poses, weights, fitted=float(paid[b]))
+                found = scatter_of_repeats(
+                    residual[b], linear.used, poses, weights, fitted=float(paid[b])
+                )
                 rho[b] = found.rho if found.freedom >= _TELLING_REPEATS else 1.0
         return replace(self, share=1.0 / (1.0 + (np.maximum(counts, 1) - 1.0) * rho[:, None]))
 

@@ -25,6 +25,8 @@ from calib.units import NUMBER
 #: A number beyond this [m or rad] is a mistake.
 _FARTHEST = 1e6
 
+_WHAT = "origins file"
+
 _EXAMPLE = 'elbow_joint: {xyz: "0.0 0.0 0.15", rpy: "0.0 0.0 1e-05"}'
 
 _HEADER = """\
@@ -37,10 +39,10 @@ _HEADER = """\
 
 
 class JointOrigin(NamedTuple):
-    """The ``<origin>`` of a joint, as a URDF states it: xyz [m]; rpy [rad], R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    """The ``<origin>`` of a joint, as a URDF states it: R = Rz(yaw) Ry(pitch) Rx(roll)."""
 
-    xyz: tuple[float, ...]
-    rpy: tuple[float, ...]
+    xyz: tuple[float, ...]  #: x, y, z of the joint's frame in the parent link [m].
+    rpy: tuple[float, ...]  #: roll, pitch, yaw [rad].
 
     @property
     def T_parent_joint(self) -> NDArray[np.float64]:
@@ -52,32 +54,65 @@ class JointOrigin(NamedTuple):
 
 
 def origins_of(robot: Robot) -> dict[str, JointOrigin]:
-    """The origins of the URDF joints that carry the chain's placements, base to tip, with the numbers of the URDF."""
-    joints = [robot.urdf.joint(name) for name in robot.carriers if name is not None]
-    return {
-        joint.name: JointOrigin(*(tuple((one + 0.0).tolist()) for one in (joint.xyz, joint.rpy)))
-        for joint in joints
-    }
+    """Return the origins of the URDF joints that carry the chain's placements.
+
+    Args:
+        robot: The robot.
+
+    Returns:
+        The origins with the numbers of the URDF, by the joints' names, base to tip.
+    """
+    result = {}
+    for name in robot.carriers:
+        if name is None:
+            continue
+        joint = robot.urdf.joint(name)
+        xyz = tuple((joint.xyz + 0.0).tolist())
+        rpy = tuple((joint.rpy + 0.0).tolist())
+        result[joint.name] = JointOrigin(xyz, rpy)
+    return result
 
 
 def with_origins(robot: Robot, origins: Mapping[str, JointOrigin]) -> Robot:
-    """The robot with these origins, those of other joints and its held joints stay; `UrdfError` for unknown joints."""
+    """Return a robot with other origins.
+
+    Args:
+        robot: The robot; its held joints, and the origins of joints that are not named, stay.
+        origins: The new origins, by the joints' names.
+
+    Returns:
+        The robot.
+
+    Raises:
+        UrdfError: The URDF has no such joint.
+    """
     poses = {name: origin.T_parent_joint for name, origin in origins.items()}
     return robot.rebuilt(robot.urdf.with_origins(poses))
 
 
 def write_origins(robot: Robot, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
-    """Write `origins_of` a robot as YAML, whole or not at all; it was read back and compared before.
+    """Write the origins of a robot as YAML.
+
+    The file is read back and compared before it appears.
+
+    Args:
+        robot: The robot.
+        path: The file.
+        overwrite: Whether a file that exists is replaced.
+
+    Returns:
+        The path.
 
     Raises:
         FileError: The file exists and ``overwrite`` is False, it cannot be written, or YAML cannot hold the names.
     """
     origins = origins_of(robot)
-    first = next(iter(origins))
-    table = {
-        name: {"xyz": " ".join(map(repr, xyz)), "rpy": " ".join(map(repr, rpy))}
-        for name, (xyz, rpy) in origins.items()
-    }
+    first_joint = next(iter(origins))
+    table = {}
+    for name, origin in origins.items():
+        xyz = " ".join(map(repr, origin.xyz))
+        rpy = " ".join(map(repr, origin.rpy))
+        table[name] = {"xyz": xyz, "rpy": rpy}
     text = yaml.safe_dump(
         {"origins": table},
         default_flow_style=None,
@@ -85,7 +120,7 @@ def write_origins(robot: Robot, path: str | os.PathLike[str], *, overwrite: bool
         allow_unicode=True,
         width=math.inf,
     )
-    names = (robot.name, robot.base, robot.tip, Path(path).name, first, first)
+    names = (robot.name, robot.base, robot.tip, Path(path).name, first_joint, first_joint)
     data = (_HEADER.format(*names) + text).encode()
     if read_origins(path, data) != origins:
         raise FileError(
@@ -95,40 +130,74 @@ def write_origins(robot: Robot, path: str | os.PathLike[str], *, overwrite: bool
 
 
 def read_origins(path: str | os.PathLike[str], data: bytes | None = None) -> dict[str, JointOrigin]:
-    """What an origins file says, or will say that is to be written, by the names of the joints.
+    """Read an origins file.
+
+    Args:
+        path: The file, for messages if ``data`` is given.
+        data: The bytes of a file that is not written yet; None: they are read from ``path``.
+
+    Returns:
+        The origins by the names of the joints.
 
     Raises:
         FileError: It cannot be read, or is no origins file; the text names file, joint and key.
     """
-    what = "origins file"
-    table = parse_yaml(read_bytes(path, what) if data is None else data, str(path), what)
-    found = table.get("origins")
-    if not isinstance(found, dict) or not found:
+    content = read_bytes(path, _WHAT) if data is None else data
+    section = parse_yaml(content, str(path), _WHAT).get("origins")
+    if not isinstance(section, dict) or not section:
         raise FileError(
             f"{path}: this is no origins file: it has no section 'origins:' with a line for each joint, such as "
             f"{_EXAMPLE}"
         )
     origins = {}
-    for name, value in found.items():
-        parts = [value.get(key) for key in ("xyz", "rpy")] if isinstance(value, dict) else []
-        # Texts, or lists as other programs write them.
-        words = [one.split() if isinstance(one, str) else one for one in parts]
-        numbers = [
-            tuple(float(word) + 0.0 for word in map(str, one) if NUMBER.fullmatch(word))
-            for one in words
-            if isinstance(one, list) and len(one) == 3
-        ]
-        every = [abs(number) <= _FARTHEST for one in numbers for number in one]
-        if not isinstance(name, str) or len(every) != 6 or not all(every):
+    for name, value in section.items():
+        origin = _origin(value)
+        if not isinstance(name, str) or origin is None:
             raise FileError(
                 f"{path}, joint '{name}': xyz and rpy are wanted, three numbers [m] and [rad], as in {_EXAMPLE}"
             )
-        origins[name] = JointOrigin(*numbers)
+        origins[name] = origin
     return origins
 
 
+def _origin(value: object) -> JointOrigin | None:
+    """Return the origin of a joint as YAML has it; None if it is none."""
+    if not isinstance(value, dict):
+        return None
+    xyz = _three_numbers(value.get("xyz"))
+    rpy = _three_numbers(value.get("rpy"))
+    if xyz is None or rpy is None:
+        return None
+    return JointOrigin(xyz, rpy)
+
+
+def _three_numbers(value: object) -> tuple[float, ...] | None:
+    """Return three numbers of a text, or of a list as other programs write them; else None."""
+    words = value.split() if isinstance(value, str) else value
+    if not isinstance(words, list) or len(words) != 3:
+        return None
+    numbers = []
+    for word in map(str, words):
+        if not NUMBER.fullmatch(word) or not abs(float(word)) <= _FARTHEST:
+            return None
+        numbers.append(float(word) + 0.0)
+    return tuple(numbers)
+
+
 def parse_yaml(data: bytes, source: str, what: str) -> dict[Any, Any]:
-    """The outermost table of a YAML file's bytes, empty where it holds none; `FileError` where it is no YAML."""
+    """Parse a YAML file.
+
+    Args:
+        data: The file's bytes.
+        source: The file's name, for the message.
+        what: What the file should be, for the message: ``"origins file"``.
+
+    Returns:
+        The outermost table; empty where the file holds none.
+
+    Raises:
+        FileError: It is no YAML.
+    """
     try:
         table = yaml.safe_load(data)
     except (yaml.YAMLError, ValueError, RecursionError, ArithmeticError) as error:

@@ -11,7 +11,7 @@ of the joints' state (`calib.model.families`) act about the joint's own axis, ti
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import lru_cache, partial
 
 import numpy as np
@@ -19,27 +19,29 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from calib.errors import ModelError, choices
-from calib.model.dh import dh_frames, dh_table, screw, zero_poses
-from calib.model.families import (
-    ANGLE,
-    LENGTH,
-    ZERO,
-    joint_families,
-)
+from calib.model.dh import DHRow, dh_frames, dh_table, screw, zero_poses
+from calib.model.families import ANGLE, LENGTH, ZERO, joint_families
 from calib.model.joint_errors import axis_twists, joint_parameters
 from calib.model.parameters import FRAME, TARGET, TIP, ErrorModel, Parameter, twist_of
 from calib.robot.gravity import GRAVITY
 from calib.robot.robot import Robot, read_only, rigid_inverse
+from calib.robot.urdf import UrdfJoint
 from calib.units import Array
 
-DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")  #: Of a frame or a placement.
+#: The six directions of a frame or a placement: along, then about its axes.
+DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
 
-#: The unit of a parameter along or about each, and its twist.
-_UNITS = {one: "m" if k < 3 else "rad" for k, one in enumerate(DIRECTIONS)}
-_TWISTS = {one: read_only(row) for one, row in zip(DIRECTIONS, np.eye(6), strict=True)}
+#: The unit of a parameter in each direction.
+_UNITS = {"x": "m", "y": "m", "z": "m", "rx": "rad", "ry": "rad", "rz": "rad"}
 
-OWN = "own"  #: The name of a set of parameters that was given, not named.
-_ALIGNED = 1e-6  #: An axis within this of a coordinate axis is one [rad].
+#: The unit twist in each direction, shape (6,), linear then angular.
+_TWISTS = {direction: read_only(row) for direction, row in zip(DIRECTIONS, np.eye(6), strict=True)}
+
+#: The name of a set of parameters that was given as parameters, not by its name.
+OWN = "own"
+
+#: An axis within this of a coordinate axis is one [rad].
+_ALIGNED = 1e-6
 
 
 def error_model(
@@ -52,7 +54,7 @@ def error_model(
     rotation: bool = False,
     gravity: ArrayLike = GRAVITY,
 ) -> ErrorModel:
-    """A named set of parameters for a robot.
+    """Return a named set of parameters for a robot, its measurement frames and its targets.
 
     Args:
         robot: The nominal robot.
@@ -60,12 +62,13 @@ def error_model(
             nearly parallel), ``placement`` (all six of each joint), ``zeros`` (the joint zeros only) or ``frames``
             (no error of the robot at all); behind it, each with a "+", any of the families of the joints' state:
             ``"dh+compliance"``. Or the robot's own parameters themselves: a set called `OWN`.
-        frame: Whether the measurement frame is estimated too: True for all six parameters of the one frame, or for
-            each station which of `DIRECTIONS` are (none for a frame that is known).
-        target: Whether the targets are, or the names of those that are.
+        frame: True to estimate all six parameters of the one measurement frame; or for each station which of
+            `DIRECTIONS` are estimated (none for a frame that is known).
+        target: True to estimate all targets, or the names of those that are estimated.
         targets: The names of all targets; "" for the only one.
-        rotation: Whether the targets are frames, of which six parameters are estimated, or points.
-        gravity: shape (3,), acceleration in the URDF's root; the family ``gravity`` leaves out what it cannot bend.
+        rotation: True if targets are frames, of which six parameters are estimated; False for points.
+        gravity: Shape (3,), acceleration in the URDF's root [m/s^2]; the family ``gravity`` leaves out what it cannot
+            bend.
 
     Raises:
         ModelError: No such set or family; or ``paper`` with an unknown frame, which the paper does not have.
@@ -74,30 +77,48 @@ def error_model(
         >>> len(error_model(Robot.load("ur3", base="base", tip="tool0"), "paper"))
         27
     """
-    frames = {"": DIRECTIONS if frame else ()} if isinstance(frame, bool) else frame
-    estimated = (targets if target else ()) if isinstance(target, bool) else target
-    base = split_name(name)[0] if isinstance(name, str) else OWN
-    down = tuple(np.asarray(gravity, dtype=np.float64).tolist())
-    own = _own_parameters(robot, name, down) if isinstance(name, str) else name
-    if base == "paper" and any(frames.values()):
+    if isinstance(frame, bool):
+        frame = {"": DIRECTIONS if frame else ()}
+    if isinstance(target, bool):
+        target = targets if target else ()
+    if isinstance(name, str):
+        set_name, _ = split_name(name)
+        acceleration = tuple(np.asarray(gravity, dtype=np.float64).tolist())
+        robot_parameters = _robot_parameters(robot, name, acceleration)
+    else:
+        set_name = OWN
+        robot_parameters = tuple(name)
+    if set_name == "paper" and any(frame.values()):
         raise ModelError(
             "The parameter set 'paper' knows the measurement frame, as the paper does. To estimate the frame too, "
             "choose --model dh."
         )
-    placed = frame_and_target_model(frames, estimated, targets, rotation=rotation)
+    outer = frame_and_target_model(frame, target, targets, rotation=rotation)
     joints = tuple(joint.name for joint in robot.joints)
-    places = (*placed.places[: len(frames)], *joints, *placed.places[len(frames) :])
-    parameters = (*own, *placed.parameters)
-    model = ErrorModel(name if isinstance(name, str) else OWN, places, parameters)
-    return model.tied(_followers(robot)) if base == "zeros" else model
+    model = ErrorModel(
+        name=name if isinstance(name, str) else OWN,
+        places=(*outer.places[: len(frame)], *joints, *outer.places[len(frame) :]),
+        parameters=(*robot_parameters, *outer.parameters),
+    )
+    if set_name == "zeros":
+        return model.tied(_follower_ties(robot))
+    return model
 
 
 @lru_cache(maxsize=64)
-def _own_parameters(robot: Robot, name: str, gravity: tuple[float, ...]) -> tuple[Parameter, ...]:
-    """The robot's own parameters, which folds, candidates and trials ask for again and again."""
-    base, families = split_name(name)
-    of_joints = (one for family in families for one in joint_parameters(robot, family, gravity))
-    return (*MODELS[base](robot), *of_joints)
+def _robot_parameters(robot: Robot, name: str, gravity: tuple[float, ...]) -> tuple[Parameter, ...]:
+    """Return the parameters of the robot itself, which folds, candidates and trials ask for again and again.
+
+    Args:
+        robot: The nominal robot.
+        name: The model's name, such as ``"dh+gain"``.
+        gravity: Three numbers, acceleration in the URDF's root [m/s^2].
+    """
+    set_name, families = split_name(name)
+    parameters = list(MODELS[set_name](robot))
+    for family in families:
+        parameters += joint_parameters(robot, family, gravity)
+    return tuple(parameters)
 
 
 def frame_and_target_model(
@@ -107,96 +128,183 @@ def frame_and_target_model(
     *,
     rotation: bool = False,
 ) -> ErrorModel:
-    """The parameters of frames and of the targets that are estimated, alone, for given poses of the tip."""
-    turns = DIRECTIONS if rotation else DIRECTIONS[:3]
-    asked = [("frame", FRAME, name, directions) for name, directions in frames.items()]
-    asked += [("target", TARGET, name, turns) for name in estimated]
-    parameters = tuple(
-        Parameter(
-            placed_name(what, one, name), _UNITS[one], f"{family}{name}", _TWISTS[one], family
-        )
-        for what, family, name, directions in asked
-        for one in DIRECTIONS
-        if one in directions
-    )
+    """Return the parameters of frames and targets alone, for given poses of the tip.
+
+    Args:
+        frames: Which of `DIRECTIONS` are estimated, by the name of each measurement frame; none of a known one.
+        estimated: Names of the targets that are estimated.
+        targets: Names of all targets.
+        rotation: True if targets are frames, of which six parameters are estimated; False for points.
+    """
+    parameters = []
+    for name, directions in frames.items():
+        parameters += _placed_parameters("frame", FRAME, name, directions)
+    target_directions = DIRECTIONS if rotation else DIRECTIONS[:3]
+    for name in estimated:
+        parameters += _placed_parameters("target", TARGET, name, target_directions)
     places = (*(FRAME + name for name in frames), TIP, *(TARGET + name for name in targets))
-    return ErrorModel("frames", places, parameters)
+    return ErrorModel("frames", places, tuple(parameters))
 
 
-def _followers(robot: Robot) -> dict[str, tuple[str, float]]:
-    """The zeros of joints that follow one driver, or where it is none like them the first of them, by multipliers."""
+def _placed_parameters(
+    prefix: str, family: str, name: str, directions: Iterable[str]
+) -> list[Parameter]:
+    """Return the parameters of one frame or target in some of `DIRECTIONS`.
+
+    Args:
+        prefix: ``"frame"`` or ``"target"``, with which their names begin.
+        family: `FRAME` or `TARGET`.
+        name: The frame's or the target's name; "" for the only one.
+        directions: Some of `DIRECTIONS`, in any order.
+    """
+    return [
+        Parameter(
+            name=placed_name(prefix, direction, name),
+            unit=_UNITS[direction],
+            place=f"{family}{name}",
+            direction=_TWISTS[direction],
+            family=family,
+        )
+        for direction in DIRECTIONS
+        if direction in directions
+    ]
+
+
+def _follower_ties(robot: Robot) -> dict[str, tuple[str, float]]:
+    """Return ties of the zeros of joints that follow the same column of q, for `ErrorModel.tied`.
+
+    The leader is the column's own joint, or the first follower where that one turns and they slide, or the other way
+    round. The factor is that of the mimic multipliers.
+    """
     ties = {}
     for column, driver in enumerate(robot.joint_names):
-        moved = [(j, f) for j, f in zip(robot.joints, robot.coupling[:, column], strict=True) if f]
-        for slides in (False, True):
-            alike = [(j.name, f) for j, f in moved if (j.type == "prismatic") == slides]
+        followers: dict[bool, list[tuple[str, float]]] = {False: [], True: []}
+        for joint, multiplier in zip(robot.joints, robot.coupling[:, column], strict=True):
+            if multiplier:
+                followers[joint.type == "prismatic"].append((joint.name, multiplier))
+        for alike in followers.values():
             alike.sort(key=lambda pair: pair[0] != driver)
-            for name, factor in alike[1:]:
-                ties[f"{name}.zero"] = (f"{alike[0][0]}.zero", float(factor / alike[0][1]))
+            for name, multiplier in alike[1:]:
+                leader, leader_multiplier = alike[0]
+                factor = float(multiplier / leader_multiplier)
+                ties[f"{name}.zero"] = (f"{leader}.zero", factor)
     return ties
 
 
 def split_name(name: str) -> tuple[str, tuple[str, ...]]:
-    """A model's set and the families added to it: ``"dh+gain"`` is ``("dh", ("gain",))``."""
+    """Return a model's set and the families added to it: ``"dh+gain"`` is ``("dh", ("gain",))``.
+
+    Raises:
+        ModelError: There is no such set or family, or a family is added twice.
+    """
     base, *families = (part.strip() for part in name.split("+"))
     wrong = [f for f in families if f not in joint_families() or families.count(f) > 1]
     if base not in MODELS or wrong:
-        what = f"'{name}' adds {choices(dict.fromkeys(wrong))} to the set '{base}'"
+        fault = f"'{name}' adds {choices(dict.fromkeys(wrong))} to the set '{base}'"
         if base not in MODELS:
-            what = f"There is no parameter set '{base}'"
+            fault = f"There is no parameter set '{base}'"
         raise ModelError(
-            f"{what}. Choose 'auto', or one of {choices(MODELS)} and behind it, each once and with a '+', any of "
+            f"{fault}. Choose 'auto', or one of {choices(MODELS)} and behind it, each once and with a '+', any of "
             f"{choices(joint_families())}."
         )
     return base, tuple(families)
 
 
-def placed_name(what: str, direction: str, name: str) -> str:
-    """The name of a parameter of a frame or target: ``"target_x"``, or ``"target_x[left]"`` of one by name."""
-    return f"{what}_{direction}[{name}]" if name else f"{what}_{direction}"
+def placed_name(prefix: str, direction: str, name: str) -> str:
+    """Return the name of a parameter of a frame or target: ``"target_x"``, or ``"target_x[left]"`` of one by name.
+
+    Args:
+        prefix: ``"frame"`` or ``"target"``.
+        direction: One of `DIRECTIONS`.
+        name: The frame's or the target's name; "" for the only one.
+    """
+    return f"{prefix}_{direction}[{name}]" if name else f"{prefix}_{direction}"
 
 
 def _dh_parameters(robot: Robot, *, hayati: bool = False) -> list[Parameter]:
-    """a_i, alpha_i (beta_i in place of d_i between nearly parallel axes), d_i, theta_i of each row, row by row.
+    """Return a_i, alpha_i, d_i, theta_i of each DH row, row by row; with ``hayati`` beta_i in place of some d_i.
 
     a_i and alpha_i act on the placement after joint i, and are left out where no <origin> carries it, as the tip's: the
-    target takes their place. d_i and theta_i act on that of joint i.
+    target takes their place. d_i and theta_i act on that of joint i. With ``hayati``, a row between nearly parallel
+    axes has beta_i in place of d_i.
     """
     table = dh_table(robot)
-    places = [*(joint.name for joint in robot.joints[1:]), TIP]
     T_base_joint, T_base_tip = zero_poses(robot)
+    T_base_next = [*T_base_joint[1:], T_base_tip]
     parameters = []
     for i, (row, frame) in enumerate(zip(table.rows, dh_frames(table), strict=True)):
-        number, axis, zeros = i + 1, np.asarray(robot.joints[i].axis), np.zeros(3)
-        parallel = hayati and row.near_parallel and number < len(table.rows)
-        behind, own = [], []
-        if robot.carriers[number] is not None:
-            T = rigid_inverse([*T_base_joint, T_base_tip][number]) @ frame
-            x, origin = T[:3, 0], T[:3, 3]
-            about = twist_of(np.cross(origin, x), x)
-            behind += [
-                Parameter(f"a{number}", "m", places[i], twist_of(x, zeros), LENGTH, row.a),
-                Parameter(f"alpha{number}", "rad", places[i], about, ANGLE, row.alpha),
-            ]
-            if parallel:
-                y = (T @ screw(1, row.beta, 0.0))[:3, 1]
-                about = twist_of(np.cross(origin, y), y)
-                behind.append(Parameter(f"beta{number}", "rad", places[i], about, ANGLE, row.beta))
-        if not parallel:
-            own.append(_before_joint(robot, i, f"d{number}", twist_of(axis, zeros), LENGTH, row.d))
-        family = ANGLE if row.prismatic else ZERO
-        turn = twist_of(zeros, axis)
-        own.append(_before_joint(robot, i, f"theta{number}", turn, family, row.theta))
+        parallel = hayati and row.near_parallel and i + 1 < len(table.rows)
+        behind = []
+        if robot.carriers[i + 1] is not None:
+            T_next_row = rigid_inverse(T_base_next[i]) @ frame
+            behind = _after_joint(robot, i, row, T_next_row, with_beta=parallel)
+        before = _along_joint(robot, i, row, with_d=not parallel)
         # Where d and theta act at the same place as a and alpha, they come first, as in the row's product.
-        parameters += behind + own if robot.carriers[i] is not None else own + behind
+        if robot.carriers[i] is not None:
+            parameters += behind + before
+        else:
+            parameters += before + behind
+    return parameters
+
+
+def _after_joint(
+    robot: Robot, i: int, row: DHRow, T_next_row: Array, *, with_beta: bool
+) -> list[Parameter]:
+    """Return a, alpha and, if wanted, beta of a DH row, which act on the placement after its joint.
+
+    Args:
+        robot: The robot.
+        i: Number of the row and of its joint, from 0.
+        row: The row.
+        T_next_row: Shape (4, 4), [m], frame of the row before its rotation about beta in the next joint, or the tip.
+        with_beta: True for beta too.
+    """
+    number = i + 1
+    place = robot.joints[number].name if number < len(robot.joints) else TIP
+    x = T_next_row[:3, 0]
+    origin = T_next_row[:3, 3]
+    along_x = twist_of(x, np.zeros(3))
+    about_x = twist_of(np.cross(origin, x), x)
+    parameters = [
+        Parameter(f"a{number}", "m", place, along_x, LENGTH, row.a),
+        Parameter(f"alpha{number}", "rad", place, about_x, ANGLE, row.alpha),
+    ]
+    if with_beta:
+        y = (T_next_row @ screw(1, row.beta, 0.0))[:3, 1]
+        about_y = twist_of(np.cross(origin, y), y)
+        parameters.append(Parameter(f"beta{number}", "rad", place, about_y, ANGLE, row.beta))
+    return parameters
+
+
+def _along_joint(robot: Robot, i: int, row: DHRow, *, with_d: bool) -> list[Parameter]:
+    """Return d, if wanted, and theta of the DH row of joint i, from 0, which act along and about the joint's axis."""
+    axis = np.asarray(robot.joints[i].axis)
+    zeros = np.zeros(3)
+    parameters = []
+    if with_d:
+        along = twist_of(axis, zeros)
+        parameters.append(_before_joint(robot, i, f"d{i + 1}", along, LENGTH, row.d))
+    family = ANGLE if row.prismatic else ZERO
+    about = twist_of(zeros, axis)
+    parameters.append(_before_joint(robot, i, f"theta{i + 1}", about, family, row.theta))
     return parameters
 
 
 def _before_joint(
     robot: Robot, i: int, name: str, twist: Array, family: str, nominal: float = 0.0
 ) -> Parameter:
-    """A displacement along or about a joint's axis, at its placement, or the next where no <origin> carries that."""
-    unit, place = "m" if twist[:3].any() else "rad", robot.joints[i].name
+    """Return a parameter at a joint's placement, or at the next where no <origin> carries that.
+
+    Args:
+        robot: The robot.
+        i: Number of the joint, from 0.
+        name: The parameter's name.
+        twist: Shape (6,), along or about the joint's axis, in its frame.
+        family: The parameter's family.
+        nominal: The value that it adds to [m or rad].
+    """
+    unit = "m" if twist[:3].any() else "rad"
+    place = robot.joints[i].name
     if robot.carriers[i] is None:
         place = robot.joints[i + 1].name if i + 1 < len(robot.joints) else TIP
         twist = read_only(pin.SE3(robot.placements[i + 1]).toActionMatrixInverse() @ twist)
@@ -204,34 +312,54 @@ def _before_joint(
 
 
 def _placement_parameters(robot: Robot) -> list[Parameter]:
-    """``<joint>.x`` to ``<joint>.rz`` of each joint, and ``<joint>.zero`` where its axis is none of the frame's."""
+    """Return ``<joint>.x`` to ``<joint>.rz`` of each joint, and ``<joint>.zero`` where its axis is none of the frame's.
+
+    A joint that moves the base directly, without an <origin>, has none: what can be known of it is in the next one.
+    """
     parameters = []
-    for i, joint in enumerate(robot.joints):
-        if robot.carriers[i] is None:
-            continue  # moved by its joint directly: what can be known of it is in the next one
-        turns = joint.type != "prismatic"
-        own = int(np.argmax(np.abs(joint.axis)))
-        aligned = abs(abs(joint.axis[own]) - 1.0) < 0.5 * _ALIGNED**2
-        zero = DIRECTIONS[3 + own] if turns and aligned else None
-        for one in DIRECTIONS:
-            family = LENGTH if one in DIRECTIONS[:3] else ZERO if one == zero else ANGLE
-            name = f"{joint.name}.{one}"
-            parameters.append(Parameter(name, _UNITS[one], joint.name, _TWISTS[one], family))
-        if turns and not aligned:
-            twist = axis_twists(robot)[i]
+    for joint, carrier, twist in zip(
+        robot.joints, robot.carriers[:-1], axis_twists(robot), strict=True
+    ):
+        if carrier is None:
+            continue
+        zero = _zero_direction(joint)
+        parameters += [
+            _placement_parameter(joint, direction, is_zero=direction == zero)
+            for direction in DIRECTIONS
+        ]
+        if joint.type != "prismatic" and zero is None:
             parameters.append(Parameter(f"{joint.name}.zero", "rad", joint.name, twist, ZERO))
     return parameters
 
 
+def _zero_direction(joint: UrdfJoint) -> str | None:
+    """Return the one of `DIRECTIONS` that a joint turns about; None if it slides or its axis is none of the frame's."""
+    nearest = int(np.argmax(np.abs(joint.axis)))
+    aligned = abs(abs(joint.axis[nearest]) - 1.0) < 0.5 * _ALIGNED**2
+    if joint.type == "prismatic" or not aligned:
+        return None
+    return DIRECTIONS[3 + nearest]
+
+
+def _placement_parameter(joint: UrdfJoint, direction: str, *, is_zero: bool) -> Parameter:
+    """Return the parameter of one of `DIRECTIONS` at a joint; ``is_zero`` where the joint itself turns about it."""
+    family = LENGTH if _UNITS[direction] == "m" else ANGLE
+    if is_zero:
+        family = ZERO
+    name = f"{joint.name}.{direction}"
+    return Parameter(name, _UNITS[direction], joint.name, _TWISTS[direction], family)
+
+
 def _zero_parameters(robot: Robot) -> list[Parameter]:
-    """The zero of each joint, named ``<joint>.zero``: about its axis, or along it for a prismatic one."""
-    return [
-        _before_joint(robot, i, f"{joint.name}.zero", twist, LENGTH if twist[:3].any() else ZERO)
-        for i, (joint, twist) in enumerate(zip(robot.joints, axis_twists(robot), strict=True))
-    ]
+    """Return the zero of each joint, named ``<joint>.zero``: about its axis, or along it for a prismatic one."""
+    parameters = []
+    for i, (joint, twist) in enumerate(zip(robot.joints, axis_twists(robot), strict=True)):
+        family = LENGTH if twist[:3].any() else ZERO
+        parameters.append(_before_joint(robot, i, f"{joint.name}.zero", twist, family))
+    return parameters
 
 
-#: The named sets of a robot's own parameters.
+#: The named sets of a robot's own parameters, by the name that a model begins with.
 MODELS: dict[str, Callable[[Robot], list[Parameter]]] = {
     "paper": _dh_parameters,
     "dh": _dh_parameters,

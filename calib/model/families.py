@@ -29,42 +29,97 @@ from calib.units import Array
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """A unit of parameters."""
+    """A unit of parameters, in results, on screens and in cell files."""
 
     symbol: str  #: In SI units: ``"m"``, ``"rad/Nm"``.
     key: str  #: The suffix of keys in result files: ``"rad_Nm"``.
-    quantity: str  #: What it measures, as messages say it: ``"a length"``.
-    step: float  #: What arms are typically wrong by: parameters of different units are compared in such steps.
-    shown: tuple[float, str]  #: The factor to the unit that people read, and it: ``(1e3, "mm")``.
-    cell: tuple[str, float]  #: The suffix of a cell file's keys, and it in SI: ``("_mm", 1e-3)``.
+    quantity: str  #: The quantity it measures, for messages: ``"a length"``.
+    step: float  #: Typical error of arms, in SI: parameters of different units are compared in such steps.
+    shown: tuple[
+        float, str
+    ]  #: The factor from SI to the unit that people read, and its symbol: ``(1e3, "mm")``.
+    cell: tuple[
+        str, float
+    ]  #: The suffix of a cell file's keys, and its unit in SI: ``("_mm", 1e-3)``.
     example: str  #: A value that could be typed: ``"0.5 mm"``.
-    largest: float = 1.0  #: A value beyond this is no error but another robot.
+    largest: float = 1.0  #: A value beyond this, in SI, is no error but another robot.
 
 
-M = Unit("m", "m", "a length", 1e-3, (1e3, "mm"), ("_mm", 1e-3), "0.5 mm")
-RAD = Unit(
-    "rad", "rad", "an angle", 1e-3, (1e3, "mrad"), ("_mrad", 1e-3), "2 mrad", largest=2.0 * np.pi
+M = Unit(
+    symbol="m",
+    key="m",
+    quantity="a length",
+    step=1e-3,
+    shown=(1e3, "mm"),
+    cell=("_mm", 1e-3),
+    example="0.5 mm",
 )
-ONE = Unit("1", "1", "a number", 1e-3, (1e3, "mrad/rad"), ("", 1.0), "5e-4")
-M_PER_M = Unit("m/m", "m_m", "a number", 1e-3, (1e3, "mm/m"), ("", 1.0), "5e-4")
+RAD = Unit(
+    symbol="rad",
+    key="rad",
+    quantity="an angle",
+    step=1e-3,
+    shown=(1e3, "mrad"),
+    cell=("_mrad", 1e-3),
+    example="2 mrad",
+    largest=2.0 * np.pi,
+)
+ONE = Unit(
+    symbol="1",
+    key="1",
+    quantity="a number",
+    step=1e-3,
+    shown=(1e3, "mrad/rad"),
+    cell=("", 1.0),
+    example="5e-4",
+)
+M_PER_M = Unit(
+    symbol="m/m",
+    key="m_m",
+    quantity="a number",
+    step=1e-3,
+    shown=(1e3, "mm/m"),
+    cell=("", 1.0),
+    example="5e-4",
+)
 RAD_PER_NM = Unit(
-    "rad/Nm", "rad_Nm", "a compliance", 1e-5, (1e6, "urad/Nm"), ("_rad_per_Nm", 1.0), "1e-5 rad/Nm"
+    symbol="rad/Nm",
+    key="rad_Nm",
+    quantity="a compliance",
+    step=1e-5,
+    shown=(1e6, "urad/Nm"),
+    cell=("_rad_per_Nm", 1.0),
+    example="1e-5 rad/Nm",
 )
 RAD_PER_M = Unit(
-    "rad/m",
-    "rad_m",
-    "an angle per length",
-    1e-3,
-    (1e3, "mrad/m"),
-    ("_mrad_per_m", 1e-3),
-    "0.5 mrad/m",
+    symbol="rad/m",
+    key="rad_m",
+    quantity="an angle per length",
+    step=1e-3,
+    shown=(1e3, "mrad/m"),
+    cell=("_mrad_per_m", 1e-3),
+    example="0.5 mrad/m",
 )
-M_PER_N = Unit("m/N", "m_N", "a compliance", 1e-6, (1e6, "um/N"), ("_m_per_N", 1.0), "1e-6 m/N")
+M_PER_N = Unit(
+    symbol="m/N",
+    key="m_N",
+    quantity="a compliance",
+    step=1e-6,
+    shown=(1e6, "um/N"),
+    cell=("_m_per_N", 1.0),
+    example="1e-6 m/N",
+)
+
+#: calib's own units of parameters.
+_UNITS = (M, RAD, ONE, M_PER_M, RAD_PER_NM, RAD_PER_M, M_PER_N)
+
+#: Names of the points that the chain ends at, besides those of its joints.
+ENDS = ("tip", "base")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointState:
-    """The state of the joints in N samples, as the factor of one joint's error sees it."""
+    """The state of the joints in N samples, from which the factor of one joint's error is computed."""
 
     joint: str  #: Name of the joint that errs.
     joint_names: tuple[str, ...]  #: The m measured joints.
@@ -72,7 +127,7 @@ class JointState:
     chain: tuple[str, ...] = ()  #: Names of the n joints of the chain.
     #: shape (N, n, n + 3), see `calib.robot.gravity.gravity_loads`; None if not known.
     loads: Array | None = None
-    point: str = ""  #: Of which point of the chain a mass is asked for: the joint that lies there, or of `ENDS`.
+    point: str = ""  #: Name of the point of the chain that carries a mass: the joint that lies there, or of `ENDS`.
 
     @property
     def q(self) -> Array:
@@ -87,10 +142,12 @@ class JointState:
     @property
     def lever(self) -> Array:
         """The lever arm about the joint of a mass at the point, shape (N,), [m]; ModelError as for the load."""
-        return self._loads[:, 1 + (*self.chain, *ENDS).index(self.point)]
+        points = (*self.chain, *ENDS)
+        return self._loads[:, 1 + points.index(self.point)]
 
     @property
     def _loads(self) -> Array:
+        """The load on the joint and the lever arms about it, shape (N, n + 3)."""
         if self.loads is None:
             raise ModelError(f"The compliance of '{self.joint}' needs the load on the joints.")
         return self.loads[:, self.chain.index(self.joint)]
@@ -104,9 +161,10 @@ class Factor:
     value: Callable[[JointState], Array]  #: The number, of shape (N,), from a `JointState`.
     #: Its derivative by the joint's own value, shape (N,); None: next to 0, and taken as that.
     slope: Callable[[JointState], Array] | None
-    loaded: bool = False  #: Whether it needs the load on the joints.
-    #: Whether there is one for each later point of the chain, ``<joint>.<name>[<point>]``, and which this is.
+    loaded: bool = False  #: True if it needs the load on the joints.
+    #: True if there is one for each later point of the chain, ``<joint>.<name>[<point>]``.
     later: bool = False
+    #: The name of that point; "" where ``later`` is False or the point is not chosen yet.
     point: str = ""
 
 
@@ -116,30 +174,36 @@ class Family:
 
     name: str  #: As a model names it behind a "+": ``"gain"``.
     unit: Unit  #: Of a parameter, at a joint that turns.
-    prior: float  #: Standard deviation that is assumed, or where the search for it begins, in that unit.
-    typical: float  #: Standard deviation of a virtual robot's, in that unit.
+    prior: float  #: Prior standard deviation that is assumed, or where the search for it begins, in that unit.
+    typical: float  #: Standard deviation of a virtual robot's errors, in that unit.
     factors: tuple[Factor, ...] = ()  #: Of each joint's parameters; empty for the geometry.
-    sliding: Unit | None = None  #: At a joint that slides; None: that has none of the family.
-    every_joint: bool = False  #: Whether all of the chain err; else those measured, and followers.
-    bounds: tuple[float, float] = (1e-7, 0.1)  #: Standard deviations to believe, in ``unit``.
-    positive: bool = False  #: Whether its parameters are none but positive, as a compliance is.
+    #: Of a parameter at a joint that slides; None: such a joint has none of the family.
+    sliding: Unit | None = None
+    #: True if all joints of the chain err; False: the measured ones, and followers with them.
+    every_joint: bool = False
+    bounds: tuple[float, float] = (1e-7, 0.1)  #: Prior standard deviations to believe, in ``unit``.
+    positive: bool = False  #: True if its parameters cannot be negative, as a compliance cannot.
     lever: float = 1.0  #: A sliding joint's typical error over that of a turning one.
 
     @property
     def geometric(self) -> bool:
-        """Whether a URDF can hold its errors."""
+        """True if a URDF can hold its errors."""
         return not self.factors
 
     @property
     def loaded(self) -> bool:
-        """Whether it needs the load on the joints."""
+        """True if it needs the load on the joints."""
         return any(factor.loaded for factor in self.factors)
 
 
-ENDS = ("tip", "base")  #: The points that the chain ends at, besides those of its joints.
+#: The family of lengths of the geometry [m].
+LENGTH = "length"
 
-#: What a URDF can hold. A zero is an angle about a joint's own axis.
-LENGTH, ANGLE, ZERO = "length", "angle", "zero"
+#: The family of angles of the geometry other than joint zeros [rad].
+ANGLE = "angle"
+
+#: The family of joint zeros: angles about a joint's own axis [rad].
+ZERO = "zero"
 
 _GAIN = Factor("gain", lambda state: state.q, lambda state: np.ones_like(state.q))
 _SIN = Factor("sin", lambda state: np.sin(state.q), lambda state: np.cos(state.q))
@@ -151,21 +215,29 @@ _ROWS = (
     Family(LENGTH, M, prior=3e-3, typical=0.3e-3),
     Family(ANGLE, RAD, prior=15e-3, typical=3e-3),
     Family(ZERO, RAD, prior=15e-3, typical=5e-3),
-    Family("gain", ONE, 1e-3, 0.5e-3, (_GAIN,), sliding=M_PER_M),
-    Family("eccentricity", RAD, 1e-3, 0.5e-3, (_SIN, _COS)),
+    Family("gain", ONE, prior=1e-3, typical=0.5e-3, factors=(_GAIN,), sliding=M_PER_M),
+    Family("eccentricity", RAD, prior=1e-3, typical=0.5e-3, factors=(_SIN, _COS)),
     Family(
         "compliance",
         RAD_PER_NM,
-        1e-5,
-        1e-5,
-        (_COMPLIANCE,),
+        prior=1e-5,
+        typical=1e-5,
+        factors=(_COMPLIANCE,),
         sliding=M_PER_N,
         every_joint=True,
         bounds=(1e-11, 1e-2),
         positive=True,
         lever=0.1,
     ),
-    Family("gravity", RAD_PER_M, 1e-3, 0.3e-3, (_GRAVITY,), every_joint=True, positive=True),
+    Family(
+        "gravity",
+        RAD_PER_M,
+        prior=1e-3,
+        typical=0.3e-3,
+        factors=(_GRAVITY,),
+        every_joint=True,
+        positive=True,
+    ),
 )
 _REGISTRY: dict[str, Family] = {row.name: row for row in _ROWS}
 
@@ -174,7 +246,11 @@ FAMILIES: Mapping[str, Family] = MappingProxyType(_REGISTRY)
 
 
 def register(family: Family) -> None:
-    """Add a family of the joints' state, which models can then name: ``"dh+harmonic"``."""
+    """Add a family of the joints' state, which models can then name: ``"dh+harmonic"``.
+
+    Raises:
+        ModelError: It has no factors, or its name or that of a factor is taken.
+    """
     taken = [factor.name for row in FAMILIES.values() for factor in row.factors]
     doubled = [factor.name for factor in family.factors if factor.name in taken]
     if family.name in FAMILIES or doubled or not family.factors:
@@ -185,29 +261,38 @@ def register(family: Family) -> None:
 
 
 def family_of(name: str) -> Family:
-    """A family by its name; ModelError if it is not registered."""
+    """Return a family by its name; ModelError if none of that name is registered."""
     if name not in FAMILIES:
         raise ModelError(f"There is no family of errors '{name}'; there are {choices(FAMILIES)}.")
     return FAMILIES[name]
 
 
 def factor_of(name: str) -> Factor:
-    """A factor of any family by its name, with its point behind it; KeyError if there is none."""
-    own, _, point = name.removesuffix("]").partition("[")
-    known = {one.name: one for row in FAMILIES.values() for one in row.factors}
-    return replace(known[own], name=name, point=point) if point else known[own]
+    """Return a factor of any family by its name; KeyError if there is none.
+
+    Args:
+        name: Such as ``"gain"``; or with a point of the chain, as in ``"gravity[elbow_joint]"``.
+    """
+    factor_name, _, point = name.removesuffix("]").partition("[")
+    factors = {factor.name: factor for row in FAMILIES.values() for factor in row.factors}
+    factor = factors[factor_name]
+    if point:
+        return replace(factor, name=name, point=point)
+    return factor
 
 
 def joint_families() -> tuple[str, ...]:
-    """The names of the families that no URDF can hold, which a model may add to its set."""
+    """Return the names of the families that no URDF can hold, which a model may add to its set."""
     return tuple(name for name, row in FAMILIES.items() if not row.geometric)
 
 
 def unit_of(symbol: str) -> Unit:
-    """A unit of parameters by its symbol, calib's own or a registered family's; ModelError if there is none."""
-    own = (M, RAD, ONE, M_PER_M, RAD_PER_NM, RAD_PER_M, M_PER_N)
-    rows = (unit for row in FAMILIES.values() for unit in (row.unit, row.sliding) if unit)
-    units = {unit.symbol: unit for unit in (*own, *rows)}
+    """Return a unit of parameters by its symbol, calib's own or a registered family's; ModelError if there is none."""
+    units = {unit.symbol: unit for unit in _UNITS}
+    for row in FAMILIES.values():
+        for unit in (row.unit, row.sliding):
+            if unit is not None:
+                units[unit.symbol] = unit
     if symbol not in units:
         raise ModelError(f"No parameter has the unit '{symbol}'; the units are {choices(units)}.")
     return units[symbol]

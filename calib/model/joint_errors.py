@@ -1,4 +1,8 @@
-"""Errors of the joints' state: the parameters of their families, and how far they move the joints."""
+"""Errors of the joints' state: the parameters of their families, and how far they move the joints.
+
+A unit of such a parameter moves its joint by the factor of its family, a number of the joints' values and loads; joints
+that mimic it follow (`calib.model.families`).
+"""
 
 from __future__ import annotations
 
@@ -8,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.model.families import ENDS, JointState, factor_of, family_of
+from calib.model.families import ENDS, Factor, Family, JointState, Unit, factor_of, family_of
 from calib.model.parameters import Parameter, twist_of
 from calib.robot.gravity import GRAVITY, gravity_loads
 from calib.robot.ranges import spread_poses
@@ -16,68 +20,121 @@ from calib.robot.robot import Robot, read_only
 from calib.robot.urdf import UrdfJoint
 from calib.units import Array
 
-#: Lever arms that differ by less at so many poses are one [m].
-_NO_LEVER, _POSES = 1e-6, 20
+#: Lever arms that differ by no more than this in all poses are one [m].
+_SAME_LEVER = 1e-6
+
+#: Number of poses at which lever arms are compared.
+_LEVER_POSES = 20
 
 
 def joint_parameters(robot: Robot, family: str, gravity: ArrayLike = GRAVITY) -> list[Parameter]:
-    """The parameters of one family of the joints' state, named ``<joint>.gain`` and so on; ModelError without such."""
+    """Return the parameters of one family of the joints' state, named ``<joint>.gain`` and so on.
+
+    Args:
+        robot: The nominal robot.
+        family: Name of the family, such as ``"gain"``.
+        gravity: Shape (3,), acceleration in the URDF's root [m/s^2]; of a family with one parameter for each point of
+            the chain (``gravity``), points whose masses it cannot tell apart share one.
+
+    Raises:
+        ModelError: There is no such family.
+    """
     row = family_of(family)
     joints = robot.joints if row.every_joint else robot.inputs
-    units = [(j, row.sliding if j.type == "prismatic" else row.unit) for j in joints]
-    factors = [(j, u, f) for j, u in units for f in row.factors if u is not None]
-    if any(f.later for f in row.factors):
-        points = _later_points(robot, tuple(np.asarray(gravity, dtype=np.float64).tolist()))
-        factors = [
-            (j, u, factor_of(f"{f.name}[{point}]"))
-            for j, u, f in factors
-            for point in points[j.name]
-        ]
-    return [
-        Parameter(f"{j.name}.{f.name}", u.symbol, j.name, _joint_twist(j), family, factor=f)
-        for j, u, f in factors
-    ]
+    points: dict[str, list[str]] = {}
+    if any(factor.later for factor in row.factors):
+        points = _distinct_points(robot, tuple(np.asarray(gravity, dtype=np.float64).tolist()))
+    parameters = []
+    for joint in joints:
+        unit = _unit_at(row, joint)
+        if unit is None:
+            continue
+        at_points = points[joint.name] if points else None
+        for factor in _factors_at(row, at_points):
+            name = f"{joint.name}.{factor.name}"
+            twist = _joint_twist(joint)
+            parameter = Parameter(name, unit.symbol, joint.name, twist, family, factor=factor)
+            parameters.append(parameter)
+    return parameters
+
+
+def _unit_at(family: Family, joint: UrdfJoint) -> Unit | None:
+    """Return the unit of a family's parameters at a joint; None where a sliding joint has none of them."""
+    return family.sliding if joint.type == "prismatic" else family.unit
+
+
+def _factors_at(family: Family, points: list[str] | None) -> list[Factor]:
+    """Return a family's factors at one joint: as they are if ``points`` is None, else one for each of the points."""
+    if points is None:
+        return list(family.factors)
+    return [factor_of(f"{factor.name}[{point}]") for factor in family.factors for point in points]
 
 
 @lru_cache(maxsize=16)
-def _later_points(robot: Robot, gravity: tuple[float, ...]) -> dict[str, list[str]]:
-    """The points at which a mass loads each joint: of those that it cannot tell apart the first."""
-    levers = gravity_loads(robot, spread_poses(robot, _POSES), None, gravity)[:, :, 1:]
+def _distinct_points(robot: Robot, gravity: tuple[float, ...]) -> dict[str, list[str]]:
+    """Return points of the chain where a mass loads each joint: one representative per set of equal lever arms.
+
+    A lever arm is compared over `_LEVER_POSES` poses; points at which a mass never loads the joint are left out.
+
+    Args:
+        robot: The nominal robot.
+        gravity: Three numbers, acceleration in the URDF's root [m/s^2].
+
+    Returns:
+        By the joint's name, names of joints (for their origins) or of `ENDS`, in the order of the chain.
+    """
+    q = spread_poses(robot, _LEVER_POSES)
+    levers = gravity_loads(robot, q, None, gravity)[:, :, 1:]
     names = (*(joint.name for joint in robot.joints), *ENDS)
     points: dict[str, list[str]] = {}
     for i, joint in enumerate(robot.joints):
-        told = [np.zeros(len(levers))]
-        points[joint.name] = own = []
-        for name, column in zip(names, levers[:, i].T, strict=True):
-            if all(np.abs(column - other).max() > _NO_LEVER for other in told):
-                told.append(column)
-                own.append(name)
+        distinct = [np.zeros(len(levers))]
+        points[joint.name] = []
+        for name, lever in zip(names, levers[:, i].T, strict=True):
+            if all(np.abs(lever - known).max() > _SAME_LEVER for known in distinct):
+                distinct.append(lever)
+                points[joint.name].append(name)
     return points
 
 
 def axis_twists(robot: Robot) -> Array:
-    """The twist of a unit of each joint of the chain, in its own frame, shape (n, 6)."""
+    """Return the twist of a unit of each joint of the chain, in its own frame, shape (n, 6), linear then angular."""
     return read_only([_joint_twist(joint) for joint in robot.joints])
 
 
 def _joint_twist(joint: UrdfJoint) -> Array:
-    """The twist of a unit of a joint."""
+    """Return the twist of a unit of a joint in its own frame, shape (6,)."""
     zeros = np.zeros(3)
-    return twist_of(joint.axis, zeros) if joint.type == "prismatic" else twist_of(zeros, joint.axis)
+    if joint.type == "prismatic":
+        return twist_of(joint.axis, zeros)
+    return twist_of(zeros, joint.axis)
 
 
 def joint_displacements(
     robot: Robot, terms: Sequence[Parameter], q: Array, load: Array | None
 ) -> Array:
-    """How far a unit of each term, with a ``factor``, moves each joint of the chain, shape (N, n, len(terms))."""
-    joints, names = tuple(joint.name for joint in robot.joints), robot.joint_names
-    moved = np.zeros((len(q), len(joints), len(terms)))
+    """Return how far a unit of each term moves each joint of the chain.
+
+    Args:
+        robot: The nominal robot, n joints in its chain.
+        terms: Terms of an error model that have a ``factor``.
+        q: Shape (N, m), values of the measured joints, [rad] or [m].
+        load: Shape (N, n, n + 3), see `calib.robot.gravity.gravity_loads`; None if not known.
+
+    Returns:
+        Shape (N, n, len(terms)), [rad or m] per unit of the term.
+
+    Raises:
+        ModelError: A term needs the loads, and they are not known.
+    """
+    chain = tuple(joint.name for joint in robot.joints)
+    moved = np.zeros((len(q), len(chain), len(terms)))
     for k, term in enumerate(terms):
         assert term.factor is not None
         if family_of(term.family).every_joint:
-            driven: Array = np.eye(len(joints))[joints.index(term.place)]
+            driven: Array = np.eye(len(chain))[chain.index(term.place)]
         else:
-            driven = robot.coupling[:, names.index(term.place)]
-        state = JointState(term.place, names, q, joints, load, term.factor.point)
+            driven = robot.coupling[:, robot.joint_names.index(term.place)]
+        state = JointState(term.place, robot.joint_names, q, chain, load, term.factor.point)
         moved[:, :, k] = term.factor.value(state)[:, None] * driven
     return moved

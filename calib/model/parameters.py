@@ -1,4 +1,4 @@
-"""Parameters of an error model: what can be wrong, where, and in which direction.
+"""Parameters of an error model: each an error, the place that it acts at, and its direction.
 
 See `calib.model.error_model` for the equation. A parameter may be *tied* to another one, x_a = factor x_b; then it
 keeps its term of the equation but is no unknown of its own.
@@ -6,23 +6,28 @@ keeps its term of the equation but is no unknown of its own.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from calib.errors import ModelError, choices
 from calib.model.families import FAMILIES, Factor
 from calib.robot.robot import Robot, read_only
-from calib.units import Array
+from calib.units import Array, Mask
 
-#: The places that are not joints, with the name of the frame or target behind it; no URDF calls a joint so.
-FRAME, TIP, TARGET = "(frame)", "(tip)", "(target)"
+#: Place of a measurement frame, with the frame's name behind it: ``"(frame)left"``. No URDF calls a joint so.
+FRAME = "(frame)"
 
+#: Place of the tip: its placement in the last joint.
+TIP = "(tip)"
 
-_UNMOVED = 1e-12  #: A placement that is displaced by less stays as it is, and so does its <origin> [m, rad].
+#: Place of a target, with the target's name behind it.
+TARGET = "(target)"
+
+#: A placement that is displaced by less stays as it is, and so does its <origin> [m; rotation matrices: 1].
+_UNMOVED = 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,41 +46,47 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ErrorModel:
-    """A named list of parameters for one chain."""
+    """A named list of parameters for one chain, and the terms of the equation that they move."""
 
     name: str  #: The set's name, such as ``"dh"``.
     places: tuple[str, ...]  #: All places in order: the frames, the joints, the tip, the targets.
-    parameters: tuple[Parameter, ...]  #: The unknowns, in the order of the parameter vector x.
+    parameters: tuple[Parameter, ...]  #: The p unknowns, in the order of the parameter vector x.
     #: The parameters and those tied to them, in the order in which they act; the parameters where none is.
     terms: tuple[Parameter, ...] = ()
     #: shape (terms, p): the value of each term is mixing @ x; the identity where none is tied.
     mixing: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    #: Of each term of a placement, the last first: its index, its place's index, and its twist.
     _backwards: tuple[tuple[int, int, pin.Motion], ...] = field(init=False, repr=False)
+    #: shape (6 places, terms), twist of each term at each place where all values are zero.
     _undisplaced: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Refuse a name twice and a place that the chain lacks; see at which place each term acts, the last first."""
+        """Refuse names given twice and unknown places; note the place and the twist of each term."""
         if not self.terms:
             object.__setattr__(self, "terms", self.parameters)
             object.__setattr__(self, "mixing", read_only(np.eye(len(self.parameters))))
+        of_placements = [(t, term) for t, term in enumerate(self.terms) if term.factor is None]
+        self._check([term.place for _, term in of_placements])
+        place_index = {place: k for k, place in enumerate(self.places)}
+        undisplaced = np.zeros((6 * len(self.places), len(self.terms)))
+        backwards = []
+        for t, term in reversed(of_placements):
+            k = place_index[term.place]
+            undisplaced[6 * k : 6 * k + 6, t] = term.direction
+            backwards.append((t, k, pin.Motion(term.direction)))
+        object.__setattr__(self, "_backwards", tuple(backwards))
+        object.__setattr__(self, "_undisplaced", read_only(undisplaced))
+
+    def _check(self, places: Sequence[str]) -> None:
+        """Refuse terms that share a name, and places of terms that the chain does not have."""
         names = [term.name for term in self.terms]
-        number = {place: k for k, place in enumerate(self.places)}
-        fixed = [(t, term) for t, term in enumerate(self.terms) if term.factor is None]
         doubled = sorted({name for name in names if names.count(name) > 1})
-        unknown = sorted({term.place for _, term in fixed} - set(number))
+        unknown = sorted(set(places) - set(self.places))
         if doubled or unknown:
             raise ModelError(
                 f"The model '{self.name}' has parameters {choices(doubled)} twice, or at unknown places "
                 f"{choices(unknown)}; places are {choices(self.places)}."
             )
-        undisplaced = np.zeros((6 * len(self.places), len(self.terms)))
-        backwards = []
-        for t, term in reversed(fixed):
-            k = number[term.place]
-            undisplaced[6 * k : 6 * k + 6, t] = term.direction
-            backwards.append((t, k, pin.Motion(term.direction)))
-        object.__setattr__(self, "_backwards", tuple(backwards))
-        object.__setattr__(self, "_undisplaced", read_only(undisplaced))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -84,24 +95,25 @@ class ErrorModel:
 
     @property
     def units(self) -> tuple[str, ...]:
-        """The parameters' units."""
+        """The symbols of the parameters' units."""
         return tuple(p.unit for p in self.parameters)
 
     @property
     def families(self) -> tuple[str, ...]:
-        """The families that the model has, in the order of the registry."""
-        return tuple(f for f in FAMILIES if any(p.family == f for p in self.parameters))
+        """The families that the model has parameters of, in the order of the registry."""
+        present = {p.family for p in self.parameters}
+        return tuple(name for name in FAMILIES if name in present)
 
     def __len__(self) -> int:
-        """The number of parameters."""
+        """The number p of parameters."""
         return len(self.parameters)
 
-    def family(self, *names: str) -> NDArray[np.bool_]:
-        """Which parameters belong to one of some families, shape (p,)."""
+    def family(self, *names: str) -> Mask:
+        """Return the mask of the parameters that belong to one of the families named, shape (p,)."""
         return np.array([p.family in names for p in self.parameters], dtype=bool)
 
     def index(self, name: str) -> int:
-        """The position of a parameter in x; ModelError if there is none."""
+        """Return the position of a parameter in x, from 0; ModelError if the model has none of that name."""
         if name not in self.names:
             raise ModelError(
                 f"The model '{self.name}' has no parameter '{name}'; it has {choices(self.names, limit=60)}."
@@ -109,30 +121,50 @@ class ErrorModel:
         return self.names.index(name)
 
     def without(self, names: Iterable[str]) -> ErrorModel:
-        """The model with these parameters frozen at their nominal values, and those tied to them with them."""
-        gone = {self.index(name) for name in names}
-        kept = [k for k in range(len(self)) if k not in gone]
-        return self._mixed(kept, self.mixing[:, kept]) if gone else self
+        """Return the model with these parameters frozen at their nominal values, and those tied to them with them.
+
+        Raises:
+            ModelError: The model has no parameter of such a name.
+        """
+        frozen = {self.index(name) for name in names}
+        if not frozen:
+            return self
+        kept = [k for k in range(len(self)) if k not in frozen]
+        return self._mixed(kept, self.mixing[:, kept])
 
     def tied(self, ties: Mapping[str, tuple[str, float]]) -> ErrorModel:
-        """The model with parameters that follow others, x_name = factor x_other; ModelError where they cannot."""
+        """Return the model with some parameters following others, x_follower = factor x_leader.
+
+        Args:
+            ties: Leader's name and factor by the follower's name. A leader stays free.
+
+        Raises:
+            ModelError: A name is not that of a parameter, a leader follows too, or its unit is another.
+        """
         if not ties:
             return self
         mixing = self.mixing.copy()
-        for name, (other, factor) in ties.items():
-            k, leader = self.index(name), self.index(other)
-            units = self.units[k], self.units[leader]
-            if other in ties or k == leader or units[0] != units[1]:
+        for name, (leader_name, factor) in ties.items():
+            follower = self.index(name)
+            leader = self.index(leader_name)
+            unit = self.units[follower]
+            leader_unit = self.units[leader]
+            if leader_name in ties or follower == leader or unit != leader_unit:
                 raise ModelError(
-                    f"'{name}' [{units[0]}] cannot follow '{other}' [{units[1]}]: parameters are tied to one that is "
-                    "free and of the same unit."
+                    f"'{name}' [{unit}] cannot follow '{leader_name}' [{leader_unit}]: parameters are tied to one "
+                    "that is free and of the same unit."
                 )
-            mixing[:, leader] += factor * mixing[:, k]
+            mixing[:, leader] += factor * mixing[:, follower]
         free = [k for k, name in enumerate(self.names) if name not in ties]
         return self._mixed(free, mixing[:, free])
 
     def _mixed(self, kept: list[int], mixing: Array) -> ErrorModel:
-        """The model with some of its parameters, and the terms that they move."""
+        """Return the model of the parameters with these indices, and the terms that they move by ``mixing``.
+
+        Args:
+            kept: Indices of p' of the parameters.
+            mixing: Shape (terms, p').
+        """
         used = np.flatnonzero(mixing.any(axis=1))
         return replace(
             self,
@@ -143,48 +175,70 @@ class ErrorModel:
 
     @property
     def joint_terms(self) -> tuple[int, ...]:
-        """The terms that change with the joints' state."""
+        """The indices of the terms that change with the joints' state."""
         return tuple(t for t, term in enumerate(self.terms) if term.factor is not None)
 
     def values(self, x: Array) -> Array:
-        """The value of every term, shape (terms,)."""
+        """Return the value of every term in its unit, shape (terms,), at the parameters x, shape (p,)."""
         return np.asarray(self.mixing @ x)
 
     def displacements(self, x: Array) -> tuple[Array, Array]:
-        """The displacement D of every place at x, (places, 4, 4), and what a unit of each parameter does there.
+        """Return the displacement of every place, and the twist of a unit of each parameter there.
 
-        The displaced placement is P D; rows 6 k to 6 k + 5 of (6 places, p) are the twists at place k, in its frame.
+            P' = P D,    D = exp(xi_1 x_1) exp(xi_2 x_2) ...,    dD/dx_k = D [twist of column k]
+
+        Args:
+            x: Shape (p,), the parameters in their units.
+
+        Returns:
+            D, shape (places, 4, 4), [m]; and the twists, shape (6 places, p): rows 6 k to 6 k + 5 are those at place
+            k, in the displaced frame, linear then angular.
         """
-        y = self.values(x)
-        directions = self._undisplaced.copy()
+        values = self.values(x)
+        twists = self._undisplaced.copy()
         displacements = np.tile(np.eye(4), (len(self.places), 1, 1))
-        if y.any():
-            products: dict[int, pin.SE3] = {}
-            values = y.tolist()
-            # Backwards, so that the product of the factors after each term is at hand.
-            for t, k, twist in self._backwards:
-                later, factor = products.get(k), pin.exp6(twist * values[t])
-                if later is not None:
-                    directions[6 * k : 6 * k + 6, t] = later.actInv(twist).vector
-                    factor = factor * later
-                products[k] = factor
+        if values.any():
+            products = self._carry(twists, values.tolist())
             for k, product in products.items():
                 displacements[k] = product.homogeneous
-        untied = self.terms is self.parameters
-        return displacements, directions if untied else directions @ self.mixing
+        if self.terms is not self.parameters:
+            twists = twists @ self.mixing
+        return displacements, twists
+
+    def _carry(self, twists: Array, values: list[float]) -> dict[int, pin.SE3]:
+        """Carry each term's twist (6 places, terms), in place, past the terms behind it; return D by place index."""
+        products: dict[int, pin.SE3] = {}
+        # Backwards, so that the product of the factors after each term is at hand.
+        for t, k, twist in self._backwards:
+            later = products.get(k)
+            factor = pin.exp6(twist * values[t])
+            if later is not None:
+                twists[6 * k : 6 * k + 6, t] = later.actInv(twist).vector
+                factor = factor * later
+            products[k] = factor
+        return products
 
     def apply(self, robot: Robot, x: Array) -> Robot:
-        """The robot with its placements displaced by x, without frame, target and errors of the joints' state."""
+        """Return the robot with its placements displaced: the geometric model, as a URDF holds it.
+
+        Args:
+            robot: The nominal robot.
+            x: Shape (p,), the parameters; those of frames, targets and the joints' state are left out.
+
+        Raises:
+            UrdfError: A placement is displaced that no URDF joint carries.
+        """
         if not np.any(x):
             return robot
-        displacement, placements = self.displacements(x)[0], robot.placements.copy()
+        displacements, _ = self.displacements(x)
+        placements = robot.placements.copy()
         first = self.places.index(TIP) - len(robot.joints)
-        for i, factor in enumerate(displacement[first : first + len(placements)]):
-            if np.abs(factor - np.eye(4)).max() > _UNMOVED:
-                placements[i] = placements[i] @ factor
+        for i, displacement in enumerate(displacements[first : first + len(placements)]):
+            if np.abs(displacement - np.eye(4)).max() > _UNMOVED:
+                placements[i] = placements[i] @ displacement
         return robot.with_placements(placements)
 
 
 def twist_of(linear: Array, angular: Array) -> Array:
-    """A twist, linear part first, read-only."""
+    """Return a twist, shape (6,), read-only: its linear, then its angular part, each of shape (3,)."""
     return read_only(np.concatenate([linear, angular]))

@@ -1,32 +1,36 @@
-"""Errors of a set of rows: the figures that are reported."""
+"""Error figures of a set of rows, as in the paper's Tables 4 and 5, and those of cross-validation."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from calib.robot.robot import read_only
 from calib.units import Array, Integers, Mask
 
+#: Columns of a residual that hold lengths; those of angles follow.
+LENGTHS = 3
+
 
 def rms(values: Array) -> float:
-    """Root mean square."""
+    """Root mean square over all entries, in their unit."""
     return float(np.sqrt(np.mean(values**2)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Errors:
-    """Errors of a set of rows, as in the paper's Tables 4 and 5: of lengths, and of angles where there are any."""
+    """Error figures of a set of rows: of lengths, and of angles where there are any."""
 
     n: int  # Number of rows with a measured length
-    max: float  # Largest error, the norm of measured minus predicted [m]; NaN where n = 0, as all that follows
+    max: float  # Largest error, the norm of a row's residual [m]; NaN where n = 0, as all that follow
     mean: float  # Mean of the norms [m]
     rms: float  # Root mean square of the norms [m]
-    mean_axis: Array  # (3,), mean signed error along x, y, z [m]; NaN where not all rows have three coordinates
-    rms_axis: Array  # (3,), likewise
-    span_axis: Array  # (3,), largest minus smallest signed error along x, y, z, likewise
+    mean_axis: (
+        Array  # (3,), mean residual along x, y, z [m]; NaN unless all rows have three coordinates
+    )
+    rms_axis: Array  # (3,), root mean square of the residual along x, y, z [m]; NaN likewise
+    span_axis: Array  # (3,), largest minus smallest residual along x, y, z [m]; NaN likewise
     n_angle: int = 0  # Number of rows with a measured orientation
     max_angle: float = np.nan  # Largest angle between measured and predicted [rad]; NaN without any
     mean_angle: float = np.nan  # Mean of these angles [rad]
@@ -34,37 +38,72 @@ class Errors:
 
     @classmethod
     def of(cls, residual: Array, used: Mask | None = None) -> Errors:
-        """From residuals, measured minus predicted, (N, D); used, (N, D), says which scalars were measured.
+        """Summarise the residuals of N rows.
+
+        Args:
+            residual: shape (N, D), measured minus predicted: lengths [m] in the first three
+                columns, rotation vectors [rad] in those behind; 0 where nothing was measured.
+            used: shape (N, D), which entries were measured; None for all.
+
+        Returns:
+            Figures over rows with a measured length, and over those with a measured angle.
 
         Example:
             >>> errors = Errors.of(np.array([[3e-3, 4e-3, 0.0], [0.0, 0.0, 0.0]]))
             >>> round(errors.mean, 6), round(errors.rms, 6)
             (0.0025, 0.003536)
         """
-        used = np.ones(residual.shape, dtype=bool) if used is None else used
-        there, turned = np.any(used[:, :3], axis=1), np.any(used[:, 3:], axis=1)
-        lengths, axes = residual[there, :3], [np.full(3, np.nan)] * 3
-        if residual.shape[1] >= 3 and np.any(there) and np.all(used[there, :3]):
-            mean, rms = lengths.mean(axis=0), np.sqrt(np.mean(lengths**2, axis=0))
-            axes = [mean, rms, np.ptp(lengths, axis=0)]
-        figures = {"mean_axis": axes[0], "rms_axis": axes[1], "span_axis": axes[2]}
-        found: dict[str, Any] = {name: read_only(values) for name, values in figures.items()}
-        for of, rows in (("", lengths), ("_angle", residual[turned, 3:])):
-            norms = np.linalg.norm(rows, axis=1)
-            some = norms if len(norms) else np.array([np.nan])
-            rms = np.sqrt(np.mean(some**2))
-            values = zip(("max", "mean", "rms"), (some.max(), some.mean(), rms), strict=True)
-            found |= {f"n{of}": len(norms)} | {name + of: float(one) for name, one in values}
-        return cls(**found)
+        if used is None:
+            used = np.ones(residual.shape, dtype=bool)
+        has_length = np.any(used[:, :LENGTHS], axis=1)
+        has_angle = np.any(used[:, LENGTHS:], axis=1)
+        lengths = residual[has_length, :LENGTHS]
+        angles = residual[has_angle, LENGTHS:]
+        # A mean along an axis needs that axis in every row.
+        three = residual.shape[1] >= LENGTHS and np.any(has_length)
+        if not (three and np.all(used[has_length, :LENGTHS])):
+            by_axis = np.full((LENGTHS, 3), np.nan)
+        else:
+            by_axis = _figures_by_axis(lengths)
+        largest, mean, root_mean_square = _figures_of_norms(lengths)
+        largest_angle, mean_angle, rms_angle = _figures_of_norms(angles)
+        return cls(
+            n=len(lengths),
+            max=largest,
+            mean=mean,
+            rms=root_mean_square,
+            mean_axis=read_only(by_axis[0]),
+            rms_axis=read_only(by_axis[1]),
+            span_axis=read_only(by_axis[2]),
+            n_angle=len(angles),
+            max_angle=largest_angle,
+            mean_angle=mean_angle,
+            rms_angle=rms_angle,
+        )
+
+
+def _figures_by_axis(lengths: Array) -> Array:
+    """Mean, root mean square and span of vectors (n, 3) along each axis, shape (3, 3)."""
+    mean = lengths.mean(axis=0)
+    root_mean_square = np.sqrt(np.mean(lengths**2, axis=0))
+    return np.array([mean, root_mean_square, np.ptp(lengths, axis=0)])
+
+
+def _figures_of_norms(vectors: Array) -> tuple[float, float, float]:
+    """Largest norm of vectors (n, d), mean and root mean square of the norms; NaN where n = 0."""
+    norms = np.linalg.norm(vectors, axis=1)
+    if not len(norms):
+        return np.nan, np.nan, np.nan
+    return float(norms.max()), float(norms.mean()), rms(norms)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CrossValidation:
-    """Errors on rows that the fit did not see."""
+    """Errors on held-out rows: each row is predicted by a fit without it."""
 
     method: str  # ``"leave-one-out"``, ``"leave-one-pose-out"``, ``"leave-one-station-out"``, ``"10-fold"``, ...
     folds: int  # Number of fits
-    poses: Integers  # (N,), from 0: rows of one number are of one pose or of one pair, and held out together
+    poses: Integers  # (N,), from 0: rows of one number are of one pose or one pair, and held out together
     residual: Array  # (N, D), measured minus predicted by the fit without the row [m], [rad]
     errors: Errors  # Of all rows
     errors_without_outliers: Errors  # Of the rows that the fit to all rows did not flag

@@ -1,4 +1,17 @@
-"""Normal equations and the restricted likelihood."""
+"""Normal equations of a linear model with normal priors: posterior, and restricted likelihood of noise and priors.
+
+Measurements y = A x + n of C instruments, n of variance sigma_c^2 / w for a row of weight w, and priors
+x_k ~ N(m_k, 1 / precision_k) have the posterior precision, covariance and mean
+
+    M = sum_c A_c^T W A_c / sigma_c^2 + diag(precision),    C = M^-1,
+    x = C (sum_c A_c^T W y_c / sigma_c^2 + precision m)
+
+Parameters of the measurement setup are flat: their prior is too wide to count. The likelihood is restricted, that is
+integrated over all parameters (H. D. Patterson, R. Thompson, 1971).
+
+B fits that differ in the weights of their rows are computed together: they are the first axis of all arrays. Letters of
+shapes: B fits, C instruments, D scalars of a row, N rows, p parameters, K families of parameters.
+"""
 
 from __future__ import annotations
 
@@ -10,92 +23,146 @@ from scipy.linalg.lapack import dpotrf, dtrtri
 
 from calib.units import Array
 
+#: Divisor and logarithm in place of zero.
+_TINY = 1e-300
+
+#: Smallest diagonal entry of a Cholesky factor, of a matrix of unit diagonal, with which it is inverted.
+_SINGULAR = 1e-6
+
+#: Eigenvalues below this share of the largest are zero.
+_ZERO_EIGENVALUE = 1e-13
+
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Priors:
-    """What is known of parameters beforehand: x_k ~ N(centre_k, 1 / precision_k)."""
+class GaussianPriors:
+    """Independent priors x_k ~ N(centre_k, 1 / precision_k) of p parameters, known before the fit."""
 
-    precision: Array  # (B, p) or (p,); 0 where there is none
-    centre: Array  # (p,)
+    precision: Array  # (B, p) or (p,); 0 for a parameter without prior
+    centre: Array  # (p,), means
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Normal:
-    """Weighted normal equations of the measurements, and those of known constraints C x = z, whitened."""
+class NormalEquations:
+    """Sums over the rows that B linear fits need, and over constraints C x = z that are known, whitened."""
 
-    H: Array  # (B, C, p, p), A_c^T W A_c of each instrument
+    H: Array  # (B, C, p, p), A_c^T W A_c of each instrument, A in units of the given sigma
     g: Array  # (B, C, p), A_c^T W y_c
     yy: Array  # (B, C), y_c^T W y_c
-    count: Array  # (B, C), number of scalar measurements, by weight
-    known: tuple[Array, Array, float]  # C^T C, C^T z and z^T z
-    held: Array  # (p,), the row of C of a combination that is held at zero by choice, not by measurement; else zeros
-    log_det: Array | float = (
-        0.0  # (B,), of the weighted scalars' covariance, in units of the noise: stops share errors
-    )
+    count: Array  # (B, C), number of scalars, by weight
+    known: tuple[Array, Array, float]  # C^T C, C^T z and z^T z, of shapes (p, p), (p,) and ()
+    held: Array  # (p,), row of C of a combination held at zero by choice, not by measurement; else zeros
+    log_det: Array | float = 0.0  # (B,), log determinant of the weighted scalars' covariance over
+    # the noise; 0 where scalars are independent of each other
 
-    def posterior(self, noise: Array, priors: Priors) -> tuple[Array, Array]:
-        """Mean (B, p) and covariance (B, p, p) of x, none of what nothing tells, at each instrument's sigma, (B, C)."""
-        scaled, scale = self._scaled(noise, priors)
-        right = (1.0 / np.square(noise)[:, None] @ self.g)[:, 0] + self.known[1]
+    def posterior(self, noise: Array, priors: GaussianPriors) -> tuple[Array, Array]:
+        """Compute the posterior of the parameters.
+
+        Args:
+            noise: shape (B, C), standard deviation of each instrument, in units of the given sigma.
+            priors: Of all p parameters.
+
+        Returns:
+            The mean x, shape (B, p), and its covariance, shape (B, p, p); both zero along unobservable directions.
+        """
+        M, scale = self._scaled_precision(noise, priors)
+        measured = (1.0 / np.square(noise)[:, None] @ self.g)[:, 0]
+        right = measured + self.known[1]
         right = right + priors.precision * priors.centre
-        C = np.array([inverse(M) for M in scaled]) * (scale[:, :, None] * scale[:, None])
-        return (C @ right[:, :, None])[:, :, 0], C
+        inverses = np.array([pseudo_inverse(one_fit) for one_fit in M])
+        covariance = inverses * (scale[:, :, None] * scale[:, None])
+        return (covariance @ right[:, :, None])[:, :, 0], covariance
 
-    def _scaled(self, noise: Array, priors: Priors) -> tuple[Array, Array]:
-        """The posterior's precision matrix M with a diagonal of ones, and the root of what it was divided by."""
+    def _scaled_precision(self, noise: Array, priors: GaussianPriors) -> tuple[Array, Array]:
+        """The posterior's precision scaled to a unit diagonal, and the scale.
+
+        Returns:
+            S M S, shape (B, p, p), and the diagonal of S, shape (B, p), which is 1 / sqrt(diag M).
+        """
         B, C, p, _ = self.H.shape
         weight = 1.0 / np.square(noise)[:, None]
         M = (weight @ self.H.reshape(B, C, p * p)).reshape(B, p, p) + self.known[0]
-        diagonal(M)[...] += priors.precision
-        scale = 1.0 / np.sqrt(diagonal(M) + 1e-300)
+        diagonals(M)[...] += priors.precision
+        scale = 1.0 / np.sqrt(diagonals(M) + _TINY)
         return M * (scale[:, :, None] * scale[:, None]), scale
 
     def residual_square(self, x: Array) -> Array:
-        """|y - A x|^2 of each instrument, weighted, never below 0, shape (B, C)."""
-        x = x[:, None, :, None]
-        square = self.yy + ((self.H @ x - 2.0 * self.g[..., None]) * x)[..., 0].sum(axis=2)
-        return np.asarray(np.maximum(square, 0.0))
+        """Weighted sum of squared residuals |y - A x|^2 of each instrument at x, (B, p).
 
-    def log_likelihood(self, noise: Array, priors: Priors, own: Array) -> Array:
-        """The restricted log likelihood of noise and sizes, but for a constant of the flat parameters, shape (B,).
-
-        -1/2 [sum_c N_c log sigma_c^2 + log det K - sum_k log own_k + log det M + y^T P y], with the covariance K of the
-        scalars in units of the noise, the posterior's precision M and ``own``, (B, p), the precision of the parameters
-        that are not flat. A combination that is held is a condition,
-        not an observation: the prior's density of it being zero is divided out.
+        Returns:
+            shape (B, C), in units of the given sigma squared, never below 0.
         """
-        scaled, scale = self._scaled(noise, priors)
-        values = np.linalg.eigvalsh(scaled)
-        log_det = np.sum(np.log(np.maximum(values, 1e-300)) - 2.0 * np.log(scale), axis=1)
+        x = x[:, None, :, None]
+        change = ((self.H @ x - 2.0 * self.g[..., None]) * x)[..., 0].sum(axis=2)
+        return np.asarray(np.maximum(self.yy + change, 0.0))
+
+    def log_likelihood(
+        self, noise: Array, priors: GaussianPriors, family_precision: Array
+    ) -> Array:
+        """Compute the restricted log-likelihood of noise and priors, but for a constant of the flat parameters.
+
+        With the covariance V of the scalars in units of the noise and the posterior precision M it is
+
+            -1/2 [sum_c N_c log sigma_c^2 + log det V - sum_k log family_precision_k + log det M + y^T P y]
+
+        A combination that is held is a condition, not an observation: the prior density that it is zero is divided out.
+
+        Args:
+            noise: shape (B, C), standard deviation of each instrument, in units of the given sigma.
+            priors: Of all p parameters.
+            family_precision: shape (B, p), prior precision of the parameters that are not flat; 0 for flat ones.
+
+        Returns:
+            shape (B,).
+        """
+        M, scale = self._scaled_precision(noise, priors)
+        eigenvalues = np.maximum(np.linalg.eigvalsh(M), _TINY)
+        log_det_M = np.sum(np.log(eigenvalues) - 2.0 * np.log(scale), axis=1)
+        proper = family_precision > 0.0
+        log_precision = np.log(np.where(proper, family_precision, 1.0))
+        log_det_priors = np.sum(log_precision, axis=1)
+        log_det_noise = 2.0 * np.sum(self.count * np.log(noise), axis=1)
+        held = np.log1p(np.sum(self.held_variance(family_precision), axis=1))
+        square = self._posterior_square(noise, priors)
+        twice = log_det_noise + self.log_det - log_det_priors + log_det_M + square - held
+        return np.asarray(-0.5 * twice)
+
+    def _posterior_square(self, noise: Array, priors: GaussianPriors) -> Array:
+        """y^T P y: the weighted squares of measurements, constraints and priors at the posterior mean, shape (B,)."""
         x, _ = self.posterior(noise, priors)
-        H, g, zz = self.known
-        # Of the priors term by term: one that holds a parameter at a bound would drown the rest in its rounding.
+        CC, Cz, zz = self.known
+        # Of the priors term by term: a parameter held at its bound would drown the others in its rounding.
         square = np.sum(priors.precision * (x - priors.centre) ** 2, axis=-1)
-        square += np.maximum(zz - 2.0 * (x @ g) + np.sum((x @ H) * x, axis=-1), 0.0)
+        constraints = zz - 2.0 * (x @ Cz) + np.sum((x @ CC) * x, axis=-1)
+        square += np.maximum(constraints, 0.0)
         square += np.sum(self.residual_square(x) / np.square(noise), axis=1)
-        of_priors = np.sum(np.log(np.where(own > 0.0, own, 1.0)), axis=1)
-        of_noise = 2.0 * np.sum(self.count * np.log(noise), axis=1)
-        of_held = np.log1p(np.sum(self.held_variance(own), axis=1))
-        return np.asarray(-0.5 * (of_noise + self.log_det - of_priors + log_det + square - of_held))
+        return np.asarray(square)
 
-    def held_variance(self, own: Array) -> Array:
-        """The prior variance of each term of the combination that is held, over its tolerance squared, shape (B, p)."""
-        return np.where(own > 0.0, self.held**2 / np.where(own > 0.0, own, 1.0), 0.0)
+    def held_variance(self, family_precision: Array) -> Array:
+        """Prior variance of each term of the held combination, over the square of its tolerance.
+
+        Args:
+            family_precision: shape (B, p), prior precision of the parameters that are not flat; 0 for flat ones.
+
+        Returns:
+            shape (B, p), 0 for parameters without prior; the sum over p is the combination's variance.
+        """
+        proper = family_precision > 0.0
+        return np.where(proper, self.held**2 / np.where(proper, family_precision, 1.0), 0.0)
 
 
-def inverse(M: Array) -> Array:
-    """The inverse of a positive semidefinite matrix of unit diagonal; its pseudo-inverse where it is singular."""
+def pseudo_inverse(M: Array) -> Array:
+    """Invert a positive semidefinite matrix of unit diagonal; its pseudo-inverse where it is singular, (p, p)."""
     if not len(M):  # LAPACK refuses it
         return M
     root, failed = dpotrf(M, lower=1, clean=1)
-    if not failed and root.diagonal().min(initial=1.0) > 1e-6:
+    if not failed and root.diagonal().min(initial=1.0) > _SINGULAR:
         inverse, _ = dtrtri(root, lower=1)
         return np.asarray(inverse.T @ inverse)
     values, vectors = eigh(M, driver="ev")  # divide and conquer does not converge for some of them
-    kept = np.abs(values) > 1e-13 * np.max(np.abs(values), initial=0.0)
+    kept = np.abs(values) > _ZERO_EIGENVALUE * np.max(np.abs(values), initial=0.0)
     return np.asarray((vectors[:, kept] / values[kept]) @ vectors[:, kept].T)
 
 
-def diagonal(M: Array) -> Array:
-    """The diagonals of matrices, shape (B, p), to be written to."""
+def diagonals(M: Array) -> Array:
+    """View of the diagonals of matrices (B, p, p), shape (B, p): writing to it changes M."""
     return np.asarray(np.einsum("bii->bi", M))

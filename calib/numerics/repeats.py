@@ -1,18 +1,35 @@
-"""Repeats of a pose: their own scatter, and what they share."""
+"""Repeats of a pose: the scatter within them, and how much of the residual they share.
+
+A scalar of repeat i of pose k has the error
+
+    e_ki = b_k + w_ki,        var b = s_b^2,        var w = s_w^2,        rho = s_b^2 / (s_b^2 + s_w^2)
+
+where b is shared by all repeats of the pose and w is each one's own; rho is their intraclass correlation. Both
+variances follow from the mean squares within and between poses (one-way analysis of
+variance with unequal groups, by moments).
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
+from calib.numerics.errors import LENGTHS
 from calib.robot.robot import read_only
 from calib.units import Array, Integers, Mask
+
+#: Degrees of freedom below this are rounding: no pose was repeated.
+_NO_FREEDOM = 1e-9
+
+#: Where the fit leaves a smaller share of the scatter between poses, its parameters reproduce the means of all poses.
+_MEANS_FITTED = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Repeats:
-    """Scatter within repeats and how much of the residual they share; of G groups: position and orientation."""
+    """Scatter within repeats, of lengths and of angles (G = 1 or 2 groups), and the correlation of repeats."""
 
     within: Array  # (G,), standard deviation of a component of a repeat, in the residual's unit; NaN without repeats
     freedoms: Array  # (G,), its degrees of freedom; 0 without repeats
@@ -20,88 +37,130 @@ class Repeats:
 
     @property
     def freedom(self) -> float:
-        """The degrees of freedom of all groups."""
+        """Degrees of freedom of all groups together."""
         return float(self.freedoms.sum())
 
 
-def repeats(
+class _Moments(NamedTuple):
+    """Sums over the poses from which s_w^2 and s_b^2 are estimated, of one component or added up over several."""
+
+    within: float  # Weighted squares about the mean of each pose
+    within_noise: float  # Expectation of `within` where s_w^2 is 1
+    within_freedom: float  # Degrees of freedom of `within`
+    between: float  # Weighted squares of the means about the grand mean
+    between_noise: float  # Share of s_w^2 in the expectation of `between`
+    between_shared: float  # Share of s_b^2 in the expectation of `between`
+    poses: float  # Number of poses with a measured scalar
+    between_freedom: float  # Number of these poses less one
+
+    def scatter(self) -> tuple[float, float]:
+        """Standard deviation s_w, NaN without repeats, and its degrees of freedom, 0 without repeats."""
+        if self.within_freedom >= _NO_FREEDOM and self.within_noise > 0.0:
+            variance = self.within / self.within_noise
+            return float(np.sqrt(variance)), float(self.within_freedom)
+        return np.nan, 0.0
+
+    def correlation(self, fitted: float) -> float:
+        """Intraclass correlation rho, where a fit took its parameters from the means of poses.
+
+        Args:
+            fitted: Number of parameters of the fit. Beyond a mean for each component they make the means of poses
+                smaller than the errors that these share.
+        """
+        noise = self.scatter()[0] ** 2
+        kept = 0.0
+        if self.between_freedom > 0.0:
+            kept = min((self.poses - fitted) / self.between_freedom, 1.0)
+        if not np.isfinite(noise) or kept < _MEANS_FITTED:
+            return 0.0
+        excess = self.between / kept - self.between_noise * noise
+        shared = max(excess / self.between_shared, 0.0)
+        return shared / (shared + noise) if shared > 0.0 else 0.0
+
+
+def scatter_of_repeats(
     residual: Array, used: Mask, poses: Integers, weights: Array, *, fitted: float = 0.0
 ) -> Repeats:
-    """Scatter within repeats, which holds whatever the model lacks, and their correlation.
+    """Estimate the scatter within repeats, which does not depend on the model, and the correlation of repeats.
 
-    Of residuals (N, D) with robust weights (N,). fitted is the number of parameters that the fit took from all scalars:
-    they make the means of poses smaller than their errors.
+    Args:
+        residual: shape (N, D), measured minus predicted; lengths in the first three columns, angles behind.
+        used: shape (N, D), which entries were measured.
+        poses: shape (N,), rows of one number are repeats.
+        weights: shape (N,), robust weights, 0 for outliers.
+        fitted: Number of parameters that the fit took from all scalars.
     """
     _, pose = np.unique(poses, return_inverse=True)
     w = np.where(used, weights[:, None], 0.0)
     e = np.where(w > 0.0, residual, 0.0)
-    moments, size, each = _moments(e, w, pose), np.ones(e.shape[1]), []
-    for own in (slice(0, 3), slice(3, None))[: 1 + (e.shape[1] > 3)]:
-        each.append(_within(moments[:, own].sum(axis=1)))
-        # rho is one number for lengths and angles: each group counts in units of its own size.
-        square = float(np.sum(w[:, own] * e[:, own] ** 2))
-        size[own] = np.sqrt(square / float(np.sum(w[:, own]))) if square > 0.0 else 1.0
-    within, freedoms = (read_only(column) for column in np.array(each).T)
-    m = _moments(e / size, w, pose).sum(axis=1)
-    noise = _within(m)[0] ** 2
-    *_, between, of_noise, of_poses, cells, left = m.tolist()
-    # A mean for each component is gone in any case; further parameters shrink what is left of the means.
-    kept = min((cells - fitted) / left, 1.0) if left > 0.0 else 0.0
-    shared = 0.0
-    # Else the parameters fit the means: what remains is rounding.
-    if np.isfinite(noise) and kept >= 1e-6:
-        shared = max((between / kept - of_noise * noise) / of_poses, 0.0)
-    rho = shared / (shared + noise) if shared > 0.0 else 0.0
-    return Repeats(within, freedoms, rho)
+    by_component = _moments(e, w, pose)
+    groups = [slice(0, LENGTHS)]
+    if e.shape[1] > LENGTHS:
+        groups.append(slice(LENGTHS, None))
+    unit = np.ones(e.shape[1])
+    scatter = []
+    for group in groups:
+        moments = _Moments(*by_component[:, group].sum(axis=1).tolist())
+        scatter.append(moments.scatter())
+        # rho is one number for lengths and angles: each group counts in units of its own rms.
+        square = float(np.sum(w[:, group] * e[:, group] ** 2))
+        if square > 0.0:
+            unit[group] = np.sqrt(square / float(np.sum(w[:, group])))
+    within, freedoms = (read_only(column) for column in np.array(scatter).T)
+    together = _Moments(*_moments(e / unit, w, pose).sum(axis=1).tolist())
+    return Repeats(within, freedoms, together.correlation(fitted))
 
 
 def pose_means(values: Array, weights: Array, poses: Integers) -> tuple[Array, Integers]:
-    """Means over repeats, sum w v / sqrt(sum w), (K, ...), and the first row of each, (K,).
+    """Average repeats so that each mean has the variance of one row: sum w v / sqrt(sum w).
 
-    Of whitened values (N, ...), with the weights (N,) > 0 that `calib.estimate.stages.Stage.sharing` gives to repeats,
-    the means have the variance of one row and are independent of each other.
+    Args:
+        values: shape (N, ...), whitened.
+        weights: shape (N,), > 0, those that `calib.estimate.stages.Stage.sharing` gives to repeats.
+        poses: shape (N,), rows of one number are repeats.
+
+    Returns:
+        The means of K poses, shape (K, ...), independent of each other, and the first row of each pose, (K,).
     """
     _, first, pose = np.unique(poses, return_index=True, return_inverse=True)
     scale = weights / np.sqrt(np.bincount(pose, weights))[pose]
-    sums = _by_pose(pose, values.reshape(len(values), -1) * scale[:, None])
+    flat = values.reshape(len(values), -1) * scale[:, None]
+    sums = _sum_by_pose(pose, flat)
     return sums.reshape(len(first), *values.shape[1:]), first
 
 
 def _moments(e: Array, w: Array, pose: Integers) -> Array:
-    """Sums over poses for each component of residuals and weights (N, D), shape (8, D).
+    """The fields of `_Moments` for each component, shape (8, D).
 
-    The weighted squares within poses, their expectation over s_w^2, their degrees of freedom; the weighted squares of
-    means about the grand mean, their expectations over s_w^2 and over s_b^2; the number of poses, and that less one.
+    Args:
+        e: shape (N, D), residuals, 0 where w is.
+        w: shape (N, D), weights; 0 where nothing was measured.
+        pose: shape (N,), the pose of each row, from 0.
     """
-    W, S, mean = _by_pose(pose, w), _by_pose(pose, w**2), _by_pose(pose, w * e)
-    there = W > 0.0
-    safe = np.where(there, W, 1.0)
-    mean = mean / safe
-    total = np.maximum(W.sum(axis=0), np.finfo(float).tiny)
-    grand = np.sum(W * mean, axis=0) / total
-    cells = np.sum(there, axis=0)
-    # With all weights 1: W = S = n, and the textbook's n - 1, k - 1 and (k - 1) n0 appear.
+    sum_w = _sum_by_pose(pose, w)
+    sum_w2 = _sum_by_pose(pose, w**2)
+    measured = sum_w > 0.0
+    divisor = np.where(measured, sum_w, 1.0)
+    mean = _sum_by_pose(pose, w * e) / divisor
+    total = np.maximum(sum_w.sum(axis=0), np.finfo(float).tiny)
+    grand_mean = np.sum(sum_w * mean, axis=0) / total
+    count = np.sum(measured, axis=0)
+    freedom = sum_w**2 / np.where(measured, sum_w2, 1.0) - 1.0
+    # With all weights 1: sum_w = sum_w2 = n, and the textbook's n - 1, k - 1 and (k - 1) n0 appear.
     return np.array(
         [
             np.sum(w * (e - mean[pose]) ** 2, axis=0),
-            np.sum(W - S / safe, axis=0),
-            np.sum(np.where(there, W**2 / np.where(there, S, 1.0) - 1.0, 0.0), axis=0),
-            np.sum(W * (mean - grand) ** 2, axis=0),
-            np.sum(S / safe, axis=0) - S.sum(axis=0) / total,
-            W.sum(axis=0) - np.sum(W**2, axis=0) / total,
-            cells,
-            np.maximum(cells - 1.0, 0.0),
+            np.sum(sum_w - sum_w2 / divisor, axis=0),
+            np.sum(np.where(measured, freedom, 0.0), axis=0),
+            np.sum(sum_w * (mean - grand_mean) ** 2, axis=0),
+            np.sum(sum_w2 / divisor, axis=0) - sum_w2.sum(axis=0) / total,
+            sum_w.sum(axis=0) - np.sum(sum_w**2, axis=0) / total,
+            count,
+            np.maximum(count - 1.0, 0.0),
         ]
     )
 
 
-def _within(m: Array) -> tuple[float, float]:
-    """Standard deviation within repeats and its degrees of freedom, from sums of moments of components of one size."""
-    square, noise, freedom = m[:3]
-    known = freedom >= 1e-9 and noise > 0.0  # less is rounding
-    return (float(np.sqrt(square / noise)), float(freedom)) if known else (np.nan, 0.0)
-
-
-def _by_pose(pose: Integers, values: Array) -> Array:
-    """Sums of rows (N, D) over each pose, shape (K, D)."""
+def _sum_by_pose(pose: Integers, values: Array) -> Array:
+    """Sums of rows (N, D) over each of K poses, shape (K, D)."""
     return np.stack([np.bincount(pose, column) for column in values.T], axis=1)

@@ -1,10 +1,14 @@
-"""Statistics of rows: errors, what repeats of a pose share, and which rows do not belong to the others.
+"""Scores of rows, their distance from what the other rows predict, and the weights that follow from them.
 
-Repeats: e = b + w with var b = s_b^2 shared by a pose and var w = s_w^2 its own; rho = s_b^2 / (s_b^2 + s_w^2) by
-moments from the mean squares within and between poses. Outliers: with the leverage K = A C A^T of a row of weight 1,
-whitened, score^2 = r^T (I + (1 - w) K)^-1 (I - w K)^-1 r, the squared deleted residual over its covariance; score^2 / d
-follows F(d, dof) for a good row of d scalars. Scores are told as those of three scalars, so that one limit serves a
-table.
+The score of a row is the norm of its deleted residual: measured minus predicted by a fit without the row, in standard
+deviations of that difference. It needs no further fit. With the residual r and the leverage K = A C A^T of a row of
+weight w, whitened, where A is the Jacobian of its prediction and C the covariance of the parameters,
+
+    score^2 = r^T (I + (1 - w) K)^-1 (I - w K)^-1 r
+
+For a good row of d scalars score^2 / d follows F(d, freedom) (D. A. Belsley, E. Kuh, R. E. Welsch: Regression
+Diagnostics, 1980). Scores of rows with other than three scalars are converted to those of three, so that one limit
+serves a table.
 """
 
 from __future__ import annotations
@@ -18,30 +22,58 @@ from scipy.special import chdtrc, chdtri, fdtri
 from calib.robot.kernel import over_blocks
 from calib.units import Array, Mask
 
-#: A good row keeps its full weight with this probability; and that with which any row of a clean table is flagged.
-_FULL, _FALSE_ALARM = 0.99, 0.01
+#: A good row keeps its full weight with this probability.
+_FULL_WEIGHT = 0.99
 
+#: Probability that any row of a table without outliers is flagged.
+_FALSE_ALARM = 0.01
 
-#: A row that leaves less than this of a direction to the others carries it nearly alone; and the scalars of a point,
-#: for which scores are told.
-_CARRIED, _POINT = 1e-4, 3
+#: The false alarm is shared by this many rows, if the table has fewer.
+_FEWEST_ROWS = 10
+
+#: A row that leaves less than this share of a direction to the others carries it nearly alone.
+_CARRIED = 1e-4
+
+#: Smallest 1 - w K along a direction: K cannot exceed 1 / w but by rounding.
+_LEAST_LEFT = 1e-9
+
+#: The scalars of a point, to which all scores are converted.
+_POINT = 3
+
+#: Probability beyond which the tail of chi-squared is too thin to be inverted.
+_THINNEST_TAIL = 1e-200
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Scores between which the weight falls from 1 to 0; of one table or of several, shape (B, 1)."""
+    """Scores between which the weight of a row falls from 1 to 0, of one table (scalars) or of B fits, shape (B, 1)."""
 
-    full: Array  # Below it a row counts in full
-    flagged: Array  # Above it a row does not count and is named as an outlier
+    full: Array  # Up to this score a row has full weight
+    flagged: Array  # From this score on a row has no weight; above it, it is flagged as an outlier
 
     @classmethod
     def of(cls, rows: ArrayLike, freedom: ArrayLike) -> Limits:
-        """The limits for a table."""
-        freedom, clean = np.maximum(freedom, 1.0), 1.0 - _FALSE_ALARM / np.maximum(rows, 10)
-        return cls(*(np.sqrt(3.0 * fdtri(3.0, freedom, p)) for p in (_FULL, clean)))
+        """Compute the limits from quantiles of F(3, freedom).
+
+        Args:
+            rows: Number of rows, one number or shape (B, 1): the more rows, the rarer must be a false alarm of each.
+            freedom: Degrees of freedom of the noise, likewise; below 1 it counts as 1.
+        """
+        freedom = np.maximum(freedom, 1.0)
+        good = 1.0 - _FALSE_ALARM / np.maximum(rows, _FEWEST_ROWS)
+        full = np.sqrt(3.0 * fdtri(3.0, freedom, _FULL_WEIGHT))
+        flagged = np.sqrt(3.0 * fdtri(3.0, freedom, good))
+        return cls(full, flagged)
 
     def weights(self, scores: Array) -> Array:
-        """Redescending weights: 1, then falling linearly in influence to 0, of the scores' shape."""
+        """Return weights that fall linearly from 1 at `full` to 0 at `flagged` (redescending).
+
+        Args:
+            scores: shape (N,), or (B, N) for limits of B fits.
+
+        Returns:
+            Weights of the same shape, between 0 and 1.
+        """
         fall = (self.flagged - scores) / (self.flagged - self.full)
         return np.where(scores <= self.full, 1.0, np.clip(fall, 0.0, 1.0))
 
@@ -49,63 +81,101 @@ class Limits:
 def deleted_norms(
     residual: Array, jacobian: Array, covariance: Array, weights: Array, factors: Array
 ) -> Array:
-    """How far each row lies from what the others predict, in standard deviations, shape (B, N); see the module's text.
+    """Compute the norms of the deleted residuals of N rows in B fits; the module's text has the equation.
 
-    residual (B, N, D) and jacobian (N, D, p) are in units of each scalar's sigma, and multiplied by factors (B or 1, N,
-    D); covariance (B, p, p), weights (B, N).
+    Args:
+        residual: shape (B, N, D), measured minus predicted, in units of each scalar's given sigma.
+        jacobian: shape (N, D, p), of the prediction, in the same units; the fits share it.
+        covariance: shape (B, p, p), of the parameters.
+        weights: shape (B, N), of the rows in each fit; 0 for rows that it did not use.
+        factors: shape (B or 1, N, D), by which residual and Jacobian are multiplied: 1 over the estimated noise.
+
+    Returns:
+        shape (B, N), in standard deviations. For d scalars its square is d times F(d, freedom) distributed.
     """
     norms = np.empty(weights.shape)
 
-    def work(own: slice) -> None:
-        A, f = jacobian[own], factors[:, own]
+    def work(rows: slice) -> None:
+        A = jacobian[rows]
+        f = factors[:, rows]
         n, D, p = A.shape
-        spread = (A.reshape(n * D, p) @ covariance).reshape(-1, n, D, p)
-        K = (spread @ A.swapaxes(1, 2)) * (f[..., None] * f[..., None, :])
-        norms[:, own] = _norms_of(residual[:, own] * f, K, weights[:, own])
+        A_C = (A.reshape(n * D, p) @ covariance).reshape(-1, n, D, p)
+        K = (A_C @ A.swapaxes(1, 2)) * (f[..., None] * f[..., None, :])
+        norms[:, rows] = _norms_by_leverage(residual[:, rows] * f, K, weights[:, rows])
 
     over_blocks(work, weights.shape[1])
     return norms
 
 
-def _norms_of(r: Array, K: Array, w: Array) -> Array:
-    """The norms of residuals (B, N, D), with the leverages K (B, N, D, D) and weights (B, N).
+def _norms_by_leverage(r: Array, K: Array, w: Array) -> Array:
+    """Norms of deleted residuals, shape (B, N).
 
-    Where a row carries nearly all that is known of a direction, by the eigenvalues of K, none beyond 1 / w.
+    Where a row carries a direction nearly alone, I - w K is nearly singular: there by the eigenvalues of K, none of
+    which counts for more than 1 / w.
+
+    Args:
+        r: shape (B, N, D), whitened residuals.
+        K: shape (B, N, D, D), leverages of the rows with weight 1.
+        w: shape (B, N), weights.
     """
-    w, trace = w[..., None], np.trace(K, axis1=-2, axis2=-1)
-    risky = ~(w[..., 0] * trace < 1.0 - _CARRIED) | (K.max(axis=(-2, -1)) > 1.0 / _CARRIED)
-    kept = np.eye(K.shape[-1]) - w[..., None] * np.where(risky[..., None, None], 0.0, K)
-    spread = kept + (1.0 - w[..., None]) * (K @ kept)
+    w = w[..., None]
+    trace = np.trace(K, axis1=-2, axis2=-1)
+    almost_alone = ~(w[..., 0] * trace < 1.0 - _CARRIED)
+    risky = almost_alone | (K.max(axis=(-2, -1)) > 1.0 / _CARRIED)
+    left = np.eye(K.shape[-1]) - w[..., None] * np.where(risky[..., None, None], 0.0, K)
+    spread = left + (1.0 - w[..., None]) * (K @ left)
     square = np.sum(r * np.linalg.solve(spread, r[..., None])[..., 0], axis=-1)
     if risky.any():
         values, vectors = np.linalg.eigh(K[risky])
-        along, w = np.einsum("nij,ni->nj", vectors, r[risky]), w[risky]
-        spread = (1.0 + (1.0 - w) * values) * np.maximum(1.0 - w * values, 1e-9)
+        along = np.einsum("nij,ni->nj", vectors, r[risky])
+        w = w[risky]
+        spread = (1.0 + (1.0 - w) * values) * np.maximum(1.0 - w * values, _LEAST_LEFT)
         square[risky] = np.sum(along**2 / spread, axis=1)
     return np.asarray(np.sqrt(np.maximum(square, 0.0)))
 
 
-def as_of_a_point(row_scores: Array, scalars: NDArray[np.int_]) -> Array:
-    """The scores (..., N) that three scalars would have at the same chi-squared probability; 0 without scalars."""
-    result: Array = row_scores.copy()
-    result[..., scalars == 0] = 0.0
+def point_scores(norms: Array, scalars: NDArray[np.int_]) -> Array:
+    """Convert norms of rows with any number of scalars to the scores of points (three scalars).
+
+    A score has the same tail probability by chi-squared with 3 degrees of freedom as the norm has with its own.
+
+    Args:
+        norms: shape (..., N), see `deleted_norms`.
+        scalars: shape (N,), number of scalars of each row.
+
+    Returns:
+        Scores of the same shape; 0 for a row without scalars.
+    """
+    scores: Array = norms.copy()
+    scores[..., scalars == 0] = 0.0
     for d in np.unique(scalars):
         if d in (0, _POINT):
             continue
-        own = scalars == d
-        farthest = np.sqrt(chdtri(d, 1e-200))  # beyond it the tail is too thin to be inverted
-        inner = np.minimum(row_scores[..., own], farthest)
-        same = np.sqrt(chdtri(_POINT, chdtrc(d, inner**2)))
-        result[..., own] = same + (row_scores[..., own] - inner)
-    return result
+        rows = scalars == d
+        # Beyond the farthest norm that can be converted, scores grow as norms do.
+        farthest = np.sqrt(chdtri(d, _THINNEST_TAIL))
+        inner = np.minimum(norms[..., rows], farthest)
+        converted = np.sqrt(chdtri(_POINT, chdtrc(d, inner**2)))
+        scores[..., rows] = converted + (norms[..., rows] - inner)
+    return scores
 
 
-def median_noise(row_scores: Array, used: Mask, kept: Mask) -> Array:
-    """The noise that makes the median score (B, N) of the rows kept what it is for normal noise, shape (B,)."""
+def median_noise(norms: Array, used: Mask, kept: Mask) -> Array:
+    """Estimate the noise of B fits by the median of their rows' norms, which outliers hardly move.
+
+    Args:
+        norms: shape (B, N), norms of deleted residuals in units of the given sigma.
+        used: shape (N, D), which scalars the noise is estimated from.
+        kept: shape (B, N), which rows each fit has.
+
+    Returns:
+        shape (B,), standard deviation in units of the given sigma: 1 where the median is that of normal noise.
+    """
     scalars = np.sum(used, axis=1)
-    typical = np.sqrt(chdtri(np.maximum(np.arange(used.shape[1] + 1), 1), 0.5))[scalars]
-    there = kept & (scalars > 0)
-    ordered = np.sort(np.where(there, row_scores / typical, np.inf), axis=1)
-    count = there.sum(axis=1)[:, None]
+    numbers = np.maximum(np.arange(used.shape[1] + 1), 1)
+    normal_median = np.sqrt(chdtri(numbers, 0.5))[scalars]
+    counts = kept & (scalars > 0)
+    ordered = np.sort(np.where(counts, norms / normal_median, np.inf), axis=1)
+    count = counts.sum(axis=1)[:, None]
     middle = np.hstack([(count - 1) // 2, count // 2])
     return np.asarray(np.take_along_axis(ordered, middle, axis=1).mean(axis=1))

@@ -1,4 +1,4 @@
-"""Loads on the joints."""
+"""Loads on the joints, which bend them: of gravity and payload, or as the drives measured them."""
 
 from __future__ import annotations
 
@@ -11,22 +11,23 @@ from calib.robot.robot import Robot
 from calib.units import Array
 
 
-def joint_loads(robot: Robot, m: Measurements, cell: Cell, q: Array) -> Array:
-    """What loads each joint: gravity and payload, or what was measured where there are torques.
+def joint_loads(robot: Robot, measurements: Measurements, cell: Cell, q: Array) -> Array:
+    """Return the load on each joint: measured torques where there are, else gravity and payload.
 
     Args:
-        robot: The robot.
-        m: The measurements, N of them.
+        robot: The nominal robot, with n joints.
+        measurements: Table of N rows; its torques [Nm] are those of the drives, which hold against the load.
         cell: Payload and gravity.
-        q: shape (N, m), their joint values in the robot's order.
+        q: shape (N, m), joint values of the rows in the robot's order [rad] or [m].
 
     Returns:
-        shape (N, n, n + 3), see `calib.robot.gravity.gravity_loads`.
+        shape (N, n, n + 3), [Nm] or [N]; see `calib.robot.gravity.gravity_loads`.
     """
     load = gravity_loads(robot, q, cell.payload, cell.gravity)
-    torques = np.empty((0, 0)) if m.torques is None else m.torques.T
-    for name, measured in zip(m.joint_names, torques, strict=False):
+    if measurements.torques is None:
+        return load
+    for name, torque in zip(measurements.joint_names, measurements.torques.T, strict=False):
         for k, joint in enumerate(robot.joints):
-            if joint.name == name:  # the load is what the drive holds against
-                load[:, k, 0] = np.where(np.isfinite(measured), -measured, load[:, k, 0])
+            if joint.name == name:
+                load[:, k, 0] = np.where(np.isfinite(torque), -torque, load[:, k, 0])
     return load

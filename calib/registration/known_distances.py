@@ -1,4 +1,4 @@
-"""Known distances between the origins of measurement frames."""
+"""Known distances between the origins of measurement frames, which give sockets and planes a unit of length."""
 
 from __future__ import annotations
 
@@ -18,31 +18,48 @@ from calib.units import Integers
 class KnownDistance(NamedTuple):
     """A known distance between the origins of two frames, such as two sockets on one bar."""
 
-    first: int  # Number of a frame
-    second: int  # Number of the other
-    length: float  # Their distance [m]
+    first: int  # Index of a frame in `Setup.groups`, from 0
+    second: int  # Index of the other
+    length: float  # Distance of their origins [m]
     sigma: float  # Its standard deviation [m]
 
 
 def known_distances(cell: Cell, setup: Setup) -> tuple[KnownDistance, ...]:
-    """The cell's known distances between set-ups, by the numbers of their frames; a "*" stands for any text."""
+    """Resolve the distances that a cell states between groups to the frames of a table.
+
+    Args:
+        cell: Its distances name groups; a "*" stands for the same text in both names.
+        setup: Its groups are those of the table.
+
+    Raises:
+        ModelError: A distance whose groups the table lacks.
+    """
     result: list[KnownDistance] = []
-    for known in cell.distances:
-        pairs = known.pairs(setup.groups)
+    for distance in cell.distances:
+        pairs = distance.pairs(setup.groups)
         if not pairs:
             raise ModelError(
-                f"A distance is stated between the groups '{known.first}' and '{known.second}'; the table's column "
-                f"'group' has {choices(setup.groups)}."
+                f"A distance is stated between the groups '{distance.first}' and '{distance.second}'; the table's "
+                f"column 'group' has {choices(setup.groups)}."
             )
-        for ends in pairs:
-            a, b = map(setup.groups.index, ends)
-            result.append(KnownDistance(a, b, known.length, known.sigma))
+        for first, second in pairs:
+            frames = setup.groups.index(first), setup.groups.index(second)
+            result.append(KnownDistance(*frames, distance.length, distance.sigma))
     return tuple(result)
 
 
-def joined_setups(rows: Rows, distances: Sequence[KnownDistance]) -> Integers:
-    """The set-up of each row, those with a known distance between them taken for one, shape (N,)."""
-    pairs = [(d.first, d.second) for d in distances]
+def joined_stations(rows: Rows, distances: Sequence[KnownDistance]) -> Integers:
+    """Number the stations of rows, where those with a known distance between them are one.
+
+    Args:
+        rows: N rows.
+        distances: Known distances between frames.
+
+    Returns:
+        shape (N,), station of each row.
+    """
+    pairs = [(distance.first, distance.second) for distance in distances]
     # A distance may be to a frame that these rows do not see.
-    last = max(int(rows.samples.frame.max()), *(max(pair) for pair in pairs), 0)
-    return joined_labels(np.arange(last + 1), pairs)[rows.samples.frame]
+    highest = max((max(pair) for pair in pairs), default=0)
+    highest = max(highest, int(rows.samples.frame.max()))
+    return joined_labels(np.arange(highest + 1), pairs)[rows.samples.frame]

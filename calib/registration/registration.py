@@ -1,12 +1,11 @@
-"""Registration: where targets and measurement frames stand, before anything about the robot is estimated.
+"""Registration: frames and targets fitted on given poses of the robot's tip, before its errors are estimated.
 
 By plain least squares, for a robust fit from a wrong start takes every row for an outlier: in closed form where the
-problem is linear, else by Levenberg-Marquardt from several starts.
+equations are linear, else by Levenberg-Marquardt from several starts.
 """
 
 from __future__ import annotations
 
-import itertools
 from functools import partial
 
 import numpy as np
@@ -15,167 +14,274 @@ from calib.errors import MeasurementError
 from calib.model.error_model import DIRECTIONS, frame_and_target_model
 from calib.model.observability import steps
 from calib.model.parameters import ErrorModel
+from calib.numerics.errors import LENGTHS
 from calib.numerics.solvers import levenberg_marquardt
-from calib.registration.rows import LENGTHS, NONE, Rows
+from calib.registration.closed_form import linear_setup, with_measured_target_rotations
+from calib.registration.rows import NONE, Rows
 from calib.registration.setup import Setup
-from calib.registration.starts import linear_start, starts_of, turned_targets
+from calib.registration.starts import starts_of
 from calib.robot import kernel
 from calib.units import Array, Mask
 
-#: The most starts that are refined: those that fit best.
+#: The most starts that are refined: those with the lowest cost.
 _REFINED = 5
 
-#: Rows of each view of a target that are enough for a registration.
+#: Rows that are enough for a registration, shared by the pairs of a frame and a target.
 _ROWS = 200
 
-#: With no more rows than this all are used.
+#: The fewest rows of each pair of a frame and a target; with no more rows in all none is left out.
 _FEWEST_ROWS = 20
 
-#: The fewest points that show all six directions of a frame.
+#: The fewest points that determine a frame that is wholly unknown.
 _FEWEST_POINTS = 3
 
+#: A row at so many times the median distance is an outlier of a robust registration.
+_OUTLIER = 5.0
 
-#: A row that is this many median distances off does not take part in a nominal robot's registration.
-_GROSS, _GROSS_ROUNDS = 5.0, 5
+#: The most rounds in which outliers are rejected.
+_OUTLIER_ROUNDS = 5
 
+#: With a smaller share of the rows left no further outliers are rejected: the setup is wrong, not the rows.
+_FEWEST_KEPT = 0.6
 
-#: Rows in which gross ones, and patterns of residuals, are looked for; more do not change what is found.
+#: Rows in which outliers, and patterns of residuals, are searched; more do not change the result.
 ENOUGH = 20_000
 
 
 def register(T_base_tip: Array, setup: Setup, rows: Rows, *, tolerance: float = 1e-12) -> Setup:
-    """The set-up with what is to be estimated where these poses of the tip put it, (N, 4, 4), [m], by enough of them.
+    """Estimate the unknown frames and targets on given poses of the robot: least squares, on a subsample of the rows.
 
-    `MeasurementError` with too few rows; what is known stays as given, and so does what no row sees.
+    Args:
+        T_base_tip: shape (N, 4, 4), pose of the tip at each row, of the nominal or another robot [m].
+        setup: Frames and targets, with what is estimated of them.
+        rows: N rows.
+        tolerance: Relative fall of the sum of squares at which the refinement ends.
+
+    Returns:
+        The setup with the estimated poses; fixed ones, and those that no row observes, stay as they are.
+
+    Raises:
+        MeasurementError: Fewer numbers than unknowns.
     """
     _check_enough(setup, rows)
-    some = _some(rows)
-    return register_poses(T_base_tip[some], setup, rows.select(some), tolerance=tolerance)
+    sample = _subsample(rows)
+    return register_all_rows(T_base_tip[sample], setup, rows.select(sample), tolerance=tolerance)
 
 
-def register_poses(
+def register_all_rows(
     T_base_tip: Array, setup: Setup, rows: Rows, *, tolerance: float = 1e-12
 ) -> Setup:
-    """`register` with every row."""
+    """Estimate the unknown frames and targets on given poses of the robot, by every row, few as they are.
+
+    Args:
+        T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
+        setup: Frames and targets, with what is estimated of them.
+        rows: N rows.
+        tolerance: Relative fall of the sum of squares at which the refinement ends.
+    """
     if not setup.count:
         return setup
-    linear = linear_start(setup, T_base_tip, rows)
-    if linear is not None and np.all(rows.where(lambda kind: kind.position and kind.size == 3)):
-        return linear  # of points this is the least-squares solution itself
+    linear = linear_setup(setup, T_base_tip, rows)
+    only_points = np.all(rows.where(lambda kind: kind.position and kind.size == 3))
+    if linear is not None and only_points:
+        return linear  # it is the least-squares solution itself
+    starts = starts_of(setup, T_base_tip, rows) if linear is None else [linear]
+    starts = [with_measured_target_rotations(start, T_base_tip, rows) for start in starts]
+    lowest_first = sorted(starts, key=lambda start: _sum_of_squares(start, T_base_tip, rows))
+    refined = [_refined(start, T_base_tip, rows, tolerance) for start in lowest_first[:_REFINED]]
+    _, best = min(refined, key=lambda solution: solution[0])
+    return _settled(best, rows)
+
+
+def _sum_of_squares(setup: Setup, T_base_tip: Array, rows: Rows) -> float:
+    """Sum of squared residuals of a setup, in units of each scalar's sigma."""
+    T_frame_target = setup.target_poses(T_base_tip, rows.samples)
+    residual = rows.residual(T_frame_target) / rows.scales
+    return float(np.sum(residual[rows.used] ** 2))
+
+
+def _refined(start: Setup, T_base_tip: Array, rows: Rows, tolerance: float) -> tuple[float, Setup]:
+    """The cost and the setup at the minimum near a start, by Levenberg-Marquardt."""
     model = frame_and_target_model(
-        setup.frame_unknowns, setup.unknown_targets, setup.target_names, rotation=setup.rotation
+        start.frame_unknowns, start.unknown_targets, start.target_names, rotation=start.rotation
     )
-    starts = [linear] if linear else starts_of(setup, T_base_tip, rows)
-    starts = [turned_targets(start, T_base_tip, rows) for start in starts]
+    step_size = steps(model.units)
+    aligned = start.aligned(model)
+    system = partial(_system, aligned, T_base_tip, rows, start)
+    solution = levenberg_marquardt(system, np.zeros(len(model)), step_size, tolerance=tolerance)
+    displacement, _ = aligned.displacements(solution.x)
+    return solution.cost, start.displaced(displacement)
 
-    def misfit(start: Setup) -> float:
-        residual = rows.residual(start.seen(T_base_tip, rows.samples)) / rows.scales
-        return float(np.sum(residual[rows.used] ** 2))
 
-    found, x, step = [], np.zeros(len(model)), steps(model.units)
-    for start in sorted(starts, key=misfit)[:_REFINED]:
-        own = start.aligned(model)
-        system = partial(_system, own, T_base_tip, rows, start)
-        solution = levenberg_marquardt(system, x, step, tolerance=tolerance)
-        found.append((solution.cost, start.displaced(own.displacements(solution.x)[0])))
-    setup = min(found, key=lambda one: one[0])[1]
-    # Somewhere definite where no row tells: a plane's turn about its normal.
+def _settled(setup: Setup, rows: Rows) -> Setup:
+    """The setup with directions that no row observes, such as a plane's turn about its normal, at a definite value."""
     T_frame_base = setup.T_frame_base.copy()
-    for (f, directions), kind in itertools.product(enumerate(setup.unknown), rows.present):
-        if kind.settle is None or not setup.own_axes[f] or directions != kind.directions:
-            continue
-        if np.any(rows.where(kind.__eq__) & (rows.samples.frame == f)):
-            T_frame_base[f] = kind.settle(T_frame_base[f])
+    for f, directions in enumerate(setup.unknown):
+        for kind in rows.present:
+            if kind.settle is None or not setup.own_axes[f] or directions != kind.directions:
+                continue
+            if np.any(rows.where(kind.__eq__) & (rows.samples.frame == f)):
+                T_frame_base[f] = kind.settle(T_frame_base[f])
     return setup.placed(T_frame_base, setup.T_tip_target)
 
 
 def nominal_setup(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
-    """Frames and targets as given; those that were not given as the nominal robot registers them, gross rows aside."""
-    return _without_gross(T_base_tip, setup.not_given(), rows)
+    """Register, on the nominal robot, the frames and targets that were not given; outliers are rejected.
+
+    Args:
+        T_base_tip: shape (N, 4, 4), pose of the nominal robot's tip at each row [m].
+        setup: Frames and targets; given ones stay as they were given, though the fit may estimate them.
+        rows: N rows.
+
+    Raises:
+        MeasurementError: Fewer numbers than unknowns.
+    """
+    return _register_without_outliers(T_base_tip, setup.with_given_fixed(), rows)
 
 
-def register_unseen(T_base_tip: Array, placed: Setup, unseen: Setup, rows: Rows) -> Setup:
-    """A set-up with what is unknown in ``unseen`` where rows that no fit has seen put it, gross ones aside."""
-    own = unseen.unknown_at(rows.samples)
-    loose = unseen.placed(placed.T_frame_base, placed.T_tip_target)
-    found = _without_gross(T_base_tip[own], loose, rows.select(own))
-    return placed.placed(found.T_frame_base, found.T_tip_target)
+def register_held_out(T_base_tip: Array, fitted: Setup, held_out: Setup, rows: Rows) -> Setup:
+    """Register frames and targets that only held-out rows see, on the calibrated robot; outliers are rejected.
+
+    Args:
+        T_base_tip: shape (N, 4, 4), pose of the calibrated robot's tip at each row [m].
+        fitted: Frames and targets at the solution of a fit.
+        held_out: The same frames and targets; those are unknown that no fitted row sees.
+        rows: N held-out rows.
+
+    Returns:
+        ``fitted`` with the poses of the unknown frames and targets of ``held_out``.
+
+    Raises:
+        MeasurementError: Fewer numbers than unknowns.
+    """
+    concerned = held_out.unknown_at(rows.samples)
+    start = held_out.placed(fitted.T_frame_base, fitted.T_tip_target)
+    registered = _register_without_outliers(T_base_tip[concerned], start, rows.select(concerned))
+    return fitted.placed(registered.T_frame_base, registered.T_tip_target)
 
 
-def _without_gross(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
-    """`register_poses` without the rows that are far off."""
+def _register_without_outliers(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
+    """`register`, repeated without the rows whose residual is far above the median."""
     if not setup.count:
         return setup
-    some = rows.evenly(ENOUGH)
-    T_base_tip, rows = T_base_tip[some], rows.select(some)
-    alive = np.any(rows.used, axis=1)
+    sample = rows.evenly(ENOUGH)
+    T_base_tip, rows = T_base_tip[sample], rows.select(sample)
+    measuring = np.any(rows.used, axis=1)
     kept = np.ones(len(rows), dtype=bool)
-    for _ in range(_GROSS_ROUNDS + 1):
-        found = register(T_base_tip[kept], setup, rows.select(kept))
-        residual = rows.residual(found.seen(T_base_tip, rows.samples))
+    for _ in range(_OUTLIER_ROUNDS + 1):
+        registered = register(T_base_tip[kept], setup, rows.select(kept))
+        residual = rows.residual(registered.target_poses(T_base_tip, rows.samples))
         distance = np.sqrt(np.sum((residual / rows.scales) ** 2, axis=1))
-        near = (distance <= _GROSS * np.median(distance[alive])) | ~alive
-        few = np.sum(near & alive) < 0.6 * np.sum(alive) or not rows.keeps_frames(near)
+        near = (distance <= _OUTLIER * np.median(distance[measuring])) | ~measuring
+        too_few = np.sum(near & measuring) < _FEWEST_KEPT * np.sum(measuring)
+        too_few = too_few or not rows.keeps_frames(near)
         near = rows.with_partners(near)
-        if few or np.array_equal(near, kept):
+        if too_few or np.array_equal(near, kept):
             break
         kept = near
-    return found
+    return registered
 
 
 def _check_enough(setup: Setup, rows: Rows) -> None:
-    """Refuse fewer numbers than unknowns of what rows see, in all and for each frame."""
-    setup = setup.as_known(*map(np.logical_not, setup.seen_by(rows.samples)))
-    points = rows.where(lambda kind: kind.coordinates and not kind.orientation)
-    frame = rows.samples.frame
-    whole = [len(directions) == len(DIRECTIONS) for directions in setup.unknown]
-    parts = [("The table", np.ones(len(rows), dtype=bool), setup.count, any(whole))]
+    """Raise `MeasurementError` where rows have fewer numbers than unknowns, of the table or of one frame."""
+    frames, targets = setup.seen_by(rows.samples)
+    observed = setup.with_fixed(~frames, ~targets)
+    every = np.ones(len(rows), dtype=bool)
+    wholly_unknown = [len(directions) == len(DIRECTIONS) for directions in observed.unknown]
+    _check_part("The table", rows, every, observed.count, points_needed=any(wholly_unknown))
     for f, name in enumerate(setup.groups):
-        if np.any(frame == f):
-            parts.append((f"The set-up '{name}'", frame == f, len(setup.unknown[f]), whole[f]))
-    for what, own, unknowns, three in parts:
-        count, seen = int(np.sum(rows.used[own])), int(np.sum(own))
-        # Two points leave the rotation about the line through them.
-        if count < unknowns or (three and np.all(points[own]) and seen < _FEWEST_POINTS):
-            raise MeasurementError(
-                f"{what} has {seen} row{'s' * (seen != 1)} with {count} numbers for {unknowns} unknowns of frame and "
-                "target. Measure 3 or more poses a set-up, or give what is known of it."
+        of_frame = rows.samples.frame == f
+        if np.any(of_frame):
+            _check_part(
+                f"Station '{name}'",
+                rows,
+                of_frame,
+                len(observed.unknown[f]),
+                points_needed=wholly_unknown[f],
             )
 
 
-def _some(rows: Rows) -> Mask:
-    """Rows that are enough to find a start, spread evenly over what each frame sees of each target; whole pairs."""
+def _check_part(name: str, rows: Rows, part: Mask, unknowns: int, *, points_needed: bool) -> None:
+    """Raise `MeasurementError` where a part of the rows, (N,), has fewer numbers than unknowns.
+
+    ``points_needed`` says that a frame is wholly unknown: two points leave the rotation about the line through them.
+    """
+    numbers, count = int(np.sum(rows.used[part])), int(np.sum(part))
+    points = rows.where(lambda kind: kind.coordinates and not kind.orientation)
+    too_few_points = points_needed and np.all(points[part]) and count < _FEWEST_POINTS
+    if numbers < unknowns or too_few_points:
+        raise MeasurementError(
+            f"{name} has {count} row{'s' * (count != 1)} with {numbers} numbers for {unknowns} unknowns of frame and "
+            "target. Measure 3 or more poses at each station, or give what is known of it."
+        )
+
+
+def _subsample(rows: Rows) -> Mask:
+    """Mask of rows that are enough for a registration, evenly spaced for each frame and target; pairs stay whole."""
     if len(rows) <= _FEWEST_ROWS:
         return np.ones(len(rows), dtype=bool)
-    told, samples = np.flatnonzero(rows.kinds != NONE), rows.samples
-    view = (samples.frame * (int(samples.target.max()) + 1) + samples.target)[told]
+    measuring = np.flatnonzero(rows.kinds != NONE)
+    targets = int(rows.samples.target.max()) + 1
+    view = (rows.samples.frame * targets + rows.samples.target)[measuring]
     views = np.unique(view)
     most = max(_ROWS // len(views), _FEWEST_ROWS)
     mask = np.zeros(len(rows), dtype=bool)
     for v in views:
-        own = told[view == v]
-        mask[own[np.linspace(0, len(own) - 1, min(len(own), most)).astype(int)]] = True
+        of_view = measuring[view == v]
+        spaced = np.linspace(0, len(of_view) - 1, min(len(of_view), most))
+        mask[of_view[spaced.astype(int)]] = True
     return rows.with_partners(mask)
 
 
 def _system(
     model: ErrorModel, T_base_tip: Array, rows: Rows, setup: Setup, x: Array
 ) -> tuple[Array, Array]:
-    """The whitened residual and its own derivative, shapes (M,) and (M, p), over fixed poses of the tip."""
+    """The residual of a registration and its own Jacobian, in units of each scalar's sigma.
+
+    Args:
+        model: Parameters of frames and targets alone, p of them.
+        T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
+        rows: N rows with M measured scalars.
+        setup: Frames and targets that x displaces.
+        x: shape (p,), [m] and [rad].
+
+    Returns:
+        Measured minus predicted, shape (M,), and its derivative, shape (M, p).
+    """
     displacement, directions = model.displacements(x)
-    frames, here = len(setup.groups), setup.displaced(displacement)
-    T_frame_base = here.T_frame_base[rows.samples.frame]
-    T_frame_target = here.seen(T_base_tip, rows.samples)
-    local = directions.reshape(len(displacement), 6, -1)
-    outer = np.array([T[:, :3].transpose(2, 1, 0) for T in (T_frame_base, T_frame_target)])
-    moves = kernel.regressor(outer, outer[1, 3])
-    columns = np.zeros((len(model), 6, len(rows)))
-    places = (local[:frames], rows.samples.frame), (local[frames + 1 :], rows.samples.target)
-    for k, (at, which) in enumerate(places):
-        kernel.add_columns(columns[:, :3], moves[k], at, which)
-        if rows.width > LENGTHS:
-            kernel.add_columns(columns[:, 3:], outer[k, :3], at[:, 3:], which)
+    displaced = setup.displaced(displacement)
+    T_frame_target = displaced.target_poses(T_base_tip, rows.samples)
+    twists = _twists(model, directions, displaced, T_frame_target, rows)
     used, scales = rows.used, rows.scales
     residual = (rows.residual(T_frame_target) / scales)[used]
-    slopes = rows.derivative(T_frame_target, columns.transpose(2, 1, 0))
-    return residual, (slopes / -scales[:, :, None])[used]
+    derivative = rows.derivative(T_frame_target, twists.transpose(2, 1, 0))
+    return residual, (derivative / -scales[:, :, None])[used]
+
+
+def _twists(
+    model: ErrorModel, directions: Array, setup: Setup, T_frame_target: Array, rows: Rows
+) -> Array:
+    """Motion of each row's target by each parameter, along the frame's axes, shape (p, 6, N): v, then omega.
+
+    Args:
+        model: Its p parameters are of frames and targets alone; its places are frames, tip, targets.
+        directions: shape (6 places, p), twists at each place: `ErrorModel.displacements`.
+        setup: Frames and targets as displaced.
+        T_frame_target: shape (N, 4, 4), pose of each row's target [m].
+        rows: N rows.
+    """
+    frames = len(setup.groups)
+    local = directions.reshape(-1, 6, len(model))
+    T_frame_base = setup.T_frame_base[rows.samples.frame]
+    axes = np.array([T[:, :3].transpose(2, 1, 0) for T in (T_frame_base, T_frame_target)])
+    velocities = kernel.regressor(axes, axes[1, 3])
+    columns = np.zeros((len(model), 6, len(rows)))
+    places = (
+        (local[:frames], rows.samples.frame),
+        (local[frames + 1 :], rows.samples.target),
+    )
+    for k, (of_places, place) in enumerate(places):
+        kernel.add_columns(columns[:, :3], velocities[k], of_places, place)
+        if rows.width > LENGTHS:
+            kernel.add_columns(columns[:, 3:], axes[k, :3], of_places[:, 3:], place)
+    return columns

@@ -1,4 +1,4 @@
-"""The rows of a table as the arrays of one fit, and which of them repeat a pose."""
+"""The rows of a table as the arrays of one fit."""
 
 from __future__ import annotations
 
@@ -11,197 +11,286 @@ from numpy.typing import NDArray
 import calib.data.kinds as registry
 from calib.data.kinds import Kind
 from calib.model.kinematics import Samples
+from calib.numerics.errors import LENGTHS
 from calib.units import Array, Integers, Mask
 
 #: The kind's number of rows that hold no measurement themselves: the second rows of pairs.
 NONE = -1
 
+#: Number in the column `Rows.instruments` of an entry without a scalar.
+_NO_INSTRUMENT = -1
 
-#: Columns of a residual that hold lengths; those of angles follow.
-LENGTHS = 3
+#: The fewest rows of each frame, target and kind in an even sample, if it has room for them.
+_FEWEST_OF_EACH = 100
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _KindRows:
+    """The rows of one kind."""
+
+    kind: Kind
+    rows: Integers | slice  # Their numbers; a slice where all rows are of this kind
+    columns: Integers  # Columns of the residual that the kind fills
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rows:
-    """The rows of one fit."""
+    """N rows of measurements; row i sees one target from one frame at one pose of the robot.
 
-    samples: Samples  # Joint values, frame and target of each of N rows
+    A residual has D = `width` columns: lengths in the first three, angles behind. Not every row fills all of them.
+    """
+
+    samples: Samples  # Joint values, frame and target of each row
     kinds: Integers  # (N,), numbers of `calib.data.kinds`; `NONE` for the second row of a pair
     measured: Array  # (N, K), as `calib.data.kinds.Kind` says; zero in columns that a kind lacks
-    partner: Integers  # (N,), the other row of a pair; -1 elsewhere
-    sigma: Array  # (N,), standard deviation of one length as given or first assumed [m]
-    sigma_angle: Array  # (N,), of one angle [rad]
-    poses: Integers  # (N,), rows of one number are repeats: one pose, one target, one frame
-    blocks: Integers  # (N,), rows of one number are left out together: one pose, and both rows of a pair
-    weights: Array | None = (
-        None  # (N,), to be used as they are, repeats shared out; None: to be found
+    partner: Integers  # (N,), number of the second row of a pair, at its first row; -1 elsewhere
+    sigma: Array  # (N,), standard deviation of one length, as given or assumed before the fit [m]
+    sigma_angle: Array  # (N,), of one angle, as given or assumed before the fit [rad]
+    poses: Integers  # (N,), rows of one number are repeats: one pose, target, frame and kind
+    blocks: Integers  # (N,), rows of one number are held out together: one pose, and both rows of a pair
+    weights: Array | None = None  # (N,), weights that a fit takes as they are, with repeats already
+    # shared out; None: the fit estimates them
+    sole: Mask | None = (
+        None  # (N,), rows of sole postures, see `calib.estimate.sole_postures`; None:
     )
-    sole: Mask | None = None  # (N,), see `calib.estimate.sole_postures`; None: to be found
-    width: int = field(init=False)  # Columns of a residual: 6 with angles, 3 with positions, else 1
-    used: Mask = field(init=False, repr=False)  # (N, width), which columns hold a scalar
-    # (N, width), the number of each scalar's noise, -1 for none: of each kind's lengths, then of each kind's angles
+    # the fit finds them
+    width: int = field(
+        init=False
+    )  # D, columns of a residual: 6 with angles, 3 with positions, else 1
+    used: Mask = field(init=False, repr=False)  # (N, D), which entries of the residual are measured
+    # (N, D), which instrument, and so which noise, each scalar has, from 0; -1 for no scalar. Lengths of each kind are
+    # an instrument, in the order of the kinds' numbers, then angles of each kind.
     instruments: NDArray[np.int8] = field(init=False, repr=False)
-    # The kinds that there are; which rows they have (a slice for all), and in which columns of the residual
-    _parts: tuple[tuple[Kind, Integers | slice, Integers], ...] = field(init=False, repr=False)
+    _by_kind: tuple[_KindRows, ...] = field(
+        init=False, repr=False
+    )  # In the order of kinds' numbers
 
     def __post_init__(self) -> None:
-        """Work out once what every evaluation of a fit needs."""
-        rows, parts = np.arange(len(self.kinds))[:, None], []
-        for k in np.flatnonzero(np.bincount(self.kinds - NONE)[1:]).tolist():
-            kind, of_kind = registry.at(k), self.kinds == k
-            columns = np.r_[: kind.lengths, LENGTHS : LENGTHS + kind.angles]
-            parts.append(
-                (kind, slice(None) if np.all(of_kind) else np.flatnonzero(of_kind), columns)
-            )
-        width = max((int(columns[-1]) + 1 for _, _, columns in parts), default=1)
-        index, number = np.full((len(rows), width), -1, dtype=np.int8), 0
-        for angles in (False, True):
-            for _, of_kind, columns in parts:
-                wanted = columns[(columns >= LENGTHS) == angles]
-                index[rows[of_kind], wanted] = number
-                number += bool(len(wanted))
-        used = index >= 0
+        """Derive what every evaluation of a fit needs."""
+        by_kind = _rows_by_kind(self.kinds)
+        width = max((int(part.columns[-1]) + 1 for part in by_kind), default=1)
+        instruments = _instruments(by_kind, len(self.kinds), width)
+        used = instruments != _NO_INSTRUMENT
         used.setflags(write=False)
-        values = {"width": width, "used": used, "instruments": index, "_parts": tuple(parts)}
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
+        object.__setattr__(self, "width", width)
+        object.__setattr__(self, "used", used)
+        object.__setattr__(self, "instruments", instruments)
+        object.__setattr__(self, "_by_kind", by_kind)
 
     def __len__(self) -> int:
-        """Number of rows."""
+        """Number of rows N."""
         return len(self.samples)
 
     @property
     def joints(self) -> Array:
-        """Values of the measured joints, shape (N, m), [rad] or [m]."""
+        """Values of the m measured joints, shape (N, m), [rad] or [m]."""
         return self.samples.q
 
     @property
     def count(self) -> int:
-        """Number of scalars."""
+        """Number of measured scalars of all rows."""
         return int(np.sum(self.used))
 
     @property
     def scales(self) -> Array:
-        """Standard deviation of each column as given or first assumed, shape (N, width), [m] and [rad]."""
+        """Standard deviation of each entry as given or assumed before the fit, shape (N, D), [m] and [rad]."""
         result = np.repeat(self.sigma[:, None], self.width, axis=1)
         result[:, LENGTHS:] = self.sigma_angle[:, None]
         return result
 
     @property
     def present(self) -> tuple[Kind, ...]:
-        """The kinds that there are, in the order of their numbers."""
-        return tuple(kind for kind, _, _ in self._parts)
+        """Kinds of these rows, in the order of their numbers."""
+        return tuple(part.kind for part in self._by_kind)
 
     @property
     def checked(self) -> Mask:
-        """Which rows other rows can check, because they are not of a sole posture, shape (N,)."""
-        return np.ones(len(self), dtype=bool) if self.sole is None else ~self.sole
+        """Rows that other rows can check, shape (N,): all but those of sole postures."""
+        if self.sole is None:
+            return np.ones(len(self), dtype=bool)
+        return ~self.sole
 
     def where(self, test: Callable[[Kind], bool]) -> Mask:
-        """The rows of kinds that pass a test, such as ``lambda kind: kind.position``, shape (N,)."""
+        """Rows of kinds that pass a test, such as ``lambda kind: kind.position``, shape (N,)."""
         result = np.zeros(len(self), dtype=bool)
-        for kind, of_kind, _ in self._parts:
-            result[of_kind] = test(kind)
+        for part in self._by_kind:
+            result[part.rows] = test(part.kind)
         return result
 
     def select(self, which: Mask | slice) -> Rows:
-        """Some of the rows, in their order; of a pair both or none."""
+        """Return some of the rows, in their order.
+
+        Args:
+            which: shape (N,) or a slice; of a pair both rows or none.
+
+        Returns:
+            These rows; partners and instruments are numbered anew.
+        """
         chosen = np.arange(len(self))[which]
         if len(chosen) == len(self):
             return self
         partner = self.partner[chosen]
         if np.any(partner >= 0):
-            position = np.full(len(self), -1)
-            position[chosen] = np.arange(len(chosen))
-            partner = np.where(partner >= 0, position[partner], -1)
-        names = ["kinds", "measured", "sigma", "sigma_angle", "poses", "blocks"]
-        names += [name for name in ("weights", "sole") if getattr(self, name) is not None]
+            new_number = np.full(len(self), -1)
+            new_number[chosen] = np.arange(len(chosen))
+            partner = np.where(partner >= 0, new_number[partner], -1)
         return replace(
             self,
             samples=self.samples.select(chosen),
+            kinds=self.kinds[chosen],
+            measured=self.measured[chosen],
             partner=partner,
-            **{name: getattr(self, name)[chosen] for name in names},
+            sigma=self.sigma[chosen],
+            sigma_angle=self.sigma_angle[chosen],
+            poses=self.poses[chosen],
+            blocks=self.blocks[chosen],
+            weights=None if self.weights is None else self.weights[chosen],
+            sole=None if self.sole is None else self.sole[chosen],
         )
 
     def residual(self, T_frame_target: Array) -> Array:
-        """Measured minus predicted, shape (N, width), [m] and [rad]."""
-        result, numbers = np.zeros((len(self), self.width)), np.arange(len(self))[:, None]
-        for kind, of_kind, columns in self._parts:
-            seen = self._seen(kind, of_kind, T_frame_target)
-            result[numbers[of_kind], columns] = kind.residual_of(
-                self.measured[of_kind, : kind.size], seen
-            )
+        """Return measured minus predicted.
+
+        Args:
+            T_frame_target: shape (N, 4, 4), predicted pose of each row's target in its frame [m].
+
+        Returns:
+            shape (N, D), [m] and [rad]; 0 where nothing was measured.
+        """
+        result = np.zeros((len(self), self.width))
+        numbers = np.arange(len(self))[:, None]
+        for part in self._by_kind:
+            measured = self.measured[part.rows, : part.kind.size]
+            predicted = self._at_kind(part, T_frame_target)
+            values = part.kind.residual_of(measured, predicted)
+            result[numbers[part.rows], part.columns] = values
         return result
 
     def derivative(self, T_frame_target: Array, twists: Array) -> Array:
-        """The derivative of what is predicted, minus that of the residual, shape (N, width, p).
+        """Return the Jacobian of the prediction by the parameters: minus that of the residual.
 
-        ``twists``, (N, 6, p) or (N, 3, p) where no kind measures an orientation, are those of `Kinematics.twists`.
+        Args:
+            T_frame_target: shape (N, 4, 4), predicted pose of each row's target in its frame [m].
+            twists: shape (N, 6, p), motion of the target by each parameter, along the frame's axes; see
+                `Kinematics.twists`. (N, 3, p), translations alone, where no kind measures an orientation.
+
+        Returns:
+            shape (N, D, p); 0 where nothing was measured.
         """
-        shape, numbers = (len(self), self.width, twists.shape[2]), np.arange(len(self))[:, None]
+        shape = (len(self), self.width, twists.shape[2])
+        numbers = np.arange(len(self))[:, None]
         result: Array | None = None
-        for kind, of_kind, columns in self._parts:
-            T, moved = (self._seen(kind, of_kind, values) for values in (T_frame_target, twists))
-            found = kind.derivative(self.measured[of_kind, : kind.size], T, moved)
-            if found.shape == shape:
-                return found  # the only kind, and all columns
-            result = np.zeros(shape) if result is None else result
-            result[numbers[of_kind], columns] = found
+        for part in self._by_kind:
+            measured = self.measured[part.rows, : part.kind.size]
+            predicted = self._at_kind(part, T_frame_target)
+            moved = self._at_kind(part, twists)
+            values = part.kind.derivative(measured, predicted, moved)
+            if values.shape == shape:
+                return values  # the only kind, and all columns
+            if result is None:
+                result = np.zeros(shape)
+            result[numbers[part.rows], part.columns] = values
         return np.zeros(shape) if result is None else result
 
     def as_measured_at(self, T_frame_target: Array) -> Rows:
-        """The rows with what a perfect instrument reads at these poses, shape (N, 4, 4), [m]."""
+        """Return the rows with the readings of a perfect instrument.
+
+        Args:
+            T_frame_target: shape (N, 4, 4), true pose of each row's target in its frame [m].
+        """
         measured = self.measured.copy()
-        for kind, of_kind, _ in self._parts:
-            if kind.measure is not None:
-                measured[of_kind, : kind.size] = kind.measure(
-                    self._seen(kind, of_kind, T_frame_target)
-                )
+        for part in self._by_kind:
+            if part.kind.measure is not None:
+                readings = part.kind.measure(self._at_kind(part, T_frame_target))
+                measured[part.rows, : part.kind.size] = readings
         return replace(self, measured=measured)
 
-    def _seen(self, kind: Kind, of_kind: Integers | slice, values: Array) -> Array:
-        """The values of the rows of one kind; of a paired kind those of both its rows."""
-        if not kind.paired:
-            return values[of_kind]
-        return np.stack([values[of_kind], values[self.partner[of_kind]]], axis=1)
+    def _at_kind(self, part: _KindRows, values: Array) -> Array:
+        """Values (N, ...) at the n rows of one kind, (n, ...); of a paired kind at both its rows, (n, 2, ...)."""
+        if not part.kind.paired:
+            return values[part.rows]
+        return np.stack([values[part.rows], values[self.partner[part.rows]]], axis=1)
 
     def with_partners(self, kept: Mask) -> Mask:
-        """The rows that are kept and the second rows of their pairs, shape (N,)."""
+        """Extend a mask of rows, (N,), by the second rows of their pairs, shape (N,)."""
         result: Mask = kept.copy()
         result[self.partner[kept & (self.partner >= 0)]] = True
         return result
 
     def keeps_frames(self, kept: Mask) -> bool:
-        """Whether at least half of the rows of each set-up are kept."""
-        every = np.bincount(self.samples.frame)
-        return bool(np.all(2 * np.bincount(self.samples.frame, kept, len(every)) >= every))
+        """Whether a mask of rows, (N,), has at least half of the rows of each frame."""
+        count = np.bincount(self.samples.frame)
+        kept_count = np.bincount(self.samples.frame, kept, len(count))
+        return bool(np.all(2 * kept_count >= count))
 
     def without(self, outliers: Mask) -> Mask:
-        """The rows that are no outliers, shape (N,); all rows if outliers are more than half of a set-up."""
+        """Mask of the rows that are no outliers, shape (N,).
+
+        Args:
+            outliers: shape (N,), flagged rows.
+
+        Returns:
+            All rows where outliers are more than half of a frame's: then it is the frame that is wrong.
+        """
         kept = self.with_partners(~outliers)
         return kept if self.keeps_frames(kept) else np.ones_like(kept)
 
     def evenly(self, most: int) -> Mask:
-        """About ``most`` of the rows, the same share of each frame, target and kind, shape (N,); pairs stay whole.
+        """Draw about ``most`` rows, the same share of each frame, target and kind; pairs stay whole.
 
         Drawn at random, with a fixed seed: tables have cycles, and every tenth row may be of one kind of pose.
+
+        Returns:
+            Mask of the rows drawn, shape (N,); all where there are no more.
         """
         if len(self) <= most:
             return np.ones(len(self), dtype=bool)
         measuring = np.flatnonzero(self.kinds != NONE)
-        seen = np.stack([self.samples.frame, self.samples.target, self.kinds], axis=1)[measuring]
-        _, view, count = np.unique(seen, axis=0, return_inverse=True, return_counts=True)
-        view = view.reshape(-1)
-        fewest = min(100, max(most // len(count), 1))
+        labels = np.stack([self.samples.frame, self.samples.target, self.kinds], axis=1)
+        _, group, count = np.unique(
+            labels[measuring], axis=0, return_inverse=True, return_counts=True
+        )
+        group = group.reshape(-1)
+        fewest = min(_FEWEST_OF_EACH, max(most // len(count), 1))
         quota = np.minimum(count, np.maximum(most * count // max(len(self), 1), fewest))
-        order = np.lexsort((np.random.default_rng(0).random(len(measuring)), view))
-        first = np.concatenate([[0], np.cumsum(count)[:-1]])
-        place = np.arange(len(measuring)) - first[view[order]]
+        # Sorted by group, and at random within it, the first rows of each group are drawn.
+        random = np.random.default_rng(0).random(len(measuring))
+        order = np.lexsort((random, group))
+        first_of_group = np.concatenate([[0], np.cumsum(count)[:-1]])
+        rank = np.arange(len(measuring)) - first_of_group[group[order]]
         result = np.zeros(len(self), dtype=bool)
-        result[measuring[order[place < quota[view[order]]]]] = True
+        result[measuring[order[rank < quota[group[order]]]]] = True
         return self.with_partners(result)
 
     def parts(self, size: int) -> list[slice]:
-        """The rows in parts of ``size``; in one part where there are pairs, which stay together."""
-        size = max(len(self), 1) if np.any(self.partner >= 0) else size
+        """Split the rows into parts of ``size`` rows; into one part where there are pairs, which stay together."""
+        if np.any(self.partner >= 0):
+            size = max(len(self), 1)
         return [slice(k, k + size) for k in range(0, len(self), size)]
+
+
+def _rows_by_kind(kinds: Integers) -> tuple[_KindRows, ...]:
+    """The rows of each kind that occurs in ``kinds``, (N,), in the order of their numbers."""
+    result = []
+    counts = np.bincount(kinds - NONE)[1:]  # `NONE` comes first
+    for number in np.flatnonzero(counts).tolist():
+        kind = registry.at(number)
+        of_kind = kinds == number
+        rows = slice(None) if np.all(of_kind) else np.flatnonzero(of_kind)
+        columns = np.r_[: kind.lengths, LENGTHS : LENGTHS + kind.angles]
+        result.append(_KindRows(kind, rows, columns))
+    return tuple(result)
+
+
+def _instruments(by_kind: tuple[_KindRows, ...], count: int, width: int) -> NDArray[np.int8]:
+    """Number of the instrument of each scalar, shape (count, width): lengths of each kind, then angles of each."""
+    rows = np.arange(count)[:, None]
+    result = np.full((count, width), _NO_INSTRUMENT, dtype=np.int8)
+    number = 0
+    for angles in (False, True):
+        for part in by_kind:
+            columns = part.columns[(part.columns >= LENGTHS) == angles]
+            if len(columns):
+                result[rows[part.rows], columns] = number
+                number += 1
+    return result

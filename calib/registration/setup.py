@@ -1,4 +1,8 @@
-"""Frames and targets of a table as a fit takes them, what of them is unknown, and the table's rows."""
+"""Measurement setup: the frames and targets of a table, and what is estimated of them.
+
+A row's prediction is T_frame_target = T_frame_base T_base_tip T_tip_target, with the frame of its station and its
+target. A frame or target is estimated or fixed; if estimated, its pose here is where the estimation starts.
+"""
 
 from __future__ import annotations
 
@@ -16,34 +20,36 @@ from calib.units import Array, Mask
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Setup:
-    """Frames and targets, by the number that rows refer to them with."""
+    """F frames and T targets, in the order of the numbers that rows refer to them with."""
 
-    groups: tuple[str, ...]  # Names of the set-ups; one frame each
+    groups: tuple[str, ...]  # Names of the stations, with one frame each
     targets: tuple[str, ...]  # Names of the targets
     T_frame_base: Array  # (F, 4, 4), pose of the base in each frame [m]
     T_tip_target: Array  # (T, 4, 4), pose of each target in the tip [m]
-    unknown: tuple[tuple[str, ...], ...]  # For each frame the directions that are estimated
-    frame_given: Mask  # (F,), whether a frame's pose was given; else it is to be found
-    target_unknown: Mask  # (T,), whether a target is estimated
-    target_given: Mask  # (T,), whether a target's place was given
-    rotation: bool  # Whether targets are frames, because orientations were measured, or points
-    own_axes: Mask  # (F,), whether a frame's directions are along its own axes, or the base's
+    unknown: tuple[
+        tuple[str, ...], ...
+    ]  # For each frame the directions that are estimated: "x" ... "rz"
+    frame_given: Mask  # (F,), frames whose pose the user gave; of others it is registered
+    target_unknown: Mask  # (T,), targets that are estimated
+    target_given: Mask  # (T,), targets whose place the user gave, to be kept or as a start
+    rotation: bool  # Whether targets have an orientation to estimate, because one was measured; else they are points
+    own_axes: Mask  # (F,), frames whose directions are along their own axes (planes); else along the base's
     oriented: bool = False  # Whether the targets' orientations are known, measured or given
 
     @property
     def frame_unknowns(self) -> Mapping[str, tuple[str, ...]]:
-        """The estimated directions of each frame by its set-up's name; "" stands for the only one."""
+        """Estimated directions of each frame by its station's name; "" is the name of the only one."""
         names = self.groups if len(self.groups) > 1 else ("",)
         return dict(zip(names, self.unknown, strict=True))
 
     @property
     def target_names(self) -> tuple[str, ...]:
-        """The targets' names for their parameters; "" for the only one."""
+        """Names of the targets in the names of their parameters; "" is the name of the only one."""
         return self.targets if len(self.targets) > 1 else ("",)
 
     @property
     def places(self) -> tuple[list[str], list[str]]:
-        """What an error model calls the places of the frames and of the targets."""
+        """Places of the frames, and of the targets, in an error model: `Parameter.place`."""
         frames = [FRAME + name for name in self.frame_unknowns]
         return frames, [TARGET + name for name in self.target_names]
 
@@ -54,70 +60,109 @@ class Setup:
 
     @property
     def unknown_targets(self) -> tuple[str, ...]:
-        """The names of the targets that are estimated, as `target_names` has them."""
+        """Names of the targets that are estimated, as in `target_names`."""
         return tuple(compress(self.target_names, self.target_unknown))
 
     @property
     def count(self) -> int:
-        """Number of unknowns."""
-        of_targets = (6 if self.rotation else 3) * int(np.sum(self.target_unknown))
-        return of_targets + sum(map(len, self.unknown))
+        """Number of unknowns of all frames and targets."""
+        of_a_target = 6 if self.rotation else 3
+        of_frames = sum(len(directions) for directions in self.unknown)
+        return of_a_target * int(np.sum(self.target_unknown)) + of_frames
 
     def placed(self, T_frame_base: Array, T_tip_target: Array) -> Setup:
-        """The same with frames and targets elsewhere."""
+        """Return a copy with other poses of the frames and targets.
+
+        Args:
+            T_frame_base: shape (F, 4, 4), pose of the base in each frame [m].
+            T_tip_target: shape (T, 4, 4), pose of each target in the tip [m].
+        """
         frames, targets = read_only(T_frame_base), read_only(T_tip_target)
         return replace(self, T_frame_base=frames, T_tip_target=targets)
 
     def displaced(self, displacement: Array) -> Setup:
-        """The same with the displacements of all places of an error model, shape (F + ... + T, 4, 4)."""
-        return self.placed(
-            self.T_frame_base @ displacement[: len(self.groups)],
-            self.T_tip_target @ displacement[-len(self.targets) :],
-        )
+        """Return a copy displaced by the parameters of an error model.
 
-    def seen(self, T_base_tip: Array, samples: Samples) -> Array:
-        """T_frame_target of samples with these poses of the tip, shape (N, 4, 4), [m]."""
+        Args:
+            displacement: shape (F + ... + T, 4, 4), of all places of the model, frames first and targets last:
+                `ErrorModel.displacements`. Each applies behind its pose: T_frame_base D and T_tip_target D.
+        """
+        of_frames = displacement[: len(self.groups)]
+        of_targets = displacement[-len(self.targets) :]
+        return self.placed(self.T_frame_base @ of_frames, self.T_tip_target @ of_targets)
+
+    def target_poses(self, T_base_tip: Array, samples: Samples) -> Array:
+        """Predict T_frame_target of samples.
+
+        Args:
+            T_base_tip: shape (N, 4, 4), pose of the tip at each sample [m].
+            samples: Their frames and targets.
+
+        Returns:
+            shape (N, 4, 4), [m].
+        """
         T_frame_tip = self.T_frame_base[samples.frame] @ T_base_tip
         return np.asarray(T_frame_tip @ self.T_tip_target[samples.target])
 
     def seen_by(self, samples: Samples) -> tuple[Mask, Mask]:
-        """Which frames and which targets some samples see, shapes (F,) and (T,)."""
+        """Return the frames, shape (F,), and the targets, shape (T,), that occur in samples."""
         frames = np.bincount(samples.frame, minlength=len(self.groups)) > 0
-        return frames, np.bincount(samples.target, minlength=len(self.targets)) > 0
+        targets = np.bincount(samples.target, minlength=len(self.targets)) > 0
+        return frames, targets
 
     def unknown_at(self, samples: Samples) -> Mask:
-        """Which samples see an unknown frame or target, shape (N,)."""
+        """Return the samples whose frame or target is estimated, shape (N,)."""
         frames = np.array([bool(directions) for directions in self.unknown])
         return np.asarray(frames[samples.frame] | self.target_unknown[samples.target])
 
-    def not_given(self, seen: Samples | None = None) -> Setup:
-        """The same with what was given taken for known, and so what some samples see."""
-        rest = self.as_known(self.frame_given, self.target_given)
-        return rest if seen is None else rest.as_known(*rest.seen_by(seen))
+    def with_given_fixed(self, observed: Samples | None = None) -> Setup:
+        """Return a copy in which given frames and targets are fixed, not estimated.
 
-    def as_known(self, frames: Mask, targets: Mask) -> Setup:
-        """The same, with some frames and targets taken for known."""
+        Args:
+            observed: Frames and targets that occur in these samples are fixed too; None for no others.
+        """
+        result = self.with_fixed(self.frame_given, self.target_given)
+        if observed is None:
+            return result
+        return result.with_fixed(*result.seen_by(observed))
+
+    def with_fixed(self, frames: Mask, targets: Mask) -> Setup:
+        """Return a copy in which some frames and targets are fixed at their poses, not estimated.
+
+        Args:
+            frames: shape (F,), which frames.
+            targets: shape (T,), which targets.
+        """
         pairs = zip(frames, self.unknown, strict=True)
-        unknown = tuple(() if known else directions for known, directions in pairs)
+        unknown = tuple(() if fixed else directions for fixed, directions in pairs)
         return replace(self, unknown=unknown, target_unknown=self.target_unknown & ~targets)
 
     def aligned(self, model: ErrorModel) -> ErrorModel:
-        """The model with a plane's frame moving along the plane's axes, and a target's position along the tip's.
+        """Turn the directions of frame and target parameters: a plane's to its own axes, positions to the tip's axes.
 
-        With the rotation R of T_frame_base the twist of a unit along one of the plane's own axes e is R^T e.
+        An error model has the directions of a frame along the base's axes and those of a target along its own. With the
+        rotation R of T_frame_base a unit along one of the plane's axes e is the twist R^T e.
+
+        Returns:
+            The model with parameters of the same names, each still of one metre or radian a unit.
         """
         frames, targets = self.places
-        own = zip(compress(frames, self.own_axes), self.T_frame_base[self.own_axes], strict=True)
-        turned = {place: T[:3, :3].T for place, T in own}
-        positions = dict(zip(targets, self.T_tip_target[:, :3, :3].swapaxes(1, 2), strict=True))
+        planes = zip(compress(frames, self.own_axes), self.T_frame_base[self.own_axes], strict=True)
+        R_by_plane = {place: T[:3, :3].T for place, T in planes}
+        R_tip_target = self.T_tip_target[:, :3, :3]
+        R_by_target = dict(zip(targets, R_tip_target.swapaxes(1, 2), strict=True))
 
-        def turn(one: Parameter) -> Parameter:
-            R = turned.get(one.place, positions.get(one.place) if one.unit == "m" else None)
-            if R is None or one.unit not in ("m", "rad") or np.array_equal(R, np.eye(3)):
-                return one
-            return replace(one, direction=read_only((R @ one.direction.reshape(2, 3).T).T.ravel()))
+        def turned(parameter: Parameter) -> Parameter:
+            R = R_by_plane.get(parameter.place)
+            if R is None and parameter.unit == "m":
+                R = R_by_target.get(parameter.place)
+            if R is None or parameter.unit not in ("m", "rad") or np.array_equal(R, np.eye(3)):
+                return parameter
+            direction = (R @ parameter.direction.reshape(2, 3).T).T.ravel()
+            return replace(parameter, direction=read_only(direction))
 
-        parameters, terms = (tuple(map(turn, some)) for some in (model.parameters, model.terms))
+        parameters = tuple(map(turned, model.parameters))
+        terms = tuple(map(turned, model.terms))
         if parameters == model.parameters and terms == model.terms:
             return model
         return replace(model, parameters=parameters, terms=terms)

@@ -16,79 +16,132 @@ from calib.registration.labels import joined_labels, numbered
 from calib.registration.rows import NONE, Rows
 from calib.registration.same_poses import same_poses
 from calib.registration.setup import Setup
-from calib.registration.table_setup import setup_of
+from calib.registration.table_setup import measurement_setup
 from calib.robot.robot import Robot
 from calib.units import Array, Integers
 
-#: The noise assumed until the data have told theirs [m], [rad].
-FIRST_SIGMA, FIRST_SIGMA_ANGLE = 1e-4, 1e-3
+#: Standard deviation of a length that is assumed where none is given [m]: that of a laser tracker at work.
+FIRST_SIGMA = 1e-4
+
+#: Standard deviation of an angle that is assumed where none is given [rad].
+FIRST_SIGMA_ANGLE = 1e-3
 
 
-def rows_of(robot: Robot, measurements: Measurements, cell: Cell) -> tuple[Rows, Setup]:
-    """All rows of a table, for a robot and a set-up; `MeasurementError` where a pair has lost its other row."""
-    m, count = measurements, len(measurements)
-    q = m.joints_for(robot.joint_names)
-    kinds, partner = numbered(m.kinds, registry.names()), _partners(m)
-    # Of a pair the earlier row carries what was measured, and the later one nothing more.
-    kinds[(partner >= 0) & (partner < np.arange(count))] = NONE
-    partner = np.where(kinds == NONE, -1, partner)
-    setup = setup_of(cell, m, kinds)
-    blocks = same_poses(q)
-    # The load on the joints takes its time to work out: a model may be fitted that asks for it, or not.
-    counts = cell.model == AUTO or any(FAMILIES[f].loaded for f in split_name(cell.model)[1])
+def rows_and_setup(robot: Robot, measurements: Measurements, cell: Cell) -> tuple[Rows, Setup]:
+    """Convert a table to the arrays of a fit.
+
+    Args:
+        robot: The nominal robot, whose joints the table's columns are.
+        measurements: The table, N rows of all sets.
+        cell: Frames, targets and noise as given.
+
+    Returns:
+        All N rows, in the table's order, and the measurement setup, not yet registered.
+
+    Raises:
+        MeasurementError: A pair has one row only.
+        ModelError: The cell names a group or target that the table lacks.
+    """
+    q = measurements.joints_for(robot.joint_names)
+    kinds, partner = _kinds_and_partners(measurements)
+    setup = measurement_setup(cell, measurements, kinds)
     samples = Samples(
         q=q,
-        frame=numbered(m.groups, setup.groups),
-        target=numbered(m.targets, setup.targets),
-        load=joint_loads(robot, m, cell, q) if counts else None,
+        frame=numbered(measurements.groups, setup.groups),
+        target=numbered(measurements.targets, setup.targets),
+        load=joint_loads(robot, measurements, cell, q) if _needs_loads(cell) else None,
     )
-
-    def sigma(by_row: Array | None, by_cell: float | None, first: float) -> Array:
-        general = np.full(count, first if by_cell is None else by_cell)
-        return general if by_row is None else np.where(np.isfinite(by_row), by_row, general)
-
-    poses = blocks
-    if int(blocks.max(initial=-1)) + 1 < count:  # repeats: of one pose, frame, target and kind
-        own = np.column_stack([blocks, samples.frame, samples.target, kinds])
-        other = np.where((partner >= 0)[:, None], own[partner], -1)
-        poses = np.unique(np.hstack([own, other]), axis=0, return_inverse=True)[1].reshape(-1)
+    pose = same_poses(q)
+    first_rows = np.flatnonzero(partner >= 0)
+    pairs = [(int(i), int(partner[i])) for i in first_rows]
     rows = Rows(
         samples=samples,
         kinds=kinds,
-        measured=_measured(m, kinds),
+        measured=_measured(measurements, kinds),
         partner=partner,
-        sigma=sigma(m.sigma, cell.sigma, FIRST_SIGMA),
-        sigma_angle=sigma(m.sigma_angle, cell.sigma_angle, FIRST_SIGMA_ANGLE),
-        poses=poses,
-        blocks=joined_labels(
-            blocks, [(int(i), int(partner[i])) for i in np.flatnonzero(partner >= 0)]
-        ),
+        sigma=_sigma(len(q), measurements.sigma, cell.sigma, FIRST_SIGMA),
+        sigma_angle=_sigma(len(q), measurements.sigma_angle, cell.sigma_angle, FIRST_SIGMA_ANGLE),
+        poses=_repeats(pose, samples, kinds, partner),
+        blocks=joined_labels(pose, pairs),
     )
     return rows, setup
 
 
-def _measured(m: Measurements, kinds: Integers) -> Array:
-    """What was measured, as `calib.registration.rows.Rows` has it, shape (N, K)."""
-    present = [(registry.at(k), kinds == k) for k in np.unique(kinds).tolist() if k != NONE]
-    result = np.zeros((len(m), max((kind.size for kind, _ in present), default=0)))
-    for kind, rows in present:
-        parts = [m.points[rows]] if kind.position else []
-        if kind.orientation and m.rotations is not None:
-            parts.append(m.rotations[rows].reshape(-1, 9))
-        parts += [m.reading(one.name)[rows, None] for one in kind.readings]
-        result[rows, : kind.size] = np.hstack(parts) if parts else 0.0
+def _kinds_and_partners(measurements: Measurements) -> tuple[Integers, Integers]:
+    """Numbers of the rows' kinds and of their partners, both (N,), as `Rows` has them.
+
+    Of a pair the earlier row has the kind, the measurement and a partner; the later one has `NONE` and no partner.
+    """
+    kinds = numbered(measurements.kinds, registry.names())
+    partner = _partners(measurements)
+    later = (partner >= 0) & (partner < np.arange(len(measurements)))
+    kinds[later] = NONE
+    return kinds, np.where(kinds == NONE, -1, partner)
+
+
+def _needs_loads(cell: Cell) -> bool:
+    """Whether a model that may be fitted depends on the loads of the joints, which take time to compute."""
+    if cell.model == AUTO:
+        return True
+    _, families = split_name(cell.model)
+    return any(FAMILIES[family].loaded for family in families)
+
+
+def _sigma(count: int, by_row: Array | None, by_cell: float | None, assumed: float) -> Array:
+    """Standard deviation of each row, shape (count,): the row's, else the cell's, else the assumed one."""
+    general = np.full(count, assumed if by_cell is None else by_cell)
+    if by_row is None:
+        return general
+    return np.where(np.isfinite(by_row), by_row, general)
+
+
+def _repeats(pose: Integers, samples: Samples, kinds: Integers, partner: Integers) -> Integers:
+    """Number the rows so that repeats, of one pose, frame, target and kind, have one number, shape (N,).
+
+    Args:
+        pose: shape (N,), see `same_poses`.
+        samples: Frames and targets.
+        kinds: shape (N,), as `Rows` has them.
+        partner: shape (N,), likewise; repeats of a pair repeat both its rows.
+    """
+    if int(pose.max(initial=-1)) + 1 == len(pose):
+        return pose  # no pose is repeated
+    labels = np.column_stack([pose, samples.frame, samples.target, kinds])
+    labels_of_partner = np.where((partner >= 0)[:, None], labels[partner], -1)
+    both = np.hstack([labels, labels_of_partner])
+    return np.unique(both, axis=0, return_inverse=True)[1].reshape(-1)
+
+
+def _measured(measurements: Measurements, kinds: Integers) -> Array:
+    """Measured values of each row, shape (N, K), as `Rows.measured`: point, rotation matrix by rows, readings."""
+    present = {k: registry.at(k) for k in np.unique(kinds).tolist() if k != NONE}
+    size = max((kind.size for kind in present.values()), default=0)
+    result = np.zeros((len(measurements), size))
+    for number, kind in present.items():
+        rows = kinds == number
+        parts = []
+        if kind.position:
+            parts.append(measurements.points[rows])
+        if kind.orientation and measurements.rotations is not None:
+            parts.append(measurements.rotations[rows].reshape(-1, 9))
+        readings = [measurements.reading(reading.name) for reading in kind.readings]
+        parts += [values[rows, None] for values in readings]
+        if parts:
+            result[rows, : kind.size] = np.hstack(parts)
     return result
 
 
-def _partners(m: Measurements) -> Integers:
-    """The other row of each pair, shape (N,); -1 where there is none."""
-    partner = np.full(len(m), -1)
-    one, other = m.pair_rows.T
-    partner[one], partner[other] = other, one
-    alone = np.flatnonzero(m.paired & (partner < 0))
+def _partners(measurements: Measurements) -> Integers:
+    """The other row of each pair, at both its rows, shape (N,); -1 elsewhere."""
+    partner = np.full(len(measurements), -1)
+    first, second = measurements.pair_rows.T
+    partner[first] = second
+    partner[second] = first
+    alone = np.flatnonzero(measurements.paired & (partner < 0))
     if len(alone):
         i = int(alone[0])
         raise MeasurementError(
-            f"{m.source or 'Measurements'}, row {m.rows[i]}: the pair '{m.pairs[i]}' has one row only in this set."
+            f"{measurements.source or 'Measurements'}, row {measurements.rows[i]}: the pair "
+            f"'{measurements.pairs[i]}' has one row only in this set."
         )
     return partner

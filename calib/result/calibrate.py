@@ -29,15 +29,15 @@ from calib.model.kinematics import Samples
 from calib.model.observability import Observability
 from calib.model.parameters import Parameter
 from calib.numerics.errors import CrossValidation, rms
-from calib.numerics.repeats import Repeats, repeats
+from calib.numerics.repeats import Repeats, scatter_of_repeats
 from calib.numerics.scores import Limits
 from calib.numerics.solvers import Solver
 from calib.registration.joint_loads import joint_loads
 from calib.registration.known_distances import known_distances
-from calib.registration.registration import nominal_setup, register_unseen
+from calib.registration.registration import nominal_setup, register_held_out
 from calib.registration.rows import Rows
 from calib.registration.setup import Setup
-from calib.registration.table_rows import rows_of
+from calib.registration.table_rows import rows_and_setup
 from calib.result.calibration import CalibrationValues, Fit, RowNames, Source
 from calib.result.doubts import doubts_of
 from calib.result.evidence import evidence_of
@@ -135,15 +135,15 @@ def fit_table(
     robust: bool = True,
 ) -> Fits:
     """The fits alone, without what a result says of them; arguments and errors are those of `calibrate`."""
-    every, setup = rows_of(robot, measurements, cell)
+    every, setup = rows_and_setup(robot, measurements, cell)
     rows, others = (every.select(m) for m in (measurements.estimation, measurements.validation))
     check_positions(robot, rows, measurements.source)
     frames, targets = setup.seen_by(rows.samples)
-    unseen = setup.as_known(frames, targets)
+    unseen = setup.with_fixed(frames, targets)
     began = time.perf_counter()
     model = cell.model if model is None else model
     hint = find_usual_mistake(robot, cell, measurements.select(measurements.estimation))
-    told, distances = setup.as_known(~frames, ~targets), known_distances(cell, setup)
+    told, distances = setup.with_fixed(~frames, ~targets), known_distances(cell, setup)
     task = Task(robot, cell, told, model, distances, solver, robust)
     if hint and model == AUTO:  # nothing that is told of such a fit means anything
         check_parameter_names(task)
@@ -335,8 +335,8 @@ def _assembled(m: Measurements, fits: Fits) -> CalibrationValues:
         )
     T_base_tip, joints = robot.poses(every.joints), every.joints
     placed = nominal_setup(T_base_tip[mask], task.setup, every.select(mask))
-    unseen = fits.unseen.not_given()
-    placed = register_unseen(T_base_tip[~mask], placed, unseen, every.select(~mask))
+    unseen = fits.unseen.with_given_fixed()
+    placed = register_held_out(T_base_tip[~mask], placed, unseen, every.select(~mask))
     residual = fitted.residual(every)
     scores, weights = np.empty(len(mask)), np.zeros(len(mask))
     weights[mask], scores[mask] = estimated.weights, estimated.scores
@@ -378,7 +378,7 @@ def _assembled(m: Measurements, fits: Fits) -> CalibrationValues:
         sigma_angle=_median(scales[:, 3:]),
         sigma_given=_stated(m.sigma, cell.sigma, mask),
         sigma_angle_given=_stated(m.sigma_angle, cell.sigma_angle, mask),
-        residual_nominal=read_only(every.residual(placed.seen(T_base_tip, every.samples))),
+        residual_nominal=read_only(every.residual(placed.target_poses(T_base_tip, every.samples))),
         residual_calibrated=read_only(residual),
         used=every.used,
         scores=read_only(scores),
@@ -427,7 +427,7 @@ def _repeats(fitted: Fitted) -> Repeats | None:
     if len(np.unique(rows.poses)) == len(rows):
         return None
     paid = float(np.sum(estimated.problem.weights @ rows.used)) - estimated.freedom
-    found = repeats(
+    found = scatter_of_repeats(
         fitted.residual(rows), rows.used, rows.poses, estimated.weights, fitted=max(paid, 0.0)
     )
     return found if found.freedom > 0 else None

@@ -27,8 +27,9 @@ from calib.estimate.fitting import PAPER, Fitted, fit, model_of
 from calib.estimate.gauge import measures_length
 from calib.estimate.problem import Problem
 from calib.model.families import FAMILIES, joint_families
+from calib.numerics.errors import LENGTHS
 from calib.registration.registration import ENOUGH
-from calib.registration.rows import LENGTHS, Rows
+from calib.registration.rows import Rows
 from calib.result.calibration import CalibrationValues
 from calib.robot.ranges import column_ranges, spread_poses
 from calib.robot.robot import Robot

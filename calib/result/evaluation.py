@@ -31,9 +31,9 @@ from calib.errors import CalibError, MeasurementError, ModelError, choices
 from calib.model.error_model import DIRECTIONS
 from calib.model.kinematics import Samples
 from calib.numerics.errors import Errors
-from calib.registration.registration import nominal_setup, register_unseen
+from calib.registration.registration import nominal_setup, register_held_out
 from calib.registration.setup import Setup
-from calib.registration.table_rows import rows_of
+from calib.registration.table_rows import rows_and_setup
 from calib.result.calibration import CalibrationValues
 from calib.result.prediction import NonGeometric
 from calib.robot.robot import Robot, read_only
@@ -103,7 +103,7 @@ def evaluate(
             non_geometric, kinematics=replace(non_geometric.kinematics, robot=robot)
         )
         known = non_geometric.setup
-    every, setup = rows_of(robot, measurements, cell)
+    every, setup = rows_and_setup(robot, measurements, cell)
     setup = setup if known is None else _at_known(setup, known, which)
     q = every.joints
     poses = (
@@ -113,8 +113,8 @@ def evaluate(
     )
     chosen = registering(measurements)
     placed = nominal_setup(poses[chosen], setup, every.select(chosen))
-    unseen = setup.not_given(every.samples.select(chosen))
-    found = register_unseen(poses[~chosen], placed, unseen, every.select(~chosen))
+    unseen = setup.with_given_fixed(every.samples.select(chosen))
+    found = register_held_out(poses[~chosen], placed, unseen, every.select(~chosen))
     frames = zip(setup.unknown, setup.frame_given, strict=True)
     unknown = {
         "target": bool(np.any(setup.target_unknown & ~setup.target_given)),
@@ -125,7 +125,7 @@ def evaluate(
         measurements=measurements,
         setup=found,
         registered=tuple(name for name, missing in unknown.items() if missing),
-        residual=read_only(every.residual(found.seen(poses, every.samples))),
+        residual=read_only(every.residual(found.target_poses(poses, every.samples))),
         used=every.used,
     )
 
@@ -165,7 +165,7 @@ def _at_known(setup: Setup, known: Setup, which: tuple[str, ...]) -> Setup:
     # A position is not enough where orientations are to be met: then it is where the target is looked for.
     fixed = aimed if known.oriented or not setup.rotation else np.zeros_like(aimed)
     return replace(
-        setup.as_known(framed, fixed).placed(frames, targets),
+        setup.with_fixed(framed, fixed).placed(frames, targets),
         frame_given=setup.frame_given | framed,
         target_given=np.where(aimed, fixed, setup.target_given),
     )
@@ -301,12 +301,12 @@ def accuracy(evaluation: Evaluation, *, seen: bool | Mask = False) -> Accuracy:
     """
     m, setup, used = evaluation.measurements, evaluation.setup, evaluation.used
     # What is repeated is told by the joint values: frames, targets and loads of a cell have no part in it.
-    rows = rows_of(evaluation.robot, m, Cell())[0]
+    rows = rows_and_setup(evaluation.robot, m, Cell())[0]
     told = np.any(used, axis=1)
     if not np.any(told):
         raise MeasurementError(f"{m.source or 'Measurements'}: no row measures anything.")
     base = registering(m)
-    base = base | setup.not_given(rows.samples.select(base)).unknown_at(rows.samples)
+    base = base | setup.with_given_fixed(rows.samples.select(base)).unknown_at(rows.samples)
     fitted = told & (seen if isinstance(seen, np.ndarray) else base & seen)
     judged = judged_rows(m, told, fitted, rows.poses, registered=bool(evaluation.registered))
     apart = not np.any(judged & base)

@@ -135,7 +135,7 @@ def _over_joint_limits(result: CalibrationValues, part: Solved) -> tuple[float, 
     robot, nominal = result.nominal, result.nominal_setup
     samples = result.samples(spread_poses(robot))
     poses, twists = part.kinematics.twists(part.x, samples, rotation=False)
-    T_nominal = nominal.seen(robot.poses(samples.q), samples)
+    T_nominal = nominal.target_poses(robot.poses(samples.q), samples)
     points, columns = poses[:, :3, 3], twists
     away = (T_nominal[:, :3, 3] - points)[:, :, None]
     if result.frame_estimated or not result.tells_place:

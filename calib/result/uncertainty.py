@@ -23,7 +23,7 @@ from calib.blas import one_blas_thread
 from calib.errors import CalibError, ModelError
 from calib.estimate.fitting import Fitted
 from calib.jobs import Progress, batch_size, run
-from calib.model.kinematics import Samples, Where
+from calib.model.kinematics import Samples, SamplesOrValues
 from calib.model.observability import steps
 from calib.numerics.errors import rms
 from calib.numerics.solvers import levenberg_marquardt
@@ -81,11 +81,11 @@ class Bootstrap:
         values = np.array([p.value for p in self.parameters])
         return np.asarray(ends + (values - self.fitted.estimate.x)[:, None])
 
-    def positions(self, where: Where) -> Array:
+    def positions(self, where: SamplesOrValues) -> Array:
         """Where each sample puts the target, in the measurement frame, shape (count, N, 3), [m]; see `position_std`."""
         return np.array([self.fitted.kinematics.points(x, where) for x in self.x])
 
-    def position_std(self, where: Where) -> Array:
+    def position_std(self, where: SamplesOrValues) -> Array:
         """Standard deviation of the predicted position over the samples, see `Calibration.position_std`, shape (N,).
 
         At N samples (see `Calibration.samples`), or joint values of shape (N, m) of the first frame and target.

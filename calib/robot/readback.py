@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import logging
+from typing import Any
 
 import numpy as np
 
@@ -20,31 +21,58 @@ TOLERANCE = 1e-9  #: A pose read back may differ from the model's by this [m and
 
 
 def check_written(robot: Robot, expected: Array, q: Array) -> None:
-    """Compare a robot's URDF, read by Pinocchio and by yourdfpy, with poses T_base_tip (N, 4, 4) [m] at q (N, m).
+    """Compare a robot's URDF, as Pinocchio and yourdfpy read it, with poses of the model in memory.
+
+    Args:
+        robot: The robot with the URDF that is to be written.
+        expected: Shape (N, 4, 4), [m], T_base_tip by the model in memory.
+        q: Shape (N, m), the joint values of these poses, [rad] or [m], in the order of ``robot.joint_names``.
 
     Raises:
         UrdfError: A reader disagrees by more than `TOLERANCE`, or cannot read the URDF at all.
     """
-    again = robot.rebuilt(Urdf.from_bytes(robot.urdf.data, "the corrected URDF"))
-    for reader, poses in (
-        ("Pinocchio", again.poses(q)),
-        ("yourdfpy", _poses_by_yourdfpy(robot, q)),
-    ):
-        off = np.abs(poses - expected)
-        if not off.max() <= TOLERANCE:
-            raise UrdfError(
-                f"The corrected URDF, read back by {reader}, puts the tip {off[:, :3, 3].max():.2e} m and "
-                f"{off[:, :3, :3].max():.2e} rad away from the model in memory; {TOLERANCE:g} is allowed. It is not "
-                "written. Please report this with the URDF."
-            )
+    read_again = robot.rebuilt(Urdf.from_bytes(robot.urdf.data, "the corrected URDF"))
+    by_pinocchio = read_again.poses(q)
+    by_yourdfpy = _poses_by_yourdfpy(robot, q)
+    _compare("Pinocchio", by_pinocchio, expected)
+    _compare("yourdfpy", by_yourdfpy, expected)
+
+
+def _compare(reader: str, poses: Array, expected: Array) -> None:
+    """Refuse poses (N, 4, 4) [m] by a reader of the URDF that differ from those expected by more than `TOLERANCE`."""
+    off = np.abs(poses - expected)
+    if not off.max() <= TOLERANCE:
+        raise UrdfError(
+            f"The corrected URDF, read back by {reader}, puts the tip {off[:, :3, 3].max():.2e} m and "
+            f"{off[:, :3, :3].max():.2e} rad away from the model in memory; {TOLERANCE:g} is allowed. It is not "
+            "written. Please report this with the URDF."
+        )
 
 
 def _poses_by_yourdfpy(robot: Robot, q: Array) -> Array:
-    """T_base_tip as yourdfpy computes it from the URDF's text, shape (N, 4, 4), [m]."""
+    """Return T_base_tip as yourdfpy computes it from the URDF's text, shape (N, 4, 4), [m]."""
+    model = _yourdfpy_model(robot)
+    values = robot.chain_values(q) / _axis_lengths(robot, model)
+    poses = np.empty((len(values), 4, 4))
+    for i, row in enumerate(values):
+        by_name = {joint.name: value for joint, value in zip(robot.joints, row, strict=True)}
+        model.update_cfg(by_name)
+        T_root_base = model.get_transform(robot.base)
+        T_root_tip = model.get_transform(robot.tip)
+        poses[i] = rigid_inverse(T_root_base) @ T_root_tip
+    return poses
+
+
+def _yourdfpy_model(robot: Robot) -> Any:  # noqa: ANN401  yourdfpy has no types
+    """Return yourdfpy's model of a robot's URDF, in which no joint mimics another.
+
+    Raises:
+        UrdfError: yourdfpy cannot read it.
+    """
     import yourdfpy
 
     logger = logging.getLogger("yourdfpy.urdf")
-    logger.disabled = True  # its warnings about the rest of the robot, mimic joints for one
+    logger.disabled = True  # its warnings about other parts of the robot, mimic joints for one
     try:
         parsed = yourdfpy.URDF.load(
             io.BytesIO(robot.urdf.data),
@@ -55,24 +83,25 @@ def _poses_by_yourdfpy(robot: Robot, q: Array) -> Array:
         # Every joint of the chain is given its value, and yourdfpy takes none for one that mimics another.
         for joint in parsed.joints:
             joint.mimic = None
-        model = yourdfpy.URDF(parsed, load_meshes=False, load_collision_meshes=False)
-    except (
-        Exception
-    ) as error:  # whatever a foreign reader raises, the file is not fit to be given out
+        return yourdfpy.URDF(parsed, load_meshes=False, load_collision_meshes=False)
+    # Whatever a foreign reader raises, the file is not fit to be given out.
+    except Exception as error:
         raise UrdfError(
             f"yourdfpy cannot read the corrected URDF of '{robot.name}', so it is not written: {error}"
         ) from error
     finally:
         logger.disabled = False
-    # yourdfpy slides by q times the axis as it is written; the axis is a direction, of any length.
-    values = robot.chain_values(q) / [
-        np.linalg.norm(model.joint_map[joint.name].axis) if joint.type == "prismatic" else 1.0
-        for joint in robot.joints
-    ]
-    poses = np.empty((len(values), 4, 4))
-    for i, row in enumerate(values):
-        model.update_cfg(
-            {joint.name: value for joint, value in zip(robot.joints, row, strict=True)}
-        )
-        poses[i] = rigid_inverse(model.get_transform(robot.base)) @ model.get_transform(robot.tip)
-    return poses
+
+
+def _axis_lengths(robot: Robot, model: Any) -> list[float]:  # noqa: ANN401  yourdfpy has no types
+    """Return the length of each chain joint's axis as written where it slides, else 1; n numbers.
+
+    yourdfpy slides by q times the axis as it is written; the axis is a direction, of any length.
+    """
+    lengths = []
+    for joint in robot.joints:
+        length = 1.0
+        if joint.type == "prismatic":
+            length = float(np.linalg.norm(model.joint_map[joint.name].axis))
+        lengths.append(length)
+    return lengths

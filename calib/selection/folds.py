@@ -15,7 +15,7 @@ from calib.errors import MeasurementError
 from calib.estimate.fitting import Task
 from calib.model.error_model import DIRECTIONS
 from calib.numerics.errors import CrossValidation, Errors
-from calib.registration.known_distances import joined_setups
+from calib.registration.known_distances import joined_stations
 from calib.registration.rows import Rows
 from calib.robot.urdf_tree import read_only
 from calib.units import Array, Integers, Mask
@@ -89,7 +89,7 @@ class Folds:
         Raises:
             MeasurementError: All rows are of one pose, so nothing is left to fit.
         """
-        stations = joined_setups(rows, task.distances)
+        stations = joined_stations(rows, task.distances)
         whole = _stations_predict_each_other(task, rows, stations)
         measured_rows = int(np.sum(np.any(rows.used, axis=1)))
         folds = cls.of(rows.blocks, stations if whole else None, measured_rows)

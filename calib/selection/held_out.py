@@ -7,7 +7,7 @@ from itertools import compress
 import numpy as np
 
 from calib.estimate.fitting import Fitted
-from calib.registration.registration import register_poses
+from calib.registration.registration import register_all_rows
 from calib.registration.rows import Rows
 from calib.registration.setup import Setup
 from calib.units import Array, Mask
@@ -49,11 +49,11 @@ def residual_after_registration(
     """
     own_rows = rows.select(held_out)
     known_frames, known_targets = placed.seen_by(rows.samples.select(used))
-    remaining = placed.as_known(known_frames, known_targets)
+    remaining = placed.with_fixed(known_frames, known_targets)
     if remaining.count:
         good = own_rows.without(outliers[held_out])
-        placed = register_poses(T_base_tip[good], remaining, own_rows.select(good))
-    return own_rows.residual(placed.seen(T_base_tip, own_rows.samples))
+        placed = register_all_rows(T_base_tip[good], remaining, own_rows.select(good))
+    return own_rows.residual(placed.target_poses(T_base_tip, own_rows.samples))
 
 
 def seen_only_by(fitted: Fitted, chosen: Mask) -> Mask:

@@ -17,7 +17,7 @@ from calib.estimate.linear import Linear
 from calib.estimate.prior_terms import PriorTerms
 from calib.estimate.stages import FEWEST_FREEDOM, Stage, staged
 from calib.numerics.errors import CrossValidation
-from calib.numerics.likelihood import Priors
+from calib.numerics.likelihood import GaussianPriors
 from calib.selection.folds import Folds
 from calib.selection.held_out import held_out_residual, seen_only_by
 from calib.units import Array, Mask
@@ -92,7 +92,7 @@ def fold_posterior_means(fitted: Fitted, linear: Linear, masks: Sequence[Mask] |
     problem = fitted.estimate.problem
     weights = np.where(np.array(masks), 0.0, problem.weights)
     noise = np.tile(fitted.estimate.noise, (len(masks), 1))
-    priors = Priors(problem.precision, problem.centre)
+    priors = GaussianPriors(problem.precision, problem.centre)
     x, _, _ = linear.fit(weights, problem.rho, noise, priors)
     return np.asarray(x)
 
@@ -167,7 +167,7 @@ def _fold_estimates(
     Args:
         fitted: Fit to all N rows with p parameters.
         linear: Its problem, linearised.
-        prior: Priors of the fit.
+        prior: GaussianPriors of the fit.
         masks: True for the rows that each fold holds out, shape (F, N).
 
     Returns:

@@ -13,7 +13,7 @@ from calib.text.layout.lines import deg, fill, mm
 
 if TYPE_CHECKING:
     from calib.formats.convert import Conversion
-    from calib.formats.dh_files import Code, Note
+    from calib.formats.notes import Code, Note
 
 _DISPLACED = (
     "by ({0:.6f}, {1:.6f}, {2:.6f}) mm and ({3:.6f}, {4:.6f}, {5:.6f}) mrad (rotation vector), in the axes of the "

@@ -7,7 +7,7 @@ from typing import get_args
 
 import pytest
 
-from calib.formats.dh_files import Code
+from calib.formats.notes import Code
 from calib.text.convert import _NOTES
 from tests.formats.forms import write_forms
 

@@ -17,7 +17,7 @@ from calib.diagnosis.further_unknowns import (
 )
 from calib.estimate.fitting import Task, fit
 from calib.model.parameters import FRAME
-from calib.registration.table_rows import rows_of
+from calib.registration.table_rows import rows_and_setup
 from calib.robot.ranges import random_joint_values
 from tests.judged import arm, table_of
 
@@ -25,7 +25,7 @@ from tests.judged import arm, table_of
 def fitted(scene, table, cell=None):
     """A fit of the cell's model, DH if it names none."""
     cell = Cell(model="dh") if cell is None else cell
-    rows, setup = rows_of(scene.robot, table, cell)
+    rows, setup = rows_and_setup(scene.robot, table, cell)
     return fit(Task(scene.robot, cell, setup, cell.model), rows)
 
 
@@ -123,7 +123,7 @@ def test_a_known_distance_between_sockets_tells_the_scale(calibrated):
     assert abs(scale.share) < 3.0 * scale.std
     wrong = tuple(replace(one, length=1.01 * one.length) for one in result.cell.distances)
     cell = replace(result.cell, distances=wrong)
-    rows, setup = rows_of(scene.robot, result.measurements, cell)
+    rows, setup = rows_and_setup(scene.robot, result.measurements, cell)
     task = replace(result.fitted.task, cell=cell, setup=setup)
     from calib.registration.known_distances import known_distances
 

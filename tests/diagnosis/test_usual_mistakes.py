@@ -18,7 +18,7 @@ from calib.diagnosis.reasons import Why
 from calib.diagnosis.usual_mistakes import check_positions, find_usual_mistake
 from calib.errors import MeasurementError
 from calib.example import PAPER_TARGET, paper_urdf
-from calib.registration.table_rows import rows_of
+from calib.registration.table_rows import rows_and_setup
 from calib.result.calibrate import calibrate
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot, read_only
@@ -105,7 +105,7 @@ def test_positions_that_are_all_one_are_refused_before_any_fit(ur3: Robot, thirt
     with pytest.raises(MeasurementError, match="all 30 measured positions are"):
         calibrate(ur3, still)
     one_pose = replace(still, joints=np.tile(thirty.joints[:1], (30, 1)))
-    rows, _ = rows_of(ur3, one_pose, Cell())
+    rows, _ = rows_and_setup(ur3, one_pose, Cell())
     check_positions(ur3, rows, "")
 
 

@@ -12,7 +12,7 @@ from calib.data.cell import Cell, Priors
 from calib.data.measurements import Measurements
 from calib.estimate.fitting import Fitted, Task, fit
 from calib.registration.rows import Rows
-from calib.registration.table_rows import rows_of
+from calib.registration.table_rows import rows_and_setup
 
 OFF = Priors(source="off")
 
@@ -21,7 +21,7 @@ def fitted(virtual, cell: Cell, rows: Rows, **options) -> Fitted:
     """A fit to rows of points of one target in one frame."""
     robot = virtual.kinematics.robot
     table = Measurements(robot.joint_names, rows.joints, rows.measured)
-    _, setup = rows_of(robot, table, cell)
+    _, setup = rows_and_setup(robot, table, cell)
     return fit(Task(robot, cell, setup, cell.model, **options), rows)
 
 

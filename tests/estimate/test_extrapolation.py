@@ -10,12 +10,12 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.estimate.extrapolation import extrapolation
 from calib.estimate.fitting import Task, fit
-from calib.registration.table_rows import rows_of
+from calib.registration.table_rows import rows_and_setup
 
 
 def extrapolated(scene: Any, table: Measurements) -> float:
     cell = Cell(model="dh")
-    rows, setup = rows_of(scene.robot, table, cell)
+    rows, setup = rows_and_setup(scene.robot, table, cell)
     return extrapolation(fit(Task(scene.robot, cell, setup, "dh"), rows))
 
 

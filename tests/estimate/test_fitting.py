@@ -19,7 +19,7 @@ from calib.model.kinematics import Kinematics
 from calib.model.parameters import Parameter
 from calib.numerics.solvers import SOLVERS, Solution
 from calib.registration.known_distances import known_distances
-from calib.registration.table_rows import rows_of
+from calib.registration.table_rows import rows_and_setup
 from calib.robot.ranges import random_joint_values
 
 OFF = Priors(source="off")
@@ -27,7 +27,7 @@ FREE = Cell(estimate_frame=True, priors=OFF)
 
 
 def task_of(scene, table, cell, model="dh", **options):
-    rows, setup = rows_of(scene.robot, table, cell)
+    rows, setup = rows_and_setup(scene.robot, table, cell)
     task = Task(scene.robot, cell, setup, model, known_distances(cell, setup), **options)
     return task, rows
 

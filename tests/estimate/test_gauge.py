@@ -16,7 +16,7 @@ from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
 from calib.model.parameters import FRAME, TARGET
 from calib.registration.known_distances import known_distances
-from calib.registration.table_rows import rows_of
+from calib.registration.table_rows import rows_and_setup
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from tests.fits import place
@@ -31,7 +31,7 @@ def relative_size(robot: Robot, nominal: Robot) -> float:
 def problem_of(scene, table, model="dh", cell=None):
     """The problem at the true frames and targets, the size held where it has to be."""
     cell = Cell(model=model) if cell is None else replace(cell, model=model)
-    rows, setup = rows_of(scene.robot, table, cell)
+    rows, setup = rows_and_setup(scene.robot, table, cell)
     parameters = error_model(
         scene.robot,
         model,
@@ -131,7 +131,7 @@ def test_sockets_alone_leave_the_size_as_it_is(sockets, model):
     """And say so; without the gauge the arm would be a point."""
     scene, table = sockets
     cell = Cell(model=model)
-    rows, setup = rows_of(scene.robot, table, cell)
+    rows, setup = rows_and_setup(scene.robot, table, cell)
     found = fit(Task(scene.robot, cell, setup, model), rows)
     estimate = found.estimate
     corrected = found.kinematics.model.apply(scene.robot, estimate.x)
@@ -146,7 +146,7 @@ def test_the_size_is_as_uncertain_as_it_was(sockets):
     """The variance of g is the prior's; without the gauge's share it would be none."""
     scene, table = sockets
     cell = Cell(model="dh")
-    rows, setup = rows_of(scene.robot, table, cell)
+    rows, setup = rows_and_setup(scene.robot, table, cell)
     estimate = fit(Task(scene.robot, cell, setup, "dh"), rows).estimate
     held = estimate.problem.gauge.held
     expected = np.sum(held[held != 0.0] ** 2 / estimate.problem.precision[held != 0.0])

@@ -12,10 +12,10 @@ from calib.data.cell import Cell
 from calib.estimate.problem import Problem
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
-from calib.numerics.likelihood import Priors
-from calib.numerics.reml import prior_std_by_reml
+from calib.numerics.likelihood import GaussianPriors
+from calib.numerics.reml import VarianceLimits, prior_std_by_reml
 from calib.registration.known_distances import KnownDistance
-from calib.registration.table_rows import rows_of
+from calib.registration.table_rows import rows_and_setup
 
 
 def differences(function, x, step):
@@ -82,7 +82,7 @@ def test_jacobian_of_the_papers_error_against_differences(virtual):
 def scene_problem(scene, table, distances=()):
     """Robot, every frame and every target unknown."""
     cell = Cell(estimate_frame=True)
-    rows, setup = rows_of(scene.robot, table, cell)
+    rows, setup = rows_and_setup(scene.robot, table, cell)
     model = error_model(
         scene.robot,
         "dh+gain",
@@ -149,18 +149,17 @@ def test_noise_has_a_normal_prior_on_its_logarithm(virtual, spread):
     def loss(logs):
         noise, size = np.exp(logs)
         own = members[0] / size**2
-        likelihood = data.log_likelihood(np.array([[noise]]), Priors(weak + own, 0.0), own[None])
+        likelihood = data.log_likelihood(
+            np.array([[noise]]), GaussianPriors(weak + own, 0.0), own[None]
+        )
         return 0.5 * (logs[0] / spread) ** 2 - likelihood[0]
 
     noise, prior_std = prior_std_by_reml(
         data,
         members,
-        np.ones((1, 1)),
-        np.full((1, 1), 1e-2),
-        Priors(weak, np.zeros(27)),
-        smallest_noise=(1e-4,),
-        bounds=((1e-6, 1.0),),
-        noise_spread=spread,
+        (np.ones((1, 1)), np.full((1, 1), 1e-2)),
+        GaussianPriors(weak, np.zeros(27)),
+        VarianceLimits((1e-4,), ((1e-6, 1.0),), noise_spread=spread),
     )
     start = np.array([0.0, np.log(1e-2)])
     best = minimize(loss, start, method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-9}).x

@@ -11,7 +11,7 @@ from calib.calibration import calibrate
 from calib.data.cell import Cell, Priors
 from calib.data.measurements import Measurements
 from calib.estimate.fitting import Fitted, Task, fit
-from calib.registration.table_rows import rows_of
+from calib.registration.table_rows import rows_and_setup
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.selection.cross_validation import cross_validation
@@ -38,7 +38,7 @@ def measured(truth: Truth, q: np.ndarray, off: np.ndarray | float = 0.0, seed: i
 
 def fitted(table: Measurements, robot: Robot, cell: Cell | None = None) -> Fitted:
     cell = Cell() if cell is None else cell
-    rows, setup = rows_of(robot, table, cell)
+    rows, setup = rows_and_setup(robot, table, cell)
     return fit(Task(robot, cell, setup, "dh"), rows)
 
 

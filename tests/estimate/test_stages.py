@@ -17,8 +17,8 @@ from calib.model.error_model import error_model
 from calib.model.families import ZERO
 from calib.model.kinematics import Samples
 from calib.model.parameters import FRAME, TARGET
-from calib.numerics.likelihood import Priors
-from calib.registration.table_rows import rows_of
+from calib.numerics.likelihood import GaussianPriors
+from calib.registration.table_rows import rows_and_setup
 
 #: How far registration moves the target.
 OFF = np.zeros((4, 4))
@@ -33,7 +33,7 @@ def prior_terms(virtual, model, **given):
     )
     cell = Cell(target=virtual.kinematics.T_tip_target[0, :3, 3], estimate_frame=True, **given)
     table = Measurements(robot.joint_names, rows.joints, rows.measured)
-    _, setup = rows_of(robot, table, cell)
+    _, setup = rows_and_setup(robot, table, cell)
     started = setup.placed(setup.T_frame_base, virtual.kinematics.T_tip_target + OFF)
     return PriorTerms.of(cell, model, setup, started, lenient=False)
 
@@ -80,7 +80,7 @@ def test_freedom_is_what_scalars_are_left_after_the_parameters(virtual):
     nothing, free = np.zeros(27), np.full(27, 1e-6)
     weights, noise = np.stack([np.ones(40), np.full(40, 0.5)]), np.ones((2, 1))
     (held, _), (loose, half) = (
-        linear.fit(weights, np.zeros((1, 2)), noise, Priors(precision, nothing))[2]
+        linear.fit(weights, np.zeros((1, 2)), noise, GaussianPriors(precision, nothing))[2]
         for precision in (np.full(27, 1e20), free)
     )
     assert held == pytest.approx(120, abs=1e-3)

@@ -18,8 +18,8 @@ from calib.estimate.fitting import Task, fit
 from calib.estimate.problem import Problem
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
-from calib.numerics.likelihood import Priors
-from calib.registration.table_rows import rows_of
+from calib.numerics.likelihood import GaussianPriors
+from calib.registration.table_rows import rows_and_setup
 from calib.result.prediction import parameter_estimates
 from calib.result.uncertainty import _fit_sample
 from calib.robot.ranges import random_joint_values
@@ -44,7 +44,7 @@ def at(scene, q, target, *, pose=False, frame=0):
 
 def problem_of(scene, table):
     """The problem of a table, with the nominal robot where the scene's frames and targets are."""
-    rows, setup = rows_of(scene.robot, table, Cell())
+    rows, setup = rows_and_setup(scene.robot, table, Cell())
     frames, targets = ([int(name[-1:]) for name in one] for one in (setup.groups, setup.targets))
     places = dict.fromkeys(setup.groups if len(frames) > 1 else ("",), ())
     model = error_model(scene.robot, "dh", frame=places, targets=setup.target_names, target=False)
@@ -143,7 +143,7 @@ def test_normal_equations_and_likelihood_by_the_dense_covariance(mixed, monkeypa
     weights = np.where(rng.uniform(size=(2, len(mixed.rows))) < 0.2, 0.0, 1.0)
     rho, noise = np.stack([RHO, 0.5 * RHO]), np.array([[1.0, 2.0, 3.0], [1.5, 1.0, 0.5]])
     data, alone = linear.data(weights, rho), linear.data(weights, 0.0 * rho)
-    priors = Priors(np.full((2, p), 1e4), np.zeros(p))
+    priors = GaussianPriors(np.full((2, p), 1e4), np.zeros(p))
     told = data.log_likelihood(noise, priors, priors.precision)
     for b in range(2):
         K, row, column, number = dense(mixed, weights[b], rho[b])
@@ -252,7 +252,10 @@ def test_shares_against_monte_carlo_truth(make_scene, own, shift, turn):
         table, lever = displaced(scene, q, np.random.default_rng(seed), own, shift, turn)
         problem = problem_of(scene, table)
         linear, one = problem.linear(np.zeros(problem.size)), np.ones((1, 100))
-        rho, priors = np.zeros((1, 1, 2)), Priors(np.zeros(problem.size), np.zeros(problem.size))
+        rho, priors = (
+            np.zeros((1, 1, 2)),
+            GaussianPriors(np.zeros(problem.size), np.zeros(problem.size)),
+        )
         for _ in range(8):
             x, covariance, _ = linear.fit(one, rho, np.ones((1, 1)), priors)
             # The noise that goes with them.
@@ -272,7 +275,7 @@ def test_shares_maximise_the_restricted_likelihood(make_scene):
     table, _ = displaced(scene, q, np.random.default_rng(42), 5e-5, 1e-4, 1.5e-3)
     problem = problem_of(scene, table)
     linear, one, p = problem.linear(np.zeros(problem.size)), np.ones((1, 36)), problem.size
-    priors = Priors(np.full((1, p), 1e5), np.zeros(p))
+    priors = GaussianPriors(np.full((1, p), 1e5), np.zeros(p))
 
     def fall(values):
         """Of the restricted likelihood, at noise and shares."""
@@ -308,7 +311,7 @@ def test_too_few_stops_share_nothing(make_scene):
 def hand(ur3):
     """A fit to four markers of a hand whose stops are missed by three times the cameras' noise."""
     hand = Hand.drawn(ur3, 25, 3.0, 11)
-    rows, setup = rows_of(ur3, hand.by_points(), Cell(estimate_frame=True))
+    rows, setup = rows_and_setup(ur3, hand.by_points(), Cell(estimate_frame=True))
     return hand, fit(Task(ur3, Cell(estimate_frame=True), setup, "dh"), rows)
 
 
@@ -334,7 +337,7 @@ def test_rows_are_judged_one_by_one(hand):
     _, fitted = hand
     estimate, problem = fitted.estimate, fitted.estimate.problem
     linear, noise = problem.linear(estimate.x), np.array([estimate.noise])
-    priors = Priors(problem.precision, problem.centre)
+    priors = GaussianPriors(problem.precision, problem.centre)
     _, alone, _ = linear.fit(problem.weights[None], 0.0 * problem.rho, noise, priors)
     assert np.min(np.diag(alone[0]) / np.diag(estimate.covariance)) < 0.5
     scores = linear.scores(estimate.x[None], alone, problem.weights[None], noise)[0]
@@ -346,7 +349,7 @@ def test_folds_are_fitted_with_what_stops_share(hand):
     estimate, problem = fitted.estimate, fitted.estimate.problem
     linear, mask = problem.linear(estimate.x), problem.rows.blocks < 5
     (x,) = fold_posterior_means(fitted, linear, mask[None])
-    noise, priors = np.array([estimate.noise]), Priors(problem.precision, problem.centre)
+    noise, priors = np.array([estimate.noise]), GaussianPriors(problem.precision, problem.centre)
     rest = linear.select(~mask)
     found = rest.fit(problem.weights[None, ~mask], problem.rho, noise, priors)[0][0]
     alone = rest.fit(problem.weights[None, ~mask], 0.0 * problem.rho, noise, priors)[0][0]
@@ -370,7 +373,7 @@ def test_stops_are_drawn_whole(hand):
 def test_what_stops_share_is_no_pattern(ur3):
     cell, found = Cell(estimate_frame=True), []
     for seed in range(5):
-        rows, setup = rows_of(ur3, Hand.drawn(ur3, 30, 3.0, seed).by_points(), cell)
+        rows, setup = rows_and_setup(ur3, Hand.drawn(ur3, 30, 3.0, seed).by_points(), cell)
         fitted = fit(Task(ur3, cell, setup, "dh"), rows)
         order = Order(np.arange(len(rows)), np.zeros(rows.joints.shape))
         found += [one.why for one in residual_patterns(fitted, order)]
@@ -396,7 +399,7 @@ def test_the_covariance_against_monte_carlo(make_scene, own, shift, turn):
         scene = make_scene(seed, frames=[np.eye(4)], targets=HAND, length=4e-4, angle=3e-3)
         q = random_joint_values(scene.robot, 25, seed)
         table, _ = displaced(scene, q, np.random.default_rng(seed), own, shift, turn)
-        rows, setup = rows_of(scene.robot, table, cell)
+        rows, setup = rows_and_setup(scene.robot, table, cell)
         fitted = fit(Task(scene.robot, cell, setup, "dh"), rows)
         samples = scene.samples(100, 0, 2, random_joint_values(scene.robot, 100, 5))
         poses, J = fitted.kinematics.twists(fitted.estimate.x, samples, rotation=False)

@@ -5,7 +5,7 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from calib.formats.ur_arms import anchored_placements
+from calib.formats.anchored_placements import anchored_placements
 from calib.robot.chain import rigid_inverse
 from calib.robot.robot import Robot
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, f as f_distribution
 
-from calib.numerics.scores import Limits, as_of_a_point, deleted_norms, median_noise
+from calib.numerics.scores import Limits, deleted_norms, median_noise, point_scores
 
 
 def linear_rows(rng, n=25, p=12, noise=0.3, d=3):
@@ -18,7 +18,7 @@ def linear_rows(rng, n=25, p=12, noise=0.3, d=3):
 def scores(residual, jacobian, covariance, weights, used):
     ones = np.ones((1, *residual.shape))
     norms = deleted_norms(residual[None], jacobian, covariance[None], weights[None], ones)
-    return as_of_a_point(norms[0], np.sum(used, axis=1))
+    return point_scores(norms[0], np.sum(used, axis=1))
 
 
 def every(A):
@@ -92,3 +92,13 @@ def test_weights_fall_from_one_to_zero_between_the_limits():
     assert np.all(weights[grid <= limits.full] == 1.0)
     assert np.all(weights[grid >= limits.flagged] == 0.0)
     assert np.all(np.diff(weights) <= 0.0)
+
+
+def test_weights_fall_in_a_straight_line_between_the_limits():
+    limits = Limits(np.array(2.0), np.array(4.0))
+    scores = np.array([0.0, 1.9, 2.0, 2.2, 2.5, 3.0, 3.5, 3.9, 4.0, 40.0])
+    expected = [1.0, 1.0, 1.0, 0.9, 0.75, 0.5, 0.25, 0.05, 0.0, 0.0]
+    np.testing.assert_allclose(limits.weights(scores), expected, atol=1e-12)
+    # Of two tables at once, each by its own.
+    both = Limits(np.array([[2.0], [1.0]]), np.array([[4.0], [5.0]]))
+    np.testing.assert_allclose(both.weights(np.array([[3.0], [2.0]])), [[0.5], [0.75]])

@@ -13,7 +13,7 @@ from calib.data.cell import Cell
 from calib.model.error_model import frame_and_target_model
 from calib.model.parameters import FRAME
 from calib.registration.registration import _system, register
-from calib.registration.table_rows import rows_of
+from calib.registration.table_rows import rows_and_setup
 
 FREE = Cell(estimate_frame=True)
 PLANAR = Cell(estimate_frame=True, frame_directions=("x", "y", "rz"))
@@ -23,12 +23,14 @@ LEFT = 0.02
 
 
 def registered(scene, table, cell):
-    rows, setup = rows_of(scene.robot, table, cell)
+    rows, setup = rows_and_setup(scene.robot, table, cell)
     return register(scene.robot.poses(rows.joints), setup, rows), rows, setup
 
 
 def rms(scene, found, rows):
-    residual = rows.residual(found.seen(scene.robot.poses(rows.joints), rows.samples))[rows.used]
+    residual = rows.residual(found.target_poses(scene.robot.poses(rows.joints), rows.samples))[
+        rows.used
+    ]
     return np.sqrt(np.mean(residual**2))
 
 
@@ -166,7 +168,7 @@ def test_the_right_robot_is_registered_exactly(make_scene, join, case):
 def test_the_derivative_in_every_frame_and_target_against_differences(make_scene, join):
     scene = make_scene(11, frames=3, targets=2, reach=1.0)
     table = join(scene.poses(4, 0, 0), scene.points(4, 1, 1), scene.distances(4, 2, 0))
-    rows, setup = rows_of(scene.robot, table, FREE)
+    rows, setup = rows_and_setup(scene.robot, table, FREE)
     setup = setup.placed(scene.kinematics.T_frame_base, scene.kinematics.T_tip_target)
     model = frame_and_target_model(
         setup.frame_unknowns, setup.unknown_targets, setup.targets, rotation=True

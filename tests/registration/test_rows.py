@@ -13,7 +13,7 @@ from calib.data.kinds import at as kind_at
 from calib.model.error_model import DIRECTIONS, error_model
 from calib.model.kinematics import Kinematics, Samples
 from calib.registration.rows import NONE, Rows
-from calib.registration.table_rows import rows_of
+from calib.registration.table_rows import rows_and_setup
 
 #: Numbers of kinds in the registry.
 DISTANCE, FIXED, PAIR, PLANE, POINT, POSE = 2, 4, 3, 5, 0, 1
@@ -108,7 +108,7 @@ def test_derivatives_against_differences(make_scene, join, kind):
         )
     else:
         table = MAKERS[kind](scene)
-    rows, setup = rows_of(scene.robot, table, Cell())
+    rows, setup = rows_and_setup(scene.robot, table, Cell())
     kinds = rows.kinds.copy()
     if kind in (
         "fixed",

@@ -15,7 +15,7 @@ from calib.model.families import FAMILIES
 from calib.numerics.errors import CrossValidation, Errors
 from calib.registration.known_distances import known_distances
 from calib.registration.rows import Rows
-from calib.registration.table_rows import rows_of
+from calib.registration.table_rows import rows_and_setup
 from calib.selection.candidates import Candidate
 
 
@@ -27,7 +27,7 @@ def scene_of(make_scene: Callable[..., Any], seed: int, model: str, **given: Any
 
 def task_of(scene: Any, table: Measurements, cell: Cell, model: str = "dh") -> tuple[Task, Rows]:
     """A fit of a scene's table, and the rows that are fitted."""
-    every, setup = rows_of(scene.robot, table, cell)
+    every, setup = rows_and_setup(scene.robot, table, cell)
     task = Task(scene.robot, cell, setup, model, known_distances(cell, setup), lenient=True)
     return task, every.select(table.estimation)
 

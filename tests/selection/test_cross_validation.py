@@ -50,13 +50,13 @@ def test_nominal_errors_are_those_of_a_registration_without_the_pose(make_scene,
     for pose in range(10):
         kept = ~outliers & (np.arange(10) != pose)
         registered = register(T_base_tip[kept], task.setup, rows.select(kept))
-        predicted = registered.seen(T_base_tip, rows.samples)
+        predicted = registered.target_poses(T_base_tip, rows.samples)
         expected[pose] = rows.residual(predicted)[pose]
     found = nominal_cross_validation(task, rows, outliers)
     np.testing.assert_allclose(found.residual, expected, atol=1e-9)
     # Far from what a registration to all rows leaves.
     setup = register(T_base_tip, task.setup, rows)
-    fitted = rows.residual(setup.seen(T_base_tip, rows.samples))
+    fitted = rows.residual(setup.target_poses(T_base_tip, rows.samples))
     assert np.sum(expected**2) > 1.2 * np.sum(fitted**2)
 
 
@@ -69,9 +69,9 @@ def test_a_station_that_was_held_out_is_registered_with_the_target_of_the_others
     for station in range(3):
         held_out = rows.samples.frame == station
         others = register(T_base_tip[~held_out], task.setup, rows.select(~held_out))
-        target = others.as_known(np.zeros(3, dtype=bool), np.ones(1, dtype=bool))
+        target = others.with_fixed(np.zeros(3, dtype=bool), np.ones(1, dtype=bool))
         own = register(T_base_tip[held_out], target, rows.select(held_out))
-        predicted = own.seen(T_base_tip, rows.samples)
+        predicted = own.target_poses(T_base_tip, rows.samples)
         expected[held_out] = rows.residual(predicted)[held_out]
     found = nominal_cross_validation(task, rows, np.zeros(24, dtype=bool))
     np.testing.assert_allclose(found.residual, expected, atol=1e-9)

@@ -96,7 +96,7 @@ def test_a_station_that_alone_measures_orientations_is_not_held_out_whole(calibr
 def test_a_station_that_alone_has_a_known_frame_is_not_held_out_whole(calibrated):
     """The others do not determine where the base stands."""
     task, rows = task_of_case(calibrated("set-ups"))
-    setup = task.setup.as_known(np.array([True, False, False]), np.zeros(1, dtype=bool))
+    setup = task.setup.with_fixed(np.array([True, False, False]), np.zeros(1, dtype=bool))
     assert Folds.of_task(replace(task, setup=setup), rows).method == "10-fold"
 
 

@@ -32,10 +32,10 @@ def test_a_station_that_was_not_seen_is_registered_without_its_outliers(make_sce
     held_out = rows.samples.frame == 1
     outliers = np.arange(16) == 10
     placed = register(T_base_tip[~held_out], task.setup, rows.select(~held_out))
-    target = placed.as_known(np.zeros(2, dtype=bool), np.ones(1, dtype=bool))
+    target = placed.with_fixed(np.zeros(2, dtype=bool), np.ones(1, dtype=bool))
     good = held_out & ~outliers
     own = register(T_base_tip[good], target, rows.select(good))
-    expected = rows.residual(own.seen(T_base_tip, rows.samples))[held_out]
+    expected = rows.residual(own.target_poses(T_base_tip, rows.samples))[held_out]
     found = residual_after_registration(
         T_base_tip[held_out], placed, rows, held_out, ~held_out, outliers
     )

@@ -42,7 +42,7 @@ def test_geometries_grow_along_the_ladder(task_and_rows):
 
 def test_a_geometry_without_parameters_is_not_listed(task_and_rows):
     task, _ = task_and_rows
-    known = task.setup.as_known(np.ones(1, dtype=bool), np.ones(1, dtype=bool))
+    known = task.setup.with_fixed(np.ones(1, dtype=bool), np.ones(1, dtype=bool))
     assert "frames" not in geometry_parameters(replace(task, setup=known))
 
 

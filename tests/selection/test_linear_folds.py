@@ -10,7 +10,7 @@ import pytest
 
 from calib.data.cell import Cell
 from calib.estimate.fitting import Fitted, Task, fit
-from calib.registration.table_rows import rows_of
+from calib.registration.table_rows import rows_and_setup
 from calib.selection import cross_validation as module
 from calib.selection.cross_validation import cross_validation
 from calib.selection.linear_folds import (
@@ -61,7 +61,7 @@ def test_folds_are_fitted_from_the_beginning_where_the_linear_problem_is_not_acc
     make_scene, cell, count, solver
 ):
     scene = make_scene(93, frames=[np.eye(4)], length=3e-4, angle=3e-3, noise=2e-5)
-    every, setup = rows_of(scene.robot, scene.points(count), cell)
+    every, setup = rows_and_setup(scene.robot, scene.points(count), cell)
     fitted = fit(Task(scene.robot, cell, setup, "dh", solver=solver), every)
     masks = tuple(np.eye(count, dtype=bool))
     assert held_out_residuals_linear(fitted, masks, fitted.estimate.outliers) == {}

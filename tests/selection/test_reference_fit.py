@@ -9,7 +9,7 @@ import pytest
 
 from calib.data.cell import Cell
 from calib.estimate.fitting import Task, fit
-from calib.registration.table_rows import rows_of
+from calib.registration.table_rows import rows_and_setup
 from calib.selection.reference_fit import (
     explains_more_rows,
     fit_with_all_families,
@@ -20,7 +20,7 @@ from tests.selection.models import fitted_to, scene_of, with_outliers, with_outl
 
 def test_a_reference_fit_that_explains_more_rows_keeps_its_weights(make_scene):
     scene = scene_of(make_scene, 115, "dh")
-    rows, setup = rows_of(scene.robot, scene.points(40), Cell())
+    rows, setup = rows_and_setup(scene.robot, scene.points(40), Cell())
     large, small = (fit(Task(scene.robot, Cell(), setup, m), rows) for m in ("dh", "zeros"))
     assert explains_more_rows(with_outliers(large), with_outliers(small, 3, 5))
     assert explains_more_rows(with_outliers(large, 3), with_outliers(small, 3, 5))
@@ -34,7 +34,7 @@ def test_a_reference_fit_that_explains_more_rows_keeps_its_weights(make_scene):
 def robust_and_plain(make_scene):
     """Fits to 30 points, two of them off by millimetres: with these set aside, and with all rows in full."""
     scene = scene_of(make_scene, 91, "dh")
-    rows, setup = rows_of(scene.robot, with_outlying_points(scene.points(30)), Cell())
+    rows, setup = rows_and_setup(scene.robot, with_outlying_points(scene.points(30)), Cell())
     task = Task(scene.robot, Cell(), setup, "dh")
     robust, plain = fit(task, rows), fit(replace(task, robust=False), rows)
     assert np.flatnonzero(robust.estimate.outliers).tolist() == [4, 17]

@@ -9,7 +9,7 @@ import pytest
 from calib.data.cell import Cell, Priors
 from calib.errors import ModelError
 from calib.estimate.fitting import Task
-from calib.registration.table_rows import rows_of
+from calib.registration.table_rows import rows_and_setup
 from calib.selection.ladder import LADDER
 from calib.selection.selection import Selection, select
 from tests.selection.models import scene_of
@@ -17,7 +17,7 @@ from tests.selection.models import scene_of
 
 def chosen(scene: Any, count: int = 80, cell: Cell | None = None) -> Selection:
     cell = Cell() if cell is None else cell
-    rows, setup = rows_of(scene.robot, scene.points(count), cell)
+    rows, setup = rows_and_setup(scene.robot, scene.points(count), cell)
     return select(Task(scene.robot, cell, setup, "auto"), rows)
 
 

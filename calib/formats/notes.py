@@ -1,0 +1,27 @@
+"""Notes of a conversion: what is not as it seems, or has no place in a file, as codes and values."""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+#: What a note is about; `calib.text.convert` has a sentence for each.
+Code = Literal[
+    "arm not certain",
+    "nominal hash",
+    "not linearised",
+    "base displaced",
+    "flange displaced",
+    "other lines kept",
+    "other lines left out",
+    "joints without origin",
+    "geometry alone",
+    "nearly parallel axes",
+    "joints without value",
+]
+
+
+class Note(NamedTuple):
+    """A note of a conversion."""
+
+    code: Code  #: What it is about.
+    values: tuple[str | float, ...] = ()  #: What its sentence names, in SI units [m], [rad].

@@ -1,0 +1,60 @@
+"""What a conversion starts from: a robot that was read, its nominal robot, and the options that go with it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from calib.diagnosis.reasons import Verdict
+from calib.formats.notes import Note
+from calib.formats.ur_arms import UrModel
+from calib.formats.ur_conf import Conf
+from calib.robot.robot import Robot
+from calib.units import Array
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """Options of a conversion; all may be left out."""
+
+    to: str | None = None  #: Name of the format to write; None: by the ending of the file.
+    #: The nominal robot: URDF, xacro or name; None: that of a result, or a bare one of ``ur_model``.
+    robot: str | None = None
+    ur_model: str | None = None  #: Name of an arm of Universal Robots; None: found from the robot.
+    urcontrol: Path | None = (
+        None  #: The arm's file with the nominal rows of a ``calibration.conf``.
+    )
+    #: The robot's own ``kinematics.yaml`` or ``calibration.conf``, whose hash a new ``kinematics.yaml`` keeps.
+    hash_from: Path | None = None
+    update: Path | None = None  #: A ``calibration.conf`` whose other lines a new one keeps.
+    base: str | None = None  #: First link of the chain; None: that of the source.
+    tip: str | None = None  #: Last link of the chain; None: that of the source.
+    #: Values of joints that stay, by name [rad or m]; None: those of the source.
+    held: Mapping[str, float] | None = None
+    overwrite: bool = False  #: Whether a file that exists is replaced.
+
+    def load(self, source: str) -> Robot:
+        """Return a robot, by its URDF, xacro or name, between the links of these options."""
+        return Robot.load(source, self.base, self.tip, held=self.held)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Source:
+    """A robot read from a file, and the same chain with nominal kinematics.
+
+    Of Universal Robots' files also the driver's name of the calibration, the arm, and what the file holds.
+    """
+
+    kind: str  #: Kind of source, one of `calib.formats.convert.KINDS`.
+    robot: Robot  #: The robot, calibrated if the file is.
+    nominal: Robot | None  #: The nominal robot; None: not known.
+    hash: str | None = None  #: The driver's name of the calibration; None: of another file.
+    model: UrModel | None = None  #: The arm of Universal Robots; None: of another maker.
+    conf: Conf | None = None  #: The ``calibration.conf`` that was read; None: another file was.
+    #: Numbers of the ``kinematics.yaml`` that was read, shape (6, 6) [m], [rad], see `read_numbers`; None: another file
+    #: was.
+    numbers: Array | None = None
+    notes: tuple[Note, ...] = ()  #: What the reader has to say.
+    #: The verdict of a result; None of any other file, and of a result that was not validated.
+    verdict: Verdict | None = None

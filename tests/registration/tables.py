@@ -1,0 +1,20 @@
+"""Tables of one kind for tests of rows and setups."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from calib.data.measurements import Measurements
+
+#: Numbers of kinds in the registry.
+POINT = 0
+POSE = 1
+DISTANCE = 2
+PAIR = 3
+FIXED = 4
+PLANE = 5
+
+
+def as_kind(table: Measurements, kind: str, **columns) -> Measurements:
+    """The same rows as another kind: where they lie does not matter."""
+    return replace(table, kinds=(kind,) * len(table), **columns)

@@ -1,0 +1,67 @@
+"""Rows of a table of every kind: measured values, pairs, noise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from calib.data.cell import Cell
+from calib.data.measurements import Measurements
+from calib.registration.rows import NONE
+from calib.registration.table_rows import FIRST_SIGMA, FIRST_SIGMA_ANGLE, rows_and_setup
+from tests.registration.tables import DISTANCE, FIXED, PAIR, PLANE, POINT, POSE, as_kind
+
+
+def test_every_kind_has_its_number_and_nothing_is_nan(four_frames, join, ur3):
+    table = join(
+        four_frames.points(2),
+        four_frames.poses(2, 1, 1),
+        four_frames.distances(2, 2),
+        four_frames.pairs(1, 0, 1),
+        as_kind(four_frames.points(1, 3), "fixed"),
+        as_kind(four_frames.points(1, 1), "plane"),
+    )
+    rows, setup = rows_and_setup(ur3, table, Cell())
+    np.testing.assert_array_equal(
+        rows.kinds, [POINT, POINT, POSE, POSE, DISTANCE, DISTANCE, PAIR, NONE, FIXED, PLANE]
+    )
+    for values in (rows.measured, rows.scales):
+        assert np.all(np.isfinite(values))
+    np.testing.assert_array_equal(rows.measured[:4, :3], table.points[:4])
+    np.testing.assert_array_equal(rows.measured[2:4, 3:], table.rotations[2:4].reshape(2, 9))
+    np.testing.assert_array_equal(rows.measured[4:7, 0], table.distances[4:7])
+    np.testing.assert_array_equal(rows.measured[7:], 0.0)
+    np.testing.assert_array_equal(rows.samples.frame, [0, 0, 1, 1, 2, 2, 0, 0, 3, 1])
+    np.testing.assert_array_equal(rows.samples.target, [0, 0, 1, 1, 0, 0, 1, 1, 0, 0])
+    assert setup.rotation
+
+
+def test_the_first_row_of_a_pair_carries_the_distance(four_frames, ur3):
+    table = four_frames.pairs(3)
+    order = np.array([0, 2, 5, 4, 1, 3])
+    mixed = Measurements(
+        table.joint_names,
+        table.joints[order],
+        table.points[order],
+        kinds=("pair",) * 6,
+        pairs=tuple(table.pairs[k] for k in order),
+        distances=table.distances[order],
+    )
+    rows, _ = rows_and_setup(ur3, mixed, Cell())
+    np.testing.assert_array_equal(rows.kinds, [PAIR, PAIR, PAIR, NONE, NONE, NONE])
+    np.testing.assert_array_equal(rows.partner, [4, 5, 3, -1, -1, -1])
+    np.testing.assert_array_equal(rows.measured[:3, 0], table.distances[[0, 2, 4]])
+    # Both rows of a pair are left out together.
+    np.testing.assert_array_equal(rows.blocks, [0, 1, 2, 2, 0, 1])
+
+
+def test_noise_is_the_rows_the_cells_or_a_first_guess(four_frames, ur3):
+    table = four_frames.poses(3)
+    rows, _ = rows_and_setup(ur3, table, Cell())
+    assert set(rows.sigma) == {FIRST_SIGMA}
+    assert set(rows.sigma_angle) == {FIRST_SIGMA_ANGLE}
+    told = replace(table, sigma=np.array([4e-5, 5e-5, 6e-5]))
+    rows, _ = rows_and_setup(ur3, told, Cell(sigma=2e-4, sigma_angle=3e-3))
+    np.testing.assert_array_equal(rows.sigma, [4e-5, 5e-5, 6e-5])
+    np.testing.assert_array_equal(rows.sigma_angle, [3e-3] * 3)
