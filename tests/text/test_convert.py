@@ -11,7 +11,7 @@ import pytest
 
 from calib.calibration import Calibration
 from calib.formats.convert import Conversion
-from calib.formats.dh_files import Code, Note
+from calib.formats.notes import Code, Note
 from calib.formats.universal_robots import Source
 from calib.robot.ranges import spread_poses
 from calib.robot.robot import Robot
