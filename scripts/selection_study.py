@@ -23,7 +23,7 @@ from calib.data.measurements import Measurements
 from calib.estimate.fitting import Fitted, fit
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Samples
-from calib.result.calibrate import fit_table
+from calib.result.fits import fit_table
 from calib.robot.gravity import gravity_loads
 from calib.robot.payload import Payload
 from calib.robot.ranges import random_joint_values
@@ -88,7 +88,7 @@ class Table:
     def by(self, model: str) -> Fitted:
         """The fit that predicts best."""
         fits = fit_table(self.robot, self.measurements, self.cell, model=model)
-        return fits.non_geometric or fits.fitted
+        return fits.non_geometric or fits.geometry
 
 
 def measured(truth: Truth, cell: Cell, count: int, seed: int) -> Table:
@@ -139,8 +139,8 @@ def table_of_truth(arm: str, true: str, count: int, seed: int) -> Table:
 def errors_by_model(table: Table) -> dict[str, float]:
     """The error of each fixed model, and of `auto`."""
     auto = fit_table(table.robot, table.measurements, table.cell, model="auto")
-    found = {"auto": table.error(auto.non_geometric or auto.fitted)}
-    task, rows = replace(auto.fitted.task, lenient=True), auto.fitted.estimate.problem.rows
+    found = {"auto": table.error(auto.non_geometric or auto.geometry)}
+    task, rows = replace(auto.geometry.task, lenient=True), auto.geometry.estimate.problem.rows
     found |= {m: table.error(fit(replace(task, model=m), rows)) for m in FIXED}
     return found
 
@@ -238,11 +238,13 @@ def geometry(runs: int, first: int = 0) -> Iterator[str]:
         sets = [c for c in fits.candidates if "+" not in c.name]
         likeliest = max(sets, key=lambda c: c.evidence).name
         ratio = 1.0
-        if likeliest != fits.fitted.task.model:
-            task, rows = fits.fitted.task, fits.fitted.estimate.problem.rows
+        if likeliest != fits.geometry.task.model:
+            task, rows = fits.geometry.task, fits.geometry.estimate.problem.rows
             other = fit(replace(task, model=likeliest), rows)
-            judge = fits.non_geometric or fits.fitted
-            ratio = table.error(fits.fitted) / table.error(with_better_weights(other, rows, judge))
+            judge = fits.non_geometric or fits.geometry
+            ratio = table.error(fits.geometry) / table.error(
+                with_better_weights(other, rows, judge)
+            )
         count = len(table.measurements)
         for group in ("all", wrong, "below 16 poses" if count < 16 else "16 poses and more"):
             ratios[group].append(ratio)

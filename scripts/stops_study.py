@@ -20,7 +20,7 @@ from calib.estimate.fitting import Fitted
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
 from calib.numerics.errors import rms
-from calib.result.calibrate import fit_table
+from calib.result.fits import fit_table
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.units import Array
@@ -126,9 +126,9 @@ def stated(fitted: Fitted) -> float:
 def compared(robot: Robot, stops: int, missed: float, seed: int) -> Array:
     """Errors of the fit to the markers and of that to poses, what the first states, and its two shares, shape (5,)."""
     hand, cell = Hand.drawn(robot, stops, missed, seed), Cell(estimate_frame=True)
-    one = fit_table(robot, hand.by_points(), cell, model="dh").fitted
+    one = fit_table(robot, hand.by_points(), cell, model="dh").geometry
     table, body = hand.by_poses()
-    other = fit_table(robot, table, cell, model="dh").fitted
+    other = fit_table(robot, table, cell, model="dh").geometry
     off, of_poses = (
         rms(np.linalg.norm(e, axis=2)) for e in (errors(hand, one), errors(hand, other, body))
     )

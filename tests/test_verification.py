@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.result.calibrate import fit_table
+from calib.result.fits import fit_table
 
 SCRIPTS = Path(__file__).parents[1] / "scripts"
 sys.path.insert(0, str(SCRIPTS))
@@ -98,10 +98,10 @@ def test_a_geometry_that_left_out_poses_contradict_predicts_worse(seed):
     likeliest = max(
         (c for c in fits.candidates if "+" not in c.name), key=lambda c: c.evidence
     ).name
-    assert fits.fitted.task.model != likeliest
+    assert fits.geometry.task.model != likeliest
     named = replace(table.cell, model=likeliest)
     other = fit_table(table.robot, table.measurements, named)
-    assert table.error(fits.fitted) < 0.9 * table.error(other.fitted)
+    assert table.error(fits.geometry) < 0.9 * table.error(other.geometry)
 
 
 def test_the_study_has_every_robot_with_two_joints_or_more():
