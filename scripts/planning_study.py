@@ -26,9 +26,10 @@ from rich.progress import track
 from calib.data.cell import Box, Cell, Reflector, Tracker
 from calib.data.measurements import Measurements
 from calib.design.candidates import draw, planning_ranges
-from calib.design.forecast import Forecast, Sensitivity, Workspace
-from calib.design.optimal import PlanRequest
+from calib.design.choice import PlanRequest
+from calib.design.forecast import Forecast, Workspace
 from calib.design.plan import plan
+from calib.design.sensitivity import Sensitivity
 from calib.robot.robot import Robot
 from calib.simulation.scenario import Scenario
 from calib.simulation.study import Study, Trials, study

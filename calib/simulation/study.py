@@ -16,8 +16,9 @@ from scipy.special import fdtri
 
 from calib.data.cell import Cell, Tracker
 from calib.design.candidates import draw, planning_ranges
-from calib.design.forecast import Forecast, Sensitivity, Workspace
-from calib.design.optimal import PlanRequest, choose_poses
+from calib.design.choice import PlanRequest, choose_poses
+from calib.design.forecast import Forecast, Workspace
+from calib.design.sensitivity import Sensitivity
 from calib.diagnosis.reasons import NO
 from calib.errors import CalibError, ModelError
 from calib.estimate.fitting import Fitted

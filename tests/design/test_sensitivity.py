@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from calib.data.cell import Cell, Priors, Tracker, TrackerNoise
 from calib.data.measurements import Measurements
-from calib.design.forecast import Sensitivity, forecast
+from calib.design.forecast import forecast
+from calib.design.sensitivity import Sensitivity
 from calib.errors import ModelError
 from calib.estimate.inspection import inspect
 from calib.model.kinematics import Kinematics, Samples
