@@ -27,12 +27,13 @@ if TYPE_CHECKING:
     from calib.conversion import convert as convert
     from calib.data.cell import Cell as Cell
     from calib.data.measurements import Measurements as Measurements
+    from calib.design.choice import PlanRequest as PlanRequest
     from calib.design.inspection import inspect as inspect
-    from calib.design.optimal import PlanRequest as PlanRequest
     from calib.design.plan import Plan as Plan, plan as plan
-    from calib.design.workspace import Region as Region, workspace as workspace
     from calib.errors import CalibError as CalibError
     from calib.fleets.fleet import fleet as fleet
+    from calib.regions.region import Region as Region
+    from calib.regions.workspace import workspace as workspace
     from calib.result.evaluation import Evaluation as Evaluation, evaluate as evaluate
     from calib.result.uncertainty import bootstrap as bootstrap
     from calib.robot.robot import Robot as Robot
@@ -50,9 +51,10 @@ _NAMES = {
     "calib.conversion": "convert",
     "calib.data.cell": "Cell",
     "calib.data.measurements": "Measurements",
-    "calib.design.optimal": "PlanRequest",
+    "calib.design.choice": "PlanRequest",
     "calib.design.plan": "Plan plan",
-    "calib.design.workspace": "Region workspace",
+    "calib.regions.region": "Region",
+    "calib.regions.workspace": "workspace",
     "calib.errors": "CalibError",
     "calib.design.inspection": "inspect",
     "calib.fleets.fleet": "fleet",

@@ -1,4 +1,4 @@
-"""calibrate and compare, and their results with what writes them, which is imported when it is asked for."""
+"""calibrate and compare, and their results with methods that write them; what these need is imported when called."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from calib.result.calibration import CalibrationValues
 from calib.result.comparison import ComparisonValues, compare as compare_values
 from calib.robot.ranges import random_joint_values
 from calib.robot.readback import check_written
+from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from calib.text.verdict import against, refusal
 
@@ -30,17 +31,17 @@ T = TypeVar("T")
 TARGET_LINK = "calib_target"
 
 
-def _of(kind: type[T], values: Any) -> T:  # noqa: ANN401  a dataclass that T extends
-    """The same values, with what writes them."""
-    return kind(**{one.name: getattr(values, one.name) for one in fields(values)})
+def _as(kind: type[T], values: Any) -> T:  # noqa: ANN401  a dataclass that T extends
+    """Return the values of a dataclass as an object of a class that extends it with methods."""
+    return kind(**{field.name: getattr(values, field.name) for field in fields(values)})
 
 
-def _giving(kind: type[T], function: Callable[P, object]) -> Callable[P, T]:
-    """A function that gives its values with what writes them."""
+def _returning(kind: type[T], function: Callable[P, object]) -> Callable[P, T]:
+    """Return a function with its result as an object of a class with more methods, see `_as`."""
 
     @wraps(function)
-    def call(*args: P.args, **given: P.kwargs) -> T:
-        return _of(kind, function(*args, **given))
+    def call(*args: P.args, **kwargs: P.kwargs) -> T:
+        return _as(kind, function(*args, **kwargs))
 
     call.__module__ = __name__
     return call
@@ -49,43 +50,71 @@ def _giving(kind: type[T], function: Callable[P, object]) -> Callable[P, T]:
 class Calibration(CalibrationValues):
     """The result of `calibrate`: the values of `calib.result.calibration.CalibrationValues`, and what writes them.
 
-    Two ways lead to one: `calib.calibrate`, and `Calibration.read_json` of a file that `write_json` wrote.
+    There are two ways to get one: `calib.calibrate`, and `Calibration.read_json` of a file that `write_json` wrote.
     """
 
     __slots__ = ()
 
     @classmethod
     def read_json(cls, path: str | Path) -> Calibration:
-        """Read a result that `write_json` or ``calib calibrate --json`` wrote; `FileError` where that cannot be."""
+        """Read a result that `write_json` or ``calib calibrate --json`` wrote.
+
+        Args:
+            path: The file.
+
+        Returns:
+            The result; it does not hold the measurements.
+
+        Raises:
+            FileError: The file cannot be read, or is no result.
+        """
         from calib.result.calibration_file import read_result
 
-        return _of(cls, read_result(path))
+        return _as(cls, read_result(path))
 
     def summary(self) -> str:
-        """The result as text, without colours."""
+        """Return the result as text, without colours."""
         from calib.text.summary import summary
 
         return summary(self)
 
     def checked_urdf(self, *, target_link: bool = False) -> Urdf:
-        """What `write_urdf` writes, read back with Pinocchio and yourdfpy as it does; it raises the same.
+        """Return the URDF that `write_urdf` writes, read back with Pinocchio and yourdfpy.
 
         A verdict ``do not use`` stands in it as a comment; it is not obeyed here.
+
+        Args:
+            target_link: Whether it has a link ``calib_target`` at the target, fixed to the tip.
+
+        Returns:
+            The corrected URDF, the geometry alone.
+
+        Raises:
+            UrdfError: A reader disagrees with the model in memory by more than 1e-9 m or rad, or
+                the URDF has another link ``calib_target``.
+            ModelError: Several targets, which one link cannot stand for.
         """
         robot = self.robot
-        if target_link and len(self.setup.targets) > 1:
-            raise ModelError(
-                f"There are {len(self.setup.targets)} targets, {choices(self.setup.targets)}; a target link can be "
-                "written for one."
-            )
         if target_link:
-            urdf = _with_target_link(robot.urdf, robot.tip, self.setup.T_tip_target[0])
-            robot = replace(robot, urdf=urdf)
+            robot = self._robot_with_target_link()
         robot = replace(robot, urdf=robot.urdf.with_verdict(against(self.verdict)))
         q = random_joint_values(robot)
         # Straight from the parameters, by the path that the fit took, not through the corrected robot.
-        check_written(robot, self.tips(Samples.at(q)), q)
+        T_base_tip = self.tips(Samples.at(q))
+        check_written(robot, T_base_tip, q)
         return robot.urdf
+
+    def _robot_with_target_link(self) -> Robot:
+        """Return the corrected robot with a link at its only target."""
+        names = self.setup.targets
+        if len(names) > 1:
+            raise ModelError(
+                f"There are {len(names)} targets, {choices(names)}; a target link can be written "
+                "for one."
+            )
+        T_tip_target = self.setup.T_tip_target[0]
+        urdf = _with_target_link(self.robot.urdf, self.robot.tip, T_tip_target)
+        return replace(self.robot, urdf=urdf)
 
     def write_urdf(
         self,
@@ -113,21 +142,41 @@ class Calibration(CalibrationValues):
             ModelError: Several targets, which one link cannot stand for.
             FileError: The file exists, or cannot be written.
         """
-        if not accept and (stated := against(self.verdict)):
-            raise VerdictError(refusal(f"'{path}'", stated))
+        verdict_against = against(self.verdict)
+        if verdict_against and not accept:
+            raise VerdictError(refusal(f"'{path}'", verdict_against))
         return self.checked_urdf(target_link=target_link).write(path, overwrite=overwrite)
 
     def write_json(self, path: str | Path, *, overwrite: bool = False) -> Path:
-        """Write the result as JSON, see docs/result-json.md; `FileError` where that cannot be."""
+        """Write the result as JSON, see docs/result-json.md.
+
+        Args:
+            path: The file.
+            overwrite: Whether a file that exists is replaced.
+
+        Returns:
+            The path.
+
+        Raises:
+            FileError: The file exists, or cannot be written.
+        """
         from calib.result.calibration_file import write_result
 
         return write_result(self, path, overwrite=overwrite)
 
     def write_report(self, path: str | Path, *, overwrite: bool = False) -> Path:
-        """Write the report, a page with figures that prints on A4; `FileError` where that cannot be.
+        """Write the report, a page with figures that prints on A4.
+
+        Args:
+            path: The HTML file.
+            overwrite: Whether a file that exists is replaced.
+
+        Returns:
+            The path.
 
         Raises:
             ModelError: The result was read from a file, which does not hold the measurements.
+            FileError: The file exists, or cannot be written.
         """
         from calib.report.report import write_report
 
@@ -135,14 +184,26 @@ class Calibration(CalibrationValues):
 
 
 def _with_target_link(urdf: Urdf, tip: str, T_tip_target: NDArray[np.float64]) -> Urdf:
-    """A URDF with a link at the target; one that an earlier calibration added is moved there."""
+    """Return a URDF with a link at the target; one that an earlier calibration added is moved.
+
+    Args:
+        urdf: The URDF.
+        tip: Name of the tip link.
+        T_tip_target: Pose of the target in the tip, shape (4, 4) [m].
+
+    Returns:
+        The URDF with the link `TARGET_LINK`.
+
+    Raises:
+        UrdfError: It has a link of this name that is not fixed to the tip.
+    """
     if TARGET_LINK not in urdf.links:
         return urdf.with_link(TARGET_LINK, tip, T_tip_target)
     joint = next(joint for joint in urdf.joints if joint.child == TARGET_LINK)
     if joint.parent != tip or joint.type != "fixed":
         raise UrdfError(
-            f"The URDF has a link '{TARGET_LINK}' already, not fixed to '{tip}' but a child of '{joint.parent}' "
-            f"by a {joint.type} joint. Rename it, or do without the target link."
+            f"The URDF has a link '{TARGET_LINK}' already, not fixed to '{tip}' but a child of "
+            f"'{joint.parent}' by a {joint.type} joint. Rename it, or do without the target link."
         )
     return urdf.with_origins({joint.name: T_tip_target})
 
@@ -153,23 +214,34 @@ class Comparison(ComparisonValues):
     __slots__ = ()
 
     def summary(self) -> str:
-        """The comparison as text, without colours, in 100 columns."""
+        """Return the comparison as text, without colours, in 100 columns."""
         from calib.text.comparison import comparison_text
 
         return comparison_text(self)
 
     def table(self) -> dict[str, Any]:
-        """The comparison as nested tables of plain values; the keys are documented in docs/comparison.md."""
+        """Return the comparison as nested tables of plain values; docs/comparison.md has the keys."""
         from calib.text.comparison import comparison_table
 
         return comparison_table(self)
 
     def write_json(self, path: str | Path, *, overwrite: bool = False) -> Path:
-        """Write the comparison as JSON; `FileError` where that cannot be."""
+        """Write the comparison as JSON.
+
+        Args:
+            path: The file.
+            overwrite: Whether a file that exists is replaced.
+
+        Returns:
+            The path.
+
+        Raises:
+            FileError: The file exists, or cannot be written.
+        """
         from calib.result.calibration_file import write_table
 
         return write_table(self.table(), path, overwrite=overwrite)
 
 
-calibrate = _giving(Calibration, calibrate_values)
-compare = _giving(Comparison, compare_values)
+calibrate = _returning(Calibration, calibrate_values)
+compare = _returning(Comparison, compare_values)

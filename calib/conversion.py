@@ -10,8 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from calib.errors import VerdictError
-from calib.formats.convert import FORMATS, Conversion, Options, read_source
-from calib.formats.source import Source
+from calib.formats.convert import FORMATS, Conversion, Options, Source, read_source
 from calib.text.verdict import against, refusal
 
 __all__ = ["convert"]
@@ -20,14 +19,15 @@ __all__ = ["convert"]
 def convert(
     source: str, path: str | Path, options: Options | None = None, *, accept: bool = False
 ) -> Conversion:
-    """Read a file or the name of a robot, and write it in the format that the file's ending or ``options.to`` says.
+    """Read a file or the name of a robot, and write it in another format.
 
     What is written is read back and compared with the robot before it appears.
 
     Args:
         source: A result, a controller's file, an origins file, a URDF or xacro, or the name of a robot.
         path: The file to write.
-        options: What goes with the conversion.
+        options: What goes with the conversion, such as ``to``, the format; None: the file's ending
+            says the format, and nothing goes with it.
         accept: Whether to write even where the verdict is ``do not use``; a URDF then states it in a comment.
 
     Returns:
@@ -40,22 +40,25 @@ def convert(
         ModelError: The robot has no form in this format, or things do not fit each other.
         CalibError: Something that the format needs was not given.
     """
-    options, path = options or Options(), Path(path)
-    content, name = read_source(source, path, options)
-    stated = _stated(content)
-    if stated and not accept:
-        raise VerdictError(refusal(f"'{source}'", stated))
-    urdf = content.robot.urdf.with_verdict(stated)
+    options = options or Options()
+    path = Path(path)
+    content, format_name = read_source(source, path, options)
+    verdict_against = _verdict_against(content)
+    if verdict_against and not accept:
+        raise VerdictError(refusal(f"'{source}'", verdict_against))
+    urdf = content.robot.urdf.with_verdict(verdict_against)
     if urdf != content.robot.urdf:
         content = replace(content, robot=replace(content.robot, urdf=urdf))
-    notes = FORMATS[name].write(content, path, options)
-    return Conversion(content, name, path, notes, stated)
+    notes = FORMATS[format_name].write(content, path, options)
+    return Conversion(content, format_name, path, notes, verdict_against)
 
 
-def _stated(source: Source) -> str:
-    """The verdict ``do not use`` on what was read, and its reason; empty for any other verdict, and for none.
+def _verdict_against(source: Source) -> str:
+    """Return the verdict ``do not use`` on what was read, and its reason; empty for any other.
 
     A URDF states the verdict on itself. Where another file is applied to a URDF, what that URDF states is the verdict
     on an earlier calibration, and does not count.
     """
-    return source.robot.urdf.verdict if source.kind == "robot" else against(source.verdict)
+    if source.kind == "robot":
+        return source.robot.urdf.verdict
+    return against(source.verdict)

@@ -77,7 +77,7 @@ def api_survey() -> dict[str, Any]:
 def api_workspace() -> dict[str, Any]:
     """Samples of the workspace and their densest part."""
     import calib
-    from calib.design.workspace import Density
+    from calib.regions.region import Density
 
     robot = calib.Robot.load("robot.urdf", base="base", tip="tool0")
     points = calib.workspace(robot, [-0.07, 0.07, 0.022], count=2**13)

@@ -14,12 +14,12 @@ import pytest
 import calib
 from calib.compensation.program import read_program
 from calib.data.points_file import read_points
-from calib.design.collision import read_solids
-from calib.design.workspace import read_region
+from calib.design.solids import read_solids
 from calib.errors import CalibError
 from calib.example import paper_measurements, paper_urdf
 from calib.formats.convert import KINDS, Options
 from calib.formats.source_kinds import source_kind
+from calib.regions.region_file import read_region
 
 ROOT = Path(__file__).parents[1]
 ARM, DATA = str(paper_urdf()), paper_measurements()

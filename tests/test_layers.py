@@ -30,6 +30,7 @@ ORDER = (
     "selection",
     "diagnosis",
     "result",
+    "regions",
     "design",
     "simulation",
     "circle_points",

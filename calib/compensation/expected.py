@@ -33,7 +33,7 @@ from calib.compensation.pose_covariance import (
 from calib.model.kinematics import Samples
 from calib.numerics.errors import CrossValidation
 from calib.result.calibration import CalibrationValues
-from calib.result.prediction import Solved
+from calib.result.prediction import FittedModel
 from calib.robot.robot import read_only
 from calib.units import Array
 
@@ -138,7 +138,7 @@ def expected_errors(pair: Pair, q: Array) -> ExpectedErrors:
 
 
 def _views(
-    pair: Pair, result: CalibrationValues, part: Solved, q: Array
+    pair: Pair, result: CalibrationValues, part: FittedModel, q: Array
 ) -> tuple[View, View, View]:
     """The measured target in the measurement frame; the tool there; and the tool in the frame of the program."""
     samples = _samples(pair, part, q)
@@ -156,7 +156,7 @@ def _views(
     )
 
 
-def _samples(pair: Pair, part: Solved, q: Array) -> Samples:
+def _samples(pair: Pair, part: FittedModel, q: Array) -> Samples:
     """Joint values (N, m) with loads, seen from the program's frame or the first at the target nearest to the tool."""
     setup = part.setup
     if pair.target is None:
@@ -244,7 +244,7 @@ def _contributions(
     return tuple(map(Contribution, sources, squares))
 
 
-def _lacking(result: CalibrationValues, part: Solved, predicted_angle: float) -> Array:
+def _lacking(result: CalibrationValues, part: FittedModel, predicted_angle: float) -> Array:
     """Mean squares of what a model lacks, of positions [m^2] and of angles [rad^2], shape (2,); 0 if it lacks nothing.
 
     Args:

@@ -25,8 +25,9 @@ from calib.model.error_model import DIRECTIONS, OWN, error_model, split_name
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Samples
 from calib.model.parameters import FRAME, TARGET, Parameter
+from calib.numerics.rigid_motion import displacements_by
 from calib.result.calibration import CalibrationValues
-from calib.result.prediction import Solved, moved_by, twists_in_base
+from calib.result.prediction import FittedModel, twists_in_base
 from calib.robot.robot import rigid_inverse
 from calib.units import Array
 
@@ -45,7 +46,7 @@ class View(NamedTuple):
     )  #: shape (4, 4), a tool known in the tip [m]; None: the target of each sample.
     in_base: bool  #: Whether poses are in the base, not in the frame of each sample.
     #: shape (6, 6), covariance of a motion of the base besides the parameters, along and about its axes, linear part
-    #: first [m, rad]; None for the base less the motion of it that compensates best, see `Solved.base_motion`.
+    #: first [m, rad]; None for the base less the motion of it that compensates best, see `FittedModel.base_motion`.
     base: Array | None
 
 
@@ -66,7 +67,7 @@ class PoseCovariance(NamedTuple):
         return np.asarray(variances.reshape(-1, 2, 3).sum(axis=2).mean(axis=0))
 
 
-def pose_covariance(part: Solved, view: View) -> PoseCovariance:
+def pose_covariance(part: FittedModel, view: View) -> PoseCovariance:
     """Covariance of the poses of a view by the parameters of a result's geometry or non-geometric model."""
     derivative, root = _derivative(part, view), _root(_covariance(part, view))
     unknowns, count = len(root), len(view.samples)
@@ -96,7 +97,7 @@ def unknown_base_directions(result: CalibrationValues) -> tuple[str, ...]:
     return tuple(one for one in DIRECTIONS if one in common)
 
 
-def unmodelled_base(result: CalibrationValues, part: Solved) -> Array:
+def unmodelled_base(result: CalibrationValues, part: FittedModel) -> Array:
     """Covariance of the first joint's placement, as far as a model leaves it out, as a motion of the base (6, 6).
 
     Every direction of the placement counts that neither a parameter of the model nor a frozen one has, with the prior
@@ -129,7 +130,7 @@ def unmodelled_base(result: CalibrationValues, part: Solved) -> Array:
     return covariance
 
 
-def _frozen(result: CalibrationValues, part: Solved) -> list[Parameter]:
+def _frozen(result: CalibrationValues, part: FittedModel) -> list[Parameter]:
     """Frozen parameters of the model's set and of the placements: the user takes them for exact."""
     sets = {"placement"}
     if part.model.name != OWN:
@@ -138,7 +139,7 @@ def _frozen(result: CalibrationValues, part: Solved) -> list[Parameter]:
     return [one for model in models for one in model.parameters if one.name in result.frozen]
 
 
-def _prior_std(result: CalibrationValues, part: Solved, family: str) -> float:
+def _prior_std(result: CalibrationValues, part: FittedModel, family: str) -> float:
     """Standard deviation of a family's errors: of the model, else of the largest candidate with it, else typical."""
     tried = sorted(result.candidates, key=lambda one: -one.parameters)
     for prior_std in (part.prior_std, *(one.prior_std for one in tried)):
@@ -147,7 +148,7 @@ def _prior_std(result: CalibrationValues, part: Solved, family: str) -> float:
     return FAMILIES[family].typical
 
 
-def _derivative(part: Solved, view: View) -> Callable[[Samples], Array]:
+def _derivative(part: FittedModel, view: View) -> Callable[[Samples], Array]:
     """Derivative of poses by the p parameters and a motion of the base, N samples to (N, 6, p + 6)."""
     kinematics, x = part.kinematics, part.x
     if view.T_tip_tool is not None:
@@ -163,10 +164,10 @@ def _derivative(part: Solved, view: View) -> Callable[[Samples], Array]:
             poses, twists = kinematics.twists(x, samples)
         points = poses[:, :3, 3]
         if gauge is not None:
-            twists[:, :3] -= moved_by(gauge, points)
+            twists[:, :3] -= displacements_by(gauge, points)
             twists[:, 3:] -= gauge[3:]
         of_base = np.tile(np.eye(6), (len(points), 1, 1))
-        of_base[:, :3] = moved_by(np.eye(6), points)
+        of_base[:, :3] = displacements_by(np.eye(6), points)
         return np.concatenate([twists, of_base], axis=2)
 
     return derivative
@@ -178,7 +179,7 @@ def _root(covariance: Array) -> Array:
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
-def _covariance(part: Solved, view: View) -> Array:
+def _covariance(part: FittedModel, view: View) -> Array:
     """Covariance of the p parameters and of a motion of the base besides, shape (p + 6, p + 6)."""
     covariance = _determined(part)
     if view.T_tip_tool is not None:
@@ -192,7 +193,7 @@ def _covariance(part: Solved, view: View) -> Array:
     return joint
 
 
-def _prior_precision(part: Solved, view: View) -> Array:
+def _prior_precision(part: FittedModel, view: View) -> Array:
     """Inverse of the priors' covariance of the same, shape (p + 6, p + 6); 0 where there is none.
 
     Of the covariance C = (H + L)^-1, with the measurements' H and the priors' L, the share C L C is the priors'.
@@ -207,7 +208,7 @@ def _prior_precision(part: Solved, view: View) -> Array:
     return precision
 
 
-def _determined(part: Solved) -> Array:
+def _determined(part: FittedModel) -> Array:
     """Covariance of the parameters.
 
     Without priors, what no measurement determines has a standard deviation of a metre or a radian: it is taken to be as
@@ -223,7 +224,7 @@ def _determined(part: Solved) -> Array:
     )
 
 
-def _typical(part: Solved) -> Array:
+def _typical(part: FittedModel) -> Array:
     """Standard deviations of errors of their family, shape (p,); NaN of frames and targets."""
     families = [FAMILIES.get(parameter.family) for parameter in part.model.parameters]
     return np.array([np.nan if family is None else family.typical for family in families])

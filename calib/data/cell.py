@@ -108,7 +108,7 @@ class GroupDistance:
 
 @dataclass(frozen=True, slots=True)
 class _Check:
-    """What a value of a cell must be."""
+    """A check of a value of a cell."""
 
     must: str  #: For the message: ``"three numbers [m]"``.
     #: Gives the value that is kept; refuses by None, a TypeError or a ValueError.
@@ -294,8 +294,8 @@ class Cell:
         is_given = self.target is not None or self.targets
         if not is_given and not self.estimate_target:
             raise CalibError(
-                "The target is said to be known but is not given; give it (--target, target_mm) "
-                "or let it be estimated."
+                "The target is marked as known, but its position is not given; give it (--target, "
+                "target_mm) or let it be estimated."
             )
 
     def _check_ties(self) -> None:

@@ -26,7 +26,7 @@ _LISTED_ROWS = 8
 
 @dataclass(frozen=True, slots=True)
 class RowLabels:
-    """What messages call N rows of measurements and their joints."""
+    """Names of N rows of measurements and their joints, for messages."""
 
     source: str  #: The file's name; empty: none.
     rows: Sequence[int]  #: Row numbers as the table has them.
@@ -35,11 +35,15 @@ class RowLabels:
 
     @property
     def name(self) -> str:
-        """What messages call the measurements as a whole."""
+        """Name of the measurements as a whole."""
         return self.source or "Measurements"
 
     def fail(self, index: int, what: str) -> NoReturn:
-        """Refuse a row by its index, from 0; the message has its row number.
+        """Refuse a row.
+
+        Args:
+            index: The row, from 0; the message has its row number.
+            what: What is wrong with it, for the message.
 
         Raises:
             MeasurementError: Always.
@@ -47,14 +51,19 @@ class RowLabels:
         raise MeasurementError(f"{self.name}, row {self.rows[index]}: {what}")
 
     def fail_on(self, what: str, indices: Sequence[int], fix: str) -> NoReturn:
-        """Refuse several rows by their indices, from 0.
+        """Refuse several rows together.
+
+        Args:
+            what: What the rows are, for the message: ``"the pair 'A'"``.
+            indices: The rows, from 0; the message has their row numbers.
+            fix: What is wrong with them and how to mend it, for the message.
 
         Raises:
             MeasurementError: Always.
         """
         numbers = ", ".join(str(self.rows[i]) for i in indices[:_LISTED_ROWS])
         plural = "s" if len(indices) > 1 else ""
-        raise MeasurementError(f"{self.source}: {what} stands in row{plural} {numbers}; {fix}")
+        raise MeasurementError(f"{self.source}: {what} is in row{plural} {numbers}; {fix}")
 
 
 def by_word(words: Sequence[str], rows: Mask) -> dict[str, list[int]]:
@@ -102,7 +111,7 @@ def check_words(labels: RowLabels, words: Mapping[str, Sequence[str]], count: in
     if len(set(labels.rows)) < count:
         repeated = Counter(labels.rows).most_common(1)[0][0]
         raise MeasurementError(
-            f"{labels.name}: the row number {repeated} stands there twice; each row has its own"
+            f"{labels.name}: the row number {repeated} occurs more than once; each row needs its own"
         )
 
 
@@ -160,19 +169,28 @@ def checked_numbers(
         raise MeasurementError(
             f"Measurements: '{name}' has shape {array.shape} and should have {shape}"
         )
-    least, largest = limits
-    in_range = (array >= least) & (array <= largest)
-    is_bad = ~in_range & rows.reshape(-1, *(1 for _ in tail))
-    if is_bad.any():
-        at = np.argwhere(is_bad)[0].tolist()
-        what = labels.joint_names[at[1]] if name == "joints" else name
-        labels.fail(
-            at[0],
-            f"'{what}' is {array[tuple(at)]:g}; in a row of the kind '{labels.kinds[at[0]]}' it "
-            f"is a number from {least:g} to {largest:g}, in SI units. Correct it, or its unit.",
-        )
+    _check_range(labels, name, array, rows, limits)
     array[~rows] = np.nan
     return read_only(array)
+
+
+def _check_range(
+    labels: RowLabels, name: str, array: Array, rows: Mask, limits: tuple[float, float]
+) -> None:
+    """Refuse a number out of ``limits`` in the chosen rows of an array (N, ...), see `checked_numbers`."""
+    least, largest = limits
+    in_range = (array >= least) & (array <= largest)
+    each_row = rows.reshape(-1, *[1] * (array.ndim - 1))
+    out_of_range = np.argwhere(~in_range & each_row)
+    if not out_of_range.size:
+        return
+    at = out_of_range[0].tolist()
+    what = labels.joint_names[at[1]] if name == "joints" else name
+    labels.fail(
+        at[0],
+        f"'{what}' is {array[tuple(at)]:g}; in a row of the kind '{labels.kinds[at[0]]}' it is a "
+        f"number from {least:g} to {largest:g}, in SI units. Correct it, or its unit.",
+    )
 
 
 def shared_by_pairs(labels: RowLabels, values: ArrayLike, pair_rows: Integers) -> Array:

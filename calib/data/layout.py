@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import calib.data.kinds as registry
 from calib.data.columns import (
@@ -75,11 +75,8 @@ class Layout:
         """
         named, groups = name_columns(table, joint_names or (), columns or {})
         joints = _joints(table, named, joint_names, joint_types or {})
-        if kind is not None:
-            kinds: tuple[str, ...] = (registry.get(kind).name,)
-        else:
-            kinds = _kinds(table, named, points_elsewhere=points_elsewhere)
-        present = [registry.get(name) for name in kinds]
+        kinds = _kinds(table, named, kind, points_elsewhere=points_elsewhere)
+        present = list(map(registry.get, kinds))
         if points_elsewhere:
             _check_kinds_of_points(table, present)
         blocks = {
@@ -92,18 +89,20 @@ class Layout:
         words = _words(
             table, named, present, by_column=kind is None, points_elsewhere=points_elsewhere
         )
-        used = [*words.values(), *groups, *(c for block in blocks.values() for c in block)]
-        used += _known_and_unused(table, named, points_elsewhere=points_elsewhere)
-        indices = {column.index for column in used}
-        ignored = [label for i, label in enumerate(table.header) if label and i not in indices]
-        return cls(words, groups, blocks, kinds, tuple(ignored))
+        layout = cls(words, groups, blocks, kinds)
+        unneeded = _unneeded(table, named, points_elsewhere=points_elsewhere)
+        return replace(layout, ignored=_ignored(table, layout, unneeded))
 
 
 # Kinds
 
 
-def _kinds(table: Table, named: Named, *, points_elsewhere: bool) -> tuple[str, ...]:
-    """Return the kinds of the rows: from the column ``kind``, else from the columns there are."""
+def _kinds(
+    table: Table, named: Named, kind: str | None, *, points_elsewhere: bool
+) -> tuple[str, ...]:
+    """Return the kinds of the rows: as given, by the column ``kind``, or by the columns there are."""
+    if kind is not None:
+        return (registry.get(kind).name,)
     if "kind" in named:
         return _kinds_by_column(table, named)
     if points_elsewhere:
@@ -305,13 +304,23 @@ def _words(
     return words
 
 
-def _known_and_unused(table: Table, named: Named, *, points_elsewhere: bool) -> list[Column]:
+def _unneeded(table: Table, named: Named, *, points_elsewhere: bool) -> list[Column]:
     """Return the columns that a plan has and a fit does not need: not worth a warning."""
     columns = [c for name, c in named.items() if name.startswith(EXPECTED) or name == "point"]
     if points_elsewhere:  # a plan leaves them empty in all rows
         position = [named[name] for name in (*POINT, *ORIENTATION) if name in named]
         columns += [column for column in position if not any(table.column(column))]
     return columns
+
+
+def _ignored(table: Table, layout: Layout, unneeded: Sequence[Column]) -> tuple[str, ...]:
+    """Return the headers of the columns that a layout does not use, but for unneeded ones."""
+    used = [*layout.words.values(), *layout.groups, *unneeded]
+    for block in layout.blocks.values():
+        used += block
+    indices = {column.index for column in used}
+    labels = enumerate(table.header)
+    return tuple(label for i, label in labels if label and i not in indices)
 
 
 def _needed(table: Table, named: Named, name: str, quantity: Quantity | None, what: str) -> Column:

@@ -180,11 +180,8 @@ def read_points(path: str | Path, unit: str | None = None) -> Points:
     name_columns, point_columns = _columns(table, content.headings)
     length_unit = _find_unit(content.remarks, unit, source)
     metres = _positions(table, point_columns, length_unit)
-    between = " " if content.separator == " " else PARTS
-    names: list[str] = []
-    if name_columns:
-        names = [between.join(row[i] for i in name_columns) for row in cells]
-    return Points(tuple(names), metres, table.lines, source, sha256)
+    names = _whole_names(table, name_columns)
+    return Points(names, metres, table.lines, source, sha256)
 
 
 class _Content(NamedTuple):
@@ -234,6 +231,14 @@ def _padded(cells: Sequence[Sequence[str]]) -> tuple[list[str], ...]:
     return tuple([*row, *[""] * (width - len(row))] for row in cells)
 
 
+def _whole_names(table: Table, columns: Sequence[int]) -> tuple[str, ...]:
+    """Return the names of the points from the columns of their parts, from 0; none without."""
+    if not columns:
+        return ()
+    between = " " if table.separator == " " else PARTS
+    return tuple(between.join(row[i] for i in columns) for row in table.cells)
+
+
 def _positions(table: Table, columns: Sequence[int], unit: Unit) -> NDArray[np.float64]:
     """Return the positions of the points, shape (N, 3) [m], read-only.
 
@@ -259,8 +264,8 @@ def _refuse(table: Table, row: int) -> NoReturn:
     """Refuse a line, by its row from 0, that does not fit the others."""
     text = " ".join(table.cells[row]).strip()[:80]
     raise MeasurementError(
-        f"{table.source}, line {table.lines[row]}: '{text}' has not its three numbers where the "
-        "other lines have theirs. Correct or remove the line, or make it a comment with #."
+        f"{table.source}, line {table.lines[row]}: '{text}' has no three numbers in the columns "
+        "where the other lines have them. Correct or remove the line, or make it a comment with #."
     )
 
 
@@ -352,7 +357,7 @@ def _is_numbered(table: Table, start: int) -> bool:
     That is so if three more numbers follow, unless the cells before already name each point.
 
     Raises:
-        MeasurementError: The coordinates are whole numbers too: they cannot be told apart.
+        MeasurementError: The coordinates are whole numbers too: they are ambiguous.
     """
     cells = table.cells
     is_counted = all(row[start].isdigit() and _has_point(row, start + 1) for row in cells)
@@ -363,7 +368,7 @@ def _is_numbered(table: Table, start: int) -> bool:
     if all(cell.lstrip("+-").isdigit() for cell in coordinates):
         raise MeasurementError(
             f"{table.source}, line {table.lines[0]}: all are whole numbers, so the point's number "
-            "cannot be told from x. Write a header line above the points, 'name x y z'."
+            "cannot be distinguished from x. Write a header line above the points, 'name x y z'."
         )
     return True
 

@@ -72,9 +72,8 @@ def read_values(table: Table, layout: Layout, elsewhere: Points | None = None) -
         points = _points_of_rows(table, elsewhere, needs_point, row_numbers, words.get("point"))
         measured = measured & (~needs_point | np.isfinite(points[:, 0]))
     _check_sets(table, layout, words.get("set", ()), measured)
-    blanked = {n: np.where(measured[:, None], v, np.nan) for n, v in blocks.items()}
-    check_units(table, layout, blanked)
-    si = _in_si(layout, {name: block[measured] for name, block in blocks.items()})
+    _check_measured_units(table, layout, blocks, measured)
+    si = _in_si(layout, blocks, measured)
     if points is not None:
         si["points"] = points[measured]
     chosen = {name: list(compress(column, measured)) for name, column in words.items()}
@@ -317,11 +316,20 @@ def _points_of_rows(
 # In SI units
 
 
-def _in_si(layout: Layout, blocks: Blocks) -> dict[str, Array]:
-    """Return the numbers of blocks in SI units."""
+def _check_measured_units(table: Table, layout: Layout, blocks: Blocks, measured: Mask) -> None:
+    """Refuse numbers of measured rows that cannot be in their units, see `check_units`."""
+    blanked = {}
+    for name, block in blocks.items():
+        blanked[name] = np.where(measured[:, None], block, np.nan)
+    check_units(table, layout, blanked)
+
+
+def _in_si(layout: Layout, blocks: Blocks, measured: Mask) -> dict[str, Array]:
+    """Return the numbers of blocks in measured rows, in SI units."""
     result = {}
     for name, block in blocks.items():
-        result[name] = block * [column.to_si for column in layout.blocks[name]]
+        to_si = [column.to_si for column in layout.blocks[name]]
+        result[name] = block[measured] * to_si
     return result
 
 

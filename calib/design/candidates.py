@@ -1,7 +1,8 @@
 """Candidates: joint values at which the robot can be measured, drawn evenly over its joint ranges.
 
-A scrambled Sobol sequence over the ranges is sifted, the cheap tests first, until there are enough. The poses that lie
-in the measurement region, whatever else is wrong with them, are kept too: they are where accuracy is wanted.
+A scrambled Sobol sequence over the ranges is sifted by conditions, the cheap ones first, until there are enough. The
+poses that lie in the measurement region, whatever else is wrong with them, are kept too: they are where accuracy is
+wanted.
 """
 
 from __future__ import annotations
@@ -23,101 +24,139 @@ Reason = Literal["region", "tracker_range", "reflector_cone", "beam", "collision
 #: Poses of one batch; a power of two keeps the sequence even.
 _BATCH = 4096
 
-#: So many times the number wanted are drawn at most, and so many at most until the first that can be measured.
-_MOST, _NONE_YET = 40, 10 * _BATCH
+#: At most this many times the wanted number are drawn.
+_MOST = 40
 
-#: Joint values have so many steps to a degree or millimetre, so that robot, table and plan say the same.
+#: At most this many are drawn until the first that can be measured.
+_NONE_YET = 10 * _BATCH
+
+#: Steps to a degree or millimetre of planned joint values, so that robot, table and plan have the same numbers.
 _STEPS = 1000
 
 #: Margin to the ends of a sliding joint [m], where that of the others is an angle.
 _SLIDING_MARGIN = 5e-3
 
 
-Code = Literal[
-    "generic_target",  # no target was given: planned for one at a general place, x y z [m]
-    "orientation_noise",  # the noise of an orientation was assumed [rad]
-    "reflector_not_checked",  # a reflector, and no tracker that it must face
-    "collisions_not_checked",
-    "collisions_checked",  # the holder's radius [m], and what stands around
-    "no_geometry",  # links that were not checked, or not all of them
-    "always_close",  # pairs that are always closer than the clearance, and refused only where they touch
-    "always_touching",  # pairs that were not checked
-]
-
-
-class Note(NamedTuple):
-    """What a person must know of a plan: a code and its values, of which `calib.text.plan` makes a sentence."""
-
-    code: Code
-    values: tuple[str | float, ...] = ()
-
-
 class Condition(NamedTuple):
-    """What a pose must pass, q of shape (n, m) to shape (n,), and what it is refused for otherwise.
+    """Condition that a pose must pass.
 
     That of the region says where accuracy is wanted, the others what can be measured.
     """
 
-    reason: Reason
-    passes: Callable[[Array], NDArray[np.bool_]]
+    reason: Reason  #: Why a pose is refused that does not pass.
+    passes: Callable[
+        [Array], NDArray[np.bool_]
+    ]  #: Of poses (n, m) [rad] or [m], whether each passes, (n,).
 
 
 class Pool(NamedTuple):
-    """Candidates."""
+    """Candidates of a plan."""
 
-    q: Array  #: shape (n, m), the poses that passed all tests, all different, [rad] or [m].
+    q: Array  #: shape (n, m), the poses that passed all conditions, all different, [rad] or [m].
     workspace: Array  #: shape (k, m), those in the region, among the first drawn.
-    drawn: int  #: How many were drawn.
-    #: How many each test refused, of those that had passed the ones before it.
-    refused: dict[str, int]
+    drawn: int  #: Number of poses that were drawn.
+    refused: dict[
+        str, int
+    ]  #: Number that each condition refused, of those that had passed the ones before it.
 
 
 def draw(
     robot: Robot,
     ranges: Array,
-    tests: Sequence[Condition],
+    conditions: Sequence[Condition],
     count: int,
     seed: int,
     progress: Progress | None = None,
 ) -> Pool:
-    """Draw candidates until ``count`` have passed all tests, or far more than that have been tried.
+    """Draw candidates until enough have passed all conditions, or far more than that have been tried.
 
-    The tests are asked in order, that of the region first; ``ranges`` are as in `planning_ranges`, shape (m, 2).
+    Args:
+        robot: The robot.
+        ranges: Lowest and highest value of each joint, shape (m, 2), [rad] or [m], see `planning_ranges`.
+        conditions: Tested in this order, that of the region first.
+        count: Number of candidates that is enough.
+        seed: Of the Sobol sequence.
+        progress: Called with the candidates there are and the number wanted.
+
+    Returns:
+        The candidates, in the order drawn.
+
+    Raises:
+        ModelError: No pose passed.
     """
     # Not above: SciPy's distributions take as long to import as the rest of calib.
     from scipy.stats import qmc
 
-    engine, (low, high) = qmc.Sobol(len(ranges), scramble=True, seed=seed), ranges.T
-    kept, workspace, drawn, total = [], [], 0, 0
-    refused: dict[str, int] = dict.fromkeys((test.reason for test in tests), 0)
-    while total < count and drawn < (_MOST * max(count, _BATCH) if total else _NONE_YET):
-        q = rounded(robot, low + engine.random(_BATCH) * (high - low), ranges)[: _MOST * count]
-        drawn += len(q)
-        inside = q
-        for test in tests:
-            passed = test.passes(q) if len(q) else np.zeros(0, dtype=np.bool_)
-            refused[test.reason] += int(np.sum(~passed))
-            q = q[passed]
-            inside = q if test.reason == "region" else inside
-        workspace.append(inside)
-        kept.append(q)
-        total += len(q)
+    sequence = qmc.Sobol(len(ranges), scramble=True, seed=seed)
+    low, high = ranges.T
+    kept, workspace = [], []
+    refused: dict[str, int] = dict.fromkeys((condition.reason for condition in conditions), 0)
+    drawn, passed = 0, 0
+    while passed < count:
+        most = _MOST * max(count, _BATCH) if passed else _NONE_YET
+        if drawn >= most:
+            break
+        unit = sequence.random(_BATCH)
+        batch = rounded(robot, low + unit * (high - low), ranges)[: _MOST * count]
+        drawn += len(batch)
+        in_region, measurable = _sift(batch, conditions, refused)
+        workspace.append(in_region)
+        kept.append(measurable)
+        passed += len(measurable)
         if progress is not None:
-            progress(min(total, count), count)
-    if total == 0:
-        parts = ", ".join(f"{number} by {reason}" for reason, number in refused.items() if number)
-        raise ModelError(
-            f"None of {drawn} poses drawn can be measured; refused: {parts}. Widen the region or the joint "
-            "ranges, move the tracker, or drop a condition."
-        )
-    # Each once, in the order drawn: narrow ranges have few values of whole steps.
-    q = np.concatenate(kept)
-    q = q[np.sort(np.unique(q, axis=0, return_index=True)[1])]
-    return Pool(read_only(q[:count]), read_only(np.concatenate(workspace)[:count]), drawn, refused)
+            progress(min(passed, count), count)
+    if passed == 0:
+        _refuse_all(drawn, refused)
+    q = _without_repeats(np.concatenate(kept))
+    everywhere = np.concatenate(workspace)
+    return Pool(read_only(q[:count]), read_only(everywhere[:count]), drawn, refused)
+
+
+def _sift(
+    q: Array, conditions: Sequence[Condition], refused: dict[str, int]
+) -> tuple[Array, Array]:
+    """Test poses by each condition in turn.
+
+    Args:
+        q: shape (n, m), [rad] or [m].
+        conditions: In order.
+        refused: Number refused by reason; those of these poses are added to it.
+
+    Returns:
+        The poses in the region, and those that pass all conditions.
+    """
+    in_region = q
+    for condition in conditions:
+        passes = condition.passes(q) if len(q) else np.zeros(0, dtype=np.bool_)
+        refused[condition.reason] += int(np.sum(~passes))
+        q = q[passes]
+        if condition.reason == "region":
+            in_region = q
+    return in_region, q
+
+
+def _refuse_all(drawn: int, refused: Mapping[str, int]) -> None:
+    """Raise the error that no pose can be measured, with the reasons."""
+    parts = ", ".join(f"{number} by {reason}" for reason, number in refused.items() if number)
+    raise ModelError(
+        f"None of {drawn} poses drawn can be measured; refused: {parts}. Widen the region or the "
+        "joint ranges, move the tracker, or drop a condition."
+    )
+
+
+def _without_repeats(q: Array) -> Array:
+    """Return each pose once, in the order drawn: narrow ranges have few values of whole steps."""
+    _, first = np.unique(q, axis=0, return_index=True)
+    return q[np.sort(first)]
 
 
 def by_joint(robot: Robot, margin: float) -> Array:
-    """A margin of the robot's columns, shape (m,): an angle [rad], and 5 mm for sliding joints unless it is 0."""
+    """Return a margin of each of the robot's columns, shape (m,).
+
+    Args:
+        robot: The robot.
+        margin: Margin of joints that turn [rad]; that of sliding joints is 5 mm, unless this is 0.
+    """
     slides = [joint.type == "prismatic" for joint in robot.inputs]
     return np.where(slides, _SLIDING_MARGIN * bool(margin), margin)
 
@@ -129,34 +168,53 @@ def planning_ranges(
     *,
     turns: bool = False,
 ) -> Array:
-    """Lowest and highest joint values to plan with, shape (m, 2), [rad] or [m].
+    """Return the lowest and highest joint values to plan with.
 
-    Those of `joint_ranges`, less a margin to the URDF's limits as in `by_joint`; with ``turns``, joints that turn
-    and are not narrowed go to their limits, more than a turn where these allow it.
+    Args:
+        robot: The robot.
+        narrowed: Ranges of single joints by name [rad] or [m].
+        margin: Distance to the URDF's limits, see `by_joint`.
+        turns: Whether joints that turn, and are not narrowed, go to their limits where these allow more than a turn.
+
+    Returns:
+        shape (m, 2), [rad] or [m], read-only.
+
+    Raises:
+        ModelError: The margin leaves nothing of a range.
     """
-    limits, gap = column_limits(robot), by_joint(robot, margin)
-    result = np.array(joint_ranges(robot, narrowed))
+    limits = column_limits(robot)
+    gap = by_joint(robot, margin)
+    ranges = np.array(joint_ranges(robot, narrowed))
     for k, joint in enumerate(robot.inputs):
         if turns and joint.type != "prismatic" and joint.name not in narrowed:
-            result[k] = limits[k]
-    result[:, 0] = np.maximum(result[:, 0], limits[:, 0] + gap)
-    result[:, 1] = np.minimum(result[:, 1], limits[:, 1] - gap)
-    empty = [name for name, (a, b) in zip(robot.joint_names, result, strict=True) if not a < b]
-    if empty:
-        raise ModelError(
-            f"The margin to the URDF's limits leaves nothing of the range of '{empty[0]}'. Widen the range, lessen the "
-            "margin, or hold the joint (--hold)."
-        )
-    return read_only(result)
+            ranges[k] = limits[k]
+    ranges[:, 0] = np.maximum(ranges[:, 0], limits[:, 0] + gap)
+    ranges[:, 1] = np.minimum(ranges[:, 1], limits[:, 1] - gap)
+    for name, (low, high) in zip(robot.joint_names, ranges, strict=True):
+        if not low < high:
+            raise ModelError(
+                f"The margin to the URDF's limits leaves nothing of the range of '{name}'. Widen "
+                "the range, lessen the margin, or hold the joint (--hold)."
+            )
+    return read_only(ranges)
 
 
 def rounded(robot: Robot, q: Array, ranges: Array | None = None) -> Array:
-    """Joint values, shape (n, m), as a table writes them, to 0.001 deg and mm, inside of ranges, shape (m, 2)."""
+    """Round joint values to what a table writes: 0.001 deg and 0.001 mm.
+
+    Args:
+        robot: The robot.
+        q: shape (n, m), [rad] or [m].
+        ranges: shape (m, 2), between which the rounded values stay; None: anywhere.
+
+    Returns:
+        shape (n, m), [rad] or [m].
+    """
     slides = [joint.type == "prismatic" for joint in robot.inputs]
     unit = np.where(slides, UNITS["mm"].to_si, UNITS["deg"].to_si)
     counts = np.round(q / unit * _STEPS)
     if ranges is not None:
         low, high = ranges.T / unit * _STEPS
         counts = np.clip(counts, np.ceil(low), np.floor(high))
-    # The number that stands in a table, times the factor that its reader uses: the same to the last bit.
+    # The number in a table, times the factor that its reader uses: the same to the last bit.
     return np.asarray(counts / _STEPS * unit)

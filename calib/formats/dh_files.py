@@ -68,7 +68,7 @@ _POSES = 64
 
 
 class Added(NamedTuple):
-    """What a controller adds to a row: the value of a joint times a factor, plus an offset."""
+    """The value that is added to a row: that of a joint times a factor, plus an offset."""
 
     driver: str | None  #: The joint; None: none, the row's joint is held.
     factor: float  #: How many times its value; 0 without a joint.
@@ -124,7 +124,7 @@ class DHTables:
 
     @property
     def notes(self) -> tuple[Note, ...]:
-        """What whoever types the rows in should know."""
+        """Notes for whoever types the rows in."""
         notes = []
         rows = self.after.rows
         pairs = near_parallel(self.robot) if self.after.convention != HAYATI else {}

@@ -16,7 +16,7 @@ from calib.units import Array
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What goes with a conversion; all may be left out."""
+    """Options of a conversion; all may be left out."""
 
     to: str | None = None  #: Name of the format to write; None: by the ending of the file.
     #: The nominal robot: URDF, xacro or name; None: that of a result, or a bare one of ``ur_model``.

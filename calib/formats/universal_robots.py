@@ -3,7 +3,7 @@
     calibration.conf  ->  nominal rows + deltas  ->  placements  ->  frames near their nominal places  ->  Robot
     kinematics.yaml   ->  placements  ->  Robot
 
-and back, whichever frames the robot's URDF uses, because the arm is found in it. What a file has no place for is
+and back, whichever frames the robot's URDF uses, because the arm is recognised in it. What a file has no place for is
 returned as a note; what is written is read back before it appears.
 """
 
@@ -306,12 +306,8 @@ def write_ur_conf(
     """
     mount, chain = _chain_of(source, path)
     arm = mount.model
-    updated = None if update is None else Conf.read(update)
-    if updated is not None:
-        updated_deltas = updated.deltas
-        _checked_distance("--update", arm, lambda known: chain_of_rows(known.rows + updated_deltas))
-    reference = updated or source.conf
-    deltas, T_base, T_tool = _deltas(arm, chain, reference)
+    updated = None if update is None else _read_updated(update, arm)
+    deltas, T_base, T_tool = _deltas(arm, chain, updated or source.conf)
     data = conf_bytes(deltas) if updated is None else updated.with_deltas(deltas)
     read_back = chain_of_rows(arm.rows + Conf.read(path, data).deltas)
     _check(source.robot, mount, path, (T_base, read_back, T_tool), _EXACT_ROWS)
@@ -322,6 +318,13 @@ def write_ur_conf(
         *_displaced("flange displaced", T_tool),
     )
     return UrWritten(written, T_base, T_tool, notes)
+
+
+def _read_updated(path: PathLike, arm: UrModel) -> Conf:
+    """Read the ``calibration.conf`` that is updated, which must be of this arm."""
+    conf = Conf.read(path)
+    _checked_distance("--update", arm, lambda known: chain_of_rows(known.rows + conf.deltas))
+    return conf
 
 
 def _other_lines(updated: Conf | None, of_source: Conf | None) -> tuple[Note, ...]:

@@ -37,7 +37,7 @@ _FLANGES = ("tool0", "wrist_3_link")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mount:
-    """How a URDF's frames are fixed to those of an arm: T_base_tip = T_base_arm chain(q) T_flange_tip."""
+    """Mount of an arm in a URDF: T_base_tip = T_base_arm chain(q) T_flange_tip."""
 
     model: UrModel  #: The arm.
     T_base_arm: Array  #: shape (4, 4), [m], pose of the controller's base in the robot's base.
@@ -197,8 +197,7 @@ def _named_frames(robot: Robot) -> Iterator[tuple[Array, Array]]:
     has_names = names == [prefix + joint for joint in JOINTS]
     if not has_names or robot.joint_names != tuple(names):
         return
-    zero = np.zeros(len(names))
-    T_base_tip = robot.poses(zero)[0]
+    T_base_tip = _zero_pose(robot)
     flanges = sorted(_FLANGES, key=lambda link: prefix + link != robot.tip)
     bases = sorted(_BASES, key=lambda base: prefix + base[0] != robot.base)
     for flange, (base, T_link_arm) in itertools.product(flanges, bases):
@@ -209,6 +208,11 @@ def _named_frames(robot: Robot) -> Iterator[tuple[Array, Array]]:
             continue
         if [joint.name for joint in arm.joints] != names or arm.base_moves:
             continue
-        T_base_flange = to_flange.poses(zero)[0]
-        T_base_link = T_base_flange @ rigid_inverse(arm.poses(zero)[0])
+        T_base_flange = _zero_pose(to_flange)
+        T_base_link = T_base_flange @ rigid_inverse(_zero_pose(arm))
         yield T_base_link @ T_link_arm, rigid_inverse(T_base_flange) @ T_base_tip
+
+
+def _zero_pose(robot: Robot) -> Array:
+    """Return the pose of a robot's tip in its base with all joints at zero, (4, 4) [m]."""
+    return np.asarray(robot.poses(np.zeros(len(robot.joint_names)))[0])

@@ -13,11 +13,11 @@ from calib.text.layout.lines import fill, row_ranges
 from calib.text.layout.tables import Column, labelled, name_column, table_lines
 
 if TYPE_CHECKING:
-    from calib.design.candidates import Code, Note
     from calib.design.forecast import Forecast
+    from calib.design.notes import Code, Note
+    from calib.design.ordering import Blocked
     from calib.design.plan import Plan
-    from calib.design.route import Blocked
-    from calib.design.workspace import Checked, RegionView
+    from calib.regions.region_rows import Checked, RegionView
     from calib.robot.robot import Robot
     from calib.units import Array
 

@@ -15,7 +15,7 @@ import numpy as np
 from meshcat import geometry as mc
 
 from calib.design.plan import Plan
-from calib.design.workspace import RegionView
+from calib.regions.region_rows import RegionView
 from calib.report.figure_base import BEAM, ESTIMATION, LITTLE_TO_MUCH, NOMINAL, VALIDATION
 from calib.report.figure_region import headings
 from calib.units import Array

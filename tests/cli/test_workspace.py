@@ -8,7 +8,7 @@ import re
 import numpy as np
 import pytest
 
-from calib.design.workspace import read_region
+from calib.regions.region_file import read_region
 
 PAPER = (
     "robot.urdf", "--base", "base", "--tip", "tool0", "--target", "-69.97 70.20 22.52 mm", "--like", "data.csv",

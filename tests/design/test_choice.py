@@ -10,8 +10,9 @@ import pytest
 import calib.example
 from calib.data.cell import Cell, Priors
 from calib.design.candidates import Pool, draw, planning_ranges
-from calib.design.forecast import Forecast, Sensitivity, Workspace, covariance_root
-from calib.design.optimal import Choice, PlanRequest, choose_poses
+from calib.design.choice import Choice, PlanRequest, choose_poses
+from calib.design.forecast import Forecast, Workspace, covariance_root
+from calib.design.sensitivity import Sensitivity
 from calib.errors import ModelError
 
 SIGMA = 1e-4

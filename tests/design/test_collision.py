@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from calib import example
 from calib.data.cell import Box
-from calib.design.collision import CollisionCheck, CollisionModel, read_solids
-from calib.errors import UrdfError
+from calib.design.collision import CollisionCheck, CollisionModel
 from calib.robot.ranges import spread_poses
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
@@ -274,47 +273,3 @@ def test_the_ur3_agrees_with_fcl(boxed):
     expected = [not fcl_touches(objects(ur3(), row, boxes), pairs) for row in q]
     assert 100 < np.count_nonzero(free) < 340
     np.testing.assert_array_equal(free, expected)
-
-
-# --- The geometry of links --------------------------------------------------------------------------------------
-
-TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
-
-
-def urdf_with(folder, filename: str, more: str = "") -> Urdf:
-    """A URDF of one joint whose first link has a mesh of that name, in ``folder/robot``."""
-    (folder / "robot").mkdir(exist_ok=True)
-    path = folder / "robot" / "r.urdf"
-    path.write_text(f"""<robot name="r">
-      <link name="a"><collision><origin xyz="1 0 0"/><geometry><mesh filename="{filename}" scale="2 2 2"/></geometry>
-        </collision>{more}</link>
-      <link name="b"/>
-      <joint name="j" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/>
-        <limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>""")
-    return Urdf.read(path)
-
-
-def test_a_mesh_that_is_missing_is_named(tmp_path):
-    with pytest.raises(UrdfError, match=r"link 'a': the mesh 'package://nowhere/t\.stl' was not"):
-        read_solids(urdf_with(tmp_path, "package://nowhere/t.stl"), [tmp_path / "mine"])
-
-
-def test_simple_shapes(tmp_path):
-    (tmp_path / "t.obj").write_text(TETRAHEDRON)
-    kinds = [
-        '<box size="0.2 0.4 0.6"/>',
-        '<cylinder radius="0.1" length="0.6"/>',
-        '<capsule radius="0.1" length="0.6"/>',
-        '<sphere radius="0.3"/>',
-        '<sphere radius="-1"/>',
-    ]
-    more = "".join(f"<collision><geometry>{kind}</geometry></collision>" for kind in kinds)
-    solids, unchecked = read_solids(urdf_with(tmp_path, "../t.obj", more))
-    tops = []
-    for solid in solids[1:]:
-        solid.geometry.computeLocalAABB()
-        tops.append(np.ravel(solid.geometry.aabb_local.max_))
-    np.testing.assert_allclose(
-        tops, [[0.1, 0.2, 0.3], [0.1, 0.1, 0.3], [0.1, 0.1, 0.4], [0.3, 0.3, 0.3]]
-    )
-    assert unchecked == ["a"]  # not all of it

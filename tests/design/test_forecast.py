@@ -8,12 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from calib.design.forecast import (
-    Forecast,
-    Sensitivity,
-    Workspace,
-    covariance_root,
-)
+from calib.design.forecast import Forecast, Workspace, covariance_root
+from calib.design.sensitivity import Sensitivity
 
 #: Sizes of the errors in truth, those of the priors too: lengths [m] and angles [rad].
 UNITS = ("m", "m", "rad", "rad", "m", "rad", "rad")

@@ -7,14 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from calib.design.optimal import (
-    Basis,
-    _gains,
-    _most,
-    choose,
-    exchange,
-    information,
-)
+from calib.design.optimal import Basis, _gains, _most, choose, exchange, information
 
 
 def pool(seed: int, n: int, d: int, p: int, spread: float = 0.0) -> np.ndarray:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.sparse.csgraph import minimum_spanning_tree
 
-from calib.design.route import order
+from calib.design.ordering import order
 
 
 def moves(q):

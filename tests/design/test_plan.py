@@ -9,13 +9,13 @@ import pytest
 
 import calib
 from calib.data.cell import Box, Cell, Priors, Reflector, Tracker
-from calib.design.candidates import Note
+from calib.design.choice import PlanRequest
 from calib.design.collision import CollisionCheck
-from calib.design.optimal import PlanRequest
+from calib.design.notes import Note
 from calib.design.plan import Plan, plan
-from calib.design.workspace import Region
 from calib.errors import CalibError
 from calib.example import PAPER_TARGET
+from calib.regions.region import Region
 from tests.design.fcl_scene import bodies, objects, touch
 
 TARGET = np.array(PAPER_TARGET)

@@ -11,15 +11,10 @@ import pytest
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.design.optimal import PlanRequest
-from calib.design.plan import (
-    SCHEMA,
-    plan,
-    plan_table,
-    read_poses,
-    write_plan,
-)
-from calib.design.route import Blocked
+from calib.design.choice import PlanRequest
+from calib.design.ordering import Blocked
+from calib.design.plan import plan
+from calib.design.plan_file import SCHEMA, plan_table, read_poses, write_plan
 from calib.errors import MeasurementError
 from calib.result.calibration_file import write_table
 from calib.robot.robot import Robot

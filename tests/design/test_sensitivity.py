@@ -10,13 +10,14 @@ from scipy.spatial.transform import Rotation
 
 from calib.data.cell import Cell, Priors, Tracker, TrackerNoise
 from calib.data.measurements import Measurements
-from calib.design.forecast import Sensitivity, forecast
+from calib.design.forecast import forecast
 from calib.design.inspection import inspect
+from calib.design.sensitivity import Sensitivity
 from calib.errors import ModelError
 from calib.model.kinematics import Kinematics, Samples
+from calib.numerics.rigid_motion import without_rigid_motion
 from calib.registration.table_rows import FIRST_SIGMA_ANGLE
 from calib.result.calibrate import calibrate
-from calib.result.prediction import without_rigid_motion
 from calib.robot.gravity import gravity_loads
 from calib.robot.payload import Payload
 from calib.robot.ranges import random_joint_values, spread_poses

@@ -11,7 +11,7 @@ from hypothesis import assume, given, settings, strategies as st
 from calib import example
 from calib.data.cell import Reflector, Tracker
 from calib.design.collision import BEAM, NEST, CollisionCheck, CollisionModel
-from calib.design.plan import in_cone, in_range
+from calib.design.sight import in_cone, in_range
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from tests.design.fcl_scene import objects, placed, touch

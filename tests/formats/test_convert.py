@@ -15,16 +15,14 @@ from scipy.spatial.transform import Rotation
 
 import calib.example
 from calib.conversion import convert
-from calib.errors import CalibError, FileError, ModelError, UrdfError
+from calib.errors import CalibError, ModelError
 from calib.formats.convert import FORMATS, KINDS, Options, chosen_format
 from calib.formats.source import Source
 from calib.formats.source_kinds import source_kind
 from calib.formats.ur_arms import chain_of_rows, chain_poses, ur_model
-from calib.result.calibration_file import write_result
 from calib.robot.robot import Robot
 from tests.formats.forms import UR3, write_forms
 from tests.formats.ur_cases import CALIBRATIONS, rows, write_deltas
-from tests.hard_cases import made
 
 URDF = str(calib.example.paper_urdf())
 LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
@@ -190,51 +188,6 @@ def test_a_calibration_of_the_ends_alone_is_not_lost(tmp_path):
     # A file of the arm's own on this URDF, which has it already, is not added to it.
     again = read_source(str(conf), replace(CHAIN, robot=str(tmp_path / "mid.urdf")))
     np.testing.assert_allclose(again.robot.poses(Q), wanted, rtol=0, atol=1e-9)
-
-
-# Sources
-
-
-def test_other_files_are_no_sources(tmp_path):
-    (tmp_path / "x.yaml").write_text("joints: {}\nlimits: {}\n")
-    for name in ("data.csv", "x.yaml"):
-        with pytest.raises(FileError, match="what it is"):
-            source_kind(str(tmp_path / name))
-
-
-def test_the_urdf_of_a_result(shop, tmp_path):
-    result = str(shop / "result.json")
-    assert read_source(result, CHAIN).robot.tip == "tool0"
-    nominal = read_source(result, Options(robot=str(shop / "robot.urdf")))
-    corrected = read_source(result, Options(robot=str(shop / "corrected.urdf")))
-    for other in (corrected, read_source(result, Options())):  # the result holds its URDF
-        np.testing.assert_allclose(nominal.robot.poses(Q), other.robot.poses(Q), atol=1e-12)
-        np.testing.assert_allclose(nominal.nominal.poses(Q), other.nominal.poses(Q), atol=1e-12)
-    assert corrected.robot.urdf.data == (shop / "corrected.urdf").read_bytes()
-    non_geometric = write_result(made("non_geometric"), tmp_path / "result.json")
-    assert codes(read_source(str(non_geometric), Options()).notes) == ["geometry alone"]
-
-
-def test_origins_of_some_of_the_joints(shop, tmp_path):
-    lines = (shop / "origins.yaml").read_text().splitlines()
-    path = tmp_path / "origins.yaml"
-    path.write_text("\n".join(line for line in lines if "elbow_joint:" not in line) + "\n")
-    found = read_source(str(path), OPTIONS["origins.yaml"])
-    assert found.notes == (("joints without origin", ("'elbow_joint'",)),)
-
-
-@pytest.mark.parametrize(
-    ("name", "options", "error", "said"),
-    [
-        ("result.json", Options(tip="wrist_3_link"), CalibError, "leave out --base, --tip"),
-        ("result.json", Options(robot="ur5"), ModelError, "the origin of '.*' is neither"),
-        ("corrected.urdf", Options(ur_model="UR3"), UrdfError, "no link 'world'"),
-        ("origins.yaml", Options(), CalibError, "give the URDF that they belong to"),
-    ],
-)
-def test_what_does_not_fit_a_source(shop, name, options, error, said):
-    with pytest.raises(error, match=said):
-        read_source(str(shop / name), options)
 
 
 # Formats

@@ -10,8 +10,10 @@ from PIL import Image
 
 from calib import example
 from calib.data.measurements import Measurements
-from calib.design.workspace import Checked, Density, RegionView, workspace
 from calib.errors import FileError
+from calib.regions.region import Density
+from calib.regions.region_rows import Checked, RegionView
+from calib.regions.workspace import workspace
 from calib.report.figure_region import draw_region, headings, write_picture
 from calib.robot.ranges import joint_ranges
 

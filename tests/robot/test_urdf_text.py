@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib.design.collision import read_solids
+from calib.design.solids import read_solids
 from calib.errors import UrdfError
 from calib.robot.full_model import full_model
 from calib.robot.meshes import link_shapes

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from calib.data.cell import Cell
-from calib.design.candidates import Code, Note
-from calib.design.optimal import PlanRequest
+from calib.design.choice import PlanRequest
+from calib.design.notes import Code, Note
+from calib.design.ordering import Blocked
 from calib.design.plan import Plan, plan
-from calib.design.route import Blocked
 from calib.text.plan import note_text, plan_text
 
 

@@ -11,9 +11,11 @@ import pytest
 from calib import example
 from calib.data.cell import Box, Cell, Tracker
 from calib.data.measurements import Measurements
-from calib.design.optimal import PlanRequest
+from calib.design.choice import PlanRequest
 from calib.design.plan import plan
-from calib.design.workspace import Checked, Density, RegionView, workspace
+from calib.regions.region import Density
+from calib.regions.region_rows import Checked, RegionView
+from calib.regions.workspace import workspace
 from calib.robot.ranges import joint_ranges, random_joint_values
 from calib.viewer.design_view import plan_page, region_page
 from tests.viewer.conftest import scene_of

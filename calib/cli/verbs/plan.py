@@ -17,10 +17,10 @@ from calib.cli.words import parse_held, parse_tracker
 
 if TYPE_CHECKING:
     from calib.data.cell import Cell
+    from calib.design.choice import PlanRequest
     from calib.design.collision import CollisionCheck
-    from calib.design.optimal import PlanRequest
     from calib.design.plan import Plan
-    from calib.design.workspace import Region
+    from calib.regions.region import Region
     from calib.robot.robot import Robot
 
 _File = Path | None
@@ -121,7 +121,7 @@ def _load_chain(robot: str, cell: Cell, taken: Path | None) -> Robot:
 def _request(arm: Robot, options: PoseOptions) -> PlanRequest:
     """Return the request for the poses that are wanted."""
     from calib.compensation.inverse import start_values
-    from calib.design.optimal import PlanRequest
+    from calib.design.choice import PlanRequest
     from calib.units import ANGLE, parse_amount
 
     request = PlanRequest(
@@ -150,7 +150,7 @@ def _collision_check(options: SceneOptions) -> CollisionCheck | None:
 
 def _read_region(arm: Robot, cell: Cell, path: Path | None) -> Region | None:
     """Read the region for the (first) target; None without one."""
-    from calib.design.workspace import read_region
+    from calib.regions.region_file import read_region
 
     if path is None:
         return None
@@ -173,7 +173,8 @@ def _plan(
     Returns:
         The plan, and the number of its first row: rows go on behind those already measured.
     """
-    from calib.design.plan import plan as plan_poses, read_poses
+    from calib.design.plan import plan as plan_poses
+    from calib.design.plan_file import read_poses
 
     region = _read_region(arm, cell, scene.region)
     taken, first_row = None, 1
@@ -196,7 +197,7 @@ def _plan(
 
 def _write(planned: Plan, outputs: PlanOutputs, first_row: int) -> None:
     """Write the files that were asked for."""
-    from calib.design.plan import plan_table, write_plan
+    from calib.design.plan_file import plan_table, write_plan
     from calib.result.calibration_file import write_table
 
     if outputs.output is not None:

@@ -191,7 +191,7 @@ def _prepare(
 ) -> _Simulation:
     """Load the robot, and read the scenario and the poses."""
     import calib.simulation.study  # noqa: F401  while the workers import it too
-    from calib.design.plan import read_poses
+    from calib.design.plan_file import read_poses
     from calib.simulation.scenario import read_scenario
 
     cell = read_cell(**asdict(setup))

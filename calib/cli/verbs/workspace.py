@@ -19,7 +19,7 @@ from calib.cli.words import parse_columns
 if TYPE_CHECKING:
     from calib.data.cell import Cell
     from calib.data.measurements import Measurements
-    from calib.design.workspace import Checked, RegionView
+    from calib.regions.region_rows import Checked, RegionView
     from calib.robot.robot import Robot
     from calib.units import Array
 
@@ -76,7 +76,7 @@ class WorkspaceOutputs:
 
     def write(self, view: RegionView, seed: int) -> list[str]:
         """Write the files that were asked for; returns a line for each."""
-        from calib.design.workspace import write_region
+        from calib.regions.region_file import write_region
 
         if self.output is not None:
             write_region(view, self.output, seed, overwrite=self.force)
@@ -130,7 +130,9 @@ def _region_view(
     robot: str, cell: Cell, ranges: RangeOptions, sampling: SamplingOptions, *, quiet: bool
 ) -> RegionView:
     """Sample the workspace, find the region, and check the rows of a table, if there is one."""
-    from calib.design.workspace import Density, RegionView, workspace as sample_workspace
+    from calib.regions.region import Density
+    from calib.regions.region_rows import RegionView
+    from calib.regions.workspace import workspace as sample_workspace
     from calib.units import LENGTH, parse_amount
 
     voxel = None
@@ -152,7 +154,7 @@ def _load_with_tables(
 ) -> tuple[Robot, Mapping[Path, Measurements]]:
     """Load the robot and the tables of ``--like`` and ``--check``, whose common joints tell the chain."""
     from calib.data.table import Table
-    from calib.design.workspace import read_rows
+    from calib.regions.region_rows import read_rows
     from calib.robot.robot import Robot
 
     paths = [path for path in (ranges.like, ranges.check) if path is not None]
@@ -195,7 +197,7 @@ def _checked_rows(
     arm: Robot, cell: Cell, ranges: RangeOptions, tables: Mapping[Path, Measurements]
 ) -> Checked | None:
     """Return the points of the table that is checked; None without a table."""
-    from calib.design.workspace import Checked, row_points
+    from calib.regions.region_rows import Checked, row_points
 
     path = ranges.check or ranges.like
     if path is None:

@@ -1,0 +1,297 @@
+"""A plan as files, and the poses of a table.
+
+The table has a row for each pose, with empty cells for what will be measured there; filled in, or beside an
+instrument's list of points, it is a table of measurements. Plan and forecast as nested tables, in SI units, are for a
+JSON file. See docs/planning.md.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import calib.data.kinds as registry
+from calib.data.columns import DEFAULT_TARGET, EXPECTED, POINT, QUATERNION, name_columns
+from calib.data.layout import Layout
+from calib.data.measurements import Measurements
+from calib.data.table import Table
+from calib.data.values import read_values
+from calib.design.forecast import Forecast
+from calib.design.plan import Plan
+from calib.errors import MeasurementError
+from calib.files import csv_bytes, write_atomically
+from calib.robot.robot import Robot, read_only
+from calib.units import Array, Mask
+from calib.version import __version__
+
+SCHEMA = "plan 1"
+
+#: Digits of degrees and millimetres: those that planned joint values have, and a tracker's last.
+_DIGITS = 3
+
+#: Units that values are written in, and their number in one SI unit.
+_WRITTEN = {"length": ("mm", 1e3), "angle": ("deg", 180.0 / math.pi)}
+
+#: Kinds whose rows measure something without a cell of their own.
+_WITHOUT_CELLS = ("fixed", "plane")
+
+
+# The table
+
+
+def write_plan(
+    plan: Plan, path: str | Path, *, overwrite: bool = False, first_row: int = 1
+) -> Path:
+    """Write a plan as a CSV table, degrees and millimetres, in the order to drive; several targets have a row each.
+
+    The columns of what is measured are empty; ``expected`` columns are what the nominal robot would give.
+
+    Args:
+        plan: The plan.
+        path: The file.
+        overwrite: Whether an existing file is replaced.
+        first_row: Number of the first row: where rows are to be added to a table, one more than its last.
+
+    Returns:
+        The file.
+
+    Raises:
+        FileError: It cannot be written.
+    """
+    rows = list(_rows(plan, first_row))
+    table = [list(rows[0]), *(row.values() for row in rows)]
+    return write_atomically(path, csv_bytes(table), overwrite=overwrite)
+
+
+class _Column(NamedTuple):
+    """Column of numbers: its header with the unit, and the number of that unit in one SI unit."""
+
+    header: str
+    scale: float
+
+    @classmethod
+    def of(cls, name: str, quantity: str) -> _Column:
+        """Return the column of a ``"length"`` or an ``"angle"``."""
+        unit, scale = _WRITTEN[quantity]
+        return cls(f"{name} [{unit}]", scale)
+
+    def cell(self, value: float) -> str:
+        """Return the text of a value in SI units; there is no minus before a zero."""
+        return f"{self.scale * value + 0.0:.{_DIGITS}f}"
+
+
+@dataclass(frozen=True, slots=True)
+class _Columns:
+    """Columns of a plan's table, besides row, set, point and target."""
+
+    joints: list[_Column]
+    empty: list[str]  # Headers of what is to be measured
+    expected: list[_Column]  # What the nominal robot would give
+    measured: list[int]  # Which of the kind's numbers these are
+
+    @classmethod
+    def of(cls, plan: Plan) -> _Columns:
+        """Return the columns for a plan's robot and kind of measurement."""
+        kind = registry.get(plan.kind)
+        joints = []
+        for name, joint_type in plan.robot.joint_types.items():
+            quantity = "length" if joint_type == "prismatic" else "angle"
+            joints.append(_Column.of(name, quantity))
+        lengths = [_Column.of(axis, "length") for axis in POINT] if kind.position else []
+        readings = [_Column.of(reading.name, reading.quantity) for reading in kind.readings]
+        orientation = [*QUATERNION] if kind.orientation else []
+        headers = [
+            *(column.header for column in lengths),
+            *orientation,
+            *(column.header for column in readings),
+        ]
+        expected = [
+            _Column(EXPECTED + column.header, column.scale) for column in (*lengths, *readings)
+        ]
+        first_reading = kind.size - len(readings)
+        measured = [*range(len(lengths)), *range(first_reading, kind.size)]
+        return cls(joints, headers, expected, measured)
+
+
+def _rows(plan: Plan, number: int) -> Iterator[dict[str, str]]:
+    """Yield the cells of each target at each pose, by their columns.
+
+    Args:
+        plan: The plan.
+        number: That of the first row.
+    """
+    columns = _Columns.of(plan)
+    for q, set_name, places in zip(plan.joints, plan.sets, plan.expected, strict=True):
+        for target, place in zip(plan.targets, places, strict=True):
+            row = {"row": str(number), "set": set_name, "point": f"P{number}"}
+            if plan.targets != (DEFAULT_TARGET,):
+                row["target"] = target
+            row |= _cells(columns.joints, q)
+            row |= dict.fromkeys(columns.empty, "")
+            row |= _expected_cells(plan.kind, columns, place)
+            yield row
+            number += 1
+
+
+def _cells(columns: list[_Column], values: Array) -> dict[str, str]:
+    """Return the cells of values in SI units, by their columns."""
+    return {
+        column.header: column.cell(value) for column, value in zip(columns, values, strict=True)
+    }
+
+
+def _expected_cells(kind_name: str, columns: _Columns, place: Array) -> dict[str, str]:
+    """Return the cells of what would be measured of a target at a place in the frame, (3,) [m]."""
+    kind = registry.get(kind_name)
+    if kind.measure is None:
+        return {}
+    T_frame_target = np.eye(4)
+    T_frame_target[:3, 3] = place
+    values = kind.measure(T_frame_target[None])[0, columns.measured]
+    return _cells(columns.expected, values)
+
+
+class Poses(NamedTuple):
+    """Poses of a table."""
+
+    joints: Array  #: shape (N, m), [rad] or [m].
+    sets: tuple[str, ...]  #: ``"estimate"`` or ``"validate"`` for each.
+    last_row: int  #: Largest number of a row of the table.
+
+
+def read_poses(path: str | Path, robot: Robot, *, taken: bool = False) -> Poses:
+    """Read the poses of a table in which measurements may be missing; several targets at one pose are one pose.
+
+    Args:
+        path: The table.
+        robot: The chain whose joints it has.
+        taken: Whether only those are read that a fit would estimate from, measured and of the set ``estimate``; a table
+            in which nothing is measured, such as a plan that is still to be driven, counts whole.
+
+    Returns:
+        The poses, in the table's order.
+
+    Raises:
+        MeasurementError: No row is left.
+    """
+    table = Table.read(path)
+    # A row of the kind ``fixed`` has its joint values alone.
+    layout = Layout.find(table, robot.joint_names, robot.joint_types, None, "fixed")
+    rows = Measurements(**read_values(table, layout))
+    chosen = np.ones(len(rows), dtype=np.bool_)
+    if taken:
+        measured = _measured_rows(table, robot)
+        chosen = rows.estimation & (measured | (not measured.any()))
+        if not chosen.any():
+            raise MeasurementError(f"{table.source}: no row that is measured is 'estimate'.")
+    first = _first_of_each_pose(rows, chosen)
+    sets = tuple(rows.sets[i] for i in first)
+    return Poses(read_only(rows.joints[first]), sets, max(rows.rows))
+
+
+def _measured_rows(table: Table, robot: Robot) -> Mask:
+    """Return which rows of a table measure something, by the cells alone, shape (N,)."""
+    named, _ = name_columns(table, robot.joint_names, {})
+    columns = [named[name].index for name in (*POINT, "distance", "pair") if name in named]
+    kinds = [""] * len(table.cells)
+    if "kind" in named:
+        kinds = table.column(named["kind"])
+    measured = []
+    for cells, kind in zip(table.cells, kinds, strict=True):
+        has_value = any(cells[i] for i in columns)
+        measured.append(has_value or kind in _WITHOUT_CELLS)
+    return np.array(measured)
+
+
+def _first_of_each_pose(rows: Measurements, chosen: Mask) -> list[int]:
+    """Return one row for each pose, from 0.
+
+    Rows with the same joint values are as many poses as there are rows of one target among them.
+    """
+    repeats: Counter[tuple[bytes, str]] = Counter()
+    first: dict[tuple[bytes, int], int] = {}
+    for i in np.flatnonzero(chosen).tolist():
+        pose, target = rows.joints[i].tobytes(), rows.targets[i]
+        first.setdefault((pose, repeats[pose, target]), i)
+        repeats[pose, target] += 1
+    return [*first.values()]
+
+
+# Nested tables
+
+
+def plan_table(plan: Plan) -> dict[str, Any]:
+    """Return a plan as nested tables in SI units, the unit in each key's suffix; docs/planning.md describes them."""
+    request = plan.request
+    poses = zip(plan.joints, plan.sets, plan.expected, strict=True)
+    return {
+        "schema": SCHEMA,
+        "calib": __version__,
+        "robot": _robot_table(plan.robot),
+        "asked": {
+            "criterion": request.criterion,
+            "model": plan.model,
+            "kind": plan.kind,
+            "targets": plan.targets,
+            "seed": request.seed,
+            "taken": len(plan.taken),
+        },
+        "poses": [
+            {"set": set_name, "joints": q, "expected_xyz_m": places}
+            for q, set_name, places in poses
+        ],
+        "candidates": {"drawn": plan.drawn, "kept": plan.candidates, "refused": plan.refused},
+        "forecast": forecast_table(plan.forecast),
+        "before": None if plan.before is None else forecast_table(plan.before),
+        "at_random": forecast_table(plan.at_random),
+        "ladder": [{"planned": n, **forecast_table(forecast)} for n, forecast in plan.ladder],
+        "travel": {
+            "largest_joint_moves": plan.travel,
+            "blocked": [
+                {"from": move.start, "to": move.end, "by": move.by} for move in plan.blocked
+            ],
+        },
+        "notes": [note._asdict() for note in plan.notes],
+    }
+
+
+def _robot_table(robot: Robot) -> dict[str, Any]:
+    """Return the robot's URDF, chain and joints."""
+    units = ["m" if joint.type == "prismatic" else "rad" for joint in robot.inputs]
+    joints = [
+        {"name": name, "unit": unit} for name, unit in zip(robot.joint_names, units, strict=True)
+    ]
+    return {
+        "name": robot.name,
+        "urdf": robot.urdf.source,
+        "urdf_sha256": robot.urdf.sha256,
+        "base": robot.base,
+        "tip": robot.tip,
+        "joints": joints,
+    }
+
+
+def forecast_table(forecast: Forecast) -> dict[str, Any]:
+    """Return a forecast as nested tables in SI units."""
+    counts = ("poses", "rank", "workspace_rank", "columns")
+    lengths = ("rms", "rms_low", "rms_high", "max", "sigma")
+    parameters = zip(
+        forecast.names,
+        forecast.units,
+        forecast.parameter_std,
+        forecast.identifiable,
+        strict=True,
+    )
+    keys = ("name", "unit", "std", "identifiable")
+    return {
+        **{name: getattr(forecast, name) for name in counts},
+        **{f"{name}_m": getattr(forecast, name) for name in lengths},
+        "indices": forecast.indices,
+        "parameters": [dict(zip(keys, row, strict=True)) for row in parameters],
+    }

@@ -1,0 +1,274 @@
+"""Sensitivity of measurements and predictions to the parameters that a fit will estimate, before anything is measured.
+
+They are the fit's own: its rows, error model, noise and priors, at the nominal robot.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+import calib.data.kinds as registry
+from calib.data.cell import AUTO, Cell, Tracker
+from calib.data.columns import DEFAULT_TARGET
+from calib.data.measurements import Measurements
+from calib.design.inspection import GENERIC_TARGET, table_of_poses
+from calib.design.notes import Note
+from calib.errors import ModelError, choices
+from calib.estimate.task import Task
+from calib.model.families import FAMILIES
+from calib.model.kinematics import Kinematics, Samples
+from calib.model.observability import Observability, analyse
+from calib.model.parameters import ErrorModel
+from calib.numerics.rigid_motion import without_rigid_motion
+from calib.registration.rows import Rows
+from calib.registration.setup import Setup
+from calib.registration.table_rows import FIRST_SIGMA_ANGLE
+from calib.registration.table_setup import measurement_setup
+from calib.robot.gravity import gravity_loads
+from calib.robot.robot import Robot, read_only
+from calib.units import Array
+
+#: What `auto` is planned for: the largest geometry, so that every smaller one is covered.
+PLANNED_FOR_AUTO = "placement"
+
+#: Prior standard deviation of a parameter without a prior [m and rad], as in a fit: it holds directions that no pose
+#: determines.
+LEASH = 1.0
+
+#: The instrument where the cell names none.
+_USUAL = Tracker(np.zeros(3))
+
+#: Its distance from the target [m].
+_USUAL_DISTANCE = 3.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sensitivity:
+    """Model of a robot in a cell, as the fit will use it; p is the number of parameters, k that of targets."""
+
+    cell: Cell
+    kind: str  #: Kind of measurement at each pose.
+    setup: Setup  #: Frames and targets; a target that was not given is at a general place.
+    kinematics: Kinematics  #: Of the nominal robot, under the error model of the fit.
+    precision: Array  #: shape (p,), 1 / tau^2 of each parameter's prior, its own or its family's, or of the leash.
+    notes: tuple[Note, ...]  #: What was assumed.
+
+    @classmethod
+    def of(cls, robot: Robot, cell: Cell) -> Sensitivity:
+        """Make the model of a robot in a cell.
+
+        Args:
+            robot: The nominal robot.
+            cell: What the fit will use; the model ``"auto"`` is taken as `PLANNED_FOR_AUTO`.
+
+        Raises:
+            ModelError: A kind of measurement, or a parameter, that cannot be planned for.
+        """
+        kind = _checked_kind(cell)
+        cell = replace(cell, distances=())
+        table = _one_pose(robot, cell, kind)
+        kinds = np.full(len(table), registry.names().index(kind))
+        setup = measurement_setup(cell, table, kinds)
+        notes = []
+        if not np.all(setup.target_given):
+            setup = _with_generic_targets(setup)
+            notes.append(Note("generic_target", tuple(GENERIC_TARGET)))
+        if kind == "pose" and cell.sigma_angle is None:
+            notes.append(Note("orientation_noise", (FIRST_SIGMA_ANGLE,)))
+        model = _error_model(robot, cell, setup)
+        precision = _prior_precision(cell, model)
+        kinematics = Kinematics(robot, model, setup.T_frame_base, setup.T_tip_target)
+        return cls(cell, kind, setup, kinematics, read_only(precision), tuple(notes))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return self.kinematics.model.names
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Unit of each parameter."""
+        return self.kinematics.model.units
+
+    def expected(self, q: Array) -> Array:
+        """Predict where each target is in the measurement frame, by the nominal robot.
+
+        A measurement frame that is not known counts as the base.
+
+        Args:
+            q: shape (N, m), [rad] or [m].
+
+        Returns:
+            shape (N, k, 3), [m].
+        """
+        T_frame_target = self.kinematics.poses(np.zeros(len(self.names)), self._samples(q))
+        return np.asarray(T_frame_target[:, :3, 3].reshape(len(q), -1, 3))
+
+    def _samples(self, q: Array) -> Samples:
+        """Return every target at every pose (N, m), pose by pose."""
+        robot, targets = self.kinematics.robot, len(self.setup.targets)
+        load = None
+        if any(p.factor and p.factor.loaded for p in self.kinematics.model.parameters):
+            of_poses = gravity_loads(robot, q, self.cell.payload, self.cell.gravity)
+            load = np.repeat(of_poses, targets, axis=0)
+        frame = np.zeros(targets * len(q), dtype=np.int_)
+        target = np.tile(np.arange(targets), len(q))
+        return Samples(np.repeat(q, targets, axis=0), frame, target, load)
+
+    def measured(self, q: Array) -> Array:
+        """Differentiate what is measured by the parameters, whitened by the noise.
+
+        Where k targets of one stop share the robot's repeatability r and have the noise s each, the mean has the
+        variance s^2 / k (1 + (k - 1) rho), rho = r^2 / s^2. What they say of each other is more exact than s; a fit, to
+        which rows are independent, makes no use of that.
+
+        Args:
+            q: Poses, shape (n, m), [rad] or [m].
+
+        Returns:
+            shape (n, d, p), d scalars a pose, in standard deviations of the noise per unit of a parameter.
+        """
+        noise = self.noise(q)
+        slopes = self._whitened_slopes(q, noise)
+        p, targets = len(self.names), len(self.setup.targets)
+        by_target = slopes.reshape(len(q), targets, -1, p)
+        measures_position = registry.get(self.kind).position
+        if targets > 1 and measures_position and self.cell.sigma is None:
+            repeatability = (self.cell.tracker or _USUAL).noise.repeatability
+            rho = (repeatability / noise) ** 2
+            loss = 1.0 - 1.0 / np.sqrt(1.0 + (targets - 1) * rho)
+            shared = by_target[:, :, :3].mean(axis=1, keepdims=True)
+            by_target[:, :, :3] -= loss[:, None, None, None] * shared
+        return np.asarray(by_target.reshape(len(q), -1, p))
+
+    def _whitened_slopes(self, q: Array, noise: Array) -> Array:
+        """Differentiate the rows of every target at every pose, as if all of them were independent.
+
+        Args:
+            q: Poses, shape (n, m), [rad] or [m].
+            noise: Standard deviation of a coordinate or length at each, shape (n,), [m].
+
+        Returns:
+            The whitened derivative of the prediction, pose by pose, shape (n k, D, p).
+        """
+        samples = self._samples(q)
+        T_frame_target, twists = self.kinematics.twists(np.zeros(len(self.names)), samples)
+        n = len(samples)
+        rows = Rows(
+            samples=samples,
+            kinds=np.full(n, registry.names().index(self.kind)),
+            measured=np.zeros((n, registry.get(self.kind).size)),
+            partner=np.full(n, -1),
+            sigma=np.repeat(noise, len(self.setup.targets)),
+            sigma_angle=np.full(n, self.cell.sigma_angle or FIRST_SIGMA_ANGLE),
+            poses=np.arange(n),
+            blocks=np.arange(n),
+        ).as_measured_at(T_frame_target)
+        slopes = rows.derivative(T_frame_target, twists)
+        return np.asarray(slopes / rows.scales[:, :, None])
+
+    def located(self, q: Array) -> Array:
+        """Differentiate the predicted positions of the targets by the parameters.
+
+        Distances do not tell where the base is: what one rigid motion of all these positions explains is left out.
+
+        Args:
+            q: Poses, shape (n, m), [rad] or [m].
+
+        Returns:
+            shape (n, 3 k, p), [m per unit].
+        """
+        zero = np.zeros(len(self.names))
+        poses, slopes = self.kinematics.twists(zero, self._samples(q), rotation=False)
+        if not registry.get(self.kind).position:
+            slopes = without_rigid_motion(poses[:, :3, 3], slopes)
+        return np.asarray(slopes.reshape(len(q), -1, len(self.names)))
+
+    def noise(self, q: Array) -> Array:
+        """Return the standard deviation of one coordinate, or of the length from the anchor.
+
+        It is the cell's, or else that of its tracker, or of a usual one, at the distance of the (first) target.
+
+        Args:
+            q: Poses, shape (n, m), [rad] or [m].
+
+        Returns:
+            shape (n,), [m].
+        """
+        tracker = self.cell.tracker
+        if self.cell.sigma is not None:
+            return np.full(len(q), self.cell.sigma)
+        if not registry.get(self.kind).position:
+            distance = np.linalg.norm(self.expected(q)[:, 0], axis=1)
+        elif tracker is None:
+            distance = np.full(len(q), _USUAL_DISTANCE)
+        else:
+            T_base_target = self.kinematics.robot.poses(q) @ self.setup.T_tip_target[0]
+            distance = np.linalg.norm(T_base_target[:, :3, 3] - tracker.position, axis=1)
+        return np.asarray((tracker or _USUAL).noise.std(distance))
+
+    def analysed(self, q: Array, measured: Array) -> Observability:
+        """Analyse rank and observability indices of poses, in metres, as a fit does.
+
+        Args:
+            q: Poses, shape (n, m), [rad] or [m].
+            measured: What `measured` returns of them, shape (n, d, p).
+        """
+        sigma = np.repeat(self.noise(q), measured.shape[1])[:, None]
+        jacobian = measured.reshape(len(sigma), -1) * sigma
+        return analyse(jacobian, self.names, self.units)
+
+
+def _checked_kind(cell: Cell) -> str:
+    """Return the kind that is planned for: one whose poses can be chosen freely, at one station."""
+    name = cell.kind or "point"
+    kind = registry.get(name)
+    unplaced = kind.own_frame and cell.T_frame_base is None and not cell.frames
+    if unplaced or len(cell.frames) > 1 or not kind.free:
+        free = [known for known in registry.names() if registry.get(known).free]
+        raise ModelError(
+            f"Poses are planned for the kinds {choices(free)}, at one station; of one with a "
+            "frame of its own, such as distances, give the base in it (frame_xyz_mm in the cell "
+            f"file). Here the kind is '{name}'."
+        )
+    return name
+
+
+def _one_pose(robot: Robot, cell: Cell, kind: str) -> Measurements:
+    """Return a table that has one pose, with a row for each target."""
+    targets = tuple(cell.targets) or (DEFAULT_TARGET,)
+    groups = (next(iter(cell.frames), ""),) * len(targets)
+    table = table_of_poses(robot, kind, np.zeros((len(targets), len(robot.inputs))))
+    return replace(table, targets=targets, groups=groups)
+
+
+def _with_generic_targets(setup: Setup) -> Setup:
+    """Return the setup with targets that were not given at a general place."""
+    T_tip_target = setup.T_tip_target.copy()
+    T_tip_target[~setup.target_given, :3, 3] = GENERIC_TARGET
+    return setup.placed(setup.T_frame_base, T_tip_target)
+
+
+def _error_model(robot: Robot, cell: Cell, setup: Setup) -> ErrorModel:
+    """Return the error model of the fit; raises `ModelError` for an unknown parameter of the cell."""
+    is_auto = cell.model == AUTO
+    name = PLANNED_FOR_AUTO if is_auto else cell.model
+    model = setup.aligned(Task(robot, cell, setup, name, allow_absent=is_auto).error_model())
+    if not is_auto:
+        for parameter in (*cell.parameter_priors, *cell.bounds):
+            model.index(parameter)
+    return model
+
+
+def _prior_precision(cell: Cell, model: ErrorModel) -> Array:
+    """Return 1 / tau^2 of each parameter's prior, its own or its family's, or of the leash, shape (p,)."""
+    precision = np.zeros(len(model))
+    for k, parameter in enumerate(model.parameters):
+        prior_std = LEASH
+        if cell.priors.source != "off" and parameter.family in FAMILIES:
+            prior_std = cell.priors.of(parameter.family)
+        prior_std = cell.parameter_priors.get(parameter.name, prior_std)
+        precision[k] = 1.0 / prior_std**2
+    return precision

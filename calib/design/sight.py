@@ -1,0 +1,62 @@
+"""Line of sight: whether a tracker measures a target at a pose, by its range and the reflector's cone."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.data.cell import Reflector, Tracker
+from calib.robot.robot import Robot
+from calib.units import Array, Mask
+
+
+def target_positions(robot: Robot, T_tip_target: Array, q: Array) -> Array:
+    """Predict where a target is in the base, by the nominal robot.
+
+    Args:
+        robot: The nominal robot.
+        T_tip_target: Pose of the target in the tip, shape (4, 4), [m].
+        q: shape (N, m), [rad] or [m].
+
+    Returns:
+        shape (N, 3), [m].
+    """
+    return np.asarray((robot.poses(q) @ T_tip_target)[:, :3, 3])
+
+
+def in_range(robot: Robot, T_tip_target: Array, tracker: Tracker, q: Array) -> Mask:
+    """Test whether the target's distance to the tracker is one that it measures.
+
+    Args:
+        robot: The nominal robot.
+        T_tip_target: Pose of the target in the tip, shape (4, 4), [m].
+        tracker: Its position is in the robot's base.
+        q: shape (N, m), [rad] or [m].
+
+    Returns:
+        shape (N,).
+    """
+    towards = tracker.position - target_positions(robot, T_tip_target, q)
+    distance = np.linalg.norm(towards, axis=1)
+    return np.asarray((distance >= tracker.nearest) & (distance <= tracker.farthest))
+
+
+def in_cone(
+    robot: Robot, T_tip_target: Array, tracker: Tracker, reflector: Reflector, q: Array
+) -> Mask:
+    """Test whether the angle from the reflector's normal to the tracker is at most its acceptance.
+
+    Args:
+        robot: The nominal robot.
+        T_tip_target: Pose of the target in the tip, shape (4, 4), [m].
+        tracker: Its position is in the robot's base.
+        reflector: Its normal is in the tip.
+        q: shape (N, m), [rad] or [m].
+
+    Returns:
+        shape (N,).
+    """
+    towards = tracker.position - target_positions(robot, T_tip_target, q)
+    normal = robot.poses(q)[:, :3, :3] @ reflector.normal
+    across = np.linalg.norm(np.cross(normal, towards), axis=1)
+    along = np.einsum("ni,ni->n", normal, towards)
+    return np.asarray(np.arctan2(across, along) <= reflector.acceptance)

@@ -1,0 +1,224 @@
+"""Solids: the shapes of a robot and of what is around it, as coal compares them.
+
+A link has the shapes of its ``<collision>``, or else of its ``<visual>``; a target and what holds it are a capsule from
+the tip to the target; boxes are those of the cell. All below the mounting plane is a large box.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+from pinocchio import hppfcl
+
+from calib.data.cell import Box
+from calib.errors import UrdfError
+from calib.robot.full_model import full_model, link_frame
+from calib.robot.kernel import turns_to
+from calib.robot.meshes import LinkShape, find_mesh, link_shapes, load_mesh, mesh_folders
+from calib.robot.robot import Robot
+from calib.robot.urdf import Urdf, UrdfJoint
+from calib.units import Array
+
+#: Thickness of the box that stands for all below the mounting plane; it is twice as wide [m].
+_GROUND = 20.0
+
+#: Simple shapes of a URDF that coal has under the same name.
+_SIMPLE = ("Box", "Cylinder", "Capsule", "Sphere")
+
+
+class Solid(NamedTuple):
+    """One shape of coal."""
+
+    owner: str  #: Name of the link, target, box or plane that it belongs to.
+    kind: Literal["link", "target", "box", "plane"]
+    link: str  #: Link that it is fixed to.
+    T_link_shape: Array  #: shape (4, 4), [m].
+    geometry: Any  #: Of coal, which has no types.
+
+
+def read_solids(
+    urdf: Urdf, package_dirs: Iterable[str | Path] = ()
+) -> tuple[list[Solid], list[str]]:
+    """Read the shapes of all links; each mesh file is read once.
+
+    Args:
+        urdf: The URDF.
+        package_dirs: Folders in which ``package://`` meshes are looked for before all others.
+
+    Returns:
+        The solids, and the links of which not all shapes can be used, or that carry a mass and have no shape.
+
+    Raises:
+        UrdfError: A mesh is missing or cannot be read, or no link has a shape.
+    """
+    folders = mesh_folders(urdf, package_dirs)
+    collision = list(link_shapes(urdf, "collision"))
+    visual = list(link_shapes(urdf, "visual"))
+    bodies = _links_with_mass(urdf)
+    meshes: dict[tuple[str, tuple[float, ...]], Any] = {}
+    solids, unchecked = [], []
+    for link in urdf.links:
+        proper = [shape for shape in collision if shape.link == link]
+        shapes = proper or [shape for shape in visual if shape.link == link]
+        usable = []
+        for shape in shapes:
+            geometry = _geometry(urdf, shape, folders, meshes)
+            if geometry is not None:
+                usable.append(Solid(link, "link", link, shape.T_link_shape, geometry))
+        if len(usable) < len(shapes) or (not shapes and link in bodies):
+            unchecked.append(link)
+        solids += usable
+    if not solids:
+        raise UrdfError(
+            f"{urdf.source}: no link has a <collision> or <visual> with a geometry that can be "
+            "used. Take a URDF with geometry, or plan without collisions (--no-collisions)."
+        )
+    return solids, unchecked
+
+
+def _links_with_mass(urdf: Urdf) -> set[str]:
+    """Return the links that carry a mass: Pinocchio keeps the inertias of joints, not of links."""
+    bodies = set()
+    for link in urdf.elements().findall("link"):
+        masses = [mass.get("value", "0") for mass in link.findall("inertial/mass")]
+        if any(mass.strip("0. ") for mass in masses):
+            bodies.add(link.get("name", ""))
+    return bodies
+
+
+def target_solids(
+    robot: Robot, targets: Mapping[str, ArrayLike], holder_radius: float
+) -> list[Solid]:
+    """Return a capsule from the tip to each target.
+
+    Args:
+        robot: The robot.
+        targets: Places in the tip by name, shape (3,), [m].
+        holder_radius: Radius of the capsules [m].
+    """
+    solids = []
+    for name, place in targets.items():
+        end = np.array([place], dtype=np.float64)
+        T_tip_rod, half_length = rods(np.zeros((1, 3)), end)
+        capsule = hppfcl.Capsule(holder_radius, 2.0 * float(half_length[0]))
+        owner = f"{name} and its holder"
+        solids.append(Solid(owner, "target", robot.tip, T_tip_rod[0], capsule))
+    return solids
+
+
+def box_solids(robot: Robot, boxes: Iterable[Box]) -> list[Solid]:
+    """Return the boxes of a cell, which are fixed to the robot's base."""
+    return [
+        Solid(box.name, "box", robot.base, box.T_base_box, hppfcl.Box(*box.size)) for box in boxes
+    ]
+
+
+def rods(starts: Array, ends: Array) -> tuple[Array, Array]:
+    """Place rods between pairs of points.
+
+    Args:
+        starts: shape (n, 3), [m].
+        ends: shape (n, 3), [m]; at its start, a rod of no length is upright.
+
+    Returns:
+        Poses of their middles, z along them, shape (n, 4, 4), and half their lengths, shape (n,), [m].
+    """
+    along = ends - starts
+    lengths = np.linalg.norm(along, axis=1)
+    along[lengths == 0.0] = 0.0, 0.0, 1.0
+    directions = along / np.where(lengths > 0.0, lengths, 1.0)[:, None]
+    T = np.tile(np.eye(4), (len(along), 1, 1))
+    T[:, :3, :3] = turns_to(directions)
+    T[:, :3, 3] = 0.5 * (starts + ends)
+    return T, 0.5 * lengths
+
+
+def _geometry(
+    urdf: Urdf, shape: LinkShape, folders: tuple[Path, ...], meshes: dict[Any, Any]
+) -> Any:  # noqa: ANN401  coal has no types
+    """Return a shape as coal has it; None for a kind or a size that is none.
+
+    Args:
+        urdf: For messages.
+        shape: As the URDF states it.
+        folders: Where meshes are looked for.
+        meshes: Those that were read, by name and scale; what is read is added to them.
+    """
+    if shape.mesh is None:
+        tag = shape.geometry.tag.capitalize()
+        if shape.sizes is None or tag not in _SIMPLE:
+            return None
+        return getattr(hppfcl, tag)(*shape.sizes)
+    if shape.mesh not in meshes:
+        name, scale = shape.mesh
+        path = find_mesh(name, folders)
+        problem = "was not found; name its folder by --package-dir"
+        if path is not None:
+            meshes[shape.mesh], problem = load_mesh(path, scale)
+        if problem:
+            raise UrdfError(
+                f"{urdf.source}: link '{shape.link}': the mesh '{path or name}' {problem}; or plan "
+                "without collisions (--no-collisions)."
+            )
+    return meshes[shape.mesh]
+
+
+def clusters(urdf: Urdf, joints: Iterable[UrdfJoint]) -> dict[str, str]:
+    """Return for each link the topmost one of those that joints hold together.
+
+    Args:
+        urdf: The URDF.
+        joints: Joints that do not move.
+    """
+    parents = {joint.child: joint.parent for joint in joints}
+
+    def top(link: str) -> str:
+        return top(parents[link]) if link in parents else link
+
+    return {link: top(link) for link in urdf.links}
+
+
+def mounting_plane(
+    robot: Robot, links: Sequence[Solid], rigid: Mapping[str, str], configuration: Array
+) -> Solid:
+    """Return all below z = 0 of the base, or below the lowest link that is fixed to the base.
+
+    Args:
+        robot: The robot; where its base moves, the URDF's root counts as the base.
+        links: The solids of the links.
+        rigid: For each link the topmost one of those that never move against it.
+        configuration: Pinocchio's, of the whole robot, shape (nq,).
+    """
+    base = robot.urdf.root if robot.base_moves else robot.base
+    model = full_model(robot.urdf)
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, configuration)
+    T_base_root = data.oMf[link_frame(model, base)].inverse()
+    height = 0.0
+    for solid in links:
+        if rigid[solid.link] == rigid[base]:
+            T_root_link = data.oMf[link_frame(model, solid.link)]
+            T_base_shape = T_base_root * T_root_link * pin.SE3(solid.T_link_shape)
+            height = min(height, _lowest(solid.geometry, T_base_shape))
+    T_base_ground = np.eye(4)
+    T_base_ground[2, 3] = height - 0.5 * _GROUND
+    name = f"the mounting plane (z = {1e3 * height + 0.0:.4g} mm of '{base}')"
+    box = hppfcl.Box(2.0 * _GROUND, 2.0 * _GROUND, _GROUND)
+    return Solid(name, "plane", base, T_base_ground, box)
+
+
+def _lowest(geometry: Any, T_base_shape: pin.SE3) -> float:  # noqa: ANN401  coal has no types
+    """Return the least z of a shape in the base [m]."""
+    rotation, translation = T_base_shape.rotation, T_base_shape.translation
+    if isinstance(geometry, hppfcl.BVHModelBase):
+        return float(np.min(geometry.vertices() @ rotation[2] + translation[2]))
+    ground = hppfcl.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)
+    placement = hppfcl.Transform3s(rotation, translation)
+    request, result = hppfcl.DistanceRequest(), hppfcl.DistanceResult()
+    unmoved = hppfcl.Transform3s()
+    return float(hppfcl.distance(geometry, placement, ground, unmoved, request, result))

@@ -1,0 +1,1 @@
+"""Workspace and region: where the target can be, how often, and the part of space to measure in."""

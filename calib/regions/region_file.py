@@ -1,0 +1,160 @@
+"""A region as a file: JSON in SI units, see docs/workspace.md.
+
+It names robot, base, tip, joints and target: in another base frame the same numbers are another place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from calib.errors import CalibError, FileError
+from calib.files import damage, json_bytes, read_json, write_atomically
+from calib.regions.region import Region
+from calib.regions.region_rows import RegionView
+from calib.robot.robot import Robot, read_only
+from calib.units import Array, Mask
+from calib.version import __version__
+
+SCHEMA = "region 1"
+
+
+def write_region(view: RegionView, path: str | Path, seed: int, *, overwrite: bool = False) -> Path:
+    """Write a region, and what it was made from.
+
+    Args:
+        view: The region and its robot.
+        path: The file.
+        seed: Seed of the samples.
+        overwrite: Whether an existing file is replaced.
+
+    Returns:
+        The file.
+
+    Raises:
+        FileError: It cannot be written.
+    """
+    robot, region = view.robot, view.region
+    table = {
+        "schema": SCHEMA,
+        "calib": __version__,
+        "robot": {
+            "name": robot.name,
+            "base": robot.base,
+            "tip": robot.tip,
+            "joints": _joint_table(view),
+        },
+        "target_xyz_m": view.target,
+        "samples": view.density.samples,
+        "seed": seed,
+        "share": region.share,
+        "held": region.held,
+        "volume_m3": region.volume,
+        "voxel_m": region.voxel,
+        "origin_m": region.origin,
+        "shape": region.cells.shape,
+        "runs": _runs(region.cells),
+    }
+    return write_atomically(path, json_bytes(table), overwrite=overwrite)
+
+
+def _joint_table(view: RegionView) -> list[dict[str, Any]]:
+    """Return the ranges of the joints, the unit in the keys."""
+    table = []
+    for joint, (low, high) in zip(view.robot.inputs, view.ranges, strict=True):
+        unit = "m" if joint.type == "prismatic" else "rad"
+        table.append({"name": joint.name, f"low_{unit}": low, f"high_{unit}": high})
+    return table
+
+
+def _runs(cells: Mask) -> list[int]:
+    """Return a grid as lengths of runs: outside, inside, outside, ..., voxels in the order of the last index first."""
+    flat = cells.ravel()
+    changes = np.flatnonzero(np.diff(flat)) + 1
+    lengths: list[int] = np.diff([0, *changes, flat.size]).tolist()
+    return [0, *lengths] if flat[0] else lengths
+
+
+class _Origin(NamedTuple):
+    """What a region was made for."""
+
+    base: str
+    tip: str
+    joints: list[str]
+    target: Array  # In the tip [m], shape (3,)
+
+
+def read_region(
+    path: str | Path, robot: Robot | None = None, target: Array | None = None
+) -> Region:
+    """Read a region.
+
+    Args:
+        path: The file.
+        robot: The chain that it is to be used for; None: it is not checked.
+        target: In the tip [m], shape (3,); None: it is not checked.
+
+    Returns:
+        The region.
+
+    Raises:
+        FileError: It cannot be read, or is damaged.
+        CalibError: It was made for another base, tip or joints, or a target more than a voxel away.
+    """
+    expected = (
+        f"a region of calib {__version__} has '{SCHEMA}'. Make it again with 'calib workspace -o'."
+    )
+    table = read_json(path, "region", SCHEMA, expected)
+    try:
+        region = _region_of(table)
+        origin = _origin_of(table)
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise FileError(
+            f"{path}: the region is damaged: {damage(error)}. "
+            "Write it again with 'calib workspace -o'."
+        ) from error
+    _check_origin(path, origin, region, robot, target)
+    return region
+
+
+def _region_of(table: Mapping[str, Any]) -> Region:
+    """Return the region of a file's table; raises what damage to it causes."""
+    runs = np.asarray(table["runs"], dtype=np.int64)
+    is_inside = np.arange(len(runs)) % 2 == 1
+    return Region(
+        origin=read_only(table["origin_m"]).reshape(3),
+        voxel=float(table["voxel_m"]),
+        cells=np.repeat(is_inside, runs).reshape(table["shape"]),
+        share=float(table["share"]),
+        held=float(table["held"]),
+    )
+
+
+def _origin_of(table: Mapping[str, Any]) -> _Origin:
+    """Return what a file's region was made for; raises what damage to it causes."""
+    robot = table["robot"]
+    return _Origin(
+        base=robot["base"],
+        tip=robot["tip"],
+        joints=[joint["name"] for joint in robot["joints"]],
+        target=read_only(table["target_xyz_m"]).reshape(3),
+    )
+
+
+def _check_origin(
+    path: str | Path, origin: _Origin, region: Region, robot: Robot | None, target: Array | None
+) -> None:
+    """Refuse a region of another chain, or of a target more than a voxel away."""
+    same_chain = robot is None or origin[:3] == (robot.base, robot.tip, list(robot.joint_names))
+    distance = 0.0 if target is None else np.linalg.norm(target - origin.target)
+    if same_chain and distance <= region.voxel:
+        return
+    place = ", ".join(f"{1e3 * value:.6g}" for value in origin.target)
+    raise CalibError(
+        f"{path}: the region was made for the base {origin.base}, the tip {origin.tip}, the "
+        f"joints {', '.join(origin.joints)} and a target at {place} mm: give the same --base, "
+        "--tip, --hold and --target, or make the region again with 'calib workspace'."
+    )

@@ -1,0 +1,95 @@
+"""Rows of a table beside a region: where the target was in each of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from calib.data.cell import Cell
+from calib.data.columns import POINT, name_columns
+from calib.data.measurements import Measurements
+from calib.data.table import Table
+from calib.regions.region import Density, Region
+from calib.robot.chain import rigid_inverse
+from calib.robot.robot import Robot
+from calib.units import Array, Mask
+
+
+class Checked(NamedTuple):
+    """Rows of a table that are compared with a region."""
+
+    rows: Measurements
+    points: Array  #: shape (N, 3), the target of each row in the base [m].
+    measured: Mask  #: shape (N,), whether that was measured, or else predicted.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RegionView:
+    """Region of a robot's workspace as it is printed and drawn."""
+
+    robot: Robot
+    target: Array  #: shape (3,), in the tip [m].
+    ranges: Array  #: shape (m, 2), of the joints [rad] or [m].
+    density: Density
+    region: Region
+    checked: Checked | None = None  #: Rows that are compared with the region; None: none are.
+
+
+def read_rows(
+    path: str | Path,
+    robot: Robot,
+    columns: Mapping[str, str] | None = None,
+    kind: str | None = None,
+) -> Measurements:
+    """Read a table whose positions may be missing: a list of poses, or a plan that is not filled in.
+
+    Args:
+        path: The table.
+        robot: The chain whose joints it has.
+        columns: Names that calib uses, by the table's names; None: they are the same.
+        kind: What every row measures; None: as the table says, and nothing where no position is in it.
+
+    Returns:
+        The rows.
+    """
+    table = Table.read(path)
+    named, _ = name_columns(table, (), columns or {})
+    cells = [table.column(named[name]) for name in POINT if name in named]
+    has_positions = len(cells) == len(POINT) and any(map(any, cells))
+    if kind is None and not has_positions:
+        kind = "fixed"  # a row of this kind measures nothing but its joint values
+    return Measurements.read(
+        table, robot.joint_names, robot.joint_types, columns=columns, kind=kind
+    )
+
+
+def row_points(robot: Robot, rows: Measurements, cell: Cell, target: Array) -> tuple[Array, Mask]:
+    """Return where the target of each row was in the base.
+
+    Args:
+        robot: The nominal robot, which predicts where that was not measured.
+        rows: N rows.
+        cell: Names targets and measurement frames; positions in a frame that is estimated do not count as measured.
+        target: A target that the cell does not name, in the tip [m], shape (3,).
+
+    Returns:
+        Points [m], shape (N, 3), and whether each was measured, shape (N,).
+    """
+    T_base_tip = robot.poses(rows.joints_for(robot.joint_names))
+    targets = [cell.targets.get(name, target) for name in rows.targets]
+    p_tip_target = np.array(targets).reshape(-1, 3)
+    carried = np.einsum("nij,nj->ni", T_base_tip[:, :3, :3], p_tip_target)
+    points = carried + T_base_tip[:, :3, 3]
+    measured = rows.positions.copy()
+    for i in np.flatnonzero(measured):
+        T_frame_base = cell.frames.get(rows.groups[i], cell.T_frame_base)
+        if T_frame_base is None and cell.estimate_frame:
+            measured[i] = False
+            continue
+        T_base_frame = np.eye(4) if T_frame_base is None else rigid_inverse(T_frame_base)
+        points[i] = T_base_frame[:3, :3] @ rows.points[i] + T_base_frame[:3, 3]
+    return points, measured

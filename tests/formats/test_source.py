@@ -1,0 +1,12 @@
+"""Options of a conversion: the chain between their links."""
+
+from __future__ import annotations
+
+from calib.formats.source import Options
+
+
+def test_a_robot_is_loaded_between_the_links_of_the_options():
+    robot = Options(base="base", tip="wrist_3_link", held={"elbow_joint": 0.3}).load("ur3")
+    assert (robot.base, robot.tip) == ("base", "wrist_3_link")
+    assert dict(robot.held) == {"elbow_joint": 0.3}
+    assert "elbow_joint" not in robot.joint_names
