@@ -16,10 +16,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import fdtrc, stdtr
 
-from calib.estimate.fitting import PAPER, Fitted
-from calib.estimate.linear import Linear
+from calib.estimate.fitting import Fitted
+from calib.estimate.linear import LinearProblem
 from calib.estimate.prior_terms import PriorTerms
 from calib.estimate.stages import Stage
+from calib.estimate.task import PAPER
 from calib.model.dh import zero_poses
 from calib.model.families import ANGLE, LENGTH, ZERO
 from calib.model.parameters import FRAME, TARGET
@@ -116,7 +117,7 @@ def estimate_jointly(
     )
 
 
-def _with_unknowns(fitted: Fitted, columns: Array, of_distances: Array | None) -> Linear:
+def _with_unknowns(fitted: Fitted, columns: Array, of_distances: Array | None) -> LinearProblem:
     """Linearise a fit's problem and append the columns of k further unknowns; see `estimate_jointly`."""
     problem = fitted.estimate.problem
     linear = problem.linear(fitted.estimate.x)
@@ -132,9 +133,8 @@ def _prior_with_unknowns(fitted: Fitted, count: int, held: Mask | None) -> Prior
 
     Parameters at their bounds stay there; those of the mask ``held``, shape (p,), are held at zero.
     """
-    task, estimate = fitted.task, fitted.estimate
-    model = fitted.kinematics.model
-    prior = PriorTerms.of(task.cell, model, task.setup, fitted.setup, lenient=task.lenient)
+    estimate = fitted.estimate
+    prior = PriorTerms.of(fitted.task, fitted.kinematics.model, fitted.setup)
     fixed = {k: float(estimate.x[k]) for k in estimate.at_bound}
     if held is not None:
         fixed |= dict.fromkeys(np.flatnonzero(held).tolist(), 0.0)
@@ -147,7 +147,7 @@ def _prior_with_unknowns(fitted: Fitted, count: int, held: Mask | None) -> Prior
     )
 
 
-def _with_columns(linear: Linear, columns: Array, of_known: Array) -> Linear:
+def _with_columns(linear: LinearProblem, columns: Array, of_known: Array) -> LinearProblem:
     """Append the columns of k further unknowns, which are zero where it is linearised.
 
     Args:
@@ -189,7 +189,7 @@ def gain_on_blocks(fitted: Fitted, columns: Array, weights: Array) -> float:
     return 1.0 - after / before if before > 0.0 else 0.0
 
 
-def _error_of_blocks(fitted: Fitted, linear: Linear, weights: Array) -> float:
+def _error_of_blocks(fitted: Fitted, linear: LinearProblem, weights: Array) -> float:
     """Root mean square error of blocks of rows, each predicted by a fit to the others, in units of the noise.
 
     Args:
@@ -206,7 +206,7 @@ def _error_of_blocks(fitted: Fitted, linear: Linear, weights: Array) -> float:
         np.pad(problem.precision, (0, further)), np.pad(problem.centre, (0, further))
     )
     x = linear.fit(np.where(masks, 0.0, weights), problem.rho, noise, priors)[0]
-    residual = linear.residual(x) / linear.noise_of(noise)
+    residual = linear.residual(x) / linear.noise_by_scalar(noise)
     squares = []
     for mask, of_block in zip(masks, residual, strict=True):
         chosen = _predictable(fitted, mask, weights)[:, None] & rows.used
