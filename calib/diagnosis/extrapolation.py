@@ -1,4 +1,4 @@
-"""Extrapolation: the factor by which errors beyond the measured joint values exceed those that a fit's covariance says."""
+"""Extrapolation: how far errors beyond the measured joint values exceed those that a fit's covariance says."""
 
 from __future__ import annotations
 
