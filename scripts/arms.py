@@ -99,7 +99,7 @@ def load_arm(name: str) -> Robot:
     if name == "iiwa":
         return _described_arm(name, _IIWA, flange=0.045)
     if name == "irb120":
-        return _described_arm(name, _IRB120, flange=0.0)
+        return _described_arm(name, _IRB120)
     base, tip = LINKS[name]
     return Robot.load(name, base=base, tip=tip)
 
@@ -113,31 +113,39 @@ def without_masses(robot: Robot) -> Robot:
     return Robot.from_urdf(bare, robot.base, robot.tip)
 
 
-def _described_arm(name: str, segments: Sequence[Segment], flange: float) -> Robot:
-    """Return the robot of some segments from link ``base`` on, to a flange so far beyond the last [m]."""
+def _described_arm(name: str, segments: Sequence[Segment], flange: float | None = None) -> Robot:
+    """Return the robot of some segments.
+
+    Args:
+        name: Name of the robot.
+        segments: The joints and links from link ``base`` on.
+        flange: Distance of a link ``flange`` from the last joint along its axis [m]; None: the last link is the tip.
+    """
     elements = [f'<robot name="{name}">', '<link name="base"/>']
-    parent = "base"
+    tip = "base"
     for number, segment in enumerate(segments, start=1):
-        link = f"link_{number}"
+        parent = tip
+        tip = f"link_{number}"
         elements += [
-            f'<link name="{link}">{_inertial(segment)}</link>',
+            f'<link name="{tip}">{_inertial(segment)}</link>',
             f'<joint name="joint_{number}" type="revolute">',
-            f'<parent link="{parent}"/><child link="{link}"/>',
+            f'<parent link="{parent}"/><child link="{tip}"/>',
             f'<origin xyz="{_attribute(segment.xyz)}" rpy="{_attribute(segment.rpy)}"/>',
             f'<axis xyz="{_attribute(segment.axis)}"/>',
             f'<limit lower="{-segment.limit}" upper="{segment.limit}" effort="300" velocity="1"/>',
             "</joint>",
         ]
-        parent = link
-    elements += [
-        '<link name="flange"/>',
-        '<joint name="flange_joint" type="fixed">',
-        f'<parent link="{parent}"/><child link="flange"/><origin xyz="0 0 {flange}"/>',
-        "</joint>",
-        "</robot>",
-    ]
+    if flange is not None:
+        elements += [
+            '<link name="flange"/>',
+            '<joint name="flange_joint" type="fixed">',
+            f'<parent link="{tip}"/><child link="flange"/><origin xyz="0 0 {flange}"/>',
+            "</joint>",
+        ]
+        tip = "flange"
+    elements.append("</robot>")
     urdf = Urdf.from_bytes("\n".join(elements).encode(), f"{name}.urdf")
-    return Robot.from_urdf(urdf, "base", "flange")
+    return Robot.from_urdf(urdf, "base", tip)
 
 
 def _inertial(segment: Segment) -> str:

@@ -35,8 +35,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 
 #: The modules that decide numbers and verdicts.
-FOLDERS = ("model", "estimate", "selection", "result", "diagnosis", "compensation")
-MUTATED = (*(f"calib/{folder}/*.py" for folder in FOLDERS), "calib/data/kinds.py")
+FITTING = ("numerics/*", "model/*", "data/kinds", "registration/*", "estimate/*")
+JUDGING = ("selection/*", "diagnosis/*", "result/*", "compensation/*")
 
 #: An operator between its operands.
 OPERATOR = re.compile(r"not\s+in|is\s+not|[^\s()]+")
@@ -53,9 +53,6 @@ FACTORS = (0.1, 0.5, 2.0, 10.0)
 
 #: Fields of the syntax tree that decide nothing: type hints, decorators, messages of errors.
 SKIPPED = ("annotation", "returns", "decorator_list", "exc", "msg")
-
-#: Assignments that decide nothing.
-ALIAS = re.compile(r"__all__|\w+: TypeAlias")
 
 #: What tests do not need of the checkout.
 NOT_COPIED = shutil.ignore_patterns(".*", "__pycache__", "site", "demo", "*.jsonl")
@@ -94,12 +91,14 @@ class Mutant:
 
 
 def expressions(tree: ast.AST) -> Iterator[ast.expr]:
-    """Yield the expressions that decide something, see `SKIPPED` and `ALIAS`; no f-strings."""
+    """Yield what decides something, see `SKIPPED`; no f-strings, no type aliases."""
     for name, value in ast.iter_fields(tree):
         for node in value if isinstance(value, list) else [value]:
             if name in SKIPPED or not isinstance(node, ast.AST) or isinstance(node, ast.JoinedStr):
                 continue
-            if isinstance(node, ast.stmt) and ALIAS.match(ast.unparse(node)):
+            if isinstance(node, ast.stmt) and re.match(
+                r"__all__|\w+: TypeAlias", ast.unparse(node)
+            ):
                 continue
             if isinstance(node, ast.expr):
                 yield node
@@ -179,7 +178,8 @@ def draw(only: str, seed: int) -> Iterator[Mutant]:
         seed: The same seed gives the same mutants in the same order while the code is the same.
     """
     rng, by_kind = random.Random(seed), dict[str, list[Place]]()
-    paths = sorted(path for pattern in MUTATED for path in ROOT.glob(pattern))
+    patterns = [f"calib/{pattern}.py" for pattern in (*FITTING, *JUDGING)]
+    paths = sorted(path for pattern in patterns for path in ROOT.glob(pattern))
     names = [path.relative_to(ROOT).as_posix() for path in paths]
     for name in fnmatch.filter(names, f"*{only}*"):
         for place in places(name):

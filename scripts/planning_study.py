@@ -1,214 +1,217 @@
-"""What planned poses are worth: the figures of docs/planning.md, on the paper's UR3 with virtual measurements.
+"""Value of planned poses on the paper's UR3 with virtual measurements: the figures of docs/planning.md.
 
-    python scripts/planning_study.py            # all of it, a few minutes
-    python scripts/planning_study.py --quick    # fewer trials and candidates, for a look
+    python scripts/planning_study.py            all of it, a few minutes
+    python scripts/planning_study.py --quick    fewer calibrations and candidates
 
-Model: DH with Hayati's beta, one target, measurement frame known. The noise of one coordinate is that of a laser
-tracker 3 m away and of the robot's repeatability.
+The model is DH with Hayati's beta, with one target and a known measurement frame. The noise of a coordinate is that of
+a laser tracker 3 m away and of the robot's repeatability.
 """
 
 from __future__ import annotations
 
-import argparse
-import os
 import resource
 import time
-from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
-from rich.console import Console
-from rich.progress import track
+from studies import core_count, print_table, process_pool, study_parser
 
 from calib.data.cell import Box, Cell, Reflector, Tracker
 from calib.data.measurements import Measurements
 from calib.design.candidates import draw, planning_ranges
 from calib.design.choice import PlanRequest
 from calib.design.forecast import Forecast, Workspace
-from calib.design.plan import plan
+from calib.design.plan import Plan, plan
 from calib.design.sensitivity import Sensitivity
+from calib.example import PAPER_TARGET, paper_measurements, paper_urdf
 from calib.robot.robot import Robot
 from calib.simulation.scenario import Scenario
 from calib.simulation.study import Study, Trials, study
-
-ROOT = Path(__file__).resolve().parents[1]
-TARGET = np.array([-0.06997, 0.07020, 0.02252])
-Array = NDArray[np.float64]
+from calib.units import Array
 
 
 def ur3() -> Robot:
-    """The paper's robot."""
-    return Robot.load(ROOT / "urdf" / "ur3.urdf", base="base", tip="tool0")
+    """Return the paper's robot."""
+    return Robot.load(paper_urdf(), base="base", tip="tool0")
 
 
-def cell_of(model: str = "hayati") -> Cell:
-    """What is planned for: the paper's target, its place not known to better than a millimetre."""
-    return Cell(target=TARGET, model=model)
+def paper_cell(model: str = "hayati") -> Cell:
+    """Return a cell with the paper's target, whose place is known to a millimetre only."""
+    return Cell(target=np.array(PAPER_TARGET), model=model)
 
 
 def surroundings() -> Cell:
-    """The same with what stands around: a tracker, a reflector that faces one way, a table and a pillar."""
-    table = np.eye(4)
-    table[2, 3] = -0.03
-    pillar = np.eye(4)
-    pillar[:3, 3] = (-0.45, -0.45, 0.5)
+    """Return that cell with a tracker, a reflector that faces one way, a table and a pillar."""
+    T_base_table = np.eye(4)
+    T_base_table[2, 3] = -0.03
+    T_base_pillar = np.eye(4)
+    T_base_pillar[:3, 3] = (-0.45, -0.45, 0.5)
     return replace(
-        cell_of(),
+        paper_cell(),
         tracker=Tracker(np.array([2.5, 1.5, 0.8]), nearest=0.8, farthest=20.0),
         reflector=Reflector(np.array([0.0, 0.0, 1.0]), acceptance=np.radians(50.0)),
         boxes=(
-            Box("table", np.array([1.2, 1.2, 0.04]), table),
-            Box("pillar", np.array([0.1, 0.1, 1.0]), pillar),
+            Box("table", np.array([1.2, 1.2, 0.04]), T_base_table),
+            Box("pillar", np.array([0.1, 0.1, 1.0]), T_base_pillar),
         ),
     )
 
 
-def free(count: int, candidates: int, criterion: str) -> tuple[Forecast, float]:
-    """A plan among free candidates, and how long it took [s]."""
+def free_plan(
+    count: int, candidates: int, criterion: str = "V", model: str = "hayati"
+) -> tuple[Plan, float]:
+    """Plan poses among free candidates.
+
+    Args:
+        count: Number of poses.
+        candidates: Number of candidates.
+        criterion: Criterion of the plan.
+        model: Model that is planned for.
+
+    Returns:
+        The plan, and the time that it took [s].
+    """
     began = time.perf_counter()
-    made = plan(
-        ur3(),
-        cell_of(),
-        PlanRequest(count, 0, criterion, candidates, ladder=False),
-        collisions=None,
-    )
-    return made.forecast, time.perf_counter() - began
+    request = PlanRequest(count, 0, criterion, candidates, ladder=False)
+    planned = plan(ur3(), paper_cell(model), request, collisions=None)
+    return planned, time.perf_counter() - began
 
 
-def yardstick(candidates: int) -> list[str]:
-    """30 poses of the paper, 30 random ones and 30 planned ones: prediction error in noise of one measurement."""
+def worth_rows(candidates: int) -> Iterator[list[str]]:
+    """Yield the forecast error of the paper's 30 poses, 30 random and 30 planned ones, in noise of a measurement."""
     robot = ur3()
-    sensitivity = Sensitivity.of(robot, cell_of())
+    sensitivity = Sensitivity.of(robot, paper_cell())
     pool = draw(robot, planning_ranges(robot, {}, 0.0), [], candidates, 0)
     workspace = Workspace.of(sensitivity, pool.workspace)
-    table = Measurements.read(ROOT / "calib" / "example" / "ur3_leica.csv", robot.joint_names)
-    rows = table.joints_for(robot.joint_names)[table.estimation]
+    table = Measurements.read(paper_measurements(), robot.joint_names)
+    q_paper = table.joints_for(robot.joint_names)[table.estimation]
+    of_paper = Forecast.of(sensitivity, workspace, q_paper)
     rng = np.random.default_rng(0)
-    of_paper = Forecast.of(sensitivity, workspace, rows)
-    draws = [rng.choice(len(pool.q), 30, replace=False) for _ in range(21)]
-    of_random = np.median(
-        [Forecast.of(sensitivity, workspace, pool.q[one]).mean_variance for one in draws]
-    )
-    planned, _ = free(30, candidates, "V")
-    return [
-        f"| the paper's 30 | {np.sqrt(of_paper.mean_variance):.2f} |",
-        f"| 30 at random (median of 21 draws) | {np.sqrt(of_random):.2f} |",
-        f"| 30 planned | {np.sqrt(planned.mean_variance):.2f} |",
-        f"| the yardstick, sqrt(rank / N) = sqrt({planned.workspace_rank} / 30) | "
-        f"{np.sqrt(planned.workspace_rank / 30):.2f} |",
-    ]
+    of_random = []
+    for _ in range(21):
+        poses = rng.choice(len(pool.q), 30, replace=False)
+        of_random.append(Forecast.of(sensitivity, workspace, pool.q[poses]).mean_variance)
+    of_planned = free_plan(30, candidates)[0].forecast
+    rank = of_planned.workspace_rank
+    yield ["the paper's 30", f"{np.sqrt(of_paper.mean_variance):.2f}"]
+    yield ["30 at random (median of 21 draws)", f"{np.sqrt(np.median(of_random)):.2f}"]
+    yield ["30 planned", f"{np.sqrt(of_planned.mean_variance):.2f}"]
+    yield [f"the least, sqrt(rank / N) = sqrt({rank} / 30)", f"{np.sqrt(rank / 30):.2f}"]
 
 
-def criteria(candidates: int) -> list[str]:
-    """Mean and worst prediction variance over the pool, in rank / N."""
-    lines = []
+def criterion_rows(candidates: int) -> Iterator[list[str]]:
+    """Yield mean and worst variance over the pool, in rank / N, for each criterion."""
     for criterion in ("V", "D", "A"):
-        found, seconds = free(30, candidates, criterion)
-        bound = found.workspace_rank / found.poses
-        lines.append(
-            f"| {criterion} | {found.mean_variance / bound:.3f} | {found.worst_variance / bound:.3f} | "
-            f"{seconds:.1f} s |"
-        )
-    return lines
+        planned, seconds = free_plan(30, candidates, criterion)
+        forecast = planned.forecast
+        bound = forecast.workspace_rank / forecast.poses
+        mean = forecast.mean_variance / bound
+        worst = forecast.worst_variance / bound
+        yield [criterion, f"{mean:.3f}", f"{worst:.3f}", f"{seconds:.1f} s"]
 
 
-def obstacles(candidates: int) -> list[str]:
-    """A plan among limits, collisions and sight against the free one, both over the free workspace."""
+def obstacle_rows(candidates: int) -> Iterator[list[str]]:
+    """Yield figures of a plan among limits, collisions and sight beside a free one."""
     robot = ur3()
     began = time.perf_counter()
     request = PlanRequest(30, 0, candidates=candidates, ladder=False)
-    made = plan(robot, surroundings(), request)
+    planned = plan(robot, surroundings(), request)
     seconds = time.perf_counter() - began
     # Over the same workspace and with the same noise, so that the poses alone differ.
-    cell = replace(cell_of(), tracker=surroundings().tracker)
-    without = plan(robot, cell, request, collisions=None)
-    refused = ", ".join(f"{n} {reason}" for reason, n in made.refused.items())
-    return [
-        f"- of {made.drawn} candidates {made.candidates} could be measured ({refused}), {seconds:.1f} s;",
-        f"- forecast {1e3 * made.forecast.rms:.4f} mm rms, free {1e3 * without.forecast.rms:.4f} mm: ratio "
-        f"{made.forecast.rms / without.forecast.rms:.3f};",
-        f"- moves between poses that are not free: {len(made.blocked)}.",
-    ]
+    cell = replace(paper_cell(), tracker=surroundings().tracker)
+    unhindered = plan(robot, cell, request, collisions=None)
+    refused = ", ".join(f"{count} {reason}" for reason, count in planned.refused.items())
+    rms, free_rms = planned.forecast.rms, unhindered.forecast.rms
+    yield ["candidates", str(planned.drawn)]
+    yield ["that could be measured", f"{planned.candidates} ({refused})"]
+    yield ["time", f"{seconds:.1f} s"]
+    yield ["forecast, rms", f"{1e3 * rms:.4f} mm"]
+    yield ["forecast of the free plan, rms", f"{1e3 * free_rms:.4f} mm"]
+    yield ["ratio", f"{rms / free_rms:.3f}"]
+    yield ["moves between poses that are not free", str(len(planned.blocked))]
 
 
-def trials(count: int, model: str, poses: Array | None, number: int) -> Study:
-    """Simulated calibrations at these poses, or at random ones that differ each time."""
-    robot = ur3()
-    what = Trials(
-        scenario=Scenario(robot, cell=cell_of(model), model=model),
-        cell=cell_of(model),
+def simulate(runs: int, model: str, count: int, poses: Array | None = None) -> Study:
+    """Simulate calibrations.
+
+    Args:
+        runs: Number of calibrations.
+        model: Model of the robots' errors and of the fits.
+        count: Number of poses.
+        poses: shape (count, 6), the poses [rad]; None: random ones that differ each time.
+    """
+    cell = paper_cell(model)
+    trials = Trials(
+        scenario=Scenario(ur3(), cell=cell, model=model),
+        cell=cell,
         poses=poses,
         sets=() if poses is None else ("estimate",) * len(poses),
-        count=number,
+        count=count,
         validate=False,
     )
-    with ProcessPoolExecutor(max(1, len(os.sched_getaffinity(0)))) as executor:
-        return study(what, count, executor=executor)
+    with process_pool(core_count()) as executor:
+        return study(trials, runs, executor=executor)
 
 
-def comparison(count: int, candidates: int) -> list[str]:
-    """Planned poses against random ones, and forecasts against what is reached."""
-    lines = []
+def comparison_rows(runs: int, candidates: int) -> Iterator[list[str]]:
+    """Yield errors reached with planned poses over those with random ones, and forecasts over errors."""
     for model in ("hayati", "placement"):
-        random = trials(count, model, None, 30)
-        for number in (30, 15):
-            made = plan(
-                ur3(),
-                cell_of(model),
-                PlanRequest(number, 0, candidates=candidates, ladder=False),
-                collisions=None,
-            )
-            found = trials(count, model, made.estimation, number)
-            foreseen = found.forecast
-            if foreseen is None:
+        random = simulate(runs, model, 30)
+        for count in (30, 15):
+            planned, _ = free_plan(count, candidates, model=model)
+            reached = simulate(runs, model, count, planned.estimation)
+            if reached.forecast is None:
                 raise RuntimeError("A study with noise has a forecast.")
-            lines.append(
-                f"| {model}, {number} planned | {1e3 * found.rms:.4f} ± {1e3 * found.rms_error:.4f} | "
-                f"{found.rms / random.rms:.3f} | {foreseen.rms / found.rms:.3f} | "
-                f"{100 * float(np.mean(found.values('covered'))):.1f} % |"
-            )
-        foreseen = random.forecast
-        lines.append(
-            f"| {model}, 30 random | {1e3 * random.rms:.4f} ± {1e3 * random.rms_error:.4f} | 1 | | "
-            f"{100 * float(np.mean(random.values('covered'))):.1f} % |"
-        )
-    return lines
+            yield [
+                f"{model}, {count} planned",
+                f"{1e3 * reached.rms:.4f} ± {1e3 * reached.rms_error:.4f}",
+                f"{reached.rms / random.rms:.3f}",
+                f"{reached.forecast.rms / reached.rms:.3f}",
+                f"{100 * float(np.mean(reached.values('covered'))):.1f} %",
+            ]
+        yield [
+            f"{model}, 30 random",
+            f"{1e3 * random.rms:.4f} ± {1e3 * random.rms_error:.4f}",
+            "1",
+            "",
+            f"{100 * float(np.mean(random.values('covered'))):.1f} %",
+        ]
 
 
-def large(candidates: int) -> list[str]:
-    """Time and memory of very many candidates."""
-    found, seconds = free(30, candidates, "V")
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
-    bound = found.workspace_rank / found.poses
-    return [
-        f"{candidates} candidates: {seconds:.1f} s, {memory:.2f} GB at most, mean "
-        f"{found.mean_variance / bound:.3f} rank/N"
-    ]
+def many_rows(candidates: int) -> Iterator[list[str]]:
+    """Yield time, memory and mean variance with very many candidates."""
+    planned, seconds = free_plan(30, candidates)
+    gigabytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+    forecast = planned.forecast
+    mean = forecast.mean_variance * forecast.poses / forecast.workspace_rank
+    yield [str(candidates), f"{seconds:.1f} s", f"{gigabytes:.2f} GB", f"{mean:.3f}"]
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+def main() -> None:
     """Print all tables."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    parser = study_parser(__doc__)
+    parser.add_argument("--quick", action="store_true", help="fewer calibrations and candidates")
+    arguments = parser.parse_args()
+    candidates, runs = 20_000, 200
+    if arguments.quick:
+        candidates, runs = 4000, 20
+    print_table(
+        ["poses", "rms error over the workspace, in noise of one measurement"],
+        worth_rows(candidates),
     )
-    parser.add_argument("--quick", action="store_true")
-    quick = parser.parse_args(arguments).quick
-    candidates, count = (4000, 20) if quick else (20_000, 200)
-    titled: dict[str, Callable[[], list[str]]] = {
-        "poses | rms error over the workspace, in noise of one measurement": lambda: yardstick(
-            candidates
-        ),
-        "criterion | mean, in rank/N | worst, in rank/N | time": lambda: criteria(candidates),
-        "limits, collisions, sight": lambda: obstacles(candidates),
-        f"{count} calibrations each | rms error at unseen poses [mm] | over 30 random | forecast over reached | "
-        "inside 95 % regions": lambda: comparison(count, candidates),
-        "many candidates": lambda: large(5 * candidates),
-    }
-    for title, lines in track(titled.items(), "tables", console=Console(stderr=True)):
-        print(f"\n{title}", *lines(), sep="\n", flush=True)
+    print()
+    titles = ["criterion", "mean, in rank/N", "worst, in rank/N", "time"]
+    print_table(titles, criterion_rows(candidates))
+    print()
+    print_table(["limits, collisions, sight", ""], obstacle_rows(candidates), [37])
+    print()
+    titles = [f"{runs} calibrations each", "rms error at other poses [mm]", "over 30 random"]
+    titles += ["forecast over reached", "inside 95 % regions"]
+    print_table(titles, comparison_rows(runs, candidates))
+    print()
+    titles = ["candidates", "time", "memory at most", "mean, in rank/N"]
+    print_table(titles, many_rows(5 * candidates))
 
 
 if __name__ == "__main__":

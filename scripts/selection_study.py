@@ -1,42 +1,64 @@
-"""What `auto` chooses, against fixed models: over truths from nothing to everything wrong, and under gravity.
+"""Models that `auto` chooses against fixed models, and its treatment of gravity and of geometries.
 
-``truths 32 12 30``: so many robots of each arm, each truth and each of these numbers of points (else of all); the mean
-error on unseen poses of what `auto` predicts, over that of the fixed model whose mean is the least.
-``gravity 200``: arms with compliance and masses whose
-URDFs have none, against a fit that knows masses, payload and structure; and arms without compliance.
-``geometry 400 1000``: so many robots from this seed on whose families are wrong by widely different amounts, half of
-them also by what no model holds; the geometry that `auto` takes, against that of the highest evidence.
+    python scripts/selection_study.py truths 32 12 30
+    python scripts/selection_study.py gravity 200
+    python scripts/selection_study.py geometry 400 1000
+
+``truths RUNS [POINTS ...]`` draws so many robots of each arm and each truth, from no errors to errors of all families,
+for each number of points. Printed is the mean error at other poses of the model that `auto` chooses, over that of the
+fixed model whose mean is the least.
+
+``gravity RUNS`` draws arms with compliance and masses whose URDFs have none. Printed is the error of `auto` over that
+of a fit that knows masses, payload and structure; and the same of stiff arms.
+
+``geometry RUNS [SEED]`` draws robots whose families err by widely different amounts, half of them also by errors that
+no model holds. Printed is the error of the geometry of `auto` over that of the geometry of the highest evidence.
 """
 
 from __future__ import annotations
 
-import re
-import sys
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
+from arms import load_arm, without_masses
+from studies import (
+    add_noise,
+    draw_seed,
+    joint_values_around,
+    log_uniform,
+    print_table,
+    rms_length,
+    run_cases,
+    run_jobs,
+    study_parser,
+)
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.estimate.fitting import Fitted, fit
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Samples
-from calib.result.calibrate import fit_table
+from calib.result.fits import fit_table
 from calib.robot.gravity import gravity_loads
 from calib.robot.payload import Payload
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
-from calib.robot.urdf import Urdf
 from calib.selection.reference_fit import with_better_weights
 from calib.simulation.truth import Truth, draw_truth
 from calib.units import Array
 
-ARMS = {"ur5": ("base_link", "tool0"), "panda": ("panda_link0", "panda_link8")}
-SIGMA, UNSEEN = 5e-5, 400
+ARMS = ("ur5", "panda")
 
-#: What is wrong with a robot, and which families a URDF without masses leaves to gravity.
+#: Noise of a coordinate, where it is not drawn [m].
+SIGMA = 5e-5
+
+#: Poses at which predictions are compared with the truth.
+OTHER = 400
+
+#: Models of the errors of `truths`, by their title.
 TRUTHS = {
     "nothing": "frames",
     "zeros": "zeros",
@@ -45,221 +67,298 @@ TRUTHS = {
     "dh, compliance": "dh+compliance",
     "all": "placement+gain+eccentricity+compliance",
 }
+
+#: Numbers of points of `truths`.
 COUNTS = (12, 30, 60, 300)
+
+#: Models that `auto` is compared with. Gravity is fitted without masses, as compliance needs them.
 FIXED = (
-    *("frames", "zeros", "dh", "placement", "zeros+eccentricity", "zeros+gravity", "dh+gain"),
-    *("dh+eccentricity", "dh+gravity", "dh+eccentricity+gravity"),
+    "frames",
+    "zeros",
+    "dh",
+    "placement",
+    "zeros+eccentricity",
+    "zeros+gravity",
+    "dh+gain",
+    "dh+eccentricity",
+    "dh+gravity",
+    "dh+eccentricity+gravity",
     "placement+gain+eccentricity+gravity",
 )
 
-#: What is wrong with a robot of `geometry`; the range that each family's errors may be over the usual ones, and those
-#: of joint angles that no model holds [rad].
-WIDE = ("frames", "zeros", "dh", "placement", "dh+gain", "dh+eccentricity", "placement+gravity")
-SHARES, UNMODELLED = (0.05, 5.0), (1e-5, 3e-3)
-WIDE_COUNTS, WIDE_SIGMAS, CORNERS = (8, 10, 12, 15, 20, 30, 50, 100), (1e-5, 1e-3), (1.0, 0.5, 0.2)
+#: Numbers of points of `gravity`.
+GRAVITY_COUNTS = (40, 60, 100, 200)
 
-#: An ABB IRB 120 by its data sheet: mass [kg], its centre, the next joint's origin [m], axis and limit [rad].
-IRB120 = (
-    (0.0, "0 0 0", "0 0 0.29", "0 0 1", 2.87),
-    (3.07, "0 0 -0.05", "0 0 0", "0 1 0", 1.9),
-    (3.9, "0 0 0.1", "0 0 0.27", "0 1 0", 1.2),
-    (2.94, "0.06 0 0.02", "0 0 0.07", "1 0 0", 2.79),
-    (1.33, "0.22 0 0", "0.302 0 0", "0 1 0", 2.09),
-    (0.55, "0 0 0", "0.072 0 0", "1 0 0", 3.1),
+#: Models of the errors of stiff arms of `gravity`, by turns.
+STIFF = ("dh", "dh+eccentricity", "zeros+gain")
+
+#: Models of the errors of `geometry`.
+GEOMETRY_TRUTHS = (
+    "frames",
+    "zeros",
+    "dh",
+    "placement",
+    "dh+gain",
+    "dh+eccentricity",
+    "placement+gravity",
 )
+
+#: Range of the standard deviation of a family's errors over its typical one.
+SIZES = (0.05, 5.0)
+
+#: Range of the amplitude of errors of joint angles that no model holds [rad].
+UNMODELLED = (1e-5, 3e-3)
+
+#: Range of the noise of `geometry` [m].
+SIGMAS = (1e-5, 1e-3)
+
+#: Shares of the joint ranges in which the poses of `geometry` are.
+SHARES = (1.0, 0.5, 0.2)
+
+#: Numbers of points of `geometry`.
+GEOMETRY_COUNTS = (8, 10, 12, 15, 20, 30, 50, 100)
 
 
 @dataclass(frozen=True)
 class Table:
-    """Points of a robot whose truth is known."""
+    """Points of a robot whose true errors are known."""
 
-    robot: Robot  # As calib gets it
+    robot: Robot  # As calib is given it
     cell: Cell
     measurements: Measurements
-    q: Array  # Unseen joint values
-    true: Array  # Where the target is there, shape (N, 3) [m]
+    q: Array  # shape (OTHER, m), other poses [rad]
+    true: Array  # shape (OTHER, 3), true positions of the target at these [m]
 
     def error(self, fitted: Fitted) -> float:
-        """Of predictions at the unseen poses, rms [m]."""
+        """Return the error of predictions at the other poses, rms [m]."""
         load = gravity_loads(self.robot, self.q, self.cell.payload)
-        points = fitted.kinematics.points(fitted.estimate.x, Samples.at(self.q, load))
-        return float(np.sqrt(np.mean(np.sum((points - self.true) ** 2, axis=1))))
+        predicted = fitted.kinematics.points(fitted.estimate.x, Samples.at(self.q, load))
+        return rms_length(predicted - self.true)
 
-    def by(self, model: str) -> Fitted:
-        """The fit that predicts best."""
+    def fit(self, model: str) -> Fitted:
+        """Fit a model; return its non-geometric fit where it has one, for this predicts best."""
         fits = fit_table(self.robot, self.measurements, self.cell, model=model)
-        return fits.non_geometric or fits.fitted
+        return fits.non_geometric or fits.geometry
 
 
-def measured(truth: Truth, cell: Cell, count: int, seed: int) -> Table:
-    """A table of a robot, at random poses."""
-    robot, rng = truth.nominal, np.random.default_rng([seed, count])
+def measure(truth: Truth, cell: Cell, count: int, seed: int) -> Table:
+    """Measure a robot at random poses.
+
+    Args:
+        truth: The robot.
+        cell: What calib is given.
+        count: Number of points.
+        seed: Of the random numbers.
+    """
+    robot = truth.nominal
+    rng = np.random.default_rng([seed, count])
     q = random_joint_values(robot, count, seed + 1000)
-    points = truth.points(q) + SIGMA * rng.normal(size=(count, 3))
-    made = Measurements(robot.joint_names, q, points)
-    unseen = random_joint_values(robot, UNSEEN, 99)
-    return Table(robot, cell, made, unseen, truth.points(unseen))
+    points = add_noise(truth.points(q), SIGMA, rng)
+    other = random_joint_values(robot, OTHER, 99)
+    measurements = Measurements(robot.joint_names, q, points)
+    return Table(robot, cell, measurements, other, truth.points(other))
 
 
-def without_masses(robot: Robot) -> Robot:
-    """The same robot, by a URDF that says nothing of inertia."""
-    text = robot.urdf.data.decode(robot.urdf.encoding)
-    text = re.sub(r"<inertial\b.*?</inertial>|<inertial\s*/>", "", text, flags=re.S)
-    urdf = Urdf.from_bytes(text.encode(robot.urdf.encoding), "bare.urdf")
-    return Robot.from_urdf(urdf, robot.base, robot.tip)
+# truths
 
 
-def irb120() -> Robot:
-    """See `IRB120`."""
-    links, joints = "", ""
-    for k, (mass, centre, origin, axis, limit) in enumerate(IRB120):
-        inertia = 'ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"'
-        inside = f'<origin xyz="{centre}"/><mass value="{mass}"/><inertia {inertia}/>'
-        links += f'<link name="link_{k}">{f"<inertial>{inside}</inertial>" if mass else ""}</link>'
-        joints += (
-            f'<joint name="joint_{k + 1}" type="revolute"><parent link="link_{k}"/>'
-            f'<child link="link_{k + 1}"/><origin xyz="{origin}"/><axis xyz="{axis}"/>'
-            f'<limit lower="{-limit}" upper="{limit}" effort="1" velocity="1"/></joint>'
-        )
-    text = f'<robot name="irb120">{links}<link name="link_6"/>{joints}</robot>'
-    return Robot.from_urdf(Urdf.from_bytes(text.encode(), "irb120.urdf"), "link_0", "link_6")
+def table_of_truth(arm: str, true_model: str, count: int, seed: int) -> Table:
+    """Draw a robot and measure it.
 
-
-def table_of_truth(arm: str, true: str, count: int, seed: int) -> Table:
-    """A table of a robot that is wrong in a known way; the frame is known to half of them."""
-    robot, rng = Robot.load(arm, *ARMS[arm]), np.random.default_rng([seed, count])
+    Args:
+        arm: Name of the arm.
+        true_model: Model of its errors.
+        count: Number of points.
+        seed: Of the random numbers; the measurement frame is known if it is even.
+    """
+    robot = load_arm(arm)
+    rng = np.random.default_rng([seed, count])
     cell = Cell(estimate_frame=bool(seed % 2), payload=Payload(2.0, np.array([0.0, 0.0, 0.05])))
-    sizes = None if true == "frames" else {"compliance": 10.0 ** rng.uniform(-5.0, -4.0)}
-    table = measured(draw_truth(robot, true, sizes, seed, cell=cell), cell, count, seed)
-    if not true.endswith("compliance"):
-        return table
-    return replace(table, robot=without_masses(robot), cell=replace(cell, payload=None))
+    std = None
+    if true_model != "frames":
+        std = {"compliance": 10.0 ** rng.uniform(-5.0, -4.0)}
+    table = measure(draw_truth(robot, true_model, std, seed, cell=cell), cell, count, seed)
+    if true_model.endswith("compliance"):
+        # The fit knows neither the masses nor the payload.
+        table = replace(table, robot=without_masses(robot), cell=replace(cell, payload=None))
+    return table
 
 
 def errors_by_model(table: Table) -> dict[str, float]:
-    """The error of each fixed model, and of `auto`."""
+    """Return the error of `auto` and of each fixed model, rms [m]."""
     auto = fit_table(table.robot, table.measurements, table.cell, model="auto")
-    found = {"auto": table.error(auto.non_geometric or auto.fitted)}
-    task, rows = replace(auto.fitted.task, lenient=True), auto.fitted.estimate.problem.rows
-    found |= {m: table.error(fit(replace(task, model=m), rows)) for m in FIXED}
-    return found
+    errors = {"auto": table.error(auto.non_geometric or auto.geometry)}
+    task = replace(auto.geometry.task, lenient=True)
+    rows = auto.geometry.estimate.problem.rows
+    for model in FIXED:
+        errors[model] = table.error(fit(replace(task, model=model), rows))
+    return errors
 
 
-def truths(runs: int, *counts: int) -> Iterator[str]:
-    """A line for each truth and number of points."""
-    for name, true in TRUTHS.items():
-        for count in counts or COUNTS:
-            found = defaultdict(list)
-            for arm in ARMS:
-                for seed in range(runs):
-                    for model, error in errors_by_model(
-                        table_of_truth(arm, true, count, seed)
-                    ).items():
-                        found[model].append(error)
-            mean = {model: float(np.mean(one)) for model, one in found.items()}
-            best = min((m for m in mean if m != "auto"), key=mean.__getitem__)
-            yield (
-                f"{name:18} n {count:4}: auto {1e3 * mean['auto']:.4f} mm, "
-                f"{mean['auto'] / mean[best]:.3f} of {best}"
-            )
+def run_truth(case: tuple[str, int], run: tuple[str, int]) -> dict[str, float]:
+    """Return the errors by model of a truth's title and number of points, for an arm and seed."""
+    title, count = case
+    arm, seed = run
+    return errors_by_model(table_of_truth(arm, TRUTHS[title], count, seed))
 
 
-def gravity(runs: int) -> Iterator[str]:
-    """A line for each arm with compliance, and one for arms without."""
-    arms = {arm: Robot.load(arm, *links) for arm, links in ARMS.items()} | {"irb120": irb120()}
-    for soft in (True, False):
-        for arm, robot in arms.items():
-            auto, known = [], []
-            for seed in range(runs):
-                rng = np.random.default_rng([seed, len(arm)])
-                count, free = int(rng.choice([40, 60, 100, 200])), bool(rng.integers(2))
-                cell, c = Cell(estimate_frame=free), 10.0 ** rng.uniform(-5.0, -4.0)
-                springs = c * rng.uniform(0.5, 1.5, len(robot.joints)) * soft
-                errors = {
-                    f"{j.name}.compliance": s for j, s in zip(robot.joints, springs, strict=True)
-                }
-                true = (
-                    "dh+compliance" if soft else ("dh", "dh+eccentricity", "zeros+gain")[seed % 3]
-                )
-                truth = draw_truth(
-                    robot, true, {}, seed, cell=cell, errors=errors if soft else None
-                )
-                table = measured(truth, cell, count, seed)
-                known.append(table.error(table.by(true)))
-                bare = replace(table, robot=without_masses(robot))
-                auto.append(bare.error(bare.by("auto")))
-            ratio = np.log(np.array(auto) / np.array(known))
-            yield (
-                f"{'compliant' if soft else 'stiff':9} {arm:7} auto over the known structure: "
-                f"means {np.mean(auto) / np.mean(known):.3f}, geometric {np.exp(ratio.mean()):.3f}"
-                f" +- {ratio.std() / np.sqrt(runs):.3f}, median {np.exp(np.median(ratio)):.3f}"
-            )
+def truth_rows(runs: int, counts: Sequence[int], workers: int) -> Iterator[list[str]]:
+    """Yield the error of `auto` over that of the best fixed model, for each truth and number of points."""
+    cases = product(TRUTHS, counts or COUNTS)
+    robots = list(product(ARMS, range(runs)))
+    for (title, count), errors in run_cases(run_truth, cases, robots, workers=workers):
+        mean = {model: float(np.mean([e[model] for e in errors])) for model in errors[0]}
+        auto = mean.pop("auto")
+        best = min(mean, key=mean.__getitem__)
+        yield [title, str(count), f"{1e3 * auto:.4f}", f"{auto / mean[best]:.3f}", best]
+
+
+# gravity
+
+
+def run_gravity(case: tuple[bool, str], seed: int) -> tuple[float, float]:
+    """Fit an arm without masses by `auto`, and with them by its true model.
+
+    Args:
+        case: If the arm is compliant; its name.
+        seed: Of the random numbers.
+
+    Returns:
+        Error of `auto` and of the true model at other poses, rms [m].
+    """
+    compliant, arm = case
+    robot = load_arm(arm)
+    rng = np.random.default_rng([seed, len(arm)])
+    count = int(rng.choice(GRAVITY_COUNTS))
+    cell = Cell(estimate_frame=bool(rng.integers(2)))
+    compliance = 10.0 ** rng.uniform(-5.0, -4.0)
+    compliances = compliance * rng.uniform(0.5, 1.5, len(robot.joints))
+    model = STIFF[seed % 3]
+    errors = None
+    if compliant:
+        model = "dh+compliance"
+        names = (f"{joint.name}.compliance" for joint in robot.joints)
+        errors = dict(zip(names, compliances, strict=True))
+    truth = draw_truth(robot, model, {}, seed, cell=cell, errors=errors)
+    table = measure(truth, cell, count, seed)
+    bare = replace(table, robot=without_masses(robot))
+    return bare.error(bare.fit("auto")), table.error(table.fit(model))
+
+
+def gravity_rows(runs: int, workers: int) -> Iterator[list[str]]:
+    """Yield the error of `auto` over that of the true model, for each arm."""
+    cases = product((True, False), (*ARMS, "irb120"))
+    for (compliant, arm), errors in run_cases(run_gravity, cases, range(runs), workers=workers):
+        auto, known = np.array(errors).T
+        logs = np.log(auto / known)
+        yield [
+            "compliant" if compliant else "stiff",
+            arm,
+            f"{np.mean(auto) / np.mean(known):.3f}",
+            f"{np.exp(logs.mean()):.3f} +- {logs.std() / np.sqrt(runs):.3f}",
+            f"{np.exp(np.median(logs)):.3f}",
+        ]
+
+
+# geometry
 
 
 def drawn_widely(seed: int) -> tuple[str, Table]:
-    """What is wrong with a robot, and a table of it in a part of its joints' ranges."""
+    """Draw a robot whose families err by widely different amounts, and measure it in a part of its joint ranges.
+
+    Args:
+        seed: Of the random numbers.
+
+    Returns:
+        The geometry in which it errs, and the table.
+    """
     rng = np.random.default_rng([23, seed])
-    arm, wrong = str(rng.choice(list(ARMS))), str(rng.choice(WIDE))
-    robot, cell = Robot.load(arm, *ARMS[arm]), Cell(estimate_frame=bool(rng.integers(2)))
-    sizes = {name: row.typical * log_uniform(rng, SHARES) for name, row in FAMILIES.items()}
-    truth = draw_truth(
-        robot, wrong, None if wrong == "frames" else sizes, int(rng.integers(10**6)), cell=cell
-    )
+    arm = str(rng.choice(ARMS))
+    true_model = str(rng.choice(GEOMETRY_TRUTHS))
+    robot = load_arm(arm)
+    cell = Cell(estimate_frame=bool(rng.integers(2)))
+    std = {name: row.typical * log_uniform(rng, *SIZES) for name, row in FAMILIES.items()}
+    sizes = None if true_model == "frames" else std
+    truth = draw_truth(robot, true_model, sizes, draw_seed(rng), cell=cell)
+
     joints = len(robot.joint_names)
-    size = log_uniform(rng, UNMODELLED) * bool(rng.integers(2))
-    order, phase = rng.integers(2, 6, joints), rng.uniform(0.0, 2.0 * np.pi, joints)
+    amplitude = log_uniform(rng, *UNMODELLED) * bool(rng.integers(2))
+    order = rng.integers(2, 6, joints)
+    phase = rng.uniform(0.0, 2.0 * np.pi, joints)
 
-    def points(q: Array) -> Array:
-        return truth.points(q + size * np.sin(order * q + phase))
+    def true_points(q: Array) -> Array:
+        """Return the true points, with harmonic errors of the joint angles that no model holds."""
+        return truth.points(q + amplitude * np.sin(order * q + phase))
 
-    middle = random_joint_values(robot, 1, int(rng.integers(10**6)))
-    share, count = float(rng.choice(CORNERS)), int(rng.choice(WIDE_COUNTS))
-    seeds = int(rng.integers(10**6)), 98
-    q, unseen = (
-        middle + share * (random_joint_values(robot, n, s) - middle)
-        for n, s in zip((count, UNSEEN), seeds, strict=True)
-    )
-    noise = log_uniform(rng, WIDE_SIGMAS) * rng.normal(size=(count, 3))
-    made = Measurements(robot.joint_names, q, points(q) + noise)
-    return wrong.split("+")[0], Table(robot, cell, made, unseen, points(unseen))
-
-
-def log_uniform(rng: np.random.Generator, limits: tuple[float, float]) -> float:
-    """A number between two limits, each power of ten as likely."""
-    return float(np.exp(rng.uniform(*np.log(limits))))
+    centre = random_joint_values(robot, 1, draw_seed(rng))
+    share = float(rng.choice(SHARES))
+    count = int(rng.choice(GEOMETRY_COUNTS))
+    q = joint_values_around(centre, share, robot, count, draw_seed(rng))
+    other = joint_values_around(centre, share, robot, OTHER, 98)
+    points = add_noise(true_points(q), log_uniform(rng, *SIGMAS), rng)
+    measurements = Measurements(robot.joint_names, q, points)
+    geometry = true_model.split("+")[0]
+    return geometry, Table(robot, cell, measurements, other, true_points(other))
 
 
-def geometry(runs: int, first: int = 0) -> Iterator[str]:
-    """A line for each kind of robot: error of the geometry of `auto` over that of the highest evidence."""
+def run_geometry(seed: int) -> tuple[str, int, float]:
+    """Fit a robot of `drawn_widely` by the geometry of `auto` and by that of the highest evidence.
+
+    Returns:
+        The geometry in which it errs, the number of points, and the error of the first fit over that of the second.
+    """
+    geometry, table = drawn_widely(seed)
+    count = len(table.measurements)
+    fits = fit_table(table.robot, table.measurements, table.cell, model="auto")
+    geometries = [candidate for candidate in fits.candidates if "+" not in candidate.name]
+    likeliest = max(geometries, key=lambda candidate: candidate.evidence).name
+    if likeliest == fits.geometry.task.model:
+        return geometry, count, 1.0
+    rows = fits.geometry.estimate.problem.rows
+    likeliest_fit = fit(replace(fits.geometry.task, model=likeliest), rows)
+    reference = fits.non_geometric or fits.geometry
+    error = table.error(with_better_weights(likeliest_fit, rows, reference))
+    return geometry, count, table.error(fits.geometry) / error
+
+
+def geometry_rows(runs: int, first: int, workers: int) -> Iterator[list[str]]:
+    """Yield the ratio of the errors, for all robots, each true geometry, few points and many."""
+    seeds = [(seed,) for seed in range(first, first + runs)]
     ratios = defaultdict(list)
-    for seed in range(first, first + runs):
-        wrong, table = drawn_widely(seed)
-        fits = fit_table(table.robot, table.measurements, table.cell, model="auto")
-        sets = [c for c in fits.candidates if "+" not in c.name]
-        likeliest = max(sets, key=lambda c: c.evidence).name
-        ratio = 1.0
-        if likeliest != fits.fitted.task.model:
-            task, rows = fits.fitted.task, fits.fitted.estimate.problem.rows
-            other = fit(replace(task, model=likeliest), rows)
-            judge = fits.non_geometric or fits.fitted
-            ratio = table.error(fits.fitted) / table.error(with_better_weights(other, rows, judge))
-        count = len(table.measurements)
-        for group in ("all", wrong, "below 16 poses" if count < 16 else "16 poses and more"):
+    for geometry, count, ratio in run_jobs(run_geometry, seeds, workers=workers):
+        many = "below 16 poses" if count < 16 else "16 poses and more"
+        for group in ("all", geometry, many):
             ratios[group].append(ratio)
-    for group, found in ratios.items():
-        logs = np.log(found)
-        yield (
-            f"{group:18} {len(found):4} robots: {np.exp(logs.mean()):.4f}, another geometry in "
-            f"{np.sum(logs != 0.0)}, better by 1 % in {np.sum(logs < -0.01)}, worse in "
-            f"{np.sum(logs > 0.01)}"
-        )
+    for group, of_group in ratios.items():
+        logs = np.log(of_group)
+        yield [
+            group,
+            str(len(logs)),
+            f"{np.exp(logs.mean()):.4f}",
+            str(np.sum(logs != 0.0)),
+            str(np.sum(logs < -0.01)),
+            str(np.sum(logs > 0.01)),
+        ]
 
 
 def main() -> None:
-    """One of the three."""
-    study = {"truths": truths, "gravity": gravity, "geometry": geometry}[sys.argv[1]]
-    for line in study(*map(int, sys.argv[2:])):
-        print(line, flush=True)
+    """Print one of the three tables."""
+    parser = study_parser(__doc__, parallel=True)
+    parser.add_argument("part", choices=["truths", "gravity", "geometry"])
+    parser.add_argument("runs", type=int, metavar="RUNS")
+    parser.add_argument("numbers", type=int, nargs="*", metavar="POINTS or SEED")
+    arguments = parser.parse_args()
+    runs, numbers, workers = arguments.runs, arguments.numbers, arguments.workers
+    if arguments.part == "truths":
+        titles = ["errors", "points", "auto [mm]", "over the best", "which is"]
+        print_table(titles, truth_rows(runs, numbers, workers), [18, 6])
+    elif arguments.part == "gravity":
+        titles = ["joints", "arm", "ratio of means", "geometric mean", "median"]
+        print_table(titles, gravity_rows(runs, workers), [9, 7])
+    else:
+        first = numbers[0] if numbers else 0
+        titles = ["robots", "number", "ratio", "another geometry", "better by 1 %", "worse by 1 %"]
+        print_table(titles, geometry_rows(runs, first, workers), [18])
 
 
 if __name__ == "__main__":

@@ -1,154 +1,242 @@
-"""Several targets seen at each stop, against poses of the body that carries them, made from the same points.
+"""Several targets measured at each stop, against poses of the body that carries them, made from the same points.
 
-``100 30``: so many UR5s of ``dh`` errors with four markers on the hand, seen at so many stops (30 if none is
-said) by cameras that stand anywhere; by how much each stop is missed, in units of the cameras' noise; the error on
-unseen poses of a fit to the markers over that of a fit to poses of the hand, and standard deviations over errors.
+    python scripts/stops_study.py 100      so many robots
+    python scripts/stops_study.py 100 30   at so many stops each
+
+UR5s of `dh` errors carry four markers on the hand, measured by cameras that stand anywhere. The robot misses each stop
+by a multiple of the cameras' noise. Printed is the true error at other poses of a fit to the markers over that of a fit
+to poses of the hand, the standard deviation that the first states over its error, and the shares of the variance that
+the markers of a stop have in common, by a translation and by a rotation of the hand.
 """
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from arms import load_arm
 from scipy.spatial.transform import Rotation
+from studies import add_noise, print_table, rms, run_cases, study_parser
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.estimate.fitting import Fitted
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
-from calib.numerics.errors import rms
-from calib.result.calibrate import fit_table
+from calib.result.fits import fit_table
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.units import Array
 
-#: Noise of the cameras, places of the markers on the hand [m], and how far a stop is missed over that noise.
-NOISE, MISSED = 5e-5, (0.0, 1.0, 3.0, 10.0)
+#: Noise of a coordinate [m].
+NOISE = 5e-5
+
+#: Distances by which a stop is missed, rms, over the noise of a point.
+MISSED = (0.0, 1.0, 3.0, 10.0)
+
+#: Positions of the markers on the hand [m].
 MARKERS = np.array([[0.08, 0.0, 0.05], [-0.07, 0.03, 0.08], [0.0, -0.09, 0.06], [0.02, 0.06, 0.14]])
 
 #: Poses at which the fits are compared.
-UNSEEN = 200
+OTHER = 200
+
+#: Seed of these poses.
+OTHER_SEED = 98
 
 
 @dataclass(frozen=True)
 class Hand:
-    """A robot that is wrong in a known way, and markers on its hand that were seen."""
+    """A robot with known errors, and measured markers on its hand."""
 
-    true: Kinematics
-    x: Array
-    q: Array  # (stops, 6), [rad]
-    points: Array  # (stops, markers, 3), [m]
+    true: Kinematics  # The robot's errors, the cameras' frame and the markers
+    x: Array  # shape (p,), true values of the errors
+    q: Array  # shape (stops, 6), joint values that are read [rad]
+    points: Array  # shape (stops, markers, 3), measured points [m]
 
     @classmethod
-    def drawn(cls, robot: Robot, stops: int, missed: float, seed: int) -> Hand:
-        """A robot, its stops and what was seen there."""
-        rng, model = np.random.default_rng([seed, stops]), error_model(robot, "dh")
-        size = np.where(np.array(model.units) == "m", 1e-3, 5e-3)
-        x, targets = size * rng.normal(size=len(model)), np.tile(np.eye(4), (len(MARKERS), 1, 1))
-        targets[:, :3, 3] = MARKERS
-        frame = np.eye(4)
-        frame[:3, :3] = Rotation.random(random_state=seed).as_matrix()
-        frame[:3, 3] = rng.uniform(-3.0, 3.0, 3)
-        true = Kinematics(robot, model, frame[None], targets)
-        q = random_joint_values(robot, stops, seed)
-        off = rng.normal(size=q.shape)
-        moved = np.linalg.norm(seen(true, x, q + 1e-6 * off) - seen(true, x, q), axis=2) / 1e-6
-        off *= missed * NOISE * np.sqrt(3.0) / rms(moved)
-        points = seen(true, x, q + off)
-        return cls(true, x, q, points + NOISE * rng.normal(size=points.shape))
+    def draw(cls, robot: Robot, stops: int, missed: float, seed: int) -> Hand:
+        """Draw errors, the cameras' place and stops, and measure.
 
-    def by_points(self) -> Measurements:
-        """A table with a row for each marker."""
-        count, k = self.points.shape[:2]
+        Args:
+            robot: The nominal robot.
+            stops: Number of stops.
+            missed: Distance by which the markers miss a stop, rms, over the noise of a point.
+            seed: Of the random numbers.
+        """
+        rng = np.random.default_rng([seed, stops])
+        model = error_model(robot, "dh")
+        std = np.where(np.array(model.units) == "m", 1e-3, 5e-3)
+        x = std * rng.normal(size=len(model))
+        T_tip_target = np.tile(np.eye(4), (len(MARKERS), 1, 1))
+        T_tip_target[:, :3, 3] = MARKERS
+        T_frame_base = np.eye(4)
+        T_frame_base[:3, :3] = Rotation.random(random_state=seed).as_matrix()
+        T_frame_base[:3, 3] = rng.uniform(-3.0, 3.0, 3)
+        true = Kinematics(robot, model, T_frame_base[None], T_tip_target)
+        q = random_joint_values(robot, stops, seed)
+        q_error = rng.normal(size=q.shape)
+        step = marker_positions(true, x, q + 1e-6 * q_error) - marker_positions(true, x, q)
+        slope = np.linalg.norm(step, axis=2) / 1e-6  # [m], of a unit of q_error
+        q_error *= missed * NOISE * np.sqrt(3.0) / rms(slope)
+        points = marker_positions(true, x, q + q_error)
+        return cls(true, x, q, add_noise(points, NOISE, rng))
+
+    def point_table(self) -> Measurements:
+        """Return a table with a row for each marker of each stop."""
+        stops, markers = self.points.shape[:2]
         return Measurements(
             self.true.robot.joint_names,
-            np.repeat(self.q, k, axis=0),
+            np.repeat(self.q, markers, axis=0),
             self.points.reshape(-1, 3),
-            targets=tuple(f"m{t}" for _ in range(count) for t in range(k)),
+            targets=tuple(f"m{k}" for k in range(markers)) * stops,
         )
 
-    def by_poses(self) -> tuple[Measurements, Array]:
-        """A table with a row for each pose of the hand, and the markers in it."""
+    def pose_table(self) -> tuple[Measurements, Array]:
+        """Make poses of the hand from the points.
+
+        Returns:
+            A table with a row for each stop, and the markers in the hand's frame, shape (markers, 3), [m].
+        """
         body = self.points[0] - self.points[0].mean(axis=0)
         for _ in range(20):
-            R, t = fitted_to(body, self.points)
+            R, t = body_poses(body, self.points)
             body = np.einsum("nji,nkj->ki", R, self.points - t[:, None]) / len(R)
             body -= body.mean(axis=0)
-        table = Measurements(
-            self.true.robot.joint_names, self.q, t, kinds=("pose",) * len(t), rotations=R
-        )
+        names = self.true.robot.joint_names
+        table = Measurements(names, self.q, t, kinds=("pose",) * len(t), rotations=R)
         return table, body
 
 
-def seen(kinematics: Kinematics, x: Array, q: Array) -> Array:
-    """The places of all targets, shape (N, k, 3), [m]."""
-    return kinematics.points(x, of_all(kinematics, q)).reshape(len(q), -1, 3)
+def marker_samples(kinematics: Kinematics, q: Array) -> Samples:
+    """Return samples of all targets at each of the joint values, shape (N, 6), [rad]."""
+    markers = len(kinematics.T_tip_target)
+    frame = np.zeros(markers * len(q), dtype=np.int_)
+    target = np.tile(np.arange(markers), len(q))
+    return Samples(np.repeat(q, markers, axis=0), frame, target)
 
 
-def of_all(kinematics: Kinematics, q: Array) -> Samples:
-    """All targets at each of some joint values."""
-    k = len(kinematics.T_tip_target)
-    frame, target = np.zeros(k * len(q), dtype=np.int_), np.tile(np.arange(k), len(q))
-    return Samples(np.repeat(q, k, axis=0), frame, target)
+def marker_positions(kinematics: Kinematics, x: Array, q: Array) -> Array:
+    """Return the positions of all targets with errors x, shape (N, targets, 3), [m]."""
+    points = kinematics.points(x, marker_samples(kinematics, q))
+    return np.asarray(points.reshape(len(q), -1, 3))
 
 
-def fitted_to(body: Array, points: Array) -> tuple[Array, Array]:
-    """The poses, (N, 3, 3) and (N, 3), that take a body's points (k, 3), centred, nearest to others (N, k, 3)."""
+def body_poses(body: Array, points: Array) -> tuple[Array, Array]:
+    """Fit poses of a body to its points (Kabsch).
+
+    Args:
+        body: shape (k, 3), points in the body, their mean zero [m].
+        points: shape (N, k, 3), the same points as measured [m].
+
+    Returns:
+        Rotations, shape (N, 3, 3), and positions, shape (N, 3), [m].
+    """
     t = points.mean(axis=1)
     U, _, V = np.linalg.svd(np.einsum("nki,kj->nij", points - t[:, None], body))
     U[:, :, 2] *= np.linalg.det(U @ V)[:, None]
-    return U @ V, t
+    return np.asarray(U @ V), t
 
 
-def errors(hand: Hand, fitted: Fitted, body: Array | None = None) -> Array:
-    """How far a fit puts the markers from where they are at unseen poses, shape (UNSEEN, k, 3), [m]."""
-    q = random_joint_values(hand.true.robot, UNSEEN, 98)
-    if body is None:
-        found = seen(fitted.kinematics, fitted.estimate.x, q)
-    else:
-        T = fitted.kinematics.poses(fitted.estimate.x, Samples.at(q))
-        found = T[:, None, :3, 3] + np.einsum("nij,kj->nki", T[:, :3, :3], body)
-    return found - seen(hand.true, hand.x, q)
+def point_fit_errors(hand: Hand, fitted: Fitted) -> Array:
+    """Return the errors of a fit to markers at other poses, shape (OTHER, markers, 3), [m]."""
+    q = random_joint_values(hand.true.robot, OTHER, OTHER_SEED)
+    predicted = marker_positions(fitted.kinematics, fitted.estimate.x, q)
+    return predicted - marker_positions(hand.true, hand.x, q)
 
 
-def stated(fitted: Fitted) -> float:
-    """The standard deviation that a fit to markers states of these at the unseen poses, rms [m]."""
-    q = random_joint_values(fitted.task.robot, UNSEEN, 98)
-    samples = of_all(fitted.kinematics, q)
+def pose_fit_errors(hand: Hand, fitted: Fitted, body: Array) -> Array:
+    """Return the errors of markers that a fit to poses predicts, shape (OTHER, markers, 3), [m].
+
+    Args:
+        hand: The truth.
+        fitted: The fit to poses of the hand.
+        body: The markers in the hand's frame, shape (markers, 3), [m].
+    """
+    q = random_joint_values(hand.true.robot, OTHER, OTHER_SEED)
+    T = fitted.kinematics.poses(fitted.estimate.x, Samples.at(q))
+    predicted = T[:, None, :3, 3] + np.einsum("nij,kj->nki", T[:, :3, :3], body)
+    return np.asarray(predicted - marker_positions(hand.true, hand.x, q))
+
+
+def stated_std(fitted: Fitted) -> float:
+    """Return the standard deviation that a fit to markers states of them at other poses, rms [m]."""
+    q = random_joint_values(fitted.task.robot, OTHER, OTHER_SEED)
+    samples = marker_samples(fitted.kinematics, q)
     _, J = fitted.kinematics.twists(fitted.estimate.x, samples, rotation=False)
-    spread = np.einsum("nij,jk,nik->ni", J, fitted.estimate.covariance, J)
-    return float(np.sqrt(np.mean(np.sum(spread, axis=1))))
+    variances = np.einsum("nij,jk,nik->ni", J, fitted.estimate.covariance, J)
+    return float(np.sqrt(np.mean(np.sum(variances, axis=1))))
 
 
-def compared(robot: Robot, stops: int, missed: float, seed: int) -> Array:
-    """Errors of the fit to the markers and of that to poses, what the first states, and its two shares, shape (5,)."""
-    hand, cell = Hand.drawn(robot, stops, missed, seed), Cell(estimate_frame=True)
-    one = fit_table(robot, hand.by_points(), cell, model="dh").fitted
-    table, body = hand.by_poses()
-    other = fit_table(robot, table, cell, model="dh").fitted
-    off, of_poses = (
-        rms(np.linalg.norm(e, axis=2)) for e in (errors(hand, one), errors(hand, other, body))
+@dataclass(frozen=True)
+class Figures:
+    """Figures of one robot."""
+
+    by_points: float  # Error of the fit to markers, rms [m]
+    by_poses: float  # Error of the fit to poses of the hand, rms [m]
+    stated: float  # Standard deviation that the fit to markers states, rms [m]
+    shares: tuple[
+        float, float
+    ]  # Of the variance of positions and of angles, common to the markers of a stop
+
+
+def compare_fits(robot: Robot, stops: int, missed: float, seed: int) -> Figures:
+    """Draw a hand, fit its markers and its poses; arguments as for `Hand.draw`."""
+    hand = Hand.draw(robot, stops, missed, seed)
+    cell = Cell(estimate_frame=True)
+    of_points = fit_table(robot, hand.point_table(), cell, model="dh").geometry
+    table, body = hand.pose_table()
+    of_poses = fit_table(robot, table, cell, model="dh").geometry
+    by_translation, by_rotation = of_points.estimate.problem.rho[0]
+    return Figures(
+        by_points=rms(np.linalg.norm(point_fit_errors(hand, of_points), axis=2)),
+        by_poses=rms(np.linalg.norm(pose_fit_errors(hand, of_poses, body), axis=2)),
+        stated=stated_std(of_points),
+        shares=(float(by_translation), float(by_rotation)),
     )
-    return np.array([off, of_poses, stated(one), *one.estimate.problem.rho[0]])
 
 
-def points(runs: int, stops: int = 30) -> Iterator[str]:
-    """A line for each repeatability of the robot."""
-    robot = Robot.load("ur5", "base_link", "tool0")
-    for missed in MISSED:
-        found = np.array([compared(robot, stops, missed, seed) for seed in range(runs)])
-        by_points, by_poses, told, *rho = found.T
-        ratio = by_points / by_poses
-        yield (
-            f"missed by {missed:4}: points over poses {rms(by_points) / rms(by_poses):.3f} rms, "
-            f"{np.mean(ratio):.3f} +- {np.std(ratio) / np.sqrt(runs):.3f}; stated over error "
-            f"{rms(told) / rms(by_points):.3f}; shares {np.mean(rho[0]):.3f}, {np.mean(rho[1]):.3f}"
-        )
+@dataclass(frozen=True)
+class Case:
+    """Stops of a UR5."""
+
+    missed: float
+    stops: int
+
+
+def run_once(case: Case, seed: int) -> Figures:
+    """Return the figures of one UR5."""
+    return compare_fits(load_arm("ur5"), case.stops, case.missed, seed)
+
+
+def case_row(case: Case, runs: Sequence[Figures]) -> list[str]:
+    """Return the row of a case."""
+    by_points = np.array([run.by_points for run in runs])
+    by_poses = np.array([run.by_poses for run in runs])
+    stated = np.array([run.stated for run in runs])
+    ratios = by_points / by_poses
+    shares = np.mean([run.shares for run in runs], axis=0)
+    return [
+        str(case.missed),
+        f"{rms(by_points) / rms(by_poses):.3f}",
+        f"{np.mean(ratios):.3f} +- {np.std(ratios) / np.sqrt(len(runs)):.3f}",
+        f"{rms(stated) / rms(by_points):.3f}",
+        f"{shares[0]:.3f}, {shares[1]:.3f}",
+    ]
+
+
+def main() -> None:
+    """Print a row for each repeatability of the robot."""
+    parser = study_parser(__doc__, parallel=True)
+    parser.add_argument("runs", type=int, metavar="ROBOTS")
+    parser.add_argument("stops", type=int, nargs="?", default=30, metavar="STOPS")
+    arguments = parser.parse_args()
+    cases = [Case(missed, arguments.stops) for missed in MISSED]
+    seeds = range(arguments.runs)
+    results = run_cases(run_once, cases, seeds, workers=arguments.workers, label="robots")
+    titles = ["missed by", "points over poses, rms", "mean", "stated over error", "shares"]
+    print_table(titles, (case_row(case, runs) for case, runs in results), [9])
 
 
 if __name__ == "__main__":
-    for line in points(*map(int, sys.argv[1:3])):
-        print(line, flush=True)
+    main()

@@ -28,6 +28,7 @@ from calib.units import Array
 Case = TypeVar("Case")
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+Run = TypeVar("Run")
 
 #: Standard deviations of the errors of an uncalibrated arm, by family and in the family's unit.
 TYPICAL_ERRORS = {
@@ -158,26 +159,26 @@ def run_jobs(
 
 
 def run_cases(
-    function: Callable[[Case, int], Result],
+    function: Callable[[Case, Run], Result],
     cases: Iterable[Case],
-    numbers: Sequence[int],
+    runs: Sequence[Run],
     *,
     workers: int = 1,
     label: str = "",
 ) -> Iterator[tuple[Case, list[Result]]]:
-    """Yield each case of a study with the results of its runs, ``function(case, number)``.
+    """Yield each case of a study with the results of its runs, ``function(case, run)``.
 
     Args:
         function: One run; see `run_jobs`.
         cases: The cases.
-        numbers: Numbers of the runs of each case, from which a run draws its seeds.
+        runs: Seeds of the runs of each case.
         workers: Number of processes.
         label: Text before the progress bar.
     """
     listed = list(cases)
-    results = run_jobs(function, product(listed, numbers), workers=workers, label=label)
+    results = run_jobs(function, product(listed, runs), workers=workers, label=label)
     for case in listed:
-        yield case, list(islice(results, len(numbers)))
+        yield case, list(islice(results, len(runs)))
 
 
 def study_parser(doc: str | None, *, parallel: bool = False) -> argparse.ArgumentParser:

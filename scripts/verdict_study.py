@@ -1,28 +1,40 @@
-"""Simulated calibrations from hopeless to excellent: whether the verdict on the URDF is right, without validation rows.
+"""Verdicts on simulated calibrations from hopeless to excellent, without validation rows.
 
-    .venv/bin/python scripts/verdict_study.py 500 [FIRST]
+    python scripts/verdict_study.py 500 [FIRST]
 
-Drawn are the arm, what is wrong with it and how much, the number of points, which part of the joints' ranges they use,
-noise, accidents, whether the frame is known and whether the URDF has masses. Judged is each URDF by its error at 1,000
-other poses all over the joint limits, without noise, the frame registered to them where it is unknown, and the target;
-and the error to expect of a new point by 400 rows like those that were fitted.
+Drawn are the arm, its errors and their size, the number of points, the part of the joint ranges that they use, noise,
+outliers, if the frame is known and if the URDF has masses. A URDF is evaluated at 1,000 other poses all over the joint
+limits, without noise, with the target registered to them, and the frame where it is unknown. The expected error at a
+new point is compared with that of 400 rows like the fitted ones.
 """
 
 from __future__ import annotations
 
-import sys
 from collections import Counter, defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import tee
 
 import numpy as np
-from selection_study import ARMS, TRUTHS, without_masses
+from arms import load_arm, without_masses
+from selection_study import ARMS, TRUTHS
+from studies import (
+    TYPICAL_ERRORS,
+    add_noise,
+    draw_seed,
+    joint_values_around,
+    log_uniform,
+    print_table,
+    rms_length,
+    run_jobs,
+    study_parser,
+    verdict_of,
+)
 
+from calib.calibration import Calibration, calibrate
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.diagnosis.reasons import CARE, NO, USE, Verdict
-from calib.result.calibrate import calibrate
-from calib.result.calibration import CalibrationValues
+from calib.diagnosis.reasons import CARE, NO, USE
 from calib.result.evaluation import evaluate
 from calib.robot.payload import Payload
 from calib.robot.ranges import random_joint_values
@@ -30,152 +42,237 @@ from calib.robot.robot import Robot
 from calib.simulation.truth import Truth, draw_truth
 from calib.units import Array
 
+#: Numbers of points.
 COUNTS = (5, 6, 8, 10, 12, 15, 20, 30, 50, 100)
-TYPICAL = {
-    "length": 0.3e-3,
-    "angle": 3e-3,
-    "zero": 5e-3,
-    "gain": 5e-4,
-    "eccentricity": 0.5e-3,
-    "compliance": 2e-5,
-}
-FRESH, LIKE_THOSE = 1000, 400
 
-#: Nothing is wrong with a table of so many points or more, of no more noise [m], over so much of the joints' ranges or
-#: more, without accidents; and a verdict `use` asks that less than this share of the error remains.
-ENOUGH, QUIET, WIDE, REMAINS = 10, 0.5e-3, 0.5, 0.4
+#: Range of the errors' standard deviations over typical ones.
+SIZES = (0.03, 3.0)
 
-#: Shares of a range of joint values, and of accidents: all over it, and none, are drawn more often.
-CORNERS, ACCIDENTS = (1.0, 1.0, 1.0, 0.5, 0.2, 0.1), (0.0, 0.0, 0.0, 0.05, 0.1, 0.25)
+#: Range of the noise of a coordinate [m].
+SIGMAS = (1e-5, 1e-3)
+
+#: Shares of the joint ranges that the poses use; all of them more often.
+RANGE_SHARES = (1.0, 1.0, 1.0, 0.5, 0.2, 0.1)
+
+#: Shares of the rows that are outliers; none more often.
+OUTLIER_SHARES = (0.0, 0.0, 0.0, 0.05, 0.1, 0.25)
+
+#: Range of the outliers' standard deviation [m].
+OUTLIER_SIZES = (1e-3, 3e-2)
+
+#: Poses at which a URDF is evaluated.
+FRESH = 1000
+
+#: Poses like the fitted ones.
+LIKE_FITTED = 400
+
+#: Fewest points of a sound table.
+SOUND_COUNT = 10
+
+#: Largest noise of a sound table [m].
+SOUND_SIGMA = 0.5e-3
+
+#: Smallest share of the joint ranges that a sound table uses.
+SOUND_RANGE = 0.5
+
+#: Largest share of the error that remains after a calibration which is to be `use`.
+SOUND_REMAINS = 0.4
+
+#: Relative change of an error below which it neither falls nor rises.
+ROUNDING = 1e-6
+
+#: Changes of the URDF's error.
+HALVED = "halved"
+FALLS = "falls"
+DOES_NOT_FALL = "does not fall"
+
+TITLES = ("seed", "outcome", "error [mm]", "verdict", "reasons")
 
 
 @dataclass(frozen=True)
-class Found:
-    """What came of one calibration."""
+class Setting:
+    """A calibration to simulate."""
 
-    result: CalibrationValues
-    accidents: float  # Share of rows
+    arm: str
+    true_model: str  # Of the robot's errors
+    count: int  # Number of points
+    size: float  # The errors' standard deviations over typical ones
     sigma: float  # Noise of a coordinate [m]
-    corner: float  # Which part of each joint's range was used
-    nominal: float  # Error of the nominal URDF at the fresh poses [m]
-    corrected: float  # Of the corrected one [m]
+    free: bool  # The measurement frame is unknown
+    outlier_share: float  # Of the rows
+    outlier_size: float  # Standard deviation of an outlier's coordinate [m]
+    range_share: float  # Of each joint's range
+    masses: bool  # The URDF has masses
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator) -> Setting:
+        """Draw a setting; the order of the fields is that of the draws."""
+        return cls(
+            arm=str(rng.choice(ARMS)),
+            true_model=str(rng.choice(list(TRUTHS.values()))),
+            count=int(rng.choice(COUNTS)),
+            size=log_uniform(rng, *SIZES),
+            sigma=log_uniform(rng, *SIGMAS),
+            free=bool(rng.integers(2)),
+            outlier_share=float(rng.choice(OUTLIER_SHARES)),
+            outlier_size=log_uniform(rng, *OUTLIER_SIZES),
+            range_share=float(rng.choice(RANGE_SHARES)),
+            masses=bool(rng.integers(2)),
+        )
+
+    def truth(self, rng: np.random.Generator) -> Truth:
+        """Draw the robot's errors and what is true of its cell."""
+        std = {family: self.size * typical for family, typical in TYPICAL_ERRORS.items()}
+        sizes = None if self.true_model == "frames" else std
+        cell = Cell(estimate_frame=self.free, payload=Payload(3.0, np.array([0.0, 0.0, 0.05])))
+        return draw_truth(load_arm(self.arm), self.true_model, sizes, draw_seed(rng), cell=cell)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A simulated calibration, and its verdict."""
+
+    setting: Setting
+    rows: int  # Number of fitted rows
+    use: str  # The verdict
+    codes: tuple[str, ...]  # Of its reasons
+    nominal: float  # Error of the nominal URDF at the fresh poses, rms [m]
+    corrected: float  # Error of the corrected URDF there, rms [m]
     expected: dict[
         str, float
-    ]  # Error to expect of a new point over that of rows like those fitted, by model
+    ]  # Expected error at a new point over that of rows like the fitted ones, by model
+    validated: bool  # The calibration has a cross-validation
 
     @property
-    def outcome(self) -> str:
-        """What became of the error."""
+    def change(self) -> str:
+        """Change of the URDF's error: `HALVED`, `FALLS` or `DOES_NOT_FALL`."""
         if self.corrected < 0.5 * self.nominal:
-            return "halved"
-        return "falls" if self.corrected < (1.0 - 1e-6) * self.nominal else "does not fall"
+            return HALVED
+        return FALLS if self.corrected < (1.0 - ROUNDING) * self.nominal else DOES_NOT_FALL
+
+    @property
+    def rises(self) -> bool:
+        """True if the corrected URDF is worse than the nominal one."""
+        return self.corrected > self.nominal * (1.0 + ROUNDING)
 
     @property
     def sound(self) -> bool:
-        """Whether nothing is wrong with the table, and little of the error remains."""
-        rows = len(self.result.rows.numbers)
-        good = rows >= ENOUGH and self.sigma <= QUIET and self.corner >= WIDE
-        return good and not self.accidents and self.corrected < REMAINS * self.nominal
-
-    @property
-    def verdict(self) -> Verdict:
-        """On the URDF."""
-        assert self.result.verdict is not None
-        return self.result.verdict
-
-    def __str__(self) -> str:
-        """One line."""
-        verdict = self.verdict
-        size, told = f"{1e3 * self.nominal:.3f} -> {1e3 * self.corrected:.3f} mm", verdict.reasons
-        return f"{self.outcome}: {size}, {verdict.use}: {', '.join(one.code for one in told)}"
+        """True if nothing is wrong with the table, and little of the error remains."""
+        setting = self.setting
+        return (
+            self.rows >= SOUND_COUNT
+            and setting.sigma <= SOUND_SIGMA
+            and setting.range_share >= SOUND_RANGE
+            and setting.outlier_share == 0.0
+            and self.corrected < SOUND_REMAINS * self.nominal
+        )
 
 
-def rms(errors: Array) -> float:
-    """Root mean square length of errors (N, 3)."""
-    return float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
-
-
-def calibration(seed: int) -> Found:
-    """One calibration."""
+def simulate(seed: int) -> Outcome:
+    """Draw a setting, measure, calibrate and evaluate."""
     rng = np.random.default_rng([7, seed])
-    arm, true = str(rng.choice(list(ARMS))), str(rng.choice(list(TRUTHS.values())))
-    robot, count, size = Robot.load(arm, *ARMS[arm]), int(rng.choice(COUNTS)), _log(rng, 0.03, 3.0)
-    sigma, free, share = _log(rng, 1e-5, 1e-3), bool(rng.integers(2)), float(rng.choice(ACCIDENTS))
-    off, corner, masses = _log(rng, 1e-3, 3e-2), float(rng.choice(CORNERS)), bool(rng.integers(2))
-    cell = Cell(estimate_frame=free, payload=Payload(3.0, np.array([0.0, 0.0, 0.05])))
-    sizes = None if true == "frames" else {family: size * one for family, one in TYPICAL.items()}
-    truth = draw_truth(robot, true, sizes, int(rng.integers(10**6)), cell=cell)
-
-    middle = random_joint_values(robot, 1, int(rng.integers(10**6)))
-    seeds = int(rng.integers(10**6)), 98
-    measured, like_those = (
-        middle + corner * (random_joint_values(robot, n, s) - middle)
-        for n, s in zip((count, LIKE_THOSE), seeds, strict=True)
+    setting = Setting.draw(rng)
+    truth = setting.truth(rng)
+    robot = truth.nominal
+    share = setting.range_share
+    centre = random_joint_values(robot, 1, draw_seed(rng))
+    q = joint_values_around(centre, share, robot, setting.count, draw_seed(rng))
+    q_like = joint_values_around(centre, share, robot, LIKE_FITTED, 98)
+    points = add_noise(truth.points(q), setting.sigma, rng)
+    points_like = add_noise(truth.points(q_like), setting.sigma, rng)
+    outlier = rng.random(setting.count) < setting.outlier_share
+    points[outlier] += setting.outlier_size * rng.normal(size=(int(np.sum(outlier)), 3))
+    given = robot if setting.masses else without_masses(robot)
+    cell = Cell(estimate_frame=setting.free)
+    result = calibrate(given, Measurements(robot.joint_names, q, points), cell=cell)
+    verdict = verdict_of(result)
+    return Outcome(
+        setting=setting,
+        rows=len(result.rows.numbers),
+        use=verdict.use,
+        codes=tuple(reason.code for reason in verdict.reasons),
+        nominal=urdf_error(given, truth, cell),
+        corrected=urdf_error(result.robot, truth, cell),
+        expected=expected_ratios(result, q_like, points_like),
+        validated=result.cross_validation is not None,
     )
-    points, seen = (_seen(truth, q, sigma, rng) for q in (measured, like_those))
-    wild = rng.random(count) < share
-    points[wild] += off * rng.normal(size=(int(np.sum(wild)), 3))
-    known = robot if masses else without_masses(robot)
-    told = Cell(estimate_frame=free)
-    result = calibrate(known, Measurements(robot.joint_names, measured, points), cell=told)
 
-    fresh = random_joint_values(robot, FRESH, 99)
-    table = Measurements(robot.joint_names, fresh, truth.points(fresh))
-    errors = [evaluate(one, table, told).errors["all"].rms for one in (known, result.robot)]
-    expected = {
-        "geometry": result.new_point[0]
-        / rms(result.predict(like_those, non_geometric=False) - seen)
-    }
+
+def urdf_error(robot: Robot, truth: Truth, cell: Cell) -> float:
+    """Return the error of a robot at fresh poses without noise, rms [m]."""
+    q = random_joint_values(truth.nominal, FRESH, 99)
+    table = Measurements(truth.nominal.joint_names, q, truth.points(q))
+    return evaluate(robot, table, cell).errors["all"].rms
+
+
+def expected_ratios(result: Calibration, q: Array, points: Array) -> dict[str, float]:
+    """Return the expected error at a new point over that of other measured points.
+
+    Args:
+        result: The calibration.
+        q: shape (N, m), joint values like the fitted ones [rad].
+        points: shape (N, 3), points measured there [m].
+
+    Returns:
+        The ratio of the geometry, and of the non-geometric model if there is one.
+    """
+    error = rms_length(result.predict(q, non_geometric=False) - points)
+    ratios = {"geometry": result.new_point[0] / error}
     if result.non_geometric is not None:
-        expected["non_geometric"] = result.non_geometric.new_point[0] / rms(
-            result.predict(like_those) - seen
-        )
-    return Found(result, share, sigma, corner, errors[0], errors[1], expected)
+        error = rms_length(result.predict(q) - points)
+        ratios["non_geometric"] = result.non_geometric.new_point[0] / error
+    return ratios
 
 
-def _log(rng: np.random.Generator, low: float, high: float) -> float:
-    """A number between two, each power of ten as likely."""
-    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+def outcome_row(seed: int, outcome: Outcome) -> list[str]:
+    """Return the row of one calibration."""
+    error = f"{1e3 * outcome.nominal:.3f} -> {1e3 * outcome.corrected:.3f}"
+    return [str(seed), outcome.change, error, outcome.use, ", ".join(outcome.codes)]
 
 
-def _seen(truth: Truth, q: Array, sigma: float, rng: np.random.Generator) -> Array:
-    """Points with noise."""
-    return truth.points(q) + sigma * rng.normal(size=(len(q), 3))
+def verdict_rows(outcomes: Sequence[Outcome]) -> Iterator[list[str]]:
+    """Yield how many calibrations of each outcome have each verdict."""
+    counts = Counter((outcome.change, outcome.use) for outcome in outcomes)
+    for change in (HALVED, FALLS, DOES_NOT_FALL):
+        yield [change, *(str(counts[change, use]) for use in (USE, CARE, NO))]
 
 
-def table(found: list[Found]) -> Iterator[str]:
-    """Outcomes against verdicts; and expected errors."""
-    counts = Counter((one.outcome, one.verdict.use) for one in found)
-    yield f"{'':14}" + "".join(f"{use:>15}" for use in (USE, CARE, NO))
-    for outcome in ("halved", "falls", "does not fall"):
-        yield f"{outcome:14}" + "".join(f"{counts[outcome, use]:15}" for use in (USE, CARE, NO))
-    sound = [one.verdict.use for one in found if one.sound]
-    yield f"nothing wrong  {sound.count(USE)} of {len(sound)} {USE}"
-    rises = [one.verdict.use for one in found if one.corrected > one.nominal * (1 + 1e-6)]
-    yield f"rises          {rises.count(NO)} of {len(rises)} {NO}"
+def expected_rows(outcomes: Sequence[Outcome]) -> Iterator[list[str]]:
+    """Yield the expected over the true error at a new point, by model and number of rows."""
     ratios = defaultdict(list)
-    for one in found:
-        for model, ratio in one.expected.items():
-            rows = len(one.result.rows.numbers)
-            group = "below 9" if rows < 9 else "9 to 15" if rows < 16 else "16 and more"
-            if one.accidents < 0.06 and one.result.cross_validation is not None:
-                ratios[model, group].append(ratio)
-    for (model, group), some in sorted(ratios.items()):
-        yield (
-            f"expected over found, {model}, {group} rows: mean {np.mean(some):.3f}, "
-            f"median {np.median(some):.3f} of {len(some)}"
-        )
+    for outcome in outcomes:
+        if outcome.setting.outlier_share > 0.06 or not outcome.validated:
+            continue
+        rows = "16 and more"
+        if outcome.rows < 16:
+            rows = "below 9" if outcome.rows < 9 else "9 to 15"
+        for model, ratio in outcome.expected.items():
+            ratios[model, rows].append(ratio)
+    for (model, rows), of_group in sorted(ratios.items()):
+        mean, median = np.mean(of_group), np.median(of_group)
+        yield [model, rows, f"{mean:.3f}", f"{median:.3f}", str(len(of_group))]
 
 
 def main() -> None:
-    """Print a line each, then the table."""
-    first = int(sys.argv[2]) if len(sys.argv) > 2 else 0
-    found = []
-    for seed in range(first, first + int(sys.argv[1])):
-        found.append(calibration(seed))
-        print(seed, found[-1], flush=True)
-    for line in table(found):
-        print(line)
+    """Print a row for each calibration, then the counts."""
+    parser = study_parser(__doc__, parallel=True)
+    parser.add_argument("count", type=int, metavar="COUNT")
+    parser.add_argument("first", type=int, nargs="?", default=0, metavar="FIRST", help="seed")
+    arguments = parser.parse_args()
+    seeds = range(arguments.first, arguments.first + arguments.count)
+    jobs = [(seed,) for seed in seeds]
+    printed, counted = tee(run_jobs(simulate, jobs, workers=arguments.workers))
+    print_table(TITLES, map(outcome_row, seeds, printed), [6, 13, 16, 12])
+
+    outcomes = list(counted)
+    print()
+    print_table(["", USE, CARE, NO], verdict_rows(outcomes), [13])
+    sound = [outcome.use for outcome in outcomes if outcome.sound]
+    rises = [outcome.use for outcome in outcomes if outcome.rises]
+    print(f"\nnothing wrong: {sound.count(USE)} of {len(sound)} {USE}")
+    print(f"the error rises: {rises.count(NO)} of {len(rises)} {NO}\n")
+    titles = ["expected over true error", "rows", "mean", "median", "number"]
+    print_table(titles, expected_rows(outcomes), [13, 11])
 
 
 if __name__ == "__main__":

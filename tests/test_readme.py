@@ -94,10 +94,10 @@ def test_the_tables_of_the_paper_page_are_those_of_its_script():
 def test_what_poses_are_worth_is_what_the_planning_study_prints():
     sys.path.insert(0, str(ROOT / "scripts"))
     try:
-        from planning_study import yardstick
+        from planning_study import worth_rows
     finally:
         sys.path.pop(0)
-    printed = {line.split("|")[1].strip(): line.split("|")[2].strip() for line in yardstick(20_000)}
+    printed = dict(worth_rows(20_000))
     paper, random, planned, _ = printed.values()
     said = re.search(
         r"is ([\d.]+) after the paper's 30 poses, ([\d.]+) after 30 random ones and ([\d.]+) after 30 that",

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.result.calibrate import fit_table
+from calib.result.fits import fit_table
 
 SCRIPTS = Path(__file__).parents[1] / "scripts"
 sys.path.insert(0, str(SCRIPTS))
 
 from selection_study import drawn_widely, errors_by_model, table_of_truth  # noqa: E402
-from verdict_study import calibration  # noqa: E402
+from verdict_study import DOES_NOT_FALL, HALVED, simulate  # noqa: E402
 from verification_runs import points_run, touching_run  # noqa: E402
 from verification_study import ALLOWED, STUDIES, markdown, ratio, run_one, run_study  # noqa: E402
 from verification_truth import ROBOTS, JointErrors, Truth, example_files, joints_of  # noqa: E402
@@ -98,10 +98,10 @@ def test_a_geometry_that_left_out_poses_contradict_predicts_worse(seed):
     likeliest = max(
         (c for c in fits.candidates if "+" not in c.name), key=lambda c: c.evidence
     ).name
-    assert fits.fitted.task.model != likeliest
+    assert fits.geometry.task.model != likeliest
     named = replace(table.cell, model=likeliest)
     other = fit_table(table.robot, table.measurements, named)
-    assert table.error(fits.fitted) < 0.9 * table.error(other.fitted)
+    assert table.error(fits.geometry) < 0.9 * table.error(other.geometry)
 
 
 def test_the_study_has_every_robot_with_two_joints_or_more():
@@ -205,12 +205,13 @@ def test_the_table_is_markdown():
 
 def test_the_verdict_is_use_where_the_error_halves_and_no_use_where_it_does_not_fall():
     """Of seeds that no threshold was chosen by."""
-    some = [calibration(seed) for seed in range(2000, 2035)]
-    halved = [one.verdict.use for one in some if one.outcome == "halved"]
+    outcomes = [simulate(seed) for seed in range(2000, 2035)]
+    halved = [outcome.use for outcome in outcomes if outcome.change == HALVED]
     assert len(halved) > 7
     assert halved.count("use") >= 0.8 * len(halved)
-    assert all(one.verdict.use != "use" for one in some if one.outcome == "does not fall")
-    ratios = [one.expected["geometry"] for one in some if len(one.result.rows) > 15]
+    useless = [outcome.use for outcome in outcomes if outcome.change == DOES_NOT_FALL]
+    assert "use" not in useless
+    ratios = [outcome.expected["geometry"] for outcome in outcomes if outcome.rows > 15]
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.1)
 
 

@@ -33,7 +33,7 @@ from calib.compensation.pose_covariance import (
 from calib.model.kinematics import Samples
 from calib.numerics.errors import CrossValidation
 from calib.result.calibration import CalibrationValues
-from calib.result.prediction import Solved
+from calib.result.prediction import FittedModel
 from calib.robot.robot import read_only
 from calib.units import Array
 
@@ -138,7 +138,7 @@ def expected_errors(pair: Pair, q: Array) -> ExpectedErrors:
 
 
 def _views(
-    pair: Pair, result: CalibrationValues, part: Solved, q: Array
+    pair: Pair, result: CalibrationValues, part: FittedModel, q: Array
 ) -> tuple[View, View, View]:
     """Return three views of the program's poses.
 
@@ -166,7 +166,7 @@ def _views(
     )
 
 
-def _samples(pair: Pair, part: Solved, q: Array) -> Samples:
+def _samples(pair: Pair, part: FittedModel, q: Array) -> Samples:
     """Return joint values (N, m) with loads, seen from the program's frame, at the target nearest to the tool."""
     setup = part.setup
     if pair.target is None:
@@ -254,7 +254,7 @@ def _contributions(
     return tuple(map(Contribution, sources, squares))
 
 
-def _lacking(result: CalibrationValues, part: Solved, predicted_angle: float) -> Array:
+def _lacking(result: CalibrationValues, part: FittedModel, predicted_angle: float) -> Array:
     """Estimate mean squares of what a model lacks, of positions [m^2] and angles [rad^2], shape (2,); 0 if nothing.
 
     Args:

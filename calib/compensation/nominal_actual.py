@@ -349,7 +349,8 @@ def is_corrected(result: CalibrationValues, robot: Robot) -> bool:
         return False
     raise ModelError(
         f"{robot.urdf.source}: the origin of '{different[0]}' is neither the one that the "
-        "calibration began with nor its corrected one. Give the URDF that the result was made with, or the corrected URDF in place of the result."
+        "calibration began with nor its corrected one. Give the URDF that the result was made "
+        "with, or the corrected URDF in place of the result."
     )
 
 

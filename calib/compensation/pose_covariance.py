@@ -26,7 +26,7 @@ from calib.model.families import FAMILIES
 from calib.model.kinematics import Samples
 from calib.model.parameters import FRAME, TARGET, Parameter
 from calib.result.calibration import CalibrationValues
-from calib.result.prediction import Solved, moved_by, twists_in_base
+from calib.result.prediction import FittedModel, moved_by, twists_in_base
 from calib.robot.robot import rigid_inverse
 from calib.units import Array
 
@@ -42,7 +42,7 @@ class View(NamedTuple):
     T_tip_tool: Array | None
     in_base: bool  #: Whether poses are in the base, not in the frame of each sample.
     #: shape (6, 6), covariance of a motion of the base besides the parameters, along and about its axes, linear part
-    #: first [m, rad]; None for the base less the motion of it that compensates best, see `Solved.base_motion`.
+    #: first [m, rad]; None for the base less the motion of it that compensates best, see `FittedModel.base_motion`.
     base: Array | None
 
 
@@ -63,7 +63,7 @@ class PoseCovariance(NamedTuple):
         return np.asarray(variances.reshape(-1, 2, 3).sum(axis=2).mean(axis=0))
 
 
-def pose_covariance(part: Solved, view: View) -> PoseCovariance:
+def pose_covariance(part: FittedModel, view: View) -> PoseCovariance:
     """Compute the covariance of the poses of a view by the parameters of a fit.
 
     Args:
@@ -103,7 +103,7 @@ def unknown_base_directions(result: CalibrationValues) -> tuple[str, ...]:
     return tuple(direction for direction in DIRECTIONS if direction in common)
 
 
-def unmodelled_base(result: CalibrationValues, part: Solved) -> Array:
+def unmodelled_base(result: CalibrationValues, part: FittedModel) -> Array:
     """Compute the covariance of the first joint's placement that a model leaves out, as a motion of the base (6, 6).
 
     Every direction of the placement counts that neither a parameter of the model nor a frozen one has, with the prior
@@ -137,7 +137,7 @@ def unmodelled_base(result: CalibrationValues, part: Solved) -> Array:
     return covariance
 
 
-def _frozen(result: CalibrationValues, part: Solved) -> list[Parameter]:
+def _frozen(result: CalibrationValues, part: FittedModel) -> list[Parameter]:
     """Return frozen parameters of the model's set and of the placements: the user takes them for exact."""
     sets = {"placement"}
     if part.model.name != OWN:
@@ -147,7 +147,7 @@ def _frozen(result: CalibrationValues, part: Solved) -> list[Parameter]:
     return [parameter for parameter in parameters if parameter.name in result.frozen]
 
 
-def _prior_std(result: CalibrationValues, part: Solved, family: str) -> float:
+def _prior_std(result: CalibrationValues, part: FittedModel, family: str) -> float:
     """Return the standard deviation of a family's errors: the model's, else the largest candidate's, else typical."""
     largest_first = sorted(result.candidates, key=lambda candidate: -candidate.parameters)
     for prior_std in (part.prior_std, *(candidate.prior_std for candidate in largest_first)):
@@ -156,7 +156,7 @@ def _prior_std(result: CalibrationValues, part: Solved, family: str) -> float:
     return FAMILIES[family].typical
 
 
-def _derivative(part: Solved, view: View) -> Callable[[Samples], Array]:
+def _derivative(part: FittedModel, view: View) -> Callable[[Samples], Array]:
     """Return the derivative of poses by the p parameters and a motion of the base: N samples to (N, 6, p + 6)."""
     kinematics, x = part.kinematics, part.x
     if view.T_tip_tool is not None:
@@ -187,7 +187,7 @@ def _root(covariance: Array) -> Array:
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
-def _covariance(part: Solved, view: View) -> Array:
+def _covariance(part: FittedModel, view: View) -> Array:
     """Return the covariance of the p parameters and of a motion of the base, shape (p + 6, p + 6)."""
     covariance = _determined(part)
     if view.T_tip_tool is not None:
@@ -201,7 +201,7 @@ def _covariance(part: Solved, view: View) -> Array:
     return joint
 
 
-def _prior_precision(part: Solved, view: View) -> Array:
+def _prior_precision(part: FittedModel, view: View) -> Array:
     """Return the precision of the priors of the same, shape (p + 6, p + 6); 0 where there is none.
 
     Of the covariance C = (H + L)^-1, with the measurements' H and the priors' L, the share C L C is the priors'.
@@ -218,7 +218,7 @@ def _prior_precision(part: Solved, view: View) -> Array:
     return precision
 
 
-def _determined(part: Solved) -> Array:
+def _determined(part: FittedModel) -> Array:
     """Return the covariance of the parameters, shape (p, p).
 
     Without priors, what no measurement determines has a standard deviation of a metre or a radian: it is taken to be as
@@ -234,7 +234,7 @@ def _determined(part: Solved) -> Array:
     )
 
 
-def _typical(part: Solved) -> Array:
+def _typical(part: FittedModel) -> Array:
     """Return typical standard deviations of the parameters' families, shape (p,); NaN for frames and targets."""
     families = [FAMILIES.get(parameter.family) for parameter in part.model.parameters]
     return np.array([np.nan if family is None else family.typical for family in families])

@@ -294,8 +294,8 @@ class Cell:
         is_given = self.target is not None or self.targets
         if not is_given and not self.estimate_target:
             raise CalibError(
-                "The target is said to be known but is not given; give it (--target, target_mm) "
-                "or let it be estimated."
+                "The target is marked as known, but its position is not given; give it (--target, "
+                "target_mm) or let it be estimated."
             )
 
     def _check_ties(self) -> None:

@@ -63,7 +63,7 @@ class RowLabels:
         """
         numbers = ", ".join(str(self.rows[i]) for i in indices[:_LISTED_ROWS])
         plural = "s" if len(indices) > 1 else ""
-        raise MeasurementError(f"{self.source}: {what} stands in row{plural} {numbers}; {fix}")
+        raise MeasurementError(f"{self.source}: {what} is in row{plural} {numbers}; {fix}")
 
 
 def by_word(words: Sequence[str], rows: Mask) -> dict[str, list[int]]:
@@ -111,7 +111,7 @@ def check_words(labels: RowLabels, words: Mapping[str, Sequence[str]], count: in
     if len(set(labels.rows)) < count:
         repeated = Counter(labels.rows).most_common(1)[0][0]
         raise MeasurementError(
-            f"{labels.name}: the row number {repeated} stands there twice; each row has its own"
+            f"{labels.name}: the row number {repeated} occurs more than once; each row needs its own"
         )
 
 

@@ -76,7 +76,7 @@ class Layout:
         named, groups = name_columns(table, joint_names or (), columns or {})
         joints = _joints(table, named, joint_names, joint_types or {})
         kinds = _kinds(table, named, kind, points_elsewhere=points_elsewhere)
-        present = [registry.get(name) for name in kinds]
+        present = list(map(registry.get, kinds))
         if points_elsewhere:
             _check_kinds_of_points(table, present)
         blocks = {
@@ -90,8 +90,8 @@ class Layout:
             table, named, present, by_column=kind is None, points_elsewhere=points_elsewhere
         )
         layout = cls(words, groups, blocks, kinds)
-        expected = _known_and_unused(table, named, points_elsewhere=points_elsewhere)
-        return replace(layout, ignored=_ignored(table, layout, expected))
+        unneeded = _unneeded(table, named, points_elsewhere=points_elsewhere)
+        return replace(layout, ignored=_ignored(table, layout, unneeded))
 
 
 # Kinds
@@ -304,7 +304,7 @@ def _words(
     return words
 
 
-def _known_and_unused(table: Table, named: Named, *, points_elsewhere: bool) -> list[Column]:
+def _unneeded(table: Table, named: Named, *, points_elsewhere: bool) -> list[Column]:
     """Return the columns that a plan has and a fit does not need: not worth a warning."""
     columns = [c for name, c in named.items() if name.startswith(EXPECTED) or name == "point"]
     if points_elsewhere:  # a plan leaves them empty in all rows
@@ -313,9 +313,9 @@ def _known_and_unused(table: Table, named: Named, *, points_elsewhere: bool) -> 
     return columns
 
 
-def _ignored(table: Table, layout: Layout, expected: Sequence[Column]) -> tuple[str, ...]:
-    """Return the headers of the columns that a layout does not use and that are not expected."""
-    used = [*layout.words.values(), *layout.groups, *expected]
+def _ignored(table: Table, layout: Layout, unneeded: Sequence[Column]) -> tuple[str, ...]:
+    """Return the headers of the columns that a layout does not use, but for unneeded ones."""
+    used = [*layout.words.values(), *layout.groups, *unneeded]
     for block in layout.blocks.values():
         used += block
     indices = {column.index for column in used}

@@ -264,8 +264,8 @@ def _refuse(table: Table, row: int) -> NoReturn:
     """Refuse a line, by its row from 0, that does not fit the others."""
     text = " ".join(table.cells[row]).strip()[:80]
     raise MeasurementError(
-        f"{table.source}, line {table.lines[row]}: '{text}' has not its three numbers where the "
-        "other lines have theirs. Correct or remove the line, or make it a comment with #."
+        f"{table.source}, line {table.lines[row]}: '{text}' has no three numbers in the columns "
+        "where the other lines have them. Correct or remove the line, or make it a comment with #."
     )
 
 
@@ -357,7 +357,7 @@ def _is_numbered(table: Table, start: int) -> bool:
     That is so if three more numbers follow, unless the cells before already name each point.
 
     Raises:
-        MeasurementError: The coordinates are whole numbers too: they cannot be told apart.
+        MeasurementError: The coordinates are whole numbers too: they are ambiguous.
     """
     cells = table.cells
     is_counted = all(row[start].isdigit() and _has_point(row, start + 1) for row in cells)
@@ -368,7 +368,7 @@ def _is_numbered(table: Table, start: int) -> bool:
     if all(cell.lstrip("+-").isdigit() for cell in coordinates):
         raise MeasurementError(
             f"{table.source}, line {table.lines[0]}: all are whole numbers, so the point's number "
-            "cannot be told from x. Write a header line above the points, 'name x y z'."
+            "cannot be distinguished from x. Write a header line above the points, 'name x y z'."
         )
     return True
 

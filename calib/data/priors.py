@@ -45,8 +45,7 @@ class Priors:
         """
         if source not in PRIOR_SOURCES:
             raise CalibError(
-                f"Priors of the kind '{source}' were asked for; choose one of "
-                f"{choices(PRIOR_SOURCES)}."
+                f"The source of the priors is '{source}'; choose one of {choices(PRIOR_SOURCES)}."
             )
         least, largest = PRIOR_STD_RANGE
         for name, std in given.items():

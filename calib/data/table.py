@@ -112,7 +112,7 @@ class Table:
         header = tuple(cells[0])
         if all(NUMBER.fullmatch(cell) for cell in header):
             raise MeasurementError(
-                f"{source}: the first line holds numbers where the header should stand, {_EXAMPLE}"
+                f"{source}: the first line holds numbers where the header should be, {_EXAMPLE}"
             )
         table = cls(source, sha256, separator, header, tuple(lines[1:]), tuple(cells[1:]))
         table._check_widths()

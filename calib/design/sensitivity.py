@@ -21,11 +21,11 @@ from calib.model.families import FAMILIES
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability, analyse
 from calib.model.parameters import ErrorModel
+from calib.numerics.rigid_motion import without_rigid_motion
 from calib.registration.rows import Rows
 from calib.registration.setup import Setup
 from calib.registration.table_rows import FIRST_SIGMA_ANGLE
 from calib.registration.table_setup import measurement_setup
-from calib.result.prediction import without_rigid_motion
 from calib.robot.gravity import gravity_loads
 from calib.robot.robot import Robot, read_only
 from calib.units import Array

@@ -25,12 +25,6 @@ from calib.units import Array, Integers
 #: The probability that a table of pure noise gives any pattern or drift.
 FALSE_ALARM = 0.003
 
-#: The probability that set-ups that do not differ give any finding.
-_SETUP_ALARM = 0.01
-
-#: A set-up is named only when its errors are so many times the noise.
-_MATTERS = 1.5
-
 #: Directions whose singular value is below this, for columns of norm 1, are not in the range of a matrix.
 _CUT = 1e-6
 
@@ -278,37 +272,6 @@ def _levelled(squares: NDArray[Any], freedom: NDArray[Any]) -> Array:
     # A component without degrees of freedom is taken for one like the largest.
     variances = np.where(known, np.maximum(variances, _UNEVEN**2 * largest), largest)
     return np.asarray(1.0 / np.sqrt(variances))
-
-
-def unpredicted(
-    squares: Array, freedoms: Array, noises: Array, noise_freedoms: Array
-) -> list[tuple[int, float]]:
-    """Find the set-ups whose errors exceed the noise, beyond chance and by `_MATTERS`; surest first, with the ratio.
-
-    squares and freedoms are of `prediction_square`, noises the variance of a whitened scalar in the fit to the others.
-    """
-    testable = np.flatnonzero((freedoms > 0.0) & (noise_freedoms > 0.0) & (noises > 0.0))
-    F = squares[testable] / freedoms[testable] / noises[testable]
-    p = fdtrc(freedoms[testable], noise_freedoms[testable], F)
-    sure = (p < _SETUP_ALARM / max(len(testable), 1)) & (F > _MATTERS**2)
-    return [(int(testable[i]), float(np.sqrt(F[i]))) for i in np.lexsort((-F, p)) if sure[i]]
-
-
-def prediction_square(r: Array, A: Array, covariance: Array, nuisance: Array) -> tuple[float, int]:
-    """Sum of squares of a set-up's residual, in units of its prediction's own uncertainty, and its degrees of freedom.
-
-    The residual r (M,) and its derivative A (M, p) by parameters that the others determine are whitened, the covariance
-    (p, p) is for scalars of variance 1; ``nuisance`` (M, k) are regressors of what only this set-up has.
-    """
-    # A symmetric root of W: with A C^(1/2) = U S V^T it is I + U ((1 + S^2)^(-1/2) - 1) U^T, never made as a matrix.
-    sizes, vectors = np.linalg.eigh(covariance)
-    moved = A @ (vectors * np.sqrt(np.maximum(sizes, 0.0)))
-    U, S, _ = np.linalg.svd(moved, full_matrices=False)
-    values = np.column_stack([r, nuisance])
-    values = values + U @ ((1.0 / np.sqrt(1.0 + S**2) - 1.0)[:, None] * (U.T @ values))
-    base = range_of(values[:, 1:])
-    rest = values[:, 0] - base @ (base.T @ values[:, 0])
-    return float(rest @ rest), len(r) - base.shape[1]
 
 
 def norms_of(A: Array) -> Array:

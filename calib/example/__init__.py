@@ -17,14 +17,14 @@ PAPER_TARGET_AS_PRINTED = (0.06997, -0.07020, 0.02252)
 
 
 def paper_measurements() -> Path:
-    """The path of the paper's Table 2: 35 rows, joint angles [deg] and tracker points [mm] in ``base``."""
+    """Return the path of the paper's Table 2: 35 rows, joint angles [deg] and tracker points [mm] in ``base``."""
     return Path(__file__).with_name("ur3_leica.csv")
 
 
 def paper_urdf() -> Path:
-    """The path of the nominal UR3 of the paper's Table 1, links ``base`` to ``tool0``."""
+    """Return the path of the nominal UR3 of the paper's Table 1, links ``base`` to ``tool0``."""
     installed = Path(__file__).with_name("ur3.urdf")
     if installed.is_file():
         return installed
-    # In a checkout the one copy of the file stands in urdf/, where people look for it.
+    # In a checkout the only copy of the file is in urdf/, where people look for it.
     return Path(__file__).resolve().parents[2] / "urdf" / "ur3.urdf"

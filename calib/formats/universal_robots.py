@@ -3,7 +3,7 @@
     calibration.conf  ->  nominal rows + deltas  ->  placements  ->  frames near their nominal places  ->  Robot
     kinematics.yaml   ->  placements  ->  Robot
 
-and back, whichever frames the robot's URDF uses, because the arm is found in it. What a file has no place for is
+and back, whichever frames the robot's URDF uses, because the arm is recognised in it. What a file has no place for is
 returned as a note; what is written is read back before it appears.
 """
 

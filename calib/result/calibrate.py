@@ -1,51 +1,45 @@
 """calibrate: a robot and measurements in, a result out.
 
-The order of the work: which model the data support, registration of targets and measurement frames, estimation, rank
-and uncertainty, errors on rows that the fit did not see, the verdict.
+The steps: fit the models (`calib.result.fits`), cross-validate the geometry, the nominal robot and the non-geometric
+model, assemble the result, and judge it (`doubts_of`, `evidence_of`, `verdict`).
 """
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.blas import one_blas_thread
-from calib.data.cell import AUTO, Cell
+from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.coverage import outside
-from calib.diagnosis.reasons import NO, Reason, Verdict
-from calib.diagnosis.usual_mistakes import check_positions, find_usual_mistake
+from calib.diagnosis.reasons import NO, Verdict
 from calib.diagnosis.verdict import verdict
 from calib.estimate.extrapolation import extrapolation
-from calib.estimate.fitting import Fitted, Task, fit
+from calib.estimate.fitting import PAPER, Fitted, fit
 from calib.jobs import Progress
-from calib.model.error_model import OWN, split_name
 from calib.model.kinematics import Samples
 from calib.model.observability import Observability
 from calib.model.parameters import Parameter
-from calib.numerics.errors import CrossValidation, rms
+from calib.numerics.errors import LENGTHS, CrossValidation, rms
 from calib.numerics.repeats import Repeats, scatter_of_repeats
 from calib.numerics.scores import Limits
 from calib.numerics.solvers import Solver
-from calib.registration.joint_loads import joint_loads
-from calib.registration.known_distances import known_distances
 from calib.registration.registration import nominal_setup, register_held_out
 from calib.registration.rows import Rows
 from calib.registration.setup import Setup
-from calib.registration.table_rows import rows_and_setup
 from calib.result.calibration import CalibrationValues, Fit, RowNames, Source
 from calib.result.doubts import doubts_of
 from calib.result.evidence import evidence_of
+from calib.result.fits import Fits, fit_table
 from calib.result.prediction import (
     NonGeometric,
     Outlier,
-    Solved,
-    base_motion,
+    compensating_base_motion,
+    expected_error,
     parameter_estimates,
     tells_place,
 )
@@ -55,17 +49,7 @@ from calib.robot.ranges import spread_poses
 from calib.robot.robot import Robot, read_only
 from calib.selection.candidates import Candidate, alternative_models, mark_chosen
 from calib.selection.cross_validation import cross_validation, nominal_cross_validation
-from calib.selection.ladder import check_parameter_names
-from calib.selection.reference_fit import fit_with_all_families, with_better_weights
-from calib.selection.selection import select
 from calib.units import Array, Mask
-
-#: A smaller share of outliers is not worth the time that a non-geometric model takes.
-_FEW = 0.01
-
-#: Of more rows a part this large is fitted first to confirm the outliers: a non-geometric model costs as much as
-#: all else.
-_MANY = 300
 
 
 @one_blas_thread()
@@ -96,338 +80,400 @@ def calibrate(
         validate: Whether to cross-validate; one fold a row up to 60 rows, ten folds above.
         progress: Called after each fit of the cross-validation.
 
+    Returns:
+        The calibration, with a verdict if it was cross-validated or a usual mistake explains the measurements better.
+
     Raises:
         ModelError: An unknown parameter set, parameter or solver, or measurements that the model does not cover.
         MeasurementError: Too few rows, or columns that the robot needs are missing.
         SolverError: No finite result.
     """
-    cell, measurements = Cell() if cell is None else cell, measurements.without_copies()
-    cell = replace(cell, model=model) if isinstance(model, str) else cell
+    cell = Cell() if cell is None else cell
+    if isinstance(model, str):
+        cell = replace(cell, model=model)
+    measurements = measurements.without_copies()
     fits = fit_table(robot, measurements, cell, model=model, solver=solver, robust=robust)
-    if validate and not fits.hint:
-        return _validated(measurements, fits, progress)
-    result = _assembled(measurements, fits)
-    return replace(result, verdict=Verdict(NO, (fits.hint,))) if fits.hint else result
+    if fits.mistake:
+        return _assembled(measurements, fits, verdict=Verdict(NO, (fits.mistake,)))
+    if not validate:
+        return _assembled(measurements, fits)
+    return _validated(measurements, fits, progress)
+
+
+# Cross-validation and verdict
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fits:
-    """What `calibrate` makes its result of."""
+class _Validations:
+    """Cross-validations of one calibration; None where there is none."""
 
-    fitted: Fitted  #: Of the geometry
-    non_geometric: Fitted | None  #: Of the non-geometric model
-    candidates: tuple[Candidate, ...]  #: The ladder they were chosen from
-    every: Rows  #: All rows of the table
-    rows: Rows  #: Those that were fitted
-    unseen: Setup  #: Unknown are the frames and targets that only the other rows see
-    hint: Reason | None  #: A set-up that would explain the measurements far better
-    seconds: float
+    nominal: CrossValidation | None = None
+    geometry: CrossValidation | None = None
+    non_geometric: CrossValidation | None = None
 
 
-@one_blas_thread()
-def fit_table(
-    robot: Robot,
-    measurements: Measurements,
-    cell: Cell,
-    *,
-    model: str | Sequence[Parameter] | None = None,
-    solver: str | Solver = "lm",
-    robust: bool = True,
-) -> Fits:
-    """The fits alone, without what a result says of them; arguments and errors are those of `calibrate`."""
-    every, setup = rows_and_setup(robot, measurements, cell)
-    rows, others = (every.select(m) for m in (measurements.estimation, measurements.validation))
-    check_positions(robot, rows, measurements.source)
-    frames, targets = setup.seen_by(rows.samples)
-    unseen = setup.with_fixed(frames, targets)
-    began = time.perf_counter()
-    model = cell.model if model is None else model
-    hint = find_usual_mistake(robot, cell, measurements.select(measurements.estimation))
-    told, distances = setup.with_fixed(~frames, ~targets), known_distances(cell, setup)
-    task = Task(robot, cell, told, model, distances, solver, robust)
-    if hint and model == AUTO:  # nothing that is told of such a fit means anything
-        check_parameter_names(task)
-        task = replace(task, model="zeros", lenient=True)
-    fitted, non_geometric, candidates = _fitted(task, rows)
-    if isinstance(model, str) and not (hint or non_geometric or candidates):
-        fitted = _judged(fitted, measurements)
-    fitted = fitted.with_unseen(unseen, others)
-    non_geometric = non_geometric and non_geometric.with_unseen(unseen, others)
-    rows = replace(rows, sole=fitted.estimate.problem.rows.sole)
-    seconds = time.perf_counter() - began
-    return Fits(fitted, non_geometric, candidates, every, rows, unseen, hint, seconds)
+def _validated(
+    measurements: Measurements, fits: Fits, progress: Progress | None
+) -> CalibrationValues:
+    """Cross-validate, and assemble the result with its verdict.
+
+    Args:
+        measurements: All rows.
+        fits: With the non-geometric model that was chosen or named; it is replaced where refits reject it.
+        progress: Called after each fold with the number of folds done and of all.
+    """
+    outliers = fits.geometry.estimate.outliers
+    parts = 1 if fits.non_geometric is None else 2
+    of_geometry = cross_validation(fits.geometry, outliers, _part_of(progress, 0, parts))
+    fits, of_non_geometric = _confirmed(measurements, fits, of_geometry, progress)
+    of_nominal = nominal_cross_validation(fits.geometry.task, fits.fitted_rows, outliers)
+    validations = _Validations(of_nominal, of_geometry, of_non_geometric)
+    return _judged(_assembled(measurements, fits, validations), fits.fitted_rows)
 
 
-def _fitted(task: Task, rows: Rows) -> tuple[Fitted, Fitted | None, tuple[Candidate, ...]]:
-    """The fit of the geometry, that of the non-geometric model if there is one, and the candidates."""
-    if task.model == AUTO and task.solver == "paper":
-        return fit(replace(task, model="dh", lenient=True), rows), None, ()
-    if task.model == AUTO:
-        chosen = select(task, rows)
-        base, candidates, judge = chosen.geometry, chosen.candidates, chosen.reference
-    else:
-        base = split_name(task.model)[0] if isinstance(task.model, str) else OWN
-        candidates, judge = (), fit(task, rows)
-    if base == judge.kinematics.model.name:
-        return judge, None, candidates
-    rows = replace(rows, sole=judge.estimate.problem.rows.sole)
-    own = fit(replace(task, model=base, lenient=True), rows, started=judge.setup)
-    return with_better_weights(own, rows, judge), judge, candidates
+def _part_of(progress: Progress | None, part: int, parts: int) -> Progress | None:
+    """Return the progress of one cross-validation out of several.
 
+    Args:
+        progress: Called with the folds done and all folds, of all parts.
+        part: Number of the cross-validation, from 0.
+        parts: Number of cross-validations as far as it is known.
+    """
+    if progress is None:
+        return None
 
-def _judged(fitted: Fitted, m: Measurements) -> Fitted:
-    """A named geometry's fit; where it has outliers, judged by a non-geometric model, which needs the joints' loads."""
-    task, flagged = fitted.task, fitted.estimate.outliers
-    if task.solver == "paper" or task.cell.priors.source == "off" or np.mean(flagged) < _FEW:
-        return fitted
-    m, rows = m.select(m.estimation), fitted.estimate.problem.rows
-    if len(rows) > _MANY and _outliers_of_few(fitted, m):
-        return fitted
-    rows = _loaded(fitted, m, np.ones(len(rows), dtype=bool))
-    judge = fit_with_all_families(fitted, rows)
-    none_is_good = np.all(judge.estimate.outliers[flagged])
-    return fitted if none_is_good else with_better_weights(fitted, rows, judge)
+    def report(done: int, folds: int) -> None:
+        progress(part * folds + done, parts * folds)
 
-
-def _outliers_of_few(fitted: Fitted, m: Measurements) -> bool:
-    """Confirm that a non-geometric model fitted to a part of the rows calls every outlier one too."""
-    rows, flagged = fitted.estimate.problem.rows, fitted.estimate.outliers
-    judge = fit_with_all_families(fitted, _loaded(fitted, m, rows.evenly(_MANY)))
-    chosen = rows.with_partners(flagged)
-    scores = judge.unseen_scores(_loaded(fitted, m, chosen))[flagged[chosen]]
-    limit = Limits.of(len(rows), judge.estimate.freedom).flagged
-    return bool(np.all(scores > limit))
-
-
-def _loaded(fitted: Fitted, m: Measurements, chosen: Mask) -> Rows:
-    """Some rows of a fit, of its measurements ``m``, with what loads the joints there."""
-    task, rows = fitted.task, fitted.estimate.problem.rows.select(chosen)
-    load = joint_loads(task.robot, m.select(chosen), task.cell, rows.joints)
-    return replace(rows, samples=replace(rows.samples, load=load))
-
-
-def _validated(m: Measurements, fits: Fits, progress: Progress | None) -> CalibrationValues:
-    """The result with cross-validation, of the non-geometric model too, and the verdict."""
-    task, rows, hint = fits.fitted.task, fits.rows, fits.hint
-    outliers = fits.fitted.estimate.outliers
-
-    def validated(fitted: Fitted, part: int) -> CrossValidation:
-        parts = max(part + 1, 1 if fits.non_geometric is None else 2)
-
-        def told(done: int, every: int) -> None:
-            if progress is not None:
-                progress(part * every + done, parts * every)
-
-        return cross_validation(fitted, outliers, told)
-
-    of_calibrated = validated(fits.fitted, 0)
-    fits, of_non_geometric = _confirmed(m, fits, of_calibrated, validated)
-    result = _assembled(m, fits)
-    non_geometric = result.non_geometric and replace(
-        result.non_geometric, cross_validation=of_non_geometric
-    )
-    result = replace(
-        result,
-        cross_validation=of_calibrated,
-        nominal_cross_validation=nominal_cross_validation(task, rows, outliers),
-        non_geometric=non_geometric,
-    )
-    doubts = doubts_of(result, rows)
-    if non_geometric is not None:
-        judged = verdict(evidence_of(result, non_geometric, rows, doubts, hint))
-        result = replace(result, non_geometric=replace(non_geometric, verdict=judged))
-    return replace(result, verdict=verdict(evidence_of(result, result, rows, doubts, hint)))
+    return report
 
 
 def _confirmed(
-    m: Measurements,
+    measurements: Measurements,
     fits: Fits,
     of_geometry: CrossValidation,
-    validated: Callable[[Fitted, int], CrossValidation],
+    progress: Progress | None,
 ) -> tuple[Fits, CrossValidation | None]:
-    """The fits with the non-geometric model that refits confirm, and its cross-validation; None where none is.
+    """Confirm the non-geometric model by refits without each fold, or replace it.
 
     The one that was chosen passed the cross-validation of the linearised problem. Refitted without each fold it has to
     leave smaller squares than the geometry; else the next by evidence is tried. One that was given by name stays.
 
     Args:
-        m: All rows.
-        fits: With the model that was chosen.
+        measurements: All rows.
+        fits: With the non-geometric model that was chosen, or None.
         of_geometry: Cross-validation of the geometry.
-        validated: Gives that of a fit, with the number of cross-validations before it.
+        progress: Called after each fold.
+
+    Returns:
+        The fits with the confirmed model, and its cross-validation; None for both where none is confirmed.
     """
     if fits.non_geometric is None:
         return fits, None
+    outliers = fits.geometry.estimate.outliers
     if not fits.candidates:
-        return fits, validated(fits.non_geometric, 1)
-    estimate = fits.fitted.estimate
-
-    def squares(validation: CrossValidation) -> float:
-        whitened = validation.residual / estimate.problem.scales
-        return float(np.sum(whitened[~estimate.outliers] ** 2))
-
-    for part, fitted in enumerate(_contenders(m, fits, fits.non_geometric), start=1):
-        found = validated(fitted, part)
-        if squares(found) < squares(of_geometry):
-            return _with_non_geometric(fits, fitted), found
+        progress_of_part = _part_of(progress, 1, 2)
+        return fits, cross_validation(fits.non_geometric, outliers, progress_of_part)
+    limit = _squares(fits, of_geometry)
+    contenders = _contenders(measurements, fits, fits.non_geometric)
+    for part, contender in enumerate(contenders, start=1):
+        validation = cross_validation(contender, outliers, _part_of(progress, part, part + 1))
+        if _squares(fits, validation) < limit:
+            return _with_non_geometric(fits, contender), validation
     return _with_non_geometric(fits, None), None
 
 
-def _contenders(m: Measurements, fits: Fits, chosen: Fitted) -> Iterator[Fitted]:
-    """The non-geometric model that was chosen, then the alternatives, each fitted when it is its turn."""
+def _squares(fits: Fits, validation: CrossValidation) -> float:
+    """Return the sum of squared held-out residuals in units of the geometry's noise, outliers aside."""
+    estimate = fits.geometry.estimate
+    whitened = validation.residual / estimate.problem.scales
+    return float(np.sum(whitened[~estimate.outliers] ** 2))
+
+
+def _contenders(measurements: Measurements, fits: Fits, chosen: Fitted) -> Iterator[Fitted]:
+    """Yield the non-geometric model that was chosen, then the alternatives, each fitted when it is its turn."""
     yield chosen
-    others = fits.every.select(m.validation)
+    validation_rows = fits.all_rows.select(measurements.validation)
     for name in alternative_models(fits.candidates):
-        fitted = fit(replace(chosen.task, model=name), fits.rows)
-        yield fitted.with_unseen(fits.unseen, others)
+        fitted = fit(replace(chosen.task, model=name), fits.fitted_rows)
+        yield fitted.with_unseen(fits.unseen, validation_rows)
 
 
 def _with_non_geometric(fits: Fits, non_geometric: Fitted | None) -> Fits:
-    """The fits with another non-geometric model, or none; the candidates say so."""
-    geometry, name = (
-        str(fits.fitted.task.model),
-        "" if non_geometric is None else str(non_geometric.task.model),
-    )
-    return replace(
-        fits, non_geometric=non_geometric, candidates=mark_chosen(fits.candidates, geometry, name)
-    )
+    """Return the fits with another non-geometric model, or none, and the candidates marked accordingly."""
+    geometry = str(fits.geometry.task.model)
+    name = "" if non_geometric is None else str(non_geometric.task.model)
+    candidates = mark_chosen(fits.candidates, geometry, name)
+    return replace(fits, non_geometric=non_geometric, candidates=candidates)
 
 
-def _solved(fitted: Fitted) -> tuple[dict[str, Any], Observability]:
-    """The attributes of `calib.result.prediction.Solved`, the cross-validation aside, and what the rows determine."""
-    estimated, rows = fitted.estimate, fitted.estimate.problem.rows
-    observability = estimated.problem.observability(estimated.x)
-    placed = tells_place(kind.name for kind in rows.present)
-    motion = None if placed else base_motion(fitted.kinematics, estimated.x, rows.samples)
-    task, samples = fitted.task, rows.samples
-    q = spread_poses(task.robot)
-    load = None
-    if any(term.factor and term.factor.loaded for term in fitted.kinematics.model.terms):
-        load = gravity_loads(task.robot, q, task.cell.payload, task.cell.gravity)
-    solved: dict[str, Any] = {
-        "kinematics": fitted.kinematics,
-        "x": estimated.x,
-        "covariance": estimated.covariance,
-        "prior_std": estimated.prior_std,
-        "parameters": parameter_estimates(fitted, observability),
-        "setup": fitted.placed(),
-        "base_motion": motion,
-        "cross_validation": None,
-    }
-    solved["extrapolation"] = extrapolation(fitted)
-    zero = Solved(**solved, expected_measured=0.0, expected_everywhere=0.0)
-    solved["expected_measured"] = zero.expected_error(samples)
-    solved["expected_everywhere"] = zero.expected_error(Samples.at(q, load))
-    return solved, observability
+def _judged(result: CalibrationValues, rows: Rows) -> CalibrationValues:
+    """Return a cross-validated result with the verdicts on its geometry and on its non-geometric model.
+
+    Args:
+        result: The result without verdicts.
+        rows: The rows that were fitted.
+    """
+    doubts = doubts_of(result, rows)
+    if result.non_geometric is not None:
+        evidence = evidence_of(result, result.non_geometric, rows, doubts)
+        non_geometric = replace(result.non_geometric, verdict=verdict(evidence))
+        result = replace(result, non_geometric=non_geometric)
+    return replace(result, verdict=verdict(evidence_of(result, result, rows, doubts)))
 
 
-def _assembled(m: Measurements, fits: Fits) -> CalibrationValues:
-    """Everything that the fits say, as one value; cross-validation and verdict are still to come."""
-    fitted, every, non_geometric = fits.fitted, fits.every, None
-    task, estimated, problem = fitted.task, fitted.estimate, fitted.estimate.problem
-    robot, cell, mask = task.robot, task.cell, m.estimation
-    if fits.non_geometric is not None:
-        non_geometric = NonGeometric(
-            **_solved(fits.non_geometric)[0],
-            residual=read_only(fits.non_geometric.residual(every)),
-            payload=cell.payload,
-            gravity=cell.gravity,
-        )
-    T_base_tip, joints = robot.poses(every.joints), every.joints
-    placed = nominal_setup(T_base_tip[mask], task.setup, every.select(mask))
-    unseen = fits.unseen.with_given_fixed()
-    placed = register_held_out(T_base_tip[~mask], placed, unseen, every.select(~mask))
-    residual = fitted.residual(every)
-    scores, weights = np.empty(len(mask)), np.zeros(len(mask))
-    weights[mask], scores[mask] = estimated.weights, estimated.scores
-    scores[~mask] = fitted.unseen_scores(every.select(~mask))
-    measured = np.any(every.used[:, :3], axis=1)
-    lengths = np.where(measured, np.linalg.norm(residual[:, :3], axis=1), np.nan)
+# The result
 
-    def named(chosen: NDArray[np.bool_], beyond: float) -> tuple[Outlier, ...]:
-        return tuple(
-            Outlier(m.rows[i], float(lengths[i]), float(scores[i]))
-            for i in np.flatnonzero(chosen & (scores > beyond))
-        )
 
-    # Each set has a limit of its own, because each has its own number of chances for a false alarm.
-    limit, suspect = estimated.flag_limit, Limits.of(np.sum(~mask), estimated.freedom).flagged
-    scales = np.where(problem.rows.used, problem.scales, np.nan)
-    inside = joints[weights > 0.0]
-    ranges = inside.min(axis=0, initial=np.inf), inside.max(axis=0, initial=-np.inf)
-    types = [joint.type for joint in robot.inputs]
-    solved, observability = _solved(fitted)
-    no_poses, no_rows = np.zeros(0, dtype=int), read_only(np.zeros(0))
-    lowered = np.any(estimated.outliers) and task.solver != "paper"
+@dataclass(frozen=True, slots=True, eq=False)
+class _Scored:
+    """Figures of each of N rows, fitted or not, by the fit of the geometry."""
+
+    residual: Array  # (N, D), measured minus predicted [m], [rad]
+    scores: Array  # (N,), in standard deviations
+    weights: Array  # (N,), robust weights; 0 for validation rows
+    flag_limit: float  # Score above which a fitted row is flagged
+    suspect_limit: float  # Score above which a validation row is
+
+
+def _assembled(
+    measurements: Measurements,
+    fits: Fits,
+    validations: _Validations | None = None,
+    verdict: Verdict | None = None,
+) -> CalibrationValues:
+    """Assemble the result of fits as one value.
+
+    Args:
+        measurements: All rows.
+        fits: Fits to the estimation rows.
+        validations: Cross-validations of these fits; None: there are none.
+        verdict: The verdict, where it is known already.
+    """
+    validations = _Validations() if validations is None else validations
+    m, geometry, all_rows = measurements, fits.geometry, fits.all_rows
+    robot, cell, estimate = geometry.task.robot, geometry.task.cell, geometry.estimate
+    observability = estimate.problem.observability(estimate.x)
+    scored = _scored(m, fits)
+    nominal_places = _nominal_places(m, fits)
+    nominal_poses = nominal_places.target_poses(robot.poses(all_rows.joints), all_rows.samples)
     return CalibrationValues(
-        **solved,
+        **_model_values(geometry, observability, validations.geometry),
         nominal=robot,
-        robot=fitted.kinematics.model.apply(robot, estimated.x),
+        robot=geometry.kinematics.model.apply(robot, estimate.x),
         source=Source(m.source, m.sha256),
         rows=RowNames(m.rows, m.sets, m.kinds, m.groups, m.targets),
         frame_estimated=cell.estimate_frame,
         frozen=cell.frozen,
         ties=cell.ties,
         prior_std_from=cell.priors.source,
-        nominal_setup=placed,
-        solver=task.solver if isinstance(task.solver, str) else task.solver.__name__,
-        solution=estimated.solution,
+        nominal_setup=nominal_places,
+        solver=_solver_name(geometry.task.solver),
+        solution=estimate.solution,
         seconds=fits.seconds,
-        freedom=estimated.freedom,
-        sigma=_median(scales[:, :3]),
-        sigma_angle=_median(scales[:, 3:]),
-        sigma_given=_stated(m.sigma, cell.sigma, mask),
-        sigma_angle_given=_stated(m.sigma_angle, cell.sigma_angle, mask),
-        residual_nominal=read_only(every.residual(placed.target_poses(T_base_tip, every.samples))),
-        residual_calibrated=read_only(residual),
-        used=every.used,
-        scores=read_only(scores),
-        weights=read_only(weights),
-        ranges=read_only(np.stack(ranges, axis=1)),
-        flag_limit=limit,
-        outliers=named(mask, limit),
-        suspects=named(~mask, float(suspect)),
-        robustness=compare_weights(fitted) if lowered else None,
-        repeats=_repeats(fitted),
-        outside=outside(joints[mask], joints[~mask], robot.joint_names, types),
-        nominal_cross_validation=None,
-        observability=observability,
-        # With their errors, but without those of each row.
-        candidates=tuple(
-            replace(
-                one,
-                cross_validation=replace(one.cross_validation, poses=no_poses, residual=no_rows),
-            )
-            for one in fits.candidates
+        freedom=estimate.freedom,
+        sigma=_noise_std(geometry, slice(0, LENGTHS)),
+        sigma_angle=_noise_std(geometry, slice(LENGTHS, None)),
+        sigma_given=_stated(m.sigma, cell.sigma, m.estimation),
+        sigma_angle_given=_stated(m.sigma_angle, cell.sigma_angle, m.estimation),
+        residual_nominal=read_only(all_rows.residual(nominal_poses)),
+        residual_calibrated=read_only(scored.residual),
+        used=all_rows.used,
+        scores=read_only(scored.scores),
+        weights=read_only(scored.weights),
+        ranges=_fitted_ranges(all_rows.joints[scored.weights > 0.0]),
+        flag_limit=scored.flag_limit,
+        outliers=_flagged(m, fits, scored, m.estimation, scored.flag_limit),
+        suspects=_flagged(m, fits, scored, m.validation, scored.suspect_limit),
+        robustness=(
+            compare_weights(geometry)
+            if np.any(estimate.outliers) and geometry.task.solver != PAPER
+            else None
         ),
-        non_geometric=non_geometric,
-        verdict=None,
-        fit=Fit(m, cell, fitted, fits.non_geometric),
+        repeats=_repeats(geometry),
+        outside=outside(
+            all_rows.joints[m.estimation],
+            all_rows.joints[m.validation],
+            robot.joint_names,
+            [joint.type for joint in robot.inputs],
+        ),
+        nominal_cross_validation=validations.nominal,
+        observability=observability,
+        candidates=tuple(_without_rows(candidate) for candidate in fits.candidates),
+        non_geometric=_non_geometric(fits, validations.non_geometric),
+        verdict=verdict,
+        fit=Fit(m, cell, geometry, fits.non_geometric),
     )
 
 
-def _median(values: Array) -> float:
-    """The median of what is no NaN; NaN of nothing."""
-    there = values[~np.isnan(values)]
-    return float(np.median(there)) if there.size else float("nan")
+def _model_values(
+    fitted: Fitted, observability: Observability, validation: CrossValidation | None
+) -> dict[str, Any]:
+    """Return the attributes of `calib.result.prediction.FittedModel` by their names.
+
+    Args:
+        fitted: The fit of the model.
+        observability: That of the rows that were fitted.
+        validation: Cross-validation of the fit.
+    """
+    kinematics, x = fitted.kinematics, fitted.estimate.x
+    covariance = fitted.estimate.covariance
+    rows = fitted.estimate.problem.rows
+    base_motion = None
+    if not tells_place(kind.name for kind in rows.present):
+        base_motion = compensating_base_motion(kinematics, x, rows.samples)
+    everywhere = _spread_samples(fitted)
+    return {
+        "kinematics": kinematics,
+        "x": x,
+        "covariance": covariance,
+        "prior_std": fitted.estimate.prior_std,
+        "parameters": parameter_estimates(fitted, observability),
+        "setup": fitted.placed(),
+        "base_motion": base_motion,
+        "cross_validation": validation,
+        "expected_measured": expected_error(kinematics, x, covariance, rows.samples, base_motion),
+        "expected_everywhere": expected_error(kinematics, x, covariance, everywhere, base_motion),
+        "extrapolation": extrapolation(fitted),
+    }
 
 
-def _stated(by_row: Array | None, by_cell: float | None, fitted: NDArray[np.bool_]) -> float:
-    """The noise of fitted rows as their table states it, rms, else as the cell does; NaN where neither does."""
+def _spread_samples(fitted: Fitted) -> Samples:
+    """Return joint values spread over the limits, with the loads there if a parameter follows them."""
+    robot, cell = fitted.task.robot, fitted.task.cell
+    q = spread_poses(robot)
+    terms = fitted.kinematics.model.terms
+    if any(term.factor and term.factor.loaded for term in terms):
+        return Samples.at(q, gravity_loads(robot, q, cell.payload, cell.gravity))
+    return Samples.at(q)
+
+
+def _non_geometric(fits: Fits, validation: CrossValidation | None) -> NonGeometric | None:
+    """Return the non-geometric model of the result, if there is one."""
+    fitted = fits.non_geometric
+    if fitted is None:
+        return None
+    observability = fitted.estimate.problem.observability(fitted.estimate.x)
+    cell = fitted.task.cell
+    return NonGeometric(
+        **_model_values(fitted, observability, validation),
+        residual=read_only(fitted.residual(fits.all_rows)),
+        payload=cell.payload,
+        gravity=cell.gravity,
+    )
+
+
+def _nominal_places(measurements: Measurements, fits: Fits) -> Setup:
+    """Return frames and targets of the nominal robot: as given, or registered to the estimation rows.
+
+    Those that only validation rows see are registered to these.
+    """
+    task, rows = fits.geometry.task, fits.all_rows
+    T_base_tip = task.robot.poses(rows.joints)
+    estimation, validation = measurements.estimation, measurements.validation
+    placed = nominal_setup(T_base_tip[estimation], task.setup, rows.select(estimation))
+    unseen = fits.unseen.with_given_fixed()
+    return register_held_out(T_base_tip[validation], placed, unseen, rows.select(validation))
+
+
+def _scored(measurements: Measurements, fits: Fits) -> _Scored:
+    """Return residuals, scores and weights of all rows by the fit of the geometry."""
+    geometry, estimate = fits.geometry, fits.geometry.estimate
+    estimation, validation = measurements.estimation, measurements.validation
+    scores, weights = np.empty(len(estimation)), np.zeros(len(estimation))
+    weights[estimation] = estimate.weights
+    scores[estimation] = estimate.scores
+    scores[validation] = geometry.unseen_scores(fits.all_rows.select(validation))
+    # Each set has a limit of its own, because each has its own number of chances for a false alarm.
+    suspect_limit = Limits.of(np.sum(validation), estimate.freedom).flagged
+    return _Scored(
+        residual=geometry.residual(fits.all_rows),
+        scores=scores,
+        weights=weights,
+        flag_limit=estimate.flag_limit,
+        suspect_limit=float(suspect_limit),
+    )
+
+
+def _flagged(
+    measurements: Measurements, fits: Fits, scored: _Scored, chosen: Mask, limit: float
+) -> tuple[Outlier, ...]:
+    """List the rows of a set whose score is beyond its limit.
+
+    Args:
+        measurements: All N rows.
+        fits: The fits.
+        scored: Figures of all rows.
+        chosen: The rows of the set, shape (N,).
+        limit: Score above which one is flagged.
+    """
+    lengths = np.linalg.norm(scored.residual[:, :LENGTHS], axis=1)
+    measured = np.any(fits.all_rows.used[:, :LENGTHS], axis=1)
+    lengths = np.where(measured, lengths, np.nan)
+    flagged = np.flatnonzero(chosen & (scored.scores > limit))
+    return tuple(
+        Outlier(measurements.rows[i], float(lengths[i]), float(scored.scores[i])) for i in flagged
+    )
+
+
+def _fitted_ranges(joints: Array) -> Array:
+    """Return the smallest and largest value of each joint, shape (m, 2); infinite and reversed of no rows."""
+    low = joints.min(axis=0, initial=np.inf)
+    high = joints.max(axis=0, initial=-np.inf)
+    return read_only(np.stack([low, high], axis=1))
+
+
+def _without_rows(candidate: Candidate) -> Candidate:
+    """Return a candidate with its errors, but without those of each row."""
+    validation = replace(
+        candidate.cross_validation,
+        poses=np.zeros(0, dtype=int),
+        residual=read_only(np.zeros(0)),
+    )
+    return replace(candidate, cross_validation=validation)
+
+
+def _solver_name(solver: str | Solver) -> str:
+    """Return the name of a solver."""
+    return solver if isinstance(solver, str) else solver.__name__
+
+
+def _noise_std(fitted: Fitted, columns: slice) -> float:
+    """Return the estimated standard deviation of one measured scalar, median over rows; NaN of none.
+
+    Args:
+        fitted: A fit.
+        columns: Columns of the residual: those of lengths [m] or of angles [rad].
+    """
+    problem = fitted.estimate.problem
+    scales = np.where(problem.rows.used, problem.scales, np.nan)[:, columns]
+    measured = scales[~np.isnan(scales)]
+    return float(np.median(measured)) if measured.size else np.nan
+
+
+def _stated(by_row: Array | None, by_cell: float | None, fitted: Mask) -> float:
+    """Return the noise of fitted rows as their table states it, rms, else as the cell does; NaN where neither does.
+
+    Args:
+        by_row: Standard deviation of each row in the table, shape (N,); NaN where a row states none.
+        by_cell: The cell's.
+        fitted: Rows that were fitted, shape (N,).
+    """
     if by_row is None:
-        return float("nan") if by_cell is None else by_cell
+        return np.nan if by_cell is None else by_cell
     stated = by_row[fitted & np.isfinite(by_row)]  # the second row of a pair states none
-    return rms(stated) if len(stated) else float("nan")
+    return rms(stated) if len(stated) else np.nan
 
 
 def _repeats(fitted: Fitted) -> Repeats | None:
-    """Scatter of rows that repeat a pose, in SI units; None where none does."""
-    estimated = fitted.estimate
-    rows = estimated.problem.rows
+    """Return the scatter of rows that repeat a pose, in SI units; None where none does."""
+    estimate = fitted.estimate
+    rows = estimate.problem.rows
     if len(np.unique(rows.poses)) == len(rows):
         return None
-    paid = float(np.sum(estimated.problem.weights @ rows.used)) - estimated.freedom
-    found = scatter_of_repeats(
-        fitted.residual(rows), rows.used, rows.poses, estimated.weights, fitted=max(paid, 0.0)
+    # The scalars' worth of information that the parameters have taken.
+    paid = float(np.sum(estimate.problem.weights @ rows.used)) - estimate.freedom
+    scatter = scatter_of_repeats(
+        fitted.residual(rows), rows.used, rows.poses, estimate.weights, fitted=max(paid, 0.0)
     )
-    return found if found.freedom > 0 else None
+    return scatter if scatter.freedom > 0 else None

@@ -1,6 +1,6 @@
-"""Calibration: what was found of a robot, as immutable values: the same in memory and read from its file.
+"""Calibration: the result of `calib.calibrate` as immutable values, the same in memory and read from its file.
 
-What no file holds, the measurements and the solved problem, is its part ``fit``.
+Measurements and solved problem, which no file holds, are its part ``fit``.
 """
 
 from __future__ import annotations
@@ -25,26 +25,32 @@ from calib.numerics.errors import CrossValidation, Errors
 from calib.numerics.repeats import Repeats
 from calib.numerics.solvers import Solution
 from calib.registration.setup import Setup
-from calib.result.prediction import NonGeometric, Outlier, ParameterEstimate, Solved, tells_place
+from calib.result.prediction import (
+    FittedModel,
+    NonGeometric,
+    Outlier,
+    ParameterEstimate,
+    tells_place,
+)
 from calib.result.robustness import Robustness
 from calib.robot.payload import Payload
 from calib.robot.robot import Robot, rigid_inverse
 from calib.selection.candidates import Candidate
 from calib.units import Array, Mask
 
-#: Values that stand for all those between the ends of a measured range.
+#: Number of values that stand for all those between the ends of a measured range.
 _BETWEEN = 73
 
 
 @dataclass(frozen=True, slots=True)
 class RowNames:
-    """What each row of the measurements is: its number in the table, its set, kind, set-up and target."""
+    """Number, set, kind, station and target of each of the N rows of a table."""
 
-    numbers: tuple[int, ...]
-    sets: tuple[str, ...]
-    kinds: tuple[str, ...]
-    groups: tuple[str, ...]
-    targets: tuple[str, ...]
+    numbers: tuple[int, ...]  #: Number in the table, from 1
+    sets: tuple[str, ...]  #: ``"estimate"`` or ``"validate"``
+    kinds: tuple[str, ...]  #: Name of the kind of measurement
+    groups: tuple[str, ...]  #: Name of the station
+    targets: tuple[str, ...]  #: Name of the target
 
     def __len__(self) -> int:
         """The number of rows."""
@@ -52,49 +58,49 @@ class RowNames:
 
     @property
     def estimation(self) -> Mask:
-        """Which rows were fitted, shape (N,)."""
-        return np.array([one == SETS[0] for one in self.sets], dtype=bool)
+        """True for the rows that were fitted, shape (N,)."""
+        return np.array([name == SETS[0] for name in self.sets], dtype=bool)
 
     @property
     def validation(self) -> Mask:
-        """Which rows were only predicted, shape (N,)."""
+        """True for the rows that were only predicted, shape (N,)."""
         return ~self.estimation
 
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """The table of the measurements: name and SHA-256 of the file, both empty where it was none."""
+    """The file of the measurements; both empty where there was none."""
 
-    name: str
-    sha256: str
+    name: str  #: Its name
+    sha256: str  #: SHA-256 of its bytes, in hexadecimal digits
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """The solved problem: the fit of the geometry, which the URDF holds, and that of the non-geometric model."""
+    """Measurements and solved problem of a calibration that was made in this process."""
 
-    measurements: Measurements
-    cell: Cell
-    geometry: Fitted
-    non_geometric: Fitted | None = None
+    measurements: Measurements  #: All rows
+    cell: Cell  #: The cell as given
+    geometry: Fitted  #: Fit of the geometry, which the URDF holds
+    non_geometric: Fitted | None = None  #: Fit of the non-geometric model
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class CalibrationValues(Solved):
-    """The result of `calib.calibrate`; the attributes of `Solved` are those of the geometry, which the URDF holds."""
+class CalibrationValues(FittedModel):
+    """The result of `calib.calibrate`; attributes of `FittedModel` are those of the geometry, which the URDF holds."""
 
-    nominal: Robot  #: The robot as it came in
+    nominal: Robot  #: The robot as given
     robot: Robot  #: The calibrated robot, its URDF corrected
     source: Source  #: The measurements' file
-    rows: RowNames  #: What each row is, all rows
+    rows: RowNames  #: All N rows of the table
     frame_estimated: bool  #: Whether the cell left the measurement frames to be estimated
     frozen: tuple[str, ...]  #: Parameters that were kept at their nominal values
     ties: Mapping[str, tuple[str, float]]  #: Parameters that follow another one, by a factor
-    prior_std_from: str  #: Where the sizes of the priors are from: ``"data"``, ``"given"``, or ``"off"`` without priors
-    nominal_setup: Setup  #: Of the nominal robot's errors: as given, or registered
+    prior_std_from: str  #: Source of the prior standard deviations: ``"data"``, ``"given"``; ``"off"`` without priors
+    nominal_setup: Setup  #: Frames and targets of the nominal robot: as given, or registered
     solver: str  #: Name of the solver
-    solution: Solution  #: Where it stopped, with its history
-    seconds: float  #: Time that choosing a model, registration and estimation took; NaN where it is not to be told
+    solution: Solution  #: Its solution, with its history
+    seconds: float  #: Time that choosing a model, registration and estimation took [s]; NaN where unknown
     freedom: float  #: Degrees of freedom left for the noise
     sigma: float  #: Standard deviation of one measured length (median over rows) [m]; NaN where none was measured
     sigma_angle: float  #: Of one measured angle [rad]; NaN where none was
@@ -106,24 +112,25 @@ class CalibrationValues(Solved):
     #: [rad] in three more where poses were measured
     residual_nominal: Array
     residual_calibrated: Array  #: shape (N, D), by the calibrated robot
-    used: Mask  #: shape (N, D), which scalars were measured
+    used: Mask  #: shape (N, D), True for the scalars that were measured
     scores: Array  #: shape (N,), of all rows; see `calib.numerics.scores`
     weights: Array  #: shape (N,), of all rows in the fit, between 0 and 1; 0 for validation rows
-    ranges: Array  #: shape (m, 2), smallest and largest joint values that were fitted [rad], [m]
+    ranges: Array  #: shape (m, 2), smallest and largest joint values of fitted rows [rad], [m]
     flag_limit: float  #: The score above which a row is flagged
     outliers: tuple[Outlier, ...]  #: Fitted rows flagged; without weight if robust
     suspects: tuple[Outlier, ...]  #: Validation rows flagged; they never have weight
-    robustness: (
-        Robustness | None
-    )  #: What lowering weights does; None if none was, or by ``"paper"``
+    #: The fit with weights lowered beside the one with every row in full; None without outliers, or by ``"paper"``
+    robustness: Robustness | None
     repeats: Repeats | None  #: Scatter of rows that repeat a pose; None where none does
-    outside: tuple[OutsideRow, ...]  #: Validation rows outside of the joint values fitted
+    outside: tuple[OutsideRow, ...]  #: Validation rows outside of the fitted joint values
     #: Of the nominal robot, its target (and frame, if estimated) fitted to the other rows
     nominal_cross_validation: CrossValidation | None
-    observability: Observability  #: Rank, and what the measured poses cannot tell apart
+    observability: Observability  #: Rank and unobservable directions at the measured poses
     candidates: tuple[Candidate, ...]  #: The ladder that ``auto`` chose from, or empty
-    non_geometric: NonGeometric | None  #: The non-geometric model, if one was chosen or asked for
-    verdict: Verdict | None  #: None without cross-validation, unless the set-up is plainly wrong
+    non_geometric: NonGeometric | None  #: The non-geometric model, if one was chosen or named
+    verdict: (
+        Verdict | None
+    )  #: None without cross-validation, unless a usual mistake explains the rows far better
     #: Measurements and solved problem; None where the result was read from a file
     fit: Fit | None = field(default=None, repr=False)
 
@@ -135,21 +142,21 @@ class CalibrationValues(Solved):
     @property
     def measurements(self) -> Measurements:
         """All rows; `ModelError` where the result was read from a file."""
-        return self.in_memory.measurements
+        return self.fit_in_memory.measurements
 
     @property
     def cell(self) -> Cell:
         """The cell as given; `ModelError` where the result was read from a file."""
-        return self.in_memory.cell
+        return self.fit_in_memory.cell
 
     @property
     def fitted(self) -> Fitted:
         """The fit of the geometry; `ModelError` where the result was read from a file."""
-        return self.in_memory.geometry
+        return self.fit_in_memory.geometry
 
     @property
-    def in_memory(self) -> Fit:
-        """The fit; `ModelError` where the result was read from a file."""
+    def fit_in_memory(self) -> Fit:
+        """Measurements and solved problem; `ModelError` where the result was read from a file."""
         if self.fit is None:
             raise ModelError(
                 "This result was read from a file, which holds neither the measurements nor the solved problem. "
@@ -174,47 +181,50 @@ class CalibrationValues(Solved):
         if self.non_geometric is not None:
             residuals["non_geometric"] = self.non_geometric.residual
         sets = (("estimation", self.rows.estimation), ("validation", self.rows.validation))
-        return {
-            who: {name: Errors.of(residual[mask], self.used[mask]) for name, mask in sets}
-            for who, residual in residuals.items()
-        }
+        errors = {}
+        for robot, residual in residuals.items():
+            errors[robot] = {name: Errors.of(residual[m], self.used[m]) for name, m in sets}
+        return errors
 
     def parameter(self, name: str) -> ParameterEstimate:
-        """One parameter by its exact name; of the geometry, or of the non-geometric model if only that has it."""
-        non_geometric = self.non_geometric
-        if (
-            non_geometric is not None
-            and name in non_geometric.model.names
-            and name not in self.model.names
-        ):
-            return non_geometric.parameters[non_geometric.model.index(name)]
+        """Return one parameter by its exact name: of the geometry, else of the non-geometric model.
+
+        Raises:
+            ModelError: Neither has it.
+        """
+        other = self.non_geometric
+        if name not in self.model.names and other is not None and name in other.model.names:
+            return other.parameters[other.model.index(name)]
         return self.parameters[self.model.index(name)]
 
     @property
     def tells_place(self) -> bool:
-        """Whether any row tells where the base stands; otherwise predictions are in the base."""
+        """True if some row determines where the base stands; if not, predictions are in the base."""
         return tells_place(self.rows.kinds)
 
     def verdict_on(self, *, non_geometric: bool) -> Verdict | None:
-        """The verdict on the non-geometric model, where it is asked for and was judged, or on the geometry.
+        """Return the verdict on the model with which one predicts.
 
         Args:
             non_geometric: Whether the non-geometric model is to be used, as of `part`.
 
         Returns:
-            The verdict; None where nothing was judged.
+            The verdict on the non-geometric model if it is to be used and has one, else that on the geometry; None
+            where neither has one.
         """
-        if (
-            non_geometric
-            and self.non_geometric is not None
-            and self.non_geometric.verdict is not None
-        ):
+        if non_geometric and self.non_geometric is not None and self.non_geometric.verdict:
             return self.non_geometric.verdict
         return self.verdict
 
-    def part(self, *, non_geometric: bool) -> Solved:
-        """What to predict with: the non-geometric model, where it is asked for and there is one, or the geometry."""
-        return self.non_geometric if non_geometric and self.non_geometric is not None else self
+    def part(self, *, non_geometric: bool) -> FittedModel:
+        """Return the model to predict with.
+
+        Args:
+            non_geometric: Whether to take the non-geometric model, if there is one; else the geometry.
+        """
+        if non_geometric and self.non_geometric is not None:
+            return self.non_geometric
+        return self
 
     def samples(
         self,
@@ -224,27 +234,26 @@ class CalibrationValues(Solved):
         group: str | None = None,
         payload: Payload | None = None,
     ) -> Samples:
-        """Joint values, shape (N, m) or (m,), as a prediction takes them, with the load on the joints.
+        """Return joint values as a prediction takes them, with frame, target, and the loads on the joints.
 
-        Target and set-up are the first, and the payload is the calibration's, where None; `ModelError` for other names.
+        Args:
+            q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
+            target: Name of the target; the first where None.
+            group: Name of the station; the first where None.
+            payload: Carried by the tip; None: that of the measurements. It counts for a non-geometric model only.
+
+        Raises:
+            ModelError: There is no such target or station.
         """
         values = np.atleast_2d(np.asarray(q, dtype=np.float64))
-        load = (
-            None
-            if self.non_geometric is None
-            else self.non_geometric.load(self.nominal, values, payload)
-        )
-
-        def numbered(what: str, name: str | None, names: tuple[str, ...]) -> NDArray[np.int_]:
-            if name is not None and name not in names:
-                raise ModelError(f"There is no {what} '{name}'; there is {choices(names)}.")
-            return np.full(len(values), 0 if name is None else names.index(name))
-
-        frame = numbered("set-up", group, self.setup.groups)
+        load = None
+        if self.non_geometric is not None:
+            load = self.non_geometric.load(self.nominal, values, payload)
+        samples = Samples.at(values, load)
         return replace(
-            Samples.at(values, load),
-            frame=frame,
-            target=numbered("target", target, self.setup.targets),
+            samples,
+            frame=_repeated_index("station", group, self.setup.groups, len(values)),
+            target=_repeated_index("target", target, self.setup.targets, len(values)),
         )
 
     def predict_poses(
@@ -255,14 +264,17 @@ class CalibrationValues(Solved):
         group: str | None = None,
         non_geometric: bool = True,
     ) -> Array:
-        """Where the calibrated robot puts the target, in the measurement frame, shape (N, 4, 4), [m].
+        """Predict poses of the target, T_frame_target, in the measurement frame.
 
         Args:
             q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
             target: Name of the target; the first where None.
-            group: Name of the set-up whose frame is meant; where None the first, or the base where no row tells where
-                it stands.
+            group: Name of the station whose frame is meant; where None the first, or the base where no row determines
+                where it stands.
             non_geometric: Whether to use the non-geometric model, if there is one; else the geometry of the URDF.
+
+        Returns:
+            shape (N, 4, 4), [m].
         """
         part = self.part(non_geometric=non_geometric)
         poses = part.kinematics.poses(part.x, self.samples(q, target=target, group=group))
@@ -271,7 +283,11 @@ class CalibrationValues(Solved):
         return poses
 
     def predict(self, q: ArrayLike, **where: Any) -> Array:  # noqa: ANN401  as of predict_poses
-        """The target's position, shape (N, 3), [m]; the arguments are those of `predict_poses`."""
+        """Predict positions of the target in the measurement frame; the arguments are those of `predict_poses`.
+
+        Returns:
+            shape (N, 3), [m].
+        """
         return self.predict_poses(q, **where)[:, :3, 3]
 
     def position_std(
@@ -282,39 +298,92 @@ class CalibrationValues(Solved):
         group: str | None = None,
         non_geometric: bool = True,
     ) -> Array:
-        """How sure `predict` is, sqrt(trace(J C J^T)), shape (N,), [m]; the arguments are those of `predict_poses`.
+        """Return the standard deviation of positions by `predict`, sqrt(trace(J C J^T)).
 
-        Where only sockets, planes, anchors or pairs were measured, and no group is named, less what moves all positions
-        as one body. It knows nothing of errors that the model lacks.
+        Where only sockets, planes, anchors or pairs were measured, and no group is named, it leaves out what moves all
+        positions as one body. It knows nothing of errors that the model lacks.
+
+        Args:
+            q: As of `predict_poses`, and so the others.
+            target: Name of the target.
+            group: Name of the station.
+            non_geometric: Whether to use the non-geometric model, if there is one.
+
+        Returns:
+            shape (N,), [m].
         """
-        part, samples = (
-            self.part(non_geometric=non_geometric),
-            self.samples(q, target=target, group=group),
-        )
+        part = self.part(non_geometric=non_geometric)
+        samples = self.samples(q, target=target, group=group)
         in_base = group is None and part.base_motion is not None
         return part.pose_std(samples, in_base=in_base)[:, 0]
 
     def tip_poses(self, q: ArrayLike, *, payload: Payload | None = None) -> Array:
-        """T_base_tip by the non-geometric model, or the corrected origins; q (N, m), shape (N, 4, 4)."""
+        """Return T_base_tip by the non-geometric model if there is one, or by the corrected origins.
+
+        Args:
+            q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
+            payload: Carried by the tip; None: that of the measurements.
+
+        Returns:
+            shape (N, 4, 4), [m].
+        """
         if self.non_geometric is None:
             return self.robot.poses(np.atleast_2d(np.asarray(q, dtype=np.float64)))
         return self.non_geometric.tips(self.samples(q, payload=payload))
 
     def outside_of_measured(self, q: ArrayLike) -> tuple[OutsideRow, ...]:
-        """Which joint values, shape (N, m), [rad] or [m], lie outside of the range that the fit has seen."""
+        """List the joint values, shape (N, m), [rad] or [m], that lie outside of the fitted ranges."""
         if not np.isfinite(self.ranges).all():
             return ()
         seen = np.linspace(self.ranges[:, 0], self.ranges[:, 1], _BETWEEN)
         types = [joint.type for joint in self.nominal.inputs]
-        asked = np.atleast_2d(np.asarray(q, dtype=np.float64))
-        return outside(seen, asked, self.nominal.joint_names, types)
+        values = np.atleast_2d(np.asarray(q, dtype=np.float64))
+        return outside(seen, values, self.nominal.joint_names, types)
 
     def corrected(self, robot: Robot) -> Robot:
-        """A robot, nominal or corrected, with this result's origins; `UrdfError` where it lacks one of the joints."""
-        own = self.robot
-        return robot.rebuilt(robot.urdf.with_origins(own.origins()), own.base, own.tip)
+        """Return a robot with the calibrated joint origins.
+
+        Args:
+            robot: A URDF of this robot, nominal or corrected, such as one with meshes.
+
+        Raises:
+            UrdfError: It lacks one of the joints.
+        """
+        return _with_origins_of(self.robot, robot)
 
     def uncorrected(self, robot: Robot) -> Robot:
-        """A robot, nominal or corrected, with the origins that this result began with; else as `corrected`."""
-        own = self.nominal
-        return robot.rebuilt(robot.urdf.with_origins(own.origins()), own.base, own.tip)
+        """Return a robot with the nominal joint origins, those that the calibration began with.
+
+        Args:
+            robot: A URDF of this robot, nominal or corrected.
+
+        Raises:
+            UrdfError: It lacks one of the joints.
+        """
+        return _with_origins_of(self.nominal, robot)
+
+
+def _with_origins_of(source: Robot, robot: Robot) -> Robot:
+    """Return a robot with the joint origins, base and tip of another one."""
+    urdf = robot.urdf.with_origins(source.origins())
+    return robot.rebuilt(urdf, source.base, source.tip)
+
+
+def _repeated_index(
+    what: str, name: str | None, names: tuple[str, ...], count: int
+) -> NDArray[np.int_]:
+    """Return the index of a name, ``count`` times; the first where it is None.
+
+    Args:
+        what: What is named, for the error message.
+        name: One of the names, or None.
+        names: All names.
+        count: Length of the result.
+
+    Raises:
+        ModelError: It is none of them.
+    """
+    if name is not None and name not in names:
+        raise ModelError(f"There is no {what} '{name}'; there is {choices(names)}.")
+    index = 0 if name is None else names.index(name)
+    return np.full(count, index)

@@ -36,7 +36,7 @@ from calib.model.parameters import ErrorModel, Parameter
 from calib.numerics.errors import CrossValidation, Errors
 from calib.numerics.repeats import Repeats
 from calib.result.calibration import CalibrationValues, Source
-from calib.result.prediction import NonGeometric, Outlier, Solved
+from calib.result.prediction import FittedModel, NonGeometric, Outlier
 from calib.result.robustness import Robustness
 from calib.robot.payload import Payload
 from calib.robot.robot import Robot, read_only
@@ -109,7 +109,7 @@ _LAYOUT: JsonLayout = JsonLayout(
         Observability: {
             "condition": Key("condition", None, lambda v: np.inf if v is None else float(v))
         },
-        Solved: {
+        FittedModel: {
             "kinematics": None,
             "setup": "frames",
             "covariance": Key(
@@ -244,7 +244,7 @@ def _calibration(found: Json, folder: Path) -> CalibrationValues:
     held = {one["joint"]: float(one["value"]) for one in robot["held"]}
     nominal = Robot.from_urdf(urdf, robot["base"], robot["tip"], held=held)
 
-    def solved(kind: type[Solved], table: Json) -> dict[str, Any]:
+    def solved(kind: type[FittedModel], table: Json) -> dict[str, Any]:
         """The attributes of the geometry, or of the non-geometric model."""
         own = _LAYOUT.values(kind, table, without=("non_geometric",))
         x, C, setup = own["x"], own["covariance"], own["setup"]

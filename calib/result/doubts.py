@@ -73,7 +73,7 @@ _NARROW = 1.0 / 3.0
 
 def doubts_of(result: CalibrationValues, rows: Rows) -> tuple[Reason, ...]:
     """List what speaks against a result besides its errors: see the module."""
-    return tuple(_doubts(result, result.in_memory.non_geometric or result.fitted, rows))
+    return tuple(_doubts(result, result.fit_in_memory.non_geometric or result.fitted, rows))
 
 
 def _doubts(result: CalibrationValues, fitted: Fitted, rows: Rows) -> Iterator[Reason]:

@@ -11,10 +11,11 @@ from calib.diagnosis.verdict import Evidence
 from calib.estimate.fitting import Fitted
 from calib.model.parameters import FRAME, TARGET
 from calib.numerics.errors import Errors
+from calib.numerics.rigid_motion import without_rigid_motion
 from calib.registration.rows import Rows
 from calib.result.calibration import CalibrationValues
 from calib.result.doubts import noise_doubts
-from calib.result.prediction import NonGeometric, Solved, without_rigid_motion
+from calib.result.prediction import FittedModel, NonGeometric
 from calib.robot.ranges import spread_poses
 from calib.units import Array, Mask
 
@@ -24,16 +25,15 @@ _FEW_SUSPECTS = 0.15
 
 def evidence_of(
     result: CalibrationValues,
-    part: Solved,
+    part: FittedModel,
     rows: Rows,
     doubts: tuple[Reason, ...],
-    hint: Reason | None,
 ) -> Evidence:
     """All that the verdict on a part of a result is based on: its URDF or its non-geometric model.
 
     The result is cross-validated, and the hint a set-up that explains more.
     """
-    fits, m, model = result.in_memory, result.measurements, part.model
+    fits, m, model = result.fit_in_memory, result.measurements, part.model
     non_geometric = part if isinstance(part, NonGeometric) else None
     fitted = (
         fits.non_geometric
@@ -73,7 +73,6 @@ def evidence_of(
         noise=result.sigma,
         expected=expected,
         expected_of_nominal=expected_of_nominal,
-        hint=hint,
         non_geometric=_non_geometric(result) if non_geometric is None else None,
     )
 
@@ -90,7 +89,7 @@ def _non_geometric(result: CalibrationValues) -> tuple[str, Errors] | None:
 
 def _noise_floor(result: CalibrationValues, fitted: Fitted, doubts: tuple[Reason, ...]) -> Array:
     """The least noise of each scalar that any model tried has left, over that of a fit, at most 1, shape (N, D)."""
-    fits = (result.in_memory.geometry, result.in_memory.non_geometric)
+    fits = (result.fit_in_memory.geometry, result.fit_in_memory.non_geometric)
     noise = np.array(fitted.estimate.noise)
     least = np.min([one.estimate.noise for one in fits if one is not None], axis=0)
     share = np.minimum(least / noise, 1.0)
@@ -124,7 +123,7 @@ def _notes(result: CalibrationValues) -> Iterator[Reason]:
         yield Reason.of(Why.OUTSIDE, rows=len(result.outside), row=number, **values)
 
 
-def _over_joint_limits(result: CalibrationValues, part: Solved) -> tuple[float, float]:
+def _over_joint_limits(result: CalibrationValues, part: FittedModel) -> tuple[float, float]:
     """What a part of a result and the nominal robot are expected to be off by over the joint limits, rms [m].
 
     With the variance v of a prediction there, v_0 at the measured poses and the factor f by which extrapolated errors

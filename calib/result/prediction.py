@@ -1,10 +1,10 @@
-"""What a fit says of its parameters, and its covariance of a pose.
+"""Predictions of a fitted model: its parameters with their intervals, poses, and how sure these are.
 
-A predicted pose's standard deviations are those of J dx, sqrt(trace(J C J^T)), with the parameters' covariance C and
-the derivative J of the predicted pose. Sockets, planes, anchors and pairs tell neither where the base stands nor how it
-is turned: what moves all poses as one body is then known by the priors alone, whatever these may be. So predictions in
-the base leave it out there: the rigid motion of the base that makes up best for what a parameter does at the measured
-poses is taken off J, wherever else it is asked.
+The standard deviation of a predicted position is that of J dx, sqrt(trace(J C J^T)), with the parameters' covariance C
+and the Jacobian J of the prediction. Rows that measure no position in a known frame (sockets, planes, anchors, pairs)
+determine neither where the base stands nor how it is turned: what moves all poses as one body is then known by the
+priors alone. Predictions in the base leave it out: from J is subtracted the rigid motion of the base that compensates
+best what a parameter does at the measured poses (`FittedModel.base_motion`), wherever else a pose is predicted.
 """
 
 from __future__ import annotations
@@ -16,43 +16,44 @@ import numpy as np
 
 import calib.data.kinds as registry
 from calib.diagnosis.reasons import Verdict
-from calib.estimate.fitting import Fitted
+from calib.estimate.fitting import PAPER, Fitted
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability
 from calib.model.parameters import FRAME, TARGET, ErrorModel
 from calib.numerics.errors import CrossValidation, rms
 from calib.numerics.intervals import interval_factor
+from calib.numerics.rigid_motion import best_motion, displacements_by
 from calib.registration.setup import Setup
 from calib.robot.gravity import gravity_loads
 from calib.robot.payload import Payload
 from calib.robot.robot import Robot, read_only
 from calib.units import Array
 
-#: Points that lie nearer to a line than this tell nothing of a turn about it [m].
-_SHORT_LEVER = 1e-2
+#: The most poses over which an expected error is averaged.
+_MOST_EXPECTED = 1000
 
-#: Poses over which expected errors are averaged, and that say what a motion of the base makes up for: more change none.
-_MOST_EXPECTED, _ENOUGH = 1000, 20_000
+#: The most measured poses to which a motion of the base is fitted; more change it no more.
+_MOST_MEASURED = 20_000
 
 
 @dataclass(frozen=True, slots=True)
 class ParameterEstimate:
     """One parameter of the result, in its unit."""
 
-    name: str  #: Its name; its unit is ``"m"``, ``"rad"``, ``"1"``, ``"m/m"``, ``"rad/Nm"`` or ``"m/N"``
-    unit: str
+    name: str  #: Its name
+    unit: str  #: ``"m"``, ``"rad"``, ``"1"``, ``"m/m"``, ``"rad/Nm"`` or ``"m/N"``
     nominal: float | None  #: The value before; None for a target that was not given
-    value: float  #: The value after, with its standard deviation ``std`` and its 95 % interval from ``low`` to ``high``
+    value: float  #: The value after
     delta: float  #: The change; for a target that was not given, from where registration put it
-    std: float
-    low: float
-    high: float
+    std: float  #: Standard deviation of the value
+    low: float  #: Lower end of the value's 95 % interval
+    high: float  #: Upper end
     identifiable: bool  #: Whether the measurements determine it, not in combinations only
     at_bound: bool = False  #: Whether a bound stopped it; std and interval are then NaN
     prior_std: float = np.nan  #: Of the prior that the fit ended with; NaN where there was none
-    #: How hard the data push it against its prior [1/unit]: minus the derivative of half their squares. At the least of
-    #: all squares that is the prior's pull, (x - mean) / std^2. Where a prior is next to nothing wide, x is too, and
-    #: only this still tells what the data say
+    #: Minus the derivative of half the sum of the data's weighted squares by the parameter [1/unit]; positive where the
+    #: data ask for a larger value. At the optimum it equals the pull of the prior, (x - mean) / prior_std^2. Where a
+    #: prior is next to nothing wide, x is too, and only this still shows what the data ask for.
     data_gradient: float = np.nan
 
 
@@ -62,55 +63,56 @@ class Outlier:
 
     row: int  #: Its number in the table
     residual: float  #: Norm of measured minus predicted length [m]; NaN where none was measured
-    score: float  #: How far it lies from what the others predict, in standard deviations
+    score: float  #: Distance from what the others predict, in standard deviations
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Solved:
-    """What was found of one error model."""
+class FittedModel:
+    """One fitted error model: its parameters, their covariance, and what it predicts."""
 
     kinematics: Kinematics  #: The nominal robot, with frames and targets where ``x`` counts from
     x: Array  #: shape (p,), offsets from the registered start [m, rad]
     covariance: Array  #: shape (p, p), of ``x``
-    prior_std: Mapping[
-        str, float
-    ]  #: Size of each family's errors, in its unit; empty without priors
+    #: Standard deviation of the prior of each family's errors, in its unit; empty without priors
+    prior_std: Mapping[str, float]
     parameters: tuple[ParameterEstimate, ...]  #: One entry for each element of ``x``
     setup: Setup  #: Frames and targets as estimated or given
-    #: shape (6, p), the motion of the base, linear part first, that makes up best for a unit of each parameter over the
-    #: measured poses; None where the rows tell where the base stands
+    #: shape (6, p), the motion of the base, linear part first, that compensates a unit of each parameter best over the
+    #: measured poses; None where the rows determine where the base stands
     base_motion: Array | None
     cross_validation: CrossValidation | None  #: On held-out fitted rows; None without
     #: Standard deviation of the predicted point at the measured poses, rms [m]. From the covariance, so it knows
     #: nothing of errors that the model lacks
     expected_measured: float
     expected_everywhere: float  #: The same over joint values spread over the limits [m]
-    #: How many times as large as by the covariance the squared errors are where it is extrapolated; 1 or more
+    #: Squared error of extrapolated predictions over that by the covariance, 1 or more
     extrapolation: float = 1.0
 
     @property
     def expected_elsewhere(self) -> float:
-        """Standard deviation of the predicted point over the joint limits, rms [m], what the model lacks counted too.
+        """Standard deviation of the predicted point over the joint limits, rms [m], with what the model lacks.
 
         Errors that the model lacks do not average out over rows: beyond the measured poses the variance that the
         covariance adds is ``extrapolation`` times as large.
         """
-        here, everywhere = self.expected_measured**2, self.expected_everywhere**2
-        beyond = everywhere - here
-        return float(np.sqrt(here + beyond * (self.extrapolation if beyond > 0.0 else 1.0)))
+        at_measured = self.expected_measured**2
+        added = self.expected_everywhere**2 - at_measured
+        factor = self.extrapolation if added > 0.0 else 1.0
+        return float(np.sqrt(at_measured + added * factor))
 
     @property
     def new_point(self) -> tuple[float, float]:
-        """The error to expect of a new point, rms [m]: at poses like those measured, and over the joint limits.
+        """Expected error at a new point, rms [m]: at poses like those measured, and over the joint limits.
 
-        The first is that of held-out rows, outliers aside, and knows what the model lacks; to get the second the
-        variances of the prediction change. By the covariance alone without cross-validation, or without lengths.
+        The first is that of held-out rows, outliers aside, and knows what the model lacks; for the second the
+        variances of the predictions are exchanged. By the covariance alone without cross-validation, or lengths.
         """
-        here, everywhere = self.expected_measured, self.expected_elsewhere
-        held_out = self.cross_validation and self.cross_validation.errors_without_outliers
-        if not held_out or not held_out.n:
-            return here, everywhere
-        return held_out.rms, float(np.sqrt(max(held_out.rms**2 - here**2, 0.0) + everywhere**2))
+        at_measured, elsewhere = self.expected_measured, self.expected_elsewhere
+        if self.cross_validation is None or not self.cross_validation.errors_without_outliers.n:
+            return at_measured, elsewhere
+        held_out = self.cross_validation.errors_without_outliers.rms
+        beside_prediction = max(held_out**2 - at_measured**2, 0.0)
+        return held_out, float(np.sqrt(beside_prediction + elsewhere**2))
 
     @property
     def model(self) -> ErrorModel:
@@ -118,78 +120,151 @@ class Solved:
         return self.kinematics.model
 
     def pose_std(self, samples: Samples, *, in_base: bool = False) -> Array:
-        """Standard deviations of predicted poses, sqrt(trace(J C J^T)), shape (N, 2): position [m] and angle [rad].
+        """Return standard deviations of predicted poses.
 
-        In the base they are less ``base_motion``; else they are in each sample's own frame.
+        Args:
+            samples: N joint values, with frames, targets and loads.
+            in_base: Predict in the base, less ``base_motion``, and not in each sample's own frame.
+
+        Returns:
+            Of the position [m] and of the orientation [rad], shape (N, 2).
         """
-        if in_base:
-            poses, twists = twists_in_base(self.kinematics, self.x, samples)
-            if self.base_motion is not None:
-                twists[:, :3] -= moved_by(self.base_motion, poses[:, :3, 3])
-                twists[:, 3:] -= self.base_motion[3:]
-        else:
-            twists = self.kinematics.twists(self.x, samples)[1]
-        wide = (twists.reshape(-1, len(self.x)) @ self.covariance).reshape(twists.shape)
-        variance = np.sum(wide * twists, axis=2).reshape(-1, 2, 3).sum(axis=2)
-        return read_only(np.sqrt(np.maximum(variance, 0.0)))
-
-    def expected_error(self, samples: Samples) -> float:
-        """Standard deviation of the predicted position over some samples, rms [m]; in the base as `pose_std`."""
-        some = samples.select(slice(0, _MOST_EXPECTED))
-        return rms(self.pose_std(some, in_base=self.base_motion is not None)[:, 0])
+        return pose_std(
+            self.kinematics,
+            self.x,
+            self.covariance,
+            samples,
+            base_motion=self.base_motion,
+            in_base=in_base,
+        )
 
     def tips(self, samples: Samples) -> Array:
-        """T_base_tip by the parameters, the joints' own errors included, shape (N, 4, 4), [m]."""
-        T = self.kinematics.poses(self.x, samples)
-        into_base = np.linalg.inv(self.setup.T_frame_base)[samples.frame]
-        return np.asarray(into_base @ T @ np.linalg.inv(self.setup.T_tip_target)[samples.target])
+        """Return T_base_tip by the parameters, the joints' own errors included.
+
+        Args:
+            samples: N joint values, with frames, targets and loads.
+
+        Returns:
+            shape (N, 4, 4), [m].
+        """
+        T_frame_target = self.kinematics.poses(self.x, samples)
+        T_base_frame = np.linalg.inv(self.setup.T_frame_base)[samples.frame]
+        T_target_tip = np.linalg.inv(self.setup.T_tip_target)[samples.target]
+        return np.asarray(T_base_frame @ T_frame_target @ T_target_tip)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class NonGeometric(Solved):
-    """A model with errors of the joints' state, which no URDF can hold."""
+class NonGeometric(FittedModel):
+    """A fitted model with errors that depend on the joints' state, which no URDF can hold."""
 
     residual: Array  #: shape (N, D), measured minus predicted, all rows [m], [rad]
-    payload: Payload | None  #: What the tip carried; None where nothing was said
+    payload: Payload | None  #: Carried by the tip; None where none was stated
     gravity: Array  #: shape (3,), in the URDF's root frame [m/s^2]
     verdict: Verdict | None = None  #: None without cross-validation
 
     @property
     def name(self) -> str:
-        """Its set and families, such as ``"dh+compliance"``."""
+        """Its geometry and families, such as ``"dh+compliance"``."""
         return self.model.name
 
     def load(self, nominal: Robot, q: Array, payload: Payload | None = None) -> Array:
-        """The load of gravity on the joints at q, shape (N, m); see `gravity_loads`; payload None: its own."""
+        """Return the load of gravity on the joints, see `gravity_loads`.
+
+        Args:
+            nominal: The nominal robot.
+            q: Joint values, shape (N, m), [rad] or [m].
+            payload: Carried by the tip; None: that of the measurements.
+
+        Returns:
+            shape (N, m), [Nm] or [N].
+        """
         return gravity_loads(nominal, q, payload or self.payload, self.gravity)
+
+
+def pose_std(
+    kinematics: Kinematics,
+    x: Array,
+    covariance: Array,
+    samples: Samples,
+    *,
+    base_motion: Array | None,
+    in_base: bool,
+) -> Array:
+    """Return standard deviations of predicted poses, sqrt(trace(J C J^T)).
+
+    Args:
+        kinematics: The robot under its error model.
+        x: Parameters, shape (p,).
+        covariance: Of the parameters, shape (p, p).
+        samples: N joint values, with frames, targets and loads.
+        base_motion: Compensating motion of the base, shape (6, p), see `compensating_base_motion`; None: no motion.
+            It counts in the base only.
+        in_base: Predict in the base, and not in each sample's own frame.
+
+    Returns:
+        Of the position [m] and of the orientation [rad], shape (N, 2).
+    """
+    if in_base:
+        poses, twists = twists_in_base(kinematics, x, samples)
+        if base_motion is not None:
+            twists[:, :3] -= displacements_by(base_motion, poses[:, :3, 3])
+            twists[:, 3:] -= base_motion[3:]
+    else:
+        _, twists = kinematics.twists(x, samples)
+    JC = (twists.reshape(-1, len(x)) @ covariance).reshape(twists.shape)
+    variance_by_axis = np.sum(JC * twists, axis=2)
+    variance = variance_by_axis.reshape(-1, 2, 3).sum(axis=2)
+    return read_only(np.sqrt(np.maximum(variance, 0.0)))
+
+
+def expected_error(
+    kinematics: Kinematics,
+    x: Array,
+    covariance: Array,
+    samples: Samples,
+    base_motion: Array | None,
+) -> float:
+    """Return the standard deviation of the predicted position over samples, rms [m].
+
+    Args:
+        kinematics: The robot under its error model.
+        x: Parameters, shape (p,).
+        covariance: Of the parameters, shape (p, p).
+        samples: Joint values, of which the first `_MOST_EXPECTED` count.
+        base_motion: Compensating motion of the base, shape (6, p): the error in the base less it; None: the error in
+            each sample's frame.
+    """
+    std = pose_std(
+        kinematics,
+        x,
+        covariance,
+        samples.select(slice(0, _MOST_EXPECTED)),
+        base_motion=base_motion,
+        in_base=base_motion is not None,
+    )
+    return rms(std[:, 0])
 
 
 def parameter_estimates(
     fitted: Fitted, observability: Observability
 ) -> tuple[ParameterEstimate, ...]:
-    """Nominal value, value and interval of each parameter; the observability is that of the rows that were fitted."""
-    estimate, given, model = fitted.estimate, fitted.task.setup, fitted.kinematics.model
+    """Return nominal value, value and interval of each parameter.
+
+    Args:
+        fitted: A fit with p parameters.
+        observability: That of the rows that were fitted.
+    """
+    estimate, model = fitted.estimate, fitted.kinematics.model
     at_bound = np.isin(np.arange(len(model)), list(estimate.at_bound))
     std = np.where(at_bound, np.nan, np.sqrt(np.diag(estimate.covariance)))
     half = interval_factor(estimate.freedom) * std
-    precision, data_gradient, placed = (
-        estimate.problem.precision,
-        _data_gradients(fitted),
-        fitted.placed(),
-    )
+    precision = estimate.problem.precision
     prior_std = 1.0 / np.sqrt(np.where(precision > 0.0, precision, np.nan))
+    data_gradient = _data_gradient(fitted)
+    placed = fitted.placed()
     result = []
-    for k, (parameter, delta) in enumerate(zip(model.parameters, estimate.x, strict=True)):
-        nominal: float | None = parameter.nominal
-        value = parameter.nominal + delta
-        if parameter.family == TARGET and parameter.unit == "m":
-            t = model.places.index(parameter.place) - len(model.places) + len(given.targets)
-            start = fitted.kinematics.T_tip_target[t, :3, :3]
-            axis = int(np.argmax(np.abs(start @ parameter.direction[:3])))  # of the tip
-            value = placed.T_tip_target[t, axis, 3]
-            known = bool(given.target_given[t])
-            nominal = float(given.T_tip_target[t, axis, 3]) if known else None
-            delta = delta if nominal is None else value - nominal
+    for k, parameter in enumerate(model.parameters):
+        nominal, value, delta = _values(fitted, placed, k)
         result.append(
             ParameterEstimate(
                 name=parameter.name,
@@ -209,28 +284,63 @@ def parameter_estimates(
     return tuple(result)
 
 
-def _data_gradients(fitted: Fitted) -> Array:
-    """The data's gradient of each parameter against its prior, shape (p,); see `ParameterEstimate`."""
+def _values(fitted: Fitted, placed: Setup, k: int) -> tuple[float | None, float, float]:
+    """Return nominal value, value and change of one parameter, in its unit.
+
+    Args:
+        fitted: A fit.
+        placed: Its frames and targets at the solution.
+        k: Index of the parameter.
+    """
+    model, given = fitted.kinematics.model, fitted.task.setup
+    parameter = model.parameters[k]
+    delta = fitted.estimate.x[k]
+    if parameter.family != TARGET or parameter.unit != "m":
+        return parameter.nominal, parameter.nominal + delta, delta
+    # A target's position is stated along the tip's axes, whatever the target's own are.
+    target = model.places.index(parameter.place) - len(model.places) + len(given.targets)
+    R_tip_target = fitted.kinematics.T_tip_target[target, :3, :3]
+    axis = int(np.argmax(np.abs(R_tip_target @ parameter.direction[:3])))
+    value = placed.T_tip_target[target, axis, 3]
+    if not given.target_given[target]:
+        return None, value, delta
+    nominal = float(given.T_tip_target[target, axis, 3])
+    return nominal, value, value - nominal
+
+
+def _data_gradient(fitted: Fitted) -> Array:
+    """Return minus the derivative of half the sum of the data's weighted squares by each parameter, shape (p,)."""
     x, problem = fitted.estimate.x, fitted.estimate.problem
-    if fitted.task.solver == "paper":  # not at the least of squares, and without priors
+    if fitted.task.solver == PAPER:  # not at the least of squares, and without priors
         return np.asarray(problem.precision * (x - problem.centre))
-    residual, derivative = replace(problem, precision=np.zeros(len(x))).system(x)
-    return -residual @ derivative
+    without_priors = replace(problem, precision=np.zeros(len(x)))
+    residual, jacobian = without_priors.system(x)
+    return -residual @ jacobian
 
 
-def base_motion(kinematics: Kinematics, x: Array, samples: Samples) -> Array:
-    """The motion of the base that makes up best for a unit of each parameter x (p,) over some poses, shape (6, p)."""
-    some = samples.select(np.linspace(0, len(samples) - 1, min(len(samples), _ENOUGH)).astype(int))
-    poses, twists = twists_in_base(kinematics, x, some)
+def compensating_base_motion(kinematics: Kinematics, x: Array, samples: Samples) -> Array:
+    """Return the motion of the base that compensates a unit of each parameter best over some poses: their gauge.
+
+    Args:
+        kinematics: The robot under its error model.
+        x: Parameters, shape (p,).
+        samples: The measured poses.
+
+    Returns:
+        shape (6, p): velocity of the base's origin [m], then turn [rad], along the base's axes.
+    """
+    count = min(len(samples), _MOST_MEASURED)
+    spread = np.linspace(0, len(samples) - 1, count).astype(int)
+    poses, twists = twists_in_base(kinematics, x, samples.select(spread))
     return read_only(best_motion(poses[:, :3, 3], twists[:, :3]))
 
 
 def twists_in_base(kinematics: Kinematics, x: Array, samples: Samples) -> tuple[Array, Array]:
-    """Poses of the target in the base, and their derivative: `Kinematics.twists` of a frame that is the base itself.
+    """Return poses of the target in the base, and their derivatives by the parameters.
 
     Args:
         kinematics: The robot under its error model.
-        x: shape (p,), its parameters.
+        x: Parameters, shape (p,).
         samples: N samples; their frames do not count.
 
     Returns:
@@ -245,31 +355,9 @@ def twists_in_base(kinematics: Kinematics, x: Array, samples: Samples) -> tuple[
 
 
 def tells_place(kinds: Iterable[str]) -> bool:
-    """Whether rows of these kinds tell where the base stands; otherwise predictions are in the base."""
+    """Tell if rows of some kinds determine where the base stands; if not, predictions are in the base.
+
+    Args:
+        kinds: Names of registered kinds.
+    """
     return any(registry.get(kind).position for kind in kinds)
-
-
-def without_rigid_motion(
-    points: Array, moves: Array, seen: tuple[Array, Array] | None = None
-) -> Array:
-    """Moves (N, 3, k) of points (N, 3), less the rigid motion that best explains them, or the same of ``seen`` ones."""
-    motion = best_motion(*((points, moves) if seen is None else seen))
-    return np.asarray(moves - moved_by(motion, points))
-
-
-def best_motion(points: Array, moves: Array) -> Array:
-    """The rigid motions (6, k), of the origin and turns, that best make up for moves (N, 3, k) of points (N, 3)."""
-    middle = points.mean(axis=0)
-    columns = np.zeros((len(points), 3, 6))
-    columns[:, :, :3] = np.eye(3)
-    columns[:, :, 3:] = np.cross(np.eye(3), (points - middle)[:, None, :]).transpose(0, 2, 1)
-    flat = moves.reshape(-1, moves.shape[2])
-    # Two sockets tell nothing of a turn about the line through them: the shortest solution has none.
-    motion = np.linalg.lstsq(columns.reshape(-1, 6), flat, rcond=_SHORT_LEVER)[0]
-    motion[:3] -= np.cross(motion[3:], middle, axisa=0).T
-    return np.asarray(motion)
-
-
-def moved_by(motion: Array, points: Array) -> Array:
-    """What rigid motions (6, k) do to points (N, 3), shape (N, 3, k)."""
-    return np.asarray(motion[:3] + np.cross(motion[3:].T, points[:, None]).transpose(0, 2, 1))

@@ -1,4 +1,4 @@
-"""Robustness: what lowering the weights of doubtful rows does to a fit.
+"""Robustness: the effect on a fit of lowering the weights of doubtful rows.
 
 Robust weights rest on the belief that a few rows are accidents; the fit with every row in full stands beside.
 """
@@ -12,46 +12,67 @@ import numpy as np
 from calib.errors import MeasurementError
 from calib.estimate.fitting import Fitted, fit
 from calib.numerics.errors import Errors
-from calib.result.prediction import without_rigid_motion
+from calib.numerics.rigid_motion import without_rigid_motion
 from calib.selection.linear_folds import linear_cross_validation
+from calib.units import Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Robustness:
     """The fit with the weights of doubtful rows lowered, beside the one with every row in full."""
 
-    lowered: bool  # Whether it is the calibration that has the weights lowered, or the fit that it is compared with
-    moved_rms: float  # How far the other fit's predictions at the measured poses lie from the calibration's [m]
-    moved_max: float  # The same at most [m]
-    # Of rows not flagged, left out of a linearised fit, with weights lowered
-    errors_lowered: Errors
+    lowered: (
+        bool  # True if the calibration has the weights lowered, and the other fit every row in full
+    )
+    moved_rms: float  # Distance between both fits' predictions at the measured poses, rms [m]
+    moved_max: float  # The largest such distance [m]
+    errors_lowered: (
+        Errors  # Of rows not flagged, held out on the linearised problem, with weights lowered
+    )
     errors_full: Errors  # The same with every row in full
 
 
 def compare_weights(fitted: Fitted) -> Robustness:
-    """Fit once more with robust weights where there were none, or without where there were, and compare."""
-    estimate, rows = fitted.estimate, fitted.estimate.problem.rows
+    """Fit once more with robust weights where there were none, or without where there were, and compare.
+
+    Args:
+        fitted: Fit to the rows that are compared.
+    """
+    rows = fitted.estimate.problem.rows
     task = replace(fitted.task, robust=not fitted.task.robust)
     other = fit(task, replace(rows, weights=None), started=fitted.setup)
+    distances = _distances(fitted, other)
+    robust, full = (fitted, other) if fitted.task.robust else (other, fitted)
+    kept = ~fitted.estimate.outliers
+    try:
+        of_robust = linear_cross_validation(robust).residual[kept]
+        of_full = linear_cross_validation(full).residual[kept]
+    except MeasurementError:  # rows of a single pose, of which none can be held out
+        errors_lowered = errors_full = Errors.of(np.zeros((0, rows.width)))
+    else:
+        errors_lowered = Errors.of(of_robust, rows.used[kept])
+        errors_full = Errors.of(of_full, rows.used[kept])
+    return Robustness(
+        lowered=fitted.task.robust,
+        moved_rms=float(np.sqrt(np.mean(distances**2))),
+        moved_max=float(np.max(distances)),
+        errors_lowered=errors_lowered,
+        errors_full=errors_full,
+    )
+
+
+def _distances(fitted: Fitted, other: Fitted) -> Array:
+    """Return the distances between the points that two fits predict at the measured poses, shape (N,), [m].
+
+    Where no row determines where the base stands, a motion as one body is left out.
+    """
+    rows = fitted.estimate.problem.rows
     samples = rows.samples
     as_one_body = not any(kind.position for kind in rows.present)
     if as_one_body:
         samples = replace(samples, frame=np.zeros_like(samples.frame))
-    here = fitted.kinematics.points(estimate.x, samples)
-    moves = (other.kinematics.points(other.estimate.x, samples) - here)[:, :, None]
+    points = fitted.kinematics.points(fitted.estimate.x, samples)
+    displacements = (other.kinematics.points(other.estimate.x, samples) - points)[:, :, None]
     if as_one_body:
-        moves = without_rigid_motion(here, moves)
-    flagged, both = estimate.outliers, (fitted, other) if fitted.task.robust else (other, fitted)
-    try:
-        left = [linear_cross_validation(one).residual[~flagged] for one in both]
-        lowered, full = (Errors.of(residual, rows.used[~flagged]) for residual in left)
-    except MeasurementError:  # rows of a single pose, of which none can be left out
-        lowered = full = Errors.of(np.zeros((0, rows.width)))
-    moved = np.linalg.norm(moves[:, :, 0], axis=1)
-    return Robustness(
-        lowered=fitted.task.robust,
-        moved_rms=float(np.sqrt(np.mean(moved**2))),
-        moved_max=float(np.max(moved)),
-        errors_lowered=lowered,
-        errors_full=full,
-    )
+        displacements = without_rigid_motion(points, displacements)
+    return np.asarray(np.linalg.norm(displacements[:, :, 0], axis=1))

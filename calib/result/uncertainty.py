@@ -26,9 +26,10 @@ from calib.jobs import Progress, batch_size, run
 from calib.model.kinematics import Samples, SamplesOrValues
 from calib.model.observability import steps
 from calib.numerics.errors import rms
+from calib.numerics.rigid_motion import without_rigid_motion
 from calib.numerics.solvers import levenberg_marquardt
 from calib.result.calibration import CalibrationValues
-from calib.result.prediction import ParameterEstimate, without_rigid_motion
+from calib.result.prediction import ParameterEstimate
 from calib.robot.ranges import spread_poses
 from calib.robot.robot import read_only
 from calib.units import Array, Integers

@@ -25,8 +25,9 @@ from calib.estimate.fitting import Fitted
 from calib.jobs import Progress, batch_size, run
 from calib.model.kinematics import Samples
 from calib.numerics.errors import rms
-from calib.result.calibrate import calibrate, fit_table
-from calib.result.prediction import without_rigid_motion
+from calib.numerics.rigid_motion import without_rigid_motion
+from calib.result.calibrate import calibrate
+from calib.result.fits import fit_table
 from calib.robot.gravity import gravity_loads
 from calib.robot.robot import rigid_inverse
 from calib.simulation.scenario import DEFAULT_TRACKER, Scenario, Simulated
@@ -249,8 +250,8 @@ def _calibrated(trials: Trials, made: Simulated) -> tuple[Fitted, str, frozenset
         return fitted, result.verdict.use, frozenset(outlier.row for outlier in result.outliers)
     fits = fit_table(robot, table, trials.cell, solver=trials.solver)
     rows = np.array(table.rows)[table.estimation]
-    flagged = frozenset(rows[fits.fitted.estimate.outliers].tolist())
-    return fits.non_geometric or fits.fitted, NO if fits.hint else "", flagged
+    flagged = frozenset(rows[fits.geometry.estimate.outliers].tolist())
+    return fits.non_geometric or fits.geometry, NO if fits.mistake else "", flagged
 
 
 def verification_poses(scenario: Scenario) -> Array:

@@ -269,7 +269,7 @@ def test_force_overwrites(call, shop):
         (("robot.urdf", "data.csv", "--model", "best"), "There is no parameter set 'best'"),
         (("robot.urdf", "data.csv", "--hold", "lift=1 m"), "the joint 'lift', to be held at 1, is"),
         (("robot.urdf", "joints.csv", "--base", "base"), "measured points need a column 'x [mm]'"),
-        (("robot.urdf", "data.csv", "--fix-target"), "The target is said to be known but is not"),
+        (("robot.urdf", "data.csv", "--fix-target"), "The target is marked as known"),
         (("robot.urdf", "data.csv", "--target", "1 2 3"), 'given as "1 2 3"; it must be 3 numbers'),
         (("robot.urdf", "data.csv", "--freeze", "d9"), "No model has the parameters 'd9'; 'calib"),
         (("robot.urdf", "data.csv", "--seed", "3"), "--seed is for the samples of --bootstrap;"),

@@ -34,7 +34,7 @@ def test_the_defaults():
         ({"held": {"j": float("inf")}}, "'j' in a cell's held is inf"),
         ({"ties": {"a1": ("a2", 0)}}, "'a1' in a cell's ties is ('a2', 0)"),
         ({"ties": {"a1": ("a2", 1)}, "frozen": ("a1",)}, "'a1' is tied to 'a2'"),
-        ({"estimate_target": False}, "The target is said to be known but is not given"),
+        ({"estimate_target": False}, "The target is marked as known, but its position"),
     ],
 )
 def test_values_that_are_refused(arguments, says):

@@ -202,7 +202,7 @@ def test_a_value_is_refused_by_none_or_an_error():
         ('freeze = "d2"', "'freeze' is 'd2'"),
         ('target = "fixed"', "'target' is 'fixed'"),
         ("target_mm = [1, 2]", "'target_mm' is [1, 2]; it must be three numbers."),
-        ('target = "known"', "The target is said to be known but is not given"),
+        ('target = "known"', "The target is marked as known, but its position"),
         ('frame = ["u"]', "'frame' is ['u']"),
         ('frame = "x,yaw"', "'frame' is 'x,yaw'"),
         ("sigma_angle_deg = -1", "sigma_angle is -0.017"),

@@ -78,9 +78,9 @@ def test_what_does_not_fit_together_is_refused(change, says):
         (("1,p,500", "2,q,", "3,p,"), "row 2: 'distance' is nan"),
         (
             ("1,p,500", "2,q,600", "3,p,"),
-            "the pair 'q' stands in row 2; a distance is between",
+            "the pair 'q' is in row 2; a distance is between",
         ),
-        (("1,p,500", "2,p,500", "3,p,500"), "the pair 'p' stands in rows 1, 2, 3; a distance"),
+        (("1,p,500", "2,p,500", "3,p,500"), "the pair 'p' is in rows 1, 2, 3; a distance"),
         (
             ("1,p,500", "2,p,501"),
             "row 1: its pair has 0.5 m here and 0.501 m in row 2",
@@ -95,8 +95,8 @@ def test_pairs_that_are_refused(table, lines, says):
 
 def test_groups_with_too_few_rows(table):
     path = table("row,group,a [deg]", "7,A,1", "8,B,2", "9,A,3")
-    refused(path, ["the group 'B' of the kind 'fixed' stands in row 8;", "2 rows"], kind="fixed")
-    text = refused(path, ["the group 'A' of the kind 'plane' stands in rows 7, 9"], kind="plane")
+    refused(path, ["the group 'B' of the kind 'fixed' is in row 8;", "2 rows"], kind="fixed")
+    text = refused(path, ["the group 'A' of the kind 'plane' is in rows 7, 9"], kind="plane")
     assert "4 rows or more" in text
     m = Measurements.read(table("a [deg]", "1", "2", "3", "4"), kind="plane")
     assert m.kinds == ("plane",) * 4

@@ -138,7 +138,7 @@ def test_units_that_are_missing_or_contradict(listed):
     ("lines", "says"),
     [
         ((), "no line of it holds three numbers"),
-        (("P1 1.5 2 3", "P2 - - -"), "line 2: 'P2 - - -' has not its three numbers"),
+        (("P1 1.5 2 3", "P2 - - -"), "line 2: 'P2 - - -' has no three numbers"),
         (("x,y,z", "1.5,2,3", "1.5,,3"), "line 3: '1.5  3'"),
         (("P1;1,5;2;3", "P2;1.5;2;3"), "decimal point in line 2 and a decimal comma in line 1"),
         (("1 100 200 300", "2 100 200 301"), "line 1: all are whole numbers"),

@@ -15,9 +15,9 @@ from calib.design.sensitivity import Sensitivity
 from calib.errors import ModelError
 from calib.estimate.inspection import inspect
 from calib.model.kinematics import Kinematics, Samples
+from calib.numerics.rigid_motion import without_rigid_motion
 from calib.registration.table_rows import FIRST_SIGMA_ANGLE
 from calib.result.calibrate import calibrate
-from calib.result.prediction import without_rigid_motion
 from calib.robot.gravity import gravity_loads
 from calib.robot.payload import Payload
 from calib.robot.ranges import random_joint_values, spread_poses

@@ -16,10 +16,8 @@ from calib.diagnosis.patterns import (
     f_test,
     joint_patterns,
     norms_of,
-    prediction_square,
     range_of,
     step,
-    unpredicted,
 )
 from calib.robot.robot import Robot
 
@@ -194,42 +192,3 @@ def test_eccentricity_of_an_encoder_of_a_ur3_is_found_at_its_joint(ur3, joint):
     stack = Stack(A, r, rows, np.tile(np.arange(3), 60), np.tile(np.eye(3), (60, 1)), poses)
     found = joint_patterns(stack, q, [False] * 6, [axis / sigma for axis in axes])
     assert found[0][0] == joint
-
-
-def judged(rng, *, changed=0.0, poses=15, parameters=24, sigma=1.0):
-    """Four set-ups with a frame each, measured on one arm; the third with other parameters by so much.
-
-    Each is predicted from the three others, whose parameters and noise come from their own least squares fit.
-    """
-    rows = 3 * poses
-    A = rng.normal(size=(4, rows, parameters))
-    B = rng.normal(size=(4, rows, 6))
-    x = np.tile(rng.normal(size=parameters), (4, 1))
-    x[2] += changed * rng.normal(size=parameters)
-    y = [a @ v + b @ rng.normal(size=6) for a, b, v in zip(A, B, x, strict=True)]
-    y = np.array(y) + sigma * rng.normal(size=(4, rows))
-    told = np.zeros((4, 4))
-    for g in range(4):
-        others = [k for k in range(4) if k != g]
-        frames = np.zeros((3 * rows, 18))
-        for i, k in enumerate(others):
-            frames[i * rows : (i + 1) * rows, 6 * i : 6 * i + 6] = B[k]
-        full = np.hstack([np.vstack(A[others]), frames])
-        target = np.concatenate(y[others])
-        solution = np.linalg.lstsq(full, target, rcond=None)[0]
-        covariance = np.linalg.inv(full.T @ full)[:parameters, :parameters]
-        freedom = len(target) - full.shape[1]
-        noise = np.sum((target - full @ solution) ** 2) / freedom
-        r = y[g] - A[g] @ solution[:parameters]
-        told[g] = *prediction_square(r, A[g], covariance, B[g]), noise, freedom
-    return unpredicted(*told.T), told.T
-
-
-def test_alike_set_ups_raise_no_alarms_and_the_one_that_differs_is_named_first():
-    rng = np.random.default_rng(1)
-    alarms = sum(bool(judged(rng, poses=8, parameters=12)[0]) for _ in range(40))
-    assert alarms <= stats.binom.ppf(0.999, 40, 0.01)
-    for _ in range(4):
-        (number, ratio), *_ = judged(rng, changed=1.0)[0]
-        assert number == 2
-        assert ratio > 1.5

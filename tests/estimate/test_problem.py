@@ -6,14 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.optimize import minimize
 
 from calib.data.cell import Cell
 from calib.estimate.problem import Problem
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
-from calib.numerics.likelihood import GaussianPriors
-from calib.numerics.reml import VarianceLimits, prior_std_by_reml
 from calib.registration.known_distances import KnownDistance
 from calib.registration.table_rows import rows_and_setup
 
@@ -132,35 +129,3 @@ def test_a_known_distance_is_that_between_the_frames_origins_in_the_base(make_sc
     assert not np.any(J[:, ~model.family("(frame)")])
     numeric = differences(lambda v: problem.constraints(v)[0], np.zeros(problem.size), 1e-3)
     np.testing.assert_allclose(-J * 1e-4, numeric * 1e-4, atol=1e-7)
-
-
-@pytest.mark.parametrize("spread", [0.1, 1.0, np.inf])
-def test_noise_has_a_normal_prior_on_its_logarithm(virtual, spread):
-    """Of few rows the prior decides: the sizes maximise the likelihood times it, by a search of another kind."""
-    rng = np.random.default_rng(11)
-    rows = virtual.rows(
-        rng, virtual.offsets(rng, 1e-3, 5e-3), 12, 4e-4
-    )  # four times the sigma given
-    linear = Problem.first(virtual.kinematics, rows).linear(np.zeros(27))
-    data = linear.data(np.ones((1, 12)), np.zeros((1, 2)))
-    members = np.arange(27)[None] < 24  # what is left is the target
-    weak = np.where(members[0], 0.0, 1.0)
-
-    def loss(logs):
-        noise, size = np.exp(logs)
-        own = members[0] / size**2
-        likelihood = data.log_likelihood(
-            np.array([[noise]]), GaussianPriors(weak + own, 0.0), own[None]
-        )
-        return 0.5 * (logs[0] / spread) ** 2 - likelihood[0]
-
-    noise, prior_std = prior_std_by_reml(
-        data,
-        members,
-        (np.ones((1, 1)), np.full((1, 1), 1e-2)),
-        GaussianPriors(weak, np.zeros(27)),
-        VarianceLimits((1e-4,), ((1e-6, 1.0),), noise_spread=spread),
-    )
-    start = np.array([0.0, np.log(1e-2)])
-    best = minimize(loss, start, method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-9}).x
-    np.testing.assert_allclose(np.log([noise[0, 0], prior_std[0, 0]]), best, atol=2e-3)

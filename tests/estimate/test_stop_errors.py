@@ -27,7 +27,7 @@ from calib.selection.linear_folds import fold_posterior_means
 from tests.fits import joined, place
 
 sys.path.append(str(Path(__file__).parents[2] / "scripts"))
-from stops_study import Hand, compared
+from stops_study import Hand, compare_fits
 
 HAND = [place([0.08, 0.0, 0.05]), place([-0.07, 0.03, 0.08]), place([0.0, -0.09, 0.06])]
 HAND += [place([0.02, 0.06, 0.14], [0.3, 0.1, -0.2])]
@@ -310,8 +310,8 @@ def test_too_few_stops_share_nothing(make_scene):
 @pytest.fixture(scope="module")
 def hand(ur3):
     """A fit to four markers of a hand whose stops are missed by three times the cameras' noise."""
-    hand = Hand.drawn(ur3, 25, 3.0, 11)
-    rows, setup = rows_and_setup(ur3, hand.by_points(), Cell(estimate_frame=True))
+    hand = Hand.draw(ur3, 25, 3.0, 11)
+    rows, setup = rows_and_setup(ur3, hand.point_table(), Cell(estimate_frame=True))
     return hand, fit(Task(ur3, Cell(estimate_frame=True), setup, "dh"), rows)
 
 
@@ -373,7 +373,7 @@ def test_stops_are_drawn_whole(hand):
 def test_what_stops_share_is_no_pattern(ur3):
     cell, found = Cell(estimate_frame=True), []
     for seed in range(5):
-        rows, setup = rows_and_setup(ur3, Hand.drawn(ur3, 30, 3.0, seed).by_points(), cell)
+        rows, setup = rows_and_setup(ur3, Hand.draw(ur3, 30, 3.0, seed).point_table(), cell)
         fitted = fit(Task(ur3, cell, setup, "dh"), rows)
         order = Order(np.arange(len(rows)), np.zeros(rows.joints.shape))
         found += [one.why for one in residual_patterns(fitted, order)]
@@ -383,12 +383,14 @@ def test_what_stops_share_is_no_pattern(ur3):
 
 @pytest.mark.slow
 def test_markers_tell_what_poses_of_their_body_tell(ur3):
-    found = np.array([compared(ur3, 25, 3.0, seed) for seed in range(30)])
-    by_points, by_poses, told = np.sqrt(np.mean(found[:, :3] ** 2, axis=0))
+    runs = [compare_fits(ur3, 25, 3.0, seed) for seed in range(30)]
+    by_points = np.sqrt(np.mean([run.by_points**2 for run in runs]))
+    by_poses = np.sqrt(np.mean([run.by_poses**2 for run in runs]))
+    stated = np.sqrt(np.mean([run.stated**2 for run in runs]))
     assert by_points < 1.03 * by_poses
     # Joints that do not repeat displace the hand more along some directions: so do poses of it state too little.
-    assert told == pytest.approx(by_points, rel=0.15)
-    assert np.mean(found[:, 3:].sum(axis=1)) == pytest.approx(0.9, abs=0.03)
+    assert stated == pytest.approx(by_points, rel=0.15)
+    assert np.mean([sum(run.shares) for run in runs]) == pytest.approx(0.9, abs=0.03)
 
 
 @pytest.mark.slow

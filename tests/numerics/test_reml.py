@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
 from calib.numerics.likelihood import GaussianPriors, NormalEquations
 from calib.numerics.reml import VarianceLimits, prior_std_by_reml, score_and_information
@@ -102,3 +103,27 @@ def test_a_family_that_is_not_there_shrinks_to_nothing():
     # Half of the time the likelihood is highest at zero; the rest stays far below the noise of one row.
     assert np.mean(shares < 1e-4) > 0.3
     assert np.max(shares) < 0.01
+
+
+@pytest.mark.parametrize("spread", [0.1, 1.0, np.inf])
+def test_noise_has_a_normal_prior_on_its_logarithm(spread):
+    """The estimates have the highest product of likelihood and prior, by a search of another kind."""
+    A, y = data_of(np.random.default_rng(11), 6, 4.0, (2.0, 3.0))
+    data = linearised(A, y)
+
+    def loss(logs):
+        noise, *prior_std = np.exp(logs)
+        likelihood = log_likelihood_at(data, FLAT, (noise,), tuple(prior_std))
+        return 0.5 * (logs[0] / spread) ** 2 - likelihood
+
+    limits = VarianceLimits((1e-3,), ((1e-3, 1e3),) * 2, noise_spread=spread)
+    noise, prior_std = prior_std_by_reml(
+        data, FAMILIES, (np.ones((1, 1)), np.ones((1, 2))), FLAT, limits
+    )
+    options = {"xatol": 1e-6, "fatol": 1e-9, "maxiter": 5000}
+    best = minimize(loss, np.zeros(3), method="Nelder-Mead", options=options).x
+    found = np.log([noise[0, 0], *prior_std[0]])
+    np.testing.assert_allclose(found, best, atol=2e-3)
+    # The errors are four times the given noise; a narrow prior keeps it near that all the same.
+    expected = 0.0 if spread == 0.1 else np.log(4.0)
+    assert found[0] == pytest.approx(expected, abs=0.5)

@@ -18,9 +18,10 @@ from calib.errors import ModelError, UrdfError
 from calib.example import PAPER_TARGET_AS_PRINTED
 from calib.model.kinematics import Samples
 from calib.numerics.errors import Errors
-from calib.result.calibrate import _validated, fit_table
+from calib.result.calibrate import _validated
 from calib.result.calibration_file import read_result
 from calib.result.evaluation import evaluate
+from calib.result.fits import fit_table
 from calib.robot.gravity import gravity_loads
 from calib.robot.payload import Payload
 from calib.robot.ranges import random_joint_values
@@ -371,34 +372,6 @@ def test_a_target_of_validation_rows_alone_is_registered_to_them(make_scene):
     assert c.errors["calibrated"]["validation"].rms < 1e-9
     assert not [name for name in c.model.names if "[t1]" in name]
     assert "Target 't1': registered to its validation rows" in c.summary()
-
-
-@pytest.mark.parametrize("bends", [True, False])
-def test_a_part_of_many_rows_judges_outliers_as_all_rows_do(make_scene, panda, monkeypatch, bends):
-    """Rows that bend under a payload are good ones for a non-geometric model; rows that are 5 mm off are not."""
-    payload = Payload(8.0, np.array([0.0, 0.0, 0.15])) if bends else None
-    errors = {"model": "dh+compliance", "other": {"compliance": 4e-5}} if bends else {}
-    places = {"frames": [np.eye(4)], "targets": TARGETS[:1]}
-    scene = make_scene(0, robot=panda, **places, **errors, length=3e-4, angle=2e-3, payload=payload)
-    x, kinematics = scene.x, scene.kinematics
-    samples = scene.samples(5000)
-    points = kinematics.points(x, samples)
-    still = kinematics.points(np.where(kinematics.model.family("compliance"), 0.0, x), samples)
-    order = np.argsort(np.linalg.norm(points - still, axis=1))
-    # Nine of ten hardly bend, so that they alone are what the geometry fits.
-    rows = np.r_[order[:3600:10], order[-40:]]
-    table = points[rows] + 1e-4 * scene.rng.normal(size=(400, 3))
-    off = np.zeros(400, dtype=bool) if bends else scene.rng.uniform(size=400) < 0.03
-    table[off] += 5e-3 * scene.rng.normal(size=(int(off.sum()), 3))
-    data = Measurements(panda.joint_names, samples.q[rows], table)
-    cell = Cell(model="dh", payload=payload)
-    by_few = calibrate(panda, data, cell=cell, validate=False)
-    monkeypatch.setattr("calib.result.calibrate._MANY", len(rows))
-    by_all = calibrate(panda, data, cell=cell, validate=False)
-    np.testing.assert_array_equal(by_few.x, by_all.x)
-    assert by_few.outliers == by_all.outliers
-    assert bends or len(by_few.outliers) > 0.5 * off.sum()
-    assert not bends or len(by_few.outliers) < 10
 
 
 @pytest.mark.parametrize("model", ["auto", "dh"])

@@ -85,7 +85,7 @@ def test_names_that_are_not_there_are_refused(calibrated):
     q = np.zeros(6)
     with pytest.raises(ModelError, match="no target 'ball'; there is 't0', 't1'"):
         c.predict(q, target="ball")
-    with pytest.raises(ModelError, match="no set-up 'monday'; there is '0'"):
+    with pytest.raises(ModelError, match="no station 'monday'; there is '0'"):
         c.position_std(q, group="monday")
     with pytest.raises(ModelError, match="no parameter 'a9'"):
         c.parameter("a9")

@@ -1,0 +1,200 @@
+"""The fits of a calibration: of the geometry, which the URDF holds, and of a non-geometric model where the data ask.
+
+The geometry is fitted with the weights of a reference fit where these predict held-out rows better, see
+`calib.selection.reference_fit`: with those of the non-geometric model if there is one.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.blas import one_blas_thread
+from calib.data.cell import AUTO, Cell
+from calib.data.measurements import Measurements
+from calib.diagnosis.reasons import Reason
+from calib.diagnosis.usual_mistakes import check_positions, find_usual_mistake
+from calib.estimate.fitting import PAPER, Fitted, Task, fit
+from calib.model.error_model import OWN, split_name
+from calib.model.parameters import Parameter
+from calib.numerics.scores import Limits
+from calib.numerics.solvers import Solver
+from calib.registration.joint_loads import joint_loads
+from calib.registration.known_distances import known_distances
+from calib.registration.rows import Rows
+from calib.registration.setup import Setup
+from calib.registration.table_rows import rows_and_setup
+from calib.robot.robot import Robot
+from calib.selection.candidates import Candidate
+from calib.selection.ladder import check_parameter_names
+from calib.selection.reference_fit import fit_with_all_families, with_better_weights
+from calib.selection.selection import select
+from calib.units import Mask
+
+#: A smaller share of outliers is not worth the time that a non-geometric model takes.
+_FEW_OUTLIERS = 0.01
+
+#: Of more rows a part of this number is fitted first to confirm the outliers: a non-geometric model takes as long as
+#: all else.
+_MANY_ROWS = 300
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fits:
+    """The fits of one table, from which `calibrate` assembles its result."""
+
+    geometry: Fitted  # Of the geometry
+    non_geometric: Fitted | None  # Of the non-geometric model
+    candidates: tuple[
+        Candidate, ...
+    ]  # Models that they were chosen from; empty where the model was named
+    all_rows: Rows  # All N rows of the table
+    fitted_rows: Rows  # Those that were fitted, those of sole postures marked
+    unseen: Setup  # The measurement setup; unknown are the frames and targets that only the other rows see
+    mistake: Reason | None  # A usual mistake that would explain the measurements far better
+    seconds: float  # Time that choosing a model, registration and estimation took
+
+
+@one_blas_thread()
+def fit_table(
+    robot: Robot,
+    measurements: Measurements,
+    cell: Cell,
+    *,
+    model: str | Sequence[Parameter] | None = None,
+    solver: str | Solver = "lm",
+    robust: bool = True,
+) -> Fits:
+    """Fit the models of a calibration to the estimation rows of a table.
+
+    Args:
+        robot: The nominal robot.
+        measurements: Rows of the set ``estimate`` are fitted; the others place frames and targets that only they see.
+        cell: What is known of targets, frames, noise and priors.
+        model: As of `calib.calibrate`; None: the cell's.
+        solver: Likewise.
+        robust: Whether outliers lose their weight.
+
+    Raises:
+        ModelError: An unknown parameter set, parameter or solver, or measurements that the model does not cover.
+        MeasurementError: Too few rows, or columns that the robot needs are missing.
+        SolverError: No finite result.
+    """
+    all_rows, setup = rows_and_setup(robot, measurements, cell)
+    rows = all_rows.select(measurements.estimation)
+    validation_rows = all_rows.select(measurements.validation)
+    check_positions(robot, rows, measurements.source)
+    frames_seen, targets_seen = setup.seen_by(rows.samples)
+    unseen = setup.with_fixed(frames_seen, targets_seen)
+
+    began = time.perf_counter()
+    model = cell.model if model is None else model
+    mistake = find_usual_mistake(robot, cell, measurements.select(measurements.estimation))
+    seen = setup.with_fixed(~frames_seen, ~targets_seen)
+    distances = known_distances(cell, setup)
+    task = Task(robot, cell, seen, model, distances, solver, robust)
+    if mistake and model == AUTO:  # no model of such measurements means anything
+        check_parameter_names(task)
+        task = replace(task, model="zeros", lenient=True)
+
+    geometry, non_geometric, candidates = _fit_models(task, rows)
+    if isinstance(model, str) and not (mistake or non_geometric or candidates):
+        geometry = _with_outliers_confirmed(geometry, measurements)
+    geometry = geometry.with_unseen(unseen, validation_rows)
+    if non_geometric is not None:
+        non_geometric = non_geometric.with_unseen(unseen, validation_rows)
+    return Fits(
+        geometry=geometry,
+        non_geometric=non_geometric,
+        candidates=candidates,
+        all_rows=all_rows,
+        fitted_rows=replace(rows, sole=geometry.estimate.problem.rows.sole),
+        unseen=unseen,
+        mistake=mistake,
+        seconds=time.perf_counter() - began,
+    )
+
+
+def _fit_models(task: Task, rows: Rows) -> tuple[Fitted, Fitted | None, tuple[Candidate, ...]]:
+    """Choose models if the task leaves it open, and fit them.
+
+    Args:
+        task: The fit; its model may be ``"auto"``, a name, or parameters.
+        rows: Rows to fit.
+
+    Returns:
+        The fit of the geometry, that of the non-geometric model if there is one, and the candidates of the choice.
+    """
+    candidates: tuple[Candidate, ...] = ()
+    if task.model == AUTO and task.solver == PAPER:
+        return fit(replace(task, model="dh", lenient=True), rows), None, candidates
+    if task.model == AUTO:
+        selection = select(task, rows)
+        name, candidates, reference = (
+            selection.geometry,
+            selection.candidates,
+            selection.reference,
+        )
+    else:
+        name = split_name(task.model)[0] if isinstance(task.model, str) else OWN
+        reference = fit(task, rows)
+    if name == reference.kinematics.model.name:
+        return reference, None, candidates
+    rows = replace(rows, sole=reference.estimate.problem.rows.sole)
+    geometry = fit(replace(task, model=name, lenient=True), rows, started=reference.setup)
+    return with_better_weights(geometry, rows, reference), reference, candidates
+
+
+def _with_outliers_confirmed(geometry: Fitted, measurements: Measurements) -> Fitted:
+    """Fit a named geometry again with the weights of a non-geometric model, if that explains some of its outliers.
+
+    Args:
+        geometry: Fit of the geometry.
+        measurements: All rows; they say what loads the joints, which a non-geometric model needs.
+    """
+    task, flagged = geometry.task, geometry.estimate.outliers
+    if task.solver == PAPER or task.cell.priors.source == "off":
+        return geometry
+    if np.mean(flagged) < _FEW_OUTLIERS:
+        return geometry
+    estimation = measurements.select(measurements.estimation)
+    rows = geometry.estimate.problem.rows
+    if len(rows) > _MANY_ROWS and _outliers_of_a_part_too(geometry, estimation):
+        return geometry
+    rows = _with_loads(geometry, estimation, np.ones(len(rows), dtype=bool))
+    reference = fit_with_all_families(geometry, rows)
+    if np.all(reference.estimate.outliers[flagged]):
+        return geometry
+    return with_better_weights(geometry, rows, reference)
+
+
+def _outliers_of_a_part_too(geometry: Fitted, estimation: Measurements) -> bool:
+    """Tell if a non-geometric model that is fitted to a part of the rows calls every outlier one too.
+
+    Args:
+        geometry: Fit of the geometry to N rows.
+        estimation: These N rows of the table.
+    """
+    rows, flagged = geometry.estimate.problem.rows, geometry.estimate.outliers
+    part = _with_loads(geometry, estimation, rows.evenly(_MANY_ROWS))
+    reference = fit_with_all_families(geometry, part)
+    chosen = rows.with_partners(flagged)
+    scores = reference.unseen_scores(_with_loads(geometry, estimation, chosen))
+    limit = Limits.of(len(rows), reference.estimate.freedom).flagged
+    return bool(np.all(scores[flagged[chosen]] > limit))
+
+
+def _with_loads(geometry: Fitted, estimation: Measurements, chosen: Mask) -> Rows:
+    """Return some rows of a fit with the loads of the joints.
+
+    Args:
+        geometry: Fit to N rows.
+        estimation: These N rows of the table.
+        chosen: The rows to return, shape (N,).
+    """
+    task, rows = geometry.task, geometry.estimate.problem.rows.select(chosen)
+    load = joint_loads(task.robot, estimation.select(chosen), task.cell, rows.joints)
+    return replace(rows, samples=replace(rows.samples, load=load))

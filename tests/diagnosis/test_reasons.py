@@ -1,0 +1,43 @@
+"""Reasons: their codes are public, since the result file has them; numbers are in SI units."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calib.diagnosis.reasons import CARE, NO, USE, Reason, Why
+from calib.numerics.errors import Errors
+
+
+def test_each_code_has_a_number_of_its_own():
+    """Of two members of one value the enumeration would make one."""
+    assert len(Why.__members__) == len(list(Why))
+
+
+def test_the_code_is_the_name_in_small_letters():
+    reason = Reason.of(Why.NOTHING_TO_GAIN)
+    assert reason.code == "nothing_to_gain"
+    assert Why[reason.code.upper()] is Why.NOTHING_TO_GAIN
+
+
+def test_the_verdicts():
+    assert (USE, CARE, NO) == ("use", "use with care", "do not use")
+
+
+@pytest.mark.parametrize(
+    ("columns", "names"),
+    [(3, {"before_m"}), (6, {"before_m", "before_rad"})],
+)
+def test_of_errors_the_rms_is_stored(columns: int, names: set[str]):
+    residual = np.full((4, columns), 1e-3)
+    errors = Errors.of(residual)
+    values = Reason.of(Why.GAIN, before=errors, method="leave-one-out").values
+    assert set(values) == names | {"method"}
+    for name in names:
+        assert values[name] == pytest.approx(1e-3 * np.sqrt(3.0))
+    assert values["method"] == "leave-one-out"
+
+
+def test_errors_that_were_not_measured_are_not_stored():
+    nothing = Errors.of(np.zeros((0, 3)))
+    assert Reason.of(Why.GAIN, before=nothing).values == {}

@@ -1,0 +1,94 @@
+"""An evaluation as text: its numbers are those of the assessment, its tables have every robot."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+from calib.data.cell import Cell
+from calib.data.measurements import Measurements
+from calib.result.acceptance import Assessment, assess
+from calib.robot.ranges import random_joint_values
+from calib.robot.robot import Robot
+from calib.text.evaluation import accuracy_table, assessment_table, assessment_text
+from calib.text.layout.lines import mm
+
+KNOWN = Cell(target=(0.0, 0.0, 0.0), estimate_target=False)
+
+
+def measured(robot: Robot, errors: np.ndarray) -> Measurements:
+    """Three repeats of each pose, off by these lengths [m] along x."""
+    q = np.repeat(random_joint_values(robot, len(errors), 3), 3, axis=0)
+    points = robot.poses(q)[:, :3, 3]
+    points[:, 0] += np.repeat(errors, 3)
+    return Measurements(robot.joint_names, q, points)
+
+
+@pytest.fixture(scope="module")
+def assessment(ur3: Robot) -> Assessment:
+    errors = 1e-4 * np.arange(1, 13)
+    limits = {"tolerance": 2e-3, "uncertainty": 1e-4}
+    return assess(ur3, measured(ur3, errors), KNOWN, limits=limits)
+
+
+@pytest.fixture(scope="module")
+def text(assessment: Assessment) -> str:
+    return assessment_text(assessment, "result.json", "as given")
+
+
+def numbers(line: str) -> list[float]:
+    return [float(word) for word in re.findall(r"-?\d+\.\d+", line)]
+
+
+def test_the_outcome_stands_first(text: str, assessment: Assessment):
+    assert text.splitlines()[0] == f"Verdict: {assessment.accepted.outcome}" == "Verdict: pass"
+    said = " ".join(text.split())
+    check = assessment.accepted.length
+    assert f"largest AP of 12 poses is {mm(check.figure)} mm (rows 34, 35, 36)" in said
+    assert f"= {mm(check.held)} mm <= {mm(check.tolerance)} mm." in said
+    assert max(map(len, text.splitlines())) <= 100
+
+
+def test_the_errors_are_those_of_the_robot(text: str, assessment: Assessment):
+    errors = assessment.found["urdf"].errors["all"]
+    (line,) = [line for line in text.splitlines() if line.startswith("  measured rows ")]
+    shown = 1e3 * np.array([errors.max, errors.mean, errors.rms, *errors.span_axis])
+    assert line.split()[2] == str(errors.n) == "36"
+    assert numbers(line) == pytest.approx(shown, abs=5.01e-4)
+
+
+def test_the_accuracies_are_those_of_the_robot(text: str, assessment: Assessment):
+    accuracy = assessment.figures["urdf"]
+    (line,) = [line for line in text.splitlines() if line.startswith("  URDF as it is ")]
+    expected = [1e3 * value for value in accuracy.figures().values()]
+    assert numbers(line) == pytest.approx(expected, abs=5.01e-4)
+
+
+def test_the_worst_poses_are_listed(text: str):
+    lines = text.splitlines()
+    start = next(k for k, line in enumerate(lines) if line.startswith("Poses, the worst first"))
+    rows = lines[start + 2 :]
+    assert rows[0].startswith("  rows 34, 35, 36 ")
+    assert numbers(rows[0])[:2] == pytest.approx([1.2, 1.2], abs=1e-3)
+    assert len(rows) == 11
+    assert rows[-1] == "  and 2 more"
+
+
+def test_long_names_of_files_are_shortened(assessment: Assessment):
+    long = assessment_text(assessment, "a" * 200 + ".json", "as given")
+    assert "the URDF as it is:" in long.splitlines()
+
+
+def test_the_table_is_in_si_units(assessment: Assessment):
+    table = assessment_table(assessment)
+    assert table["acceptance"]["outcome"] == "pass"
+    assert table["acceptance"]["length"]["tolerance_m"] == 2e-3
+    assert table["acceptance"]["length"]["held_m"] == assessment.accepted.length.held
+    assert table["acceptance"]["angle"] is None
+    assert table["frames"]["registered"] == []
+    accuracy = accuracy_table(assessment.figures["urdf"])
+    assert accuracy["ap_max_m"] == pytest.approx(1.2e-3)
+    assert accuracy["repeats_min"] == accuracy["repeats_max"] == 3
+    assert accuracy["poses"][-1]["ap_m"] == pytest.approx(1.2e-3)
