@@ -26,7 +26,7 @@ from calib.model.families import FAMILIES
 from calib.model.kinematics import Samples
 from calib.model.parameters import FRAME, TARGET, Parameter
 from calib.result.calibration import CalibrationValues
-from calib.result.prediction import FittedModel, moved_by, twists_in_base
+from calib.result.prediction import FittedModel, displacements_by, twists_in_base
 from calib.robot.robot import rigid_inverse
 from calib.units import Array
 
@@ -172,10 +172,10 @@ def _derivative(part: FittedModel, view: View) -> Callable[[Samples], Array]:
             poses, twists = kinematics.twists(x, samples)
         points = poses[:, :3, 3]
         if gauge is not None:
-            twists[:, :3] -= moved_by(gauge, points)
+            twists[:, :3] -= displacements_by(gauge, points)
             twists[:, 3:] -= gauge[3:]
         of_base = np.tile(np.eye(6), (len(points), 1, 1))
-        of_base[:, :3] = moved_by(np.eye(6), points)
+        of_base[:, :3] = displacements_by(np.eye(6), points)
         return np.concatenate([twists, of_base], axis=2)
 
     return derivative
