@@ -25,8 +25,9 @@ from calib.model.error_model import DIRECTIONS, OWN, error_model, split_name
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Samples
 from calib.model.parameters import FRAME, TARGET, Parameter
+from calib.numerics.rigid_motion import displacements_by
 from calib.result.calibration import CalibrationValues
-from calib.result.prediction import FittedModel, displacements_by, twists_in_base
+from calib.result.prediction import FittedModel, twists_in_base
 from calib.robot.robot import rigid_inverse
 from calib.units import Array
 
