@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from calib.data.cell import Cell as Cell
     from calib.data.measurements import Measurements as Measurements
     from calib.design.choice import PlanRequest as PlanRequest
+    from calib.design.inspection import inspect as inspect
     from calib.design.plan import Plan as Plan, plan as plan
     from calib.errors import CalibError as CalibError
-    from calib.estimate.inspection import inspect as inspect
     from calib.fleets.fleet import fleet as fleet
     from calib.regions.region import Region as Region
     from calib.regions.workspace import workspace as workspace
@@ -56,7 +56,7 @@ _NAMES = {
     "calib.regions.region": "Region",
     "calib.regions.workspace": "workspace",
     "calib.errors": "CalibError",
-    "calib.estimate.inspection": "inspect",
+    "calib.design.inspection": "inspect",
     "calib.fleets.fleet": "fleet",
     "calib.result.evaluation": "Evaluation evaluate",
     "calib.result.uncertainty": "bootstrap",

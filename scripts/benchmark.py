@@ -37,8 +37,9 @@ from calib.calibration import calibrate
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.design.plan import plan
-from calib.estimate.fitting import Task, fit
+from calib.estimate.fitting import fit
 from calib.estimate.problem import Problem
+from calib.estimate.task import Task
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
 from calib.registration.rows import Rows
@@ -141,8 +142,8 @@ def one_pass(count: int) -> dict[str, float]:
     x, weights = np.zeros(27), np.ones(len(rows))
 
     def again() -> None:
-        problem = Problem.first(kinematics, rows)
-        problem.linear(x).data(weights[None], problem.rho)
+        problem = Problem.initial(kinematics, rows)
+        problem.linear(x).normal_equations(weights[None], problem.rho)
 
     return {"seconds": best(again, 5)}
 

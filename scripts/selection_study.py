@@ -188,7 +188,7 @@ def errors_by_model(table: Table) -> dict[str, float]:
     """Return the error of `auto` and of each fixed model, rms [m]."""
     auto = fit_table(table.robot, table.measurements, table.cell, model="auto")
     errors = {"auto": table.error(auto.non_geometric or auto.geometry)}
-    task = replace(auto.geometry.task, lenient=True)
+    task = replace(auto.geometry.task, allow_absent=True)
     rows = auto.geometry.estimate.problem.rows
     for model in FIXED:
         errors[model] = table.error(fit(replace(task, model=model), rows))

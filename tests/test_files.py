@@ -9,12 +9,7 @@ from pathlib import Path
 import pytest
 
 from calib.errors import FileError
-from calib.files import (
-    check_writable,
-    read_bytes,
-    read_json,
-    write_atomically,
-)
+from calib.files import check_writable, read_bytes, write_atomically
 
 
 def names(folder: Path) -> list[str]:
@@ -90,33 +85,3 @@ def test_nothing_is_left_when_the_disk_takes_only_a_part(tmp_path: Path, overwri
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert names(tmp_path) == (["a.urdf"] if overwrite else [])
     assert not overwrite or path.read_bytes() == b"old"
-
-
-# JSON files of calib's own
-
-
-def read(path, schema="thing 1"):
-    return read_json(path, "thing", schema, "a thing has 'thing 1'. Give a thing.")
-
-
-def test_a_table_of_the_schema(tmp_path):
-    path = tmp_path / "t.json"
-    path.write_text('{"schema": "thing 1", "value": 2}')
-    assert read(path) == {"schema": "thing 1", "value": 2}
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("{", "this is not a JSON file"),
-        ("[1]", "its 'schema' is None; a thing has 'thing 1'. Give a thing."),
-        ('{"schema": "thing 1", "a": [NaN]}', "it holds NaN; write the number, or null"),
-        ('{"schema": "thing 1", "a": -Infinity}', "it holds -Infinity; write the number"),
-    ],
-)
-def test_what_is_none_is_refused(tmp_path, text, said):
-    path = tmp_path / "t.json"
-    path.write_text(text, encoding="latin-1")
-    with pytest.raises(FileError, match=r"t\.json") as raised:
-        read(path)
-    assert said in str(raised.value)

@@ -18,6 +18,7 @@ ORDER = (
     "errors",
     "units",
     "files",
+    "json_files",
     "jobs",
     "blas",
     "example",

@@ -38,7 +38,7 @@ from scipy.special import ndtr, stdtrit
 from calib.circle_points.fits import LEVEL, Circle, Plane, fit_circle, fit_plane
 from calib.circle_points.sweeps import Sweep, Sweeps
 from calib.errors import CalibError, MeasurementError, UrdfError, choices
-from calib.files import JsonLayout
+from calib.json_files import JsonLayout
 from calib.model.dh import zero_poses
 from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.units import Array

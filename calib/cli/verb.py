@@ -78,7 +78,7 @@ def _kinds() -> tuple[str, ...]:
 
 def _solvers() -> tuple[str, ...]:
     """Return the names of the solvers."""
-    from calib.estimate.fitting import PAPER
+    from calib.estimate.task import PAPER
     from calib.numerics.solvers import SOLVERS
 
     return (*SOLVERS, PAPER)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NoReturn
 
 import calib.data.kinds as registry
 from calib.data.columns import (
@@ -26,6 +27,9 @@ from calib.data.kinds import Kind
 from calib.data.table import Column, Table
 from calib.errors import MeasurementError, choices, did_you_mean
 from calib.units import Quantity
+
+#: Most joints that a message lists.
+_LISTED_JOINTS = 12
 
 #: A column of a table of commands, by which such a table is recognised.
 _OF_COMMANDS = "correction position"
@@ -132,14 +136,15 @@ def _kinds_by_column(table: Table, named: Named) -> tuple[str, ...]:
 def _kind_of_readings(named: Named) -> Kind | None:
     """Return the kind whose readings are all there; paired if there is a column ``pair``."""
     has_pairs = "pair" in named
-    fitting = None
+    first = None
     for kind in map(registry.get, registry.names()):
-        if not kind.readings or any(r.name not in named for r in kind.readings):
+        columns = {reading.name for reading in kind.readings}
+        if not columns or not columns <= named.keys():
             continue
         if kind.paired == has_pairs:
             return kind
-        fitting = fitting or kind
-    return fitting
+        first = first or kind
+    return first
 
 
 def _check_kinds_of_points(table: Table, present: Sequence[Kind]) -> None:
@@ -197,10 +202,14 @@ def _orientation(table: Table, named: Named) -> Columns:
             "quaternion, no unit) or 'rx [rad]', 'ry [rad]', 'rz [rad]' (a rotation vector). "
             f'{list_columns(table)} --columns "rx=-" leaves one out; --kind point reads none.'
         )
-    columns = [named[name] for name in forms[0]]
-    if forms[0] == QUATERNION:
-        return tuple(with_unit(table, c, None, "a quaternion") for c in columns)
-    return tuple(with_unit(table, c, "angle", "a rotation vector", "rad") for c in columns)
+    columns = []
+    for name in forms[0]:
+        if forms[0] == QUATERNION:
+            column = with_unit(table, named[name], None, "a quaternion")
+        else:
+            column = with_unit(table, named[name], "angle", "a rotation vector", "rad")
+        columns.append(column)
+    return tuple(columns)
 
 
 def _torques(table: Table, named: Named, joints: Columns) -> Columns:
@@ -240,18 +249,25 @@ def _joints(
     missing = [name for name in joint_names if name not in named]
     if missing:
         others = [name for name in available if name not in joint_names]
-        listed = ", ".join(f"'{name}'{did_you_mean(name, others)}" for name in missing[:12])
-        unit = "mm" if types.get(missing[0]) == "prismatic" else "deg"
-        header = f"{missing[0]} [{unit}]"
-        raise MeasurementError(
-            f"{table.source}: no column for the joints {listed}. {list_columns(table)} The header "
-            f"of such a column is '{header}'; another name is mapped by --columns \"name in the "
-            f'table={header}".'
-        )
+        _fail_on_missing_joints(table, missing, others, types)
     joints = tuple(named[name] for name in joint_names)
     for column in joints:
         _check_joint_unit(table, column, types.get(column.name))
     return joints
+
+
+def _fail_on_missing_joints(
+    table: Table, missing: Sequence[str], others: Sequence[str], types: Mapping[str, str]
+) -> NoReturn:
+    """Refuse a table without columns of joints; ``others`` are the columns that could be meant."""
+    listed = [f"'{name}'{did_you_mean(name, others)}" for name in missing[:_LISTED_JOINTS]]
+    unit = "mm" if types.get(missing[0]) == "prismatic" else "deg"
+    header = f"{missing[0]} [{unit}]"
+    raise MeasurementError(
+        f"{table.source}: no column for the joints {', '.join(listed)}. {list_columns(table)} The "
+        f"header of such a column is '{header}'; another name is mapped by --columns \"name in "
+        f'the table={header}".'
+    )
 
 
 def _inferred_joints(table: Table, available: Named, types: Mapping[str, str]) -> Sequence[str]:

@@ -319,10 +319,10 @@ def _columns(table: Table, headings: Sequence[str]) -> tuple[list[int], list[int
         columns = _columns_of_header(table, remark)
         if columns is not None:
             return columns
-    start = _first_coordinate(table)
-    if _is_numbered(table, start):
-        start += 1
-    return list(range(start)), [start, start + 1, start + 2]
+    x = _first_coordinate(table)
+    if _is_numbered(table, x):
+        x += 1
+    return list(range(x)), [x, x + 1, x + 2]
 
 
 def _columns_of_header(table: Table, remark: str) -> tuple[list[int], list[int]] | None:
@@ -347,8 +347,10 @@ def _first_coordinate(table: Table) -> int:
         if all(_has_point(row, start) for row in cells):
             return start
     first = next(i for i in range(width) if _has_point(cells[0], i))
-    differing = (i for i, row in enumerate(cells) if not _has_point(row, first))
-    _refuse(table, next(differing, -1))
+    for i, row in enumerate(cells):
+        if not _has_point(row, first):
+            _refuse(table, i)
+    _refuse(table, -1)
 
 
 def _is_numbered(table: Table, start: int) -> bool:
@@ -360,12 +362,17 @@ def _is_numbered(table: Table, start: int) -> bool:
         MeasurementError: The coordinates are whole numbers too: they are ambiguous.
     """
     cells = table.cells
-    is_counted = all(row[start].isdigit() and _has_point(row, start + 1) for row in cells)
-    names = {tuple(row[:start]) for row in cells}
-    if not is_counted or len(names) == len(cells):
+    names = set()
+    only_whole_numbers = True
+    for row in cells:
+        if not row[start].isdigit() or not _has_point(row, start + 1):
+            return False
+        names.add(tuple(row[:start]))
+        coordinates = row[start + 1 : start + 4]
+        only_whole_numbers &= all(cell.lstrip("+-").isdigit() for cell in coordinates)
+    if len(names) == len(cells):
         return False
-    coordinates = [cell for row in cells for cell in row[start + 1 : start + 4]]
-    if all(cell.lstrip("+-").isdigit() for cell in coordinates):
+    if only_whole_numbers:
         raise MeasurementError(
             f"{table.source}, line {table.lines[0]}: all are whole numbers, so the point's number "
             "cannot be distinguished from x. Write a header line above the points, 'name x y z'."

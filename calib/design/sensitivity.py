@@ -13,10 +13,10 @@ import calib.data.kinds as registry
 from calib.data.cell import AUTO, Cell, Tracker
 from calib.data.columns import DEFAULT_TARGET
 from calib.data.measurements import Measurements
+from calib.design.inspection import GENERIC_TARGET, table_of_poses
 from calib.design.notes import Note
 from calib.errors import ModelError, choices
-from calib.estimate.fitting import Task, model_of
-from calib.estimate.inspection import GENERIC_TARGET, table_of_poses
+from calib.estimate.task import Task
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability, analyse
@@ -255,7 +255,7 @@ def _error_model(robot: Robot, cell: Cell, setup: Setup) -> ErrorModel:
     """Return the error model of the fit; raises `ModelError` for an unknown parameter of the cell."""
     is_auto = cell.model == AUTO
     name = PLANNED_FOR_AUTO if is_auto else cell.model
-    model = setup.aligned(model_of(Task(robot, cell, setup, name, lenient=is_auto)))
+    model = setup.aligned(Task(robot, cell, setup, name, allow_absent=is_auto).error_model())
     if not is_auto:
         for parameter in (*cell.parameter_priors, *cell.bounds):
             model.index(parameter)

@@ -16,10 +16,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import fdtrc, stdtr
 
-from calib.estimate.fitting import PAPER, Fitted
-from calib.estimate.linear import Linear
+from calib.estimate.fitting import Fitted
+from calib.estimate.linear import LinearProblem
 from calib.estimate.prior_terms import PriorTerms
 from calib.estimate.stages import Stage
+from calib.estimate.task import PAPER
 from calib.model.dh import zero_poses
 from calib.model.families import ANGLE, LENGTH, ZERO
 from calib.model.parameters import FRAME, TARGET
@@ -82,7 +83,7 @@ def estimate_jointly(
     if of_distances is not None:
         further[: len(sigma)] = of_distances / sigma[:, None]
     wider = _with_columns(linear, columns / problem.rows.scales[:, :, None], further)
-    prior = PriorTerms.of(task.cell, model, task.setup, fitted.setup, lenient=task.lenient)
+    prior = PriorTerms.of(task, model, fitted.setup)
     fixed = {k: float(x[k]) for k in estimate.at_bound}
     if held is not None:
         fixed |= dict.fromkeys(np.flatnonzero(held).tolist(), 0.0)
@@ -105,7 +106,7 @@ def estimate_jointly(
     return FurtherUnknowns(values[p:], covariance[p:, p:], values[:p], determined, found)
 
 
-def _with_columns(linear: Linear, columns: Array, of_known: Array) -> Linear:
+def _with_columns(linear: LinearProblem, columns: Array, of_known: Array) -> LinearProblem:
     """Append columns, (N, D, k) in units of each scalar's sigma, to the linearised problem."""
     count = columns.shape[2]
     before, residual = linear.columns[:-1], linear.columns[-1:]
@@ -143,7 +144,7 @@ def gain_on_blocks(fitted: Fitted, columns: Array, weights: Array) -> float:
     return 1.0 - after / before if before > 0.0 else 0.0
 
 
-def _error_of_blocks(fitted: Fitted, linear: Linear, weights: Array) -> float:
+def _error_of_blocks(fitted: Fitted, linear: LinearProblem, weights: Array) -> float:
     """The error of blocks of rows, each predicted by a fit to the others, rms in units of the noise."""
     problem, alive = fitted.estimate.problem, weights > 0.0
     rows, further = problem.rows, len(linear.x) - problem.size
@@ -154,7 +155,7 @@ def _error_of_blocks(fitted: Fitted, linear: Linear, weights: Array) -> float:
         *(np.pad(one, (0, further)) for one in (problem.precision, problem.centre))
     )
     x = linear.fit(np.where(masks, 0.0, weights), problem.rho, noise, priors)[0]
-    residual = linear.residual(x) / linear.noise_of(noise)
+    residual = linear.residual(x) / linear.noise_by_scalar(noise)
     squares = []
     for mask, of_block in zip(masks, residual, strict=True):
         frames, targets = fitted.setup.seen_by(rows.samples.select(~mask & alive))

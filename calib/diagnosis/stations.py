@@ -16,7 +16,7 @@ from scipy.special import fdtrc
 from calib.diagnosis.patterns import range_of
 from calib.diagnosis.reasons import Reason, Why
 from calib.estimate.fitting import Fitted
-from calib.estimate.linear import Linear
+from calib.estimate.linear import LinearProblem
 from calib.numerics.likelihood import GaussianPriors
 from calib.numerics.repeats import pose_means
 from calib.registration.known_distances import joined_stations
@@ -74,7 +74,7 @@ class _Comparison:
     """A fit to N rows of up to D scalars whose stations are compared; p parameters."""
 
     fitted: Fitted  # The fit to all rows
-    linear: Linear  # The problem linearised there
+    linear: LinearProblem  # The problem linearised there
     noise: Array  # (1, C), noise of each instrument over its sigma, as estimated by the fit
     station: Integers  # (N,), number of each row's station; those that known distances join are one
     counts: Mask  # (N,), rows with a weight and a measured scalar
@@ -111,7 +111,7 @@ class _Comparison:
         x, covariance, freedom = (values[0] for values in fits)
         station_only = seen_only_by(self.fitted, inside)
         x = np.where(station_only, self.fitted.estimate.x, x)
-        scale = self.linear.noise_of(self.noise)[0]
+        scale = self.linear.noise_by_scalar(self.noise)[0]
         residual = np.where(self.linear.used, self.linear.residual(x) / scale, 0.0)
         square, degrees = self._square(inside & self.counts, residual, covariance, station_only)
         variance = float(weights @ np.sum(residual**2, axis=1)) / max(freedom, 1.0)
@@ -129,7 +129,7 @@ class _Comparison:
             station_only: Parameters of frames and targets that no other station sees, shape (p,).
         """
         problem = self.fitted.estimate.problem
-        scale = self.linear.noise_of(self.noise)[0]
+        scale = self.linear.noise_by_scalar(self.noise)[0]
         derivative = (self.linear.A / scale[:, :, None])[rows]
         # Repeats count for one measurement where they share what the model lacks.
         weights, poses = problem.weights[rows], problem.rows.poses[rows]

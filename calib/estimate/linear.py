@@ -1,8 +1,16 @@
-"""The linearised problem."""
+"""The problem linearised: its normal equations, fits and scores are matrix algebra, without the robot.
+
+At x0 the residual is r and the Jacobian of the prediction A, both in units of each scalar's given sigma, so that
+
+    residual(x) = r - A (x - x0) = y - A x        with y = r + A x0
+
+B fits that differ in the weights of their rows are computed together. Letters of shapes: see `calib.estimate.problem`.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,121 +21,206 @@ from calib.numerics.scores import deleted_norms, point_scores
 from calib.robot.kernel import over_blocks
 from calib.units import Array, Mask
 
-#: NormalEquations equations that are kept.
+#: Normal equations that are kept, because stages ask for the same ones again.
 _KEPT = 3
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Linear:
-    """The problem linearised at x: the residual at x + s is r - A s, in units of each scalar's sigma as given."""
+class _Kept(NamedTuple):
+    """Normal equations that were computed, and for which weights and shares of stops."""
 
-    x: Array  # (p,)
-    columns: Array  # (p + 1, D, N), A and behind it r
-    used: Mask  # (N, D), which scalars there are
-    instruments: NDArray[np.int8]  # (N, D), which noise each has; -1 for none
-    smallest: tuple[float, ...]  # Smallest noise believed of each instrument, in units of its sigma
-    C: Array  # (K, p), of the known distances and of what is held, whitened
-    z: Array  # (K,), what C x should be
-    held: Array  # (p,), see `NormalEquations`
-    stops: Stops | None = None  # Where several targets were seen
-    _made: list[tuple[Array, Array, NormalEquations]] = field(
-        init=False, repr=False, default_factory=list
-    )
+    weights: Array  # (B, N)
+    rho: Array  # (C, 2) or (B, C, 2)
+    equations: NormalEquations
+
+    def is_for(self, weights: Array, rho: Array) -> bool:
+        """Whether they are those of these weights and shares."""
+        return np.array_equal(self.weights, weights) and np.array_equal(self.rho, rho)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearProblem:
+    """N rows of D scalars linearised at x, by p parameters, in units of each scalar's given sigma."""
+
+    x: Array  # (p,), x0, where the problem is linearised
+    # (p + 1, D, N): the Jacobian A of the prediction, and behind it the residual r at x0
+    columns: Array
+    used: Mask  # (N, D), which scalars were measured
+    # (N, D), which noise each scalar has, from 0; -1 where there is none
+    instruments: NDArray[np.int8]
+    # (C,), lowest noise of each instrument, in units of the given sigma
+    smallest_noise: tuple[float, ...]
+    C: Array  # (K, p), rows of constraints C x = z, whitened: known distances, last what is held
+    z: Array  # (K,), value of each constraint
+    held: Array  # (p,), see `NormalEquations.held`
+    stops: Stops | None = None  # Where the robot stood while several targets were measured
+    _cache: list[_Kept] = field(init=False, repr=False, default_factory=list)  # The latest first
 
     def __len__(self) -> int:
-        """Number of rows."""
+        """Number of rows N."""
         return int(self.columns.shape[2])
 
     @property
     def A(self) -> Array:
-        """The derivative of the prediction, shape (N, D, p)."""
+        """Jacobian of the prediction, shape (N, D, p), in units of each scalar's given sigma."""
         return np.asarray(self.columns[:-1].transpose(2, 1, 0))
 
-    def noise_of(self, noise: Array) -> Array:
-        """Of each scalar, shape (B, N, D), with that of each instrument, shape (B, C); 1 where there is no scalar."""
-        return np.hstack([noise, np.ones((len(noise), 1))])[:, self.instruments]
+    def noise_by_scalar(self, noise: Array) -> Array:
+        """Return the noise of each scalar.
+
+        Args:
+            noise: shape (B, C), of each instrument, in units of the given sigma.
+
+        Returns:
+            shape (B, N, D); 1 where there is no scalar.
+        """
+        without_instrument = np.ones((len(noise), 1))
+        return np.hstack([noise, without_instrument])[:, self.instruments]
 
     def residual(self, x: Array) -> Array:
-        """What x, shape (B, p) or (p,), leaves over, shape (B, N, D) or (N, D)."""
+        """Return the residual y - A x of the linear model.
+
+        Args:
+            x: shape (p,), or (B, p) for B fits.
+
+        Returns:
+            shape (N, D) or (B, N, D), in units of each scalar's given sigma.
+        """
         count, D, N = self.columns.shape
         flat = self.columns.reshape(count, D * N)
-        found = flat[-1] - (x - self.x) @ flat[:-1]
-        return np.asarray(found.reshape(*x.shape[:-1], D, N).swapaxes(-1, -2))
+        residual = flat[-1] - (x - self.x) @ flat[:-1]
+        return np.asarray(residual.reshape(*x.shape[:-1], D, N).swapaxes(-1, -2))
 
-    def select(self, mask: Mask) -> Linear:
-        """The problem of some of the rows; known distances stay."""
-        columns, instruments = self.columns[:, :, mask], self.instruments[mask]
-        stops = None if self.stops is None else self.stops.select(mask)
+    def select(self, mask: Mask) -> LinearProblem:
+        """Return the problem of some of the rows, by a mask (N,); constraints stay."""
         return replace(
-            self, columns=columns, used=self.used[mask], instruments=instruments, stops=stops
+            self,
+            columns=self.columns[:, :, mask],
+            used=self.used[mask],
+            instruments=self.instruments[mask],
+            stops=None if self.stops is None else self.stops.select(mask),
         )
 
-    def data(self, weights: Array, rho: Array) -> NormalEquations:
-        """The normal equations with these weights, (B, N), and shares of stops, (C, 2) or (B, C, 2).
+    def normal_equations(self, weights: Array, rho: Array) -> NormalEquations:
+        """Return the normal equations of B fits, the latest of which are kept.
 
-        The last ones are kept, for stages ask again.
+        Args:
+            weights: shape (B, N), of the rows.
+            rho: shape (C, 2) or (B, C, 2), shares of each instrument's variance that the targets of a stop have in
+                common; see `calib.estimate.stop_errors`.
         """
-        for last, shares, made in self._made:
-            if np.array_equal(last, weights) and np.array_equal(shares, rho):
-                return made
-        p, (B, N), C = len(self.x), weights.shape, len(self.smallest)
-        both, count, root = np.zeros((B, C, p + 1, p + 1)), np.zeros((B, C)), np.sqrt(weights)
+        for kept in self._cache:
+            if kept.is_for(weights, rho):
+                return kept.equations
+        equations = self._sum_normal_equations(weights, rho)
+        latest = _Kept(weights.copy(), rho.copy(), equations)
+        self._cache[:] = [latest, *self._cache[: _KEPT - 1]]
+        return equations
+
+    def _sum_normal_equations(self, weights: Array, rho: Array) -> NormalEquations:
+        """The normal equations; arguments as of `normal_equations`."""
+        p, B, C = len(self.x), len(weights), len(self.smallest_noise)
+        products = np.zeros((B, C, p + 1, p + 1))
+        count = np.zeros((B, C))
         for c in range(C):
-            own = np.equal(self.instruments.T, c)
-            count[:, c] = weights @ own.sum(axis=0, dtype=np.float64)
-            there = np.flatnonzero(own.any(axis=1))
-            at = slice(there.min(initial=len(own)), there.max(initial=-1) + 1)
-            factor = root[:, None] * own[at]
-
-            def product(own: slice, at: slice = at, factor: Array = factor) -> Array:
-                columns, f = self.columns[:, at, own], factor[:, :, own]
-                parts = ((columns * one).reshape(p + 1, -1) for one in f)
-                return np.array([part @ part.T for part in parts])
-
-            both[:, c] = np.sum(over_blocks(product, N), axis=0)
+            of_instrument = np.equal(self.instruments.T, c)
+            count[:, c] = weights @ of_instrument.sum(axis=0, dtype=np.float64)
+            products[:, c] = self._weighted_products(np.sqrt(weights), of_instrument)
         log_det: Array | float = 0.0
         if self.stops is not None and np.any(rho):
             shares = np.broadcast_to(rho, (B, C, 2))
             changes, log_det = self.stops.corrections(self.columns, weights, shares)
-            both += changes
-        # [A r] are at hand; what is asked for is [A y] with y = r + A x.
-        H, g, rr = both[..., :p, :p], both[..., :p, p], both[..., p, p]
-        Hx, known = H @ self.x, (self.C.T @ self.C, self.C.T @ self.z, float(self.z @ self.z))
-        made = NormalEquations(
-            H, g + Hx, rr + (2.0 * g + Hx) @ self.x, count, known, self.held, log_det
-        )
-        self._made[:] = [(weights.copy(), rho.copy(), made), *self._made[: _KEPT - 1]]
-        return made
+            products += changes
+        # These are products of [A r]; those of [A y] with y = r + A x0 follow.
+        H, g, rr = products[..., :p, :p], products[..., :p, p], products[..., p, p]
+        Hx = H @ self.x
+        known = (self.C.T @ self.C, self.C.T @ self.z, float(self.z @ self.z))
+        yy = rr + (2.0 * g + Hx) @ self.x
+        return NormalEquations(H, g + Hx, yy, count, known, self.held, log_det)
+
+    def _weighted_products(self, root_weights: Array, of_instrument: Mask) -> Array:
+        """[A r]^T W [A r] over the scalars of one instrument, shape (B, p + 1, p + 1).
+
+        Args:
+            root_weights: shape (B, N), square roots of the rows' weights.
+            of_instrument: shape (D, N), which scalars are of the instrument.
+        """
+        columns_with_any = np.flatnonzero(of_instrument.any(axis=1))
+        first = columns_with_any.min(initial=len(of_instrument))
+        last = columns_with_any.max(initial=-1)
+        scalars = slice(first, last + 1)
+        factor = root_weights[:, None] * of_instrument[scalars]
+
+        def product(rows: slice) -> Array:
+            columns = self.columns[:, scalars, rows]
+            of_fits = []
+            for factor_of_fit in factor[:, :, rows]:
+                part = (columns * factor_of_fit).reshape(len(columns), -1)
+                of_fits.append(part @ part.T)
+            return np.array(of_fits)
+
+        return np.asarray(np.sum(over_blocks(product, len(self)), axis=0))
 
     def fit(
         self, weights: Array, rho: Array, noise: Array, priors: GaussianPriors
     ) -> tuple[Array, Array, Array]:
-        """The linear fit with weights, shares of stops, noise and priors.
+        """Fit the parameters B times, at given weights, noise and priors.
+
+        Args:
+            weights: shape (B, N), of the rows.
+            rho: shape (C, 2) or (B, C, 2), shares of stops.
+            noise: shape (B, C), of each instrument, in units of the given sigma.
+            priors: Of all p parameters.
 
         Returns:
-            x (B, p), its covariance (B, p, p), degrees of freedom (B,).
+            x, shape (B, p), its covariance, shape (B, p, p), and the degrees of freedom left for the noise, shape (B,).
         """
-        data = self.data(weights, rho)
-        x, covariance = data.posterior(noise, priors)
-        paid = np.sum(data.H * covariance[:, None], axis=(2, 3)) / np.square(noise)
-        return x, covariance, np.sum(data.count - paid, axis=1)
+        equations = self.normal_equations(weights, rho)
+        x, covariance = equations.posterior(noise, priors)
+        spent = np.sum(equations.H * covariance[:, None], axis=(2, 3)) / np.square(noise)
+        return x, covariance, np.sum(equations.count - spent, axis=1)
 
     def scores(self, x: Array, covariance: Array, weights: Array, noise: Array) -> Array:
-        """How far each row lies from what the others predict, shape (B, N)."""
-        found = self.norms(x, covariance, weights, 1.0 / self.noise_of(noise))
-        return point_scores(found, np.sum(self.used, axis=1))
+        """Score the rows by their deleted residuals; see `calib.numerics.scores`.
+
+        Args:
+            x: shape (B, p), of each fit.
+            covariance: shape (B, p, p), of x.
+            weights: shape (B, N), of the rows in each fit; 0 for held-out rows.
+            noise: shape (B, C), of each instrument, in units of the given sigma.
+
+        Returns:
+            shape (B, N), in standard deviations, as of rows of three scalars.
+        """
+        norms = self.norms(x, covariance, weights, 1.0 / self.noise_by_scalar(noise))
+        return point_scores(norms, np.sum(self.used, axis=1))
 
     def norms(self, x: Array, covariance: Array, weights: Array, factors: Array) -> Array:
-        """`deleted_norms` at x, shape (B, p)."""
+        """Compute the norms of the rows' deleted residuals; arguments as of `calib.numerics.scores.deleted_norms`.
+
+        Args:
+            x: shape (B, p), of each fit.
+            covariance: shape (B, p, p), of x.
+            weights: shape (B, N), of the rows in each fit.
+            factors: shape (B or 1, N, D), by which residuals in units of the given sigma are multiplied.
+        """
         return deleted_norms(self.residual(x), self.A, covariance, weights, factors)
 
-    def shares(self, x: Array, covariance: Array, weights: Array, rho: Array) -> Array:
-        """The shares of stops that the residuals of fits x, (B, p), tell, shape (B, C, 2), from those of the fits."""
+    def stop_shares(self, x: Array, covariance: Array, weights: Array, rho: Array) -> Array:
+        """Estimate, from the residuals of B fits, the shares of variance that the targets of a stop have in common.
+
+        Args:
+            x: shape (B, p), of each fit.
+            covariance: shape (B, p, p), of x.
+            weights: shape (B, N), of the rows in each fit.
+            rho: shape (B, C, 2), shares to begin with, those of the fits.
+
+        Returns:
+            shape (B, C, 2), of translations and rotations; 0 without stops.
+        """
         result = np.zeros(rho.shape)
         if self.stops is None:
             return result
         for b, c in np.ndindex(*rho.shape[:2]):
-            step, C = x[b] - self.x, covariance[b]
-            moments = self.stops.moments(self.columns, weights[b], c, step, C)
+            moments = self.stops.moments(self.columns, weights[b], c, x[b] - self.x, covariance[b])
             result[b, c] = moments.shares(rho[b, c])
         return result

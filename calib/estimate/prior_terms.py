@@ -1,4 +1,8 @@
-"""Priors and bounds of the parameters of a fit."""
+"""Priors and bounds of the parameters of a fit, as the cell states them.
+
+Parameters of the robot have a normal prior about zero with the standard deviation of their family, unless the cell
+gives one of their own. Frames and targets are flat: a weak prior only keeps them finite.
+"""
 
 from __future__ import annotations
 
@@ -9,17 +13,16 @@ from itertools import chain
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.data.cell import Cell
 from calib.errors import ModelError
+from calib.estimate.task import Task
 from calib.model.parameters import FRAME, TARGET, ErrorModel
 from calib.registration.setup import Setup
 from calib.robot.robot import rigid_inverse
 from calib.units import Array, Mask
 
-#: Standard deviation of the weak prior, where priors are off, and of target and frame about where registration put
-#: them [m and rad].
+#: Standard deviation of the weak prior of frames and targets about where they are registered, and of all parameters
+#: where priors are off [m and rad].
 _WEAK = 1.0
-
 
 #: Standard deviation with which a parameter is held at its bound, in its unit.
 _FIXED = 1e-10
@@ -27,78 +30,110 @@ _FIXED = 1e-10
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PriorTerms:
-    """What holds parameters besides the measurements: families with a size each, single priors, bounds."""
+    """Priors and bounds of p parameters: K families with one prior standard deviation each, and single parameters."""
 
-    names: tuple[str, ...]  # The families' names
+    names: tuple[str, ...]  # (K,), names of the families
     families: Mask  # (K, p), which parameters belong to each
-    start: tuple[float, ...]  # The sizes to begin with
-    precision: Array  # (p,), of parameters with a prior of their own, and of frames and targets
-    centre: Array  # (p,), the priors' means: 0, but for parameters at a bound, and for given targets and frames
+    # (K,), prior standard deviations as given or assumed before the fit, in SI units
+    start: tuple[float, ...]
+    # (p,), of parameters with a prior of their own, and of frames and targets; else 0
+    precision: Array
+    centre: Array  # (p,), means of the priors: 0, but for parameters at a bound, and given targets and frames
     flat: Mask  # (p,), frames and targets without a prior of their own
-    source: str  # Where the prior standard deviations are from: "data", "given", or "off" for weak priors alone
-    limits: Array  # (p, 2), lowest and highest value of each parameter
-    fixed: tuple[int, ...] = ()  # Parameters that are at a bound
+    source: str  # "data": prior standard deviations are estimated; "given": kept; "off": weak priors alone
+    limits: Array  # (p, 2), lowest and highest value of each parameter; infinite without a bound
+    fixed: tuple[int, ...] = ()  # Numbers of parameters that are held at a bound
 
     @classmethod
-    def of(
-        cls, cell: Cell, model: ErrorModel, given: Setup, started: Setup, *, lenient: bool
-    ) -> PriorTerms:
-        """The cell's priors and bounds, from a registered start."""
-        priors, single = cell.priors, cell.parameter_priors
-        named = [k for k in {**cell.bounds, **single} if k in model.names or not lenient]
-        nominal = _nominal(given, started, model, [model.index(name) for name in named])
-        placed = model.family(FRAME, TARGET)
-        std = np.array([single.get(name, np.nan) for name in model.names])
-        alone = np.isfinite(std)
-        names = tuple(f for f in model.families if np.any(model.family(f) & ~alone))
+    def of(cls, task: Task, model: ErrorModel, registered: Setup) -> PriorTerms:
+        """Return the priors and bounds of a task's cell.
+
+        Args:
+            task: Its cell has priors and bounds, its setup the frames and targets as given.
+            model: The p parameters that are estimated.
+            registered: Frames and targets at the start of the fit, from where parameters count.
+
+        Raises:
+            ModelError: A bound or prior on the change of a frame or target that was not given.
+        """
+        cell = task.cell
+        named = {**cell.bounds, **cell.parameter_priors}
+        if task.allow_absent:
+            named = {name: value for name, value in named.items() if name in model.names}
+        numbers = [model.index(name) for name in named]
+        origin = _origins(task.setup, registered, model, numbers)
+        of_setup = model.family(FRAME, TARGET)
+        std = np.array([cell.parameter_priors.get(name, np.nan) for name in model.names])
+        has_own = np.isfinite(std)
+        weak = np.where(of_setup, 1.0 / _WEAK**2, 0.0)
         bounds = np.array([cell.bounds.get(name, (-np.inf, np.inf)) for name in model.names])
+        members = {family: model.family(family) & ~has_own for family in model.families}
+        members = {family: mask for family, mask in members.items() if np.any(mask)}
+        off = cell.priors.source == "off"
         return cls(
-            names=names,
-            families=np.array([model.family(f) & ~alone for f in names], dtype=bool).reshape(
-                -1, len(model)
-            ),
-            start=tuple(_WEAK if priors.source == "off" else priors.of(f) for f in names),
-            precision=np.where(alone, 1.0 / std**2, np.where(placed, 1.0 / _WEAK**2, 0.0)),
-            centre=np.where(alone, nominal, 0.0),
-            flat=placed & ~alone,
-            source=priors.source,
-            limits=nominal[:, None] + bounds,
+            names=tuple(members),
+            families=np.array([*members.values()], dtype=bool).reshape(-1, len(model)),
+            start=tuple(_WEAK if off else cell.priors.of(family) for family in members),
+            precision=np.where(has_own, 1.0 / std**2, weak),
+            centre=np.where(has_own, origin, 0.0),
+            flat=of_setup & ~has_own,
+            source=cell.priors.source,
+            limits=origin[:, None] + bounds,
         )
 
     def at_bounds(self, fixed: Mapping[int, float]) -> PriorTerms:
-        """With some parameters, by their numbers, held at these values."""
-        at, centre = np.zeros(len(self.precision), dtype=bool), self.centre.copy()
-        at[list(fixed)], centre[list(fixed)] = True, list(fixed.values())
-        families = self.families & ~at
+        """Return the priors with some parameters held; families without other parameters are dropped.
+
+        Args:
+            fixed: Number of each parameter that is held, from 0, and its value.
+        """
+        numbers = list(fixed)
+        held = np.zeros(len(self.precision), dtype=bool)
+        held[numbers] = True
+        centre = self.centre.copy()
+        centre[numbers] = list(fixed.values())
+        families = self.families & ~held
         kept = np.flatnonzero(families.any(axis=1)).tolist()
         return replace(
             self,
             names=tuple(self.names[k] for k in kept),
             families=families[kept],
             start=tuple(self.start[k] for k in kept),
-            precision=np.where(at, 1.0 / _FIXED**2, self.precision),
+            precision=np.where(held, 1.0 / _FIXED**2, self.precision),
             centre=centre,
-            flat=self.flat & ~at,
+            flat=self.flat & ~held,
             fixed=tuple(sorted(fixed)),
         )
 
 
-def _nominal(given: Setup, started: Setup, model: ErrorModel, named: list[int]) -> Array:
-    """The origin of each parameter's change, (p,): 0, but for targets and frames the place given in the cell."""
-    frames = zip(given.frame_given, started.T_frame_base, given.T_frame_base, strict=True)
-    targets = zip(given.target_given, started.T_tip_target, given.T_tip_target, strict=True)
-    places = dict(zip(chain(*given.places), chain(frames, targets), strict=True))
+def _origins(given: Setup, registered: Setup, model: ErrorModel, numbers: list[int]) -> Array:
+    """Values from which bounds and priors of parameters count, shape (p,): 0, but for frames and targets as given.
+
+    A parameter of a frame or target counts from the registered pose, its bound and prior from the given one.
+
+    Args:
+        given: Frames and targets as given.
+        registered: The same as registered.
+        model: The p parameters.
+        numbers: Numbers of those with a bound or prior of their own.
+
+    Raises:
+        ModelError: One of them belongs to a frame or target that was not given.
+    """
+    frames = zip(given.frame_given, registered.T_frame_base, given.T_frame_base, strict=True)
+    targets = zip(given.target_given, registered.T_tip_target, given.T_tip_target, strict=True)
+    by_place = dict(zip(chain(*given.places), chain(frames, targets), strict=True))
     result = np.zeros(len(model))
-    for k in named:
+    for k in numbers:
         parameter = model.parameters[k]
-        if parameter.place not in places:
+        if parameter.place not in by_place:
             continue
-        known, start, wanted = places[parameter.place]
-        if not known:
+        is_given, T_registered, T_given = by_place[parameter.place]
+        if not is_given:
             raise ModelError(
                 f"'{parameter.name}' has a bound or a prior on its change, but the cell does not say from where."
             )
-        moved = rigid_inverse(start) @ wanted
-        angles = Rotation.from_matrix(moved[:3, :3]).as_euler("XYZ")
-        result[k] = parameter.direction @ np.concatenate([moved[:3, 3], angles])
+        T = rigid_inverse(T_registered) @ T_given
+        angles = Rotation.from_matrix(T[:3, :3]).as_euler("XYZ")
+        result[k] = parameter.direction @ np.concatenate([T[:3, 3], angles])
     return result

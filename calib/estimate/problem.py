@@ -2,15 +2,20 @@
 
     minimise  1/2 [sum_i w_i |r_i(x) / sigma_i|^2 + sum_k (x_k - m_k)^2 / tau_k^2 + sum_c (d_c - d_c(x))^2 / s_c^2]
 
-with residuals r, normal priors of size tau on the offsets (mean 0, but at a bound) and known distances d. Linearised
-it is y = A x + n. Sizes tau_f of x_k ~ N(0, tau_f^2) and sigma_c of each instrument maximise its restricted marginal
-likelihood (REML: H. D. Patterson, R. Thompson, 1971); frame and target are flat. With posterior covariance C, mean m
-and H_c = A_c^T A_c
+with residuals r (measured minus predicted), normal priors of standard deviation tau on the parameters (mean 0, but at a
+bound) and known distances d. Linearised it is y = A x + n: see `calib.estimate.linear`.
 
-    dL/dlog tau_f = sum_k (m_k^2 + C_kk) / tau_f^2 - n_f,
-    dL/dlog sigma_c = |y - A m|_c^2 / sigma_c^2 + tr(H_c C) / sigma_c^2 - N_c
+Letters of shapes, in all of `calib.estimate`:
 
-B fits that differ in the weights of their rows are worked on together: they are the first axis of arrays.
+    B   fits computed together, which differ in the weights of their rows; the first axis
+    C   instruments: lengths of each kind of rows, then angles of each kind; each has a noise
+    N   rows of the table
+    D   columns of a residual: 3 lengths, and 3 angles where orientations were measured
+    p   parameters: offsets of the robot, then of frames and targets, from the registered start [m, rad, ...]
+    K   families of parameters, each with one prior standard deviation
+
+Sigma is the standard deviation of a scalar as given or assumed before the fit; the noise is the estimated one, in units
+of sigma. "Whitened" is divided by sigma times noise, and times the root of the weight.
 """
 
 from __future__ import annotations
@@ -20,7 +25,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from calib.estimate.gauge import TOLERANCE, SizeGauge, measures_length, size_gauge
-from calib.estimate.linear import Linear
+from calib.estimate.linear import LinearProblem
 from calib.estimate.stop_errors import Stops
 from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability, analyse
@@ -31,153 +36,227 @@ from calib.registration.rows import Rows
 from calib.robot.kernel import over_blocks
 from calib.units import Array
 
-#: Below this the noise is no instrument's but rounding [m, rad].
+#: Noise below this is no instrument's but rounding [m, rad].
 _SMALLEST_SIGMA = 1e-8
 
+#: Rows whose twists are in memory at a time.
+PART = 16_384
 
-#: Rows whose twists are held at a time, and rows up to which a solver sees every scalar.
-PART, _TALL = 16_384, 1024
+#: Up to so many rows a solver gets every scalar; of more it gets a triangle of the same squares.
+_TALL = 1024
+
+#: Divisor in place of a distance of zero [m].
+_SHORTEST = 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Problem:
-    """A calibration as numbers."""
+    """A calibration as numbers: N rows, p parameters."""
 
-    kinematics: Kinematics  # The nominal robot under its error model
+    # The nominal robot under its error model, frames and targets as registered
+    kinematics: Kinematics
     rows: Rows  # The measurements
-    scales: Array  # (N, D), standard deviation of each scalar, [m] and [rad]
+    scales: Array  # (N, D), standard deviation of each scalar as estimated: sigma times noise, [m] and [rad]
     weights: Array  # (N,), of the rows, between 0 and 1
     precision: Array  # (p,), 1 / tau_k^2; 0 for a parameter without prior
-    centre: Array  # (p,), the priors' means
+    centre: Array  # (p,), means m_k of the priors
     distances: tuple[KnownDistance, ...]  # Known distances between frames
-    smallest: tuple[float, ...]  # Smallest noise believed of each instrument, in units of its sigma
+    # (C,), lowest noise of each instrument, in units of its sigma
+    smallest_noise: tuple[float, ...]
     rho: Array  # (C, 2), share of each instrument's variance that targets of a stop have in common
-    gauge: SizeGauge | None = None  # The size of the arm, where nothing measures a length
-    stops: Stops | None = None  # Where several targets were seen
-    _last: list[Linear] = field(default_factory=list, repr=False)
+    gauge: SizeGauge | None = None  # The size of the arm, held where nothing measures a length
+    stops: Stops | None = None  # Where the robot stood while several targets were measured
+    # Cache of the last linearisation
+    _last: list[LinearProblem] = field(default_factory=list, repr=False)
 
     @classmethod
-    def first(
+    def initial(
         cls, kinematics: Kinematics, rows: Rows, distances: tuple[KnownDistance, ...] = ()
     ) -> Problem:
-        """All rows in full, the noise as given, no priors; known distances count between frames that rows see."""
-        ones, nothing, scales = np.ones(len(rows)), np.zeros(len(kinematics.model)), rows.scales
-        own = (rows.instruments == c for c in range(int(rows.instruments.max()) + 1))
-        smallest = tuple(_SMALLEST_SIGMA / float(np.median(scales[mask])) for mask in own)
-        seen = set(rows.samples.frame.tolist())
-        distances = tuple(d for d in distances if {d.first, d.second} <= seen)
-        rho, stops = np.zeros((len(smallest), 2)), Stops.of(kinematics, rows)
-        start = (kinematics, rows, scales, ones, nothing, nothing, distances, smallest, rho)
-        return cls(*start, stops=stops)
+        """Make the problem before any estimate: weights of one, noise as given, no priors.
+
+        Args:
+            kinematics: The nominal robot under its error model, frames and targets as registered.
+            rows: N rows.
+            distances: Known distances; those between frames that the rows see count.
+        """
+        scales = rows.scales
+        smallest_noise = []
+        for c in range(int(rows.instruments.max()) + 1):
+            typical = float(np.median(scales[rows.instruments == c]))
+            smallest_noise.append(_SMALLEST_SIGMA / typical)
+        observed = set(rows.samples.frame.tolist())
+        p = len(kinematics.model)
+        return cls(
+            kinematics=kinematics,
+            rows=rows,
+            scales=scales,
+            weights=np.ones(len(rows)),
+            precision=np.zeros(p),
+            centre=np.zeros(p),
+            distances=tuple(d for d in distances if {d.first, d.second} <= observed),
+            smallest_noise=tuple(smallest_noise),
+            rho=np.zeros((len(smallest_noise), 2)),
+            stops=Stops.of(kinematics, rows),
+        )
 
     def with_size_held(self) -> Problem:
-        """The problem with the arm's size held at the nominal one, where nothing measures a length."""
+        """Return the problem with the arm's size held at the nominal one, where nothing measures a length."""
         if measures_length(self.rows, self.distances):
             return self
         linear = self.linear(np.zeros(self.size))
         residual = linear.residual(linear.x)
-        return replace(self, gauge=size_gauge(self.kinematics, self.rows, linear.A, residual))
+        gauge = size_gauge(self.kinematics, self.rows, linear.A, residual)
+        return replace(self, gauge=gauge)
 
     @property
     def size(self) -> int:
-        """The number of parameters p."""
+        """Number of parameters p."""
         return len(self.kinematics.model)
 
     def residual(self, x: Array) -> Array:
-        """Measured minus predicted, shape (N, D), [m] and [rad]."""
+        """Measured minus predicted at x, (p,): shape (N, D), [m] and [rad], not whitened."""
         return self.rows.residual(self.kinematics.poses(x, self.rows.samples))
 
     def jacobian(self, x: Array) -> Array:
-        """The derivative of the *prediction*, shape (N, D, p)."""
+        """Jacobian of the prediction (minus that of the residual) at x, (p,): shape (N, D, p), not whitened."""
         return np.asarray(self.linear(x).A * self.rows.scales[:, :, None])
 
-    def linear(self, x: Array) -> Linear:
-        """The problem linearised at x, in units of each scalar's sigma as given; reweighted copies share the last."""
+    def linear(self, x: Array) -> LinearProblem:
+        """Linearise the problem at x, (p,), in units of each scalar's sigma.
+
+        Weights, noise and priors have no part in it: copies of the problem that differ in these share the last one.
+        """
         if self._last and np.array_equal(x, self._last[0].x):
             return self._last[0]
-        self._last.clear()
-        rows, scales = self.rows, self.rows.scales.T
-        columns = np.empty((self.size + 1, rows.width, len(rows)))
-        for own in rows.parts(PART):
-            part = rows.select(own)
-            poses, twists = self.kinematics.twists(x, part.samples, rotation=rows.width > LENGTHS)
-            width, scale = part.width, scales[: part.width, own]
-            if width < rows.width:  # these rows lack a kind that others have
-                columns[:, width:, own] = 0.0
-            columns[:-1, :width, own] = part.derivative(poses, twists).transpose(2, 1, 0) / scale
-            columns[-1][:width, own] = part.residual(poses).T / scale
-        r, C = self.constraints(x)
+        self._last.clear()  # before the next one is made, for memory
+        residual, C = self.constraints(x)
         held = C[-1] if self.gauge is not None else np.zeros(self.size)
-        made = (columns, rows.used, rows.instruments, self.smallest, C, r + C @ x, held, self.stops)
-        self._last.append(Linear(x.copy(), *made))
-        return self._last[0]
+        linear = LinearProblem(
+            x=x.copy(),
+            columns=self._columns(x),
+            used=self.rows.used,
+            instruments=self.rows.instruments,
+            smallest_noise=self.smallest_noise,
+            C=C,
+            z=residual + C @ x,
+            held=held,
+            stops=self.stops,
+        )
+        self._last.append(linear)
+        return linear
+
+    def _columns(self, x: Array) -> Array:
+        """Jacobian of the prediction and behind it the residual, in units of sigma, shape (p + 1, D, N)."""
+        rows = self.rows
+        scales = rows.scales.T
+        columns = np.empty((self.size + 1, rows.width, len(rows)))
+        with_angles = rows.width > LENGTHS
+        for part in rows.parts(PART):
+            some = rows.select(part)
+            width = some.width
+            scale = scales[:width, part]
+            poses, twists = self.kinematics.twists(x, some.samples, rotation=with_angles)
+            if width < rows.width:  # these rows lack a kind that others have
+                columns[:, width:, part] = 0.0
+            derivative = some.derivative(poses, twists).transpose(2, 1, 0)
+            columns[:-1, :width, part] = derivative / scale
+            columns[-1][:width, part] = some.residual(poses).T / scale
+        return columns
 
     def observability(self, x: Array) -> Observability:
-        """What rows that count and known distances tell apart at x; angles as lengths, by their standard deviations."""
+        """Analyse which combinations of parameters the rows and known distances determine at x, (p,).
+
+        Rows without weight do not count. Angles count as lengths, by the ratio of their sigmas.
+        """
         model, rows = self.kinematics.model, self.rows
-        counts = rows.used & ((self.weights > 0.0) | ~rows.checked)[:, None]
-        seen = (self.linear(x).A * rows.scales[:, :1, None])[counts]
-        if (
-            self.gauge is not None
-        ):  # growth changes what is measured by shares of the residuals, which tell nothing
+        has_weight = (self.weights > 0.0) | ~rows.checked
+        counts = rows.used & has_weight[:, None]
+        sigma_of_lengths = rows.scales[:, :1, None]
+        jacobian = (self.linear(x).A * sigma_of_lengths)[counts]
+        if self.gauge is not None:
+            # Growth changes predictions only by shares of the residuals, which determine nothing.
             growth = self.gauge.growth
-            seen = seen - np.outer(seen @ growth, growth) / (growth @ growth)
-        sigma = np.array([known.sigma for known in self.distances])
-        known = self._between(x)[1] * sigma[:, None]
-        return analyse(np.concatenate([seen, known]), model.names, model.units)
+            along = np.outer(jacobian @ growth, growth) / (growth @ growth)
+            jacobian = jacobian - along
+        sigma = np.array([distance.sigma for distance in self.distances])
+        of_distances = self._distance_residuals(x)[1] * sigma[:, None]
+        return analyse(np.concatenate([jacobian, of_distances]), model.names, model.units)
 
     def constraints(self, x: Array) -> tuple[Array, Array]:
-        """What is known besides the rows, minus what is predicted, over its sigma, (K,).
+        """Residuals of what is known besides the rows: of the known distances, and last of the arm's size if held.
 
-        These are the known distances, and last the size of the arm, if it is held. Also returned is the derivative of
-        the prediction, (K, p).
+        Args:
+            x: shape (p,).
+
+        Returns:
+            Known minus predicted, over its sigma, shape (K,), and the Jacobian of the prediction, shape (K, p), over
+            sigma too.
         """
-        r, J = self._between(x)
+        residual, jacobian = self._distance_residuals(x)
         if self.gauge is None:
-            return r, J
+            return residual, jacobian
         held = self.gauge.held / TOLERANCE
-        return np.append(r, -held @ x), np.vstack([J, held])
+        return np.append(residual, -held @ x), np.vstack([jacobian, held])
 
-    def _between(self, x: Array) -> tuple[Array, Array]:
-        """Known minus predicted distances over their sigma, (K,), and the derivative of the prediction, (K, p).
+    def _distance_residuals(self, x: Array) -> tuple[Array, Array]:
+        """Known minus predicted distances over their sigma, (K,), and the Jacobian of the prediction, (K, p).
 
-        A point held at the origin of frame f stands at c_f = -R^T t in the base, with T_frame_base = (R, t).
+        The origin of frame f stands at c_f = -R^T t in the base, with T_frame_base = (R, t).
         """
-        r, J = np.empty(len(self.distances)), np.empty((len(self.distances), self.size))
+        residual = np.empty(len(self.distances))
+        jacobian = np.empty((len(self.distances), self.size))
         if not self.distances:
-            return r, J
+            return residual, jacobian
+        origins, derivatives = self._frame_origins(x)
+        for k, known in enumerate(self.distances):
+            between = origins[known.first] - origins[known.second]
+            length = float(np.linalg.norm(between))
+            along = between / max(length, _SHORTEST)
+            residual[k] = (known.length - length) / known.sigma
+            change = derivatives[known.first] - derivatives[known.second]
+            jacobian[k] = along @ change / known.sigma
+        return residual, jacobian
+
+    def _frame_origins(self, x: Array) -> tuple[Array, Array]:
+        """Origins of the F frames in the base, shape (F, 3) [m], and their derivative by x, shape (F, 3, p)."""
         displacement, directions = self.kinematics.model.displacements(x)
         frames = len(self.kinematics.T_frame_base)
         T = self.kinematics.T_frame_base @ displacement[:frames]
-        c = -np.einsum("fji,fj->fi", T[:, :3, :3], T[:, :3, 3])
-        S = directions[: 6 * frames].reshape(frames, 6, -1)
-        dc = -(S[:, :3] + np.cross(S[:, 3:], c[:, :, None], axis=1))
-        for k, known in enumerate(self.distances):
-            between = c[known.first] - c[known.second]
-            length = float(np.linalg.norm(between))
-            along = between / max(length, 1e-12)
-            r[k] = (known.length - length) / known.sigma
-            J[k] = along @ (dc[known.first] - dc[known.second]) / known.sigma
-        return r, J
+        origins = -np.einsum("fji,fj->fi", T[:, :3, :3], T[:, :3, 3])
+        twists = directions[: 6 * frames].reshape(frames, 6, -1)
+        turned = np.cross(twists[:, 3:], origins[:, :, None], axis=1)
+        return origins, -(twists[:, :3] + turned)
 
     def system(self, x: Array) -> tuple[Array, Array]:
-        """The whitened residual and its own derivative, with a row for each prior and each known distance."""
-        held = np.flatnonzero(self.precision)
-        root = np.sqrt(self.precision[held])
-        between, slope = self.constraints(x)
-        rows = self._whitened(self.linear(x).columns)
-        measured = rows.shape[1]
-        last = measured + len(held)
+        """The whitened residual at x, (p,), and its own derivative, as a solver takes them.
+
+        Returns:
+            shapes (m,) and (m, p): of the measured scalars (or a triangle with the same squares), then of each
+            parameter with a prior, then of each constraint.
+        """
+        with_prior = np.flatnonzero(self.precision)
+        root = np.sqrt(self.precision[with_prior])
+        of_constraints, slope = self.constraints(x)
+        whitened = self._whitened(self.linear(x).columns)
+        measured = whitened.shape[1]
+        last = measured + len(with_prior)
         # By columns in memory, as solvers want it.
-        both = np.zeros((self.size + 1, last + len(between)))
-        both[:-1, :measured], both[-1, :measured] = -rows[:-1], rows[-1]
-        both[held, measured + np.arange(len(held))] = -root
-        both[-1, measured:last] = -root * (x - self.centre)[held]
-        both[:-1, last:], both[-1, last:] = -slope.T, between
+        both = np.zeros((self.size + 1, last + len(of_constraints)))
+        both[:-1, :measured] = -whitened[:-1]
+        both[-1, :measured] = whitened[-1]
+        both[with_prior, measured + np.arange(len(with_prior))] = -root
+        both[-1, measured:last] = -root * (x - self.centre)[with_prior]
+        both[:-1, last:] = -slope.T
+        both[-1, last:] = of_constraints
         return both[-1], both[:-1].T
 
     def _whitened(self, columns: Array) -> Array:
-        """[A r] of the M scalars, by columns, in units of their noise, (p + 1, M); R of [A r] = Q R for many rows."""
+        """[A r] of the M measured scalars by columns, whitened, shape (p + 1, M); of many rows R of [A r] = Q R.
+
+        Args:
+            columns: shape (p + 1, D, N), in units of sigma.
+        """
         whiten = (np.sqrt(self.weights)[:, None] * (self.rows.scales / self.scales)).T
         if self.stops is not None and np.any(self.rho):
             columns = self.stops.independent(columns * whiten, self.weights, self.rho)
@@ -187,21 +266,24 @@ class Problem:
             return np.asarray((columns * whiten)[:, used])
         factor = whiten * used
 
-        def work(own: slice) -> Array:
-            return triangle((columns[:, :, own] * factor[:, own]).reshape(len(columns), -1).T)
+        def block_triangle(rows: slice) -> Array:
+            block = (columns[:, :, rows] * factor[:, rows]).reshape(len(columns), -1)
+            return triangle(block.T)
 
-        parts = over_blocks(work, len(self.weights))
-        return np.asarray(triangle(np.asfortranarray(np.concatenate(parts))).T)
+        triangles = over_blocks(block_triangle, len(self.weights))
+        return np.asarray(triangle(np.asfortranarray(np.concatenate(triangles))).T)
 
     def independent(self, values: Array, weights: Array) -> Array:
-        """Whitened values (N, D, q), with these weights (N,) of the rows, less what the targets of a stop share."""
+        """Transform whitened values so that the errors which targets of a stop share are independent.
+
+        Args:
+            values: shape (N, D, q), residuals or Jacobians, whitened.
+            weights: shape (N,), weights of the rows in them.
+
+        Returns:
+            shape (N, D, q); as they are where no errors are shared.
+        """
         if self.stops is None or not np.any(self.rho):
             return values
         columns = self.stops.independent(values.transpose(2, 1, 0), weights, self.rho)
         return np.asarray(columns.transpose(2, 1, 0))
-
-    def paper_system(self, nominal: Array, unit: Array, X: Array) -> tuple[Array, Array]:
-        """The paper's error e_i = |dP_i|^2 [mm^2], (N,), and its derivative, (N, p), at X = (nominal + x) unit."""
-        x = X / unit - nominal
-        r, J = 1e3 * self.linear(x).residual(x) * self.rows.scales, 1e3 * self.jacobian(x) / unit
-        return np.sum(r**2, axis=1), -2.0 * np.einsum("ij,ijk->ik", r, J)

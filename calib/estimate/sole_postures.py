@@ -32,7 +32,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.estimate.linear import Linear
+from calib.estimate.linear import LinearProblem
 from calib.estimate.stages import Stage
 from calib.numerics.scores import point_scores
 from calib.registration.rows import Rows
@@ -70,7 +70,7 @@ _UPDATES = 20
 _SETTLED = 1e-9
 
 
-def sole_postures(linear: Linear, rows: Rows, first: Stage) -> Mask:
+def sole_postures(linear: LinearProblem, rows: Rows, first: Stage) -> Mask:
     """Find the rows of sole postures.
 
     Args:
@@ -96,7 +96,7 @@ def sole_postures(linear: Linear, rows: Rows, first: Stage) -> Mask:
     return np.asarray(sole[block] & _seen_by_others(rows, block))
 
 
-def _traces(linear: Linear, covariance: Array) -> Array:
+def _traces(linear: LinearProblem, covariance: Array) -> Array:
     """The trace of A_i C A_i^T of each row i, shape (N,), with the covariance C, shape (p, p)."""
 
     def work(rows: slice) -> Array:
@@ -124,7 +124,7 @@ def with_wide_priors(stage: Stage) -> Stage:
     return replace(stage, prior_std=np.maximum(stage.prior_std, _WIDE * start))
 
 
-def open_directions(linear: Linear, stage: Stage, sole: Mask) -> Array:
+def open_directions(linear: LinearProblem, stage: Stage, sole: Mask) -> Array:
     """Find the directions of their scalars in which the other rows do not predict sole postures.
 
     Args:
@@ -137,7 +137,7 @@ def open_directions(linear: Linear, stage: Stage, sole: Mask) -> Array:
         these directions; of all other rows the identity.
     """
     covariance = with_wide_priors(stage).fit(linear)[1][0]
-    noise = linear.noise_of(stage.noise)[0]
+    noise = linear.noise_by_scalar(stage.noise)[0]
     result = np.tile(np.eye(noise.shape[1]), (len(linear), 1, 1))
     for i in np.flatnonzero(sole).tolist():
         A = linear.A[i] / noise[i][:, None]
@@ -147,7 +147,7 @@ def open_directions(linear: Linear, stage: Stage, sole: Mask) -> Array:
     return result
 
 
-def open_scores(linear: Linear, x: Array, stage: Stage, projections: Array) -> Array:
+def open_scores(linear: LinearProblem, x: Array, stage: Stage, projections: Array) -> Array:
     """Score how far rows of sole postures lie from what wide priors predict, along the open directions.
 
     Args:
@@ -160,7 +160,7 @@ def open_scores(linear: Linear, x: Array, stage: Stage, projections: Array) -> A
         shape (N,), comparable with scores of three scalars; see `calib.numerics.scores`.
     """
     covariance = with_wide_priors(stage).fit(linear)[1][0]
-    noise = linear.noise_of(stage.noise)[0]
+    noise = linear.noise_by_scalar(stage.noise)[0]
     residual = projections @ (linear.residual(x) / noise)[:, :, None]
     A = projections @ (linear.A / noise[:, :, None])
     predicted = np.eye(noise.shape[1]) + A @ covariance @ A.swapaxes(1, 2)
@@ -172,7 +172,7 @@ def open_scores(linear: Linear, x: Array, stage: Stage, projections: Array) -> A
 def updated(
     estimate: tuple[Array, Array],
     stage: Stage,
-    linear_at: Callable[[Array], Linear],
+    linear_at: Callable[[Array], LinearProblem],
     weights: Array,
     projections: Array,
 ) -> tuple[Array, Array]:
@@ -190,20 +190,20 @@ def updated(
     """
     x, covariance = estimate
     start, sole = linear_at(x), (weights > 0.0)[:, None]
-    noise = np.where(sole, 1.0, _NOISE_OF_OTHERS) * start.noise_of(stage.noise)[0]
+    noise = np.where(sole, 1.0, _NOISE_OF_OTHERS) * start.noise_by_scalar(stage.noise)[0]
     root = np.sqrt(np.where(sole[:, 0], weights, stage.effective[0]))
     whiten = root[:, None, None] * projections / noise[:, None]
     prior = np.sqrt(with_wide_priors(stage).priors.precision[0])
     # Residuals of the other rows stay as they are, those of sole postures go to zero.
     wanted = np.where(sole, 0.0, start.residual(x))
 
-    def residual(linear: Linear) -> Array:
+    def residual(linear: LinearProblem) -> Array:
         """The whitened residual of the objective at the point of linearisation."""
         measured = (whiten @ (linear.residual(linear.x) - wanted)[:, :, None]).ravel()
         known = linear.C @ (x - linear.x) / _NOISE_OF_OTHERS
         return np.concatenate([measured, known, prior * (x - linear.x)])
 
-    def derivative(linear: Linear) -> Array:
+    def derivative(linear: LinearProblem) -> Array:
         """Minus the derivative of `residual`."""
         measured = (whiten @ linear.A).reshape(-1, len(x))
         return np.vstack([measured, linear.C / _NOISE_OF_OTHERS, np.diag(prior)])

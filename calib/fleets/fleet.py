@@ -26,7 +26,7 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.data.table import Table
 from calib.errors import CalibError
-from calib.files import json_bytes, make_folder, plain, remove, write_atomically
+from calib.files import make_folder, remove, write_atomically
 from calib.fleets.record import (
     ACCEPTED,
     FAILED,
@@ -38,6 +38,7 @@ from calib.fleets.record import (
     fleet_outliers,
 )
 from calib.jobs import run
+from calib.json_files import json_bytes, plain
 from calib.report.report import write_report
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf, read_urdf

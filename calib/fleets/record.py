@@ -30,7 +30,7 @@ from scipy.special import stdtrit
 
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import NO
-from calib.files import JsonLayout
+from calib.json_files import JsonLayout
 from calib.model.parameters import FRAME, TARGET
 from calib.result.calibration import CalibrationValues
 from calib.text.fleet import data_text, few_text, figure_text

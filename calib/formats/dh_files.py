@@ -17,8 +17,9 @@ import numpy as np
 import pinocchio as pin
 
 from calib.errors import FileError, ModelError, choices
-from calib.files import json_bytes, write_atomically
+from calib.files import write_atomically
 from calib.formats.notes import Note
+from calib.json_files import json_bytes
 from calib.model.dh import (
     EQUATIONS,
     HAYATI,

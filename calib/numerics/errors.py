@@ -26,9 +26,8 @@ class Errors:
     max: float  # Largest error, the norm of a row's residual [m]; NaN where n = 0, as all that follow
     mean: float  # Mean of the norms [m]
     rms: float  # Root mean square of the norms [m]
-    mean_axis: (
-        Array  # (3,), mean residual along x, y, z [m]; NaN unless all rows have three coordinates
-    )
+    # (3,), mean residual along x, y, z [m]; NaN unless all rows have three coordinates
+    mean_axis: Array
     rms_axis: Array  # (3,), root mean square of the residual along x, y, z [m]; NaN likewise
     span_axis: Array  # (3,), largest minus smallest residual along x, y, z [m]; NaN likewise
     n_angle: int = 0  # Number of rows with a measured orientation

@@ -50,9 +50,8 @@ class VarianceLimits:
     """Bounds of the standard deviations that are estimated, and the prior of the noise."""
 
     smallest_noise: tuple[float, ...]  # (C,), of each instrument, in units of the given sigma
-    prior_std: tuple[
-        tuple[float, float], ...
-    ]  # (K,), lowest and highest of each family, in its parameters' unit
+    # (K,), lowest and highest of each family, in its parameters' unit
+    prior_std: tuple[tuple[float, float], ...]
     noise_spread: float = (
         np.inf
     )  # Standard deviation of a normal prior on log noise about 0 (the given

@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from calib.errors import CalibError, FileError
-from calib.files import damage, json_bytes, read_json, write_atomically
+from calib.files import write_atomically
+from calib.json_files import damage, json_bytes, read_json
 from calib.regions.region import Region
 from calib.regions.region_rows import RegionView
 from calib.robot.robot import Robot, read_only

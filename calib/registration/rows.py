@@ -50,20 +50,17 @@ class Rows:
     blocks: Integers  # (N,), rows of one number are held out together: one pose, and both rows of a pair
     weights: Array | None = None  # (N,), weights that a fit takes as they are, with repeats already
     # shared out; None: the fit estimates them
-    sole: Mask | None = (
-        None  # (N,), rows of sole postures, see `calib.estimate.sole_postures`; None:
-    )
+    # (N,), rows of sole postures, see `calib.estimate.sole_postures`; None:
+    sole: Mask | None = None
     # the fit finds them
-    width: int = field(
-        init=False
-    )  # D, columns of a residual: 6 with angles, 3 with positions, else 1
+    # D, columns of a residual: 6 with angles, 3 with positions, else 1
+    width: int = field(init=False)
     used: Mask = field(init=False, repr=False)  # (N, D), which entries of the residual are measured
     # (N, D), which instrument, and so which noise, each scalar has, from 0; -1 for no scalar. Lengths of each kind are
     # an instrument, in the order of the kinds' numbers, then angles of each kind.
     instruments: NDArray[np.int8] = field(init=False, repr=False)
-    _by_kind: tuple[_KindRows, ...] = field(
-        init=False, repr=False
-    )  # In the order of kinds' numbers
+    # In the order of kinds' numbers
+    _by_kind: tuple[_KindRows, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Derive what every evaluation of a fit needs."""

@@ -26,9 +26,8 @@ class Setup:
     targets: tuple[str, ...]  # Names of the targets
     T_frame_base: Array  # (F, 4, 4), pose of the base in each frame [m]
     T_tip_target: Array  # (T, 4, 4), pose of each target in the tip [m]
-    unknown: tuple[
-        tuple[str, ...], ...
-    ]  # For each frame the directions that are estimated: "x" ... "rz"
+    # For each frame the directions that are estimated: "x" ... "rz"
+    unknown: tuple[tuple[str, ...], ...]
     frame_given: Mask  # (F,), frames whose pose the user gave; of others it is registered
     target_unknown: Mask  # (T,), targets that are estimated
     target_given: Mask  # (T,), targets whose place the user gave, to be kept or as a start

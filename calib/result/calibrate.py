@@ -16,10 +16,11 @@ from calib.blas import one_blas_thread
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.coverage import outside
+from calib.diagnosis.extrapolation import extrapolation
 from calib.diagnosis.reasons import NO, Verdict
 from calib.diagnosis.verdict import verdict
-from calib.estimate.extrapolation import extrapolation
-from calib.estimate.fitting import PAPER, Fitted, fit
+from calib.estimate.fitting import Fitted, fit
+from calib.estimate.task import PAPER
 from calib.jobs import Progress
 from calib.model.kinematics import Samples
 from calib.model.observability import Observability
@@ -196,7 +197,7 @@ def _contenders(measurements: Measurements, fits: Fits, chosen: Fitted) -> Itera
     validation_rows = fits.all_rows.select(measurements.validation)
     for name in alternative_models(fits.candidates):
         fitted = fit(replace(chosen.task, model=name), fits.fitted_rows)
-        yield fitted.with_unseen(fits.unseen, validation_rows)
+        yield fitted.with_held_out(fits.unseen, validation_rows)
 
 
 def _with_non_geometric(fits: Fits, non_geometric: Fitted | None) -> Fits:
@@ -383,7 +384,7 @@ def _scored(measurements: Measurements, fits: Fits) -> _Scored:
     scores, weights = np.empty(len(estimation)), np.zeros(len(estimation))
     weights[estimation] = estimate.weights
     scores[estimation] = estimate.scores
-    scores[validation] = geometry.unseen_scores(fits.all_rows.select(validation))
+    scores[validation] = geometry.held_out_scores(fits.all_rows.select(validation))
     # Each set has a limit of its own, because each has its own number of chances for a false alarm.
     suspect_limit = Limits.of(np.sum(validation), estimate.freedom).flagged
     return _Scored(

@@ -19,16 +19,8 @@ import pinocchio as pin
 from calib.diagnosis.coverage import OutsideRow
 from calib.diagnosis.reasons import Reason
 from calib.errors import CalibError, FileError
-from calib.files import (
-    Json,
-    JsonLayout,
-    Key,
-    damage,
-    json_bytes,
-    nested,
-    read_json,
-    write_atomically,
-)
+from calib.files import write_atomically
+from calib.json_files import Json, JsonLayout, Key, damage, json_bytes, nested, read_json
 from calib.model.families import FAMILIES, Factor, factor_of
 from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability
@@ -246,7 +238,7 @@ def _calibration(found: Json, folder: Path) -> CalibrationValues:
 
     def solved(kind: type[FittedModel], table: Json) -> dict[str, Any]:
         """The attributes of the geometry, or of the non-geometric model."""
-        own = _LAYOUT.values(kind, table, without=("non_geometric",))
+        own = _LAYOUT.values(kind, table, excluded=("non_geometric",))
         x, C, setup = own["x"], own["covariance"], own["setup"]
         model = _model_of(table["model"], [one.name for one in own["parameters"]])
         arrays = x, C, setup.T_frame_base, setup.T_tip_target

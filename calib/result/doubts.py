@@ -23,9 +23,10 @@ from calib.diagnosis.residual_patterns import (
     residual_patterns,
 )
 from calib.diagnosis.stations import disagreeing_stations, flagged_station
-from calib.estimate.fitting import PAPER, Fitted, fit, model_of
+from calib.estimate.fitting import Fitted, fit
 from calib.estimate.gauge import measures_length
 from calib.estimate.problem import Problem
+from calib.estimate.task import PAPER
 from calib.model.families import FAMILIES, joint_families
 from calib.numerics.errors import LENGTHS
 from calib.registration.registration import ENOUGH
@@ -180,7 +181,7 @@ def thin(fitted: Fitted) -> tuple[Fitted, Mask]:
         return fitted, some
     rows = problem.rows.select(some)
     few = replace(
-        Problem.first(problem.kinematics, rows, problem.distances),
+        Problem.initial(problem.kinematics, rows, problem.distances),
         weights=problem.weights[some],
         scales=problem.scales[some][:, : rows.width],
         precision=problem.precision,
@@ -209,10 +210,10 @@ def _missing_model(fitted: Fitted) -> Iterator[Reason]:
     own = [f for f in joint_families() if not FAMILIES[f].loaded]
     least, lacking = fitted.estimate.noise[0], ""
     for model in ("placement", "+".join(("placement", *own))):
-        full = replace(task, model=model, cell=free, solver="lm", lenient=True)
-        if name.startswith(model) or rows.count < 2 * len(model_of(full)):
+        full = replace(task, model=model, cell=free, solver="lm", allow_absent=True)
+        if name.startswith(model) or rows.count < 2 * len(full.error_model()):
             continue
-        noise = fit(full, rows, started=fitted.setup).estimate.noise[0]
+        noise = fit(full, rows, registered=fitted.setup).estimate.noise[0]
         if noise <= _FAR_LESS * least:
             least, lacking = noise, model
     if lacking:

@@ -17,7 +17,8 @@ from calib.data.cell import AUTO, Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Reason
 from calib.diagnosis.usual_mistakes import check_positions, find_usual_mistake
-from calib.estimate.fitting import PAPER, Fitted, Task, fit
+from calib.estimate.fitting import Fitted, fit
+from calib.estimate.task import PAPER, Task
 from calib.model.error_model import OWN, split_name
 from calib.model.parameters import Parameter
 from calib.numerics.scores import Limits
@@ -98,14 +99,14 @@ def fit_table(
     task = Task(robot, cell, seen, model, distances, solver, robust)
     if mistake and model == AUTO:  # no model of such measurements means anything
         check_parameter_names(task)
-        task = replace(task, model="zeros", lenient=True)
+        task = replace(task, model="zeros", allow_absent=True)
 
     geometry, non_geometric, candidates = _fit_models(task, rows)
     if isinstance(model, str) and not (mistake or non_geometric or candidates):
         geometry = _with_outliers_confirmed(geometry, measurements)
-    geometry = geometry.with_unseen(unseen, validation_rows)
+    geometry = geometry.with_held_out(unseen, validation_rows)
     if non_geometric is not None:
-        non_geometric = non_geometric.with_unseen(unseen, validation_rows)
+        non_geometric = non_geometric.with_held_out(unseen, validation_rows)
     return Fits(
         geometry=geometry,
         non_geometric=non_geometric,
@@ -130,7 +131,7 @@ def _fit_models(task: Task, rows: Rows) -> tuple[Fitted, Fitted | None, tuple[Ca
     """
     candidates: tuple[Candidate, ...] = ()
     if task.model == AUTO and task.solver == PAPER:
-        return fit(replace(task, model="dh", lenient=True), rows), None, candidates
+        return fit(replace(task, model="dh", allow_absent=True), rows), None, candidates
     if task.model == AUTO:
         selection = select(task, rows)
         name, candidates, reference = (
@@ -144,7 +145,7 @@ def _fit_models(task: Task, rows: Rows) -> tuple[Fitted, Fitted | None, tuple[Ca
     if name == reference.kinematics.model.name:
         return reference, None, candidates
     rows = replace(rows, sole=reference.estimate.problem.rows.sole)
-    geometry = fit(replace(task, model=name, lenient=True), rows, started=reference.setup)
+    geometry = fit(replace(task, model=name, allow_absent=True), rows, registered=reference.setup)
     return with_better_weights(geometry, rows, reference), reference, candidates
 
 
@@ -182,7 +183,7 @@ def _outliers_of_a_part_too(geometry: Fitted, estimation: Measurements) -> bool:
     part = _with_loads(geometry, estimation, rows.evenly(_MANY_ROWS))
     reference = fit_with_all_families(geometry, part)
     chosen = rows.with_partners(flagged)
-    scores = reference.unseen_scores(_with_loads(geometry, estimation, chosen))
+    scores = reference.held_out_scores(_with_loads(geometry, estimation, chosen))
     limit = Limits.of(len(rows), reference.estimate.freedom).flagged
     return bool(np.all(scores[flagged[chosen]] > limit))
 

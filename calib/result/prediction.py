@@ -16,7 +16,8 @@ import numpy as np
 
 import calib.data.kinds as registry
 from calib.diagnosis.reasons import Verdict
-from calib.estimate.fitting import PAPER, Fitted
+from calib.estimate.fitting import Fitted
+from calib.estimate.task import PAPER
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability
 from calib.model.parameters import FRAME, TARGET, ErrorModel

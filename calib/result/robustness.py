@@ -40,7 +40,7 @@ def compare_weights(fitted: Fitted) -> Robustness:
     """
     rows = fitted.estimate.problem.rows
     task = replace(fitted.task, robust=not fitted.task.robust)
-    other = fit(task, replace(rows, weights=None), started=fitted.setup)
+    other = fit(task, replace(rows, weights=None), registered=fitted.setup)
     distances = _distances(fitted, other)
     robust, full = (fitted, other) if fitted.task.robust else (other, fitted)
     kept = ~fitted.estimate.outliers

@@ -10,7 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.estimate.fitting import Fitted, Task, fit
+from calib.estimate.fitting import Fitted, fit
+from calib.estimate.task import Task
 from calib.jobs import Progress
 from calib.numerics.errors import CrossValidation
 from calib.registration.registration import ENOUGH, nominal_setup

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.errors import MeasurementError
-from calib.estimate.fitting import Task
+from calib.estimate.task import Task
 from calib.model.error_model import DIRECTIONS
 from calib.numerics.errors import CrossValidation, Errors
 from calib.registration.known_distances import joined_stations

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.errors import ModelError, choices
-from calib.estimate.fitting import Task, model_of
+from calib.estimate.task import Task
 from calib.model.families import joint_families
 from calib.model.joint_errors import joint_displacements, joint_parameters
 from calib.registration.rows import Rows
@@ -41,7 +41,7 @@ def geometry_parameters(task: Task) -> dict[str, int]:
     counts: dict[str, int] = {}
     listed = set()
     for geometry in LADDER:
-        names = model_of(replace(task, model=geometry)).names
+        names = replace(task, model=geometry).error_model().names
         if names and names not in listed:
             listed.add(names)
             counts[geometry] = len(names)
@@ -85,7 +85,7 @@ def check_parameter_names(task: Task) -> None:
     largest = model_name("placement", joint_families())
     known = set()
     for model in (largest, "zeros", "dh", "hayati"):
-        known |= {*model_of(replace(without_frozen, model=model)).names}
+        known |= {*replace(without_frozen, model=model).error_model().names}
     unknown = sorted(named - known)
     if unknown:
         raise ModelError(

@@ -12,10 +12,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.estimate.fitting import PAPER, Fitted, given_weights, weighting
-from calib.estimate.linear import Linear
+from calib.estimate.fitting import Fitted
+from calib.estimate.linear import LinearProblem
 from calib.estimate.prior_terms import PriorTerms
-from calib.estimate.stages import FEWEST_FREEDOM, Stage, staged
+from calib.estimate.stages import FEWEST_FREEDOM, Stage, Weighting, run_stages
+from calib.estimate.task import PAPER
 from calib.numerics.errors import CrossValidation
 from calib.numerics.likelihood import GaussianPriors
 from calib.selection.folds import Folds
@@ -60,7 +61,7 @@ def linear_cross_validation(fitted: Fitted, outliers: Mask | None = None) -> Cro
     return folds.joined(rows, residuals, estimate.outliers if outliers is None else outliers)
 
 
-def _with_own_places(part: Linear, x: Array, own: Mask, weights: Array) -> Array:
+def _with_own_places(part: LinearProblem, x: Array, own: Mask, weights: Array) -> Array:
     """Return parameters with those of places that only these rows see fitted to these rows.
 
     Args:
@@ -78,7 +79,9 @@ def _with_own_places(part: Linear, x: Array, own: Mask, weights: Array) -> Array
     return np.asarray(result)
 
 
-def fold_posterior_means(fitted: Fitted, linear: Linear, masks: Sequence[Mask] | Mask) -> Array:
+def fold_posterior_means(
+    fitted: Fitted, linear: LinearProblem, masks: Sequence[Mask] | Mask
+) -> Array:
     """Return the parameters by the rows outside of each fold, at weights, noise and priors of the fit to all rows.
 
     Args:
@@ -118,9 +121,7 @@ def held_out_residuals_linear(
     if not candidates:
         return {}
     linear = estimate.problem.linear(estimate.x)
-    prior = PriorTerms.of(
-        task.cell, fitted.kinematics.model, task.setup, fitted.setup, lenient=task.lenient
-    )
+    prior = PriorTerms.of(task, fitted.kinematics.model, fitted.setup)
     x, freedom = _fold_estimates(fitted, linear, prior, np.array([masks[k] for k in candidates]))
     low, high = prior.limits.T
     inside = np.all((x >= low) & (x <= high), axis=1)
@@ -158,7 +159,7 @@ def _leaves_enough_rows(fitted: Fitted, mask: Mask) -> bool:
 
 
 def _fold_estimates(
-    fitted: Fitted, linear: Linear, prior: PriorTerms, masks: Mask
+    fitted: Fitted, linear: LinearProblem, prior: PriorTerms, masks: Mask
 ) -> tuple[Array, Array]:
     """Return the parameters by the rows outside of each fold.
 
@@ -167,7 +168,7 @@ def _fold_estimates(
     Args:
         fitted: Fit to all N rows with p parameters.
         linear: Its problem, linearised.
-        prior: GaussianPriors of the fit.
+        prior: Priors of the fit.
         masks: True for the rows that each fold holds out, shape (F, N).
 
     Returns:
@@ -176,20 +177,19 @@ def _fold_estimates(
     task, rows = fitted.task, fitted.estimate.problem.rows
     if len(rows) >= _MANY and masks.mean(axis=1).max() < _SMALL_SHARE:
         return fold_posterior_means(fitted, linear, masks), np.full(len(masks), np.inf)
+    weighting = Weighting.of(task.cell.repeats, task.robust, rows)
     size = max(_AT_A_TIME // len(rows), 1)
     x, freedom = [], []
     for first in range(0, len(masks), size):
         kept = rows.checked & ~masks[first : first + size]
-        stage = Stage.first(prior, kept, len(linear.smallest), given_weights(rows))
-        stage, freedom_of_part = staged(
-            stage, lambda _: linear, rows.poses, **weighting(task, rows)
-        )
+        stage = Stage.initial(prior, kept, len(linear.smallest_noise), weighting.start)
+        stage, freedom_of_part = run_stages(stage, lambda _: linear, rows.poses, weighting)
         x.append(stage.fit(linear)[0])
         freedom.append(freedom_of_part)
     return np.concatenate(x), np.concatenate(freedom)
 
 
-def _accurate_residual(fitted: Fitted, linear: Linear, x: Array, mask: Mask) -> Array | None:
+def _accurate_residual(fitted: Fitted, linear: LinearProblem, x: Array, mask: Mask) -> Array | None:
     """Return the residual at parameters of a fold, or None if the linear problem is not accurate there.
 
     It is compared with the robot itself at the rows that the fold keeps.

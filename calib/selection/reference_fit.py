@@ -54,7 +54,7 @@ def with_better_weights(fitted: Fitted, rows: Rows, reference: Fitted) -> Fitted
     Returns:
         One of the two fits of the model; its scores are at most the reference's if that predicts better.
     """
-    refitted = fit(fitted.task, rows, judge=reference)
+    refitted = fit(fitted.task, rows, reference=reference)
     in_both = fitted.estimate.outliers & reference.estimate.outliers
     by_fitted = held_out_rms(linear_cross_validation(fitted, in_both))
     by_refitted = held_out_rms(linear_cross_validation(refitted, in_both))
@@ -78,4 +78,4 @@ def fit_with_all_families(fitted: Fitted, rows: Rows) -> Fitted:
     """
     task = fitted.task
     name = model_name(str(task.model), determinable_families(task, rows))
-    return fit(replace(task, model=name, lenient=True), rows, started=fitted.setup)
+    return fit(replace(task, model=name, allow_absent=True), rows, registered=fitted.setup)

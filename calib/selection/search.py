@@ -11,7 +11,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from calib.errors import MeasurementError
-from calib.estimate.fitting import Fitted, Task, fit
+from calib.estimate.fitting import Fitted, fit
+from calib.estimate.task import Task
 from calib.registration.rows import Rows
 from calib.selection.candidates import Candidate, candidate_of, held_out_rms, is_vanished
 from calib.selection.geometry_choice import preferred_geometry
@@ -131,7 +132,7 @@ class Search:
         if name in self.tried:
             return True
         try:
-            fitted = fit(replace(self.task, model=name), self.rows, judge=self.reference)
+            fitted = fit(replace(self.task, model=name), self.rows, reference=self.reference)
         except MeasurementError:
             return False
         self.tried[name] = candidate_of(fitted)

@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.estimate.fitting import Fitted, Task, fit
+from calib.estimate.fitting import Fitted, fit
+from calib.estimate.task import Task
 from calib.registration.rows import Rows
 from calib.selection.candidates import Candidate, mark_chosen, without_vanished_families
 from calib.selection.ladder import (
@@ -56,7 +57,7 @@ def select(task: Task, rows: Rows) -> Selection:
     """
     check_parameter_names(task)
     some_rows = rows.select(rows.evenly(_CHOSEN_BY))
-    task = replace(task, lenient=True)
+    task = replace(task, allow_absent=True)
     geometries = geometry_parameters(task)
     families = determinable_families(task, some_rows)
     if task.cell.priors.source == "off":  # then there must be a number for each parameter
@@ -71,7 +72,7 @@ def select(task: Task, rows: Rows) -> Selection:
     selection = _searched(search, start)
     if len(some_rows) < len(rows):
         chosen = selection.reference
-        of_all_rows = fit(chosen.task, rows, started=chosen.setup)
+        of_all_rows = fit(chosen.task, rows, registered=chosen.setup)
         return replace(selection, reference=of_all_rows)
     return selection
 
@@ -99,9 +100,9 @@ def _searched(search: Search, start: str) -> Selection:
         geometry = search.best_geometry()
         best = search.best_non_geometric(highest, geometry)
         task = replace(search.task, model=best)
-        fitted = fit(task, search.rows, started=search.reference.setup)
+        fitted = fit(task, search.rows, registered=search.reference.setup)
         if explains_more_rows(search.reference, fitted):
-            fitted = fit(task, search.rows, judge=search.reference)
+            fitted = fit(task, search.rows, reference=search.reference)
             break
         same_outliers = np.array_equal(fitted.estimate.outliers, search.reference.estimate.outliers)
         if same_outliers or number == _MOST_SEARCHES:

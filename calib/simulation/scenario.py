@@ -25,7 +25,8 @@ from calib.data.columns import SETS
 from calib.data.kinds import Kind
 from calib.data.measurements import Measurements
 from calib.errors import CalibError, choices
-from calib.files import json_bytes, write_atomically
+from calib.files import write_atomically
+from calib.json_files import json_bytes
 from calib.model.error_model import error_model
 from calib.model.families import unit_of
 from calib.model.parameters import ErrorModel

@@ -11,7 +11,7 @@ import pytest
 from calib.circle_points.survey import base_frame, between, nominal_axes
 from calib.circle_points.sweeps import Sweep, Sweeps
 from calib.errors import MeasurementError
-from calib.files import json_bytes
+from calib.json_files import json_bytes
 from calib.robot.robot import Robot, rigid_inverse
 from tests.circle_points.virtual_sweeps import virtual_sweeps
 

@@ -15,7 +15,7 @@ from calib.cli.program import app as program
 from calib.cli.verb import Verb, verb
 from calib.data import kinds
 from calib.errors import FileError
-from calib.estimate.fitting import PAPER
+from calib.estimate.task import PAPER
 from calib.formats.convert import FORMATS
 from calib.model.families import joint_families
 from calib.numerics.solvers import SOLVERS

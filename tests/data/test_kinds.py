@@ -12,9 +12,9 @@ import calib
 from calib.data import kinds
 from calib.data.cell import TrackerNoise
 from calib.data.kinds import Kind, Reading, get, names, register
+from calib.design.inspection import inspect
 from calib.design.plan_file import write_plan
 from calib.errors import CalibError, MeasurementError
-from calib.estimate.inspection import inspect
 
 
 def line_distance(T):

@@ -15,7 +15,8 @@ from calib.diagnosis.further_unknowns import (
     instrument_scale,
     motion_of_base,
 )
-from calib.estimate.fitting import Task, fit
+from calib.estimate.fitting import fit
+from calib.estimate.task import Task
 from calib.model.parameters import FRAME
 from calib.registration.table_rows import rows_and_setup
 from calib.robot.ranges import random_joint_values

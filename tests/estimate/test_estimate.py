@@ -10,7 +10,8 @@ from scipy.special import stdtrit
 
 from calib.data.cell import Cell, Priors
 from calib.data.measurements import Measurements
-from calib.estimate.fitting import Fitted, Task, fit
+from calib.estimate.fitting import Fitted, fit
+from calib.estimate.task import Task
 from calib.registration.rows import Rows
 from calib.registration.table_rows import rows_and_setup
 

@@ -6,61 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 from scipy.special import stdtrit
 
 from calib.calibration import calibrate
-from calib.data.cell import Cell, GroupDistance, Priors
+from calib.data.cell import Cell, GroupDistance
 from calib.errors import MeasurementError, ModelError
-from calib.estimate.fitting import Task, _pulled_inwards, fit
-from calib.estimate.prior_terms import PriorTerms
+from calib.estimate.fitting import fit
 from calib.model.error_model import MODELS, error_model
 from calib.model.kinematics import Kinematics
 from calib.model.parameters import Parameter
 from calib.numerics.solvers import SOLVERS, Solution
-from calib.registration.known_distances import known_distances
-from calib.registration.table_rows import rows_and_setup
 from calib.robot.ranges import random_joint_values
-
-OFF = Priors(source="off")
-FREE = Cell(estimate_frame=True, priors=OFF)
-
-
-def task_of(scene, table, cell, model="dh", **options):
-    rows, setup = rows_and_setup(scene.robot, table, cell)
-    task = Task(scene.robot, cell, setup, model, known_distances(cell, setup), **options)
-    return task, rows
-
-
-def fitted(scene, table, cell, model="dh", **options):
-    task, rows = task_of(scene, table, cell, model, **options)
-    return fit(task, rows), rows
-
-
-def errors(scene, found, *, placed=True, target=0):
-    """Predicted minus true target on unseen poses; as one body moved onto the truth where nothing tells its place."""
-    q = random_joint_values(scene.robot, 60, 77)
-    samples = scene.samples(60, q=q)
-    number = found.setup.targets.index(f"t{target}")
-    mine = found.tip_poses(samples) @ found.placed().T_tip_target[number]
-    true = scene.tip(q) @ scene.kinematics.T_tip_target[target]
-    if placed:
-        group = int(found.setup.groups[0])
-        mine = found.placed().T_frame_base[0] @ mine
-        true = scene.kinematics.T_frame_base[group] @ true
-        return mine[:, :3, 3] - true[:, :3, 3]
-    a, b = (T[:, :3, 3] - T[:, :3, 3].mean(axis=0) for T in (mine, true))
-    return Rotation.align_vectors(b, a)[0].apply(a) - b
-
-
-def sockets(make_scene, seed, count, **options):
-    """Frames that lie in easy reach, turned anyhow."""
-    rng = np.random.default_rng(seed)
-    frames = [make_scene(100 * seed + k).kinematics.T_frame_base[0].copy() for k in range(count)]
-    for T in frames:
-        T[:3, 3] = -T[:3, :3] @ (np.array([0.3, 0.0, 0.15]) + rng.uniform(-0.15, 0.15, 3))
-    return make_scene(seed, frames=frames, **options)
-
+from tests.estimate.scene_fits import FREE, OFF, errors, fitted, sockets, task_of
 
 KINDS = {
     "point": (lambda s: [s.points(25)], True),
@@ -164,59 +121,6 @@ def test_a_target_with_a_prior_or_a_bound_stays_near_where_it_was_said_to_be(mak
         assert np.linalg.norm(found.setup.T_tip_target[0, :3, 3] - said) > 3e-3
 
 
-def test_a_parameter_at_a_bound_is_released_where_the_rows_pull_it_inside(make_scene):
-    """Held 1 mm to either side of the optimum, as at a lower and as at an upper bound."""
-    scene = make_scene(0, frames=[np.eye(4)], noise=1e-4)
-    given = Priors(source="given")
-    found, _ = fitted(scene, scene.points(25), Cell(priors=given), robust=False)
-    k = found.kinematics.model.index("d1")
-    best = float(found.estimate.x[k])
-
-    def released(value, low, high):
-        x = found.estimate.x.copy()
-        x[k] = value
-        model, cell, setup = found.kinematics.model, found.task.cell, found.task.setup
-        prior = PriorTerms.of(cell, model, setup, found.setup, lenient=False)
-        limits = prior.limits.copy()
-        limits[k] = low, high
-        moved, prior = replace(found.estimate, x=x), replace(prior, limits=limits)
-        return _pulled_inwards(moved, prior, {k: value})
-
-    below, above = best - 1e-3, best + 1e-3
-    assert released(below, below, best + 1.0) == {k}
-    assert released(above, best - 1.0, above) == {k}
-    assert released(above, above, best + 2.0) == set()
-    assert released(below, best - 2.0, below) == set()
-    # At the optimum it stays where it is.
-    assert released(best, best, best + 1.0) == set()
-
-
-@pytest.mark.slow
-def test_bounds_hold_and_let_go_of_what_they_no_longer_hold(make_scene):
-    """At the end no bounded parameter could lower the cost by moving inwards (Karush, Kuhn, Tucker)."""
-    prior_std = {"length": 3e-3, "angle": 15e-3, "zero": 15e-3}
-    stopped = 0
-    for seed in range(12):
-        scene = make_scene(seed, frames=[np.eye(4)], noise=1e-4)
-        names = scene.kinematics.model.names
-        chosen = np.random.default_rng(seed).choice(len(names), 8, replace=False)
-        cell = Cell(bounds={names[k]: (-1e-3, 1e-3) for k in chosen}, priors=Priors(source="given"))
-        found, _ = fitted(scene, scene.points(25), cell, robust=False)
-        e, model = found.estimate, found.kinematics.model
-        stopped += len(e.at_bound)
-        for k in chosen:
-            assert abs(e.x[model.index(names[k])]) <= 1e-3 * (1 + 1e-9)
-        precision, centre = e.problem.precision.copy(), e.problem.centre.copy()
-        for k in e.at_bound:
-            precision[k], centre[k] = prior_std[model.parameters[k].family] ** -2, 0.0
-        free = replace(e.problem, precision=precision, centre=centre)
-        r, J = free.system(e.x)
-        slope, bend = J.T @ r, np.sum(J**2, axis=0)
-        for k in e.at_bound:
-            assert slope[k] * np.sign(e.x[k]) < 1e-3 * np.sqrt(bend[k])
-    assert stopped > 20
-
-
 @pytest.mark.parametrize(
     ("cell", "error", "message"),
     [
@@ -239,10 +143,10 @@ def test_unseen_rows_are_judged_by_the_noise_of_their_own_kind(make_scene, join)
     seen = np.arange(len(rows)) % 3 != 0
     found = fit(task, rows.select(seen))
     left = rows.select(~seen)
-    scores = found.unseen_scores(left)
+    scores = found.held_out_scores(left)
     for kind in np.unique(left.kinds):
         assert np.median(scores[left.kinds == kind]) == pytest.approx(1.54, rel=0.25)
-    assert len(found.unseen_scores(rows.select(np.zeros(len(rows), dtype=bool)))) == 0
+    assert len(found.held_out_scores(rows.select(np.zeros(len(rows), dtype=bool)))) == 0
 
 
 def test_a_parameter_set_and_a_solver_of_ones_own(ur3, monkeypatch, make_scene):
@@ -302,7 +206,7 @@ def test_what_an_estimated_frame_takes_leaves_no_trace_on_the_first_joint(
     turned, joint = (robot.urdf.joint(first) for robot in (result.robot, ur3))
     np.testing.assert_array_equal(turned.rpy, joint.rpy)
     # Without that there is one, and the frame makes up for it.
-    monkeypatch.setattr("calib.estimate.fitting._TRACE", 0.0)
+    monkeypatch.setattr("calib.estimate.estimate._TRACE", 0.0)
     traced = calibrate(ur3, paper_table, cell=cell, validate=False)
     assert any(1e-8 < abs(p.delta) < 1e-7 for p in traced.parameters if p.name in own)
     apart = np.abs(traced.residual_calibrated - result.residual_calibrated).max()

@@ -9,8 +9,9 @@ import pytest
 
 from calib.calibration import calibrate
 from calib.data.cell import Cell, GroupDistance
-from calib.estimate.fitting import Task, fit
+from calib.estimate.fitting import fit
 from calib.estimate.problem import Problem
+from calib.estimate.task import Task
 from calib.model.dh import dh_table
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
@@ -42,7 +43,7 @@ def problem_of(scene, table, model="dh", cell=None):
     )
     own = scene.kinematics
     kinematics = Kinematics(scene.robot, parameters, own.T_frame_base, own.T_tip_target)
-    return Problem.first(kinematics, rows, known_distances(cell, setup)).with_size_held()
+    return Problem.initial(kinematics, rows, known_distances(cell, setup)).with_size_held()
 
 
 @pytest.fixture(scope="module")
@@ -111,7 +112,7 @@ def test_nothing_is_held_where_the_size_is_known_otherwise(sockets):
     problem = problem_of(scene, table)
     stays = problem.kinematics.model.without(["a2"])
     frozen = replace(problem.kinematics, model=stays)
-    assert Problem.first(frozen, problem.rows).with_size_held().gauge is None
+    assert Problem.initial(frozen, problem.rows).with_size_held().gauge is None
 
 
 def test_the_held_size_is_a_row_of_the_system(sockets):

@@ -111,17 +111,20 @@ def test_parts_and_blocks_do_not_matter(ur3, table, monkeypatch):
 def test_the_linearised_problem_in_parts(ur3, kind, monkeypatch):
     kinematics, rows = rows_of_kinds(ur3, KINDS[kind])
     x = np.random.default_rng(3).normal(0.0, 1e-4, len(kinematics.model))
-    whole = problem.Problem.first(kinematics, rows).linear(x)
+    whole = problem.Problem.initial(kinematics, rows).linear(x)
     weights = np.random.default_rng(4).uniform(size=(2, len(rows)))
-    rho = np.zeros((len(whole.smallest), 2))
-    data, noise = whole.data(weights, rho), np.tile(1.0 + np.arange(len(whole.smallest)), (2, 1))
+    rho = np.zeros((len(whole.smallest_noise), 2))
+    data, noise = (
+        whole.normal_equations(weights, rho),
+        np.tile(1.0 + np.arange(len(whole.smallest_noise)), (2, 1)),
+    )
     covariance, both = np.linalg.inv(data.H.sum(axis=1) + np.eye(len(x))), np.stack([x, 0.9 * x])
     scores = whole.scores(both, covariance, weights, noise)
     monkeypatch.setattr(kernel, "BLOCK", 31)
     monkeypatch.setattr(problem, "PART", 50)
-    parts = problem.Problem.first(kinematics, rows).linear(x)
+    parts = problem.Problem.initial(kinematics, rows).linear(x)
     np.testing.assert_allclose(parts.columns, whole.columns, rtol=1e-9, atol=1e-6)
-    again = parts.data(weights, rho)
+    again = parts.normal_equations(weights, rho)
     np.testing.assert_allclose(again.H, data.H, rtol=1e-9, atol=1e-9 * np.abs(data.H).max())
     np.testing.assert_allclose(again.count, data.count)
     np.testing.assert_allclose(parts.scores(both, covariance, weights, noise), scores, rtol=1e-6)

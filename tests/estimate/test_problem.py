@@ -13,29 +13,7 @@ from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
 from calib.registration.known_distances import KnownDistance
 from calib.registration.table_rows import rows_and_setup
-
-
-def differences(function, x, step):
-    """Central differences with one step of Richardson extrapolation."""
-    columns = []
-    for k in range(len(x)):
-        e = np.zeros(len(x))
-        e[k] = step
-        near = (function(x + e) - function(x - e)) / (2 * step)
-        far = (function(x + 2 * e) - function(x - 2 * e)) / (4 * step)
-        columns.append((4 * near - far) / 3)
-    return np.stack(columns, axis=-1)
-
-
-def problem_of(virtual, rng, precision):
-    x = virtual.offsets(rng, 1e-3, 5e-3)
-    rows = replace(virtual.rows(rng, x, 12, 1e-3), sigma=rng.uniform(1e-4, 3e-4, 12))
-    centre = 1e-3 * rng.normal(size=27)
-    problem = Problem.first(virtual.kinematics, rows)
-    weights = rng.uniform(0, 1, 12)
-    scales = 1.3 * rows.scales
-    found = replace(problem, weights=weights, scales=scales, precision=precision, centre=centre)
-    return found, x
+from tests.estimate.differences import differences, problem_of
 
 
 def test_system_is_weighted_residual_over_sigma_with_a_row_for_each_prior(virtual):
@@ -63,19 +41,6 @@ def test_jacobian_of_the_system_against_differences(virtual):
     assert np.max(np.abs(J - numeric) / scale) < 1e-7
 
 
-def test_jacobian_of_the_papers_error_against_differences(virtual):
-    rng = np.random.default_rng(3)
-    problem, _ = problem_of(virtual, rng, np.zeros(27))
-    unit = np.where(virtual.is_length, 1e3, 1.0)
-    nominal = np.array([p.nominal for p in virtual.kinematics.model.parameters])
-    X = nominal * unit + rng.normal(size=27) * np.where(virtual.is_length, 1.0, 1e-3)
-    e, J = problem.paper_system(nominal, unit, X)
-    numeric = differences(lambda v: problem.paper_system(nominal, unit, v)[0], X, 1e-3)
-    assert np.max(np.abs(J - numeric) / np.linalg.norm(J, axis=0)) < 1e-7
-    residual_mm = 1e3 * problem.residual(X / unit - nominal)
-    np.testing.assert_allclose(e, np.sum(residual_mm**2, axis=1))
-
-
 def scene_problem(scene, table, distances=()):
     """Robot, every frame and every target unknown."""
     cell = Cell(estimate_frame=True)
@@ -91,7 +56,7 @@ def scene_problem(scene, table, distances=()):
     kinematics = Kinematics(
         scene.robot, model, scene.kinematics.T_frame_base, scene.kinematics.T_tip_target
     )
-    return Problem.first(kinematics, rows, distances)
+    return Problem.initial(kinematics, rows, distances)
 
 
 def test_jacobian_of_a_mixed_system_with_known_distances_against_differences(make_scene, join):

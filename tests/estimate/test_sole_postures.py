@@ -10,7 +10,8 @@ import pytest
 from calib.calibration import calibrate
 from calib.data.cell import Cell, Priors
 from calib.data.measurements import Measurements
-from calib.estimate.fitting import Fitted, Task, fit
+from calib.estimate.fitting import Fitted, fit
+from calib.estimate.task import Task
 from calib.registration.table_rows import rows_and_setup
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
@@ -145,7 +146,7 @@ def test_given_weights_of_a_judge_leave_it_as_it_is(ur3, truth):
     """A fit that takes the weights of another has the same sole postures."""
     table = measured(truth, joint_values(ur3), OFF)
     judge = fitted(table, ur3)
-    again = fit(judge.task, replace(judge.estimate.problem.rows, sole=None), judge=judge)
+    again = fit(judge.task, replace(judge.estimate.problem.rows, sole=None), reference=judge)
     assert sole_rows(again) == [ROW]
     np.testing.assert_allclose(again.estimate.x, judge.estimate.x, atol=1e-7)
 

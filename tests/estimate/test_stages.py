@@ -8,75 +8,17 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from calib.data.cell import Cell
-from calib.data.measurements import Measurements
-from calib.estimate.prior_terms import PriorTerms
 from calib.estimate.problem import Problem
 from calib.estimate.stages import Stage
-from calib.model.error_model import error_model
-from calib.model.families import ZERO
 from calib.model.kinematics import Samples
-from calib.model.parameters import FRAME, TARGET
 from calib.numerics.likelihood import GaussianPriors
-from calib.registration.table_rows import rows_and_setup
-
-#: How far registration moves the target.
-OFF = np.zeros((4, 4))
-OFF[0, 3] = 1e-3
-
-
-def prior_terms(virtual, model, **given):
-    """The prior terms of a cell whose target was given where the fit starts."""
-    robot, rows = (
-        virtual.kinematics.robot,
-        virtual.rows(np.random.default_rng(0), np.zeros(27), 3, 0.0),
-    )
-    cell = Cell(target=virtual.kinematics.T_tip_target[0, :3, 3], estimate_frame=True, **given)
-    table = Measurements(robot.joint_names, rows.joints, rows.measured)
-    _, setup = rows_and_setup(robot, table, cell)
-    started = setup.placed(setup.T_frame_base, virtual.kinematics.T_tip_target + OFF)
-    return PriorTerms.of(cell, model, setup, started, lenient=False)
-
-
-@pytest.fixture(scope="module")
-def model(ur3):
-    return error_model(ur3, "dh+compliance", frame=True, rotation=True)
-
-
-def test_each_family_has_a_size_and_frame_and_target_a_weak_hold(virtual, model):
-    holds = prior_terms(virtual, model)
-    assert holds.names == ("length", "angle", "zero", "compliance")
-    assert holds.start == (3e-3, 15e-3, 15e-3, 1e-5)
-    placed = model.family(FRAME, TARGET)
-    np.testing.assert_array_equal(holds.flat, placed)
-    np.testing.assert_array_equal(holds.precision, np.where(placed, 1.0, 0.0))
-    np.testing.assert_array_equal(sum(holds.families) + placed, 1)
-    assert not np.any(holds.centre)
-
-
-def test_a_prior_of_its_own_takes_a_parameter_out_of_its_family(virtual, model):
-    k, t = model.index("theta2"), model.index("target_x")
-    single = {"theta2": 1e-4, "target_x": 2e-4}
-    holds = prior_terms(virtual, model, parameter_priors=single)
-    assert not holds.families[holds.names.index(ZERO)][k]
-    assert holds.precision[[k, t]] == pytest.approx([1e8, 2.5e7])
-    assert not holds.flat[t]
-    assert holds.centre[t] == pytest.approx(-1e-3)  # where it was said to be, from where it starts
-    assert np.flatnonzero(holds.centre).tolist() == [t]
-
-
-def test_a_parameter_at_its_bound_stays_there(virtual, model):
-    k = model.index("d1")
-    holds = prior_terms(virtual, model).at_bounds({k: 2e-3})
-    assert holds.centre[k] == 2e-3
-    assert holds.precision[k] > 1e15
-    assert not any(members[k] for members in holds.families)
+from tests.estimate.priors_of import prior_terms
 
 
 def test_freedom_is_what_scalars_are_left_after_the_parameters(virtual):
     rng = np.random.default_rng(1)
     rows = virtual.rows(rng, np.zeros(27), 40, 1e-4)
-    linear = Problem.first(virtual.kinematics, rows).linear(np.zeros(27))
+    linear = Problem.initial(virtual.kinematics, rows).linear(np.zeros(27))
     nothing, free = np.zeros(27), np.full(27, 1e-6)
     weights, noise = np.stack([np.ones(40), np.full(40, 0.5)]), np.ones((2, 1))
     (held, _), (loose, half) = (
@@ -115,8 +57,8 @@ def test_repeats_count_for_what_they_do_not_share(virtual, mode, shared, own, rh
     shares = []
     for seed in range(8):
         rows = repeated(virtual, np.random.default_rng(seed), shared, own)
-        problem = Problem.first(virtual.kinematics, rows)
-        stage = Stage.first(
+        problem = Problem.initial(virtual.kinematics, rows)
+        stage = Stage.initial(
             prior_terms(virtual, virtual.kinematics.model), np.ones((1, len(rows)), dtype=bool), 1
         )
         linear = problem.linear(np.zeros(27))
@@ -131,9 +73,9 @@ def first_stage(virtual, count, noise, outliers=()):
     rows = virtual.rows(np.random.default_rng(4), np.zeros(27), count, noise)
     measured = rows.measured.copy()
     measured[list(outliers)] += [5e-3, 0.0, 0.0]
-    problem = Problem.first(virtual.kinematics, replace(rows, measured=measured))
+    problem = Problem.initial(virtual.kinematics, replace(rows, measured=measured))
     prior = prior_terms(virtual, virtual.kinematics.model)
-    return problem.linear(np.zeros(27)), Stage.first(prior, np.ones((1, count), dtype=bool), 1)
+    return problem.linear(np.zeros(27)), Stage.initial(prior, np.ones((1, count), dtype=bool), 1)
 
 
 def test_robust_weights_are_those_of_cauchy(virtual):
@@ -154,7 +96,7 @@ def test_the_noise_is_kept_near_the_given_one_by_a_prior_of_a_factor_of_ten(virt
     stage = replace(stage, prior=replace(stage.prior, source="given"))
 
     def loss(log_noise):
-        data = linear.data(stage.effective, stage.rho)
+        data = linear.normal_equations(stage.effective, stage.rho)
         noise = np.full((1, 1), np.exp(log_noise))
         likelihood = data.log_likelihood(noise, stage.priors, stage.priors.precision)
         return 0.5 * (log_noise / np.log(10.0)) ** 2 - likelihood[0]

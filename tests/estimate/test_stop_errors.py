@@ -14,8 +14,9 @@ from calib.data.cell import Cell
 from calib.diagnosis.reasons import Why
 from calib.diagnosis.residual_patterns import Order, residual_patterns
 from calib.estimate import problem as problem_module, stop_errors
-from calib.estimate.fitting import Task, fit
+from calib.estimate.fitting import fit
 from calib.estimate.problem import Problem
+from calib.estimate.task import Task
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
 from calib.numerics.likelihood import GaussianPriors
@@ -50,7 +51,7 @@ def problem_of(scene, table):
     model = error_model(scene.robot, "dh", frame=places, targets=setup.target_names, target=False)
     T_frame_base, T_tip_target = scene.kinematics.T_frame_base, scene.kinematics.T_tip_target
     kinematics = Kinematics(scene.robot, model, T_frame_base[frames], T_tip_target[targets])
-    return Problem.first(kinematics, rows)
+    return Problem.initial(kinematics, rows)
 
 
 @pytest.fixture
@@ -142,7 +143,7 @@ def test_normal_equations_and_likelihood_by_the_dense_covariance(mixed, monkeypa
     linear = mixed.linear(np.zeros(p))
     weights = np.where(rng.uniform(size=(2, len(mixed.rows))) < 0.2, 0.0, 1.0)
     rho, noise = np.stack([RHO, 0.5 * RHO]), np.array([[1.0, 2.0, 3.0], [1.5, 1.0, 0.5]])
-    data, alone = linear.data(weights, rho), linear.data(weights, 0.0 * rho)
+    data, alone = linear.normal_equations(weights, rho), linear.normal_equations(weights, 0.0 * rho)
     priors = GaussianPriors(np.full((2, p), 1e4), np.zeros(p))
     told = data.log_likelihood(noise, priors, priors.precision)
     for b in range(2):
@@ -178,7 +179,7 @@ def test_the_system_that_solvers_see_is_whitened_alike(mixed, monkeypatch, tall)
     np.testing.assert_allclose(J.T @ J, A.T @ inverse @ A, rtol=1e-6, atol=1e-8 * np.sum(J**2))
     np.testing.assert_allclose(-J.T @ r, A.T @ inverse @ y, rtol=1e-5, atol=1e-6)
     assert r @ r == pytest.approx(y @ inverse @ y)
-    data = linear.data(weights[None], RHO)
+    data = linear.normal_equations(weights[None], RHO)
     H = np.sum(data.H[0] / noise[:, None, None] ** 2, axis=0)
     np.testing.assert_allclose(J.T @ J, H, rtol=1e-6, atol=1e-8 * np.sum(J**2))
 
@@ -195,14 +196,18 @@ def test_repeats_of_a_target_count_as_their_mean(make_scene):
     double = replace(double, rows=replace(double.rows, measured=measured))
     weights = np.ones(50)
     weights[10:20] = weights[40:] = 0.5
-    one = single.linear(x).data(np.ones((1, 40)), rho)
-    two = double.linear(x).data(weights[None], rho)
+    one = single.linear(x).normal_equations(np.ones((1, 40)), rho)
+    two = double.linear(x).normal_equations(weights[None], rho)
     np.testing.assert_allclose(two.H, one.H, rtol=1e-9, atol=1e-9 * np.abs(one.H).max())
     np.testing.assert_allclose(two.g, one.g, rtol=1e-9, atol=1e-9 * np.abs(one.g).max())
     assert two.yy == pytest.approx(one.yy)
     assert two.log_det == pytest.approx(one.log_det)
     # Repeats that share nothing: their mean is one measurement of twice the weight.
-    alone, stops, expected = double.linear(x).data(np.ones((1, 50)), rho), single.stops, 0.0
+    alone, stops, expected = (
+        double.linear(x).normal_equations(np.ones((1, 50)), rho),
+        single.stops,
+        0.0,
+    )
     G = (
         stops.J
         * np.sqrt(np.repeat(RHO[0], 3))
@@ -217,10 +222,10 @@ def test_repeats_of_a_target_count_as_their_mean(make_scene):
 
 def test_a_stop_that_is_drawn_twice_counts_twice(mixed):
     linear, x = mixed.linear(np.zeros(mixed.size)), np.zeros(mixed.size)
-    once = linear.data(np.ones((1, len(mixed.rows))), RHO)
+    once = linear.normal_equations(np.ones((1, len(mixed.rows))), RHO)
     count = np.full(len(mixed.rows), 2)
     drawn = replace(mixed, stops=mixed.stops.drawn(count), _last=[]).linear(x)
-    twice = drawn.data(np.full((1, len(mixed.rows)), 2.0), RHO)
+    twice = drawn.normal_equations(np.full((1, len(mixed.rows)), 2.0), RHO)
     np.testing.assert_allclose(twice.H, 2.0 * once.H)
     np.testing.assert_allclose(twice.yy, 2.0 * once.yy)
     assert not np.any(mixed.stops.drawn(0 * count).J)
@@ -259,9 +264,9 @@ def test_shares_against_monte_carlo_truth(make_scene, own, shift, turn):
         for _ in range(8):
             x, covariance, _ = linear.fit(one, rho, np.ones((1, 1)), priors)
             # The noise that goes with them.
-            left = linear.data(one, rho)
+            left = linear.normal_equations(one, rho)
             noise = left.residual_square(x) / (left.count - np.trace(left.H[0, 0] @ covariance[0]))
-            rho = linear.shares(x, covariance * noise[0, 0], one, rho)
+            rho = linear.stop_shares(x, covariance * noise[0, 0], one, rho)
         found.append([*rho[0, 0], np.sqrt(noise[0, 0]) * 1e-4])
     total = own**2 + shift**2 + (lever * turn) ** 2
     expected = shift**2 / total, (lever * turn) ** 2 / total
@@ -281,7 +286,9 @@ def test_shares_maximise_the_restricted_likelihood(make_scene):
         """Of the restricted likelihood, at noise and shares."""
         noise, *shares = values
         rho = np.array(shares).reshape(1, 2)
-        told = linear.data(one, rho).log_likelihood(np.array([[noise]]), priors, priors.precision)
+        told = linear.normal_equations(one, rho).log_likelihood(
+            np.array([[noise]]), priors, priors.precision
+        )
         return -float(told[0])
 
     bounds = [(0.1, 10.0), (0.0, 0.8), (0.0, 0.8)]
@@ -289,7 +296,7 @@ def test_shares_maximise_the_restricted_likelihood(make_scene):
     rho = np.zeros((1, 1, 2))
     for _ in range(30):
         x, covariance, _ = linear.fit(one, rho, np.array([[best[0]]]), priors)
-        rho = linear.shares(x, covariance, one, rho)
+        rho = linear.stop_shares(x, covariance, one, rho)
     assert np.sum(best[1:]) < 0.95
     assert rho[0, 0] == pytest.approx(best[1:], abs=2e-3)
 
@@ -302,7 +309,7 @@ def test_too_few_stops_share_nothing(make_scene):
         problem = problem_of(scene, table)
         linear, nothing = problem.linear(np.zeros(problem.size)), np.zeros((1, problem.size))
         covariance, one = np.zeros((1, problem.size, problem.size)), np.ones((1, 4 * stops))
-        rho = linear.shares(nothing, covariance, one, np.zeros((1, 1, 2)))
+        rho = linear.stop_shares(nothing, covariance, one, np.zeros((1, 1, 2)))
         assert bool(np.any(rho > 0.9)) == told
         assert bool(np.any(rho)) == told
 

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from calib.data.measurements import Measurements
-from calib.files import json_bytes
 from calib.fleets.record import (
     FEWEST,
     ROWS,
@@ -21,6 +20,7 @@ from calib.fleets.record import (
     measured_hash,
     scores,
 )
+from calib.json_files import json_bytes
 from calib.text.fleet import few_text
 
 

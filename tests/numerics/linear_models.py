@@ -1,4 +1,4 @@
-"""Linear models of scalars with known errors, for tests of likelihood and REML."""
+"""LinearProblem models of scalars with known errors, for tests of likelihood and REML."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.estimate.linear import Linear
+from calib.estimate.linear import LinearProblem
 from calib.numerics.likelihood import GaussianPriors
 
 P = 14
@@ -44,8 +44,8 @@ def normal_of(A, y, weights, instruments, known=None, held=None):
     C, z = (np.zeros((0, p)), np.zeros(0)) if known is None else known
     x, used = np.zeros(p), instruments >= 0
     held = np.zeros(p) if held is None else held
-    linear = Linear(x, columns, used, instruments, (0.0,) * count, C, z, held)
-    return linear.data(weights[None], np.zeros((count, 2)))
+    linear = LinearProblem(x, columns, used, instruments, (0.0,) * count, C, z, held)
+    return linear.normal_equations(weights[None], np.zeros((count, 2)))
 
 
 def linearised(A, y, count=1, weights=None, known=None, held=None):

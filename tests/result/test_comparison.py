@@ -21,7 +21,7 @@ from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Verdict
 from calib.errors import FileError
 from calib.example.__init__ import PAPER_TARGET
-from calib.files import plain
+from calib.json_files import plain
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
 from calib.result.comparison import LEVEL, DriftTest, Estimate, drift_test, joint_covariance

@@ -10,7 +10,8 @@ import numpy as np
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.estimate.fitting import Fitted, Task, fit
+from calib.estimate.fitting import Fitted, fit
+from calib.estimate.task import Task
 from calib.model.families import FAMILIES
 from calib.numerics.errors import CrossValidation, Errors
 from calib.registration.known_distances import known_distances
@@ -28,7 +29,7 @@ def scene_of(make_scene: Callable[..., Any], seed: int, model: str, **given: Any
 def task_of(scene: Any, table: Measurements, cell: Cell, model: str = "dh") -> tuple[Task, Rows]:
     """A fit of a scene's table, and the rows that are fitted."""
     every, setup = rows_and_setup(scene.robot, table, cell)
-    task = Task(scene.robot, cell, setup, model, known_distances(cell, setup), lenient=True)
+    task = Task(scene.robot, cell, setup, model, known_distances(cell, setup), allow_absent=True)
     return task, every.select(table.estimation)
 
 

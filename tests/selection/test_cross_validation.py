@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from calib.data.cell import Cell
-from calib.estimate.fitting import Task, fit
+from calib.estimate.fitting import fit
+from calib.estimate.task import Task
 from calib.registration.registration import register
 from calib.selection.cross_validation import cross_validation, nominal_cross_validation
 from tests.selection.models import fitted_to, task_of, task_of_case

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from calib.data.cell import Cell
-from calib.estimate.fitting import Fitted, Task, fit
+from calib.estimate.fitting import Fitted, fit
+from calib.estimate.task import Task
 from calib.registration.table_rows import rows_and_setup
 from calib.selection import cross_validation as module
 from calib.selection.cross_validation import cross_validation

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from calib.data.cell import Cell
-from calib.estimate.fitting import Task, fit
+from calib.estimate.fitting import fit
+from calib.estimate.task import Task
 from calib.registration.table_rows import rows_and_setup
 from calib.selection.reference_fit import (
     explains_more_rows,

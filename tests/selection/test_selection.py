@@ -8,7 +8,7 @@ import pytest
 
 from calib.data.cell import Cell, Priors
 from calib.errors import ModelError
-from calib.estimate.fitting import Task
+from calib.estimate.task import Task
 from calib.registration.table_rows import rows_and_setup
 from calib.selection.ladder import LADDER
 from calib.selection.selection import Selection, select

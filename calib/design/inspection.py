@@ -10,8 +10,8 @@ import calib.data.kinds as registry
 from calib.data.cell import AUTO, Cell
 from calib.data.measurements import Measurements
 from calib.errors import ModelError
-from calib.estimate.fitting import Task, model_of
 from calib.estimate.problem import Problem
+from calib.estimate.task import Task
 from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability
 from calib.model.parameters import ErrorModel
@@ -64,9 +64,9 @@ def inspect(robot: Robot, cell: Cell, measurements: Measurements | None = None) 
         rows = rows.select(measurements.estimation)
         setup = register(robot.poses(rows.joints), setup, rows)
     name = cell.model if cell.model != AUTO else "dh"
-    model = setup.aligned(model_of(Task(robot, cell, setup, name)))
+    model = setup.aligned(Task(robot, cell, setup, name).error_model())
     kinematics = Kinematics(robot, model, setup.T_frame_base, setup.T_tip_target)
-    problem = Problem.first(kinematics, rows, known_distances(cell, setup))
+    problem = Problem.initial(kinematics, rows, known_distances(cell, setup))
     seen_by = problem.observability(np.zeros(len(model)))
     source = None if measurements is None else measurements.source
     return Inspection(model, seen_by, len(rows), source, tuple(assumed))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.data.cell import Cell
-from calib.estimate.inspection import inspect
+from calib.design.inspection import inspect
 
 
 @pytest.mark.parametrize(

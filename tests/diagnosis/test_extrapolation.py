@@ -8,8 +8,9 @@ import numpy as np
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.estimate.extrapolation import extrapolation
-from calib.estimate.fitting import Task, fit
+from calib.diagnosis.extrapolation import extrapolation
+from calib.estimate.fitting import fit
+from calib.estimate.task import Task
 from calib.registration.table_rows import rows_and_setup
 
 

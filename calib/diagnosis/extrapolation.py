@@ -32,8 +32,8 @@ def extrapolation(fitted: Fitted) -> float:
     weights = np.where(np.array(masks), 0.0, problem.weights)
     priors = GaussianPriors(problem.precision, problem.centre)
     x, covariance, _ = linear.fit(weights, problem.rho, noise, priors)
-    whitened = linear.residual(x) / linear.noise_of(noise)
-    A = linear.A / linear.noise_of(noise[:1])[0][:, :, None]
+    whitened = linear.residual(x) / linear.noise_by_scalar(noise)
+    A = linear.A / linear.noise_by_scalar(noise[:1])[0][:, :, None]
     beyond, expected = 0.0, 0.0
     for mask, r, C in zip(masks, whitened, covariance, strict=True):
         counts = linear.used[mask] * problem.weights[mask][:, None]

@@ -1,0 +1,145 @@
+"""Estimate: the parameters of a fit with their covariance, and the weights, noise and priors that go with them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.estimate.linear import LinearProblem
+from calib.estimate.problem import Problem
+from calib.estimate.stages import Stage
+from calib.model.parameters import FRAME, TARGET
+from calib.numerics.scores import Limits
+from calib.numerics.solvers import Solution
+from calib.robot.robot import read_only
+from calib.units import Array, Mask
+
+#: A change below this is set to zero: weak priors leave such traces on parameters that the target can replace [m, rad].
+_NOTHING = 1e-8
+
+#: So is one below this share of its standard deviation: the weak prior of an estimated frame leaves such a trace on the
+#: first joint, which nothing distinguishes from the frame, and the joint's origin would be rewritten by 1e-8.
+_TRACE = 3e-4
+
+#: Singular values below this share of the largest are zero, where frames and targets make up for traces.
+_RANK_TOLERANCE = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimate:
+    """Estimated parameters of one fit to N rows."""
+
+    x: Array  # (p,), offsets from the nominal robot and the registered setup [m, rad, ...]
+    # The problem in its last form: weights, scales and prior precision as estimated
+    problem: Problem
+    solution: Solution  # The solver's: all stages one after the other
+    covariance: Array  # (p, p), of x
+    scores: Array  # (N,), deleted residual norm of each row: `calib.numerics.scores`
+    flag_limit: float  # A row with a higher score is flagged as an outlier
+    freedom: float  # Degrees of freedom left for the noise
+    # (C,), estimated noise of each instrument, in units of the given sigma
+    noise: tuple[float, ...]
+    # Prior standard deviation of each family, SI units; empty without priors
+    prior_std: Mapping[str, float]
+    weights: Array  # (N,), robust weights, repeats not shared out
+    log_likelihood: float  # Restricted log-likelihood at these prior standard deviations and noise
+    at_bound: tuple[int, ...] = ()  # Numbers of parameters that are at a bound
+
+    @property
+    def outliers(self) -> Mask:
+        """Rows with a score beyond the limit, shape (N,)."""
+        return self.scores > self.flag_limit
+
+
+def problem_at_stage(problem: Problem, stage: Stage) -> Problem:
+    """Return a problem with the weights, noise and priors of a stage of one fit (B = 1)."""
+    noise = np.append(stage.noise[0], 1.0)[problem.rows.instruments]
+    priors = stage.priors
+    return replace(
+        problem,
+        weights=stage.effective[0],
+        scales=noise * problem.rows.scales,
+        precision=priors.precision[0],
+        centre=priors.centre,
+        rho=stage.rho[0],
+    )
+
+
+def estimate_at_stage(
+    problem: Problem, stage: Stage, solution: Solution, covariance_factor: float = 1.0
+) -> Estimate:
+    """Make the estimate from the last stage and its solution.
+
+    Args:
+        problem: The problem.
+        stage: Weights, noise and priors of the fit (B = 1).
+        solution: The solver's at this stage.
+        covariance_factor: Covariance of the solver's estimator over that of least squares; 1 for least squares.
+    """
+    linear, prior = problem.linear(solution.x), stage.prior
+    has_priors = prior.source != "off"
+    _, covariance_for_scores, freedom = stage.scoring_fit(linear)
+    scores = linear.scores(solution.x[None], covariance_for_scores, stage.effective, stage.noise)
+    covariance = _covariance(problem, stage, linear, covariance_factor)
+    x = solution.x.copy()
+    if has_priors:  # without, nothing keeps small what the target can replace: there are no traces
+        x = _without_traces(problem, linear, covariance)
+    x[list(prior.fixed)] = prior.centre[list(prior.fixed)]
+    prior_std = dict(zip(prior.names, stage.prior_std[0].tolist(), strict=True))
+    return Estimate(
+        x=read_only(x),
+        problem=problem_at_stage(problem, stage),
+        solution=replace(solution, x=read_only(x)),
+        covariance=read_only(covariance),
+        scores=read_only(scores[0]),
+        flag_limit=float(Limits.of(len(problem.rows), freedom[0]).flagged),
+        freedom=float(freedom[0]),
+        noise=tuple(stage.noise[0].tolist()),
+        prior_std=prior_std if has_priors else {},
+        weights=read_only(stage.weights[0]),
+        log_likelihood=_log_likelihood(stage, linear),
+        at_bound=prior.fixed,
+    )
+
+
+def _covariance(
+    problem: Problem, stage: Stage, linear: LinearProblem, covariance_factor: float
+) -> Array:
+    """Covariance of the parameters, shape (p, p), with the uncertainty of the arm's size where that is held."""
+    equations = linear.normal_equations(stage.effective, stage.rho)
+    priors = stage.priors
+    _, covariance = equations.posterior(np.sqrt(covariance_factor) * stage.noise, priors)
+    result: Array = covariance[0]
+    if problem.gauge is not None:  # the arm's size is as uncertain as by its prior
+        growth = problem.gauge.growth
+        variance = problem.gauge.variance(priors.precision[0])
+        result = result + variance * np.outer(growth, growth)
+    return result
+
+
+def _log_likelihood(stage: Stage, linear: LinearProblem) -> float:
+    """Restricted log-likelihood of a stage's noise and prior standard deviations."""
+    equations = linear.normal_equations(stage.effective, stage.rho)
+    priors = stage.priors
+    family_precision = np.where(stage.prior.flat, 0.0, priors.precision)
+    return float(equations.log_likelihood(stage.noise, priors, family_precision)[0])
+
+
+def _without_traces(problem: Problem, linear: LinearProblem, covariance: Array) -> Array:
+    """The solution with changes of the robot that are mere traces of the priors set to zero, shape (p,).
+
+    Frames and targets change so that the predictions stay.
+    """
+    model, x = problem.kinematics.model, linear.x
+    of_setup = model.family(FRAME, TARGET)
+    of_placements = ~of_setup & np.isin(model.units, ("m", "rad"))
+    least = np.maximum(_NOTHING, _TRACE * np.sqrt(np.diagonal(covariance)))
+    traces = of_placements & (np.abs(x) < least)
+    result = np.where(traces, 0.0, x)
+    if np.any(traces):
+        A = linear.A[linear.used]
+        removed = A[:, traces] @ x[traces]
+        result[of_setup] += np.linalg.lstsq(A[:, of_setup], removed, rcond=_RANK_TOLERANCE)[0]
+    return result

@@ -1,0 +1,74 @@
+"""Task: all that a fit needs but the rows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from calib.data.cell import Cell
+from calib.errors import ModelError, choices
+from calib.model.error_model import error_model
+from calib.model.parameters import FRAME, TARGET, ErrorModel, Parameter
+from calib.numerics.solvers import SOLVERS, Solver
+from calib.registration.known_distances import KnownDistance
+from calib.registration.setup import Setup
+from calib.robot.robot import Robot
+
+#: The paper's algorithm, which is no weighted least-squares solver: it has neither weights nor priors.
+PAPER = "paper"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Task:
+    """Robot, cell, measurement setup and model of a fit, and its options."""
+
+    robot: Robot  # The nominal robot
+    cell: Cell  # What the user gave: priors, bounds, frozen and tied parameters, gravity
+    setup: Setup  # Frames and targets as given, not registered
+    model: str | Sequence[Parameter]  # Name of the set and families, or the robot's own parameters
+    distances: tuple[KnownDistance, ...] = ()  # Known distances between frames
+    solver: str | Solver = "lm"  # A name of `SOLVERS`, `PAPER`, or a solver itself
+    robust: bool = True  # Whether outliers lose their weight
+    allow_absent: bool = False  # Whether the cell may name parameters that this model lacks, as where several are tried
+
+    def check_solver(self) -> None:
+        """Raise `ModelError` where the solver's name is unknown."""
+        names = (*SOLVERS, PAPER)
+        if not callable(self.solver) and self.solver not in names:
+            raise ModelError(f"There is no solver '{self.solver}'. Choose one of {choices(names)}.")
+
+    def error_model(self) -> ErrorModel:
+        """Return the parameters that are estimated: of the robot, frames and targets, without frozen and tied ones.
+
+        Raises:
+            ModelError: An unknown model or parameter, or a frame or target that is frozen or tied.
+        """
+        setup = self.setup
+        model = error_model(
+            self.robot,
+            self.model,
+            frame=setup.frame_unknowns,
+            target=setup.unknown_targets,
+            targets=setup.target_names,
+            rotation=setup.rotation,
+            gravity=self.cell.gravity,
+        )
+        frozen, ties = self.cell.frozen, self.cell.ties
+        leaders = [leader for leader, _ in ties.values()]
+        named = {*frozen, *ties, *leaders}
+        of_setup = [
+            parameter for parameter in model.parameters if parameter.family in (FRAME, TARGET)
+        ]
+        refused = [parameter.name for parameter in of_setup if parameter.name in named]
+        if refused:
+            raise ModelError(
+                f"{choices(refused)} cannot be frozen or tied: a frame or target is whole."
+            )
+        if self.allow_absent:
+            frozen = tuple(name for name in frozen if name in model.names and name not in ties)
+            ties = {
+                name: tie
+                for name, tie in ties.items()
+                if name in model.names and tie[0] in model.names
+            }
+        return model.tied(ties).without(frozen)
