@@ -31,7 +31,8 @@ from calib.design.plan import plan
 from calib.example import paper_measurements, paper_urdf
 from calib.robot.robot import Robot
 from calib.simulation.scenario import Scenario
-from calib.simulation.study import Trials, study
+from calib.simulation.study import study
+from calib.simulation.trial import Trials
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 PAGE = DOCS / "performance.md"
