@@ -64,6 +64,13 @@ def test_unknowns_beside_are_those_of_a_fit_that_has_them(clean):
     std = np.sqrt(np.diag(free.estimate.covariance)[free.kinematics.model.family(FRAME)])
     np.testing.assert_allclose(beside.std, std, rtol=0.15)
     assert beside.prior_std["zero"] == pytest.approx(free.estimate.prior_std["zero"], rel=0.1)
+    # The priors have the same part in each parameter.
+    of_robot = ~free.kinematics.model.family(FRAME)
+    estimate = free.estimate
+    determined = 1.0 - np.diag(estimate.covariance) * estimate.problem.precision
+    np.testing.assert_allclose(beside.determined, determined[of_robot], atol=0.05)
+    assert np.min(determined) < 0.2
+    assert np.max(determined) > 0.95
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import pytest
 from calib.calibration import calibrate
 from calib.data.cell import Cell, GroupDistance
 from calib.estimate.fitting import fit
+from calib.estimate.gauge import size_gauge
 from calib.estimate.problem import Problem
 from calib.estimate.task import Task
 from calib.model.dh import dh_table
@@ -78,6 +79,27 @@ def test_growth_is_that_of_all_lengths(sockets, model):
     np.testing.assert_allclose(
         (linear.A @ gauge.growth).ravel(), -residual, atol=1e-6 * np.abs(residual).max()
     )
+
+
+@pytest.mark.parametrize(("share", "is_seen"), [(0.6, False), (1.6, True)])
+def test_rows_see_growth_by_more_than_a_thousandth_of_the_reach(sockets, share, is_seen):
+    """Rows without residuals, and growth that changes them by a part that neither frame nor target takes."""
+    scene, table = sockets
+    problem = problem_of(scene, table)
+    gauge, rows = problem.gauge, problem.rows
+    A = problem.linear(np.zeros(problem.size)).A.copy()
+    of_setup = problem.kinematics.model.family(FRAME, TARGET)
+    lengths = np.where(of_setup, 0.0, gauge.growth)
+    placed = A.reshape(-1, problem.size)[:, of_setup]
+    change = np.random.default_rng(2).normal(size=len(placed))
+    change -= placed @ np.linalg.lstsq(placed, change, rcond=None)[0]
+    unseen = A.reshape(-1, problem.size) @ gauge.growth
+    tips = scene.robot.poses(random_joint_values(scene.robot, 500, 3))[:, :3, 3]
+    reach = np.sqrt(np.mean(np.sum((tips - tips.mean(axis=0)) ** 2, axis=1)))
+    change *= share * 1e-3 * reach / 1e-4 / np.sqrt(np.mean(change**2))  # in units of sigma
+    A += np.outer(change - unseen, lengths / (lengths @ lengths)).reshape(A.shape)
+    found = size_gauge(problem.kinematics, rows, A, np.zeros(A.shape[:2]))
+    assert (found is None) == is_seen
 
 
 def test_what_is_held_are_the_lengths_of_the_dh_table(sockets):
