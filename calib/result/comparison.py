@@ -1,24 +1,10 @@
-"""compare: whether two calibrations of one robot differ by more than noise, and how far its target lies elsewhere.
+"""compare: do two calibrations of one robot differ by more than noise, and by how much is its target displaced?
 
 The difference of two results' predictions of one target in the base is delta(q) = J_b x_b - J_a x_a to first order.
-Where a fit found the base's place or the target from its own data, the motion of them that explains delta best, by
-least squares over the joint values that both data cover, is taken off, there and everywhere. Measured orientations
-count as what they do at the end of a lever of 100 mm.
-
-**The test.** Two fits of one robot may be pulled differently by their priors, so both are brought to common priors
-first. A result is x with the covariance C = (H + P)^-1, where H is the information of the data and P the priors'
-precision, and s is the gradient by which the data push against the priors. Under other priors Q, to first order,
-
-    C_q = (C^-1 + Q - P)^-1,        x_q = x + C_q (s - Q x).
-
-With Q no sharper than either of both, and never so sharp that it would hide a drift, the difference of an unchanged
-robot's estimates, the robot drawn from that prior, has the covariance
-
-    V = N_a + N_b + (C_b Q - C_a Q) Q^-1 (C_b Q - C_a Q)^T,        N = C_q - C_q Q C_q.
-
-Tested are the k combinations that the data know better than the prior, C_a + C_b < Q^-1: on them d^T V^-1 d / k has the
-F distribution with k and nu degrees of freedom, because the noise was estimated; nu is that of B. L. Welch, Biometrika
-34, 1947, by traces.
+Where a fit estimated the base's place or the target from its own data, the motion of them that explains delta best, by
+least squares over the joint values that both data cover, is subtracted, there and everywhere: frame and target are the
+gauge of the comparison. Measured orientations count as their effect at the end of a lever of 100 mm. The difference is
+tested by `calib.numerics.drift_test`.
 """
 
 from __future__ import annotations
@@ -29,9 +15,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag, eigh
 from scipy.spatial.transform import Rotation
-from scipy.special import fdtrc, ndtri
 
 from calib.diagnosis.reasons import NO
 from calib.errors import ModelError
@@ -39,6 +23,13 @@ from calib.model.error_model import DIRECTIONS
 from calib.model.kinematics import Kinematics
 from calib.model.observability import steps
 from calib.model.parameters import FRAME, TARGET
+from calib.numerics.drift_test import (
+    DriftTest,
+    Estimate,
+    covariance_under,
+    drift_test,
+    joint_covariance,
+)
 from calib.result.calibration import CalibrationValues
 from calib.result.calibration_file import read_result
 from calib.robot.ranges import spread_between, spread_poses
@@ -46,68 +37,51 @@ from calib.robot.robot import Robot
 from calib.units import Array
 
 Outcome = Literal["drift", "no drift shown", "cannot tell"]
-#: Why nothing can be told; empty otherwise.
+#: Reason why nothing can be told; empty otherwise.
 Why = Literal["", "same data", "bad verdict", "nothing known", "other errors"]
-
-#: Joint values over which displacements are averaged; origins and held values that differ by less are the same; what a
-#: model lacks shows in its residuals: a displacement this many times as large has another cause.
-_POSES, _SAME, _FAR = 200, 1e-9, 3.0
-
+#: Joint values over which a displacement is averaged.
 Where = Literal["measured ranges", "joint limits"]
 
-#: A difference is called a drift below this probability: one comparison in a hundred of an unchanged robot says so.
-LEVEL = 0.01
+#: Number of joint values over which displacements are averaged.
+_POSES = 200
 
-#: A combination takes part where the share of its variance that the data leave over, C / (C + S), is below this.
-_KNOWN = 0.5
+#: Joint origins and held values that differ by less are the same [m], [rad].
+_SAME = 1e-9
 
-#: In steps of 1 mm and 1 mrad: common priors are no wider than the first, and leave room for a drift of the second.
-_WIDEST, _ROOM = 10.0, 0.2
+#: A displacement this many times as large as the residuals has another cause than what a model lacks.
+_FAR = 3.0
 
-#: What an angle counts for beside a length [m], and the rounding of one coordinate of one pose [m].
-_LEVER, _ROUNDING = 0.1, 1e-7
+#: Common priors are no wider than this, in steps of 1 mm and 1 mrad: no arm errs by more.
+_WIDEST = 10.0
 
-#: Effects below this share of the strongest one's are none; the second where the nominal robots differ.
-_NOTHING, _NOTHING_APART = 1e-5, 2e-3
+#: They are no sharper than this, in the same steps, to leave room for a drift.
+_ROOM = 0.2
 
-#: A parameter with more than this share of its effect outside of what the other result can do is its own; one of whose
-#: effect less than this share is left is not told from frame and target.
+#: Lever at whose end an angle counts [m].
+_LEVER = 0.1
+
+#: Rounding of one coordinate of one pose [m].
+_ROUNDING = 1e-7
+
+#: Effects below this share of the strongest one's are none.
+_NOTHING = 1e-5
+
+#: The same where the nominal robots differ, so that effects are not quite comparable.
+_NOTHING_APART = 2e-3
+
+#: A parameter with more than this share of its effect outside of those of the other result is its own; one of whose
+#: effect less than this share is left is compensated by frame and target.
 _OWN = 0.03
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Estimate:
-    """A result's own p parameters under the common priors Q."""
-
-    covariance: Array  # (p, p), C
-    noise: Array  # (p, p), its part from noise, C - C Q C over all parameters of the fit
-    pull: Array  # (p, p), C Q
-    prior: Array  # (p,), the variance of each prior
-    freedom: float  # Of the noise
-    shift: Array  # (p,), x_q - x
-
-
-@dataclass(frozen=True, slots=True)
-class DriftTest:
-    """The test of a difference."""
-
-    combinations: int  #: Of parameters that both data know, k
-    chi_square: float  #: d^T V^-1 d over them
-    freedom: float  #: Of the noise, nu
-    p: float  #: The probability of such a difference, or a larger one, where nothing has changed
-    sigma: float  #: The same as one-sided standard deviations of a normal distribution; 0 where p > 0.5
-
-    @property
-    def drifted(self) -> bool:
-        """Whether the difference is more than chance."""
-        return self.p < LEVEL
+#: Effects below this share of the strongest one's span no direction.
+_SPANS_NOTHING = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
 class Displacement:
-    """How far the predicted target lies elsewhere in b."""
+    """Displacement of the predicted target in b from that in a."""
 
-    where: Where
+    where: Where  #: Joint values over which it is averaged
     rms: float  #: [m], noise included
     max: float  #: [m]
     noise: float  #: The rms that the noise of both alone would show [m]
@@ -128,14 +102,16 @@ class ComparisonValues:
     b: CalibrationValues  #: The second
     names: tuple[str, str]  #: Their files, or ``"a"`` and ``"b"``
     outcome: Outcome  #: ``"drift"``, ``"no drift shown"`` or ``"cannot tell"``
-    why: Why  #: Why nothing can be told; empty otherwise
+    why: Why  #: Reason why nothing can be told; empty otherwise
     robot: Robot  #: The robot whose meshes are shown
     test: DriftTest  #: The test of the difference
     #: Displacement of the target: over the joint values that both data cover, then over the limits
     moves: tuple[Displacement, Displacement]
-    untold: tuple[str, ...]  #: Parameters that frame and target make up for
-    only_a: tuple[str, ...]  #: Parameters whose effects the second's cannot have
-    only_b: tuple[str, ...]  #: The same of the second
+    compensated: tuple[
+        str, ...
+    ]  #: Parameters that frame and target compensate, so that no drift of them shows
+    only_a: tuple[str, ...]  #: Parameters of a whose effects those of b cannot have
+    only_b: tuple[str, ...]  #: The same of b
 
     def __repr__(self) -> str:
         """In one line."""
@@ -160,280 +136,453 @@ def compare(
         ModelError: The results are of different chains.
         UrdfError: The URDF cannot be read, or lacks a joint.
     """
-    first, second = (
-        one if isinstance(one, CalibrationValues) else read_result(one) for one in (a, b)
+    first, name_a = _result_and_name(a, "a")
+    second, name_b = _result_and_name(b, "b")
+    _check_same_chain(first, second, (name_a, name_b))
+    shown = _robot_to_show(robot, first.nominal)
+    differences = _differences(first, second, same_start=_same_origins(first, second))
+    why = _why_not_told(first, second, differences)
+    outcome: Outcome = "no drift shown"
+    if why:
+        outcome = "cannot tell"
+    elif differences.test.drifted:
+        outcome = "drift"
+    return ComparisonValues(
+        a=first,
+        b=second,
+        names=(name_a, name_b),
+        outcome=outcome,
+        why=why,
+        robot=shown,
+        test=differences.test,
+        moves=differences.moves,
+        compensated=differences.compensated,
+        only_a=differences.only_a,
+        only_b=differences.only_b,
     )
-    names = (
-        "a" if isinstance(a, CalibrationValues) else Path(a).name,
-        "b" if isinstance(b, CalibrationValues) else Path(b).name,
-    )
-    chains = [
-        (r.base, r.tip, r.joint_names, set(r.origins()), dict(r.held))
-        for r in (first.nominal, second.nominal)
-    ]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Differences:
+    """The figures of a `ComparisonValues`."""
+
+    test: DriftTest
+    moves: tuple[Displacement, Displacement]
+    compensated: tuple[str, ...]
+    only_a: tuple[str, ...]
+    only_b: tuple[str, ...]
+
+
+def _result_and_name(
+    given: CalibrationValues | str | Path, letter: str
+) -> tuple[CalibrationValues, str]:
+    """Return a result, read if it is a path, and the name of its file, or the letter."""
+    if isinstance(given, CalibrationValues):
+        return given, letter
+    return read_result(given), Path(given).name
+
+
+def _check_same_chain(
+    first: CalibrationValues, second: CalibrationValues, names: tuple[str, str]
+) -> None:
+    """Refuse results of different chains; ``names`` are those of their files."""
+    chains = []
+    for robot in (first.nominal, second.nominal):
+        joints = (robot.joint_names, set(robot.origins()), dict(robot.held))
+        chains.append((robot.base, robot.tip, joints))
     if chains[0] != chains[1]:
         raise ModelError(
             f"{names[0]} and {names[1]} are not of one chain: {first.nominal!r}, {second.nominal!r}. Calibrate "
             "both with the same --base, --tip and --hold."
         )
-    both, own = (first, second), first.nominal
-    shown = own
-    if isinstance(robot, Robot):
-        shown = robot.rebuilt(base=own.base, tip=own.tip)
-    elif robot is not None:
-        shown = Robot.load(robot, own.base, own.tip, held=own.held)
-    origins = first.nominal.origins(), second.nominal.origins()
-    same = all(np.abs(T - origins[1][name]).max() < _SAME for name, T in origins[0].items())
-    found = _differences(first, second, same_start=same)
-    residual = max(one.errors["calibrated"]["estimation"].rms for one in both)
-    unlike = any((*found["only_a"], *found["only_b"])) and found["test"].drifted
-    why: Why = ""
-    if first is second or (first.source.sha256 and first.source.sha256 == second.source.sha256):
-        why = "same data"
-    elif any(one.verdict is not None and one.verdict.use == NO for one in both):
-        why = "bad verdict"
-    elif found["test"].combinations == 0:
-        why = "nothing known"
-    elif unlike and not found["moves"][0].moved > _FAR * residual:
-        why = "other errors"
-    outcome: Outcome = "drift" if found["test"].drifted else "no drift shown"
-    outcome = "cannot tell" if why else outcome
-    return ComparisonValues(
-        a=first, b=second, names=names, outcome=outcome, why=why, robot=shown, **found
-    )
 
 
-def _covered(a: Array, b: Array) -> Array:
-    """The range of each joint that both data cover, or that either does where that is none, shape (m, 2)."""
-    low, high = np.fmax(a[:, 0], b[:, 0]), np.fmin(a[:, 1], b[:, 1])
+def _robot_to_show(given: Robot | str | Path | None, nominal: Robot) -> Robot:
+    """Return the robot to show, with base and tip of the results' nominal one, which is the default."""
+    if given is None:
+        return nominal
+    if isinstance(given, Robot):
+        return given.rebuilt(base=nominal.base, tip=nominal.tip)
+    return Robot.load(given, nominal.base, nominal.tip, held=nominal.held)
+
+
+def _same_origins(first: CalibrationValues, second: CalibrationValues) -> bool:
+    """Tell if both results count from the same nominal joint origins."""
+    of_second = second.nominal.origins()
+    origins = first.nominal.origins().items()
+    return all(np.abs(T - of_second[name]).max() < _SAME for name, T in origins)
+
+
+def _why_not_told(
+    first: CalibrationValues, second: CalibrationValues, differences: _Differences
+) -> Why:
+    """Return the reason why nothing can be told; empty if there is none."""
+    if first is second:
+        return "same data"
+    if first.source.sha256 and first.source.sha256 == second.source.sha256:
+        return "same data"
+    if any(one.verdict is not None and one.verdict.use == NO for one in (first, second)):
+        return "bad verdict"
+    if differences.test.combinations == 0:
+        return "nothing known"
+    other_models = bool(differences.only_a or differences.only_b)
+    residual = max(one.errors["calibrated"]["estimation"].rms for one in (first, second))
+    far = differences.moves[0].moved > _FAR * residual
+    if other_models and differences.test.drifted and not far:
+        return "other errors"
+    return ""
+
+
+def own_names(result: CalibrationValues) -> tuple[str, ...]:
+    """Return the names of the robot's own parameters: those of frames and targets left out."""
+    return tuple(result.model.names[k] for k in _own_indices(result))
+
+
+def _own_indices(result: CalibrationValues) -> NDArray[np.int_]:
+    """Return the indices of the robot's own parameters, from 0, shape (k,)."""
+    return np.flatnonzero(~result.model.family(FRAME, TARGET))
+
+
+def _own_steps(result: CalibrationValues) -> Array:
+    """Return typical errors of arms in each of their own parameters, shape (k,), in its unit."""
+    return steps([result.model.units[k] for k in _own_indices(result)])
+
+
+def unknown_frame(result: CalibrationValues) -> tuple[str, ...]:
+    """Return the directions in which a result's measurements did not know where the base stands."""
+    if not result.tells_place:
+        return DIRECTIONS  # sockets, planes, anchors and pairs never do
+    if not result.frame_estimated:
+        return ()
+    estimated = {direction for unknown in result.setup.unknown for direction in unknown}
+    return tuple(direction for direction in DIRECTIONS if direction in estimated)
+
+
+def _common_ranges(a: Array, b: Array) -> Array:
+    """Return the range of each joint that both data cover, or that either does where there is none.
+
+    Args:
+        a: Smallest and largest fitted joint values of the first result, shape (m, 2), [rad], [m].
+        b: Those of the second.
+    """
+    low = np.fmax(a[:, 0], b[:, 0])
+    high = np.fmin(a[:, 1], b[:, 1])
     apart = ~(low < high)
     low = np.where(apart, np.fmin(a[:, 0], b[:, 0]), low)
     high = np.where(apart, np.fmax(a[:, 1], b[:, 1]), high)
-    return np.asarray(np.nan_to_num(np.stack([low, high], axis=1), posinf=0.0, neginf=0.0))
+    ranges = np.stack([low, high], axis=1)
+    return np.asarray(np.nan_to_num(ranges, posinf=0.0, neginf=0.0))
 
 
-def own_names(c: CalibrationValues) -> tuple[str, ...]:
-    """The robot's own parameters: those of frames and targets left out."""
-    return tuple(c.model.names[k] for k in _own(c))
+# Estimates under common priors
 
 
-def _own(c: CalibrationValues) -> NDArray[np.int_]:
-    """The places of these, shape (k,)."""
-    return np.flatnonzero(~c.model.family(FRAME, TARGET))
+def _estimate(result: CalibrationValues, other: CalibrationValues) -> Estimate:
+    """Return a result under priors that both share and that leave room for a drift.
 
+    Parameters at a bound stay there.
 
-def _own_steps(c: CalibrationValues) -> Array:
-    """Typical errors of arms in each of their own parameters."""
-    return steps([c.model.units[k] for k in _own(c)])
-
-
-def unknown_frame(c: CalibrationValues) -> tuple[str, ...]:
-    """In which directions a result's measurements did not know where the base stands."""
-    if not c.tells_place:
-        return DIRECTIONS  # sockets, planes, anchors and pairs never do
-    every = {d for directions in c.setup.unknown for d in directions if c.frame_estimated}
-    return tuple(d for d in DIRECTIONS if d in every)
-
-
-def _estimate(one: CalibrationValues, other: CalibrationValues) -> Estimate:
-    """A result under priors that both share and that leave room for a drift; parameters at a bound stay there."""
-    precision, of_other = (
-        np.nan_to_num(np.array([p.prior_std for p in c.parameters]) ** -2.0) for c in (one, other)
-    )
-    named = dict(zip(other.model.names, of_other, strict=True))
-    own, step = _own(one), _own_steps(one)
-    shared = [min(precision[k], named.get(one.model.names[k], np.inf)) for k in own]
+    Args:
+        result: The result.
+        other: The one with which it is compared.
+    """
+    precision, of_other = _prior_precision(result), _prior_precision(other)
+    by_name = dict(zip(other.model.names, of_other, strict=True))
+    own, step = _own_indices(result), _own_steps(result)
+    shared = [min(precision[k], by_name.get(result.model.names[k], np.inf)) for k in own]
     # Never wider than anything an arm may err by either: with priors off there is none.
     shared = np.clip(shared, 1.0 / (_WIDEST * step) ** 2, 1.0 / (_ROOM * step) ** 2)
-    bounded = np.array([p.at_bound for p in one.parameters], dtype=bool)
+    bounded = np.array([p.at_bound for p in result.parameters], dtype=bool)
     common = precision.copy()
     common[own] = shared
     common[bounded] = 0.0
-    free = np.flatnonzero(~bounded)
-    block = np.ix_(free, free)
-    scale = np.sqrt(np.diag(one.covariance)[free])
-    scale = np.where(scale > 0.0, scale, 1.0)
-    M = np.linalg.pinv(one.covariance[block] / np.outer(scale, scale), rcond=1e-14, hermitian=True)
-    M += np.diag((common - precision)[free] * scale**2)
-    # Scaled anew, so that what had been held tightly does not drown the rest.
-    size = 1.0 / np.sqrt(np.maximum(np.diag(M), 1e-12))
-    C = np.zeros_like(one.covariance)
-    C[block] = np.linalg.pinv(M * np.outer(size, size), rcond=1e-13, hermitian=True)
-    C[block] *= np.outer(size * scale, size * scale)
+
+    C = covariance_under(result.covariance, common - precision, ~bounded)
     of_own = C[np.ix_(own, own)]
-    data_gradient = np.array([one.parameters[k].data_gradient for k in own])
+    noise = C - (C * common) @ C
+    data_gradient = np.array([result.parameters[k].data_gradient for k in own])
     return Estimate(
         covariance=of_own,
-        noise=(C - (C * common) @ C)[np.ix_(own, own)],
+        noise=noise[np.ix_(own, own)],
         pull=of_own * common[own],
         prior=1.0 / shared,
-        freedom=one.freedom,
-        shift=of_own @ (data_gradient - common[own] * one.x[own]),
+        freedom=result.freedom,
+        shift=of_own @ (data_gradient - common[own] * result.x[own]),
     )
 
 
-def joint_covariance(a: Estimate, b: Estimate, *, alike: bool) -> Array:
-    """The covariance of (x_a, x_b) about a common truth, shape (p_a + p_b, p_a + p_b).
-
-    Estimates that are not ``alike``, of the same parameters, are taken to err independently: too much, not too little.
-    """
-    if not alike:
-        return np.asarray(block_diag(a.covariance, b.covariance))
-    pull = np.vstack([a.pull, b.pull])
-    return np.asarray(block_diag(a.noise, b.noise) + (pull * np.maximum(a.prior, b.prior)) @ pull.T)
+def _prior_precision(result: CalibrationValues) -> Array:
+    """Return the precision of each parameter's prior, 0 where there was none, shape (p,)."""
+    prior_std = np.array([p.prior_std for p in result.parameters])
+    return np.nan_to_num(prior_std**-2.0)
 
 
-def drift_test(
-    difference: Array,
-    effects: tuple[Array, Array],
-    estimates: tuple[Estimate, Estimate],
-    joint: Array,
-    floor: float,
-) -> DriftTest:
-    """Test a difference, b less a, shape (r,).
-
-    Effects (r, p) of both results' parameters on it; joint covariance; rounding of each coordinate, 1 sigma.
-    """
-    nothing = DriftTest(0, 0.0, np.inf, 1.0, 0.0)
-    if not len(difference):
-        return nothing
-    pairs = list(zip(effects, estimates, strict=True))
-    spreads = [effect @ one.covariance @ effect.T for effect, one in pairs]
-    rounding = floor**2 * np.eye(len(difference))
-    posterior = spreads[0] + spreads[1] + rounding
-    prior = np.asarray(sum((effect * one.prior) @ effect.T for effect, one in pairs)) / 2.0
-    share, vectors = eigh(posterior, posterior + prior)
-    kept = vectors[:, share < _KNOWN]
-    k = kept.shape[1]
-    if k == 0:
-        return nothing
-    signed = np.hstack([-effects[0], effects[1]])
-    values, axes = eigh(kept.T @ (signed @ joint @ signed.T + rounding) @ kept)
-    whitening = ((kept @ axes) / np.sqrt(np.maximum(values, 1e-12 * values[-1]))).T
-    chi_square = float(np.sum((whitening @ difference) ** 2))
-    shares = [float(np.trace(whitening @ spread @ whitening.T)) for spread in spreads]
-    freedoms = [max(one.freedom, 1.0) for one in estimates]
-    freedom = sum(shares) ** 2 / sum(s**2 / f for s, f in zip(shares, freedoms, strict=True))
-    p = max(float(fdtrc(k, freedom, chi_square / k)), 1e-300)  # below it there are no digits
-    return DriftTest(k, chi_square, freedom, p, sigma=max(-float(ndtri(p)), 0.0))
+# Predictions of both
 
 
+@dataclass(frozen=True, slots=True, eq=False)
 class _Predictions:
-    """Both results at N joint values; D = 3, or 6 where orientations count, all as lengths [m].
+    """Predictions of the target by both results at N joint values, as lengths [m].
 
-    ``difference`` (N D,) is b less a; ``effects`` (N D, p) what a unit of each result's own parameters does, ``slopes``
-    the same at the results, not at the nominal robot; ``gauge`` (N D, g) what frames and targets would explain.
+    D = 3, or 6 where orientations count.
     """
 
-    def __init__(self, a: CalibrationValues, b: CalibrationValues, q: Array) -> None:
-        """Predict at q, shape (N, m), [rad] or [m]."""
-        self.turns = a.setup.rotation and b.setup.rotation
-        poses, self.effects, self.slopes = [], [], []
-        for one in (a, b):
-            own = _own(one)
-            others = np.delete(np.array(one.model.names), own)
-            frames = np.tile(np.eye(4), (len(one.setup.groups), 1, 1))
-            targets = np.tile(a.setup.T_tip_target[0], (len(one.setup.targets), 1, 1))
-            kinematics = Kinematics(one.nominal, one.model.without(others), frames, targets)
-            # At the nominal robot, from which both count: elsewhere they would differ by what is of second order, and
-            # that would look like combinations of their own.
-            start, effect = kinematics.twists(np.zeros(len(own)), q)
-            found, slope = kinematics.twists(one.x[own], q)
-            poses.append((start, found))
-            self.effects.append(self._lengths(effect))
-            self.slopes.append(self._lengths(slope))
-        T, (A, B) = poses[0][0], (found for _, found in poses)
-        shift = B[:, :3, 3] - A[:, :3, 3]
-        if self.turns:
-            turned = Rotation.from_matrix(B[:, :3, :3] @ A[:, :3, :3].transpose(0, 2, 1))
-            shift = np.hstack([shift, _LEVER * turned.as_rotvec()])
-        self.difference = shift.ravel()
-        self.signed = np.hstack([-self.effects[0], self.effects[1]])
-        columns = np.zeros((len(q), 6, 12))
-        columns[:, :, :6] = np.eye(6)
-        columns[:, :3, 3:6] = np.cross(np.eye(3), T[:, None, :3, 3]).transpose(0, 2, 1)
-        columns[:, :3, 6:9] = columns[:, 3:, 9:] = T[:, :3, :3]
-        target = a.setup.estimate_target or b.setup.estimate_target
-        used = [d in {*unknown_frame(a), *unknown_frame(b)} for d in DIRECTIONS]
-        used += [target] * 3 + [target and self.turns] * 3
-        self.gauge = self._lengths(columns[:, :, used])
+    turns: bool  # Whether orientations count
+    difference: Array  # (N D,), prediction of b less that of a
+    effects: tuple[
+        Array, Array
+    ]  # (N D, p), derivatives by each result's own parameters, at the nominal robot
+    slopes: tuple[Array, Array]  # (N D, p), the same at the results
+    gauge: Array  # (N D, g), derivatives by the motions of base and target that are not known
 
-    def _lengths(self, twists: Array) -> Array:
-        """Twists (N, 6, k) as lengths, shape (N D, k)."""
-        scaled = twists * np.repeat([1.0, _LEVER], 3)[:, None]
-        return np.asarray(scaled[:, : 6 if self.turns else 3].reshape(-1, twists.shape[2]))
+    @property
+    def signed(self) -> Array:
+        """Derivative of b's prediction less a's by both results' parameters, shape (N D, p_a + p_b)."""
+        return np.hstack([-self.effects[0], self.effects[1]])
+
+    @property
+    def coordinates(self) -> int:
+        """Number D of coordinates of a joint value."""
+        return 6 if self.turns else 3
 
     def moved(self, estimates: tuple[Estimate, Estimate]) -> Array:
-        """The difference under common priors, shape (N D,)."""
-        a, b = self.slopes
-        return np.asarray(self.difference + b @ estimates[1].shift - a @ estimates[0].shift)
+        """Return the difference under common priors, shape (N D,)."""
+        slope_a, slope_b = self.slopes
+        a, b = estimates
+        return np.asarray(self.difference + slope_b @ b.shift - slope_a @ a.shift)
 
 
-def _beyond(own: Array, other: Array, names: tuple[str, ...]) -> tuple[str, ...]:
-    """The parameters whose effects (r, p), in steps, are not in the span of the other result's."""
-    U, values, _ = np.linalg.svd(other, full_matrices=False)
-    U = U[:, values > 1e-4 * max(float(values.max(initial=0.0)), 1e-300)]
-    beyond, size = (np.linalg.norm(one, axis=0) for one in (own - U @ (U.T @ own), own))
-    least = _OWN * np.maximum(size, _OWN * size.max(initial=0.0))
-    return tuple(n for n, b, s in zip(names, beyond, least, strict=True) if b > s > 0.0)
+def _predictions(a: CalibrationValues, b: CalibrationValues, q: Array) -> _Predictions:
+    """Predict one target in the base by both results.
 
-
-def _differences(
-    first: CalibrationValues, second: CalibrationValues, *, same_start: bool
-) -> dict[str, Any]:
-    """What a `Comparison` has from its test on; ``same_start``: both count from the same nominal robot."""
-    both, own = (first, second), [own_names(one) for one in (first, second)]
-    # Whether both have the same parameters under priors with the same mean.
-    alike = same_start and own[0] == own[1] and dict(first.ties) == dict(second.ties)
-    alike = alike and first.model.name == second.model.name
-    estimates = _estimate(first, second), _estimate(second, first)
-    joint = joint_covariance(*estimates, alike=alike)
-
-    here = _Predictions(*both, spread_between(_covered(first.ranges, second.ranges), _POSES))
-    solve = np.linalg.pinv(here.gauge, rcond=1e-9)  # takes displacements to the motion
-    left = [effect - here.gauge @ (solve @ effect) for effect in here.effects]
-    sizes = [np.linalg.norm(effect, axis=0) for effect in here.effects]
-    told = [np.linalg.norm(e, axis=0) >= _OWN * s for e, s in zip(left, sizes, strict=True)]
-    scaled = np.hstack([effect * _own_steps(one) for effect, one in zip(left, both, strict=True)])
-    U, values, _ = np.linalg.svd(scaled, full_matrices=False)
-    least = max(values.max(initial=0.0), 1e-300) * (_NOTHING if same_start else _NOTHING_APART)
-    basis = U[:, values > least]  # of all that both results' parameters can do
-    effects = (
-        basis.T @ np.where(told[0], left[0], 0.0),
-        basis.T @ np.where(told[1], left[1], 0.0),
+    Args:
+        a: The first result, whose target is predicted.
+        b: The second.
+        q: Joint values, shape (N, m), [rad] or [m].
+    """
+    turns = a.setup.rotation and b.setup.rotation
+    T_nominal, T_a, effect_a, slope_a = _prediction(a, a, q)
+    _, T_b, effect_b, slope_b = _prediction(b, a, q)
+    difference = T_b[:, :3, 3] - T_a[:, :3, 3]
+    if turns:
+        R_ab = Rotation.from_matrix(T_b[:, :3, :3] @ T_a[:, :3, :3].transpose(0, 2, 1))
+        difference = np.hstack([difference, _LEVER * R_ab.as_rotvec()])
+    gauge = _place_twists(T_nominal)[:, :, _unknown_places(a, b, turns=turns)]
+    return _Predictions(
+        turns=turns,
+        difference=difference.ravel(),
+        effects=(_as_lengths(effect_a, turns=turns), _as_lengths(effect_b, turns=turns)),
+        slopes=(_as_lengths(slope_a, turns=turns), _as_lengths(slope_b, turns=turns)),
+        gauge=_as_lengths(gauge, turns=turns),
     )
-    motion = solve @ here.moved(estimates)
-    difference = basis.T @ (here.moved(estimates) - here.gauge @ motion)
 
-    def displacement(where: Where, at: _Predictions) -> Displacement:
-        """Compensated for frame and target."""
-        size = 6 if at.turns else 3
-        moved = (at.moved(estimates) - at.gauge @ motion).reshape(-1, size)
-        J = at.signed - at.gauge @ (solve @ here.signed)
-        J = J.reshape(-1, size, J.shape[1])[:, :3]
-        points, angles, count = moved[:, :3], moved[:, 3:] / _LEVER, len(moved)
-        own = np.einsum("nd,ndp->p", points, J)
-        noise = float(np.einsum("ndp,pq,ndq->", J, joint, J)) / count
-        std = float(np.sqrt(max(own @ joint @ own, 0.0)))
+
+def _prediction(
+    result: CalibrationValues, first: CalibrationValues, q: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Predict the first result's target in the base by one result's own parameters.
+
+    Args:
+        result: The result.
+        first: The result whose first target is predicted.
+        q: Joint values, shape (N, m), [rad] or [m].
+
+    Returns:
+        Poses by the nominal and by the calibrated robot, shape (N, 4, 4), [m], and the twists of a unit of each own
+        parameter at the nominal and at the calibrated robot, shape (N, 6, p).
+    """
+    own = _own_indices(result)
+    others = np.delete(np.array(result.model.names), own)
+    frames = np.tile(np.eye(4), (len(result.setup.groups), 1, 1))
+    targets = np.tile(first.setup.T_tip_target[0], (len(result.setup.targets), 1, 1))
+    kinematics = Kinematics(result.nominal, result.model.without(others), frames, targets)
+    # Effects at the nominal robot, from which both count: elsewhere they would differ by what is of second order, and
+    # that would look like combinations of their own.
+    nominal, effect = kinematics.twists(np.zeros(len(own)), q)
+    calibrated, slope = kinematics.twists(result.x[own], q)
+    return nominal, calibrated, effect, slope
+
+
+def _place_twists(T_base_target: Array) -> Array:
+    """Return the twists of the target by motions of the base and of the target.
+
+    Args:
+        T_base_target: Poses of the target, shape (N, 4, 4), [m].
+
+    Returns:
+        shape (N, 6, 12): columns are x, y, z, rx, ry, rz of the base, then of the target, in its own axes.
+    """
+    twists = np.zeros((len(T_base_target), 6, 12))
+    points, R = T_base_target[:, None, :3, 3], T_base_target[:, :3, :3]
+    twists[:, :, :6] = np.eye(6)
+    twists[:, :3, 3:6] = np.cross(np.eye(3), points).transpose(0, 2, 1)
+    twists[:, :3, 6:9] = R
+    twists[:, 3:, 9:] = R
+    return twists
+
+
+def _unknown_places(a: CalibrationValues, b: CalibrationValues, *, turns: bool) -> list[bool]:
+    """Return True for each column of `_place_twists` that either result had to estimate, 12 in all."""
+    unknown = {*unknown_frame(a), *unknown_frame(b)}
+    target = a.setup.estimate_target or b.setup.estimate_target
+    of_base = [direction in unknown for direction in DIRECTIONS]
+    return of_base + [target] * 3 + [target and turns] * 3
+
+
+def _as_lengths(twists: Array, *, turns: bool) -> Array:
+    """Return twists (N, 6, k) as lengths [m], shape (N D, k); D is 6 where orientations count, else 3."""
+    scaled = twists * np.repeat([1.0, _LEVER], 3)[:, None]
+    coordinates = 6 if turns else 3
+    return np.asarray(scaled[:, :coordinates].reshape(-1, twists.shape[2]))
+
+
+# Differences
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Compensation:
+    """The motion of base and target that explains the difference best, over the joint values that both data cover."""
+
+    inside: _Predictions  # There
+    estimates: tuple[Estimate, Estimate]
+    joint: Array  # (p_a + p_b, p_a + p_b), their joint covariance
+    to_motion: Array  # (g, N D), takes displacements there to the motion
+    motion: Array  # (g,), that of the difference
+
+    @classmethod
+    def of(
+        cls, inside: _Predictions, estimates: tuple[Estimate, Estimate], joint: Array
+    ) -> _Compensation:
+        """Fit the motion to the difference, by least squares."""
+        to_motion = np.asarray(np.linalg.pinv(inside.gauge, rcond=1e-9), dtype=np.float64)
+        motion = to_motion @ inside.moved(estimates)
+        return cls(inside, estimates, joint, to_motion, motion)
+
+    def remaining(self, effect: Array) -> Array:
+        """Return effects (N D, p) there without what a motion explains of each."""
+        return np.asarray(effect - self.inside.gauge @ (self.to_motion @ effect))
+
+    def difference(self, at: _Predictions) -> Array:
+        """Return the difference under common priors at any joint values without the motion, shape (N D,)."""
+        return np.asarray(at.moved(self.estimates) - at.gauge @ self.motion)
+
+    def displacement(self, where: Where, at: _Predictions) -> Displacement:
+        """Return the displacement of the target without the motion.
+
+        Args:
+            where: Name of the joint values.
+            at: Predictions there.
+        """
+        moved = self.difference(at).reshape(-1, at.coordinates)
+        J = at.signed - at.gauge @ (self.to_motion @ self.inside.signed)
+        J = J.reshape(-1, at.coordinates, J.shape[1])[:, :3]
+        points, angles = moved[:, :3], moved[:, 3:] / _LEVER
+        count = len(points)
+        noise = float(np.einsum("ndp,pq,ndq->", J, self.joint, J)) / count
         square = np.sum(points**2, axis=1)
         rms = float(np.sqrt(np.mean(square)))
+        slope = np.einsum("nd,ndp->p", points, J)  # of half the sum of squares
+        std = float(np.sqrt(max(slope @ self.joint @ slope, 0.0)))
+        rms_angle = float(np.sqrt(np.mean(np.sum(angles**2, axis=1)))) if at.turns else np.nan
         return Displacement(
             where=where,
             rms=rms,
             max=float(np.sqrt(square.max())),
             noise=float(np.sqrt(max(noise, 0.0))),
             std=std / (count * rms) if rms > 0.0 else 0.0,
-            rms_angle=float(np.sqrt(np.mean(np.sum(angles**2, axis=1)))) if at.turns else np.nan,
+            rms_angle=rms_angle,
         )
 
-    there = _Predictions(*both, spread_poses(first.nominal, _POSES))
-    A, B = (effect * _own_steps(one) for effect, one in zip(effects, both, strict=True))
-    untold = [n for names, known in zip(own, told, strict=True) for n in np.array(names)[~known]]
-    rounding = _ROUNDING * np.sqrt(_POSES)
-    return {
-        "test": drift_test(difference, effects, estimates, joint, rounding),
-        "moves": (displacement("measured ranges", here), displacement("joint limits", there)),
-        "untold": tuple(dict.fromkeys(map(str, untold))),
-        "only_a": _beyond(A, B, own[0]),
-        "only_b": _beyond(B, A, own[1]),
-    }
+
+def _differences(
+    first: CalibrationValues, second: CalibrationValues, *, same_start: bool
+) -> _Differences:
+    """Test the difference of two results, and average it.
+
+    Args:
+        first: Result a.
+        second: Result b.
+        same_start: Whether both count from the same nominal robot.
+    """
+    estimates = (_estimate(first, second), _estimate(second, first))
+    alike = same_start and _same_parameters(first, second)
+    joint = joint_covariance(*estimates, alike=alike)
+    ranges = _common_ranges(first.ranges, second.ranges)
+    inside = _predictions(first, second, spread_between(ranges, _POSES))
+    everywhere = _predictions(first, second, spread_poses(first.nominal, _POSES))
+    compensation = _Compensation.of(inside, estimates, joint)
+
+    remaining = [compensation.remaining(effect) for effect in inside.effects]
+    known = [_is_known(*effects) for effects in zip(remaining, inside.effects, strict=True)]
+    own_steps = (_own_steps(first), _own_steps(second))
+    basis = _basis(remaining, own_steps, _NOTHING if same_start else _NOTHING_APART)
+    effect_a = basis.T @ np.where(known[0], remaining[0], 0.0)
+    effect_b = basis.T @ np.where(known[1], remaining[1], 0.0)
+    test = drift_test(
+        basis.T @ compensation.difference(inside),
+        (effect_a, effect_b),
+        estimates,
+        joint,
+        _ROUNDING * np.sqrt(_POSES),
+    )
+    names = (np.array(own_names(first)), np.array(own_names(second)))
+    unknown = [*names[0][~known[0]].tolist(), *names[1][~known[1]].tolist()]
+    in_steps = (effect_a * own_steps[0], effect_b * own_steps[1])
+    return _Differences(
+        test=test,
+        moves=(
+            compensation.displacement("measured ranges", inside),
+            compensation.displacement("joint limits", everywhere),
+        ),
+        compensated=tuple(dict.fromkeys(unknown)),
+        only_a=_not_spanned(in_steps[0], in_steps[1], names[0]),
+        only_b=_not_spanned(in_steps[1], in_steps[0], names[1]),
+    )
+
+
+def _same_parameters(first: CalibrationValues, second: CalibrationValues) -> bool:
+    """Tell if both results have the same parameters of the robot, tied alike."""
+    same_names = own_names(first) == own_names(second)
+    same_ties = dict(first.ties) == dict(second.ties)
+    return same_names and same_ties and first.model.name == second.model.name
+
+
+def _is_known(remaining: Array, effect: Array) -> NDArray[np.bool_]:
+    """Tell for each parameter if frame and target do not compensate it, shape (p,).
+
+    Args:
+        remaining: Effects (N D, p) without what a motion of frame and target explains.
+        effect: The whole effects, shape (N D, p).
+    """
+    size = np.linalg.norm(effect, axis=0)
+    return np.asarray(np.linalg.norm(remaining, axis=0) >= _OWN * size)
+
+
+def _basis(effects: list[Array], own_steps: tuple[Array, Array], smallest: float) -> Array:
+    """Return an orthonormal basis of all displacements that both results' parameters can make, shape (N D, r).
+
+    Args:
+        effects: Of a and of b, shapes (N D, p_a) and (N D, p_b).
+        own_steps: Typical errors of their parameters, shapes (p_a,) and (p_b,).
+        smallest: Singular values below this share of the largest are none.
+    """
+    in_steps = np.hstack([effect * step for effect, step in zip(effects, own_steps, strict=True)])
+    U, values, _ = np.linalg.svd(in_steps, full_matrices=False)
+    least = max(values.max(initial=0.0), 1e-300) * smallest
+    return np.asarray(U[:, values > least])
+
+
+def _not_spanned(effect: Array, other: Array, names: NDArray[Any]) -> tuple[str, ...]:
+    """List the parameters of one result whose effects those of the other result cannot have.
+
+    Args:
+        effect: Effects of the result's parameters, in steps, shape (r, p).
+        other: Those of the other result's, shape (r, p_other).
+        names: Names of the result's parameters, shape (p,).
+    """
+    U, values, _ = np.linalg.svd(other, full_matrices=False)
+    U = U[:, values > _SPANS_NOTHING * max(float(values.max(initial=0.0)), 1e-300)]
+    outside = np.linalg.norm(effect - U @ (U.T @ effect), axis=0)
+    size = np.linalg.norm(effect, axis=0)
+    least = _OWN * np.maximum(size, _OWN * size.max(initial=0.0))
+    return tuple(names[(outside > least) & (least > 0.0)].tolist())

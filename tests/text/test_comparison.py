@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 from calib.calibration import Calibration
+from calib.numerics.drift_test import LEVEL, DriftTest
 from calib.result.comparison import (
-    LEVEL,
     ComparisonValues,
     Displacement,
-    DriftTest,
     Where,
     Why,
     compare,
