@@ -11,7 +11,8 @@ from calib.errors import choices
 from calib.numerics.drift_test import LEVEL
 from calib.result.calibration import CalibrationValues
 from calib.result.calibration_file import versions
-from calib.result.comparison import ComparisonValues, Displacement, own_names, unknown_frame
+from calib.result.comparison import ComparisonValues
+from calib.result.difference import Displacement, own_names, unknown_frame
 from calib.text.layout.lines import deg, mm, wrap
 from calib.version import __version__
 
