@@ -38,7 +38,7 @@ from verification_truth import Truth, draw_joint_values
 from calib.calibration import Calibration, calibrate
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.design.inspection import inspect
+from calib.diagnosis.inspection import inspect
 from calib.model.parameters import FRAME
 from calib.numerics.intervals import interval_factor
 from calib.robot.payload import Payload
