@@ -20,7 +20,13 @@ from scipy.spatial.transform import Rotation
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.errors import ModelError, choices
-from calib.report.figure_base import angles_of, flagged_rows, lengths_of, measured_in_base, placed
+from calib.report.row_values import (
+    angles_of,
+    flagged_rows,
+    lengths_of,
+    measured_in_base,
+    setup_of_rows,
+)
 from calib.result.calibration import CalibrationValues
 from calib.result.comparison import ComparisonValues
 from calib.result.evaluation import PLACES, Evaluation, evaluate
@@ -234,8 +240,8 @@ def _at_rows(first: Evaluation, second: Evaluation | None, flagged: Mask) -> Vie
     if count > MOST_ROWS:
         evenly = np.linspace(0, count - 1, MOST_ROWS - 50).round().astype(int)
         at = np.unique([start, *np.flatnonzero(flagged)[:49], *evenly])
-    T_frame_nominal, nominal_target = placed(first.setup, m)
-    T_frame_base, calibrated_target = placed(last.setup, m)
+    T_frame_nominal, nominal_target = setup_of_rows(first.setup, m)
+    T_frame_base, calibrated_target = setup_of_rows(last.setup, m)
     T_base_frame = rigid_inverse(T_frame_base)
     # The error in the picture is then that of the tables, not where each of the two finds the tracker. Where nothing
     # tells a place, neither finds where it stands: the two share their base.
