@@ -209,7 +209,7 @@ def _draw_calibrated_errors(
             "mew": 1.1,
             "color": base.SOFT,
         }
-        ax.plot(rows, held_out, label="left out of the fit", **look)
+        ax.plot(rows, held_out, label="held out", **look)
     # Outliers far above the others stand at the edge: the panel above has them to scale.
     shown = np.where(flagged, np.minimum(sizes, _OUTLIER_EDGE * reach), sizes)
     for kind in kinds:
@@ -314,8 +314,8 @@ def _noise_histogram(ax: Axes, c: CalibrationValues) -> None:
     t = np.linspace(-_REACH, _REACH, 201)
     normal = np.exp(-0.5 * t**2) / np.sqrt(2.0 * np.pi) * len(values) * (edges[1] - edges[0])
     ax.plot(t, normal, color=base.INK, lw=1.2, ls="--", label="normal")
-    ax.set(xlabel="residual / its noise", ylabel="measured numbers")
-    ax.set_title(f"{len(values):,} numbers of estimation rows")
+    ax.set(xlabel="residual / its noise", ylabel="measured scalars")
+    ax.set_title(f"{len(values):,} scalars of estimation rows")
     outside = int(np.sum(np.abs(values) > _REACH))
     if outside:
         ax.plot([], [], ls="none", label=f"{outside:,} beyond ±{_REACH:g}")

@@ -48,7 +48,7 @@ _REJECTED: dict[str, Any] = {
     "ms": 4.5,
     "mew": 1.2,
     "color": OUTLIER,
-    "label": "step not taken: it would have raised the cost",
+    "label": "rejected step: it would have raised the cost",
 }
 
 #: Colour, hatch and label of the bars of models tried, by what they were chosen for.
@@ -95,7 +95,7 @@ def _iteration_panel(ax: Axes, values: Array, taken: Mask) -> None:
     shown = np.maximum(values, least)
     iterations = np.arange(len(values))
     ax.plot(iterations, shown, color=INK, lw=1.1)
-    ax.plot(iterations[taken], shown[taken], "o", ms=3.6, color=INK, label="step taken")
+    ax.plot(iterations[taken], shown[taken], "o", ms=3.6, color=INK, label="accepted step")
     if not np.all(taken):
         ax.plot(iterations[~taken], shown[~taken], **_REJECTED)
     base.log_axis(ax, "y")
@@ -210,10 +210,10 @@ def singular_values(c: CalibrationValues) -> Figure:
     ax = figure.subplots()
     foot = 0.4 * float(shown.min())
     ax.vlines(at[determined], foot, shown[determined], color=NOMINAL, lw=1.0, alpha=0.6)
-    label = f"{o.rank} combinations that the poses determine"
+    label = f"{o.rank} identifiable combinations"
     ax.plot(at[determined], shown[determined], "o", color=INK, ms=5, label=label)
     if o.rank < o.columns:
-        label = f"{o.columns - o.rank} that move nothing measured"
+        label = f"{o.columns - o.rank} unobservable combinations"
         ax.plot(at[~determined], shown[~determined], "x", color=OUTLIER, ms=5, label=label)
     if o.rank and np.isfinite(o.condition):
         label = f"condition number {o.condition:,.0f}"
@@ -240,7 +240,7 @@ def candidates(c: CalibrationValues) -> Figure:
     _bars(left, rms, chosen_for, "{:.3f}")
     _bars(right, evidence - evidence.max(), chosen_for, "{:.1f}")
     left.set(title="Error on held-out rows", xlabel=f"rms [{unit}]")
-    right.set(title="Evidence", xlabel="log likelihood, less that of the best")
+    right.set(title="Evidence", xlabel="penalised log-likelihood, relative to the best")
     base.legend_above(figure)
     return figure
 

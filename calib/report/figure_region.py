@@ -88,7 +88,7 @@ def draw_region(view: RegionView) -> Figure:
         _mark(upper, view, (i, j))
     for row, place in ((0, "along the line of sight"), (1, "in the cut")):
         bar = figure.colorbar(images[row], ax=list(axes[row]), shrink=0.85, ticks=[0, 0.5, 1])
-        bar.set_label(f"how often {place}; 1: most often")
+        bar.set_label(f"density {place}; 1: highest")
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     return figure

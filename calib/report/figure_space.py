@@ -242,5 +242,5 @@ def _distribution(ax: Axes, std: Array, c: CalibrationValues) -> None:
     percent = [f"{share}" for share in range(0, 101, 20)]
     ax.set_yticks(np.linspace(0.0, 1.0, 6), percent)
     ax.set(xlabel="standard deviation [mm]", ylabel="poses below [%]")
-    ax.set_title("How often, over the joint limits")
+    ax.set_title("Distribution over the joint limits")
     ax.legend(loc="upper left", fontsize=7.5)

@@ -30,9 +30,9 @@ CAPTIONS = "captions.md"
 
 #: Kind of the rows of the error curves, and how the fit relates to them; see `calib.report.figure_errors.curve_rows`.
 _CURVE_ROWS = {
-    "validation": ("validation", "which the fit has not seen"),
-    "held-out": ("estimation", "each predicted by fits that have not seen it"),
-    "estimation": ("estimation", "which the fit has seen"),
+    "validation": ("validation", "which took no part in the fit"),
+    "held-out": ("estimation", "each predicted by a fit without it"),
+    "estimation": ("estimation", "which the fit used"),
 }
 
 
