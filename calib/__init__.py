@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from calib.data.cell import Cell as Cell
     from calib.data.measurements import Measurements as Measurements
     from calib.design.choice import PlanRequest as PlanRequest
-    from calib.design.inspection import inspect as inspect
     from calib.design.plan import Plan as Plan, plan as plan
+    from calib.diagnosis.inspection import inspect as inspect
     from calib.errors import CalibError as CalibError
     from calib.fleets.fleet import fleet as fleet
     from calib.regions.region import Region as Region
@@ -56,7 +56,7 @@ _NAMES = {
     "calib.regions.region": "Region",
     "calib.regions.workspace": "workspace",
     "calib.errors": "CalibError",
-    "calib.design.inspection": "inspect",
+    "calib.diagnosis.inspection": "inspect",
     "calib.fleets.fleet": "fleet",
     "calib.result.evaluation": "Evaluation evaluate",
     "calib.result.uncertainty": "bootstrap",

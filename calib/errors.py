@@ -1,7 +1,7 @@
-"""Everything that calib refuses, said so that the reader can mend it.
+"""Errors that calib raises on purpose, with texts that tell the reader how to mend the cause.
 
-Every error that calib raises on purpose is a `CalibError`, whose text says what was given and where, what is allowed,
-and what to do. The command line prints that text alone; a program catches the class.
+Every one is a `CalibError`, whose text says what was given and where, what is allowed, and what to do. The command line
+prints that text alone; a program catches the class.
 """
 
 from __future__ import annotations
@@ -10,13 +10,19 @@ import difflib
 import re
 from collections.abc import Iterable
 
-#: What a terminal would obey or cannot print: control characters, turns of the reading direction, half characters.
+#: Characters that a terminal obeys or cannot print: controls, changes of the reading direction, lone surrogates.
 _UNPRINTABLE = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff]"
 )
 
-#: A longer message quotes a file that is none; the middle is left out [characters].
-_LONGEST, _HEAD, _TAIL = 3000, 1500, 1000
+#: A longer message quotes a file that is none, and is shortened [characters].
+_LONGEST = 3000
+
+#: Characters kept of the beginning of a shortened message.
+_HEAD = 1500
+
+#: Characters kept of the end of a shortened message.
+_TAIL = 1000
 
 
 class CalibError(Exception):
@@ -26,7 +32,7 @@ class CalibError(Exception):
     """
 
     def __init__(self, message: str = "") -> None:
-        text = _UNPRINTABLE.sub(lambda found: f"\\u{ord(found[0]):04x}", message)
+        text = _UNPRINTABLE.sub(lambda match: f"\\u{ord(match[0]):04x}", message)
         if len(text) > _LONGEST:
             text = f"{text[:_HEAD]} [...] {text[-_TAIL:]}"
         super().__init__(text)
@@ -41,7 +47,7 @@ class MeasurementError(CalibError):
 
 
 class ModelError(CalibError):
-    """The error model asked for does not exist or does not fit the robot and the measurements."""
+    """The error model given does not exist or does not fit the robot and the measurements."""
 
 
 class SolverError(CalibError):
@@ -57,14 +63,32 @@ class VerdictError(CalibError):
 
 
 def choices(names: Iterable[str], limit: int = 12) -> str:
-    """The allowed names as text for a message: at most ``limit`` of them, then how many more."""
-    listed = list(names)
-    text = ", ".join(f"'{name}'" for name in listed[:limit])
-    return text if len(listed) <= limit else f"{text} and {len(listed) - limit} more"
+    """Return the allowed names as text for a message, each in quotes.
+
+    Args:
+        names: The names, in the order in which they are listed.
+        limit: The largest number of names listed; of more, the number of the others follows.
+    """
+    names = list(names)
+    text = ", ".join(f"'{name}'" for name in names[:limit])
+    if len(names) > limit:
+        return f"{text} and {len(names) - limit} more"
+    return text
 
 
 def did_you_mean(name: str, names: Iterable[str]) -> str:
-    """The names most like the one given, in any case, as the end of a message; empty if none is like it."""
-    plain = {one.casefold(): one for one in names}
-    close = [plain[match] for match in difflib.get_close_matches(name.casefold(), plain, n=3)]
-    return f" (did you mean {' or '.join(map(repr, close))}?)" if close else ""
+    """Return a question with the names most like the one given, as the end of a message.
+
+    Args:
+        name: The name that does not exist.
+        names: The names that do; upper and lower case count as the same.
+
+    Returns:
+        Such as ``" (did you mean 'elbow_joint'?)"``; empty if no name is like it.
+    """
+    by_folded = {known.casefold(): known for known in names}
+    matches = difflib.get_close_matches(name.casefold(), by_folded, n=3)
+    if not matches:
+        return ""
+    quoted = [repr(by_folded[match]) for match in matches]
+    return f" (did you mean {' or '.join(quoted)}?)"

@@ -1,4 +1,4 @@
-"""run: many independent jobs, here or in any executor of `concurrent.futures`; Dask has one too."""
+"""Many independent jobs: `run` them here or in any executor of `concurrent.futures`; Dask has one too."""
 
 from __future__ import annotations
 
@@ -8,37 +8,47 @@ from typing import TypeVar
 
 from calib.errors import CalibError
 
-#: Called with the number of jobs done and of all.
+#: Function that is called with the number of jobs done and of all jobs.
 Progress = Callable[[int, int], None]
 
-C = TypeVar("C")
-I = TypeVar("I")  # noqa: E741  an item
-R = TypeVar("R")
+#: Batches that the jobs are divided into at least: several for each worker of a usual machine.
+_BATCHES = 24
+
+Shared = TypeVar("Shared")
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 
 def run(
-    function: Callable[[C, I], R],
-    shared: C,
-    items: Iterable[I],
+    function: Callable[[Shared, Item], Result],
+    shared: Shared,
+    items: Iterable[Item],
     executor: Executor | None = None,
     *,
     batch: int = 1,
-) -> Iterator[tuple[int, R]]:
-    """``function(shared, item)`` of every item with the item's number, in any order; without an executor here.
+) -> Iterator[tuple[int, Result]]:
+    """Yield ``function(shared, item)`` of every item, in any order.
 
-    The function is a module's; what it is given and gives back can be pickled. ``batch`` items are sent together, with
-    ``shared``: many for jobs that take less time than they take to send.
+    Args:
+        function: A module's function; its arguments and its result can be pickled.
+        shared: First argument of every call.
+        items: Second argument of each call.
+        executor: Where the calls are made; None: here, one after the other.
+        batch: Number of items sent together, with ``shared``: many for jobs that take less time than to be sent.
+
+    Yields:
+        The item's number, from 0, and the result.
 
     Raises:
         CalibError: A worker was killed, or ran out of memory.
     """
-    every = enumerate(items)
+    numbered = enumerate(items)
     if executor is None:
-        yield from ((number, function(shared, item)) for number, item in every)
+        yield from ((number, function(shared, item)) for number, item in numbered)
         return
-    listed = list(every)
-    parts = [listed[k : k + batch] for k in range(0, len(listed), batch)]
-    pending = [executor.submit(_call, function, shared, part) for part in parts]
+    jobs = list(numbered)
+    batches = [jobs[k : k + batch] for k in range(0, len(jobs), batch)]
+    pending = [executor.submit(_call, function, shared, jobs) for jobs in batches]
     try:
         for future in as_completed(pending):
             yield from future.result()
@@ -52,12 +62,17 @@ def run(
 
 
 def batch_size(count: int, largest: int = 50) -> int:
-    """How many of so many short jobs to send together: few enough for all workers to end at about the same time."""
-    return max(1, min(largest, count // 24))
+    """Return the number of short jobs to send together: few enough for all workers to end at about the same time.
+
+    Args:
+        count: Number of all jobs.
+        largest: The largest number to send together.
+    """
+    return max(1, min(largest, count // _BATCHES))
 
 
 def _call(
-    function: Callable[[C, I], R], shared: C, part: list[tuple[int, I]]
-) -> list[tuple[int, R]]:
-    """One batch, in a worker."""
-    return [(number, function(shared, item)) for number, item in part]
+    function: Callable[[Shared, Item], Result], shared: Shared, jobs: list[tuple[int, Item]]
+) -> list[tuple[int, Result]]:
+    """Return the numbers and results of one batch of numbered items, in a worker."""
+    return [(number, function(shared, item)) for number, item in jobs]

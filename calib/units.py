@@ -14,9 +14,13 @@ from numpy.typing import NDArray
 
 from calib.errors import CalibError, choices
 
-#: Arrays of numbers, of truth values, and of whole numbers.
+#: Array of numbers.
 Array: TypeAlias = NDArray[np.float64]
+
+#: Array of truth values.
 Mask: TypeAlias = NDArray[np.bool_]
+
+#: Array of whole numbers.
 Integers: TypeAlias = NDArray[np.int_]
 
 Quantity = Literal["length", "angle", "torque", "force", "mass"]
@@ -26,9 +30,9 @@ Quantity = Literal["length", "angle", "torque", "force", "mass"]
 class Unit:
     """A unit of one quantity: ``value_si = value * to_si``."""
 
-    symbol: str  #: as written in a header, ``"mm"``.
-    quantity: Quantity  #: of the SI units m, rad, Nm, N and kg.
-    to_si: float  #: what one of this unit is, in the SI unit.
+    symbol: str  #: As written in a header, ``"mm"``.
+    quantity: Quantity  #: Of the SI units m, rad, Nm, N and kg.
+    to_si: float  #: One of this unit, in the SI unit.
 
 
 _ROWS: tuple[tuple[str, Quantity, float], ...] = (
@@ -45,13 +49,19 @@ _ROWS: tuple[tuple[str, Quantity, float], ...] = (
     ("kg", "mass", 1.0),
     ("g", "mass", 1e-3),
 )
+
+#: All units by symbol.
 UNITS: Mapping[str, Unit] = MappingProxyType({row[0]: Unit(*row) for row in _ROWS})
 
 # Unicode has two signs for micro, the micro sign and the Greek letter; a product has many.
 _SPELLINGS = {
     "\N{MICRO SIGN}m": "um",
     "\N{GREEK SMALL LETTER MU}m": "um",
-    **{f"N{sign}m": "Nm" for sign in (" ", ".", "*", "\N{MIDDLE DOT}", "\N{DOT OPERATOR}")},
+    "N m": "Nm",
+    "N.m": "Nm",
+    "N*m": "Nm",
+    "N\N{MIDDLE DOT}m": "Nm",
+    "N\N{DOT OPERATOR}m": "Nm",
 }
 
 NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
@@ -61,19 +71,27 @@ _HEADER = re.compile(r"(?P<name>.*?)\s*\[(?P<symbol>[^\[\]]*)\]", re.DOTALL)
 
 
 class Angle(float):
-    """A number that was given in a unit of angle [rad]: held against the joint that it is for, once that is known."""
+    """A number that was given in a unit of angle [rad], to be checked against the joint that it is for."""
 
     __slots__ = ()
 
 
 class Length(float):
-    """A number that was given in a unit of length [m]."""
+    """A number that was given in a unit of length [m], to be checked against the joint that it is for."""
 
     __slots__ = ()
 
 
 def unit_fault(value: float, *, slides: bool) -> str | None:
-    """What is wrong with the unit that a joint's value was given in; None if nothing is, or nothing is known of it."""
+    """Return the fault in the unit of a joint's value, as text for a message behind the joint's name.
+
+    Args:
+        value: An `Angle` or a `Length`, which are checked; any other number is taken as it is.
+        slides: True for a joint that slides, False for one that turns.
+
+    Returns:
+        None if the unit fits the joint, or is not known.
+    """
     if slides and isinstance(value, Angle):
         return 'is an angle, and the joint slides; give a length, such as "0.3 m"'
     if not slides and isinstance(value, Length):
@@ -82,45 +100,61 @@ def unit_fault(value: float, *, slides: bool) -> str | None:
 
 
 def symbols(quantity: Quantity) -> tuple[str, ...]:
-    """The symbols of the units of one quantity."""
+    """Return the symbols of the units of one quantity."""
     return tuple(unit.symbol for unit in UNITS.values() if unit.quantity == quantity)
 
 
 def find_unit(symbol: str) -> Unit:
-    """The unit with this symbol; CalibError if there is none."""
+    """Return the unit with this symbol, in any of its spellings; CalibError if there is none."""
     text = symbol.strip()
     unit = UNITS.get(_SPELLINGS.get(text, text))
     if unit is None:
-        known = ", ".join(
-            f"a{'n' * (one == 'angle')} {one} is in {choices(symbols(one))}"
-            for one in get_args(Quantity)
-        )
-        raise CalibError(f"'{text}' is not a unit that calib knows: {known}")
+        known = []
+        for quantity in get_args(Quantity):
+            article = "an" if quantity == "angle" else "a"
+            known.append(f"{article} {quantity} is in {choices(symbols(quantity))}")
+        raise CalibError(f"'{text}' is not a unit that calib knows: {', '.join(known)}")
     return unit
 
 
 def split_header(text: str) -> tuple[str, str | None]:
-    """Split a column header into its name and the text in its last square brackets, if any."""
+    """Split a column header into its name and the unit's symbol in its last square brackets; None without brackets."""
     match = _HEADER.fullmatch(text.strip())
-    return (match["name"].strip(), match["symbol"].strip()) if match else (text.strip(), None)
+    if match is None:
+        return text.strip(), None
+    return match["name"].strip(), match["symbol"].strip()
 
 
 # Numbers with their unit beside them, as cell files and command lines give them
 
-#: The quantities that a text can be, as a message says them.
-LENGTH, ANGLE, MASS, COMPLIANCE = "a length", "an angle", "a mass", "a compliance"
+#: Name of a length in messages, and of what a text with a unit of length is [m].
+LENGTH = "a length"
+
+#: Name of an angle in messages, and of what a text with a unit of angle is [rad].
+ANGLE = "an angle"
+
+#: Name of a mass in messages, and of what a text with a unit of mass is [kg].
+MASS = "a mass"
+
+#: Name of a joint's compliance in messages, and of what a text in rad/Nm or m/N is.
+COMPLIANCE = "a compliance"
+
+#: Name of a number without a unit.
 PLAIN = "a number"
 
 
 def is_number(value: object) -> TypeGuard[float]:
-    """Whether a value is a finite number."""
+    """Return True for a finite number that is no truth value."""
     if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
         return False
     return math.isfinite(value)
 
 
 def parse_quantity(text: object) -> tuple[float, str]:
-    """A number in SI units and its quantity, such as `ANGLE` or `COMPLIANCE`: ``"0.5 mm"``, ``"1e-5 rad/Nm"``.
+    """Return a number in SI units and its quantity, such as `ANGLE`, `COMPLIANCE`, or `PLAIN` without a unit.
+
+    Args:
+        text: Such as ``"0.5 mm"`` or ``"1e-5 rad/Nm"``, or a number.
 
     Raises:
         CalibError: No number, or an unknown unit.
@@ -135,102 +169,168 @@ def parse_quantity(text: object) -> tuple[float, str]:
     if match is None or not isinstance(text, str) or not math.isfinite(float(match[1])):
         raise CalibError(f'{text!r} is no number with a unit, such as "0.5 mm"')
     number = float(match[1])
-    if match[2] is None:
+    symbol = match[2]
+    if symbol is None:
         return number, PLAIN
-    top, slash, bottom = (part.strip() for part in match[2].partition("/"))
-    if slash:
-        if bottom not in ("Nm", "N") or top not in symbols("angle" if bottom == "Nm" else "length"):
-            raise CalibError(
-                f"'{match[2]}' is no unit of compliance; a joint's is in 'rad/Nm', or 'm/N' where it slides"
-            )
-        return number * UNITS[top].to_si, COMPLIANCE
-    unit = find_unit(match[2])
-    return number * unit.to_si, ANGLE if unit.quantity == "angle" else f"a {unit.quantity}"
+    if "/" in symbol:
+        return number * _compliance_in_si(symbol), COMPLIANCE
+    unit = find_unit(symbol)
+    quantity = ANGLE if unit.quantity == "angle" else f"a {unit.quantity}"
+    return number * unit.to_si, quantity
 
 
-#: Numbers, and the unit that stands behind them: ``70 -70 22.5 mm``.
+def _compliance_in_si(symbol: str) -> float:
+    """Return one of a unit such as ``"mrad/Nm"`` or ``"um/N"`` in rad/Nm or m/N; CalibError for another quotient."""
+    motion, _, load = (part.strip() for part in symbol.partition("/"))
+    motions = {"Nm": symbols("angle"), "N": symbols("length")}
+    if load not in motions or motion not in motions[load]:
+        raise CalibError(
+            f"'{symbol}' is no unit of compliance; a joint's is in 'rad/Nm', or 'm/N' where it slides"
+        )
+    return UNITS[motion].to_si
+
+
+#: Numbers, and the unit behind them: ``70 -70 22.5 mm``.
 _GROUP = re.compile(rf"((?:{NUMBER.pattern}[\s,]*)+?)([A-Za-zµμ]+(?:/[A-Za-z]+)?|$)[\s,]*")
 
 
 def parse_quantities(
-    text: str, option: str, wanted: Mapping[str, int], example: str, *, signed: bool = True
+    text: str, option: str, counts: Mapping[str, int], example: str, *, signed: bool = True
 ) -> dict[str, list[float]]:
-    """Numbers with units, such as ``10 mm 2 deg``, in SI units by what they are; 0 alone needs no unit.
+    """Return numbers with units, such as ``10 mm 2 deg``, in SI units by their quantity; 0 alone needs no unit.
 
     Args:
-        text: As it was written.
-        option: To which it was given.
-        wanted: What may be there, such as `LENGTH`, once each, and of how many numbers it is.
-        example: Of how to write it.
-        signed: Whether numbers may be below 0.
+        text: The numbers, as they were written.
+        option: Name of the option that they were given to, for messages.
+        counts: The number of numbers of each quantity that may be given once, such as ``{LENGTH: 3}``.
+        example: An example of how to write it, for messages.
+        signed: True if numbers may be below 0.
+
+    Returns:
+        At least one of the quantities, with its numbers.
 
     Raises:
-        CalibError: Anything else.
+        CalibError: Anything else was written.
     """
     if text.strip() == "0":
-        return {kind: [0.0] * count for kind, count in wanted.items()}
-    found: dict[str, list[float]] = {}
-    good = not _GROUP.sub("", text).strip()
-    for numbers, symbol in _GROUP.findall(text) if good else ():
-        try:
-            read = [
-                parse_quantity(f"{one} {symbol}")
-                for one in re.split(r"[\s,]+", numbers.strip(", "))
-            ]
-        except CalibError:
-            good = False
-            break
-        kind, values = read[0][1], [value for value, _ in read]
-        good &= wanted.get(kind) == len(values) and kind not in found
-        good &= signed or min(values) >= 0.0
-        found[kind] = values
-    if not good or not found:
-        must = [
-            k if n == 1 else f"{n} numbers and a unit of {k.split()[1]}" for k, n in wanted.items()
-        ]
+        return {quantity: [0.0] * count for quantity, count in counts.items()}
+    values = _values_by_quantity(text, counts, signed=signed)
+    if not values:
+        allowed = []
+        for quantity, count in counts.items():
+            article_and_name = quantity.split()
+            many = f"{count} numbers and a unit of {article_and_name[1]}"
+            allowed.append(quantity if count == 1 else many)
         below = "" if signed else ", not below 0"
         raise CalibError(
-            f'{option} was given as "{text}"; it must be {" or ".join(must)}{below}, such as "{example}".'
+            f'{option} was given as "{text}"; it must be {" or ".join(allowed)}{below}, such as "{example}".'
         )
-    return found
+    return values
+
+
+def _values_by_quantity(
+    text: str, counts: Mapping[str, int], *, signed: bool
+) -> dict[str, list[float]]:
+    """Return the numbers of a text in SI units by their quantity; empty where they are not as `parse_quantities` says.
+
+    Args:
+        text: The numbers with their units.
+        counts: The number of numbers of each quantity that may be given.
+        signed: True if numbers may be below 0.
+    """
+    if _GROUP.sub("", text).strip():
+        return {}
+    by_quantity: dict[str, list[float]] = {}
+    for numbers, symbol in _GROUP.findall(text):
+        words = re.split(r"[\s,]+", numbers.strip(", "))
+        try:
+            parsed = [parse_quantity(f"{word} {symbol}") for word in words]
+        except CalibError:
+            return {}
+        quantity = parsed[0][1]
+        values = [value for value, _ in parsed]
+        if counts.get(quantity) != len(values) or quantity in by_quantity:
+            return {}
+        if not signed and min(values) < 0.0:
+            return {}
+        by_quantity[quantity] = values
+    return by_quantity
 
 
 def parse_amount(
-    text: str, option: str, wanted: str, example: str, *, signed: bool = False
+    text: str, option: str, quantity: str, example: str, *, signed: bool = False
 ) -> float:
-    """A number with its unit, such as ``0.5 mm``, of what is wanted, such as `LENGTH`, in SI units."""
-    return parse_quantities(text, option, {wanted: 1}, example, signed=signed)[wanted][0]
+    """Return a number with its unit, such as ``0.5 mm``, in SI units; 0 alone needs no unit.
+
+    Args:
+        text: The number, as it was written.
+        option: Name of the option that it was given to, for messages.
+        quantity: Its quantity, such as `LENGTH`.
+        example: An example of how to write it, for messages.
+        signed: True if it may be below 0.
+
+    Raises:
+        CalibError: Anything else was written.
+    """
+    return parse_quantities(text, option, {quantity: 1}, example, signed=signed)[quantity][0]
 
 
 def parse_noise(text: str, option: str) -> tuple[float, float]:
-    """``15 um + 6 um/m``, or ``0.05 mm``: a length [m], and one for each metre of distance [m/m]."""
+    """Return the constant [m] and the part per metre of distance [m/m] of an instrument's noise.
+
+    Args:
+        text: Such as ``15 um + 6 um/m``, or ``0.05 mm``.
+        option: Name of the option or key that it was given to, for messages.
+
+    Raises:
+        CalibError: Anything else was written.
+    """
     match = re.fullmatch(r"(.+?[A-Za-zµμ])\s*(?:\+(.+)/\s*m\s*)?", text)
-    parts = [part for part in match.groups() if part] if match else [text]
-    constant, *per_length = (parse_amount(part, option, LENGTH, "15 um + 6 um/m") for part in parts)
-    return constant, sum(per_length)
+    parts = [text]
+    if match:
+        parts = [part for part in match.groups() if part]
+    lengths = [parse_amount(part, option, LENGTH, "15 um + 6 um/m") for part in parts]
+    return lengths[0], sum(lengths[1:])
 
 
 def parse_joint_value(value: object, where: str) -> float:
-    """The value of a joint with its unit, such as ``"30 deg"`` or ``"0.3 m"``, as an `Angle` or a `Length`."""
+    """Return the value of a joint with its unit as an `Angle` [rad] or a `Length` [m].
+
+    Args:
+        value: Such as ``"30 deg"`` or ``"0.3 m"``.
+        where: Name of its place in a file or command, for messages.
+
+    Raises:
+        CalibError: No number with a unit of angle or length.
+    """
     hint = 'Write "30 deg" or "0.3 m".'
     try:
-        number, kind = parse_quantity(value)
+        number, quantity = parse_quantity(value)
     except CalibError as error:
         raise CalibError(f"{where}: {error}. {hint}") from error
-    if kind not in (LENGTH, ANGLE):
+    if quantity not in (LENGTH, ANGLE):
         message = f"{where} is {value!r}; a joint's value needs a unit of angle or length. {hint}"
         raise CalibError(message)
-    return Length(number) if kind == LENGTH else Angle(number)
+    return Length(number) if quantity == LENGTH else Angle(number)
 
 
 def parse_joint_range(value: object, where: str) -> tuple[float, float]:
-    """The least and the largest value of a joint, such as ``["-90 deg", "90 deg"]``, [rad] or [m]."""
+    """Return the least and the largest value of a joint, both an `Angle` [rad] or both a `Length` [m].
+
+    Args:
+        value: Such as ``["-90 deg", "90 deg"]``.
+        where: Name of its place in a file, for messages.
+
+    Raises:
+        CalibError: Not two values of a joint in units of one quantity.
+    """
     ends = value if isinstance(value, (list, tuple)) else ()
     if len(ends) != 2:
         raise CalibError(
             f'{where} is {value!r}; it must be the least and the largest value, such as ["-90 deg", "90 deg"].'
         )
-    low, high = (parse_joint_value(one, where) for one in ends)
+    low = parse_joint_value(ends[0], where)
+    high = parse_joint_value(ends[1], where)
     if type(low) is not type(high):
         message = f"{where} is from {ends[0]!r} to {ends[1]!r}; one is an angle and one a length."
         raise CalibError(message)

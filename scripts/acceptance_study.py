@@ -18,7 +18,8 @@ from calib.data.measurements import Measurements
 from calib.example import PAPER_TARGET, paper_urdf
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
-from calib.result.evaluation import Accuracy, accuracy, evaluate
+from calib.result.accuracy import Accuracy, accuracy
+from calib.result.evaluation import evaluate
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.units import Array

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import functools
+import importlib.metadata
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
+from calib.errors import UrdfError
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 
@@ -102,6 +105,29 @@ def load_arm(name: str) -> Robot:
         return _described_arm(name, _IRB120)
     base, tip = LINKS[name]
     return Robot.load(name, base=base, tip=tip)
+
+
+@functools.cache
+def example_urdfs() -> Mapping[str, str]:
+    """Return the path of each URDF of example-robot-data with a chain of two joints or more, by a short name."""
+    paths: dict[str, str] = {}
+    for file in importlib.metadata.files("example-robot-data") or []:
+        if file.suffix != ".urdf":
+            continue
+        path = str(file.locate())
+        try:
+            robot = Robot.load(path)
+        except UrdfError as error:
+            # Flying bases whose only joints are fixed, and files that are empty shells for xacro, hold no arm.
+            if "has no <joint>" in str(error) or "no joint moves" in str(error):
+                continue
+            raise
+        if len(robot.joints) >= 2:
+            name = file.name.removesuffix(".urdf")
+            if name in paths:
+                name = f"{name} ({file.parts[-3]})"
+            paths[name] = path
+    return MappingProxyType(dict(sorted(paths.items())))
 
 
 def without_masses(robot: Robot) -> Robot:

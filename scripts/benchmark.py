@@ -47,7 +47,8 @@ from calib.registration.table_rows import rows_and_setup
 from calib.robot.chain import pinocchio_chain
 from calib.robot.robot import Robot
 from calib.simulation.scenario import Scenario
-from calib.simulation.study import Trials, study
+from calib.simulation.study import study
+from calib.simulation.trial import Trials
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "performance.md"

@@ -215,7 +215,7 @@ def run(root: Path, arguments: list[str]) -> str:
         return "time limit"
     if process.returncode in (0, 5):  # 5: there is no test
         return ""
-    failed = re.search(r"^(?:FAILED|ERROR) (\S+)", output, re.MULTILINE)
+    failed = re.search(r"^(?:FAILED|ERROR) (.+?)(?: - |$)", output, re.MULTILINE)
     return failed[1] if failed else "an error"
 
 

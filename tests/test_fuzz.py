@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import calib
-from calib.compensation.program import read_program
+from calib.compensation.program_file import read_program
 from calib.data.points_file import read_points
 from calib.design.solids import read_solids
 from calib.errors import CalibError

@@ -11,15 +11,23 @@ import numpy as np
 import pytest
 
 from calib.result.fits import fit_table
+from calib.robot.payload import Payload
 
-SCRIPTS = Path(__file__).parents[1] / "scripts"
-sys.path.insert(0, str(SCRIPTS))
+sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
 
-from selection_study import drawn_widely, errors_by_model, table_of_truth  # noqa: E402
-from verdict_study import DOES_NOT_FALL, HALVED, simulate  # noqa: E402
-from verification_runs import points_run, touching_run  # noqa: E402
-from verification_study import ALLOWED, STUDIES, markdown, ratio, run_one, run_study  # noqa: E402
-from verification_truth import ROBOTS, JointErrors, Truth, example_files, joints_of  # noqa: E402
+from arms import example_urdfs, load_arm
+from selection_study import drawn_widely, errors_by_model, table_of_truth
+from verdict_study import DOES_NOT_FALL, HALVED, simulate
+from verification_runs import points_run, sockets_run
+from verification_study import (
+    ALLOWED,
+    STUDIES,
+    ratio,
+    run_one,
+    run_study,
+    study_text,
+)
+from verification_truth import JointErrors, Truth, draw_joint_values
 
 #: A small version of each study still takes its minutes.
 pytestmark = pytest.mark.slow
@@ -56,7 +64,7 @@ def test_intervals_and_predicted_uncertainty_hold_what_they_say():
 @pytest.mark.parametrize("case", ["30", "60"])
 def test_a_fifth_of_displaced_rows_is_flagged_and_costs_what_their_loss_does(case):
     runs = found("outliers", case, 8)
-    assert all(r["missed"] == 0 and r["gross"] == int(case) // 5 for r in runs)
+    assert all(r["missed"] == 0 and r["displaced"] == int(case) // 5 for r in runs)
     assert sum(r["wrongly"] for r in runs) <= 1
     # Nothing can do better than the rows that are left; with 30 poses they alone may miss 1.2.
     assert ratio(runs, "error", "kept") <= 1.01
@@ -79,14 +87,14 @@ def test_a_fifth_of_displaced_rows_is_flagged_and_costs_what_their_loss_does(cas
 def test_auto_picks_no_more_than_is_there_and_does_no_harm(case):
     _, wrong, count = case.split(", ")
     for run in found("auto", case, 1 if count == "30" else 2):
-        assert run["picked"] in ALLOWED[wrong]
+        assert run["model"] in ALLOWED[wrong]
         assert max(run["error"], run["geometry"]) <= 1.02 * run["frames"]
 
 
 def test_auto_finds_what_is_there():
-    assert found("auto", "ur3, zeros, 30", 1)[0]["picked"] == "zeros"
+    assert found("auto", "ur3, zeros, 30", 1)[0]["model"] == "zeros"
     # What bends may be told by the lever arms as well as by the masses.
-    picked = found("auto", "iiwa, dh+compliance, 30", 1)[0]["picked"]
+    picked = found("auto", "iiwa, dh+compliance, 30", 1)[0]["model"]
     assert picked in ("dh+compliance", "dh+gravity")
 
 
@@ -105,7 +113,7 @@ def test_a_geometry_that_left_out_poses_contradict_predicts_worse(seed):
 
 
 def test_the_study_has_every_robot_with_two_joints_or_more():
-    files = example_files()
+    files = example_urdfs()
     assert len(files) == len(set(files.values())) >= 60
     assert {"panda", "tiago", "pr2", "icub", "ur10_robot", "double_pendulum"} <= set(files)
 
@@ -147,8 +155,8 @@ def test_each_kind_of_measurement_reaches_its_bound(case):
 
 
 def test_the_truth_is_what_it_says():
-    robot, rng = ROBOTS["ur3"](), np.random.default_rng(1)
-    q = joints_of(robot, 5, rng)
+    robot, rng = load_arm("ur3"), np.random.default_rng(1)
+    q = draw_joint_values(robot, 5, rng)
     perfect = Truth.draw(robot, rng, "frames")
     np.testing.assert_allclose(
         perfect.poses(q), robot.poses(q) @ perfect.targets[0], rtol=0, atol=1e-12
@@ -161,10 +169,10 @@ def test_the_truth_is_what_it_says():
 
 
 def test_the_load_is_the_slope_of_the_potential_energy():
-    robot, rng = ROBOTS["iiwa"](), np.random.default_rng(2)
-    truth = Truth.draw(robot, rng, "frames", payload=5.0, com=(0.05, 0.03, 0.1))
+    robot, rng = load_arm("iiwa"), np.random.default_rng(2)
+    truth = Truth.draw(robot, rng, "frames", payload=Payload(5.0, np.array([0.05, 0.03, 0.1])))
     bare = Truth.draw(robot, rng, "frames")
-    q = joints_of(robot, 1, rng)
+    q = draw_joint_values(robot, 1, rng)
     load = (truth.load(robot.urdf_values(q)) - bare.load(robot.urdf_values(q)))[0]
 
     def height(values):
@@ -176,8 +184,8 @@ def test_the_load_is_the_slope_of_the_potential_energy():
 
 
 def test_a_ball_in_a_socket_is_there():
-    truth = Truth.draw(ROBOTS["ur3"](), np.random.default_rng(3))
-    run = touching_run(truth, np.random.default_rng(4), 8, 1e-6, "fixed")
+    truth = Truth.draw(load_arm("ur3"), np.random.default_rng(3))
+    run = sockets_run(truth, np.random.default_rng(4), 8, 1e-6)
     p = truth.points(np.array(run.measurements.joints))
     for group in set(run.measurements.groups):
         own = np.array(run.measurements.groups) == group
@@ -186,7 +194,7 @@ def test_a_ball_in_a_socket_is_there():
 
 
 def test_the_bound_falls_with_the_noise_and_the_rows():
-    truth = Truth.draw(ROBOTS["ur3"](), np.random.default_rng(5))
+    truth = Truth.draw(load_arm("ur3"), np.random.default_rng(5))
     bounds = [
         points_run(truth, np.random.default_rng(6), count, sigma).bound ** 0.5
         for count, sigma in ((40, 1e-4), (40, 2e-4), (640, 1e-4))
@@ -196,10 +204,8 @@ def test_the_bound_falls_with_the_noise_and_the_rows():
 
 
 def test_the_table_is_markdown():
-    study = STUDIES["accuracy"]
-    lines = study.lines(run_study("accuracy", 2, cases=["dh, base, 30"]))
-    text = markdown(study.title, 2, lines)
-    assert text.splitlines()[4].startswith("| case | bar | found | met |")
+    text = study_text("accuracy", 2, run_study("accuracy", 2, cases=["dh, base, 30"]))
+    assert text.splitlines()[4] == "| case | bar | value | met |"
     assert "`dh`, N = 30" in text
 
 

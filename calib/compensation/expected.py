@@ -1,4 +1,4 @@
-"""Position errors to expect of commands, in the frame of the program, and the sources that they come from.
+"""Expected position errors of commands, in the frame of the program, and the sources that they come from.
 
 The position error of the actual robot at a command is taken for normal, with the covariance
 
@@ -38,11 +38,11 @@ from calib.robot.robot import read_only
 from calib.units import Array
 
 Source = Literal["model", "parameters", "poses", "tool", "base"]
-"""Where an expected error comes from: what the model lacks; its parameters, at poses like the measured ones; what other
+"""Source of an expected error: what the model lacks; its parameters, at poses like the measured ones; what other
 poses of the program add; a tool that is not the measured target; the base, where its frame was estimated."""
 
 NoiseSource = Literal["stated", "repeats", "unknown"]
-"""How the instrument's noise is known: from cell or table, from repeated poses, or not at all: then it is error."""
+"""Source of the instrument's noise: cell or table, repeated poses, or unknown: then it counts as error."""
 
 #: Share of robots whose mean error lies in `ExpectedErrors.band`.
 BAND = 0.8
@@ -66,7 +66,7 @@ class Contribution(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExpectedErrors:
-    """Errors to expect of N commands, in the frame of the program."""
+    """Expected errors of N commands, in the frame of the program."""
 
     #: shape (N, 2), mean distance [m] and angle [rad] of the tool from its wanted pose.
     errors: Array
@@ -77,7 +77,7 @@ class ExpectedErrors:
     freedom: float
     #: Mean error of the same program in the measurement frame [m]; None: it is that.
     in_measured_frame: float | None
-    #: How the instrument's noise is known.
+    #: Source of the instrument's noise.
     noise: NoiseSource
     #: Whether there are held-out errors; else nothing tells what the model lacks.
     validated: bool
@@ -108,7 +108,7 @@ class ExpectedErrors:
 
 
 def expected_errors(pair: Pair, q: Array) -> ExpectedErrors:
-    """Errors to expect where a result's robot is sent to joint values.
+    """Compute the expected errors where a result's robot is sent to joint values.
 
     Args:
         pair: The nominal robot and that of a result, with the tool and the frame of the program.
@@ -140,10 +140,20 @@ def expected_errors(pair: Pair, q: Array) -> ExpectedErrors:
 def _views(
     pair: Pair, result: CalibrationValues, part: FittedModel, q: Array
 ) -> tuple[View, View, View]:
-    """The measured target in the measurement frame; the tool there; and the tool in the frame of the program."""
+    """Return three views of the program's poses.
+
+    Args:
+        pair: The nominal robot and that of a result.
+        result: The calibration.
+        part: Its geometry or its non-geometric model.
+        q: Joint values to command, shape (N, m), [rad] or [m].
+
+    Returns:
+        The measured target in the measurement frame; the tool there; and the tool in the frame of the program.
+    """
     samples = _samples(pair, part, q)
     T_tip_tool = pair.actual.T_tip_tool if pair.target is None else None
-    in_base, unknown = pair.set_up is None, bool(unknown_base_directions(result))
+    in_base, unknown = pair.group is None, bool(unknown_base_directions(result))
     known = np.zeros((6, 6))
     base = unmodelled_base(result, part) if in_base and unknown else known
     # Where no positions were measured, what the measurements tell is the base but for its motion as one body.
@@ -157,20 +167,20 @@ def _views(
 
 
 def _samples(pair: Pair, part: FittedModel, q: Array) -> Samples:
-    """Joint values (N, m) with loads, seen from the program's frame or the first at the target nearest to the tool."""
+    """Return joint values (N, m) with loads, seen from the program's frame, at the target nearest to the tool."""
     setup = part.setup
     if pair.target is None:
         away = setup.T_tip_target[:, :3, 3] - pair.actual.T_tip_tool[:3, 3]
         target = int(np.argmin(np.linalg.norm(away, axis=1)))
     else:
         target = setup.targets.index(pair.target)
-    group = 0 if pair.set_up is None else setup.groups.index(pair.set_up)
+    group = 0 if pair.group is None else setup.groups.index(pair.group)
     load = None if pair.actual.load is None else pair.actual.load(q)
     return Samples(q, np.full(len(q), group), np.full(len(q), target), load)
 
 
 def _mean_errors(covariance: Array, lacking: Array) -> Array:
-    """Mean distance [m] and angle [rad] of each pose, shape (N, 2).
+    """Compute the mean distance [m] and angle [rad] of each pose from its wanted one, shape (N, 2).
 
     Args:
         covariance: shape (N, 6, 6), of the poses.
@@ -190,7 +200,7 @@ def _freedom(
     lacking: float,
     held_out: CrossValidation | None,
 ) -> float:
-    """Degrees of freedom of the mean square error over the program, taken for a multiple of chi-squared.
+    """Compute the degrees of freedom of the mean square error over the program, a multiple of chi-squared.
 
     It is the sum of what the model lacks, s^2, estimated from held-out rows, and of sum_k g_k z_k^2 of the unknowns
     that the program's rows share, with standard normal z. Their variances g are estimates too: what comes from the
@@ -215,7 +225,7 @@ def _freedom(
 
 
 def mean_of_chi(freedom: ArrayLike) -> Array:
-    """Mean of the chi distribution, sqrt(2) Gamma((n + 1) / 2) / Gamma(n / 2), with n > 0 degrees of freedom."""
+    """Return the mean of the chi distribution, sqrt(2) Gamma((n + 1) / 2) / Gamma(n / 2), n > 0 its freedom."""
     n = np.asarray(freedom, dtype=np.float64)
     return np.asarray(np.sqrt(2.0) * np.exp(gammaln(0.5 * (n + 1.0)) - gammaln(0.5 * n)))
 
@@ -227,7 +237,7 @@ def _contributions(
     tool: PoseCovariance,
     arrived: PoseCovariance,
 ) -> tuple[Contribution, ...]:
-    """Contributions of all sources, none below 0: together the mean square of the positions' errors.
+    """Split the mean square of the positions' errors into contributions of all sources, none below 0.
 
     Args:
         lacking: Mean square of what the model lacks [m^2].
@@ -245,7 +255,7 @@ def _contributions(
 
 
 def _lacking(result: CalibrationValues, part: FittedModel, predicted_angle: float) -> Array:
-    """Mean squares of what a model lacks, of positions [m^2] and of angles [rad^2], shape (2,); 0 if it lacks nothing.
+    """Estimate mean squares of what a model lacks, of positions [m^2] and angles [rad^2], shape (2,); 0 if nothing.
 
     Args:
         result: The calibration.
@@ -259,8 +269,11 @@ def _lacking(result: CalibrationValues, part: FittedModel, predicted_angle: floa
     scalars = _scalars_per_row(result)
     lengths = _Residuals(errors.n, errors.rms, scalars[0], part.expected_measured**2)
     angles = _Residuals(errors.n_angle, errors.rms_angle, scalars[1], predicted_angle)
-    pairs = zip((lengths, angles), sigma, freedom, strict=True)
-    return np.array([one.beyond(float(s), float(f)) for one, s, f in pairs])
+    excess = [
+        residuals.beyond(float(of_scalar), float(degrees))
+        for residuals, of_scalar, degrees in zip((lengths, angles), sigma, freedom, strict=True)
+    ]
+    return np.array(excess)
 
 
 class _Residuals(NamedTuple):
@@ -272,7 +285,9 @@ class _Residuals(NamedTuple):
     predicted: float  # Mean square by the covariance at the measured poses, three axes together [m^2] or [rad^2]
 
     def beyond(self, sigma: float, freedom: float) -> float:
-        """Mean square beyond noise and the prediction's variance, three axes together; 0 where chance explains it.
+        """Return the mean square beyond noise and the prediction's variance, three axes together.
+
+        It is 0 where chance explains it.
 
         With the mean square v of a held-out scalar and u of its prediction by a fit of all rows, the leverage h of a
         row solves u = v h (1 - h), and v (1 - h) is the variance of the noise and of what the model lacks.
@@ -297,7 +312,7 @@ class _Residuals(NamedTuple):
 
 
 def _instrument(result: CalibrationValues) -> tuple[NoiseSource, Array, Array]:
-    """Source of the instrument's noise; it, of a length [m] and an angle [rad]; and its degrees of freedom."""
+    """Return the source of the instrument's noise; it, of a length [m] and an angle [rad]; its degrees of freedom."""
     stated = np.array([result.sigma_given, result.sigma_angle_given])
     scatter, freedom = np.full(2, np.nan), np.zeros(2)
     if result.repeats is not None:
@@ -312,7 +327,7 @@ def _instrument(result: CalibrationValues) -> tuple[NoiseSource, Array, Array]:
 
 
 def _scalars_per_row(result: CalibrationValues) -> tuple[float, float]:
-    """Mean number of lengths and of angles of the fitted rows that measure any."""
+    """Return the mean number of lengths and of angles of the fitted rows that measure any."""
     used = result.used[result.rows.estimation]
     counts = [part.sum(axis=1) for part in (used[:, :3], used[:, 3:])]
     lengths, angles = (float(c.sum()) / max(int(np.sum(c > 0)), 1) for c in counts)

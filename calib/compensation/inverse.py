@@ -25,68 +25,116 @@ from calib.robot.ranges import column_limits, full_ranges, spread_between
 from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.units import Array, Mask, unit_fault
 
-POSE, POSITION, AXIS = "pose", "position", "axis"
+POSE = "pose"  #: Position and orientation are matched.
+POSITION = "position"  #: The position alone is matched.
+AXIS = "axis"  #: Position and direction of the tool's z axis are matched.
 
 MATCHES = (POSE, POSITION, AXIS)
-"""What is matched: position and orientation; the position alone; position and direction of the tool's z axis."""
 
-#: No joint moves further than this in one step [rad or m]; a row rests when its next step is shorter than the second or
-#: lowers its squared error by a smaller share than the third.
-_LONGEST_STEP, _STILL, _STALLED = 0.3, 1e-12, 1e-9
+#: No joint moves farther than this in one step [rad or m].
+_LONGEST_STEP = 0.3
 
-#: An error below this is rounding [m]; one above the second was not reached.
-_NOTHING, _REACHED = 1e-13, 1e-9
+#: A row rests when its next step is shorter than this [rad or m] ...
+_STILL = 1e-12
 
-#: Damping after the first step that failed, relative to the largest singular value; and when to give up.
-_FIRST_DAMPING, _LARGEST_DAMPING = 1e-3, 1e3
+#: ... or lowers its squared error by a smaller share than this.
+_STALLED = 1e-9
 
-#: Joint values may pass their limits by so much [rad or m]; singular values below the second share are zero.
-_ROUNDING, _RANK = 1e-9, 1e-9
+#: An error below this is rounding [m].
+_NOTHING = 1e-13
 
-#: Sets of joint values that a solution is looked for from where the row before is no good start, and in how many steps.
-_SPREAD, _STEPS = 48, 30
+#: A pose with an error above this is not reached [m].
+_REACHED = 1e-9
+
+#: Damping after the first step that failed, relative to the largest singular value.
+_FIRST_DAMPING = 1e-3
+
+#: Damping at which a row is given up, likewise.
+_LARGEST_DAMPING = 1e3
+
+#: Damping below this becomes zero after a step that succeeded, likewise.
+_LEAST_DAMPING = 1e-6
+
+#: Joint values may exceed their limits by this much [rad or m].
+_ROUNDING = 1e-9
+
+#: Singular values below this share of the largest are zero.
+_RANK = 1e-9
+
+#: Sets of joint values from which a solution is looked for where the row before is no good start.
+_SPREAD = 48
+
+#: Steps of each of these.
+_STEPS = 30
+
+_TURN = 2.0 * np.pi
 
 
 class Matching(NamedTuple):
-    """What is matched, one of `MATCHES`, and the length that one radian weighs as [m]."""
+    """Part of a pose that is matched."""
 
-    name: str
-    length: float
+    name: str  #: One of `MATCHES`.
+    length: float  #: Length that one radian weighs as [m].
 
     @property
     def rows(self) -> int:
-        """How many numbers are matched."""
+        """Number of scalars that are matched."""
         return {POSE: 6, POSITION: 3, AXIS: 5}[self.name]
 
     def error(self, T_now: Array, T_wanted: Array) -> Array:
-        """The error of poses (N, 4, 4), angles times the length, shape (N, rows), [m]."""
+        """Compute the error of poses along the tool's own axes, wanted minus now.
+
+        Args:
+            T_now: shape (N, 4, 4), [m].
+            T_wanted: shape (N, 4, 4), [m].
+
+        Returns:
+            shape (N, rows), position and angles times the length [m].
+        """
         relative = rigid_inverse(T_now) @ T_wanted
-        R, moved = relative[:, :3, :3], relative[:, :3, 3]
+        R, position = relative[:, :3, :3], relative[:, :3, 3]
         if self.name == POSITION:
-            return moved
-        angles = _tilt(R[:, :, 2]) if self.name == AXIS else _turn(R)
-        return np.concatenate([moved, self.length * angles], axis=1)
+            return position
+        angles = _tilt(R[:, :, 2]) if self.name == AXIS else _rotation_vectors(R)
+        return np.concatenate([position, self.length * angles], axis=1)
 
     def jacobian(self, twists: Array) -> Array:
-        """The same rows of the tool's twists (N, 6, m), shape (N, rows, m), [m per rad or m]."""
+        """Return the matched rows of the tool's twists.
+
+        Args:
+            twists: Along the tool's own axes, shape (N, 6, m), [m or rad per rad or m].
+
+        Returns:
+            shape (N, rows, m), [m per rad or m].
+        """
         rows = twists[:, : self.rows].copy()
         rows[:, 3:] *= self.length
         return np.asarray(rows)
 
     def misses(self, T_now: Array, T_wanted: Array) -> Array:
-        """Distance [m] and angle [rad] between poses, shape (N, 2); the angle is NaN where it is not matched."""
+        """Compute distance [m] and angle [rad] between poses.
+
+        Args:
+            T_now: shape (N, 4, 4), [m].
+            T_wanted: shape (N, 4, 4), [m].
+
+        Returns:
+            shape (N, 2); the angle is NaN where it is not matched.
+        """
         error = self.error(T_now, T_wanted)
-        angle = np.linalg.norm(error[:, 3:], axis=1) / self.length
         distance = np.linalg.norm(error[:, :3], axis=1)
-        return np.stack([distance, angle if self.rows > 3 else np.full(len(angle), np.nan)], axis=1)
+        angle = np.full(len(error), np.nan)
+        if self.rows > 3:
+            angle = np.linalg.norm(error[:, 3:], axis=1) / self.length
+        return np.stack([distance, angle], axis=1)
 
 
-class Solved(NamedTuple):
-    """Joint values (N, m) [rad or m], as near as was found; poses and twists there, see `Arm.motion`."""
+class Solution(NamedTuple):
+    """Joint values, as near to the wanted poses as was found, and the tool there."""
 
-    q: Array
-    T_base_tool: Array
-    twists: Array
+    q: Array  #: shape (N, m), [rad] or [m].
+    T_base_tool: Array  #: shape (N, 4, 4), [m].
+    twists: Array  #: shape (N, 6, m), see `calib.compensation.nominal_actual.Arm.motion`.
 
 
 def solve(
@@ -97,102 +145,178 @@ def solve(
     limits: Array | None = None,
     *,
     steps: int = 400,
-) -> Solved:
-    """Joint values that bring the tool to poses T_base_tool (N, 4, 4) [m], near those that each row starts at (N, m).
+) -> Solution:
+    """Solve for joint values that bring the tool to poses, near those that each row starts at.
 
-    An arm that can do without a joint keeps to the limits (m, 2); one that cannot goes beyond them. That, and how far a
-    pose is missed, is for the caller to see.
+    An arm that can do without a joint keeps to the limits; one that cannot goes beyond them. That, and how far a pose
+    is missed, is for the caller to see.
+
+    Args:
+        arm: The arm.
+        T_wanted: Poses of the tool in the base, shape (N, 4, 4), [m].
+        start: Joint values to start at, shape (N, m), [rad] or [m].
+        matching: What of the poses is matched.
+        limits: Lowest and highest joint values, shape (m, 2); None: there are none.
+        steps: Number of steps at most.
+
+    Returns:
+        The solution.
     """
-    redundant = start.shape[1] > matching.rows
-    bounds = limits if redundant else None
-    found = _search(arm, T_wanted, start, matching, bounds, steps, pulled=redundant)
-    before = np.linalg.norm(matching.error(found.T_base_tool, T_wanted), axis=1)
-    left = np.flatnonzero(before > _REACHED)
-    if redundant and len(left):
+    is_redundant = start.shape[1] > matching.rows
+    bounds = limits if is_redundant else None
+    solution = _search(arm, T_wanted, start, matching, bounds, steps, pulled=is_redundant)
+    misses = np.linalg.norm(matching.error(solution.T_base_tool, T_wanted), axis=1)
+    missed = np.flatnonzero(misses > _REACHED)
+    if is_redundant and len(missed):
         # Next to a singularity the pull can be in the way of what can be reached.
-        again = _search(arm, T_wanted[left], start[left], matching, bounds, steps, pulled=False)
-        after = np.linalg.norm(matching.error(again.T_base_tool, T_wanted[left]), axis=1)
-        nearer = after < before[left]
-        for own, other in zip(found, again, strict=True):
-            own[left[nearer]] = other[nearer]
-    return Solved(*map(read_only, found))
+        T_missed, from_missed = T_wanted[missed], start[missed]
+        free = _search(arm, T_missed, from_missed, matching, bounds, steps, pulled=False)
+        free_misses = np.linalg.norm(matching.error(free.T_base_tool, T_missed), axis=1)
+        nearer = free_misses < misses[missed]
+        for values, free_values in zip(solution, free, strict=True):
+            values[missed[nearer]] = free_values[nearer]
+    return Solution(*map(read_only, solution))
 
 
 def _search(
     arm: Arm,
-    wanted: Array,
+    T_wanted: Array,
     start: Array,
     matching: Matching,
     limits: Array | None,
     steps: int,
     *,
     pulled: bool,
-) -> Solved:
-    """Steps of all rows, inside the limits, until each rests."""
-    low, high = (-np.inf, np.inf) if limits is None else limits.T
+) -> Solution:
+    """Take steps of all rows, inside the limits, until each rests.
+
+    Args:
+        arm: The arm.
+        T_wanted: Poses of the tool in the base, shape (N, 4, 4), [m].
+        start: Joint values to start at, shape (N, m), [rad] or [m].
+        matching: What of the poses is matched.
+        limits: Lowest and highest joint values, shape (m, 2); None: there are none.
+        steps: Number of steps at most.
+        pulled: Whether a redundant arm is pulled to where it started.
+
+    Returns:
+        Where the rows rest.
+    """
+    low, high = np.full((2, start.shape[1]), [[-np.inf], [np.inf]])
+    if limits is not None:
+        low, high = limits.T
     q = np.clip(start, low, high)
     poses, twists = arm.motion(q)
-    error = matching.error(poses, wanted)
-    damping, rows = np.zeros(len(start)), np.arange(len(start))
+    error = matching.error(poses, T_wanted)
+    damping = np.zeros(len(start))
+    rows = np.arange(len(start))  # those that do not rest
     for _ in range(steps):
         if not len(rows):
             break
-        J, e = matching.jacobian(twists[rows]), error[rows]
+        jacobian = matching.jacobian(twists[rows])
         pull = start[rows] - q[rows] if pulled else None
-        # Joints that the step would push through their limits are held, until none is left of these.
-        held = np.zeros((len(rows), q.shape[1]), dtype=bool)
-        while True:
-            dq = _step(J, e, damping[rows], pull, held)
-            pushed = ((q[rows] <= low) & (dq < 0.0)) | ((q[rows] >= high) & (dq > 0.0))
-            if not pushed.any():
-                break
-            held |= pushed
-        longest = np.abs(dq).max(axis=1, keepdims=True)
-        dq *= np.minimum(1.0, _LONGEST_STEP / np.maximum(longest, 1e-300))
-        moved = np.clip(q[rows] + dq, low, high)
-        cut = (moved != q[rows] + dq).any(axis=1)
-        new_poses, new_twists = arm.motion(moved)
-        new = matching.error(new_poses, wanted[rows])
-        before, after = (np.einsum("ni,ni->n", one, one) for one in (e, new))
+        dq = _step_inside(jacobian, error[rows], damping[rows], pull, q[rows], low, high)
+        trial = np.clip(q[rows] + dq, low, high)
+        is_cut = (trial != q[rows] + dq).any(axis=1)
+        trial_poses, trial_twists = arm.motion(trial)
+        trial_error = matching.error(trial_poses, T_wanted[rows])
+        before = np.einsum("ni,ni->n", error[rows], error[rows])
+        after = np.einsum("ni,ni->n", trial_error, trial_error)
         better = after <= np.maximum(before, _NOTHING**2)
-        on = rows[better]
-        q[on], poses[on], twists[on] = moved[better], new_poses[better], new_twists[better]
-        error[on] = new[better]
-        still = np.abs(dq).max(axis=1) <= _STILL
-        still |= better & (after > _NOTHING**2) & (before - after <= _STALLED * after)
-        less = np.where(damping[rows] > 1e-6, damping[rows] / 5.0, 0.0)
-        more = np.maximum(10.0 * damping[rows], _FIRST_DAMPING)
-        damping[rows] = np.where(better, less, more)
-        rows = rows[~(still & ~cut) & (damping[rows] <= _LARGEST_DAMPING)]
-    return Solved(q, poses, twists)
+        moved = rows[better]
+        q[moved] = trial[better]
+        poses[moved] = trial_poses[better]
+        twists[moved] = trial_twists[better]
+        error[moved] = trial_error[better]
+        rests = np.abs(dq).max(axis=1) <= _STILL
+        rests |= better & (after > _NOTHING**2) & (before - after <= _STALLED * after)
+        damping[rows] = _next_damping(damping[rows], better)
+        rows = rows[~(rests & ~is_cut) & (damping[rows] <= _LARGEST_DAMPING)]
+    return Solution(q, poses, twists)
+
+
+def _next_damping(damping: Array, better: Mask) -> Array:
+    """Lower the damping of rows whose step lowered the error, and raise that of the others; shape (n,)."""
+    lower = np.where(damping > _LEAST_DAMPING, damping / 5.0, 0.0)
+    higher = np.maximum(10.0 * damping, _FIRST_DAMPING)
+    return np.where(better, lower, higher)
+
+
+def _step_inside(
+    J: Array, error: Array, damping: Array, pull: Array | None, q: Array, low: Array, high: Array
+) -> Array:
+    """Compute the step of each row, not longer than `_LONGEST_STEP`, with joints at their limits held.
+
+    Joints that the step would push through their limits are held, until none of these is left.
+
+    Args:
+        J: shape (n, rows, m), see `Matching.jacobian`.
+        error: shape (n, rows).
+        damping: shape (n,), relative to the largest singular value.
+        pull: Joint values from here to the start, shape (n, m); None: none.
+        q: shape (n, m), [rad] or [m].
+        low: Lowest joint values, shape (m,), or minus infinity.
+        high: Highest joint values, shape (m,), or infinity.
+
+    Returns:
+        shape (n, m), [rad] or [m].
+    """
+    held = np.zeros(q.shape, dtype=bool)
+    while True:
+        dq = _step(J, error, damping, pull, held)
+        pushed = ((q <= low) & (dq < 0.0)) | ((q >= high) & (dq > 0.0))
+        if not pushed.any():
+            break
+        held |= pushed
+    longest = np.abs(dq).max(axis=1, keepdims=True)
+    return np.asarray(dq * np.minimum(1.0, _LONGEST_STEP / np.maximum(longest, 1e-300)))
 
 
 def _step(J: Array, error: Array, damping: Array, pull: Array | None, held: Mask) -> Array:
-    """The damped step of each row, and the pull of a redundant arm to where it started; some joints held."""
-    u, s, vt = np.linalg.svd(J * ~held[:, None, :], full_matrices=False)
-    scale = s[:, :1]
-    kept = s > _RANK * scale
-    damped = s**2 + (damping[:, None] * scale) ** 2
-    inverse = np.where(kept, s / np.where(kept, damped, 1.0), 0.0)
-    step = np.einsum("nji,nj->ni", vt, np.einsum("nij,ni->nj", u, error) * inverse)
+    """Compute the damped step of each row, and the pull of a redundant arm to where it started.
+
+    Args:
+        J: shape (n, rows, m), see `Matching.jacobian`.
+        error: shape (n, rows).
+        damping: shape (n,), relative to the largest singular value.
+        pull: Joint values from here to the start, shape (n, m); None: none.
+        held: Joints that do not move, shape (n, m).
+
+    Returns:
+        shape (n, m), [rad] or [m].
+    """
+    U, S, Vt = np.linalg.svd(J * ~held[:, None, :], full_matrices=False)
+    largest = S[:, :1]
+    nonzero = _RANK * largest < S
+    damped = S**2 + (damping[:, None] * largest) ** 2
+    inverse = np.where(nonzero, S / np.where(nonzero, damped, 1.0), 0.0)
+    coordinates = np.einsum("nij,ni->nj", U, error) * inverse
+    step = np.einsum("nji,nj->ni", Vt, coordinates)
     if pull is not None:
         pull = np.where(held, 0.0, pull)
-        used = np.einsum("nji,ni->nj", vt, pull) * kept
-        step += pull - np.einsum("nji,nj->ni", vt, used)
+        used = np.einsum("nji,ni->nj", Vt, pull) * nonzero
+        step += pull - np.einsum("nji,nj->ni", Vt, used)
     return np.where(held, 0.0, step)
 
 
-def _turn(rotations: Array) -> Array:
-    """Rotation vectors of matrices of shape (N, 3, 3), shape (N, 3), [rad]; NaN stays NaN."""
-    result = np.full((len(rotations), 3), np.nan)
-    there = np.isfinite(rotations).all(axis=(1, 2))
-    if there.any():
-        result[there] = Rotation.from_matrix(rotations[there]).as_rotvec()
-    return result
+def _rotation_vectors(rotations: Array) -> Array:
+    """Return rotation vectors of matrices (N, 3, 3), shape (N, 3), [rad]; NaN stays NaN."""
+    vectors = np.full((len(rotations), 3), np.nan)
+    is_number = np.isfinite(rotations).all(axis=(1, 2))
+    if is_number.any():
+        vectors[is_number] = Rotation.from_matrix(rotations[is_number]).as_rotvec()
+    return vectors
 
 
 def _tilt(z: Array) -> Array:
-    """The smallest turn that brings the tool's z axis to a direction given in the tool, (N, 3) to (N, 2), [rad]."""
+    """Return the smallest turn, about x and y, that brings the tool's z axis to a direction.
+
+    Args:
+        z: Directions in the tool, shape (N, 3).
+
+    Returns:
+        shape (N, 2), [rad].
+    """
     sine = np.hypot(z[:, 0], z[:, 1])
     across = np.stack([-z[:, 1], z[:, 0]], axis=1)
     across[sine == 0.0] = [1.0, 0.0]  # straight back may be reached by any turn; about x is one
@@ -200,47 +324,86 @@ def _tilt(z: Array) -> Array:
     return np.asarray(across / np.where(sine == 0.0, 1.0, sine)[:, None] * angle[:, None])
 
 
-def following(arm: Arm, T_wanted: Array, start: Array, matching: Matching) -> Solved:
-    """Each row's solution is found from that of the row before, and that of the first is the nearest to a start (m,).
+def following(arm: Arm, T_wanted: Array, start: Array, matching: Matching) -> Solution:
+    """Solve poses in turn, each near the solution of the one before, and the first near a start.
 
-    Where none is found inside the limits, those from joint values spread over the limits are looked at.
+    Where none is found inside the limits, solutions from joint values spread over the limits are compared.
+
+    Args:
+        arm: The arm.
+        T_wanted: Poses of the tool in the base, shape (N, 4, 4), [m].
+        start: shape (m,), [rad] or [m].
+        matching: What of the poses is matched.
+
+    Returns:
+        The solution.
     """
     spread = spread_between(full_ranges(arm.robot), _SPREAD)
     q = np.empty((len(T_wanted), len(start)))
     for i, T in enumerate(T_wanted):
-        before, good = (q[i - 1] if i else start), False
+        before, is_solved = start, False
         if i:
-            q[i], good = _nearest(arm, T, before[None], matching)
-        if not good:
+            before = q[i - 1]
+            q[i], is_solved = _nearest(arm, T, before[None], matching)
+        if not is_solved:
             q[i], _ = _nearest(arm, T, np.vstack([before, spread]), matching)
-    return Solved(read_only(q), *arm.motion(q))
+    return Solution(read_only(q), *arm.motion(q))
 
 
 def _nearest(arm: Arm, T: Array, seeds: Array, matching: Matching) -> tuple[Array, bool]:
-    """Of the solutions that are found from seeds the one nearest to the first of these; or the best there is."""
-    robot, limits, turn = arm.robot, column_limits(arm.robot), 2.0 * np.pi
-    low, high = limits[:, 0] - _ROUNDING, limits[:, 1] + _ROUNDING
-    wanted = np.tile(T, (len(seeds), 1, 1))
-    solved = solve(arm, wanted, seeds, matching, limits, steps=_STEPS)
+    """Find, of the solutions from seeds, the one nearest to the first seed; or the best there is.
+
+    Args:
+        arm: The arm.
+        T: Pose of the tool in the base, shape (4, 4), [m].
+        seeds: shape (n, m), [rad] or [m].
+        matching: What of the pose is matched.
+
+    Returns:
+        Joint values, shape (m,), and whether they are a solution inside the limits.
+    """
+    limits = column_limits(arm.robot)
+    T_wanted = np.tile(T, (len(seeds), 1, 1))
+    solution = solve(arm, T_wanted, seeds, matching, limits, steps=_STEPS)
+    low = limits[:, 0] - _ROUNDING
+    high = limits[:, 1] + _ROUNDING
     # Each turning joint by whole turns as near to the first seed as its limits allow.
-    free = [
-        robot.joint_types[name] != "prismatic" and set(np.abs(column)) <= {0.0, 1.0}
-        for name, column in zip(robot.joint_names, robot.coupling.T, strict=True)
-    ]
-    q = solved.q - turn * np.round((solved.q - seeds[0]) / turn)
-    q = np.where(free, q - turn * (q > high) + turn * (q < low), solved.q)
-    missed = np.linalg.norm(matching.error(solved.T_base_tool, wanted), axis=1)
+    q = solution.q - _TURN * np.round((solution.q - seeds[0]) / _TURN)
+    q = q - _TURN * (q > high) + _TURN * (q < low)
+    q = np.where(_may_turn(arm.robot), q, solution.q)
+    misses = np.linalg.norm(matching.error(solution.T_base_tool, T_wanted), axis=1)
     inside = ((q >= low) & (q <= high)).all(axis=1)
-    good = (missed <= 10.0 * _REACHED) & inside
-    cost = np.linalg.norm(q - seeds[0], axis=1)
-    best = int(np.argmin(np.where(good, cost, np.inf) if good.any() else missed))
-    return q[best], bool(good.any())
+    is_solution = (misses <= 10.0 * _REACHED) & inside
+    distance = np.linalg.norm(q - seeds[0], axis=1)
+    cost = np.where(is_solution, distance, np.inf) if is_solution.any() else misses
+    return q[int(np.argmin(cost))], bool(is_solution.any())
+
+
+def _may_turn(robot: Robot) -> list[bool]:
+    """Return which columns of q may change by a whole turn: joints that turn, and that others follow one to one."""
+    columns = zip(robot.joint_names, robot.coupling.T, strict=True)
+    return [
+        robot.joint_types[name] != "prismatic" and set(np.abs(column)) <= {0.0, 1.0}
+        for name, column in columns
+    ]
 
 
 def start_values(
     robot: Robot, named: Mapping[str, float] | None, others: float | None = None
 ) -> Array:
-    """Joint values to start near, shape (m,) [rad or m]: those named, the others at one value or in mid range."""
+    """Return joint values to start near.
+
+    Args:
+        robot: The robot.
+        named: Values of joints by name [rad] or [m]; None: none.
+        others: Value of the other joints; None: the middle of their ranges.
+
+    Returns:
+        shape (m,), [rad] or [m].
+
+    Raises:
+        ModelError: A joint that the chain does not have, or a value in the wrong unit.
+    """
     values = full_ranges(robot).mean(axis=1)
     if others is not None:
         values[:] = others

@@ -1,8 +1,8 @@
-"""The robot as its controller has it and as it is: poses of a tool on both, and how it moves with the joints.
+"""The robot as its controller has it and as it is: poses of a tool on both, and its motion with the joints.
 
 Both are `calib.model.kinematics`: the actual robot with the errors that were identified, those of its joints included.
-How a tool moves with the measured joints is asked of the same kinematics, by a parameter for each joint that moves it
-by one, and by what its own errors add:
+The motion of a tool with the measured joints is that of a parameter for each joint that moves it by one, and of what
+its errors add:
 
     dT/dq_j  =  (1 + sum_k x_k df_k/dq_j) dT/d(displacement of joint j),    dq_j = x_1 f_1(q_j) + x_2 f_2(q_j) + ...
 """
@@ -11,6 +11,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,23 +37,22 @@ _GAIN = "gain"
 #: Origins of one robot differ by rounding [m; rotation matrices: 1].
 _SAME = 1e-9
 
-#: Two robots whose tools are typically further apart than this share of their reach are no calibration of each other;
-#: looked at in so many poses.
-_NO_CALIBRATION, _POSES = 0.1, 64
+#: Two robots whose tools are typically farther apart than this share of their reach are no calibration of each other.
+_NO_CALIBRATION = 0.1
+
+#: Poses in which that is looked at.
+_POSES = 64
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Arm:
-    """A robot whose errors are known, with a tool at T_tip_tool (4, 4) [m]; made by `of` or `of_non_geometric`.
+    """Robot whose errors are known, with a tool; made by `of` or `of_non_geometric`."""
 
-    ``kinematics`` has a parameter more for each measured joint, 0 in ``x``; ``load`` gives the load on each joint at
-    joint values, (N, m) to (N, n), [Nm, N], where an error needs it.
-    """
-
-    robot: Robot
-    T_tip_tool: Array
-    kinematics: Kinematics
-    x: Array
+    robot: Robot  #: With the placements as they are.
+    T_tip_tool: Array  #: shape (4, 4), [m].
+    kinematics: Kinematics  #: Its parameters are the errors of the joints, and one more for each measured joint.
+    x: Array  #: Values of the parameters; 0 for those of the measured joints.
+    #: Load on each joint at joint values, (N, m) to (N, n), [Nm, N]; None: no error needs it.
     load: Callable[[Array], Array] | None = None
 
     @classmethod
@@ -60,32 +61,33 @@ class Arm:
         robot: Robot,
         T_tip_tool: Array,
         terms: tuple[Parameter, ...] = (),
-        sizes: ArrayLike = (),
+        values: ArrayLike = (),
         load: Callable[[Array], Array] | None = None,
     ) -> Arm:
-        """A robot, with the errors of its joints that change with their state and their values (len(terms),)."""
-        values = np.asarray(sizes, dtype=np.float64)
-        directions = dict(
-            zip((joint.name for joint in robot.joints), axis_twists(robot), strict=True)
-        )
+        """Make the arm of a robot.
 
-        def moved(state: JointState) -> Array:
-            """How far a joint moves where its value changes by one: 1, and the slopes of its own errors."""
-            number = np.ones(len(state.values))
-            for term, size in zip(terms, values, strict=True):
+        Args:
+            robot: With the placements as they are.
+            T_tip_tool: Pose of the tool in the tip, shape (4, 4), [m].
+            terms: Errors of the joints that change with their state.
+            values: The value of each, in its unit.
+            load: Load on each joint at joint values, (N, m) to (N, n), [Nm, N]; None: no error needs it.
+        """
+        of_terms = np.asarray(values, dtype=np.float64)
+
+        def motion(state: JointState) -> Array:
+            """Return the motion of a joint per change of its value: 1, and the slopes of its errors."""
+            per_value = np.ones(len(state.values))
+            for term, value in zip(terms, of_terms, strict=True):
                 if term.place == state.joint and term.factor and term.factor.slope:
-                    number += size * term.factor.slope(state)
-            return number
+                    per_value += value * term.factor.slope(state)
+            return per_value
 
-        factor = Factor("motion", moved, slope=None)
-        motions = [
-            Parameter(f"{n}.motion", "1", n, directions.get(n, np.zeros(6)), _GAIN, factor=factor)
-            for n in robot.joint_names
-        ]
+        motions = _motions(robot, Factor("motion", motion, slope=None))
         places = error_model(robot, "frames", target=False).places
         model = ErrorModel("motion", places, (*terms, *motions))
         kinematics = Kinematics(robot, model, np.eye(4), T_tip_tool)
-        x = read_only(np.concatenate([values, np.zeros(len(motions))]))
+        x = read_only(np.concatenate([of_terms, np.zeros(len(motions))]))
         return cls(robot, read_only(T_tip_tool), kinematics, x, load)
 
     @classmethod
@@ -96,39 +98,68 @@ class Arm:
         T_tip_tool: Array,
         payload: Payload | None = None,
     ) -> Arm:
-        """The robot of a result's non-geometric model, with another payload than at its calibration if one is given."""
+        """Make the arm of a result's non-geometric model.
+
+        Args:
+            non_geometric: The model.
+            nominal: The nominal robot, whose placements it corrects.
+            T_tip_tool: Pose of the tool in the tip, shape (4, 4), [m].
+            payload: What the tip carries; None: what it carried at the calibration.
+        """
         model, x = non_geometric.model, non_geometric.x
         displacements, _ = model.displacements(x)
-        order = [model.places.index(name) for name in (*(j.name for j in nominal.joints), TIP)]
-        chosen = list(model.joint_terms)
-        terms = tuple(model.terms[t] for t in chosen)
-        loaded = any(term.factor and term.factor.loaded for term in terms)
-        return cls.of(
-            nominal.with_placements(nominal.placements @ displacements[order]),
-            T_tip_tool,
-            terms,
-            model.values(x)[chosen],
-            (lambda q: non_geometric.load(nominal, q, payload)) if loaded else None,
-        )
+        names = (*(joint.name for joint in nominal.joints), TIP)
+        order = [model.places.index(name) for name in names]
+        of_joints = list(model.joint_terms)
+        terms = tuple(model.terms[t] for t in of_joints)
+        load: Callable[[Array], Array] | None = None
+        if any(term.factor and term.factor.loaded for term in terms):
+            load = partial(_load, non_geometric, nominal, payload)
+        robot = nominal.with_placements(nominal.placements @ displacements[order])
+        return cls.of(robot, T_tip_tool, terms, model.values(x)[of_joints], load)
 
     def poses(self, q: Array) -> Array:
-        """T_base_tool at joint values of shape (N, m), [rad] or [m]; shape (N, 4, 4), [m]."""
+        """Compute T_base_tool, shape (N, 4, 4), [m], at joint values of shape (N, m), [rad] or [m]."""
         return self.kinematics.poses(self.x, self._samples(q))
 
     def motion(self, q: Array) -> tuple[Array, Array]:
-        """T_base_tool at joint values (N, m), shape (N, 4, 4), and the tool's velocity with each, (N, 6, m).
+        """Compute poses of the tool, and its velocity with each joint.
 
-        Twists are along the tool's own axes, linear first [m or rad per rad or m]. How the load changes with q is left
-        out of them: it costs an iteration where joint values are looked for, no accuracy.
+        The change of the load with q is left out of the velocity: it costs an iteration where joint values are looked
+        for, no accuracy.
+
+        Args:
+            q: Joint values, shape (N, m), [rad] or [m].
+
+        Returns:
+            T_base_tool, shape (N, 4, 4), [m], and twists along the tool's own axes, linear part first, shape (N, 6, m),
+            [m or rad per rad or m].
         """
         poses, twists = self.kinematics.twists(self.x, self._samples(q))
-        back = np.swapaxes(poses[:, :3, :3], 1, 2)
-        moved = twists[:, :, -len(self.robot.joint_names) :]
-        return poses, np.concatenate([back @ moved[:, :3], back @ moved[:, 3:]], axis=1)
+        R_tool_base = np.swapaxes(poses[:, :3, :3], 1, 2)
+        in_base = twists[:, :, -len(self.robot.joint_names) :]
+        linear, angular = R_tool_base @ in_base[:, :3], R_tool_base @ in_base[:, 3:]
+        return poses, np.concatenate([linear, angular], axis=1)
 
     def _samples(self, q: Array) -> Samples:
-        """Joint values with their loads."""
+        """Return joint values with their loads."""
         return Samples.at(q, None if self.load is None else self.load(q))
+
+
+def _motions(robot: Robot, factor: Factor) -> list[Parameter]:
+    """Return a parameter for each measured joint that moves it, and those that follow it."""
+    names = [joint.name for joint in robot.joints]
+    directions = dict(zip(names, axis_twists(robot), strict=True))
+    motions = []
+    for name in robot.joint_names:
+        direction = directions.get(name, np.zeros(6))
+        motions.append(Parameter(f"{name}.motion", "1", name, direction, _GAIN, factor=factor))
+    return motions
+
+
+def _load(non_geometric: NonGeometric, nominal: Robot, payload: Payload | None, q: Array) -> Array:
+    """Return the load on each joint, (N, n) [Nm, N], at joint values (N, m)."""
+    return non_geometric.load(nominal, q, payload)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,9 +170,9 @@ class Pair:
     actual: Arm  #: The calibrated robot, with the tool where it is.
     T_frame_base: Array  #: shape (4, 4), the base in the frame of the poses [m].
     target: str | None = None  #: Name of the target that the tool is; None where it is none.
-    set_up: str | None = None  #: Name of the set-up whose frame it is; None where it is none.
+    group: str | None = None  #: Name of the group whose frame it is; None where it is none.
     result: CalibrationValues | None = (
-        None  #: What is known of the actual robot; None of two robots.
+        None  #: The calibration of the actual robot; None for two robots.
     )
     non_geometric: bool = False  #: Whether the actual robot is the result's non-geometric model.
 
@@ -149,8 +180,8 @@ class Pair:
         """Refuse two robots that are no calibration of each other."""
         robot = self.nominal.robot
         q = spread_poses(robot, _POSES)
-        away = (self.actual.poses(q) - self.nominal.poses(q))[:, :3, 3]
-        typical = float(np.median(np.linalg.norm(away, axis=1)))
+        difference = self.actual.poses(q)[:, :3, 3] - self.nominal.poses(q)[:, :3, 3]
+        typical = float(np.median(np.linalg.norm(difference, axis=1)))
         if typical > _NO_CALIBRATION * self.reach:
             raise ModelError(
                 f"The calibrated robot has the tool {1e3 * typical:.0f} mm away from where the nominal robot "
@@ -160,7 +191,7 @@ class Pair:
 
     @property
     def reach(self) -> float:
-        """How long the actual arm is, stretched out, with its tool [m]; at least a millimetre."""
+        """Length of the actual arm, stretched out, with its tool [m]; at least a millimetre."""
         lengths = np.linalg.norm(self.actual.robot.placements[1:, :3, 3], axis=1)
         tool = np.linalg.norm(self.actual.T_tip_tool[:3, 3])
         return float(max(lengths.sum() + tool, 1e-3))
@@ -174,89 +205,177 @@ def pair_of(
     frame: ArrayLike | str | None = None,
     non_geometric: bool | Payload = True,
 ) -> Pair:
-    """The two robots; the arguments are those of `calib.compensation.commands.compensate`.
+    """Make the pair of nominal and actual robot.
+
+    Args:
+        calibration: See `calib.compensation.commands.compensate`.
+        nominal: See there.
+        tool: See there.
+        frame: See there.
+        non_geometric: See there.
+
+    Returns:
+        The pair.
 
     Raises:
         ModelError: No nominal robot, one that is not the calibration's, or a tool or frame that there is not.
     """
     if isinstance(calibration, Robot):
-        if nominal is None or any(
-            isinstance(one, (str, Payload)) for one in (tool, frame, non_geometric)
-        ):
-            raise ModelError(
-                "With a corrected robot in place of a result give the nominal robot too, tool and frame as poses, and "
-                "no payload: it knows no targets, set-ups and compliances."
-            )
-        actual = calibration.rebuilt(base=nominal.base, tip=nominal.tip)
-        check_same_joints(actual, nominal)
-        T_tip_tool, T_frame_base = _pose(tool, "tool"), _pose(frame, "frame")
-        return Pair(Arm.of(nominal, T_tip_tool), Arm.of(actual, T_tip_tool), T_frame_base)
-    result, nominal = calibration, nominal or calibration.nominal
-    began = result.uncorrected(nominal) if is_corrected(result, nominal) else nominal
+        return _pair_of_robots(calibration, nominal, tool, frame, non_geometric)
+    result = calibration
+    nominal = nominal or result.nominal
     model = result.non_geometric if non_geometric is not False else None
-    known = result.setup if model is None else model.setup
-    target = set_up = None
-    if isinstance(tool, str):
-        target = _name(known.targets, tool, "target")
-        t = known.targets.index(target)
-        # Where it was said to be, and so where the controller has it. One that was found has no such place.
-        stated = result.nominal_setup if known.target_given[t] else known
-        T_actual, T_nominal = known.T_tip_target[t], stated.T_tip_target[t]
-    else:
-        T_actual = T_nominal = _pose(tool, "tool")
-    if isinstance(frame, str):
-        set_up = _name(known.groups, frame, "set-up")
-        T_frame_base = read_only(known.T_frame_base[known.groups.index(set_up)])
-    else:
-        T_frame_base = _pose(frame, "frame")
     payload = non_geometric if isinstance(non_geometric, Payload) else None
+    controller = result.uncorrected(nominal) if is_corrected(result, nominal) else nominal
+    known_tool = _tool(result, model, tool)
+    T_frame_base, group = _frame(result, model, frame)
     if model is None:
-        arm = Arm.of(result.corrected(nominal), T_actual)
+        arm = Arm.of(result.corrected(nominal), known_tool.T_actual)
     else:
-        arm = Arm.of_non_geometric(model, result.uncorrected(nominal), T_actual, payload)
-    factors = [term.factor for term in arm.kinematics.model.terms]
-    if payload is not None and not any(f and f.loaded and not f.later for f in factors):
-        raise ModelError(
-            "A payload is given, but the result has no compliances: its commands would be the same with any. Leave the "
-            "payload out; the model 'dh+compliance' estimates compliances."
-        )
-    nominal_arm = Arm.of(began, T_nominal)
-    return Pair(nominal_arm, arm, T_frame_base, target, set_up, result, model is not None)
-
-
-def is_corrected(result: CalibrationValues, robot: Robot) -> bool:
-    """Whether a robot has the joint origins that a result corrected, not those that it began with; or `ModelError`."""
-    own = result.nominal
-    if (robot.base, robot.tip) != (own.base, own.tip):
-        raise ModelError(
-            f"The result is for --base {own.base} --tip {own.tip}, not for '{robot.base}' to '{robot.tip}'."
-        )
-    for other, corrected in ((result.corrected(robot), True), (result.uncorrected(robot), False)):
-        theirs = other.origins()
-        far = [n for n, T in robot.origins().items() if np.abs(T - theirs[n]).max() > _SAME]
-        if not far:
-            return corrected
-    raise ModelError(
-        f"{robot.urdf.source}: the origin of '{far[0]}' is neither the one that the calibration began with nor its "
-        "corrected one. Give the URDF that the result was made with, or the corrected URDF in place of the result."
+        robot = result.uncorrected(nominal)
+        arm = Arm.of_non_geometric(model, robot, known_tool.T_actual, payload)
+    if payload is not None:
+        _check_compliances(arm)
+    return Pair(
+        nominal=Arm.of(controller, known_tool.T_nominal),
+        actual=arm,
+        T_frame_base=T_frame_base,
+        target=known_tool.target,
+        group=group,
+        result=result,
+        non_geometric=model is not None,
     )
 
 
+def _pair_of_robots(
+    actual: Robot,
+    nominal: Robot | None,
+    tool: ArrayLike | str | None,
+    frame: ArrayLike | str | None,
+    non_geometric: bool | Payload,
+) -> Pair:
+    """Make the pair of two robots, without a result."""
+    needs_result = any(isinstance(value, (str, Payload)) for value in (tool, frame, non_geometric))
+    if nominal is None or needs_result:
+        raise ModelError(
+            "With a corrected robot in place of a result give the nominal robot too, tool and frame "
+            "as poses, and no payload: it knows no targets, groups and compliances."
+        )
+    actual = actual.rebuilt(base=nominal.base, tip=nominal.tip)
+    check_same_joints(actual, nominal)
+    T_tip_tool = _pose(tool, "tool")
+    return Pair(Arm.of(nominal, T_tip_tool), Arm.of(actual, T_tip_tool), _pose(frame, "frame"))
+
+
+class _Tool(NamedTuple):
+    """Tool in the tip."""
+
+    T_actual: Array  # Where it is, shape (4, 4), [m]
+    T_nominal: Array  # Where the controller has it, shape (4, 4), [m]
+    target: str | None  # Name of the target that it is; None where it is none
+
+
+def _tool(
+    result: CalibrationValues, model: NonGeometric | None, tool: ArrayLike | str | None
+) -> _Tool:
+    """Return a tool given as a pose, or by the name of a target.
+
+    Args:
+        result: The calibration.
+        model: Its non-geometric model, whose targets count; None: those of its geometry.
+        tool: See `calib.compensation.commands.compensate`.
+    """
+    if not isinstance(tool, str):
+        T_tip_tool = _pose(tool, "tool")
+        return _Tool(T_tip_tool, T_tip_tool, None)
+    setup = result.setup if model is None else model.setup
+    target = _name(setup.targets, tool, "target")
+    t = setup.targets.index(target)
+    # The controller has it where it was given. A target that was estimated from scratch has no such place.
+    stated = result.nominal_setup if setup.target_given[t] else setup
+    return _Tool(setup.T_tip_target[t], stated.T_tip_target[t], target)
+
+
+def _frame(
+    result: CalibrationValues, model: NonGeometric | None, frame: ArrayLike | str | None
+) -> tuple[Array, str | None]:
+    """Return the base in a frame given as a pose, or by the name of a group, and that name.
+
+    Args:
+        result: The calibration.
+        model: Its non-geometric model, whose frames count; None: those of its geometry.
+        frame: See `calib.compensation.commands.compensate`.
+    """
+    if not isinstance(frame, str):
+        return _pose(frame, "frame"), None
+    setup = result.setup if model is None else model.setup
+    group = _name(setup.groups, frame, "group")
+    return read_only(setup.T_frame_base[setup.groups.index(group)]), group
+
+
+def _check_compliances(arm: Arm) -> None:
+    """Refuse a payload for an arm that no load moves."""
+    factors = [term.factor for term in arm.kinematics.model.terms]
+    if not any(factor and factor.loaded and not factor.later for factor in factors):
+        raise ModelError(
+            "A payload is given, but the result has no compliances: its commands would be the same "
+            "with any. Leave the payload out; the model 'dh+compliance' estimates compliances."
+        )
+
+
+def is_corrected(result: CalibrationValues, robot: Robot) -> bool:
+    """Tell a robot with the joint origins that a result corrected from one with those that it began with.
+
+    Args:
+        result: The calibration.
+        robot: A robot with the same chain.
+
+    Returns:
+        True for the corrected origins, False for the nominal ones.
+
+    Raises:
+        ModelError: It has neither, or is another chain.
+    """
+    chain = result.nominal
+    if (robot.base, robot.tip) != (chain.base, chain.tip):
+        raise ModelError(
+            f"The result is for --base {chain.base} --tip {chain.tip}, not for '{robot.base}' to "
+            f"'{robot.tip}'."
+        )
+    if not _other_origins(robot, result.corrected(robot)):
+        return True
+    different = _other_origins(robot, result.uncorrected(robot))
+    if not different:
+        return False
+    raise ModelError(
+        f"{robot.urdf.source}: the origin of '{different[0]}' is neither the one that the "
+        "calibration began with nor its corrected one. Give the URDF that the result was made "
+        "with, or the corrected URDF in place of the result."
+    )
+
+
+def _other_origins(robot: Robot, reference: Robot) -> list[str]:
+    """Return the joints whose origins differ by more than rounding."""
+    origins = reference.origins()
+    return [name for name, T in robot.origins().items() if np.abs(T - origins[name]).max() > _SAME]
+
+
 def _name(names: Sequence[str], name: str, what: str) -> str:
-    """The name that is meant: the only one there is for the empty name."""
+    """Return the name, or the only one there is for the empty name; raises `ModelError`."""
     if name in names:
         return name
     if not name and len(names) == 1:
         return names[0]
     raise ModelError(
-        f"The calibration has no {what} '{name}'; it has {choices(own or '(no name)' for own in names)}. Name one."
+        f"The calibration has no {what} '{name}'; it has "
+        f"{choices(known or '(no name)' for known in names)}. Name one."
     )
 
 
-def _pose(given: ArrayLike | str | None, what: str) -> Array:
-    """A pose, shape (4, 4), from a pose or from a position, shape (3,), [m]; the identity of nothing."""
+def _pose(value: ArrayLike | str | None, what: str) -> Array:
+    """Return a pose, shape (4, 4), of a pose or of a position, shape (3,), [m]; the identity of None."""
     T = np.eye(4)
-    values = T if given is None else np.asarray(given, dtype=np.float64)
+    values = T if value is None else np.asarray(value, dtype=np.float64)
     if values.shape == (3,):
         T[:3, 3] = values
         values = T
@@ -266,13 +385,21 @@ def _pose(given: ArrayLike | str | None, what: str) -> Array:
 
 
 def check_same_joints(robot: Robot, nominal: Robot) -> None:
-    """Refuse two robots whose joints differ in name, type or axis."""
-    ours, theirs = (
-        [f"{joint.name} ({joint.type}, axis {joint.axis + 0.0})" for joint in one.joints]
-        for one in (robot, nominal)
-    )
-    if ours != theirs:
+    """Refuse two robots whose joints differ in name, type or axis; raises `ModelError`.
+
+    Args:
+        robot: A corrected robot.
+        nominal: Its nominal robot.
+    """
+    joints, nominal_joints = _joints(robot), _joints(nominal)
+    if joints != nominal_joints:
         raise ModelError(
-            f"The robot '{robot.name}' has the joints {choices(ours)}, its nominal robot '{nominal.name}' "
-            f"{choices(theirs)}. Give the nominal URDF that the robot was corrected from, with the same base and tip."
+            f"The robot '{robot.name}' has the joints {choices(joints)}, its nominal robot "
+            f"'{nominal.name}' {choices(nominal_joints)}. Give the nominal URDF that the robot was "
+            "corrected from, with the same base and tip."
         )
+
+
+def _joints(robot: Robot) -> list[str]:
+    """Return name, type and axis of each joint, as text."""
+    return [f"{joint.name} ({joint.type}, axis {joint.axis + 0.0})" for joint in robot.joints]

@@ -1,4 +1,4 @@
-"""Covariance of where a robot puts a tool, in the measurement frame and in the base, by the parameters of a result.
+"""Covariance of a tool's predicted pose, in the measurement frame and in the base, by the parameters of a result.
 
     C_pose(q)  =  J C J^T  +  B P B^T
 
@@ -36,14 +36,11 @@ _AT_A_TIME = 2048
 
 
 class View(NamedTuple):
-    """A tool, looked at from a frame."""
+    """Tool as seen from a frame."""
 
-    samples: (
-        Samples  #: Where the robot stands, N samples; their frames and targets count as said below.
-    )
-    T_tip_tool: (
-        Array | None
-    )  #: shape (4, 4), a tool known in the tip [m]; None: the target of each sample.
+    samples: Samples  #: N samples of joint values, frames and targets.
+    #: shape (4, 4), a tool known in the tip [m]; None: the target of each sample.
+    T_tip_tool: Array | None
     in_base: bool  #: Whether poses are in the base, not in the frame of each sample.
     #: shape (6, 6), covariance of a motion of the base besides the parameters, along and about its axes, linear part
     #: first [m, rad]; None for the base less the motion of it that compensates best, see `FittedModel.base_motion`.
@@ -68,13 +65,23 @@ class PoseCovariance(NamedTuple):
 
 
 def pose_covariance(part: FittedModel, view: View) -> PoseCovariance:
-    """Covariance of the poses of a view by the parameters of a result's geometry or non-geometric model."""
-    derivative, root = _derivative(part, view), _root(_covariance(part, view))
+    """Compute the covariance of the poses of a view by the parameters of a fit.
+
+    Args:
+        part: A result's geometry or its non-geometric model.
+        view: The tool, its poses and the frame.
+
+    Returns:
+        The covariance, and its parts that all rows share.
+    """
+    derivative = _derivative(part, view)
+    root = _root(_covariance(part, view))
     unknowns, count = len(root), len(view.samples)
-    covariances, gram = [], np.zeros((unknowns, unknowns))
+    covariances = []
+    gram = np.zeros((unknowns, unknowns))
     for first in range(0, count, _AT_A_TIME):
-        some = view.samples.select(slice(first, first + _AT_A_TIME))
-        J = derivative(some) @ root
+        block = view.samples.select(slice(first, first + _AT_A_TIME))
+        J = derivative(block) @ root
         covariances.append(J @ J.swapaxes(1, 2))
         lengths = J[:, :3].reshape(-1, unknowns)
         gram += lengths.T @ lengths / count
@@ -84,9 +91,9 @@ def pose_covariance(part: FittedModel, view: View) -> PoseCovariance:
 
 
 def unknown_base_directions(result: CalibrationValues) -> tuple[str, ...]:
-    """Directions of the base that no measurement tells, of `calib.model.error_model.DIRECTIONS`.
+    """Return the directions of the base that no measurement determines, of `calib.model.error_model.DIRECTIONS`.
 
-    Those that are estimated of every frame in which positions were measured; all six where none were.
+    They are those that are estimated of every frame in which positions were measured; all six where none were.
     """
     rows, setup = result.rows, result.setup
     common = set(DIRECTIONS)
@@ -94,14 +101,15 @@ def unknown_base_directions(result: CalibrationValues) -> tuple[str, ...]:
     for group, kind, fitted in seen:
         if fitted and registry.get(kind).position:
             common &= set(setup.unknown[setup.groups.index(group)])
-    return tuple(one for one in DIRECTIONS if one in common)
+    return tuple(direction for direction in DIRECTIONS if direction in common)
 
 
 def unmodelled_base(result: CalibrationValues, part: FittedModel) -> Array:
-    """Covariance of the first joint's placement, as far as a model leaves it out, as a motion of the base (6, 6).
+    """Compute the covariance of the first joint's placement that a model leaves out, as a motion of the base (6, 6).
 
     Every direction of the placement counts that neither a parameter of the model nor a frozen one has, with the prior
-    standard deviation of its family, along the directions of the base that no measurement tells.
+    standard deviation of its family, along the directions of the base that no measurement
+    determines.
 
     Args:
         result: The calibration.
@@ -131,25 +139,26 @@ def unmodelled_base(result: CalibrationValues, part: FittedModel) -> Array:
 
 
 def _frozen(result: CalibrationValues, part: FittedModel) -> list[Parameter]:
-    """Frozen parameters of the model's set and of the placements: the user takes them for exact."""
+    """Return frozen parameters of the model's set and of the placements: the user takes them for exact."""
     sets = {"placement"}
     if part.model.name != OWN:
         sets.add(split_name(part.model.name)[0])
     models = [error_model(result.nominal, name, target=False) for name in sets]
-    return [one for model in models for one in model.parameters if one.name in result.frozen]
+    parameters = [parameter for model in models for parameter in model.parameters]
+    return [parameter for parameter in parameters if parameter.name in result.frozen]
 
 
 def _prior_std(result: CalibrationValues, part: FittedModel, family: str) -> float:
-    """Standard deviation of a family's errors: of the model, else of the largest candidate with it, else typical."""
-    tried = sorted(result.candidates, key=lambda one: -one.parameters)
-    for prior_std in (part.prior_std, *(one.prior_std for one in tried)):
+    """Return the standard deviation of a family's errors: the model's, else the largest candidate's, else typical."""
+    largest_first = sorted(result.candidates, key=lambda candidate: -candidate.parameters)
+    for prior_std in (part.prior_std, *(candidate.prior_std for candidate in largest_first)):
         if family in prior_std:
             return float(prior_std[family])
     return FAMILIES[family].typical
 
 
 def _derivative(part: FittedModel, view: View) -> Callable[[Samples], Array]:
-    """Derivative of poses by the p parameters and a motion of the base, N samples to (N, 6, p + 6)."""
+    """Return the derivative of poses by the p parameters and a motion of the base: N samples to (N, 6, p + 6)."""
     kinematics, x = part.kinematics, part.x
     if view.T_tip_tool is not None:
         tools = np.broadcast_to(view.T_tip_tool, kinematics.T_tip_target.shape)
@@ -174,13 +183,13 @@ def _derivative(part: FittedModel, view: View) -> Callable[[Samples], Array]:
 
 
 def _root(covariance: Array) -> Array:
-    """R with R R^T a covariance, which may be singular."""
+    """Compute R with R R^T a covariance, which may be singular."""
     values, vectors = np.linalg.eigh(covariance)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def _covariance(part: FittedModel, view: View) -> Array:
-    """Covariance of the p parameters and of a motion of the base besides, shape (p + 6, p + 6)."""
+    """Return the covariance of the p parameters and of a motion of the base, shape (p + 6, p + 6)."""
     covariance = _determined(part)
     if view.T_tip_tool is not None:
         of_target = part.model.family(TARGET)
@@ -194,14 +203,16 @@ def _covariance(part: FittedModel, view: View) -> Array:
 
 
 def _prior_precision(part: FittedModel, view: View) -> Array:
-    """Inverse of the priors' covariance of the same, shape (p + 6, p + 6); 0 where there is none.
+    """Return the precision of the priors of the same, shape (p + 6, p + 6); 0 where there is none.
 
     Of the covariance C = (H + L)^-1, with the measurements' H and the priors' L, the share C L C is the priors'.
     """
     p = len(part.x)
     precision = np.zeros((p + 6, p + 6))
-    prior_std = _typical(part) if not part.prior_std else [one.prior_std for one in part.parameters]
-    variances = np.square(np.array(prior_std, dtype=np.float64))
+    prior_std = _typical(part)
+    if part.prior_std:
+        prior_std = np.array([parameter.prior_std for parameter in part.parameters], np.float64)
+    variances = np.square(prior_std)
     precision[range(p), range(p)] = np.where(variances > 0.0, 1.0 / variances, 0.0)
     if view.base is not None:
         precision[p:, p:] = np.linalg.pinv(view.base, hermitian=True)
@@ -209,7 +220,7 @@ def _prior_precision(part: FittedModel, view: View) -> Array:
 
 
 def _determined(part: FittedModel) -> Array:
-    """Covariance of the parameters.
+    """Return the covariance of the parameters, shape (p, p).
 
     Without priors, what no measurement determines has a standard deviation of a metre or a radian: it is taken to be as
     large as the errors of its family typically are, C - C_r (C_rr + D)^-1 C_r^T with these variances D.
@@ -225,6 +236,6 @@ def _determined(part: FittedModel) -> Array:
 
 
 def _typical(part: FittedModel) -> Array:
-    """Standard deviations of errors of their family, shape (p,); NaN of frames and targets."""
+    """Return typical standard deviations of the parameters' families, shape (p,); NaN for frames and targets."""
     families = [FAMILIES.get(parameter.family) for parameter in part.model.parameters]
     return np.array([np.nan if family is None else family.typical for family in families])

@@ -13,8 +13,8 @@ import calib.data.kinds as registry
 from calib.data.cell import AUTO, Cell, Tracker
 from calib.data.columns import DEFAULT_TARGET
 from calib.data.measurements import Measurements
-from calib.design.inspection import GENERIC_TARGET, table_of_poses
 from calib.design.notes import Note
+from calib.diagnosis.inspection import GENERIC_TARGET, table_of_poses
 from calib.errors import ModelError, choices
 from calib.estimate.task import Task
 from calib.model.families import FAMILIES

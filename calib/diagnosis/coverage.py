@@ -1,4 +1,4 @@
-"""Coverage: which part of the joints' ranges and of the workspace was measured, and which rows lie beyond it."""
+"""Coverage: the measured part of the joints' ranges and of the workspace, and rows outside of it (extrapolation)."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import numpy as np
 
 from calib.units import Array
 
-#: A joint value is outside when it is further from the measured range than this share of the range,
+#: A joint value is outside when it is further from the measured range than this share of the range.
 _MARGIN = 0.05
 
-#: and further than this [rad or m].
+#: A joint whose values differ by less than this did not move [rad or m]; nor is a value this near outside.
 _STILL = 1e-3
 
 
@@ -22,7 +22,7 @@ class Beyond:
 
     joint: str  # The joint's name
     prismatic: bool  # Whether it slides
-    by: float  # How far beyond the nearest measured value [rad or m]
+    by: float  # Distance from the nearest end of the measured range, > 0 [rad or m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,52 +36,88 @@ class OutsideRow:
 def outside(
     measured: Array, queried: Array, names: Sequence[str], types: Sequence[str]
 ) -> tuple[OutsideRow, ...]:
-    """Find the queried rows, (K, m), with joint values outside the range of the measured ones, (N, m) [rad or m].
+    """Find the queried rows with joint values outside the measured range.
 
-    A continuous joint's range is what the largest gap on the circle leaves; a margin of 5 % is allowed.
+    A continuous joint's range is the circle without the largest gap between its values; a margin of 5 % is allowed.
+
+    Args:
+        measured: Joint values of N fitted rows, shape (N, m) [rad or m].
+        queried: Joint values of K rows, shape (K, m).
+        names: Names of the joints.
+        types: Their URDF types: ``"revolute"``, ``"continuous"`` or ``"prismatic"``.
+
+    Returns:
+        The rows outside, in their order.
     """
     if not len(measured) or not len(queried):
         return ()
-    far, spans = np.zeros(queried.shape), np.zeros(len(names))
+    distances, spans = np.zeros(queried.shape), np.zeros(len(names))
     for j, kind in enumerate(types):
         low, spans[j] = _range(measured[:, j], kind)
-        after = queried[:, j] - low - spans[j]
-        far[:, j] = np.maximum(0.0, np.maximum(low - queried[:, j], after))
-        if kind == "continuous":
-            after = np.mod(queried[:, j] - low, 2.0 * np.pi) - spans[j]
-            nearest = np.minimum(after, 2.0 * np.pi - spans[j] - after)
-            far[:, j] = np.where(after <= 0.0, 0.0, nearest)
+        distances[:, j] = _distances(queried[:, j], low, spans[j], kind)
     spans = np.maximum(spans, _STILL)
-    out = far > np.maximum(_MARGIN * spans, _STILL)
-    result = []
+    out = distances > np.maximum(_MARGIN * spans, _STILL)
+    rows = []
     for i in np.flatnonzero(out.any(axis=1)):
-        order = [j for j in np.argsort(-far[i] / spans, kind="stable") if out[i, j]]
-        beyond = (Beyond(names[j], types[j] == "prismatic", float(far[i, j])) for j in order)
-        result.append(OutsideRow(int(i), tuple(beyond)))
-    return tuple(result)
+        furthest_first = np.argsort(-distances[i] / spans, kind="stable")
+        beyond = [
+            Beyond(names[j], types[j] == "prismatic", float(distances[i, j]))
+            for j in furthest_first
+            if out[i, j]
+        ]
+        rows.append(OutsideRow(int(i), tuple(beyond)))
+    return tuple(rows)
+
+
+def _distances(q: Array, low: float, span: float, kind: str) -> Array:
+    """Distance of values q (K,) of a joint from its range, which begins at ``low`` and is ``span`` long; 0 inside."""
+    if kind != "continuous":
+        return np.asarray(np.maximum(0.0, np.maximum(low - q, q - low - span)))
+    after = np.mod(q - low, 2.0 * np.pi) - span
+    nearest = np.minimum(after, 2.0 * np.pi - span - after)
+    return np.where(after <= 0.0, 0.0, nearest)
 
 
 def spread_of(tips: Array, everywhere: Array) -> float:
-    """Root mean square distance of measured tips (N, 3) from their mean, over that of tips all over the workspace."""
-    one, other = (
-        float(np.sum((points - points.mean(axis=0)) ** 2)) / max(len(points) - 1, 1)
-        for points in (tips, everywhere)
-    )
+    """Compare the spread of measured tips with that of the workspace.
+
+    Args:
+        tips: Measured positions of the tip, shape (N, 3) [m].
+        everywhere: Positions of the tip all over the workspace, shape (K, 3) [m].
+
+    Returns:
+        The root mean square distance of the measured tips from their mean, over that of the others.
+    """
+    possible = _variance(everywhere)
     # An arm whose tip cannot move at all has been measured everywhere.
-    return float(np.sqrt(one / other)) if other > 0.0 else 1.0
+    return float(np.sqrt(_variance(tips) / possible)) if possible > 0.0 else 1.0
+
+
+def _variance(points: Array) -> float:
+    """Mean squared distance of points (N, 3) from their mean [m^2]."""
+    return float(np.sum((points - points.mean(axis=0)) ** 2)) / max(len(points) - 1, 1)
 
 
 def shares_of_ranges(joints: Array, ranges: Array, types: Sequence[str]) -> Array:
-    """The share of each joint's range (m, 2), a full turn at most, that rows (N, m) use, 0 to 1, (m,)."""
+    """Find the share of each joint's range that rows use.
+
+    Args:
+        joints: Joint values of the rows, shape (N, m) [rad or m].
+        ranges: Lower and upper limit of each joint, shape (m, 2); of one that turns a full turn counts at most.
+        types: Their URDF types.
+
+    Returns:
+        The shares, 0 to 1, shape (m,); 1 of a joint without a range.
+    """
     spans = np.array([_range(q, kind)[1] for q, kind in zip(joints.T, types, strict=True)])
     turning = np.array([kind != "prismatic" for kind in types])
     room = np.minimum(ranges[:, 1] - ranges[:, 0], np.where(turning, 2.0 * np.pi, np.inf))
-    some = (room > 0.0) & np.isfinite(room)
-    return np.where(some, np.minimum(spans / np.where(some, room, 1.0), 1.0), 1.0)
+    limited = (room > 0.0) & np.isfinite(room)
+    return np.where(limited, np.minimum(spans / np.where(limited, room, 1.0), 1.0), 1.0)
 
 
 def _range(q: Array, kind: str) -> tuple[float, float]:
-    """Where the measured values begin, and how far they reach from there."""
+    """Beginning and length of the range of a joint's measured values (N,) [rad or m]; on the circle if continuous."""
     if kind != "continuous":
         return float(q.min()), float(np.ptp(q))
     turned = np.sort(np.mod(q, 2.0 * np.pi))

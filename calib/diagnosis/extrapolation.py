@@ -1,4 +1,4 @@
-"""Extrapolation: how much larger errors beyond the measured joint values are than a fit's covariance says."""
+"""Extrapolation: how far errors beyond the measured joint values exceed those that a fit's covariance says."""
 
 from __future__ import annotations
 
@@ -7,21 +7,27 @@ import numpy as np
 from calib.estimate.fitting import Fitted
 from calib.numerics.likelihood import GaussianPriors
 from calib.registration.rows import Rows
-from calib.units import Mask
+from calib.units import Array, Mask
 
 #: The share of the rows at each end of a joint's measured values that are predicted by the others.
 _OUTER = 0.2
 
-#: With fewer rows at an end it is left out.
+#: An end with fewer rows is not used: their errors say little.
 _FEWEST_OUTER = 3
 
 
 def extrapolation(fitted: Fitted) -> float:
-    """By how many times the squared error of extrapolated predictions exceeds what the covariance says; 1 or more.
+    """Compare errors of extrapolated predictions with those expected by a fit's covariance.
 
     Rows at one end of a joint's values are predicted by a linear fit to the others, for both ends of each joint: beyond
     their noise, |r|^2 - sigma^2, they should be off by tr(A C A^T). What the model lacks does not average out over the
     rows as noise does, so of many rows the covariance knows too little of it.
+
+    Args:
+        fitted: The fit to N rows.
+
+    Returns:
+        The ratio of squared errors, 1 or more; 1 where no end has enough rows.
     """
     problem, estimate = fitted.estimate.problem, fitted.estimate
     masks = _outer_rows(problem.rows, estimate.weights > 0.0)
@@ -37,17 +43,29 @@ def extrapolation(fitted: Fitted) -> float:
     beyond, expected = 0.0, 0.0
     for mask, r, C in zip(masks, whitened, covariance, strict=True):
         counts = linear.used[mask] * problem.weights[mask][:, None]
-        of_parameters = np.einsum("ndp,pq,ndq->nd", A[mask], C, A[mask], optimize=True)
         beyond += float(np.sum(counts * (r[mask] ** 2 - 1.0)))
-        expected += float(np.sum(counts * of_parameters))
+        expected += float(np.sum(counts * _variances(A[mask], C)))
     return max(beyond / expected, 1.0) if expected > 0.0 else 1.0
 
 
-def _outer_rows(rows: Rows, alive: Mask) -> list[Mask]:
-    """The rows at each end of each joint's values, whole pairs, where there are enough and others beside them."""
+def _variances(A: Array, C: Array) -> Array:
+    """Variance of each predicted scalar, (n, D), by parameters of covariance C (p, p) and derivative A (n, D, p)."""
+    return np.asarray(np.einsum("ndp,pq,ndq->nd", A, C, A, optimize=True))
+
+
+def _outer_rows(rows: Rows, weighted: Mask) -> list[Mask]:
+    """Find the rows at each end of each joint's values, whole pairs, where there are enough and others beside them.
+
+    Args:
+        rows: N rows.
+        weighted: Rows with a weight in the fit, shape (N,); the ends are those of their values.
+
+    Returns:
+        A mask of shape (N,) for each end.
+    """
     masks = []
     for q in rows.joints.T:
-        low, high = np.quantile(q[alive], [_OUTER, 1.0 - _OUTER])
+        low, high = np.quantile(q[weighted], [_OUTER, 1.0 - _OUTER])
         for outer in (q <= low, q >= high):
             mask = rows.with_partners(outer)
             if low < high and _FEWEST_OUTER <= np.sum(mask) < 0.5 * len(rows):

@@ -1,13 +1,11 @@
-"""Whether residuals are noise: F tests of patterns in them, and of set-ups that do not agree.
+"""F tests of patterns in residuals: of what is noise, further regressors explain no more than by chance.
 
 Let r' and Z' be the residual and further regressors Z, projected on what is orthogonal to the fit's regressors A, and S
 the sum of squares of r' that Z' explain. Then
 
     F = (S / rank Z') / ((|r'|^2 - S) / (M - rank A - rank Z'))
 
-Repeats of a pose share what the model lacks there: their mean is one measurement. A set-up is predicted by a fit to the
-others: if nothing is wrong, its residual r has the covariance I + A C A^T, apart from what its own frame and target
-absorb.
+Repeats of a pose share what the model lacks there: their mean is one measurement.
 """
 
 from __future__ import annotations
@@ -22,16 +20,16 @@ from scipy.special import chdtrc, fdtrc
 
 from calib.units import Array, Integers
 
-#: The probability that a table of pure noise gives any pattern or drift.
+#: The probability that a table of pure noise gives any pattern or drift; a few of a thousand tables do.
 FALSE_ALARM = 0.003
 
 #: Directions whose singular value is below this, for columns of norm 1, are not in the range of a matrix.
 _CUT = 1e-6
 
-#: The same for differences of regressors between repeats of a pose: joint values repeat to `1e-3` only.
+#: That limit for differences of regressors between repeats of a pose: joint values repeat to `1e-3` only.
 _CUT_WITHIN = 1e-2
 
-#: Rounds in which the noise of the components is found.
+#: Rounds in which the noise of the components is estimated; it changes by less than a percent after these.
 _ROUNDS = 4
 
 #: The noise of a component is taken as at least this share of the largest.
@@ -46,37 +44,37 @@ _TRIED = 60
 #: Degrees of freedom below this are rounding.
 _SOME_FREEDOM = 1e-6
 
-#: A projected residual below this share of the whole one is rounding.
+#: A projected residual below this share of the residual is rounding.
 _ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
 class Explained:
-    """What further regressors explain of a residual; F is 0 and p is 1 where there is nothing to test."""
+    """Result of an F test of further regressors; F is 0 and p is 1 where there is nothing to test."""
 
-    F: float
-    p: float
-    share: float  # of the sum of squares of the projected residual
-    chance: float  # the share that as many random regressors explain on average
-    columns: int  # independent further regressors
-    freedom: int  # degrees of freedom that remain
+    F: float  # The statistic
+    p: float  # Its p-value where the residual is noise
+    share: float  # Share of the sum of squares of the projected residual that they explain, 0 to 1
+    chance: float  # Share that as many random regressors explain on average
+    columns: int  # Number of independent further regressors
+    freedom: int  # Degrees of freedom that remain
 
     @property
     def values(self) -> dict[str, float]:
-        """The values of a reason that reports it."""
+        """Values of a reason that reports it."""
         return {"share": self.share, "chance": self.chance, "p": self.p}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stack:
-    """The whitened scalars of a fit."""
+    """M whitened scalars of a fit to N rows, of variance 1 if the model is complete."""
 
-    A: Array  # (M, p), its regressors
-    r: Array  # (M,), its residual
-    row_of: Integers  # (M,), the row of each scalar
-    component_of: Integers  # (M,), which coordinate it is
-    ones: Array  # (M, components), a constant of each component
-    poses: Integers  # (N,), the pose of each row
+    A: Array  # (M, p), whitened regressors of the fit
+    r: Array  # (M,), whitened residual, measured minus predicted
+    row_of: Integers  # (M,), the row of each scalar, from 0
+    component_of: Integers  # (M,), the column of each scalar among the D of its row, from 0
+    ones: Array  # (M, components), whitened, a constant of each component
+    poses: Integers  # (N,), the pose of each row: rows of one number are repeats
 
     @property
     def cells(self) -> Integers:
@@ -85,11 +83,19 @@ class Stack:
         return np.asarray(np.unique(pairs, axis=0, return_inverse=True)[1]).reshape(-1)
 
     def beyond(self, *Z: Array) -> Stack:
-        """The same, with further regressors (M, k) of the fit."""
+        """Copy with further whitened regressors Z, (M, k) each, of the fit."""
         return replace(self, A=np.column_stack([self.A, *Z]))
 
     def times(self, functions: Array, directions: Array) -> Array:
-        """Functions of the row (N, f), each times each direction (M, k): shape (M, f k)."""
+        """Multiply functions of the row with directions of the scalars.
+
+        Args:
+            functions: Values of f functions at the rows, shape (N, f).
+            directions: Whitened derivatives of the scalars, shape (M, k).
+
+        Returns:
+            Regressors: each function times each direction, shape (M, f k).
+        """
         product = functions[self.row_of][:, :, None] * directions[:, None, :]
         return np.asarray(product.reshape(len(self.r), -1))
 
@@ -97,23 +103,42 @@ class Stack:
 def joint_patterns(
     stack: Stack, joints: Array, prismatic: Sequence[bool], directions: Sequence[Array]
 ) -> list[tuple[int, Explained, Array]]:
-    """Find the joints on whose values (N, m) the residuals depend, beyond a constant of each component; surest first.
+    """Find the joints on whose values the residuals depend, beyond a constant of each component.
 
-    The regressors are sin q, cos q and q, or q and q^2 where a joint slides, times the directions (M, k) of what
-    displacements of it do to the scalars. A table of pure noise gives any with the probability `FALSE_ALARM`.
+    The regressors are sin q, cos q and q, or q and q^2 where a joint slides, times the directions. A table of pure
+    noise gives any with the probability `FALSE_ALARM`.
+
+    Args:
+        stack: The whitened scalars.
+        joints: Values of m joints at the rows, shape (N, m) [rad] or [m].
+        prismatic: Whether each joint slides.
+        directions: Whitened derivatives of the scalars by displacements of each joint, shape (M, k) each.
+
+    Returns:
+        Number, from 0, test and regressors (M, f k) of each such joint, the surest first.
     """
     if not len(stack.r):
         return []
-    test, found = _between(stack), []
+    test = _between(stack)
+    patterns = []
     for i, (q, slides, along) in enumerate(zip(joints.T, prismatic, directions, strict=True)):
-        explained = test(Z := stack.times(functions_of_joint(q, slides=slides), along))
+        Z = stack.times(functions_of_joint(q, slides=slides), along)
+        explained = test(Z)
         if explained.p < FALSE_ALARM / len(prismatic):
-            found.append((i, explained, Z))
-    return sorted(found, key=lambda one: (one[1].p, -one[1].F))
+            patterns.append((i, explained, Z))
+    return sorted(patterns, key=lambda pattern: (pattern[1].p, -pattern[1].F))
 
 
 def functions_of_joint(q: Array, *, slides: bool) -> Array:
-    """The functions of a joint's value, (N,) [rad] or [m], of which its errors are combinations, shape (N, 3 or 2)."""
+    """Functions of a joint's value of which its errors are combinations.
+
+    Args:
+        q: Its value at the rows, shape (N,) [rad] or [m].
+        slides: Whether it is prismatic.
+
+    Returns:
+        sin q, cos q and q, shape (N, 3), or q and q^2, shape (N, 2); q is centred and scaled to 1.
+    """
     # Centred and of size 1, so that q and q^2 do not look alike.
     middle = q - np.mean(q)
     middle = middle / max(float(np.max(np.abs(middle), initial=0.0)), np.finfo(float).tiny)
@@ -121,17 +146,31 @@ def functions_of_joint(q: Array, *, slides: bool) -> Array:
 
 
 def drift(stack: Stack, order: Array) -> Explained | None:
-    """Test for a drift of the residuals in the order of the rows, (N,); None where it may be chance."""
+    """Test for a drift of the residuals in the order of the rows.
+
+    Args:
+        stack: The whitened scalars.
+        order: Time or place of each row in the order, shape (N,).
+
+    Returns:
+        The test; None where the drift may be chance.
+    """
     if not len(stack.r):
         return None
-    found = _combined(stack)(stack.times(order[:, None] - np.mean(order), stack.ones))
-    return found if found.p < FALSE_ALARM else None
+    Z = stack.times(order[:, None] - np.mean(order), stack.ones)
+    explained = _combined(stack)(Z)
+    return explained if explained.p < FALSE_ALARM else None
 
 
 def lag(stack: Stack, moves: Array) -> tuple[Array, Explained] | None:
-    """Estimate the share of its last move that each joint misses, (k,), from regressors of a whole move, (M, k).
+    """Estimate the share of its last move that each joint misses.
 
-    None where it may be chance.
+    Args:
+        stack: The whitened scalars.
+        moves: Whitened effect on the scalars of the last move of each of k joints, shape (M, k).
+
+    Returns:
+        The share of each joint, shape (k,), positive if it stops short; and the test. None where it may be chance.
     """
     if not len(stack.r):
         return None
@@ -146,53 +185,66 @@ def lag(stack: Stack, moves: Array) -> tuple[Array, Explained] | None:
 class Step:
     """A step in the residuals: from some row on they are displaced."""
 
-    row: int  # The first displaced one
-    size: float  # By how much, in the unit of the directions
-    test: Explained  # Its p is corrected for the number of rows tried
+    row: int  # The first displaced row, from 0
+    size: float  # Norm of the displacement, in the unit of the directions
+    test: Explained  # The p-value is corrected for the number of rows tried
     Z: Array  # (M, k), its regressors
 
 
 def step(stack: Stack, rows: Integers, along: Array) -> Step | None:
-    """Find the row among (K,), in their order, from which residuals step along directions (M, k); None if chance."""
+    """Find the row from which on the residuals are displaced.
+
+    Args:
+        stack: The whitened scalars.
+        rows: Numbers of the rows among which to look, in their order, shape (K,).
+        along: Whitened derivatives of the scalars by the displacement, shape (M, k).
+
+    Returns:
+        The step; None where it may be chance.
+    """
     most = len(rows) - _SIDE
     if most < _SIDE:
         return None
     test, number = _combined(stack), np.arange(len(stack.poses))[:, None]
-    stride = max((most - _SIDE) // _TRIED, 1)
     tried: dict[int, Explained] = {}
 
-    def best_of(some: Iterable[int]) -> int:
-        tried.update({k: test(stack.times(1.0 * (number >= rows[k]), along)) for k in some})
+    def regressors(k: int) -> Array:
+        return stack.times(1.0 * (number >= rows[k]), along)
+
+    def best_of(places: Iterable[int]) -> int:
+        tried.update({k: test(regressors(k)) for k in places})
         return min(tried, key=lambda k: (tried[k].p, -tried[k].F))
 
+    stride = max((most - _SIDE) // _TRIED, 1)
     best = best_of(range(_SIDE, most + 1, stride))
     best = best_of(range(max(best - stride + 1, _SIDE), min(best + stride, most + 1)))
-    found = replace(tried[best], p=min(tried[best].p * (most - _SIDE + 1), 1.0))
-    if found.p >= FALSE_ALARM:
+    corrected = min(tried[best].p * (most - _SIDE + 1), 1.0)
+    if corrected >= FALSE_ALARM:
         return None
-    Z = stack.times(1.0 * (number >= rows[best]), along)
+    Z = regressors(best)
     fitted = np.linalg.lstsq(np.column_stack([stack.A, Z]), stack.r, rcond=None)[0]
-    return Step(int(rows[best]), float(np.linalg.norm(fitted[-Z.shape[1] :])), found, Z)
+    size = float(np.linalg.norm(fitted[-Z.shape[1] :]))
+    return Step(int(rows[best]), size, replace(tried[best], p=corrected), Z)
 
 
 def _combined(stack: Stack) -> Callable[[Array], Explained]:
-    """The tests between poses and within repeats, their p-values combined by Fisher's method."""
+    """Make the test between poses and within repeats, with p-values combined by Fisher's method."""
     between, within = _between(stack), _within(stack)
 
     def test(Z: Array) -> Explained:
         tests = between(Z), within(Z)
-        valid = [one for one in tests if one.columns] or [tests[0]]
-        surest = min(valid, key=lambda one: one.p)
+        valid = [explained for explained in tests if explained.columns] or [tests[0]]
+        surest = min(valid, key=lambda explained: explained.p)
         if len(valid) == 1:
             return surest
-        logs = [np.log(max(one.p, np.finfo(float).tiny)) for one in valid]
+        logs = [np.log(max(explained.p, np.finfo(float).tiny)) for explained in valid]
         return replace(surest, p=float(chdtrc(4.0, -2.0 * sum(logs))))
 
     return test
 
 
 def _between(stack: Stack) -> Callable[[Array], Explained]:
-    """The test on the means of repeats, of any further regressors (M, k)."""
+    """Make the test of any further regressors (M, k) on the means of repeats."""
     cells = stack.cells
     A, r = _means(cells, np.column_stack([stack.A, stack.ones])), _means(cells, stack.r)
     even = even_factors(A, r, stack.component_of[np.unique(cells, return_index=True)[1]])
@@ -206,8 +258,9 @@ def _between(stack: Stack) -> Callable[[Array], Explained]:
 
 
 def _within(stack: Stack) -> Callable[[Array], Explained]:
-    """The test on differences between repeats; without repeats there is nothing to test."""
-    cells, (found, component) = stack.cells, np.unique(stack.component_of, return_inverse=True)
+    """Make the test of any further regressors (M, k) on differences between repeats, if there are any."""
+    cells = stack.cells
+    components, component = np.unique(stack.component_of, return_inverse=True)
     counts = np.bincount(cells)
     if counts.max() == 1:
         return lambda _: Explained(0.0, 1.0, 0.0, 0.0, 0, 0)
@@ -216,7 +269,7 @@ def _within(stack: Stack) -> Callable[[Array], Explained]:
         means = (_means(cells, values).T / np.sqrt(counts)).T
         return np.asarray(values - means[cells])
 
-    r, count = centred(stack.r), len(found)
+    r, count = centred(stack.r), len(components)
     # Every cell loses one degree of freedom: its mean.
     freedom = np.bincount(component, 1.0 - 1.0 / counts[cells], count)
     even = _levelled(np.bincount(component, r**2, count), freedom)[component]
@@ -230,20 +283,29 @@ def _within(stack: Stack) -> Callable[[Array], Explained]:
     return test
 
 
-def f_test(base: Array, r: Array, Z: Array, sizes: Array, lost: int = 0) -> Explained:
-    """The F test of further regressors Z (M, k) beyond an orthonormal base (M, rank A).
+def f_test(base: Array, r: Array, Z: Array, sizes: Array, used: int = 0) -> Explained:
+    """Test further regressors by F.
 
-    A column of Z below `_CUT` times its size is ignored; ``lost`` degrees of freedom were used before.
+    Args:
+        base: Orthonormal basis of the regressors of the fit, shape (M, rank A).
+        r: Whitened residual, shape (M,).
+        Z: Further regressors, shape (M, k).
+        sizes: Their sizes, shape (k,): a column of which less than `_CUT` times its size is orthogonal to the base is
+            ignored.
+        used: Degrees of freedom that were used besides those of the base.
+
+    Returns:
+        The test.
     """
-    rest = r - base @ (base.T @ r)
+    remaining = r - base @ (base.T @ r)
     # Twice is enough to be orthogonal to rounding, where Z almost lies in the range of the base.
     Z = Z - base @ (base.T @ Z)
     further = range_of(Z - base @ (base.T @ Z), sizes)
-    square, before = float(rest @ rest), len(r) - base.shape[1] - lost
+    square, before = float(remaining @ remaining), len(r) - base.shape[1] - used
     columns, freedom = further.shape[1], before - further.shape[1]
     if columns == 0 or freedom < 1 or square <= _ROUNDING**2 * float(r @ r):
         return Explained(0.0, 1.0, 0.0, 0.0, 0, max(before, 0))
-    share = min(float(np.sum((further.T @ rest) ** 2)) / square, 1.0)
+    share = min(float(np.sum((further.T @ remaining) ** 2)) / square, 1.0)
     # An exact fit leaves nothing to compare with.
     F = share / columns / max((1.0 - share) / freedom, np.finfo(float).tiny)
     p = float(fdtrc(columns, freedom, F))
@@ -251,19 +313,32 @@ def f_test(base: Array, r: Array, Z: Array, sizes: Array, lost: int = 0) -> Expl
 
 
 def even_factors(A: Array, r: Array, component_of: Integers) -> Array:
-    """Factors that give the components equal residual variance, (M,): an instrument may measure depth less well."""
-    found, component = np.unique(component_of, return_inverse=True)
-    factors, count = np.ones(len(r)), len(found)
+    """Make factors that give the components equal residual variance: an instrument may measure depth less well.
+
+    Args:
+        A: Whitened regressors of the fit, shape (M, p).
+        r: Whitened residual, shape (M,).
+        component_of: The component of each scalar, shape (M,).
+
+    Returns:
+        A factor for each scalar, shape (M,).
+    """
+    components, component = np.unique(component_of, return_inverse=True)
+    factors, count = np.ones(len(r)), len(components)
     for _ in range(_ROUNDS if count > 1 else 0):
         base = range_of(A * factors[:, None])
-        rest = factors * r - base @ (base.T @ (factors * r))
+        remaining = factors * r - base @ (base.T @ (factors * r))
         freedom = np.bincount(component, 1.0 - np.sum(base**2, axis=1), count)
-        factors = factors * _levelled(np.bincount(component, rest**2, count), freedom)[component]
+        squares = np.bincount(component, remaining**2, count)
+        factors = factors * _levelled(squares, freedom)[component]
     return factors
 
 
 def _levelled(squares: NDArray[Any], freedom: NDArray[Any]) -> Array:
-    """Factors that bring sums of squares to one variance a degree of freedom; 1 for all where none has any."""
+    """Make factors of scalars that bring sums of squares (C,), with degrees of freedom (C,), to one variance.
+
+    They are 1 where there is no variance.
+    """
     known = freedom > _SOME_FREEDOM
     variances = np.where(known, squares / np.where(known, freedom, 1.0), 0.0)
     largest = float(variances.max(initial=0.0))
@@ -275,13 +350,22 @@ def _levelled(squares: NDArray[Any], freedom: NDArray[Any]) -> Array:
 
 
 def norms_of(A: Array) -> Array:
-    """The norm of each column, 1 where it is 0."""
+    """Norm of each column of A (M, k), 1 where it is 0, shape (k,)."""
     norms = np.linalg.norm(A, axis=0)
     return np.where(norms > 0.0, norms, 1.0)
 
 
 def range_of(A: Array, sizes: Array | None = None, cut: float = _CUT) -> Array:
-    """Orthonormal basis of the numerical range of A / sizes, by default its columns' norms, shape (M, rank)."""
+    """Find an orthonormal basis of the numerical range of A / sizes.
+
+    Args:
+        A: shape (M, k).
+        sizes: Sizes of its columns, shape (k,); None for their norms.
+        cut: Directions with a smaller singular value are not in the range.
+
+    Returns:
+        The basis, shape (M, rank).
+    """
     if 0 in A.shape:
         return np.zeros((len(A), 0))
     scaled = A / (norms_of(A) if sizes is None else sizes)
@@ -290,7 +374,10 @@ def range_of(A: Array, sizes: Array | None = None, cut: float = _CUT) -> Array:
 
 
 def _means(cells: Integers, values: Array) -> Array:
-    """Means over each cell times the root of its count, so that they are whitened as their independent rows are."""
+    """Average over each of K cells, times the root of its count, so that means are as white as independent rows are.
+
+    ``cells`` has the number, from 0, of each of M scalars' cell, ``values`` is of shape (M,) or (M, k).
+    """
     counts = np.bincount(cells)
     order, starts = np.argsort(cells, kind="stable"), np.cumsum(counts) - counts
     sums = np.add.reduceat(values[order], starts, axis=0)

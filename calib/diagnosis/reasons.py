@@ -9,13 +9,20 @@ from typing import Any
 
 from calib.numerics.errors import Errors
 
-USE, CARE, NO = "use", "use with care", "do not use"
+#: Verdict that the corrected robot is better, which held-out rows prove.
+USE = "use"
+
+#: Verdict that it may be better, or that something about the measurements is in doubt.
+CARE = "use with care"
+
+#: Verdict that it is not better, or that the input is wrong.
+NO = "do not use"
 
 
 class Why(Enum):
-    """The codes; `calib.text.verdict.SENTENCES` has the sentence of each."""
+    """Codes of reasons; `calib.text.verdict.SENTENCES` has the sentence of each."""
 
-    # Another set-up explains the rows
+    # A usual mistake explains the rows
     TARGET_ELSEWHERE, WRONG_UNIT, OTHER_BASE, OWN_FRAME, JOINTS_TURNED = range(5)
     JOINT_ZERO, COLUMNS_SWAPPED, SIGN_TURNED, POINTS_MIRRORED = range(5, 9)
     POSES_INVERSE, COLUMNS_REVERSED, ROWS_SHIFTED, OTHER_TIP = range(80, 84)
@@ -33,10 +40,10 @@ class Why(Enum):
     LENGTHS_SCALED, COMPLIANCE_NEGATIVE, SMALL_GAIN = range(49, 52)
     TARGET_FAR, BASE_MOVED, MUCH_REMAINS, VALIDATION_SMALL_GAIN, JOINTS_LAG = range(52, 57)
     SOLE_POSTURE = 57
-    # What is gained, and information
+    # Gains, and information
     GAIN, LARGER_MODEL, VALIDATION_GAIN, OUTSIDE, LARGER_NO_CLOSER, ROWS_COPIED = range(60, 66)
     SCALE_HIDDEN = 66
-    # What explains the errors of newly measured rows
+    # Explanations of the errors of newly measured rows
     FRAME_MOVED, TARGET_MOVED = range(70, 72)
 
 
@@ -49,25 +56,33 @@ class Reason:
 
     @classmethod
     def of(cls, why: Why, **values: Any) -> Reason:  # noqa: ANN401
-        """Make a reason; of `Errors` the rms is stored, as ``before_m`` and ``before_rad``, if they were measured."""
-        found: dict[str, Any] = {}
+        """Make a reason.
+
+        Args:
+            why: The code.
+            **values: Numbers, in SI units, and names. Of `Errors` the rms is stored, such as ``before_m`` [m] and
+                ``before_rad`` [rad], as far as lengths and angles were measured.
+        """
+        stored: dict[str, Any] = {}
         for name, value in values.items():
-            if isinstance(value, Errors):
-                found |= {f"{name}_m": value.rms} if value.n else {}
-                found |= {f"{name}_rad": value.rms_angle} if value.n_angle else {}
-            else:
-                found[name] = value
-        return cls(why, found)
+            if not isinstance(value, Errors):
+                stored[name] = value
+                continue
+            if value.n:
+                stored[f"{name}_m"] = value.rms
+            if value.n_angle:
+                stored[f"{name}_rad"] = value.rms_angle
+        return cls(why, stored)
 
     @property
     def code(self) -> str:
-        """The code in small letters, as the result file has it: ``"nothing_to_gain"``."""
+        """Code in small letters, as the result file has it: ``"nothing_to_gain"``."""
         return self.why.name.lower()
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Whether to use the corrected robot."""
+    """Verdict on the corrected robot, or on the non-geometric model."""
 
     use: str  # ``"use"``, ``"use with care"`` or ``"do not use"``
     reasons: tuple[Reason, ...]  # The weightiest first

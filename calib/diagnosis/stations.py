@@ -81,7 +81,12 @@ class _Comparison:
 
     @classmethod
     def of(cls, fitted: Fitted, station: Integers) -> _Comparison:
-        """Linearise a fit; ``station`` has the number of each row's station, shape (N,)."""
+        """Linearise a fit.
+
+        Args:
+            fitted: The fit to N rows.
+            station: Number of each row's station, shape (N,).
+        """
         estimate = fitted.estimate
         linear = estimate.problem.linear(estimate.x)
         return cls(

@@ -139,7 +139,7 @@ class Evidence:
 
     @property
     def at_noise_level(self) -> bool:
-        """Whether the nominal robot's error is about the noise that the best model leaves, outliers aside."""
+        """True if the nominal robot's error is about the noise that the best model leaves, outliers aside."""
         square, noise = self._squares(self.nominal)
         return bool(square < _AT_THE_NOISE**2 * noise)
 
@@ -152,7 +152,7 @@ class Evidence:
 
     @property
     def accidental(self) -> bool:
-        """Whether flagged rows are no further off than with the nominal robot, and the error of all rows falls."""
+        """True if flagged rows are no further off than with the nominal robot, and the error of all rows falls."""
         before = np.sum(self.whitened(self.nominal)[self.outliers])
         after = np.sum(self.whitened(self.calibrated)[self.outliers])
         return bool(after < _ALIKE**2 * before and self.gain(of_all=True)[1] < _CHANCE)
@@ -249,30 +249,30 @@ class _Figures:
 
     @property
     def validated(self) -> bool:
-        """Whether there are validation rows."""
+        """True if there are validation rows."""
         return bool(self.validation_after.n)
 
     @property
     def validation_falls(self) -> bool:
-        """Whether the error on validation rows falls at all."""
+        """True if the error on validation rows falls at all."""
         return self.validation_after.rms < (1.0 - _ROUNDING) * self.validation_before.rms
 
     @property
     def validation_falls_little(self) -> bool:
-        """Whether the error on validation rows falls, but by next to nothing."""
+        """True if the error on validation rows falls, but by next to nothing."""
         little = self.validation_after.rms > _FALLS * self.validation_before.rms
         return self.validation_falls and little
 
     @property
     def proven_where_measured(self) -> bool:
-        """Whether held-out rows prove a gain that is worth having where they were measured."""
+        """True if held-out rows prove a gain that is worth having where they were measured."""
         falls = _typical(self.after) < _FALLS * _typical(self.before)
         little_remains = self.held_out <= _REMAINS
         return falls and little_remains and not self.unproven and not self.validation_falls_little
 
     @property
     def proven(self) -> bool:
-        """Whether the gain is proven where rows were measured, and expected over the joint limits."""
+        """True if the gain is proven where rows were measured, and expected over the joint limits."""
         return self.proven_where_measured and self.everywhere <= _REMAINS and not self.handful
 
 

@@ -38,13 +38,16 @@ _RESIDUALS = 3.0
 #: plus this share of the growth itself, which is below what calibration needs.
 _NEGLIGIBLE = 1e-3
 
+#: Singular values below this share of the largest are zero.
+_RANK_TOLERANCE = 1e-9
+
 #: Standard deviation with which g is held at zero: far below any instrument's relative error.
 TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SizeGauge:
-    """The growth of an arm that no row can see, and the combination of parameters that is held."""
+    """The growth of an arm that no row observes, and the combination g of parameters that is held at zero."""
 
     growth: Array  #: shape (p,), the change of x when all lengths of arm, frames and targets double
     held: Array  #: shape (p,), the gradient of g: g(x) = held @ x, and held @ growth = 1
@@ -56,7 +59,12 @@ class SizeGauge:
 
 
 def measures_length(rows: Rows, distances: tuple[KnownDistance, ...]) -> bool:
-    """Whether any row, or a known distance between two frames, compares the arm with a unit of length."""
+    """Return True where measurements compare the arm with a unit of length.
+
+    Args:
+        rows: Rows of any kinds; points and distances do so, rows in sockets and on planes do not.
+        distances: Known distances between frames; one is enough.
+    """
     return bool(distances) or any(kind.measures_length for kind in rows.present)
 
 
@@ -66,12 +74,12 @@ def size_gauge(
     derivative: Array,
     residual: Array,
 ) -> SizeGauge | None:
-    """Find the growth that rows without a measured length cannot see.
+    """Find the growth of the arm that rows without a measured length do not observe.
 
     Args:
         kinematics: The robot under its error model, frames and targets as registered.
         rows: N rows, none of which measures a length.
-        derivative: shape (N, D, p), of the predicted scalars by x, at x = 0, in units of each scalar's sigma.
+        derivative: shape (N, D, p), Jacobian of the prediction at x = 0, in units of each scalar's sigma.
         residual: shape (N, D), measured minus predicted at x = 0, in the same units.
 
     Returns:
@@ -85,12 +93,14 @@ def size_gauge(
     growth = np.zeros(len(model))
     growth[lengths] = chain_growth
     used = rows.used
-    placed = model.family(FRAME, TARGET)
+    # Frames and targets grow with the arm, so that the predictions change as little as they can.
+    of_setup = model.family(FRAME, TARGET)
     change = (derivative @ growth)[used]
-    growth[placed] = -np.linalg.lstsq(derivative[used][:, placed], change, rcond=1e-9)[0]
-    seen = rms((derivative @ growth)[used])
-    unseen = _RESIDUALS * rms(residual[used]) + _NEGLIGIBLE * reach / rms(rows.scales[used])
-    if seen > unseen:
+    of_setup_columns = derivative[used][:, of_setup]
+    growth[of_setup] = -np.linalg.lstsq(of_setup_columns, change, rcond=_RANK_TOLERANCE)[0]
+    observed_change = rms((derivative @ growth)[used])
+    negligible = _NEGLIGIBLE * reach / rms(rows.scales[used])
+    if observed_change > _RESIDUALS * rms(residual[used]) + negligible:
         return None
     held = np.where(lengths, growth, 0.0) / np.sum(growth[lengths] ** 2)
     return SizeGauge(read_only(growth), read_only(held))
@@ -99,7 +109,11 @@ def size_gauge(
 def _growth_of_chain(kinematics: Kinematics, lengths: Mask) -> tuple[Array | None, float]:
     """Solve for the change of the robot's parameters that doubles the chain: p_tip(q) grows by p_tip(q).
 
-    Where the base starts and how far the tip lies from the last joint is left to frame and target.
+    Translations of the base, and of the tip from the last joint, are left to frame and target.
+
+    Args:
+        kinematics: The robot under its error model of p parameters.
+        lengths: shape (p,), which parameters are lengths of the robot, in metres: K of them.
 
     Returns:
         The change of each of the K parameters in metres, shape (K,), None where they cannot represent this; and how
@@ -109,22 +123,22 @@ def _growth_of_chain(kinematics: Kinematics, lengths: Mask) -> tuple[Array | Non
     tips = kinematics.robot.poses(q)
     position = tips[:, :3, 3]
     reach = rms(np.linalg.norm(position - position.mean(axis=0), axis=1))
-    anywhere = np.broadcast_to(np.eye(3), (len(tips), 3, 3))
-    ends = np.concatenate([anywhere, tips[:, :3, :3]], axis=2).reshape(-1, 6)
-    lengths_between = np.column_stack(
-        [position.ravel(), _tip_motion(kinematics, lengths, q).reshape(len(ends), -1)]
-    )
-    lengths_between -= ends @ np.linalg.lstsq(ends, lengths_between, rcond=None)[0]
-    wanted, columns = lengths_between[:, 0], lengths_between[:, 1:]
-    solution = np.linalg.lstsq(columns, wanted, rcond=1e-9)[0]
-    missed = (wanted - columns @ solution).reshape(-1, 3)
-    if rms(np.linalg.norm(missed, axis=1)) > _CAN_GROW * reach:
+    # A translation of the base, and one of the tip along its own axes, are projected out.
+    of_base = np.broadcast_to(np.eye(3), (len(tips), 3, 3))
+    ends = np.concatenate([of_base, tips[:, :3, :3]], axis=2).reshape(-1, 6)
+    motion = _tip_motion(kinematics, lengths, q).reshape(len(ends), -1)
+    between_ends = np.column_stack([position.ravel(), motion])
+    between_ends -= ends @ np.linalg.lstsq(ends, between_ends, rcond=None)[0]
+    growth, columns = between_ends[:, 0], between_ends[:, 1:]
+    solution = np.linalg.lstsq(columns, growth, rcond=_RANK_TOLERANCE)[0]
+    missing = (growth - columns @ solution).reshape(-1, 3)
+    if rms(np.linalg.norm(missing, axis=1)) > _CAN_GROW * reach:
         return None, reach
     return np.asarray(solution), reach
 
 
 def _tip_motion(kinematics: Kinematics, lengths: Mask, q: Array) -> Array:
-    """Differentiate the tip's position in the base, at q (N, m), by the K parameters in metres, shape (N, 3, K)."""
+    """Jacobian of the tip's position in the base, at joint values q (N, m), by the K lengths, shape (N, 3, K)."""
     model = kinematics.model
     others = [name for name, is_length in zip(model.names, lengths, strict=True) if not is_length]
     origins = [

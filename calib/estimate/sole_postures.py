@@ -28,7 +28,7 @@ allow.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -71,19 +71,19 @@ _SETTLED = 1e-9
 
 
 def sole_postures(linear: LinearProblem, rows: Rows, first: Stage) -> Mask:
-    """Find the rows of sole postures.
+    """Find the rows of sole postures: poses that alone determine a direction of the parameters.
 
     Args:
         linear: The problem linearised at the registered start.
         rows: Its N rows.
-        first: The first stage: every row with weight one, noise and priors as given.
+        first: The first stage (B = 1): every row with weight one, noise and priors as given.
 
     Returns:
-        shape (N,), which rows are of a pose that alone determines a direction of the parameters.
+        Mask of these rows, shape (N,).
     """
     covariance = first.fit(linear)[1][0]
     block = np.unique(rows.blocks, return_inverse=True)[1].reshape(-1)
-    # The largest eigenvalue is at most the trace.
+    # Bounds first: the largest eigenvalue is at most the trace.
     leverage = np.bincount(block, _traces(linear, covariance))
     for b in np.flatnonzero(leverage > _WORTH_A_LOOK).tolist():
         mask = block == b
@@ -107,7 +107,12 @@ def _traces(linear: LinearProblem, covariance: Array) -> Array:
 
 
 def _seen_by_others(rows: Rows, block: Integers) -> Mask:
-    """Whether rows of other poses determine the frame and the target of each row, shape (N,)."""
+    """Rows whose frame and target rows of other poses determine, shape (N,).
+
+    Args:
+        rows: N rows.
+        block: shape (N,), pose of each row, from 0.
+    """
     scalars = np.sum(rows.used, axis=1)
     result = np.ones(len(rows), dtype=bool)
     for places in (rows.samples.frame, rows.samples.target):
@@ -119,7 +124,7 @@ def _seen_by_others(rows: Rows, block: Integers) -> Mask:
 
 
 def with_wide_priors(stage: Stage) -> Stage:
-    """Widen the priors of a stage to `_WIDE` times those given, except where those found are wider still."""
+    """Return a stage with priors `_WIDE` times as wide as given, but where the estimated ones are wider still."""
     start = np.array(stage.prior.start, dtype=np.float64)
     return replace(stage, prior_std=np.maximum(stage.prior_std, _WIDE * start))
 
@@ -169,19 +174,61 @@ def open_scores(linear: LinearProblem, x: Array, stage: Stage, projections: Arra
     return point_scores(np.sqrt(squares), directions)
 
 
-def updated(
+@dataclass(frozen=True, slots=True, eq=False)
+class _Update:
+    """Least squares by which rows of sole postures move an estimate x_o, see the module's text; B = 1.
+
+    Its residual stacks the whitened scalars of all rows, the constraints, and x_o - x over wide priors.
+    """
+
+    start: LinearProblem  # Linearised at x_o
+    whiten: Array  # (N, D, D), maps residuals in units of sigma to whitened ones along the open directions
+    reference: Array  # (N, D), residuals of the other rows at x_o, which they keep; 0 for rows of sole postures
+    prior: Array  # (p,), 1 / tau of wide priors
+
+    def residual(self, linear: LinearProblem) -> Array:
+        """The residual where a problem is linearised, shape (N D + K + p,)."""
+        change = self.start.x - linear.x
+        rows = (linear.residual(linear.x) - self.reference)[:, :, None]
+        constraints = linear.C @ change / _NOISE_OF_OTHERS
+        return np.concatenate([(self.whiten @ rows).ravel(), constraints, self.prior * change])
+
+    def derivative(self, linear: LinearProblem) -> Array:
+        """Minus the derivative of `residual`, shape (N D + K + p, p)."""
+        rows = (self.whiten @ linear.A).reshape(-1, len(linear.x))
+        return np.vstack([rows, linear.C / _NOISE_OF_OTHERS, np.diag(self.prior)])
+
+    def solved(self, linear_at: Callable[[Array], LinearProblem]) -> LinearProblem:
+        """The problem linearised at the minimum: Gauss-Newton steps, halved until the sum of squares falls."""
+        linear = self.start
+        for _ in range(_UPDATES):
+            residual = self.residual(linear)
+            step = np.linalg.lstsq(self.derivative(linear), residual)[0]
+            norm = np.linalg.norm(residual)
+            while np.linalg.norm(step) >= _SETTLED:
+                trial = self.residual(linear_at(linear.x + step))
+                if not np.linalg.norm(trial) > norm:
+                    break
+                step = 0.5 * step
+            if np.linalg.norm(step) < _SETTLED:
+                break
+            linear = linear_at(linear.x + step)
+        return linear
+
+
+def update_by_sole_postures(
     estimate: tuple[Array, Array],
     stage: Stage,
     linear_at: Callable[[Array], LinearProblem],
     weights: Array,
     projections: Array,
 ) -> tuple[Array, Array]:
-    """Update an estimate by the rows of sole postures: Gauss-Newton steps, halved until the sum of squares falls.
+    """Update an estimate by the rows of sole postures.
 
     Args:
         estimate: x, shape (p,), by all other rows, and its covariance, shape (p, p).
         stage: Noise and priors of that fit (B = 1), in which sole postures have no weight.
-        linear_at: Gives the problem linearised at some x.
+        linear_at: Maps x to the problem linearised there.
         weights: shape (N,), of the rows of sole postures; 0 for all others.
         projections: shape (N, D, D), see `open_directions`.
 
@@ -189,39 +236,19 @@ def updated(
         x and its covariance, updated.
     """
     x, covariance = estimate
-    start, sole = linear_at(x), (weights > 0.0)[:, None]
-    noise = np.where(sole, 1.0, _NOISE_OF_OTHERS) * start.noise_by_scalar(stage.noise)[0]
+    start = linear_at(x)
+    sole = (weights > 0.0)[:, None]
+    factor = np.where(sole, 1.0, _NOISE_OF_OTHERS)
+    noise = factor * start.noise_by_scalar(stage.noise)[0]
     root = np.sqrt(np.where(sole[:, 0], weights, stage.effective[0]))
-    whiten = root[:, None, None] * projections / noise[:, None]
-    prior = np.sqrt(with_wide_priors(stage).priors.precision[0])
-    # Residuals of the other rows stay as they are, those of sole postures go to zero.
-    wanted = np.where(sole, 0.0, start.residual(x))
-
-    def residual(linear: LinearProblem) -> Array:
-        """The whitened residual of the objective at the point of linearisation."""
-        measured = (whiten @ (linear.residual(linear.x) - wanted)[:, :, None]).ravel()
-        known = linear.C @ (x - linear.x) / _NOISE_OF_OTHERS
-        return np.concatenate([measured, known, prior * (x - linear.x)])
-
-    def derivative(linear: LinearProblem) -> Array:
-        """Minus the derivative of `residual`."""
-        measured = (whiten @ linear.A).reshape(-1, len(x))
-        return np.vstack([measured, linear.C / _NOISE_OF_OTHERS, np.diag(prior)])
-
-    linear = start
-    for _ in range(_UPDATES):
-        current = residual(linear)
-        step = np.linalg.lstsq(derivative(linear), current)[0]
-        before = np.linalg.norm(current)
-        while (
-            np.linalg.norm(step) >= _SETTLED
-            and np.linalg.norm(residual(linear_at(linear.x + step))) > before
-        ):
-            step = 0.5 * step
-        if np.linalg.norm(step) < _SETTLED:
-            break
-        linear = linear_at(linear.x + step)
-    A = derivative(linear)
+    update = _Update(
+        start=start,
+        whiten=root[:, None, None] * projections / noise[:, None],
+        reference=np.where(sole, 0.0, start.residual(x)),
+        prior=np.sqrt(with_wide_priors(stage).priors.precision[0]),
+    )
+    linear = update.solved(linear_at)
+    A = update.derivative(linear)
     scalars = np.flatnonzero(np.broadcast_to(sole, noise.shape))
     gain = np.linalg.pinv(A)[:, scalars]
     kept = np.eye(len(x)) - gain @ A[scalars]

@@ -18,7 +18,7 @@ from calib.estimate.sole_postures import (
     open_directions,
     open_scores,
     sole_postures,
-    updated,
+    update_by_sole_postures,
 )
 from calib.estimate.stages import Stage, Weighting, run_stages
 from calib.estimate.task import Task
@@ -153,7 +153,7 @@ def _updated_by_sole_postures(estimate: Estimate, problem: Problem, stage: Stage
     scores_of_sole = open_scores(linear, estimate.x, stage, projections)
     scores = np.where(sole, scores_of_sole, estimate.scores)
     by_scores = Limits.of(len(sole), estimate.freedom).weights(scores)
-    x, covariance = updated(
+    x, covariance = update_by_sole_postures(
         (estimate.x, estimate.covariance),
         stage,
         problem.linear,

@@ -35,8 +35,11 @@ from calib.registration.rows import Rows
 from calib.registration.same_poses import same_poses
 from calib.units import Array, Integers, Mask
 
-#: The columns of a body's translation, and of its rotation.
-_TRANSLATION, _TURN = slice(0, 3), slice(3, 6)
+#: Columns of a body's translation.
+_TRANSLATION = slice(0, 3)
+
+#: Columns of a body's rotation.
+_ROTATION = slice(3, 6)
 
 #: The least kappa: no instrument's noise is less than a thousandth of what the targets of a stop share.
 _LEAST_UNSHARED = 1e-6
@@ -44,8 +47,11 @@ _LEAST_UNSHARED = 1e-6
 #: With fewer degrees of freedom, of the bodies or of the targets within them, the shares are zero.
 _FEWEST_FREEDOM = 12
 
-#: The most iterations for the shares, and the change, relative to kappa, below which they have settled.
-_STEPS, _SETTLED = 20, 1e-4
+#: The most iterations for the shares.
+_STEPS = 20
+
+#: Shares that change by less than this, relative to kappa, have settled.
+_SETTLED = 1e-4
 
 #: Rows whose columns are copied at a time.
 _PART = 16_384
@@ -64,32 +70,31 @@ class Moments:
     count: float  # The number of scalars
 
     def shares(self, rho: Array) -> Array:
-        """Estimate the shares of translations and rotations, shape (2,), by iteration from some shares."""
+        """Estimate the shares of translations and rotations, by iteration.
+
+        Args:
+            rho: shape (2,), shares to begin with.
+
+        Returns:
+            shape (2,); zero where the degrees of freedom are few.
+        """
         bodies = int(np.sum(np.linalg.matrix_rank(self.M, hermitian=True)))
         if min(bodies, self.count - bodies) < _FEWEST_FREEDOM:
             return np.zeros(2)
         for _ in range(_STEPS):
-            before, rho = rho, _shares_of(self._components(rho))
+            before = rho
+            rho = _shares_of(self._components(rho))
             if np.max(np.abs(rho - before)) < _SETTLED * _unshared(rho):
                 break
         return rho
 
     def _components(self, rho: Array) -> Array:
-        """Solve the equations at some shares for the variances theta, (3,), those of translations and rotations >= 0.
+        """Variances theta of independent errors, translations and rotations, shape (3,), the last two >= 0.
 
-        With T = (kappa I + S M)^-1, J S J^T = G G^T and H = T S, K^-1 J = J T and K^-1 = (I - J H J^T) / kappa.
+        Args:
+            rho: shape (2,), shares at which the equations are set up.
         """
-        kappa, S, M, R = _unshared(rho), _roots(rho) ** 2, self.M, self.R
-        T = np.linalg.inv(kappa * np.eye(6) + S[:, None] * M)
-        HM, HR, parts = (T * S) @ M, (T * S) @ R, (_TRANSLATION, _TURN)
-        left, right = np.zeros((3, 3)), np.zeros(3)
-        left[0, 0] = (self.count - 2.0 * _trace(HM) + _trace(HM @ HM)) / kappa**2
-        right[0] = (self.total - 2.0 * _trace(HR) + _trace(HM @ HR)) / kappa**2
-        across, shared, seen = M @ T, _T(T) @ M @ T, _T(T) @ R @ T
-        for k, i in enumerate(parts, 1):
-            left[0, k] = left[k, 0] = _trace(shared[:, i, i])
-            left[k, 1:] = [np.sum(across[:, i, j] ** 2) for j in parts]
-            right[k] = _trace(seen[:, i, i])
+        left, right = self._equations(rho)
         free = np.diagonal(left) > 0.0  # no translation moves angles
         while True:
             theta = np.zeros(3)
@@ -97,6 +102,27 @@ class Moments:
             if not np.any(theta[1:] < 0.0):
                 return theta
             free[1 + int(np.argmin(theta[1:]))] = False
+
+    def _equations(self, rho: Array) -> tuple[Array, Array]:
+        """The equations for theta of the module's text at some shares, shapes (3, 3) and (3,).
+
+        With T = (kappa I + S M)^-1, J S J^T = G G^T and H = T S, K^-1 J = J T and K^-1 = (I - J H J^T) / kappa.
+        """
+        kappa, S, M, R = _unshared(rho), _roots(rho) ** 2, self.M, self.R
+        T = np.linalg.inv(kappa * np.eye(6) + S[:, None] * M)
+        HM, HR = (T * S) @ M, (T * S) @ R
+        left, right = np.zeros((3, 3)), np.zeros(3)
+        left[0, 0] = (self.count - 2.0 * _trace(HM) + _trace(HM @ HM)) / kappa**2
+        right[0] = (self.total - 2.0 * _trace(HR) + _trace(HM @ HR)) / kappa**2
+        MT = M @ T
+        TMT = _T(T) @ M @ T
+        TRT = _T(T) @ R @ T
+        parts = (_TRANSLATION, _ROTATION)
+        for k, i in enumerate(parts, 1):
+            left[0, k] = left[k, 0] = _trace(TMT[:, i, i])
+            left[k, 1:] = [np.sum(MT[:, i, j] ** 2) for j in parts]
+            right[k] = _trace(TRT[:, i, i])
+        return left, right
 
 
 def _shares_of(theta: Array) -> Array:
@@ -107,13 +133,13 @@ def _shares_of(theta: Array) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stops:
-    """The rows of stops at which several targets were seen: K rows, in M cells of one target at one of S stops."""
+    """The rows of stops at which several targets were measured: K rows, in M cells of one target at one of S stops."""
 
-    rows: Integers  # (K,), their numbers, cell by cell and stop by stop
-    cells: Integers  # (K,), which rows are of one cell
-    stops: Integers  # (K,), which are of one stop
-    J: Array  # (K, D, 6), the derivative of each scalar by the body's displacement, of mean square 1
-    instruments: NDArray[np.int8]  # (K, D), which noise each scalar has; -1 for none
+    rows: Integers  # (K,), their numbers in the table, cell by cell and stop by stop
+    cells: Integers  # (K,), rows of one number are of one cell
+    stops: Integers  # (K,), rows of one number are of one stop
+    J: Array  # (K, D, 6), Jacobian of each scalar by the body's displacement, of mean square 1
+    instruments: NDArray[np.int8]  # (K, D), which noise each scalar has, from 0; -1 for none
     _first_row: Integers = field(init=False, repr=False)  # (M,), of each cell, among these rows
     _first_cell: Integers = field(init=False, repr=False)  # (S,), of each stop, among the cells
     _cell_of_row: Integers = field(init=False, repr=False)  # (K,), from 0
@@ -121,54 +147,62 @@ class Stops:
 
     def __post_init__(self) -> None:
         """Find where cells and stops begin, among rows in their order."""
-        begins = np.append(True, (np.diff(self.cells) != 0) | (np.diff(self.stops) != 0))
-        anew = np.append(True, np.diff(self.stops[begins]) != 0)
-        values = (np.flatnonzero(begins), np.flatnonzero(anew), np.cumsum(begins), np.cumsum(anew))
-        object.__setattr__(self, "_first_row", values[0])
-        object.__setattr__(self, "_first_cell", values[1])
-        object.__setattr__(self, "_cell_of_row", values[2] - 1)
-        object.__setattr__(self, "_stop_of_cell", values[3] - 1)
+        new_stop = np.diff(self.stops) != 0
+        begins_cell = np.append(True, (np.diff(self.cells) != 0) | new_stop)
+        begins_stop = np.append(True, np.diff(self.stops[begins_cell]) != 0)
+        object.__setattr__(self, "_first_row", np.flatnonzero(begins_cell))
+        object.__setattr__(self, "_first_cell", np.flatnonzero(begins_stop))
+        object.__setattr__(self, "_cell_of_row", np.cumsum(begins_cell) - 1)
+        object.__setattr__(self, "_stop_of_cell", np.cumsum(begins_stop) - 1)
 
     @classmethod
     def of(cls, kinematics: Kinematics, rows: Rows) -> Stops | None:
-        """Find the stops of a table, with the bodies where a fit starts; None where no stop has several targets.
+        """Find the stops of a table; None where no stop has several targets.
 
         A stop's rows are of one pose, one frame and one kind, which measures a position.
+
+        Args:
+            kinematics: The nominal robot, frames and targets as registered: where the bodies are.
+            rows: N rows.
         """
-        target = rows.samples.target
-        if not len(rows) or target.min() == target.max():
+        stop = _stop_of_rows(rows)
+        if stop is None:
             return None
-        # The two poses of a pair are one block.
-        at = same_poses(rows.joints) if np.any(rows.partner >= 0) else rows.blocks
-        labels = np.column_stack([at, rows.samples.frame, rows.kinds])
-        stops = np.unique(labels, axis=0, return_inverse=True)[1].reshape(-1)
-        seen = np.unique(np.column_stack([stops, target]), axis=0)[:, 0]
-        chosen = (np.bincount(seen)[stops] > 1) & rows.where(lambda kind: kind.position)
-        if not np.any(chosen):
-            return None
-        own, stops = rows.select(chosen), stops[chosen]
-        T = kinematics.poses(np.zeros(len(kinematics.model)), own.samples)
+        chosen = stop >= 0
+        stop = stop[chosen]
+        of_stops = rows.select(chosen)
+        T_frame_target = kinematics.poses(np.zeros(len(kinematics.model)), of_stops.samples)
         # Repeats of a target are one point of the body.
-        counts = 1.0 / np.bincount(own.poses)[own.poses]
-        J, instruments = np.zeros((len(own), rows.width, 6)), rows.instruments[chosen]
-        twists = _twists_of_bodies(T[:, :3, 3], stops, counts)
-        J[:, : own.width] = own.derivative(T, twists) / own.scales[:, :, None]
-        J = _of_unit_size(J, instruments, counts)
-        order = np.lexsort((own.poses, stops))
-        numbers, cells = np.flatnonzero(chosen)[order], own.poses[order]
-        return cls(numbers, cells, stops[order], J[order], instruments[order])
+        weight = 1.0 / np.bincount(of_stops.poses)[of_stops.poses]
+        twists = _twists_of_bodies(T_frame_target[:, :3, 3], stop, weight)
+        derivative = of_stops.derivative(T_frame_target, twists)
+        J = np.zeros((len(of_stops), rows.width, 6))
+        J[:, : of_stops.width] = derivative / of_stops.scales[:, :, None]
+        instruments = rows.instruments[chosen]
+        J = _of_unit_size(J, instruments, weight)
+        order = np.lexsort((of_stops.poses, stop))
+        return cls(
+            rows=np.flatnonzero(chosen)[order],
+            cells=of_stops.poses[order],
+            stops=stop[order],
+            J=J[order],
+            instruments=instruments[order],
+        )
 
     def select(self, mask: Mask) -> Stops | None:
-        """The stops of some of the table's rows, which are numbered anew; None where there are none."""
+        """Return the stops of some of the table's rows, by a mask (N,), numbered anew; None where there are none."""
         kept = mask[self.rows]
         numbers = (np.cumsum(mask) - 1)[self.rows]
         return replace(self._some(kept), rows=numbers[kept]) if np.any(kept) else None
 
     def drawn(self, count: Array) -> Stops:
-        """The stops of a bootstrap sample: ``count``, (N,), says how often each row's stop was drawn.
+        """Return the stops of a bootstrap sample.
 
-        The caller multiplies the rows' weights by it. A row of twice the weight has half the variance, and so must
-        the displacement that it shares.
+        The caller multiplies the rows' weights by ``count``. A row of twice the weight has half the variance, and so
+        must the displacement that it shares.
+
+        Args:
+            count: shape (N,), how often each row's stop was drawn.
         """
         often = count[self.rows, None, None]
         return replace(self, J=np.where(often > 0, self.J / np.sqrt(np.maximum(often, 1)), 0.0))
@@ -184,20 +218,38 @@ class Stops:
         Returns:
             X^T (K^-1 - I) X with the weighted columns X of each instrument, shape (B, C, q, q); log det K, shape (B,).
         """
-        q, (B, C, _) = len(columns), rho.shape
-        result, log_det = np.zeros((B, C, q, q)), np.zeros(B)
+        B, C, _ = rho.shape
+        changes, log_det = np.zeros((B, C, len(columns), len(columns))), np.zeros(B)
         for stops in self._parts():
             X = stops._rows_of(columns)
             for b, c in np.argwhere(np.any(rho > 0.0, axis=2)).tolist():
-                means, J, count = stops._means(X, weights[b], c)
-                kappa, G = _unshared(rho[b, c]), J * _roots(rho[b, c])
-                root = np.linalg.cholesky(np.eye(6) + stops._sums(_T(G) @ G) / kappa)
-                shared = np.linalg.solve(root, stops._sums(_T(G) @ means) / kappa).reshape(-1, q)
-                flat = means.reshape(-1, q)
-                result[b, c] += (1.0 / kappa - 1.0) * (flat.T @ flat) - shared.T @ shared
-                log_det[b] += np.sum(count) * np.log(kappa)
-                log_det[b] += 2.0 * np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)))
-        return result, log_det
+                change, log_terms = stops._correction(X, weights[b], c, rho[b, c])
+                changes[b, c] += change
+                for term in log_terms:
+                    log_det[b] += term
+        return changes, log_det
+
+    def _correction(
+        self, X: Array, weights: Array, c: int, rho: Array
+    ) -> tuple[Array, tuple[float, float]]:
+        """Change of the normal equations of one instrument, shape (q, q), and two terms of log det K.
+
+        Args:
+            X: shape (K, D, q), columns of these rows.
+            weights: shape (N,), of the table's rows.
+            c: The instrument's number.
+            rho: shape (2,), its shares.
+        """
+        means, J, count = self._means(X, weights, c)
+        kappa, G = _unshared(rho), J * _roots(rho)
+        root = np.linalg.cholesky(np.eye(6) + self._sums(_T(G) @ G) / kappa)
+        shared = np.linalg.solve(root, self._sums(_T(G) @ means) / kappa)
+        shared = shared.reshape(-1, X.shape[2])
+        flat = means.reshape(-1, X.shape[2])
+        change = (1.0 / kappa - 1.0) * (flat.T @ flat) - shared.T @ shared
+        of_unshared = np.sum(count) * np.log(kappa)
+        of_shared = 2.0 * np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)))
+        return change, (float(of_unshared), float(of_shared))
 
     def independent(self, columns: Array, weights: Array, rho: Array) -> Array:
         """Multiply the columns of whitened scalars by the root of K^-1, so that these are independent of each other.
@@ -210,23 +262,40 @@ class Stops:
             columns: shape (q, D, N), in units of the noise, and times the roots of the weights.
             weights: shape (N,), of the table's rows.
             rho: shape (C, 2), the shares of each instrument.
+
+        Returns:
+            shape (q, D, N).
         """
         result: Array = columns.copy()
         for stops in self._parts():
-            w, cell = weights[stops.rows], stops._cell_of_row
+            w = weights[stops.rows]
+            cell = stops._cell_of_row
             X = stops._rows_of(columns) / np.sqrt(np.maximum(w, _TINY))[:, None, None]
             for c in np.flatnonzero(np.any(rho > 0.0, axis=1)).tolist():
-                means, J, _ = stops._means(X, weights, c)
-                kappa = _unshared(rho[c])
-                G = J * _roots(rho[c]) / np.sqrt(kappa)
-                squares, Q = np.linalg.eigh(stops._sums(_T(G) @ G))
-                s = np.sqrt(1.0 + np.maximum(squares, 0.0))[:, None]
-                shared = (Q / (s + s**2)) @ (_T(Q) @ stops._sums(_T(G) @ means))
-                found = (means - G @ shared[stops._stop_of_cell]) / np.sqrt(kappa)
-                root = np.sqrt(w / np.maximum(np.add.reduceat(w, stops._first_row), _TINY)[cell])
-                changes = (found - means)[cell] * root[:, None, None]
+                change = stops._change_of_means(X, weights, c, rho[c])
+                weight_of_cell = np.maximum(np.add.reduceat(w, stops._first_row), _TINY)
+                root = np.sqrt(w / weight_of_cell[cell])
+                changes = change[cell] * root[:, None, None]
                 result[:, :, stops.rows] += changes.transpose(2, 1, 0)
         return result
+
+    def _change_of_means(self, X: Array, weights: Array, c: int, rho: Array) -> Array:
+        """Change of the cells' means, shape (M, D, q), by which those of a stop become independent.
+
+        Args:
+            X: shape (K, D, q), columns of these rows.
+            weights: shape (N,), of the table's rows.
+            c: The instrument's number.
+            rho: shape (2,), its shares.
+        """
+        means, J, _ = self._means(X, weights, c)
+        kappa = _unshared(rho)
+        G = J * _roots(rho) / np.sqrt(kappa)
+        squares, Q = np.linalg.eigh(self._sums(_T(G) @ G))
+        s = np.sqrt(1.0 + np.maximum(squares, 0.0))[:, None]
+        shared = (Q / (s + s**2)) @ (_T(Q) @ self._sums(_T(G) @ means))
+        independent = (means - G @ shared[self._stop_of_cell]) / np.sqrt(kappa)
+        return np.asarray(independent - means)
 
     def moments(self, columns: Array, weights: Array, c: int, x: Array, C: Array) -> Moments:
         """Compute the moments of a fit's residual for one instrument.
@@ -237,32 +306,45 @@ class Stops:
             c: The instrument's number.
             x: shape (p,), the solution, relative to where the residual of ``columns`` was taken.
             C: shape (p, p), its covariance.
+
+        Returns:
+            Moments of all stops, in units of sigma.
         """
         M, R, total, count = [], [], 0.0, 0.0
         for stops in self._parts():
-            means, J, there = stops._means(stops._rows_of(columns), weights, c)
-            A, r = means[..., :-1], means[..., -1:] - means[..., :-1] @ x[:, None]
+            means, J, measured = stops._means(stops._rows_of(columns), weights, c)
+            A = means[..., :-1]
+            r = means[..., -1:] - A @ x[:, None]
             sums = stops._sums(_T(J) @ np.concatenate([J, A, r], axis=2))
-            along, b = sums[..., 6:-1], sums[..., -1:]
+            J_A, J_r = sums[..., 6:-1], sums[..., -1:]
             M.append(sums[..., :6])
-            R.append(b @ _T(b) + along @ C @ _T(along))
+            R.append(J_r @ _T(J_r) + J_A @ C @ _T(J_A))
             total += float(np.sum(r**2) + np.sum((A @ C) * A))
-            count += float(np.sum(there))
+            count += float(np.sum(measured))
         return Moments(np.concatenate(M), np.concatenate(R), total, count)
 
     def _means(self, X: Array, weights: Array, c: int) -> tuple[Array, Array, Array]:
-        """Average an instrument's scalars over each cell: columns, derivative by the body, and number; zero for others.
+        """Average an instrument's scalars over each cell; zero for scalars of other instruments.
 
-        Repeats are summed with their weights, and scaled so that the sum has the variance of one row of weight 1. The
-        columns X have the shape (K, D, q), the results (M, D, q), (M, D, 6) and (M, D).
+        Repeats are summed with their weights, and scaled so that the sum has the variance of one row of weight 1.
+
+        Args:
+            X: shape (K, D, q), columns of these rows.
+            weights: shape (N,), of the table's rows.
+            c: The instrument's number.
+
+        Returns:
+            Means of the columns, shape (M, D, q), of the Jacobian by the body, shape (M, D, 6), and numbers of scalars,
+            shape (M, D).
         """
-        w, own = weights[self.rows, None], self.instruments == c
+        w = weights[self.rows, None]
+        of_instrument = self.instruments == c
         total = np.add.reduceat(w, self._first_row)
         scale = 1.0 / np.sqrt(np.maximum(total, _TINY))
-        both = np.concatenate([X, self.J], axis=2) * (w * own)[:, :, None]
+        both = np.concatenate([X, self.J], axis=2) * (w * of_instrument)[:, :, None]
         both = np.add.reduceat(both, self._first_row) * scale[:, :, None]
-        there = own[self._first_row] * np.minimum(total, 1.0)
-        return both[..., :-6], both[..., -6:], there
+        count = of_instrument[self._first_row] * np.minimum(total, 1.0)
+        return both[..., :-6], both[..., -6:], count
 
     def _sums(self, values: Array) -> Array:
         """Sums of values (M, ...) over the cells of each stop, shape (S, ...)."""
@@ -281,9 +363,29 @@ class Stops:
         return [self._some(part == k) for k in np.unique(part)]
 
     def _some(self, kept: Mask) -> Stops:
-        """Some of these rows."""
-        rows, cells, stops = (labels[kept] for labels in (self.rows, self.cells, self.stops))
-        return Stops(rows, cells, stops, self.J[kept], self.instruments[kept])
+        """The stops of some of these rows, by a mask (K,); numbers in the table stay."""
+        return Stops(
+            rows=self.rows[kept],
+            cells=self.cells[kept],
+            stops=self.stops[kept],
+            J=self.J[kept],
+            instruments=self.instruments[kept],
+        )
+
+
+def _stop_of_rows(rows: Rows) -> Integers | None:
+    """Number of the stop of each row, shape (N,); -1 for rows of stops with one target; None where all are such."""
+    target = rows.samples.target
+    if not len(rows) or target.min() == target.max():
+        return None
+    # The two poses of a pair are one block.
+    pose = same_poses(rows.joints) if np.any(rows.partner >= 0) else rows.blocks
+    labels = np.column_stack([pose, rows.samples.frame, rows.kinds])
+    stop = np.unique(labels, axis=0, return_inverse=True)[1].reshape(-1)
+    stop_of_target = np.unique(np.column_stack([stop, target]), axis=0)[:, 0]
+    several = np.bincount(stop_of_target)[stop] > 1
+    chosen = several & rows.where(lambda kind: kind.position)
+    return np.where(chosen, stop, -1) if np.any(chosen) else None
 
 
 def _unshared(rho: Array) -> float:
@@ -322,16 +424,22 @@ def _twists_of_bodies(points: Array, stops: Integers, counts: Array) -> Array:
 
 
 def _of_unit_size(J: Array, instruments: NDArray[np.int8], counts: Array) -> Array:
-    """Scale the derivatives (K, D, 6) of rows with weights ``counts``, (K,), so that their effect has mean square 1.
+    """Scale Jacobians by displacements of bodies so that their effect has mean square 1.
 
-    Each instrument's derivatives by translations, and those by rotations, have a scale of their own.
+    Each instrument's Jacobians by translations, and those by rotations, have a scale of their own.
+
+    Args:
+        J: shape (K, D, 6).
+        instruments: shape (K, D), number of each scalar's instrument; -1 for none.
+        counts: shape (K,), weight of each row in the mean.
     """
     result = np.zeros(J.shape)
     for c in range(int(instruments.max()) + 1):
-        own = counts[:, None] * (instruments == c)
-        for part in (_TRANSLATION, _TURN):
-            square = float(np.sum(own[:, :, None] * J[:, :, part] ** 2))
+        of_instrument = instruments == c
+        weight = counts[:, None] * of_instrument
+        for part in (_TRANSLATION, _ROTATION):
+            square = float(np.sum(weight[:, :, None] * J[:, :, part] ** 2))
             if square > 0.0:
-                scale = np.sqrt(np.sum(own) / square)
-                result[:, :, part] += scale * (own > 0.0)[:, :, None] * J[:, :, part]
+                scale = np.sqrt(np.sum(weight) / square)
+                result[:, :, part] += scale * of_instrument[:, :, None] * J[:, :, part]
     return result

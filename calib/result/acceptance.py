@@ -25,19 +25,11 @@ from calib.diagnosis.coverage import OutsideRow
 from calib.diagnosis.reasons import Reason
 from calib.diagnosis.usual_mistakes import find_usual_mistake
 from calib.errors import CalibError, MeasurementError, choices
+from calib.result.accuracy import Accuracy, PoseAccuracy, accuracy, fitted_rows
 from calib.result.calibration import CalibrationValues
-from calib.result.evaluation import (
-    Accuracy,
-    Evaluation,
-    PoseAccuracy,
-    accuracy,
-    evaluate,
-    fitted_rows,
-    moved,
-    registering,
-)
+from calib.result.evaluation import Evaluation, evaluate, moved_place, registration_rows
 from calib.robot.robot import Robot
-from calib.units import Mask, split_header
+from calib.units import Array, Mask, split_header
 
 Outcome = Literal["pass", "undecided", "fail"]
 
@@ -47,26 +39,31 @@ OUTCOMES: tuple[Outcome, ...] = ("pass", "undecided", "fail")
 #: What is compared with the tolerance: the largest AP, their mean, or the largest error of a single repeat.
 CRITERIA = ("max", "mean", "single")
 
-#: A column that every table of commands has, and how exactly the poses to send are those of the nominal robot [m].
-_COMMANDS, _EXACT = "correction position", 1e-6
+#: A column that every table of commands has.
+_COMMANDS = "correction position"
+
+#: The nominal robot predicts the poses of commands to this distance [m]; measured ones are further off.
+_EXACT = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
 class Check:
     """One figure compared with its tolerance, in m or rad."""
 
-    figure: float  #: What is judged
-    tolerance: float  #: What it may be
-    uncertainty: float  #: Expanded measuring uncertainty as stated; 0 where none was
-    factor: float  #: How much larger errors were before registration to the same rows
-    seen: bool  #: Whether a calibration was fitted to the rows
+    figure: float  #: The figure A that is judged
+    tolerance: float  #: The tolerance T
+    uncertainty: float  #: Expanded measuring uncertainty U as stated; 0 where none was
+    factor: float  #: The factor f: random errors before registration to the same rows over those after it; >= 1
+    seen: bool  #: Whether a calibration was fitted to the judged rows
 
     @property
     def outcome(self) -> Outcome:
         """One of `OUTCOMES`."""
         if self.figure - self.uncertainty > self.tolerance:
             return "fail"
-        return "pass" if self.held <= self.tolerance and not self.seen else "undecided"
+        if self.held <= self.tolerance and not self.seen:
+            return "pass"
+        return "undecided"
 
     @property
     def held(self) -> float:
@@ -76,17 +73,17 @@ class Check:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Acceptance:
-    """What an acceptance test found."""
+    """The outcome of an acceptance test."""
 
     accuracy: Accuracy  #: Accuracy and repeatability at each pose
     criterion: str  #: One of `CRITERIA`
-    length: Check | None  #: Of positions or lengths; None where no tolerance was stated
-    angle: Check | None  #: That of orientations; likewise
-    within: int  #: How many poses are within the tolerances, by what the criterion looks at in each
+    length: Check | None  #: Of positions or lengths [m]; None where no tolerance was stated
+    angle: Check | None  #: Of orientations [rad]; likewise
+    within: int  #: Number of poses that are within the tolerances, by the error that the criterion looks at in each
 
     @property
     def checks(self) -> tuple[tuple[Check, bool], ...]:
-        """Those that there are, each with whether it is of angles."""
+        """The checks that were made, each with True if it is of angles."""
         both = ((self.length, False), (self.angle, True))
         return tuple((check, angle) for check, angle in both if check is not None)
 
@@ -97,7 +94,7 @@ class Acceptance:
 
     @property
     def share(self) -> float:
-        """Of poses chosen as these were, at least this share is within the tolerances, with 95 % confidence.
+        """Least share of poses, chosen as these were, that is within the tolerances, with 95 % confidence.
 
         Clopper and Pearson's lower limit; it holds for poses chosen at random and independently of each other.
         """
@@ -107,14 +104,30 @@ class Acceptance:
         return float(betaincinv(self.within, count - self.within + 1, 0.05))
 
     def size(self, pose: PoseAccuracy, *, angle: bool) -> float:
-        """What the criterion looks at in a pose [m] or [rad]; NaN if it has none."""
-        name = "single" if self.criterion == "single" else "ap"
-        return float(getattr(pose, f"{name}_angle" if angle else name))
+        """Return the error of a pose that the criterion looks at; NaN if it has none.
+
+        Args:
+            pose: One of the judged poses.
+            angle: Of orientations [rad], and not of positions [m].
+        """
+        return error_of(pose, self.criterion, angle=angle)
 
     def used(self, pose: PoseAccuracy) -> float:
-        """How much of its tolerance a pose uses, as a share."""
+        """Return the share of its tolerance that a pose uses, the larger of both; 0 if it has no error."""
         shares = (self.size(pose, angle=angle) / c.tolerance for c, angle in self.checks)
         return max((share for share in shares if np.isfinite(share)), default=0.0)
+
+
+def error_of(pose: PoseAccuracy, criterion: str, *, angle: bool) -> float:
+    """Return the error of a pose that a criterion looks at; NaN if it has none.
+
+    Args:
+        pose: The pose.
+        criterion: One of `CRITERIA`: ``"single"`` looks at the largest error of a repeat, the others at AP.
+        angle: Of orientations [rad], and not of positions [m].
+    """
+    name = "single" if criterion == "single" else "ap"
+    return float(getattr(pose, f"{name}_angle" if angle else name))
 
 
 def acceptance(
@@ -143,48 +156,69 @@ def acceptance(
         CalibError: No tolerance, one that is not positive, an uncertainty below 0, or no such criterion.
         MeasurementError: No row measures anything, or no orientation where these have a tolerance.
     """
-    given = ((tolerance, uncertainty, "m"), (tolerance_angle, uncertainty_angle, "rad"))
     if tolerance is None and tolerance_angle is None:
         raise CalibError("State a tolerance: of positions in m, of orientations in rad, or both.")
-    for limit, sure, unit in given:
-        if (limit is not None and not 0.0 < limit < np.inf) or not 0.0 <= sure < np.inf:
-            raise CalibError(
-                f"The tolerance is {limit} {unit} with an uncertainty of {sure} {unit}; the first must be above 0, the "
-                "second 0 or larger."
-            )
+    _check_limits(tolerance, uncertainty, "m")
+    _check_limits(tolerance_angle, uncertainty_angle, "rad")
     if criterion not in CRITERIA:
         raise CalibError(f"The criterion is '{criterion}'; choose one of {choices(CRITERIA)}.")
-    one = accuracy(evaluation, seen=seen)
-    if tolerance_angle is not None and not len(one.of("ap_angle")):
+    judged = accuracy(evaluation, seen=seen)
+    if tolerance_angle is not None and not len(judged.of("ap_angle")):
         raise MeasurementError(
             f"{evaluation.measurements.source or 'Measurements'}: a tolerance of {np.degrees(tolerance_angle):g} deg "
             "was stated, and no orientation was measured in the rows that are judged."
         )
-    fine = np.ones(len(one.poses), dtype=bool)
-    found = Acceptance(one, criterion, None, None, 0)
-    checks: list[Check | None] = [None, None]  # of lengths, of angles
-    for k, (limit, sure, _) in enumerate(given):
-        if limit is None:
-            continue
-        values = np.array([found.size(pose, angle=k > 0) for pose in one.poses])
-        fine &= ~(values > limit)  # a pose without an orientation is judged by its position
-        figure = float(np.nanmean(values) if criterion == "mean" else np.nanmax(values))
-        checks[k] = Check(figure, limit, sure, one.factor, one.seen)
-    return Acceptance(one, criterion, checks[0], checks[1], int(np.sum(fine)))
+    length = angle = None
+    within = np.ones(len(judged.poses), dtype=bool)
+    if tolerance is not None:
+        sizes = _sizes(judged, criterion, angle=False)
+        length = _check(judged, criterion, sizes, tolerance, uncertainty)
+        within &= ~(sizes > tolerance)
+    if tolerance_angle is not None:
+        sizes = _sizes(judged, criterion, angle=True)
+        angle = _check(judged, criterion, sizes, tolerance_angle, uncertainty_angle)
+        within &= ~(
+            sizes > tolerance_angle
+        )  # a pose without an orientation is judged by its position
+    return Acceptance(judged, criterion, length, angle, int(np.sum(within)))
+
+
+def _check_limits(tolerance: float | None, uncertainty: float, unit: str) -> None:
+    """Refuse a tolerance that is not positive, and an uncertainty below 0, both in the unit."""
+    stated = tolerance is None or 0.0 < tolerance < np.inf
+    if not stated or not 0.0 <= uncertainty < np.inf:
+        raise CalibError(
+            f"The tolerance is {tolerance} {unit} with an uncertainty of {uncertainty} {unit}; the first must be above "
+            "0, the second 0 or larger."
+        )
+
+
+def _sizes(judged: Accuracy, criterion: str, *, angle: bool) -> Array:
+    """Return the error of each pose that the criterion looks at [m] or [rad], shape (poses,); NaN without one."""
+    return np.array([error_of(pose, criterion, angle=angle) for pose in judged.poses])
+
+
+def _check(
+    judged: Accuracy, criterion: str, sizes: Array, tolerance: float, uncertainty: float
+) -> Check:
+    """Compare the errors of poses, shape (poses,), with a tolerance, all in [m] or in [rad]."""
+    figure = np.nanmean(sizes) if criterion == "mean" else np.nanmax(sizes)
+    return Check(float(figure), tolerance, uncertainty, judged.factor, judged.seen)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Assessment:
     """Every robot that a URDF and a result hold, compared with one table."""
 
-    #: Errors, by ``"nominal"``, ``"urdf"``, ``"calibration"`` and ``"non_geometric"`` as far as they are there
-    found: Mapping[str, Evaluation]
-    figures: Mapping[str, Accuracy]  #: Their accuracy
-    judged: str  #: The robot that is judged
+    #: Errors, by ``"nominal"``, ``"urdf"``, ``"calibration"`` and ``"non_geometric"`` as far as there are such robots
+    evaluations: Mapping[str, Evaluation]
+    accuracies: Mapping[str, Accuracy]  #: Their pose accuracy, by the same names
+    judged: str  #: Name of the robot that is judged
     accepted: Acceptance | None  #: The acceptance, where a tolerance was stated
-    #: Judged rows with joint values that the fit did not see, and the numbers of the rows asked for
+    #: Judged rows with joint values outside of the fitted ranges, and the numbers of all judged rows
     outside: tuple[tuple[OutsideRow, ...], tuple[int, ...]]
-    #: What would explain the rows far better: another set-up, or a frame or target that moved since the calibration
+    #: An explanation by which the rows would fit far better: a usual mistake, or a frame or target that has moved since
+    #: the calibration
     hint: Reason | None
 
 
@@ -192,7 +226,7 @@ def assess(
     robot: Robot,
     table: Measurements,
     cell: Cell,
-    c: CalibrationValues | None = None,
+    calibration: CalibrationValues | None = None,
     *,
     which: tuple[str, ...] = (),
     judge: str | None = None,
@@ -200,57 +234,95 @@ def assess(
 ) -> Assessment:
     """Evaluate the robot as it is; and of a result its nominal robot, its joint origins, and its non-geometric model.
 
-    ``which`` of the result's frame and target are used; ``judge`` names the robot that is judged, by default the
-    corrected one; ``limits`` is what `acceptance` is given: without it nothing is judged.
+    Args:
+        robot: The robot as its URDF is, nominal or corrected.
+        table: The rows.
+        cell: What is known of frames, targets and loads.
+        calibration: A result of this robot; None: only the URDF is evaluated.
+        which: What is taken from the result: ``"frame"``, ``"target"``, both or none.
+        judge: Name of the robot that is judged; None: the calibrated one, or the URDF's without a result.
+        limits: Arguments of `acceptance`; None: nothing is accepted or refused.
 
     Raises:
         CalibError: There is no such robot to be judged, or what `evaluate` and `acceptance` raise.
         MeasurementError: The table holds commands, and nothing was measured.
     """
-    nominal = robot if c is None else c.uncorrected(robot)
+    nominal = robot if calibration is None else calibration.uncorrected(robot)
     _check_measured(nominal, table)
-    seen = np.zeros(len(table), dtype=bool)
-    hint: Reason | None = None
-    if c is None:
-        found = {"urdf": evaluate(robot, table, cell)}
-        hint = find_usual_mistake(robot, cell, table.select(registering(table)))
+    if calibration is None:
+        evaluations = {"urdf": evaluate(robot, table, cell)}
+        seen = np.zeros(len(table), dtype=bool)
+        hint = find_usual_mistake(robot, cell, table.select(registration_rows(table)))
     else:
-        states = {
-            "nominal": (nominal, c.nominal_setup, None),
-            "urdf": (robot, c.setup, None),
-            "calibration": (c.corrected(robot), c.setup, None),
-            **(
-                {}
-                if c.non_geometric is None
-                else {"non_geometric": (nominal, None, c.non_geometric)}
-            ),
-        }
-        found = {
-            who: evaluate(one, table, cell, known=known, which=which, non_geometric=non_geometric)
-            for who, (one, known, non_geometric) in states.items()
-        }
-        seen = fitted_rows(c, robot, table, cell)
-        hint = moved(found["calibration"].robot, table, cell, c.setup, which)
-    judged = judge or ("urdf" if c is None else "calibration")
-    if judged not in found:
+        evaluations = _evaluations(robot, table, cell, calibration, which)
+        seen = fitted_rows(calibration, robot, table, cell)
+        corrected = evaluations["calibration"].robot
+        hint = moved_place(corrected, table, cell, calibration.setup, which)
+    judged = judge or ("urdf" if calibration is None else "calibration")
+    if judged not in evaluations:
         raise CalibError(
-            f"--judge {judged}: there is no such robot; choose one of {choices(found)}."
+            f"--judge {judged}: there is no such robot; choose one of {choices(evaluations)}."
         )
-    figures = {who: accuracy(one, seen=seen) for who, one in found.items()}
-    beyond: tuple[OutsideRow, ...] = ()
-    rows = tuple(row for pose in figures[judged].poses for row in pose.rows[:1])
-    if c is not None and judged in ("calibration", "non_geometric"):
-        own_rows = np.isin(table.rows, rows)
-        beyond = c.outside_of_measured(table.joints_for(c.nominal.joint_names)[own_rows])
-        rows = tuple(np.array(table.rows)[own_rows].tolist())
+    accuracies = {name: accuracy(one, seen=seen) for name, one in evaluations.items()}
+    accepted = acceptance(evaluations[judged], **limits, seen=seen) if limits else None
     return Assessment(
-        found=found,
-        figures=figures,
+        evaluations=evaluations,
+        accuracies=accuracies,
         judged=judged,
-        accepted=acceptance(found[judged], **limits, seen=seen) if limits else None,
-        outside=(beyond, rows),
+        accepted=accepted,
+        outside=_outside(table, calibration, accuracies[judged], judged),
         hint=hint,
     )
+
+
+def _evaluations(
+    robot: Robot,
+    table: Measurements,
+    cell: Cell,
+    calibration: CalibrationValues,
+    which: tuple[str, ...],
+) -> dict[str, Evaluation]:
+    """Evaluate the robots of a result; the arguments are those of `assess`.
+
+    Returns:
+        By the names of `Assessment.evaluations`.
+    """
+    nominal, corrected = calibration.uncorrected(robot), calibration.corrected(robot)
+    setup = calibration.setup
+    evaluations = {
+        "nominal": evaluate(nominal, table, cell, known=calibration.nominal_setup, which=which),
+        "urdf": evaluate(robot, table, cell, known=setup, which=which),
+        "calibration": evaluate(corrected, table, cell, known=setup, which=which),
+    }
+    if calibration.non_geometric is not None:
+        model = calibration.non_geometric
+        evaluations["non_geometric"] = evaluate(
+            nominal, table, cell, which=which, non_geometric=model
+        )
+    return evaluations
+
+
+def _outside(
+    table: Measurements, calibration: CalibrationValues | None, figures: Accuracy, judged: str
+) -> tuple[tuple[OutsideRow, ...], tuple[int, ...]]:
+    """List judged rows outside of the fitted ranges.
+
+    Args:
+        table: All rows.
+        calibration: The result; None: there are no fitted ranges.
+        figures: Accuracy of the robot that is judged.
+        judged: Its name; only the calibrated one and the non-geometric model depend on fitted ranges.
+
+    Returns:
+        The rows outside, and the numbers of the first rows of all judged poses.
+    """
+    numbers = tuple(pose.rows[0] for pose in figures.poses)
+    if calibration is None or judged not in ("calibration", "non_geometric"):
+        return (), numbers
+    first_rows = np.isin(table.rows, numbers)
+    q = table.joints_for(calibration.nominal.joint_names)[first_rows]
+    numbers = tuple(np.array(table.rows)[first_rows].tolist())
+    return calibration.outside_of_measured(q), numbers
 
 
 def _check_measured(nominal: Robot, m: Measurements) -> None:
@@ -258,10 +330,11 @@ def _check_measured(nominal: Robot, m: Measurements) -> None:
     if _COMMANDS not in {split_header(label)[0] for label in m.ignored}:
         return
     try:
-        found = evaluate(nominal, m, Cell(estimate_frame=True))
+        evaluation = evaluate(nominal, m, Cell(estimate_frame=True))
     except CalibError:
         return  # too few rows to tell
-    if found.used.sum() > found.setup.count and found.errors["all"].max < _EXACT:
+    enough = evaluation.used.sum() > evaluation.setup.count
+    if enough and evaluation.errors["all"].max < _EXACT:
         raise MeasurementError(
             f"{m.source}: these are commands that 'calib compensate' wrote, and nothing was measured. Put what was "
             "measured in the place of x, y, z, or give it as a list of its own with --points."

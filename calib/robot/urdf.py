@@ -26,7 +26,7 @@ __all__ = ["Urdf", "UrdfJoint", "find_urdf", "read_only", "read_urdf", "robot_da
 
 SAME = 1e-14  #: Entries of two poses that differ by no more are the same [m; rotation matrices: 1].
 
-#: How a comment begins that states the verdict on a corrected URDF.
+#: The beginning of a comment that states the verdict on a corrected URDF.
 _VERDICT = "calib verdict: "
 
 
@@ -37,23 +37,35 @@ class Urdf:
     data: bytes = field(repr=False)  #: The file, byte for byte.
     #: Name of the file, for messages; a xacro's with its arguments.
     source: str = field(compare=False)
-    #: Where it, or the xacro that it was flattened from, was read; or None.
+    #: The file that it, or the xacro that it was flattened from, was read from; None if it came as bytes.
     path: Path | None = field(compare=False)
     name: str = field(compare=False)  #: Name of the robot; empty if it has none.
     #: The joints in the file's order.
     joints: tuple[UrdfJoint, ...] = field(repr=False, compare=False)
     #: Names of the links in the file's order.
     links: tuple[str, ...] = field(repr=False, compare=False)
-    _document: Document = field(repr=False, compare=False)
+    _document: Document = field(
+        repr=False, compare=False
+    )  #: The elements and their positions in the bytes.
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Urdf:
-        """Read a URDF file."""
+        """Read a URDF file.
+
+        Raises:
+            FileError: It cannot be read.
+            UrdfError: It is not a URDF that can be calibrated.
+        """
         return cls.from_bytes(read_bytes(path, "URDF"), Path(path).name, Path(path))
 
     @classmethod
     def from_bytes(cls, data: bytes, source: str, path: Path | None = None) -> Urdf:
-        """Parse the bytes of a URDF; ``path`` is the file that they come from, beside which its meshes lie.
+        """Parse the bytes of a URDF.
+
+        Args:
+            data: The file, byte for byte.
+            source: Its name, for messages.
+            path: The file that the bytes come from, beside which its meshes lie; None for none.
 
         Raises:
             UrdfError: It is not a URDF that can be calibrated; the text says where and why.
@@ -87,30 +99,44 @@ class Urdf:
         return verdicts[0] if verdicts else ""
 
     def elements(self) -> AnyElement:
-        """The whole file as elements, a new tree at each call."""
+        """Return the whole file as elements, a new tree at each call."""
         return self._document.elements()
 
     def joint(self, name: str) -> UrdfJoint:
-        """The joint of that name; UrdfError if there is none."""
+        """Return the joint of that name; UrdfError if there is none."""
         return self.joints[self._joint_index(name)]
 
     def chain(self, base: str, tip: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """The joints, fixed ones included, from two links' nearest common ancestor down to ``base`` and to ``tip``."""
-        above = {joint.child: joint for joint in self.joints}
-        to_base: list[str] = []
-        to_tip: list[str] = []
-        for link, path in ((base, to_base), (tip, to_tip)):
-            self._check_link(link)
-            at = link
-            while at in above:
-                path.insert(0, above[at].name)
-                at = above[at].parent
+        """Return the joints that lead from the nearest common ancestor of two links to each of them.
+
+        Args:
+            base: Name of a link.
+            tip: Name of a link.
+
+        Returns:
+            Names of joints, fixed ones included, from the ancestor down to ``base``, and down to ``tip``.
+
+        Raises:
+            UrdfError: There is no such link.
+        """
+        to_base = self._joints_above(base)
+        to_tip = self._joints_above(tip)
         while to_base and to_tip and to_base[0] == to_tip[0]:
             del to_base[0], to_tip[0]
         return tuple(to_base), tuple(to_tip)
 
+    def _joints_above(self, link: str) -> list[str]:
+        """Return the names of the joints from the root to a link, in this order; UrdfError if there is no such link."""
+        self._check_link(link)
+        above = {joint.child: joint for joint in self.joints}
+        names: list[str] = []
+        while link in above:
+            names.insert(0, above[link].name)
+            link = above[link].parent
+        return names
+
     def with_origins(self, origins: Mapping[str, Array]) -> Urdf:
-        """The URDF with other joint origins; only the <origin> start tags of those joints change.
+        """Return the URDF with other joint origins; only the <origin> start tags of those joints change.
 
         ``xyz`` is rewritten only if the translation changes by more than `SAME`, ``rpy`` only if the rotation does.
         Numbers read back exactly; rotations agree to rounding, pitch = +-pi/2 included. A missing <origin> is added.
@@ -138,7 +164,16 @@ class Urdf:
         return self._patched(patches) if patches else self
 
     def with_link(self, name: str, parent: str, T_parent_link: Array) -> Urdf:
-        """The URDF with a massless link fixed to ``parent`` by ``<name>_joint``, written just before ``</robot>``."""
+        """Return the URDF with a massless link fixed to another by ``<name>_joint``, written just before ``</robot>``.
+
+        Args:
+            name: Name of the new link.
+            parent: Name of the link that it is fixed to.
+            T_parent_link: Shape (4, 4), [m], its pose in the parent.
+
+        Raises:
+            UrdfError: The name is empty or taken, or there is no link ``parent``.
+        """
         self._check_link(parent)
         joint_name = f"{name}_joint"
         if not name or name in self.links or joint_name in {joint.name for joint in self.joints}:
@@ -147,7 +182,8 @@ class Urdf:
                 f"or the name of its joint, '{joint_name}', is; choose another or use with_origins"
             )
         document = self._document
-        link, joint = document.quoted(name), document.quoted(joint_name)
+        link = document.quoted(name)
+        joint = document.quoted(joint_name)
         lines = (
             (0, b"<link name=" + link + b"/>"),
             (0, b"<joint name=" + joint + b' type="fixed">'),
@@ -168,7 +204,7 @@ class Urdf:
         return self._patched([patch])
 
     def with_verdict(self, text: str) -> Urdf:
-        """The URDF with a verdict as a comment on a line before ``<robot>``, in place of one that it states already.
+        """Return the URDF with a verdict as a comment on a line before ``<robot>``, in place of one that it has.
 
         Args:
             text: The verdict and its reason, which `verdict` reads back; empty for a URDF without such a comment.
@@ -188,19 +224,30 @@ class Urdf:
         return self._patched(patches) if patches else self
 
     def write(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
-        """Write the bytes to a file, whole or not at all."""
+        """Write the bytes to a file, whole or not at all.
+
+        Args:
+            path: The file.
+            overwrite: False to refuse a file that exists.
+
+        Returns:
+            The path.
+
+        Raises:
+            FileError: It exists and is not to be overwritten, has the name of a xacro, or cannot be written.
+        """
         check_no_xacro(path)
         return write_atomically(path, self.data, overwrite=overwrite)
 
     def _patched(self, patches: list[tuple[int, int, bytes]]) -> Urdf:
-        """The URDF with bytes start to end replaced, for every (start, end, new)."""
+        """Return the URDF with the bytes from start to before end replaced, for every (start, end, new bytes)."""
         data = self.data
         for start, end, new in sorted(patches, reverse=True):
             data = data[:start] + new + data[end:]
         return Urdf.from_bytes(data, self.source, self.path)
 
     def _joint_index(self, name: str) -> int:
-        """Where the joint stands in `joints`; UrdfError if there is none."""
+        """Return the index of a joint in `joints`; UrdfError if there is none of that name."""
         names = [joint.name for joint in self.joints]
         if name in names:
             return names.index(name)
@@ -210,7 +257,7 @@ class Urdf:
         )
 
     def _check_link(self, name: str) -> None:
-        """UrdfError unless there is a link of that name."""
+        """Refuse a name that is not that of a link."""
         if name in self.links:
             return
         child = next((joint.child for joint in self.joints if joint.name == name), None)
@@ -223,18 +270,31 @@ class Urdf:
 
 
 def _xyz_rpy(T: Array) -> dict[str, str]:
-    """The attributes of an <origin>, read back exactly; Pinocchio's rpy is accurate at pitch = +-pi/2, too."""
-    values = {"xyz": T[:3, 3], "rpy": pin.rpy.matrixToRpy(T[:3, :3])}
-    return {key: " ".join(repr(float(v) + 0.0) for v in value) for key, value in values.items()}
+    """Return the attributes of the <origin> of a pose (4, 4) [m], as text that reads back exactly.
+
+    Pinocchio's rpy is accurate at pitch = +-pi/2, too.
+    """
+    rpy = pin.rpy.matrixToRpy(T[:3, :3])
+    return {"xyz": _number_text(T[:3, 3]), "rpy": _number_text(rpy)}
+
+
+def _number_text(values: Array) -> str:
+    """Return numbers, without signs of zero, as text that reads back exactly."""
+    return " ".join(repr(float(value) + 0.0) for value in values)
 
 
 def _origin_tag(T: Array) -> bytes:
-    """A whole <origin/>."""
+    """Return a whole <origin/> of a pose (4, 4) [m]."""
     return '<origin xyz="{xyz}" rpy="{rpy}"/>'.format(**_xyz_rpy(T)).encode()
 
 
 def read_urdf(source: str | Path) -> Urdf:
-    """The URDF of a file, of a xacro with the arguments behind it, or of a robot of example-robot-data."""
+    """Read the URDF of a file, of a xacro with the arguments behind it, or of a robot of example-robot-data.
+
+    Raises:
+        FileError: The file cannot be read.
+        UrdfError: There is no such robot, the xacro has a fault, or it is not a URDF that can be calibrated.
+    """
     if not is_xacro(source):
         return Urdf.read(find_urdf(source))
     call = XacroCall.parse(source)
@@ -249,7 +309,7 @@ def read_urdf(source: str | Path) -> Urdf:
 
 @lru_cache(maxsize=1)
 def robot_data_urdfs() -> dict[str, Path]:
-    """The URDF files of the installed example-robot-data by name, from its list of files, which is long."""
+    """Return the URDF files of the installed example-robot-data by name, from its list of files, which is long."""
     try:
         files = importlib.metadata.files("example-robot-data") or []
     except importlib.metadata.PackageNotFoundError:
@@ -258,7 +318,7 @@ def robot_data_urdfs() -> dict[str, Path]:
 
 
 def find_urdf(source: str | Path) -> Path:
-    """The URDF file that a path, or the name of a robot of example-robot-data, means; UrdfError without.
+    """Return the URDF file that a path, or the name of a robot of example-robot-data, means; UrdfError if none.
 
     ``<name>_robot.urdf`` comes before ``<name>.urdf``: that package's own loader returns a UR5 for ``"ur3"``.
     """
@@ -277,16 +337,16 @@ def find_urdf(source: str | Path) -> Path:
 
 
 def _similar(name: str, known: list[str]) -> str:
-    """Names of robots like the one given, as the end of a message, none of them as if it were the one that is meant.
+    """Return names of robots like the one given, as the end of a message that says they may be others.
 
     A ``ur10e`` is no ``ur10``: its first link is 53 mm longer.
 
     Args:
         name: The name given.
-        known: The names of the robots that there are.
+        known: The names of all robots of example-robot-data.
 
     Returns:
-        Those that begin with the name, or that it begins with; else those that differ by few letters.
+        Names that begin with the one given, or that it begins with; else those that differ by few letters.
     """
     given = name.casefold()
     similar = [

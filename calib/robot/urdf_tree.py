@@ -18,8 +18,10 @@ from calib.errors import UrdfError, choices, did_you_mean
 from calib.robot.urdf_xml import XACRO_FIX, Document, Element
 from calib.units import NUMBER, Array
 
+#: The types of joints of URDF.
 JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 
+#: An axis as written that is shorter than this has no direction.
 _ZERO_AXIS = 1e-9
 
 #: No robot has half of its joints further than this from their parents [m]; in millimetres all robots have.
@@ -28,10 +30,16 @@ _FAR = 10.0
 #: No origin is turned by more than two turns [rad]; in degrees most are.
 _TURNED = 4.0 * np.pi
 
-#: Between these a limit of a joint may be one in degrees [rad, deg]; such limits are multiples of the third.
-_TURNS, _MOST_DEGREES, _STEP_DEGREES = 4.0 * np.pi, 720.0, 5.0
+#: A limit of a joint above this, two turns if in radians [rad], may be one in degrees.
+_TURNS = 4.0 * np.pi
 
-#: A joint without a limit, and what it is given.
+#: A limit of a joint above this, two turns, is none in degrees [deg].
+_MOST_DEGREES = 720.0
+
+#: Limits in degrees are multiples of this [deg].
+_STEP_DEGREES = 5.0
+
+#: The limit to write, for messages, by the type of a joint that has none.
 _LIMITS = {
     "revolute": 'lower="-3.14" upper="3.14" effort="0" velocity="0"/>, in rad, or the type "continuous"',
     "prismatic": 'lower="0" upper="1" effort="0" velocity="0"/>, in m',
@@ -39,7 +47,7 @@ _LIMITS = {
 
 
 def read_only(values: ArrayLike) -> Array:
-    """A copy of the values as a float64 array that cannot be written to."""
+    """Return a copy of the values as a float64 array that cannot be written to."""
     array = np.array(values, dtype=np.float64)
     array.setflags(write=False)
     return array
@@ -72,13 +80,17 @@ class UrdfJoint:
 
 
 def read_tree(document: Document) -> tuple[tuple[UrdfJoint, ...], tuple[str, ...]]:
-    """The joints and the names of the links, both in the file's order."""
+    """Return the joints and the names of the links, both in the file's order.
+
+    Raises:
+        UrdfError: It is not a URDF that can be calibrated; the text says where and why.
+    """
     root = document.root
     elements = root.all("joint")
     if root.tag != "robot":
-        known = {"sdf": "SDF (Gazebo)", "mujoco": "MJCF (MuJoCo)", "COLLADA": "a COLLADA mesh"}
-        looks = f", it looks like {known[root.tag]}" if root.tag in known else ""
-        text = f"the outermost element is <{root.tag}>{looks}; a URDF has <robot>"
+        formats = {"sdf": "SDF (Gazebo)", "mujoco": "MJCF (MuJoCo)", "COLLADA": "a COLLADA mesh"}
+        likely = f", it looks like {formats[root.tag]}" if root.tag in formats else ""
+        text = f"the outermost element is <{root.tag}>{likely}; a URDF has <robot>"
         raise document.at(root, text)
     if not elements:
         text = "<robot> has no <joint>; a URDF with the joints themselves is wanted"
@@ -92,7 +104,7 @@ def read_tree(document: Document) -> tuple[tuple[UrdfJoint, ...], tuple[str, ...
 
 
 def _unique_names(document: Document, elements: list[Element]) -> tuple[str, ...]:
-    """The names of links or joints, which must be there once each."""
+    """Return the names of links or joints; UrdfError where one is missing or given twice."""
     lines: dict[str, int] = {}
     for element in elements:
         name = element.attributes.get("name", "")
@@ -109,23 +121,26 @@ def _unique_names(document: Document, elements: list[Element]) -> tuple[str, ...
 
 
 def _joint(document: Document, element: Element) -> UrdfJoint:
-    """What a ``<joint>`` states."""
+    """Return the joint that a ``<joint>`` states; UrdfError where it is not complete."""
     kind = element.attributes.get("type", "")
     if kind not in JOINT_TYPES:
         text = f" has the type '{kind}'; the types are {choices(JOINT_TYPES)}"
         raise _fault(document, element, text)
     numbers = partial(_numbers, document, element)
-    axis, zeros = (1.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-    direction = read_only(axis if kind in ("fixed", "floating") else numbers("axis", "xyz", axis))
+    zeros = (0.0, 0.0, 0.0)
+    axis: tuple[float, ...] = (1.0, 0.0, 0.0)
+    if kind not in ("fixed", "floating"):
+        axis = numbers("axis", "xyz", axis)
+    direction = read_only(axis)
     length = float(np.linalg.norm(direction))
     if length < _ZERO_AXIS:
         text = ': the axis is zero; give its direction, xyz="0 0 1" for example'
         raise _fault(document, element, text)
     _check_limit(document, element, kind)
-    limits = [np.nan, np.nan]
+    lower = upper = None
     if kind in ("revolute", "prismatic"):
-        limits = [numbers("limit", key, (np.nan,))[0] for key in ("lower", "upper")]
-    lower, upper = (None if np.isnan(value) else value for value in limits)
+        lower = _limit(document, element, "lower")
+        upper = _limit(document, element, "upper")
     return UrdfJoint(
         name=element.attributes["name"],
         type=kind,
@@ -140,6 +155,12 @@ def _joint(document: Document, element: Element) -> UrdfJoint:
         mimic_multiplier=numbers("mimic", "multiplier", (1.0,))[0],
         mimic_offset=numbers("mimic", "offset", (0.0,))[0],
     )
+
+
+def _limit(document: Document, element: Element, key: str) -> float | None:
+    """Return a joint's limit ``"lower"`` or ``"upper"`` [rad or m]; None where it is not stated."""
+    (value,) = _numbers(document, element, "limit", key, (np.nan,))
+    return None if np.isnan(value) else value
 
 
 def _check_limit(document: Document, element: Element, kind: str) -> None:
@@ -160,20 +181,20 @@ def _check_limit(document: Document, element: Element, kind: str) -> None:
 def _fault(
     document: Document, element: Element, text: str, part: Element | None = None
 ) -> UrdfError:
-    """An error about a joint, with the line of one of its parts."""
+    """Return an error about a joint, with the line of one of its parts; None: of the joint itself."""
     return document.at(part or element, f"joint '{element.attributes['name']}'{text}")
 
 
 def _part(document: Document, element: Element, tag: str) -> Element | None:
-    """The joint's child of that name, None without; refused if there are several."""
-    found = element.all(tag)
-    if len(found) > 1:
-        raise _fault(document, element, f" has {len(found)} <{tag}>; keep one")
-    return found[0] if found else None
+    """Return the joint's child of that name, None without; UrdfError if there are several."""
+    parts = element.all(tag)
+    if len(parts) > 1:
+        raise _fault(document, element, f" has {len(parts)} <{tag}>; keep one")
+    return parts[0] if parts else None
 
 
 def _link(document: Document, element: Element, tag: str, key: str = "link") -> str:
-    """The value of ``<tag key="...">``, which must be there."""
+    """Return the value of ``<tag key="...">``; UrdfError without it."""
     part = _part(document, element, tag)
     value = part.attributes.get(key, "") if part else ""
     if not value:
@@ -184,7 +205,18 @@ def _link(document: Document, element: Element, tag: str, key: str = "link") -> 
 def _numbers(
     document: Document, element: Element, tag: str, key: str, default: tuple[float, ...]
 ) -> tuple[float, ...]:
-    """The finite numbers of ``<tag key="...">``, as many as the default, which is for none."""
+    """Return the finite numbers of ``<tag key="...">`` of a joint.
+
+    Args:
+        document: The file.
+        element: The joint's element.
+        tag: Name of its child.
+        key: Name of the child's attribute.
+        default: The numbers where the child or the attribute is missing; as many are read as these are.
+
+    Raises:
+        UrdfError: Anything else is written.
+    """
     part = _part(document, element, tag)
     if part is None or key not in part.attributes:
         return default
@@ -194,13 +226,21 @@ def _numbers(
         values = tuple(float(word) for word in words)
         if np.isfinite(values).all():
             return values
-    wanted = f"{len(default)} finite numbers" if len(default) > 1 else "a finite number"
-    xacro = f"; this is xacro, {XACRO_FIX}" if "${" in text or "$(" in text else ""
-    raise _fault(document, element, f": {key} of <{tag}> is '{text}', {wanted} wanted{xacro}", part)
+    expected = f"{len(default)} finite numbers" if len(default) > 1 else "a finite number"
+    fault = f": {key} of <{tag}> is '{text}', {expected} wanted"
+    if "${" in text or "$(" in text:
+        fault += f"; this is xacro, {XACRO_FIX}"
+    raise _fault(document, element, fault, part)
 
 
 def _check_tree(document: Document, joints: tuple[UrdfJoint, ...], links: tuple[str, ...]) -> None:
-    """Refuse links that do not exist or have two parents, several roots, and loops."""
+    """Refuse links that do not exist or have two parents, several roots, and loops.
+
+    Args:
+        document: The file.
+        joints: Its joints, in the order of their elements.
+        links: The names of its links.
+    """
     above: dict[str, UrdfJoint] = {}
     for joint, element in zip(joints, document.root.all("joint"), strict=True):
         for link in (joint.parent, joint.child):
@@ -220,9 +260,7 @@ def _check_tree(document: Document, joints: tuple[UrdfJoint, ...], links: tuple[
             f"{document.source} has {len(roots)} root links: {choices(roots)}; join them by fixed "
             "joints so that one is left"
         )
-    reached = set(roots)
-    while new := {j.child for j in joints if j.parent in reached} - reached:
-        reached |= new
+    reached = _links_below(roots, joints)
     loop = sorted(joint.name for joint in joints if joint.child not in reached)
     if loop:
         raise UrdfError(
@@ -230,10 +268,26 @@ def _check_tree(document: Document, joints: tuple[UrdfJoint, ...], links: tuple[
         )
 
 
+def _links_below(roots: list[str], joints: tuple[UrdfJoint, ...]) -> set[str]:
+    """Return the links that joints lead to from the root links, these included."""
+    reached: set[str] = set()
+    new = set(roots)
+    while new:
+        reached |= new
+        new = {joint.child for joint in joints if joint.parent in reached} - reached
+    return reached
+
+
 def _check_units(document: Document, joints: tuple[UrdfJoint, ...]) -> None:
-    """Refuse lengths in millimetres and angles in degrees, where all that is stated says so."""
+    """Refuse a URDF whose lengths look like millimetres, or its angles or limits like degrees.
+
+    Args:
+        document: The file.
+        joints: Its joints, in the order of their elements.
+    """
     lengths = [float(np.linalg.norm(joint.xyz)) for joint in joints]
-    typical = float(np.median([length for length in lengths if length > 0.0] or [0.0]))
+    apart = [length for length in lengths if length > 0.0]
+    typical = float(np.median(apart)) if apart else 0.0
     if typical > _FAR:
         raise UrdfError(
             f"{document.source}: half of the joints lie more than {typical:.0f} m from their parents; lengths of a "
@@ -261,7 +315,7 @@ def _check_units(document: Document, joints: tuple[UrdfJoint, ...]) -> None:
 
 
 def _looks_like_degrees(joint: UrdfJoint) -> bool:
-    """Tell limits in degrees by round numbers that would be many turns in radians, and are two at most in degrees."""
+    """Return True for limits that are round numbers, many turns if in radians, and at most two if in degrees."""
     if joint.lower is None or joint.upper is None:
         return False
     ends = np.array([joint.lower, joint.upper])

@@ -1,4 +1,4 @@
-"""The XML under a URDF: its elements, and where each start tag lies in the file's own bytes.
+"""The XML under a URDF: its elements, and the position of each start tag in the file's own bytes.
 
 With these positions one number can be changed while all other bytes (comments, quotes, line ends, encoding) are kept.
 """
@@ -7,17 +7,23 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from xml.etree import ElementTree
 from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
 from calib.errors import UrdfError
 
+#: The remedy, for messages, where a URDF holds names or numbers of xacro.
 XACRO_FIX = "expand it first: xacro robot.urdf.xacro > robot.urdf; or name it robot.urdf.xacro, and calib expands it"
 
-_DEPTH = 3  # robot / joint / origin: nothing below is of interest
+#: Levels of elements that are noted: robot, joint, origin.
+_DEPTH = 3
+
+#: A start tag, in which quotes may hide its end; group 1 is its name.
 _START_TAG = re.compile(rb"""<([^\s/>"']+)[^<>"']*(?:(?:"[^"]*"|'[^']*')[^<>"']*)*>""")
+
+#: An attribute of a start tag: the space before it, its name, its value in quotes.
 _ATTRIBUTE = re.compile(rb"""(\s+)([^\s=<>"'/]+)\s*=\s*("[^"]*"|'[^']*')""")
 
 #: Characters that XML 1.0 does not allow anywhere.
@@ -37,7 +43,7 @@ class Element:
     children: list[Element]  #: Child elements in the file's order.
 
     def all(self, tag: str) -> list[Element]:
-        """The children of that name."""
+        """Return the children of that name, in the file's order."""
         return [child for child in self.children if child.tag == tag]
 
 
@@ -45,28 +51,37 @@ class Element:
 class Comment:
     """A comment of the file."""
 
-    text: str  #: What stands between its ends.
+    text: str  #: Its text, between ``<!--`` and ``-->``.
     start: int  #: First byte of ``<!--``.
     end: int  #: Byte after ``-->``.
 
 
 @dataclass(frozen=True, slots=True)
 class Document:
-    """The bytes of an XML file with its upper levels of elements; ``source`` names it in messages."""
+    """The bytes of an XML file with its upper levels of elements."""
 
-    data: bytes
-    source: str
-    encoding: str
-    root: Element
-    comments: tuple[Comment, ...]
+    data: bytes  #: The file, byte for byte.
+    source: str  #: Its name, for messages.
+    encoding: str  #: As its XML declaration states it, else UTF-8.
+    root: Element  #: The outermost element.
+    comments: tuple[Comment, ...]  #: All comments, in the file's order.
 
     @classmethod
     def from_bytes(cls, data: bytes, source: str) -> Document:
-        """Parse an XML file."""
+        """Parse an XML file.
+
+        Args:
+            data: The file, byte for byte.
+            source: Its name, for messages.
+
+        Raises:
+            UrdfError: It is no XML, empty, xacro, or of an encoding that cannot be used; the text says where.
+        """
         if data[:2] in (b"\xff\xfe", b"\xfe\xff") or b"\0" in data[:4]:
             raise UrdfError(f"{source} is in UTF-16 or UTF-32; save it as UTF-8")
         try:
-            return cls(data, source, *_scan(data, source))
+            encoding, root, comments = _scan(data, source)
+            return cls(data, source, encoding, root, comments)
         except expat.ExpatError as error:
             text = data.removeprefix(b"\xef\xbb\xbf").lstrip()
             if not text:
@@ -75,18 +90,26 @@ class Document:
             fix = "mend the file there, and save it as UTF-8"
             if not text.startswith(b"<"):
                 fix = "it starts with no '<', a URDF is wanted"
-            what = expat.ErrorString(error.code)
-            raise UrdfError(f"{source} is not XML: {what}, {place}; {fix}") from error
+            fault = expat.ErrorString(error.code)
+            raise UrdfError(f"{source} is not XML: {fault}, {place}; {fix}") from error
         except (LookupError, ValueError) as error:
             message = f"{source}: its encoding cannot be used ({error}); save it as UTF-8"
             raise UrdfError(message) from error
 
     def at(self, element: Element, text: str) -> UrdfError:
-        """An error that says where: file, line, then ``text``."""
+        """Return an error that says where: file, line, then a text.
+
+        Args:
+            element: The element at fault.
+            text: The fault and its remedy.
+        """
         return UrdfError(f"{self.source}, line {element.line}: {text}")
 
     def elements(self) -> ElementTree.Element:
-        """All elements, their names as written: a prefix need not be declared, as for other readers of URDF."""
+        """Return all elements as a new tree, their names as written.
+
+        A prefix need not be declared, as for other readers of URDF.
+        """
         builder = ElementTree.TreeBuilder()
         parser = expat.ParserCreate()
         parser.StartElementHandler = builder.start
@@ -95,22 +118,23 @@ class Document:
         return builder.close()
 
     def line_head(self, position: int) -> bytes | None:
-        """The line end and indentation before the tag at ``position``; None if anything else is there."""
+        """Return the line end and indentation before the tag at a byte position; None if it shares its line."""
         newline = self.data.rfind(b"\n", 0, position)
         head = self.data[newline + 1 : position]
         if newline < 0 or head.strip(b" \t"):
             return None
-        return (b"\r\n" if self.data[newline - 1 : newline] == b"\r" else b"\n") + head
+        line_end = b"\r\n" if self.data[newline - 1 : newline] == b"\r" else b"\n"
+        return line_end + head
 
     def line_after(self, position: int) -> int:
-        """Byte after the line end at ``position``; the position itself if anything else is there."""
+        """Return the byte position after a line end at ``position``; the position itself if there is none."""
         for line_end in (b"\r\n", b"\n"):
             if self.data.startswith(line_end, position):
                 return position + len(line_end)
         return position
 
     def comment(self, text: str) -> bytes:
-        """A comment on a line of its own, in the file's encoding and line ends.
+        """Return a comment on a line of its own, in the file's encoding and line ends.
 
         XML allows no ``--`` in a comment: the hyphens are written apart. A character that XML does not allow becomes
         a question mark.
@@ -121,74 +145,122 @@ class Document:
         return b"<!-- " + line.encode(self.encoding, "xmlcharrefreplace") + b" -->" + line_end
 
     def quoted(self, value: str) -> bytes:
-        """An attribute value in quotes, escaped, in the encoding of the file."""
+        """Return an attribute value in quotes, escaped, in the encoding of the file."""
         return quoteattr(value).encode(self.encoding, "xmlcharrefreplace")
 
     def start_tag_with(self, element: Element, values: Mapping[str, str]) -> bytes:
-        """The start tag with these attribute values (plain numbers); its other bytes stay.
+        """Return the start tag of an element with other attribute values; its other bytes stay.
 
         An attribute keeps its place and quotes; a missing one is added after the last, spaced and quoted as that is.
+
+        Args:
+            element: The element.
+            values: Plain numbers as text, by the attribute's name.
         """
         tag = self.data[element.start : element.end]
         name = _START_TAG.match(tag)
-        position, last = 0, name.end(1) if name else 0
-        space, quote = b" ", b'"'
-        pieces: list[bytes] = []
         missing = {key.encode(): value.encode() for key, value in values.items()}
-        for found in _ATTRIBUTE.finditer(tag, last):
-            space, quote, last = found[1], found[3][:1], found.end()
-            new = missing.pop(found[2], None)
-            if new is not None:
-                pieces += [tag[position : found.start(3)], quote, new, quote]
-                position = last
-        pieces.append(tag[position:last])
-        pieces += [space + key + b"=" + quote + new + quote for key, new in missing.items()]
-        return b"".join([*pieces, tag[last:]])
+        pieces: list[bytes] = []
+        copied = 0  # bytes of the tag that are in the pieces
+        last = name.end(1) if name else 0  # end of the last attribute
+        space = b" "
+        quote = b'"'
+        for attribute in _ATTRIBUTE.finditer(tag, last):
+            space = attribute[1]
+            quote = attribute[3][:1]
+            last = attribute.end()
+            value = missing.pop(attribute[2], None)
+            if value is not None:
+                pieces += [tag[copied : attribute.start(3)], quote, value, quote]
+                copied = last
+        pieces.append(tag[copied:last])
+        for key, value in missing.items():
+            pieces.append(space + key + b"=" + quote + value + quote)
+        pieces.append(tag[last:])
+        return b"".join(pieces)
+
+
+@dataclass(slots=True)
+class _Scanner:
+    """Handlers of a parser that note the elements of the upper levels, the comments and the encoding of a file."""
+
+    data: bytes  #: The file.
+    source: str  #: Its name, for messages.
+    parser: expat.XMLParserType  #: The parser that calls the handlers.
+    encoding: str = "utf-8"  #: As the XML declaration states it.
+    root: Element | None = None  #: The outermost element.
+    comments: list[Comment] = field(default_factory=list)
+    _open: list[Element] = field(
+        default_factory=list
+    )  #: The elements of the upper levels that are open.
+    _depth: int = 0  #: Number of all elements that are open.
+    _xacro: set[str] = field(default_factory=lambda: {"xacro"})  #: Prefixes of xacro's names.
+
+    def declaration(self, _version: str, encoding: str | None, _standalone: int) -> None:
+        """Note the encoding of an XML declaration."""
+        self.encoding = encoding or "utf-8"
+
+    def start(self, tag: str, attributes: dict[str, str]) -> None:
+        """Note an element whose start tag was read; UrdfError if it is xacro."""
+        line = self.parser.CurrentLineNumber
+        first = self.parser.CurrentByteIndex
+        self._refuse_xacro(tag, attributes, line)
+        self._depth += 1
+        if self._depth > _DEPTH:
+            return
+        match = _START_TAG.match(self.data, first)
+        # All changes rest on this position: never go on without it.
+        assert match is not None, f"<{tag}> does not stand where the parser says"
+        element = Element(tag, attributes, line, first, match.end(), match.end(), [])
+        if self._open:
+            self._open[-1].children.append(element)
+        else:
+            self.root = element
+        self._open.append(element)
+
+    def _refuse_xacro(self, tag: str, attributes: dict[str, str], line: int) -> None:
+        """Refuse an element, in this line, whose name or attributes have a prefix of xacro."""
+        for name, value in attributes.items():
+            if name.startswith("xmlns:") and "xacro" in value:
+                self._xacro.add(name.removeprefix("xmlns:"))
+        for name in (tag, *attributes):
+            prefix, colon, _ = name.partition(":")
+            if colon and prefix in self._xacro:
+                message = f"'{name}' belongs to xacro, not URDF; {XACRO_FIX}"
+                raise UrdfError(f"{self.source}, line {line}: {message}")
+
+    def end(self, _tag: str) -> None:
+        """Note where the end tag of an element begins."""
+        self._depth -= 1
+        if self._depth < _DEPTH:
+            element = self._open.pop()
+            if self.data[element.end - 2 : element.end] != b"/>":
+                element.close = self.parser.CurrentByteIndex
+
+    def comment(self, text: str) -> None:
+        """Note a comment."""
+        first = self.parser.CurrentByteIndex
+        last = self.data.index(b"-->", first) + len(b"-->")
+        self.comments.append(Comment(text, first, last))
 
 
 def _scan(data: bytes, source: str) -> tuple[str, Element, tuple[Comment, ...]]:
-    """The encoding, the outermost element with those below it, and the comments."""
+    """Return a file's encoding, its outermost element with the levels below it, and its comments.
+
+    Args:
+        data: The file, byte for byte.
+        source: Its name, for messages.
+
+    Raises:
+        UrdfError: It is xacro.
+        ExpatError: It is no XML.
+    """
     parser = expat.ParserCreate()
-    encodings, xacro = ["utf-8"], {"xacro"}
-    above: list[Element] = []  # the elements that are open
-    root: list[Element] = []
-    comments: list[Comment] = []
-    depth = 0
-
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        nonlocal depth
-        xacro.update(
-            k[6:] for k, v in attributes.items() if k.startswith("xmlns:") and "xacro" in v
-        )
-        line, first = parser.CurrentLineNumber, parser.CurrentByteIndex
-        for name in (tag, *attributes):
-            if ":" in name and name.partition(":")[0] in xacro:
-                message = f"'{name}' belongs to xacro, not URDF; {XACRO_FIX}"
-                raise UrdfError(f"{source}, line {line}: {message}")
-        depth += 1
-        if depth <= _DEPTH:
-            found = _START_TAG.match(data, first)
-            # The position is what everything rests on: never go on without it.
-            assert found is not None, f"<{tag}> does not stand where the parser says"
-            element = Element(tag, attributes, line, first, found.end(), found.end(), [])
-            (above[-1].children if above else root).append(element)
-            above.append(element)
-
-    def end(_tag: str) -> None:
-        nonlocal depth
-        depth -= 1
-        if depth < _DEPTH:
-            element = above.pop()
-            if data[element.end - 2 : element.end] != b"/>":
-                element.close = parser.CurrentByteIndex
-
-    def comment(text: str) -> None:
-        first = parser.CurrentByteIndex
-        comments.append(Comment(text, first, data.index(b"-->", first) + len(b"-->")))
-
-    parser.XmlDeclHandler = lambda _version, encoding, _alone: encodings.append(encoding or "utf-8")
-    parser.StartElementHandler = start
-    parser.EndElementHandler = end
-    parser.CommentHandler = comment
+    scanner = _Scanner(data, source, parser)
+    parser.XmlDeclHandler = scanner.declaration
+    parser.StartElementHandler = scanner.start
+    parser.EndElementHandler = scanner.end
+    parser.CommentHandler = scanner.comment
     parser.Parse(data, True)
-    return encodings[-1], root[0], tuple(comments)
+    assert scanner.root is not None, "the parser accepts no file without an element"
+    return scanner.encoding, scanner.root, tuple(scanner.comments)

@@ -1,4 +1,4 @@
-"""Xacro files: flattened to a URDF by the ``xacro`` package, in a process of their own that ends after a while.
+"""Xacro files, flattened to a URDF by the ``xacro`` package in a process of their own with a time limit.
 
 A xacro is a program: it may read any file, and what it computes may take for ever. Flatten those that you trust.
 """
@@ -21,7 +21,7 @@ from calib.errors import UrdfError, choices, did_you_mean
 from calib.files import read_bytes
 
 TIME_LIMIT = 60.0
-"""How long flattening may take [s]."""
+"""The time that flattening may take [s]."""
 
 _FILE = re.compile(r"\.xacro(?=\s|$)", re.IGNORECASE)
 
@@ -30,12 +30,20 @@ _FILE = re.compile(r"\.xacro(?=\s|$)", re.IGNORECASE)
 class XacroCall:
     """A xacro file and its arguments, ``(name, value)`` each."""
 
-    path: Path
-    arguments: tuple[tuple[str, str], ...] = ()
+    path: Path  #: The xacro file.
+    arguments: tuple[
+        tuple[str, str], ...
+    ] = ()  #: Names and values, in the order in which they were given.
 
     @classmethod
     def parse(cls, source: str | os.PathLike[str]) -> XacroCall:
-        """The file and the arguments of a text; quoted as for a shell.
+        """Return the file and the arguments that a text names.
+
+        Args:
+            source: Path of a xacro, and arguments ``NAME:=VALUE`` behind it, quoted as for a shell.
+
+        Raises:
+            UrdfError: A word behind the path is no argument, or one is given twice.
 
         Example:
             >>> XacroCall.parse("ur.urdf.xacro ur_type:=ur5e name:='my arm'").arguments
@@ -43,7 +51,7 @@ class XacroCall:
         """
         text = os.fspath(source)
         # A folder may have the ending, too: the whole text or the first part that is a file, or else the first.
-        ends = [len(text), *(found.end() for found in _FILE.finditer(text))]
+        ends = [len(text), *(match.end() for match in _FILE.finditer(text))]
         end = next((end for end in ends if os.path.isfile(text[:end])), ends[:2][-1])  # noqa: PTH113
         path = Path(text[:end]).expanduser()
         try:
@@ -62,13 +70,13 @@ class XacroCall:
 
     @property
     def name(self) -> str:
-        """The file's name with the arguments: what messages and results call it."""
+        """The file's name with the arguments, for messages and results."""
         words = [f"{name}:={shlex.quote(value)}" for name, value in self.arguments]
         return " ".join([self.path.name, *words])
 
 
 def is_xacro(source: str | os.PathLike[str]) -> bool:
-    """Whether this names a xacro file, with or without arguments."""
+    """Return True for the name of a xacro file, with or without arguments."""
     text = os.fspath(source)
     if os.path.isfile(text):  # noqa: PTH113  of any length
         return text.lower().endswith(".xacro")
@@ -76,7 +84,7 @@ def is_xacro(source: str | os.PathLike[str]) -> bool:
 
 
 def flattened(call: XacroCall) -> bytes:
-    """The text that ``xacro FILE ARGUMENTS`` prints, but for the folder in the remark at its head.
+    """Return the text that ``xacro FILE ARGUMENTS`` prints, but for the folder in the remark at its head.
 
     Raises:
         FileError: There is no such file.
@@ -93,32 +101,33 @@ def flattened(call: XacroCall) -> bytes:
     path = os.pathsep.join(filter(None, sys.path))
     env = os.environ | {"PYTHONPATH": path, "PYTHONIOENCODING": "utf-8"}
     try:
-        done = subprocess.run(
+        finished = subprocess.run(
             program, capture_output=True, timeout=TIME_LIMIT, env=env, check=False
         )
     except subprocess.TimeoutExpired as error:
         raise UrdfError(
             f"{call.name}: xacro took longer than {TIME_LIMIT:g} s and was stopped; look for what repeats in it"
         ) from error
-    if done.returncode:
-        said = done.stderr.decode("utf-8", "replace").strip().splitlines() or ["xacro failed"]
-        raise UrdfError(f"{call.name}: {said[-1]}")
-    return done.stdout
+    if finished.returncode:
+        lines = finished.stderr.decode("utf-8", "replace").strip().splitlines()
+        fault = lines[-1] if lines else "xacro failed"
+        raise UrdfError(f"{call.name}: {fault}")
+    return finished.stdout
 
 
 class _Arguments(dict[str, str]):
-    """The arguments of a call, which note what the xacro asks for: xacro itself passes over a misspelt name."""
+    """The arguments of a call, which note the names that the xacro uses: xacro itself ignores a misspelt one."""
 
     def __init__(self, words: tuple[str, ...]) -> None:
         super().__init__(word.split(":=", 1) for word in words)
-        self.used: dict[str, None] = {}
+        self.used: dict[str, None] = {}  # names in the order of their use
 
     def __contains__(self, name: object) -> bool:
         self.used[str(name)] = None
         return super().__contains__(name)
 
     def misspelt(self) -> str:
-        """What is wrong with an argument for which the xacro did not ask; empty without one."""
+        """Return the fault of an argument that the xacro does not use, for a message; empty without one."""
         for name in self.keys() - self.used.keys():
             has = f"its arguments: {choices(self.used)}" if self.used else "it has none"
             return f"it has no argument '{name}'{did_you_mean(name, self.used)}; {has}"
@@ -126,7 +135,7 @@ class _Arguments(dict[str, str]):
 
 
 def _main(path: str, *words: str) -> str | None:
-    """Flatten a file to standard output; a line about the fault if there is one."""
+    """Flatten a file, with ``NAME:=VALUE`` words, to standard output; return a line about the fault, if any."""
     import xacro
 
     index: Any = types.ModuleType("ament_index_python.packages")  # all that xacro asks of ROS
@@ -141,29 +150,43 @@ def _main(path: str, *words: str) -> str | None:
         return f"{place}{' '.join((str(error) or repr(error)).split())}. {arguments.misspelt()}"
     # The second line of xacro's remark names the file, with its folder: the same text wherever it lies.
     name = re.sub("-+", "-", Path(path).name)
-    document.childNodes[
-        1
-    ].data = f" |    This document was autogenerated by xacro from {name:<30} | "
+    remark = document.childNodes[1]
+    remark.data = f" |    This document was autogenerated by xacro from {name:<30} | "
     output.write(document.toprettyxml(indent="  "))
     return arguments.misspelt() or None
 
 
+#: Name of the file that makes a folder a ROS package.
 MANIFEST = "package.xml"
 _NAME = re.compile(rb"<name>\s*([^<\s]+)\s*</name>")
 _COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
 
-#: How many folders down a package may lie: below ROS_PACKAGE_PATH, in a workspace's `src`, anywhere else.
-_DEEP, _WORKSPACE, _BESIDE = 5, 2, 1
+#: Folders down that a package may lie below one of ROS_PACKAGE_PATH.
+_DEEP = 5
+
+#: Folders down that a package may lie below a workspace's `src`.
+_WORKSPACE = 2
+
+#: Folders down that a package may lie anywhere else.
+_BESIDE = 1
 
 
 def package_folder(name: str, file: Path) -> Path:
-    """The folder of a ROS package as a xacro ``file`` finds it; LookupError without.
+    """Return the folder of a ROS package as a xacro file finds it.
 
     In this order: the ament index (``AMENT_PREFIX_PATH``, ROS 2); ``ROS_PACKAGE_PATH`` (ROS 1); the folders above the
     file and those beside them whose ``package.xml`` has the name; a folder of that name without a ``package.xml``.
+
+    Args:
+        name: The package's name.
+        file: The xacro file.
+
+    Raises:
+        LookupError: There is no such package.
     """
-    for found in _candidates(name, file.resolve()) if name.strip(".") else ():
-        return found
+    if name.strip("."):
+        for folder in _candidates(name, file.resolve()):
+            return folder
     raise LookupError(
         f"there is no ROS package '{name}' in AMENT_PREFIX_PATH, ROS_PACKAGE_PATH, or the folders above and beside "
         f"'{file}'. Source its ROS workspace, or export ROS_PACKAGE_PATH=FOLDER with the folder above it"
@@ -171,15 +194,22 @@ def package_folder(name: str, file: Path) -> Path:
 
 
 def listed_folders(variable: str) -> list[Path]:
-    """The folders of an environment variable such as ``ROS_PACKAGE_PATH``."""
+    """Return the folders of an environment variable such as ``ROS_PACKAGE_PATH``."""
     return [Path(entry) for entry in os.environ.get(variable, "").split(os.pathsep) if entry]
 
 
 def packages_in(folder: Path, name: str, depth: int = _BESIDE) -> Iterator[Path]:
-    """The packages of that name in a folder, the folder itself first, no deeper than ``depth``."""
+    """Yield the ROS packages of a name in a folder, the folder itself first.
+
+    Args:
+        folder: The folder.
+        name: The package's name, as its ``package.xml`` states it.
+        depth: Levels of folders below it to look into.
+    """
     if (folder / MANIFEST).is_file():  # packages do not lie in one another
-        found = _NAME.search(_COMMENT.sub(b"", (folder / MANIFEST).read_bytes()))
-        if found is not None and found[1] == name.encode():
+        manifest = _COMMENT.sub(b"", (folder / MANIFEST).read_bytes())
+        stated = _NAME.search(manifest)
+        if stated is not None and stated[1] == name.encode():
             yield folder
     elif depth and os.access(folder, os.R_OK) and folder.is_dir():
         for below in sorted(folder.iterdir()):
@@ -188,7 +218,7 @@ def packages_in(folder: Path, name: str, depth: int = _BESIDE) -> Iterator[Path]
 
 
 def _candidates(name: str, file: Path) -> Iterator[Path]:
-    """The folders that the name may mean, the likeliest first."""
+    """Yield the folders that a package's name may mean for a xacro file, the likeliest first."""
     for prefix in listed_folders("AMENT_PREFIX_PATH"):
         index = prefix / "share" / "ament_index" / "resource_index" / "packages" / name
         if index.is_file():

@@ -17,8 +17,9 @@ from calib.text.verdict import reason_text
 from calib.units import Array
 
 if TYPE_CHECKING:
-    from calib.compensation.commands import Code, Commands, Finding
+    from calib.compensation.commands import Commands
     from calib.compensation.expected import ExpectedErrors, Source
+    from calib.compensation.warnings import Code, CommandWarning
     from calib.robot.robot import Robot
 
 
@@ -113,12 +114,12 @@ def _written(path: Path | None) -> str:
     return f"Written: {path}\n{fill(advice)}"
 
 
-def _reasons(commands: Commands) -> list[tuple[Finding, ...]]:
+def _reasons(commands: Commands) -> list[tuple[CommandWarning, ...]]:
     """Why each row has no command; empty for a row that has one."""
     return [(reason,) if reason else () for reason in commands.reasons]
 
 
-def _warnings(commands: Commands, what: str, rows: Sequence[Sequence[Finding]]) -> str:
+def _warnings(commands: Commands, what: str, rows: Sequence[Sequence[CommandWarning]]) -> str:
     """Write a paragraph of findings with its heading; empty if there are none."""
     if not any(rows):
         return ""
@@ -137,7 +138,7 @@ def no_commands(commands: Commands) -> str:
     return "\n".join([head, *_findings(commands, _reasons(commands)), fill(advice)])
 
 
-def finding_text(finding: Finding, robot: Robot) -> str:
+def finding_text(finding: CommandWarning, robot: Robot) -> str:
     """Word a finding on a row.
 
     Args:
@@ -257,10 +258,10 @@ def _program(commands: Commands) -> str:
         if program.q is not None:
             content += " with joint values to start at"
     frame = f"'{robot.base}'"
-    if pair.set_up is not None:
+    if pair.group is not None:
         frame = "the measured frame"
-        if pair.set_up:
-            frame += f" of {pair.set_up!r}"
+        if pair.group:
+            frame += f" of {pair.group!r}"
     text = (
         f"Program: {len(commands)} rows of {content}. Tool: {_place(pair.actual.T_tip_tool)} in '{robot.tip}'. "
         f"Matched: {_MATCHED[commands.match]}. Poses are in {frame}."
@@ -316,7 +317,7 @@ def _notes(commands: Commands) -> Iterator[str]:
             f"Set the controller's tool to {_place(pair.nominal.T_tip_tool)} in '{robot.tip}': the poses to send, and "
             "those computed from joint values, are of it."
         )
-    if pair.set_up is not None:
+    if pair.group is not None:
         place = _place(rigid_inverse(pair.T_frame_base))
         yield f"Set the controller's work object to {place} in '{robot.base}': the poses to send are in it."
 
@@ -352,9 +353,9 @@ def _mismatch(commands: Commands) -> str:
     )
 
 
-def _findings(commands: Commands, rows: Sequence[Sequence[Finding]]) -> list[str]:
+def _findings(commands: Commands, rows: Sequence[Sequence[CommandWarning]]) -> list[str]:
     """Write a line for each code among the findings of the rows, with its first row as the example."""
-    by_code: dict[str, dict[str, Finding]] = {}
+    by_code: dict[str, dict[str, CommandWarning]] = {}
     for label, findings in zip(commands.program.labels, rows, strict=True):
         for finding in findings:
             by_code.setdefault(finding.code, {}).setdefault(label, finding)

@@ -13,8 +13,9 @@ import calib.data.kinds as registry
 from calib.errors import choices
 from calib.numerics.errors import Errors
 from calib.result.acceptance import Acceptance, Assessment, Check
+from calib.result.accuracy import FEWEST_APART, Accuracy, PoseAccuracy
 from calib.result.calibration_file import error_table as stored_errors, pose_table, versions
-from calib.result.evaluation import FEWEST_APART, Accuracy, Evaluation, PoseAccuracy
+from calib.result.evaluation import Evaluation
 from calib.text.layout.lines import WIDTH, deg, mm, plural, wrap
 from calib.text.layout.tables import Column, name_column, table_lines
 from calib.text.summary import angle_table, error_table, error_title
@@ -71,10 +72,10 @@ def assessment_text(e: Assessment, result: str, source: str) -> str:
         The text, in lines of 100 columns.
     """
     robot = _LONG_NAMES[e.judged].format(result)
-    parts = [_places_text(e.found["urdf"], source), _errors_text(e.found, result)]
-    repeated = any(accuracy.repeats[1] > 1 for accuracy in e.figures.values())
+    parts = [_places_text(e.evaluations["urdf"], source), _errors_text(e.evaluations, result)]
+    repeated = any(accuracy.repeats[1] > 1 for accuracy in e.accuracies.values())
     if e.accepted is not None or repeated:
-        figures = {_NAMES[who]: accuracy for who, accuracy in e.figures.items()}
+        figures = {_NAMES[who]: accuracy for who, accuracy in e.accuracies.items()}
         parts.append(accuracy_text(figures))
     if e.accepted is not None:
         reasons = [wrap(reason, "  ") for reason in _reasons(e, e.accepted, robot)]
@@ -307,13 +308,13 @@ def _blocks(robots: Mapping[str, Evaluation], count: str) -> Iterator[tuple[str,
 
 def assessment_table(e: Assessment) -> dict[str, Any]:
     """Evaluation as nested tables in SI units, which `calib evaluate --json` writes; see docs/result-json.md."""
-    urdf, acceptance = e.found["urdf"], e.accepted
+    urdf, acceptance = e.evaluations["urdf"], e.accepted
     m, setup, robot = urdf.measurements, urdf.setup, urdf.robot
     frames = zip(setup.groups, setup.T_frame_base, strict=True)
     targets = zip(setup.targets, setup.T_tip_target, strict=True)
     errors = {
         who: {name: stored_errors(errors) for name, errors in evaluation.errors.items()}
-        for who, evaluation in e.found.items()
+        for who, evaluation in e.evaluations.items()
     }
     accepted = None
     if acceptance is not None:
@@ -334,7 +335,7 @@ def assessment_table(e: Assessment) -> dict[str, Any]:
             "measurements": {"name": m.source, "sha256": m.sha256, "rows": len(m)},
         },
         "versions": versions(),
-        "accuracy": {who: accuracy_table(figures) for who, figures in e.figures.items()},
+        "accuracy": {who: accuracy_table(figures) for who, figures in e.accuracies.items()},
         "acceptance": accepted,
     }
 

@@ -157,7 +157,7 @@ def fleet_text(fleet: Mapping[str, Any], kept: int) -> Iterator[str]:
         "copies": len(copies),
         "withheld": len(withheld),
     }
-    yield _counts(fleet, counts)
+    yield fill(_counts(fleet, counts))
 
 
 def _texts_by_name(outliers: Iterator[Mapping[str, Any]]) -> dict[str, list[str]]:

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib.design.forecast import Forecast
-from calib.design.inspection import GENERIC_ANCHOR, GENERIC_TARGET, Inspection
+from calib.diagnosis.inspection import GENERIC_ANCHOR, GENERIC_TARGET, Inspection
 from calib.model.dh import DHRow, dh_table
 from calib.robot.robot import Robot
 from calib.robot.urdf import UrdfJoint

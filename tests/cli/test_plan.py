@@ -37,7 +37,9 @@ def numbers(text: str) -> list[float]:
 def test_the_example_of_the_document(examples):
     done = examples.starting("calib plan robot.urdf --base base --tip tool0")
     assert (done.code, done.err) == (0, "")
-    assert done.lines[0].startswith("Plan for 'ur3' (robot.urdf), chain base to tool0: 30 poses to")
+    assert done.lines[0].startswith(
+        "Plan for 'ur3' (robot.urdf), chain base to tool0: 30 poses for"
+    )
     table = json.loads((examples.folder / "plan.json").read_text(encoding="utf-8"))
     planned = next(line for line in done.lines if line.startswith("  these 30 poses"))
     assert numbers(planned)[0] == pytest.approx(1e3 * table["forecast"]["rms_m"], rel=2e-3)

@@ -12,8 +12,8 @@ import calib
 from calib.data import kinds
 from calib.data.cell import TrackerNoise
 from calib.data.kinds import Kind, Reading, get, names, register
-from calib.design.inspection import inspect
 from calib.design.plan_file import write_plan
+from calib.diagnosis.inspection import inspect
 from calib.errors import CalibError, MeasurementError
 
 

@@ -1,7 +1,13 @@
-"""The paper's UR3, and calibrations of virtual cells."""
+"""The paper's UR3."""
 
 from __future__ import annotations
 
-from tests.fits import calibrated, case, make_scene, ur3
+import pytest
 
-__all__ = ["calibrated", "case", "make_scene", "ur3"]
+from calib.example import paper_urdf
+from calib.robot.robot import Robot
+
+
+@pytest.fixture(scope="session")
+def ur3() -> Robot:
+    return Robot.load(paper_urdf(), base="base", tip="tool0")

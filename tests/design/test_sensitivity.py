@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from calib.data.cell import Cell, Priors, Tracker, TrackerNoise
 from calib.data.measurements import Measurements
 from calib.design.forecast import forecast
-from calib.design.inspection import inspect
 from calib.design.sensitivity import Sensitivity
+from calib.diagnosis.inspection import inspect
 from calib.errors import ModelError
 from calib.model.kinematics import Kinematics, Samples
 from calib.numerics.rigid_motion import without_rigid_motion

@@ -14,6 +14,7 @@ from calib.diagnosis.patterns import (
     Stack,
     drift,
     f_test,
+    functions_of_joint,
     joint_patterns,
     norms_of,
     range_of,
@@ -52,6 +53,19 @@ def test_the_f_test_against_the_textbook():
     assert test.share == pytest.approx(1 - large / small, rel=1e-10)
     assert (test.columns, test.freedom) == (3, 32)
     assert test.chance == pytest.approx(3 / 35)
+
+
+def test_functions_of_a_joint_are_centred_and_of_size_one():
+    q = np.array([0.5, 1.0, 3.0, 1.5])
+    middle = np.array([-1.0, -0.5, 1.5, 0.0]) / 1.5
+    turning = np.column_stack([np.sin(q), np.cos(q), middle])
+    np.testing.assert_allclose(functions_of_joint(q, slides=False), turning, atol=1e-12)
+    sliding = np.column_stack([middle, middle**2])
+    np.testing.assert_allclose(functions_of_joint(q, slides=True), sliding, atol=1e-12)
+    # Of a joint that stood still there is nothing to see.
+    np.testing.assert_array_equal(
+        functions_of_joint(np.full(4, 0.5), slides=True), np.zeros((4, 2))
+    )
 
 
 def test_probabilities_are_uniform_under_noise():

@@ -11,6 +11,7 @@ from calib.calibration import calibrate
 from calib.data.cell import Cell, Priors
 from calib.data.measurements import Measurements
 from calib.estimate.fitting import Fitted, fit
+from calib.estimate.sole_postures import _Update
 from calib.estimate.task import Task
 from calib.registration.table_rows import rows_and_setup
 from calib.robot.ranges import random_joint_values
@@ -178,3 +179,32 @@ def test_the_verdict_names_row_and_joint(ur3, truth):
     (reason,) = [r for r in result.verdict.reasons if r.code == "sole_posture"]
     assert reason.values == {"rows": [ROW + 1], "joints": [ur3.joint_names[WRIST]]}
     assert result.verdict.use == "use with care"
+
+
+def test_the_update_s_derivative_is_minus_that_of_its_residual(ur3, truth):
+    """Rows, constraints and priors against differences, away from where the update begins."""
+    found = fitted(measured(truth, joint_values(ur3)), ur3)
+    problem, p = found.estimate.problem, found.estimate.problem.size
+    start = problem.linear(found.estimate.x)
+    rng = np.random.default_rng(1)
+    constrained = replace(start, C=rng.normal(size=(2, p)), z=np.zeros(2))
+    shape = constrained.used.shape
+    update = _Update(
+        start=constrained,
+        whiten=rng.normal(size=(*shape, shape[1])),
+        reference=rng.normal(size=shape),
+        prior=rng.uniform(1.0, 10.0, p),
+    )
+
+    def at(x):
+        return replace(problem.linear(x), C=constrained.C, z=constrained.z)
+
+    x = found.estimate.x + 1e-3 * rng.normal(size=p)
+    derivative = update.derivative(at(x))
+    for k in range(0, p, 5):
+        e = 1e-4 * np.eye(p)[k]
+        slope = (update.residual(at(x + e)) - update.residual(at(x - e))) / 2e-4
+        scale = np.abs(derivative[:, k]).max()
+        np.testing.assert_allclose(-derivative[:, k] / scale, slope / scale, atol=1e-5)
+        assert np.any(slope[-p - 2 : -p])
+        assert np.any(slope[-p:])

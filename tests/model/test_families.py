@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from calib.errors import ModelError
 from calib.model import families
 from calib.model.families import FAMILIES, Factor, Family, JointState, register
 from calib.model.joint_errors import joint_parameters
@@ -29,6 +30,12 @@ def test_the_rows():
         assert row.bounds[0] < row.typical <= row.prior < row.bounds[1]
 
 
+def test_prior_standard_deviations_are_those_of_docs_and_cell_files():
+    priors = {name: row.prior for name, row in list(FAMILIES.items())[:7]}
+    joints = {"gain": 1e-3, "eccentricity": 1e-3, "compliance": 1e-5, "gravity": 1e-3}
+    assert priors == {"length": 3e-3, "angle": 15e-3, "zero": 15e-3, **joints}
+
+
 @pytest.mark.parametrize("name", ["gain", "eccentricity"])
 def test_slopes_are_the_derivatives_of_the_factors(ur3, name):
     q = np.random.default_rng(1).uniform(-3.0, 3.0, (20, 6))
@@ -48,6 +55,22 @@ def test_a_family_from_outside(registry, ur3):
     assert registry["lost"] is own
     names = [p.name for p in joint_parameters(ur3, "lost")]
     assert names == [f"{joint}.sign" for joint in ur3.joint_names]
+
+
+@pytest.mark.parametrize(
+    ("name", "factors"),
+    [
+        ("gain", ("other",)),  # a name that a family has
+        ("other", ("sin",)),  # a factor of eccentricity
+        ("other", ("other", "cos")),
+        ("other", ()),
+    ],
+)
+def test_a_family_of_a_taken_name_or_without_factors_is_refused(registry, name, factors):
+    rows = tuple(Factor(factor, lambda state: state.q, None) for factor in factors)
+    with pytest.raises(ModelError, match=f"The family '{name}' needs factors"):
+        register(Family(name, families.RAD, 1e-3, 1e-3, rows))
+    assert len(registry) == 7
 
 
 #: Every unit that a parameter of any family has, by its symbol.

@@ -71,6 +71,28 @@ def test_linear_problem_takes_the_least_squares_solution():
     np.testing.assert_allclose(solution.x, np.linalg.lstsq(A, b)[0], atol=1e-7)
 
 
+def test_damping_falls_with_the_gain_and_rises_faster_with_each_failure():
+    """A tenth where the gain is 0.9 or more, else 1 - (2 gain - 1)^3; and 2, 4, 8, ... times."""
+    factors, gains = [], []
+    for start in ([-1.2, 1.0], [-3.0, 2.0], [-1.9, 2.0]):
+        solution = levenberg_marquardt(rosenbrock, np.array(start), step_size=np.ones(2))
+        failures = 0
+        for entry, following in pairwise(solution.history):
+            failures = 0 if entry.accepted else failures + 1
+            if not entry.accepted:
+                expected = 2.0**failures
+            elif entry.gain >= 0.9:
+                expected = 0.1
+            else:
+                expected = 1.0 - (2.0 * entry.gain - 1.0) ** 3
+            assert following.mu == pytest.approx(max(expected * entry.mu, 1e-15), rel=1e-9)
+            factors.append(expected)
+            gains.append(entry.gain)
+    # Each of the rules is met.
+    assert {0.1, 2.0, 4.0, 8.0} < set(factors)
+    assert min(gain for gain in gains if gain > 0.0) < 0.5
+
+
 def test_papers_damping_follows_the_gain():
     solution = paper_levenberg_marquardt(rosenbrock, np.array([-1.2, 1.0]), mu=0.01, nu=2.5)
     assert solution.history[0].mu == 0.01

@@ -15,7 +15,8 @@ from calib.data.measurements import Measurements
 from calib.errors import CalibError, MeasurementError
 from calib.json_files import plain
 from calib.result.acceptance import Acceptance, Check, acceptance, assess
-from calib.result.evaluation import Evaluation, accuracy, evaluate
+from calib.result.accuracy import accuracy
+from calib.result.evaluation import Evaluation, evaluate
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.text.evaluation import acceptance_table, accuracy_table, accuracy_text, assessment_text

@@ -13,9 +13,10 @@ from scipy.spatial.transform import Rotation
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
+from calib.result.accuracy import Accuracy, accuracy, fitted_rows, judged_rows
 from calib.result.calibration import CalibrationValues
 from calib.result.calibration_file import read_result, write_result
-from calib.result.evaluation import Accuracy, accuracy, evaluate, fitted_rows, judged_rows
+from calib.result.evaluation import evaluate
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 

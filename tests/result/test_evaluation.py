@@ -12,8 +12,9 @@ from calib.data.measurements import Measurements
 from calib.errors import ModelError
 from calib.registration.setup import Setup
 from calib.result.acceptance import assess
+from calib.result.accuracy import accuracy
 from calib.result.calibrate import calibrate
-from calib.result.evaluation import accuracy, evaluate, moved
+from calib.result.evaluation import evaluate, moved_place
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from tests.fits import FREE, TARGETS, TRACKERS
@@ -90,15 +91,15 @@ def test_another_target_seen_from_another_place_is_registered_when_asked(make_sc
     c = calibrate(scene.robot, scene.points(60), cell=FREE, model=model, validate=False)
     fresh = scene.points(20, 1, 1)
     anew = assess(c.robot, fresh, FREE, c, which=("target",))
-    assert {one.registered for one in anew.found.values()} == {("target", "frame")}
-    best = anew.found["non_geometric" if c.non_geometric else "calibration"]
+    assert {one.registered for one in anew.evaluations.values()} == {("target", "frame")}
+    best = anew.evaluations["non_geometric" if c.non_geometric else "calibration"]
     assert best.errors["all"].rms < 1e-9
-    assert anew.found["nominal"].errors["all"].rms > 1e-3
+    assert anew.evaluations["nominal"].errors["all"].rms > 1e-3
     assert anew.hint is None
     known = replace(fresh, groups=("0",) * 20)
     off = assess(c.robot, known, FREE, c, which=("frame", "target"))
-    assert off.found["calibration"].registered == ("target",)
-    assert off.found["calibration"].errors["all"].rms > 0.1
+    assert off.evaluations["calibration"].registered == ("target",)
+    assert off.evaluations["calibration"].errors["all"].rms > 0.1
     assert off.hint is not None
     assert off.hint.code == "frame_moved"
 
@@ -146,7 +147,7 @@ def test_what_moved_since_the_calibration_is_named(
     ur3: Robot, target: list[float], shift: list[float], place: str, rms: float
 ):
     m, known = fresh(ur3, TARGET + target, np.array(shift))
-    found = moved(ur3, m, Cell(), known)
+    found = moved_place(ur3, m, Cell(), known)
     assert found is not None
     assert (found.code, found.values["error_m"]) == (f"{place}_moved", pytest.approx(rms, rel=1e-3))
     assert found.values["given_m"] > 1e-3
@@ -160,4 +161,4 @@ def test_nothing_moved_where_nothing_is_known(ur3: Robot, shift: float, count: i
     m, known = fresh(ur3, TARGET, np.array([shift, 0.0, 0.0]), count)
     off = noise * np.random.default_rng(4).normal(size=(count, 3))
     table = Measurements(m.joint_names, m.joints, m.points + off)
-    assert moved(ur3, table, Cell(), known) is None
+    assert moved_place(ur3, table, Cell(), known) is None

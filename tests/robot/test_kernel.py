@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from threadpoolctl import threadpool_info, threadpool_limits
 
-from calib.blas import one_blas_thread
 from calib.model.error_model import error_model
 from calib.model.joint_errors import axis_twists, joint_displacements
 from calib.model.kinematics import Kinematics, Samples
@@ -118,25 +116,3 @@ def test_turns_take_z_to_any_axis():
     )
     np.testing.assert_allclose(turns[:, :, 2], axes, atol=1e-9)
     np.testing.assert_allclose(np.linalg.det(turns), 1.0, atol=1e-14)
-
-
-def threads() -> set[int]:
-    return {one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"}
-
-
-@pytest.fixture(autouse=True)
-def several():
-    """Whoever runs the tests may have said one thread."""
-    with threadpool_limits(limits=2, user_api="blas"):
-        if threads() != {2}:
-            pytest.fail("the linear algebra of this machine cannot have two threads")
-        yield
-
-
-def test_one_thread_within_and_as_before_after():
-    with one_blas_thread():
-        assert threads() == {1}
-        with one_blas_thread():
-            assert threads() == {1}
-        assert threads() == {1}
-    assert threads() == {2}

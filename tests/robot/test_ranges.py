@@ -1,4 +1,4 @@
-"""Between which values joints are moved."""
+"""Limits and ranges of joints, and values spread between them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,18 @@ import pytest
 from calib import example
 from calib.data.measurements import Measurements
 from calib.errors import CalibError
-from calib.robot.ranges import column_limits, column_ranges, full_ranges, joint_ranges
+from calib.robot.ranges import (
+    _DIRECTIONS,
+    column_limits,
+    column_ranges,
+    full_ranges,
+    joint_ranges,
+    random_joint_values,
+    range_text,
+    sobol,
+    spread_between,
+    spread_poses,
+)
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from calib.units import Angle, Length
@@ -106,3 +117,64 @@ def test_ranges_of_the_paper_s_rows(ur3):
 def test_ranges_that_cannot_be_are_refused(leg, given, said):
     with pytest.raises(CalibError, match=said):
         joint_ranges(leg, given)
+
+
+# Columns that move several joints
+
+
+def mimic_pair(lower: float, upper: float, numbers: str) -> Robot:
+    limit = '<limit lower="{}" upper="{}" effort="1" velocity="1"/>'
+    text = (
+        '<robot name="r"><link name="a"/><link name="b"/><link name="c"/>'
+        '<joint name="1" type="revolute"><parent link="a"/><child link="b"/>'
+        f"{limit.format(-1, 2)}</joint>"
+        '<joint name="2" type="revolute"><parent link="b"/><child link="c"/>'
+        f'{limit.format(lower, upper)}<mimic joint="1" {numbers}/></joint></robot>'
+    )
+    return Robot.from_urdf(Urdf.from_bytes(text.encode(), "r.urdf"), tip="c")
+
+
+@pytest.mark.parametrize(
+    ("lower", "upper", "numbers", "expected"),
+    [
+        (-3, 3, "", (-1, 2)),
+        (-0.5, 3, "", (-0.5, 2)),
+        (-0.5, 0.25, 'multiplier="0.5"', (-1, 0.5)),
+        (-0.5, 1, 'multiplier="-1"', (-1, 0.5)),
+        (-0.5, 1, 'offset="0.5"', (-1, 0.5)),
+        (2.5, 3, "", (-1, 2)),  # the two cannot both be had: the column's own stay
+    ],
+)
+def test_a_column_keeps_within_the_limits_of_its_followers(lower, upper, numbers, expected):
+    robot = mimic_pair(lower, upper, numbers)
+    np.testing.assert_allclose(column_ranges(robot), [expected])
+    for q in (random_joint_values(robot), spread_poses(robot)):
+        assert q.min() >= expected[0]
+        assert q.max() <= expected[1]
+
+
+def test_a_range_is_shown_in_degrees_or_millimetres(leg):
+    assert range_text(leg, "turn", (-np.pi / 2, np.pi)) == "-90 to 180 deg"
+    assert range_text(leg, "lift", (0.1, 0.4)) == "100 to 400 mm"
+
+
+# Spread joint values
+
+
+def test_kept_direction_numbers_are_those_of_scipy():
+    kept = np.load(_DIRECTIONS)
+    bits, columns = kept.shape
+    # A point whose number has one bit set differs from the one before by that bit's direction number.
+    numbers = 2 ** np.arange(bits)
+    x = (np.vstack([np.zeros(columns), sobol(2 ** (bits - 1), columns)]) * 2**bits).astype(
+        np.uint16
+    )
+    np.testing.assert_array_equal(kept, x[numbers] ^ x[numbers - 1])
+
+
+@pytest.mark.parametrize(("count", "columns"), [(1, 1), (200, 6), (256, 14), (4096, 7), (300, 33)])
+def test_spread_rows_are_scipys_sequence(count, columns):
+    low, high = -np.arange(1.0, columns + 1.0), np.full(columns, 3.0)
+    q = spread_between(np.column_stack([low, high]), count)
+    np.testing.assert_array_equal(q, low + sobol(count, columns) * (high - low))
+    assert not q.flags.writeable

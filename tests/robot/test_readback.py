@@ -8,16 +8,10 @@ import pytest
 
 from calib.errors import UrdfError
 from calib.robot.ranges import (
-    _DIRECTIONS,
-    column_ranges,
     random_joint_values,
-    sobol,
-    spread_between,
-    spread_poses,
 )
 from calib.robot.readback import check_written
 from calib.robot.robot import Robot
-from calib.robot.urdf import Urdf
 
 
 def corrected(robot: Robot, size: float = 5e-3) -> Robot:
@@ -63,59 +57,3 @@ def test_an_origin_that_was_tampered_with_is_refused(ur3, joint, twist):
         UrdfError, match=r"read back by Pinocchio, puts the tip .* rad away.*1e-09 is allowed"
     ):
         check_written(tampered, ur3.poses(q), q)
-
-
-# Columns that move several joints
-
-
-def mimic_pair(lower: float, upper: float, numbers: str) -> Robot:
-    limit = '<limit lower="{}" upper="{}" effort="1" velocity="1"/>'
-    text = (
-        '<robot name="r"><link name="a"/><link name="b"/><link name="c"/>'
-        '<joint name="1" type="revolute"><parent link="a"/><child link="b"/>'
-        f"{limit.format(-1, 2)}</joint>"
-        '<joint name="2" type="revolute"><parent link="b"/><child link="c"/>'
-        f'{limit.format(lower, upper)}<mimic joint="1" {numbers}/></joint></robot>'
-    )
-    return Robot.from_urdf(Urdf.from_bytes(text.encode(), "r.urdf"), tip="c")
-
-
-@pytest.mark.parametrize(
-    ("lower", "upper", "numbers", "expected"),
-    [
-        (-3, 3, "", (-1, 2)),
-        (-0.5, 3, "", (-0.5, 2)),
-        (-0.5, 0.25, 'multiplier="0.5"', (-1, 0.5)),
-        (-0.5, 1, 'multiplier="-1"', (-1, 0.5)),
-        (-0.5, 1, 'offset="0.5"', (-1, 0.5)),
-        (2.5, 3, "", (-1, 2)),  # the two cannot both be had: the column's own stay
-    ],
-)
-def test_a_column_keeps_within_the_limits_of_its_followers(lower, upper, numbers, expected):
-    robot = mimic_pair(lower, upper, numbers)
-    np.testing.assert_allclose(column_ranges(robot), [expected])
-    for q in (random_joint_values(robot), spread_poses(robot)):
-        assert q.min() >= expected[0]
-        assert q.max() <= expected[1]
-
-
-# Spread joint values
-
-
-def test_kept_direction_numbers_are_those_of_scipy():
-    kept = np.load(_DIRECTIONS)
-    bits, columns = kept.shape
-    # A point whose number has one bit set differs from the one before by that bit's direction number.
-    numbers = 2 ** np.arange(bits)
-    x = (np.vstack([np.zeros(columns), sobol(2 ** (bits - 1), columns)]) * 2**bits).astype(
-        np.uint16
-    )
-    np.testing.assert_array_equal(kept, x[numbers] ^ x[numbers - 1])
-
-
-@pytest.mark.parametrize(("count", "columns"), [(1, 1), (200, 6), (256, 14), (4096, 7), (300, 33)])
-def test_spread_rows_are_scipys_sequence(count, columns):
-    low, high = -np.arange(1.0, columns + 1.0), np.full(columns, 3.0)
-    q = spread_between(np.column_stack([low, high]), count)
-    np.testing.assert_array_equal(q, low + sobol(count, columns) * (high - low))
-    assert not q.flags.writeable

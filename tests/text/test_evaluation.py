@@ -52,7 +52,7 @@ def test_the_outcome_stands_first(text: str, assessment: Assessment):
 
 
 def test_the_errors_are_those_of_the_robot(text: str, assessment: Assessment):
-    errors = assessment.found["urdf"].errors["all"]
+    errors = assessment.evaluations["urdf"].errors["all"]
     (line,) = [line for line in text.splitlines() if line.startswith("  measured rows ")]
     shown = 1e3 * np.array([errors.max, errors.mean, errors.rms, *errors.span_axis])
     assert line.split()[2] == str(errors.n) == "36"
@@ -60,7 +60,7 @@ def test_the_errors_are_those_of_the_robot(text: str, assessment: Assessment):
 
 
 def test_the_accuracies_are_those_of_the_robot(text: str, assessment: Assessment):
-    accuracy = assessment.figures["urdf"]
+    accuracy = assessment.accuracies["urdf"]
     (line,) = [line for line in text.splitlines() if line.startswith("  URDF as it is ")]
     expected = [1e3 * value for value in accuracy.figures().values()]
     assert numbers(line) == pytest.approx(expected, abs=5.01e-4)
@@ -88,7 +88,7 @@ def test_the_table_is_in_si_units(assessment: Assessment):
     assert table["acceptance"]["length"]["held_m"] == assessment.accepted.length.held
     assert table["acceptance"]["angle"] is None
     assert table["frames"]["registered"] == []
-    accuracy = accuracy_table(assessment.figures["urdf"])
+    accuracy = accuracy_table(assessment.accuracies["urdf"])
     assert accuracy["ap_max_m"] == pytest.approx(1.2e-3)
     assert accuracy["repeats_min"] == accuracy["repeats_max"] == 3
     assert accuracy["poses"][-1]["ap_m"] == pytest.approx(1.2e-3)

@@ -219,7 +219,7 @@ def _models_of_result(robot: str, path: Path, model: ModelChoice, chain: ChainOp
 
 def _read_program(path: Path, nominal: Robot, goal: GoalOptions, chain: ChainOptions) -> Program:
     """Read the program for the nominal robot."""
-    from calib.compensation.program import read_program
+    from calib.compensation.program_file import read_program
 
     return read_program(
         path,
@@ -252,7 +252,7 @@ def _compute(models: _Models, program: Program, model: ModelChoice, goal: GoalOp
 
 def _write(commands: Commands, outputs: CommandOutputs) -> None:
     """Write the table of commands, if it was asked for."""
-    from calib.compensation.commands import write_commands
+    from calib.compensation.command_table import write_commands
 
     if outputs.output is None:
         return

@@ -54,7 +54,7 @@ def inspect(
 ) -> None:
     """Run the verb; its help is the text of `verb`."""
     from calib.design.forecast import forecast_of_table
-    from calib.design.inspection import inspect as inspect_robot
+    from calib.diagnosis.inspection import inspect as inspect_robot
     from calib.text.inspection import inspection_text
 
     cell = read_cell(**asdict(setup))

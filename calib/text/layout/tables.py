@@ -18,7 +18,15 @@ class Column:
     gap: int = 1  # Spaces before it; the first column has none
 
     def cell(self, text: str, width: int) -> str:
-        """Align a cell's text in a width of so many characters."""
+        """Align the text of a cell.
+
+        Args:
+            text: The text.
+            width: Characters of the column.
+
+        Returns:
+            The text, filled with spaces to that width.
+        """
         return text.ljust(width) if self.left else text.rjust(width)
 
 

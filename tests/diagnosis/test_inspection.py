@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.data.cell import Cell
-from calib.design.inspection import inspect
+from calib.diagnosis.inspection import inspect
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,145 @@
+"""The table of commands: a CSV file in degrees and millimetres, described in docs/compensation.md."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from scipy.spatial.transform import Rotation
+
+from calib.compensation.commands import Commands
+from calib.compensation.program import CORRECTION, EXPECTED
+from calib.data.columns import POINT, QUATERNION, ROLL_PITCH_YAW, ROTATION_VECTOR, STATUS
+from calib.files import csv_bytes, write_atomically
+from calib.numerics.geometry import to_quaternions
+from calib.units import Array
+
+
+class _Unit(NamedTuple):
+    """Unit of a column."""
+
+    scale: float  # Number of it in one SI unit
+    digits: int  # Decimals: angles are exact to 1e-11 rad, lengths to 1e-9 m
+
+
+_UNITS = {
+    "deg": _Unit(math.degrees(1.0), 9),
+    "rad": _Unit(1.0, 12),
+    "mm": _Unit(1e3, 6),
+    "": _Unit(1.0, 12),
+}
+
+
+class _Form(NamedTuple):
+    """Form of an orientation."""
+
+    columns: Sequence[str]
+    unit: str
+    numbers_of: Callable[[Array], Array]  # Of a rotation, shape (3, 3)
+
+
+_ORIENTATIONS = {
+    "rotation-vector": _Form(ROTATION_VECTOR, "rad", lambda R: Rotation.from_matrix(R).as_rotvec()),
+    "quaternion": _Form(QUATERNION, "", lambda R: to_quaternions(R[None])[0]),
+    "rpy": _Form(ROLL_PITCH_YAW, "deg", pin.rpy.matrixToRpy),
+}
+
+
+class _Block(NamedTuple):
+    """Columns of numbers."""
+
+    names: Sequence[str]
+    units: Sequence[str]
+    values: Array  # (N, columns), SI units; NaN: an empty cell
+
+
+def write_commands(
+    commands: Commands,
+    path: str | Path,
+    *,
+    send: Literal["both", "joints", "poses"] = "both",
+    orientation: Literal["rotation-vector", "quaternion", "rpy"] = "rotation-vector",
+    overwrite: bool = False,
+) -> Path:
+    """Write commands as a CSV table in deg and mm; docs/compensation.md describes it.
+
+    First the columns of the program that went along, then joint values and poses to send, then by how much they were
+    changed, then with a result the expected position error, then ``ok`` or the codes of warnings or of the reason why a
+    row has no command and its cells are empty.
+
+    Args:
+        commands: The commands.
+        path: The file.
+        send: Which of the two forms are written.
+        orientation: Form of orientations; a rotation vector is in rad.
+        overwrite: Whether an existing file is replaced.
+
+    Returns:
+        The file.
+
+    Raises:
+        FileError: The file exists and ``overwrite`` is False, or it cannot be written.
+    """
+    columns: list[Sequence[str]] = [(label, *cells) for label, cells in commands.program.kept]
+    for block in _blocks(commands, send, _ORIENTATIONS[orientation]):
+        columns += _columns(block)
+    columns.append((STATUS, *_status(commands)))
+    rows = zip(*columns, strict=True)
+    return write_atomically(path, csv_bytes(rows), overwrite=overwrite)
+
+
+def _blocks(commands: Commands, send: str, form: _Form) -> Iterator[_Block]:
+    """Yield the columns of numbers, in the order of the table."""
+    robot = commands.nominal
+    names = robot.joint_names
+    joint_units = ["mm" if robot.joint_types[name] == "prismatic" else "deg" for name in names]
+    if send != "poses":
+        yield _Block(names, joint_units, commands.q)
+    if send != "joints":
+        yield _Block(POINT, ["mm"] * 3, commands.T_send[:, :3, 3])
+        orientations = _orientations(commands, form)
+        yield _Block(form.columns, [form.unit] * len(form.columns), orientations)
+    if send != "poses":
+        corrected = [CORRECTION + name for name in names]
+        yield _Block(corrected, joint_units, commands.joint_corrections)
+    of_pose = (CORRECTION + "position", CORRECTION + "angle")
+    yield _Block(of_pose, ("mm", "deg"), commands.pose_corrections)
+    if commands.expected is not None:
+        yield _Block((EXPECTED,), ("mm",), commands.expected_errors[:, :1])
+
+
+def _orientations(commands: Commands, form: _Form) -> Array:
+    """Return the numbers of the orientations to send, shape (N, columns); NaN for a row without a command."""
+    numbers = np.full((len(commands), len(form.columns)), np.nan)
+    for row in np.flatnonzero(commands.reached):
+        numbers[row] = form.numbers_of(commands.T_send[row, :3, :3])
+    return numbers
+
+
+def _columns(block: _Block) -> Iterator[Sequence[str]]:
+    """Yield each column of a block as its header and its cells."""
+    for name, symbol, values in zip(block.names, block.units, block.values.T, strict=True):
+        unit = _UNITS[symbol]
+        header = f"{name} [{symbol}]" if symbol else name
+        yield header, *(_cell(value, unit.digits) for value in (unit.scale * values).tolist())
+
+
+def _cell(value: float, digits: int) -> str:
+    """Return a number as text, without a minus before zero; empty for NaN."""
+    if math.isnan(value):
+        return ""
+    return f"{round(value, digits) + 0.0:.{digits}f}"
+
+
+def _status(commands: Commands) -> Iterator[str]:
+    """Yield the status of each row: ``ok``, its warnings, or why it has no command."""
+    for reason, warnings in zip(commands.reasons, commands.warnings, strict=True):
+        codes = "; ".join(dict.fromkeys(warning.code for warning in warnings))
+        if reason:
+            yield f"no command: {reason.code}"
+        else:
+            yield f"warning: {codes}" if codes else "ok"

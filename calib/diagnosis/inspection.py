@@ -1,0 +1,122 @@
+"""Inspection: which combinations of a model's parameters poses determine, before anything is fitted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+import calib.data.kinds as registry
+from calib.data.cell import AUTO, Cell
+from calib.data.measurements import Measurements
+from calib.errors import ModelError
+from calib.estimate.problem import Problem
+from calib.estimate.task import Task
+from calib.model.kinematics import Kinematics
+from calib.model.observability import Observability
+from calib.model.parameters import ErrorModel
+from calib.registration.known_distances import known_distances
+from calib.registration.registration import register
+from calib.registration.rows import Rows
+from calib.registration.setup import Setup
+from calib.registration.table_rows import rows_and_setup
+from calib.robot.ranges import spread_poses
+from calib.robot.robot import Robot
+from calib.units import Array
+
+#: Place in the tip of a target that was not given: off every axis of the tip [m].
+GENERIC_TARGET = (0.05, 0.07, 0.03)
+
+#: Place in the base of an anchor that was not given: off the first axis, which its distances would not observe [m].
+GENERIC_ANCHOR = (0.7, -0.5, 0.3)
+
+#: The model that is inspected in place of ``"auto"``.
+_MODEL = "dh"
+
+
+@dataclass(frozen=True, slots=True)
+class Inspection:
+    """Observability of a model at the nominal robot."""
+
+    model: ErrorModel  # The error model
+    observability: Observability  # Rank and combinations of its parameters
+    poses: int  # Number of poses
+    source: str | None  # File of the table they are from; None: spread over the joint limits
+    assumed: tuple[str, ...] = ()  # What was put at a generic place: ``"target"`` or ``"anchor"``
+
+
+def inspect(robot: Robot, cell: Cell, measurements: Measurements | None = None) -> Inspection:
+    """Analyse which combinations of the cell's model a table, or poses over the joint limits, determine.
+
+    Args:
+        robot: The nominal robot.
+        cell: Its model is analysed; ``"auto"`` as ``"dh"``.
+        measurements: Their estimation rows are analysed, with frames and targets registered. None: 200 poses over the
+            joint limits, with a target or anchor that the cell does not give at a generic place.
+
+    Raises:
+        ModelError: An unknown model or parameter, or a kind of rows that poses alone do not make.
+        MeasurementError: Too few rows for the registration.
+    """
+    assumed: tuple[str, ...] = ()
+    if measurements is None:
+        rows, setup, assumed = _rows_over_joint_limits(robot, cell)
+    else:
+        rows, setup = rows_and_setup(robot, measurements, cell)
+        rows = rows.select(measurements.estimation)
+        setup = register(robot.poses(rows.joints), setup, rows)
+    name = _MODEL if cell.model == AUTO else cell.model
+    model = setup.aligned(Task(robot, cell, setup, name).error_model())
+    kinematics = Kinematics(robot, model, setup.T_frame_base, setup.T_tip_target)
+    problem = Problem.initial(kinematics, rows, known_distances(cell, setup))
+    return Inspection(
+        model=model,
+        observability=problem.observability(np.zeros(len(model))),
+        poses=len(rows),
+        source=None if measurements is None else measurements.source,
+        assumed=assumed,
+    )
+
+
+def _rows_over_joint_limits(robot: Robot, cell: Cell) -> tuple[Rows, Setup, tuple[str, ...]]:
+    """Rows of perfect measurements at poses over the joint limits, their setup, and what was put at a generic place."""
+    table = table_of_poses(robot, cell.kind or "point", spread_poses(robot))
+    rows, setup = rows_and_setup(robot, table, cell)
+    T_frame_base, T_tip_target = setup.T_frame_base.copy(), setup.T_tip_target.copy()
+    assumed = []
+    if not np.all(setup.target_given):
+        T_tip_target[:, :3, 3] = GENERIC_TARGET
+        assumed.append("target")
+    has_anchor = any(kind.name == "distance" for kind in rows.present)
+    if has_anchor and not np.all(setup.frame_given):
+        T_frame_base[:, :3, 3] = np.negative(GENERIC_ANCHOR)
+        assumed.append("anchor")
+    setup = setup.placed(T_frame_base, T_tip_target)
+    T_frame_target = setup.target_poses(robot.poses(rows.joints), rows.samples)
+    return rows.as_measured_at(T_frame_target), setup, tuple(assumed)
+
+
+def table_of_poses(robot: Robot, name: str, joints: Array) -> Measurements:
+    """Make a table of poses, whose measured values do not matter.
+
+    Args:
+        robot: The nominal robot.
+        name: Kind of the rows, such as ``"point"``.
+        joints: shape (N, m), joint values [rad] or [m].
+
+    Raises:
+        ModelError: A kind of pairs, or one that needs the target at a certain place, such as a socket.
+    """
+    kind = registry.get(name)
+    if kind.paired or kind.measure is None:
+        raise ModelError(f"Poses alone say nothing of kind '{name}'. Give a table of such rows.")
+    T_frame_target = np.tile(np.eye(4), (len(joints), 1, 1))
+    T_frame_target[:, :3, 3] = 1.0
+    sliding = tuple(joint.name for joint in robot.inputs if joint.type == "prismatic")
+    return Measurements(
+        joint_names=robot.joint_names,
+        joints=joints,
+        kinds=(name,) * len(joints),
+        **Measurements.columns_of(kind, kind.measure(T_frame_target)),
+        prismatic=sliding,
+    )
