@@ -14,7 +14,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 import calib.text.summary as texts
-from calib.model.dh import DHRow, dh_table
+from calib.model.dh import DHRow
+from calib.model.dh_table import dh_table
 from calib.numerics.errors import Errors
 from calib.report.row_values import angles_of, lengths_of
 from calib.result.calibration import CalibrationValues
