@@ -27,7 +27,7 @@ from scipy.special import stdtrit
 
 from calib.circle_points.fits import Circle, Plane
 from calib.errors import CalibError, UrdfError
-from calib.model.dh import zero_poses
+from calib.model.dh_table import zero_poses
 from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.units import Array
 
