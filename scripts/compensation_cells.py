@@ -115,7 +115,7 @@ def draw_cell(seed: int) -> VirtualCell:
     direction = rng.normal(size=3)
     distance = rng.uniform(*TOOL_DISTANCES)
     T_tip_tool = np.eye(4)
-    T_tip_tool[:3, 3] = truth.said_T_tip_target[0, :3, 3]
+    T_tip_tool[:3, 3] = truth.stated_T_tip_target[0, :3, 3]
     T_tip_tool[:3, 3] += distance * direction / np.linalg.norm(direction)
     program = random_joint_values(robot, PROGRAM, draw_seed(rng))
     return VirtualCell(

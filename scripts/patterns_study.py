@@ -19,8 +19,8 @@ from calib.calibration import Calibration, calibrate
 from calib.data.cell import Cell, TrackerNoise
 from calib.data.measurements import Measurements
 from calib.robot.robot import Robot
+from calib.simulation.disturbances import Encoder, MovedTarget, Outliers
 from calib.simulation.scenario import Scenario, simulate
-from calib.simulation.truth import Encoder, MovedTarget, Outliers
 
 #: Name, base and tip of the arms.
 ARMS = (("ur5", "base", "tool0"), ("panda", "panda_link0", "panda_link8"))

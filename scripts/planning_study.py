@@ -27,7 +27,8 @@ from calib.design.sensitivity import Sensitivity
 from calib.example import PAPER_TARGET, paper_measurements, paper_urdf
 from calib.robot.robot import Robot
 from calib.simulation.scenario import Scenario
-from calib.simulation.study import Study, Trials, study
+from calib.simulation.study import Study, study
+from calib.simulation.trial import Trials
 from calib.units import Array
 
 

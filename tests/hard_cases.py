@@ -20,8 +20,8 @@ from calib.result.calibration import CalibrationValues, RowNames
 from calib.robot.payload import Payload
 from calib.robot.robot import Robot, read_only
 from calib.robot.urdf import Urdf
+from calib.simulation.disturbances import Outliers
 from calib.simulation.scenario import Scenario
-from calib.simulation.truth import Outliers
 
 #: Names that break what does not escape them: HTML, mathtext, Markdown, quotes, lines, width, letters and direction.
 HOSTILE = (

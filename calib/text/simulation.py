@@ -9,7 +9,8 @@ import numpy as np
 from calib.model.families import FAMILIES, unit_of
 from calib.numerics.errors import rms
 from calib.simulation.scenario import Scenario, Simulated
-from calib.simulation.study import VERIFIED, Study, Trials
+from calib.simulation.study import Study
+from calib.simulation.trial import VERIFIED, Trials
 from calib.text.layout.lines import fill, mm, row_ranges
 from calib.text.layout.tables import Column, labelled, name_column, table_lines
 from calib.units import Array
@@ -74,7 +75,7 @@ def _errors(simulated: Simulated) -> Iterator[tuple[str, str]]:
 def _places(scenario: Scenario, simulated: Simulated) -> Iterator[tuple[str, str]]:
     """Label and text of the true places of targets and frames."""
     truth = simulated.truth
-    targets = zip(truth.targets, truth.T_tip_target, truth.said_T_tip_target, strict=True)
+    targets = zip(truth.targets, truth.T_tip_target, truth.stated_T_tip_target, strict=True)
     for name, T, given in targets:
         place = f"{_point(T[:3, 3])} mm in the tip, given as {_point(given[:3, 3])} mm"
         yield f"Target '{name}'", place

@@ -1,21 +1,22 @@
-"""Scenarios: what a cell is to be like, and cells with errors of their own out of it."""
+"""Scenarios and the virtual cells drawn from them: without disturbances a table is the truth; each has its size."""
 
-from dataclasses import astuple
+from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from calib.calibration import calibrate
 from calib.data.cell import Cell, Tracker, TrackerNoise
+from calib.data.measurements import Measurements
 from calib.errors import CalibError
-from calib.robot.ranges import column_ranges
-from calib.simulation.scenario import (
-    DEFAULT_TRACKER,
-    FIELDS,
-    Scenario,
-    noise_of,
-    read_scenario,
-)
-from calib.simulation.truth import Encoder, Outliers, sizes_of
+from calib.robot.ranges import column_ranges, random_joint_values
+from calib.simulation.disturbances import Encoder, MovedTarget, Outliers
+from calib.simulation.scenario import DEFAULT_TRACKER, Scenario
+from calib.simulation.truth import draw_truth, tracker_pose
+from tests.simulation.cells import changed, virtual
 
 TRACKER = Tracker(np.array([2.0, 1.0, 0.5]), noise=TrackerNoise(1e-5, 1e-6, 0.0))
 
@@ -56,68 +57,194 @@ def test_random_poses_lie_inside_the_limits_or_the_cell_s_ranges(ur3):
         Scenario(ur3, Cell(ranges={"elbow": (0.1, 0.2)})).random_poses(3, 1)
 
 
-def test_sizes():
-    said = (
-        "length 0.5 mm, angle 2mrad,zero 0, gain 1e-3, eccentricity 0.1 deg, compliance 2e-5 rad/Nm"
-    )
-    found = sizes_of(CELL, said, named=False)
-    assert tuple(found.values()) == pytest.approx((0.5e-3, 2e-3, 0.0, 1e-3, np.radians(0.1), 2e-5))
-    assert sizes_of(CELL, " none ", named=False) is None
-    assert sizes_of(CELL, None, named=True) is None
-    assert sizes_of(CELL, None, named=False) == {}
+MANY = "placement+gain+eccentricity+compliance"
+NOISE = TrackerNoise(1e-4, 0.0, 0.0)
 
 
-def test_single_errors(ur3):
-    pairs = ("a2=0.5 mm", "theta3 = -2 mrad", "elbow_joint.compliance=1e-5 rad/Nm", "d1=0")
-    scenario = read_scenario(ur3, Cell(model="dh+compliance"), error=pairs)
-    assert scenario.errors == (
-        *(("a2", 0.5e-3), ("theta3", -2e-3), ("elbow_joint.compliance", 1e-5)),
-        ("d1", 0.0),
+@pytest.fixture(scope="module")
+def truth(ur3):
+    return draw_truth(ur3, "placement", seed=1)
+
+
+@pytest.fixture(scope="module")
+def q(ur3):
+    return random_joint_values(ur3, 40, seed=7)
+
+
+@pytest.fixture(scope="module")
+def plain(truth):
+    """A cell without any disturbance."""
+    return virtual(truth, noise=None)
+
+
+SETS = ("estimate",) * 30 + ("validate",) * 10
+
+
+def test_without_disturbances_the_table_is_the_truth(plain, truth, q):
+    made = plain.measure(q, sets=SETS)
+    table = made.measurements
+    assert (table.points == truth.points(q)).all()
+    assert (table.joints == q).all()
+    assert table.sets == SETS
+    assert (table.rows, set(table.targets), set(table.groups)) == (
+        tuple(range(1, 41)),
+        {"target"},
+        {""},
     )
-    assert scenario.sizes is None
-    for wrong in ("a2", "teta2=1 mrad", "a2=1 mrad"):
-        with pytest.raises(CalibError, match=r"--error|no parameter"):
-            read_scenario(ur3, Cell(model="dh"), error=(wrong,))
+    assert (made.points == truth.points(q)).all()
+    assert (made.sigma == 0.0).all()
+    assert made.outlier_rows == ()
+    assert not made.moved.any()
 
 
 @pytest.mark.parametrize(
-    ("cell", "text", "noise"),
-    [
-        (CELL, "0.05 mm", TrackerNoise(5e-5, 0.0, 0.0)),
-        (CELL, "15 um + 6 um/m", TrackerNoise(15e-6, 6e-6, 0.0)),
-        (CELL, None, TrackerNoise()),
-        (Cell(tracker=TRACKER), None, TRACKER.noise),
-        (Cell(sigma=1e-4, tracker=TRACKER), None, TrackerNoise(1e-4, 0.0, 0.0)),
-        *((CELL, text, None) for text in ("none", "0", "0 mm", "0 um + 0 um/m")),
-    ],
+    "model", ["hayati", "zeros", "dh+gain+compliance", pytest.param(MANY, marks=pytest.mark.slow)]
 )
-def test_noise(cell, text, noise):
-    found = noise_of(cell, text)
-    assert (found and pytest.approx(astuple(found))) == (noise and astuple(noise))
+def test_a_fit_of_the_same_model_finds_the_truth(ur3, model):
+    cell = Cell(estimate_frame=True)
+    true = draw_truth(ur3, model, seed=2, cell=cell)
+    q = random_joint_values(ur3, 60, seed=1)
+    made = virtual(true, noise=None).measure(q)
+    # Priors pull a little, where there is no noise to weigh them against.
+    free = replace(cell, priors=cell.priors.with_source("off"))
+    found = calibrate(ur3, made.measurements, cell=free, model=model, validate=False)
+    unseen = random_joint_values(ur3, 50, seed=9)
+    assert found.predict(unseen) == pytest.approx(true.points(unseen), abs=1e-9)
+    found = calibrate(ur3, made.measurements, cell=cell, model=model, validate=False)
+    assert found.predict(q) == pytest.approx(made.points, abs=1e-7)
 
 
-def test_outliers():
-    assert Outliers.parse("3", 1e-3) == Outliers(count=3, size=1e-3)
-    assert Outliers.parse("2.5%", 1e-3) == Outliers(share=0.025, size=1e-3)
-    for text in ("", "-1", "1.5", "many"):
-        with pytest.raises(CalibError, match=r"[Oo]utliers"):
-            Outliers.parse(text, 1e-3)
+@pytest.mark.parametrize("kind", ["point", "pose", "distance", "pair"])
+def test_every_kind_is_fitted_back_from_its_file(ur3, tmp_path, kind):
+    names = {"a": (0.05, 0.05, 0.05), "b": (-0.06, 0.03, 0.1)}
+    frames = {
+        "left": tracker_pose((2, 1, 0.3), np.random.default_rng(1)),
+        "right": tracker_pose((2, -1, 0.3), np.random.default_rng(2)),
+    }
+    cell = Cell(targets=names, frames=frames, estimate_target=True)
+    true = draw_truth(ur3, "placement", seed=3, cell=cell)
+    q = random_joint_values(ur3, 60, seed=3)
+    made = virtual(true, kind=kind, noise=None).measure(q)
+    made.measurements.write(tmp_path / "table.csv")
+    table = Measurements.read(tmp_path / "table.csv", ur3.joint_names, ur3.joint_types)
+    assert set(table.kinds) == {kind}
+    assert len(table) == 120
+    free = replace(cell, priors=cell.priors.with_source("off"))
+    found = calibrate(ur3, table, cell=free, model="placement", validate=False)
+    unseen = random_joint_values(ur3, 30, seed=9)
+    for name in names:
+        for group in frames:
+            ours = found.predict(unseen, target=name, group=group)
+            theirs = true.points(unseen, name, group)
+            # Lengths say nothing of where the base stands, or little: they themselves must be right.
+            if kind == "pair":
+                ours, theirs = (np.linalg.norm(p[1:] - p[:-1], axis=1) for p in (ours, theirs))
+            elif kind == "distance":
+                ours, theirs = (np.linalg.norm(p, axis=1) for p in (ours, theirs))
+            assert ours == pytest.approx(theirs, abs=1e-8)
 
 
-def test_every_key_of_the_table(ur3, tmp_path):
-    path = tmp_path / "cell.toml"
-    path.write_text(
-        "[simulation]\nvisits = 3\nencoder_deg = 0.001\nencoder_mm = 0.01\n"
-        "outlier_size_mm = 8\ndrift_mm = [0, 0, 0.1]\nmoved_row = 4\nmoved_mm = [1, 0, 0]\nmoved_target = 't'\n"
+def test_the_noise_of_a_coordinate_has_its_sigma(truth, q):
+    cell = virtual(truth, noise=NOISE, visits=200)
+    made = cell.measure(q, 1)
+    off = made.measurements.points - made.points
+    count = off.size
+    assert count == 24_000
+    # The standard deviation of a sample of n is known to 1 / sqrt(2 n): four times that, and of the mean.
+    assert off.std() == pytest.approx(1e-4, rel=4 / np.sqrt(2 * count))
+    assert abs(off.mean()) < 4e-4 / np.sqrt(count)
+    assert (made.sigma == 1e-4).all()
+    # normal, and of rows and coordinates on their own
+    assert (np.abs(off) > 2e-4).mean() == pytest.approx(0.0455, abs=0.006)
+    assert np.corrcoef(off.T) == pytest.approx(np.eye(3), abs=0.05)
+    assert np.corrcoef(off[:-1, 0], off[1:, 0])[0, 1] == pytest.approx(0.0, abs=0.05)
+
+
+@pytest.mark.parametrize("away", [1.0, 3.0, 20.0])
+def test_noise_grows_with_the_distance_from_the_tracker(truth, q, away):
+    noise = TrackerNoise()
+    tracker = np.array([away, 0.0, 0.0])
+    made = virtual(truth, noise=noise, tracker=tracker, visits=100).measure(q, 2)
+    distance = np.linalg.norm(truth.points(q) - tracker, axis=1)
+    assert made.sigma[:40] == pytest.approx(noise.std(distance))
+    scaled = (made.measurements.points - made.points) / made.sigma[:, None]
+    assert scaled.std() == pytest.approx(1.0, rel=4 / np.sqrt(2 * scaled.size))
+
+
+def test_orientations_are_turned_by_their_noise(truth, q):
+    made = virtual(truth, kind="pose", noise=None, sigma_angle=1e-3, visits=100).measure(q, 1)
+    turned = made.measurements.rotations @ made.T_frame_target[:, :3, :3].transpose(0, 2, 1)
+    angles = Rotation.from_matrix(turned).as_rotvec()
+    assert angles.std(axis=0) == pytest.approx(1e-3, rel=0.06)
+    assert (made.measurements.points == made.points).all()
+
+
+@pytest.mark.parametrize("kind", ["distance", "pair"])
+def test_the_noise_of_a_length(ur3, q, kind):
+    truth = draw_truth(ur3, cell=Cell(estimate_frame=True))
+    made = virtual(truth, kind=kind, noise=TrackerNoise(5e-5, 1e-5, 4e-5), visits=300).measure(q, 1)
+    if kind == "pair":
+        rows = made.measurements.pair_rows
+        true = np.linalg.norm(made.points[rows[:, 0]] - made.points[rows[:, 1]], axis=1)
+        off = made.measurements.distances[rows[:, 0]] - true
+        assert (
+            made.measurements.distances[rows[:, 0]] == made.measurements.distances[rows[:, 1]]
+        ).all()
+        sigma = np.hypot(5e-5 + 1e-5 * true, np.sqrt(2) * 4e-5)
+        assert made.sigma[rows[:, 0]] == pytest.approx(sigma)
+    else:
+        true = np.linalg.norm(made.points, axis=1)
+        off = made.measurements.distances - true
+        sigma = np.hypot(5e-5 + 1e-5 * true, 4e-5)
+        assert made.sigma == pytest.approx(sigma)
+    assert (off / sigma).std() == pytest.approx(1.0, rel=4 / np.sqrt(2 * len(off)))
+
+
+def test_the_table_holds_what_the_encoders_read_and_the_robot_stands_elsewhere(truth, q):
+    step = np.radians(0.01)
+    made = virtual(truth, noise=None, encoder=Encoder(angle=step)).measure(
+        np.round(q / step) * step, 1
     )
-    assert all(key in path.read_text() for key in FIELDS)
-    made = read_scenario(ur3, Cell.read(path), path, outliers="2", target_error="2 mm")
-    assert (made.target_error, made.visits) == (2e-3, 3)
-    assert astuple(made.encoder) == pytest.approx(astuple(Encoder(np.radians(1e-3), 1e-5)))
-    assert made.outliers == Outliers(count=2, size=8e-3)
-    assert made.drift.tolist() == [0.0, 0.0, 1e-4]
-    assert (made.moved.row, made.moved.by.tolist(), made.moved.target) == (4, [1e-3, 0, 0], "t")
-    for wrong in ("drift_mm = 1", "visit = 2", "visits = 'two'"):
-        path.write_text(f"[simulation]\n{wrong}\n")
-        with pytest.raises(CalibError, match=r"in \[simulation\]"):
-            read_scenario(ur3, CELL, path)
+    off = made.measurements.joints - made.q
+    assert 0.45 * step < np.abs(off).max() <= 0.5 * step * (1 + 1e-9)
+    assert off.std() == pytest.approx(step / np.sqrt(12), rel=0.15)
+    assert (made.points == truth.points(made.q)).all()
+    shown = np.degrees(made.measurements.joints) / 0.01
+    assert shown == pytest.approx(np.round(shown), abs=1e-6)
+
+
+def test_outliers_leave_all_else_as_it_was(truth, q):
+    cell = virtual(truth, outliers=Outliers(count=4, size=7e-3))
+    with_them, without = cell.measure(q, 3, SETS), changed(cell, outliers=None).measure(q, 3, SETS)
+    apart = np.linalg.norm(with_them.measurements.points - without.measurements.points, axis=1)
+    hit = np.flatnonzero(apart)
+    assert tuple(hit + 1) == with_them.outlier_rows
+    assert apart[hit] == pytest.approx(7e-3)
+    assert len(hit) == 4
+    assert hit.max() < 30  # rows to validate with stay clean
+    assert (with_them.measurements.points[30:] == without.measurements.points[30:]).all()
+
+
+def test_a_moved_target_is_an_exact_step(plain, truth, q):
+    by = np.array([0.0, 3e-4, -4e-4])
+    made = changed(plain, moved=MovedTarget(26, by)).measure(q)
+    R = truth.tip_poses(q)[:, :3, :3]
+    step = made.measurements.points - plain.measure(q).measurements.points
+    assert (step[:25] == 0.0).all()
+    assert step[25:] == pytest.approx(R[25:] @ by, abs=1e-15)
+    assert made.moved.tolist() == [False] * 25 + [True] * 15
+    assert (made.points == made.measurements.points).all()
+
+
+def test_set_ups_are_dealt_out_in_turn_and_tours_repeat(ur3, q):
+    frames = {
+        n: tracker_pose((2, y, 0), np.random.default_rng(1))
+        for n, y in (("a", 1), ("b", -1), ("c", 0))
+    }
+    truth = draw_truth(ur3, cell=Cell(frames=frames))
+    table = virtual(truth, noise=None, visits=2).measure(q[:7]).measurements
+    assert table.groups == tuple("abcabca" * 2)
+    assert (table.joints[:7] == table.joints[7:]).all()
+    for name in frames:
+        rows = [i for i, group in enumerate(table.groups) if group == name]
+        assert table.points[rows] == pytest.approx(truth.points(table.joints[rows], group=name))

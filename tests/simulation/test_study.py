@@ -1,5 +1,7 @@
 """Studies: many virtual cells, each planned, measured, fitted and verified against its truth."""
 
+from __future__ import annotations
+
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
@@ -8,17 +10,11 @@ import numpy as np
 import pytest
 
 from calib.data.cell import Cell
-from calib.result.calibrate import calibrate
 from calib.robot.robot import Robot
+from calib.simulation.disturbances import Outliers
 from calib.simulation.scenario import Scenario
-from calib.simulation.study import (
-    VERIFIED,
-    Trials,
-    one_trial,
-    study,
-    verification_poses,
-)
-from calib.simulation.truth import Outliers
+from calib.simulation.study import study
+from calib.simulation.trial import Trials
 
 TARGET = np.array([-0.06997, 0.07020, 0.02252])
 
@@ -49,24 +45,6 @@ def test_forty_calibrations_reach_what_was_forecast(ur3):
     assert np.sqrt(np.mean(found.values("stated_rms") ** 2)) == pytest.approx(found.rms, rel=0.15)
     assert 0.88 < found.values("covered").mean() <= 1.0
     assert found.nominal_rms > 20 * found.rms
-
-
-def test_a_trial_is_what_a_person_would_do(ur3):
-    what = trials(ur3, count=30)
-    trial = one_trial(what, 11)
-    virtual = what.scenario.draw(11)
-    made = virtual.measure(what.scenario.random_poses(30, 11), 11)
-    result = calibrate(ur3, made.measurements, cell=what.cell, validate=False)
-    q = verification_poses(what.scenario)
-    assert q.shape == (VERIFIED, 6)
-    error = np.linalg.norm(result.predict(q) - virtual.truth.points(q), axis=1)
-    assert trial.rms == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-12)
-    assert trial.max == pytest.approx(error.max(), rel=1e-12)
-    assert trial.nominal_rms == pytest.approx(
-        np.sqrt(np.mean(virtual.truth.nominal_errors(q) ** 2))
-    )
-    assert trial.sigma == result.sigma
-    assert (trial.model, trial.verdict, trial.seed) == ("hayati", "", 11)
 
 
 @pytest.mark.slow

@@ -3,7 +3,6 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given, strategies as st
 from scipy.spatial.transform import Rotation
 
 from calib.data.cell import Cell, Tracker
@@ -11,13 +10,7 @@ from calib.model.error_model import error_model
 from calib.model.families import FAMILIES
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot, rigid_inverse
-from calib.simulation.truth import (
-    TARGET_ERROR,
-    Encoder,
-    MovedTarget,
-    draw_truth,
-    tracker_pose,
-)
+from calib.simulation.truth import TARGET_ERROR, draw_truth, tracker_pose
 
 MANY = "placement+gain+eccentricity+compliance"
 
@@ -129,7 +122,7 @@ def test_the_target_is_drawn_about_where_it_is_said_to_be(ur3):
     ]
     assert np.std(off) == pytest.approx(TARGET_ERROR, rel=0.1)
     one = draw_truth(ur3, "frames", cell=cell)
-    assert (one.said_T_tip_target[0, :3, :3] == cell.target_rotation).all()
+    assert (one.stated_T_tip_target[0, :3, :3] == cell.target_rotation).all()
     assert not np.allclose(one.T_tip_target[0, :3, :3], cell.target_rotation, atol=1e-4)
 
 
@@ -161,25 +154,3 @@ def test_a_chain_with_a_sliding_joint_a_mimic_joint_and_two_branches():
     q = random_joint_values(camera, 5)
     assert seen.tip_poses(q) == pytest.approx(seen.robot.poses(q), abs=1e-14)
     assert seen.nominal_errors(q).min() > 1e-4
-
-
-def test_a_target_is_moved_from_its_row_on():
-    rows = MovedTarget(3, (0, 0, 1e-3)).rows(["a", "b", "a", "b", "a"])
-    assert rows.tolist() == [False, False, True, True, True]
-    only = MovedTarget(3, (0, 0, 1e-3), "b").rows(["a", "b", "a", "b", "a"])
-    assert only.tolist() == [False, False, False, True, False]
-
-
-@given(
-    st.lists(st.floats(-6.0, 6.0), min_size=1, max_size=8),
-    st.floats(1e-6, 0.1),
-    st.integers(0, 1000),
-)
-def test_what_is_read_is_at_most_half_a_step_from_where_the_robot_stands(values, step, seed):
-    q = np.array([values])
-    encoder = Encoder(angle=step)
-    slides = [False] * len(values)
-    stood, read = encoder.measure(q, slides, seed)
-    assert np.abs(stood - q).max() <= 0.5 * step * (1 + 1e-9)
-    assert np.abs(read - stood).max() <= 0.5 * step + 1e-12
-    assert np.abs(read / step - np.round(read / step)).max() < 1e-6

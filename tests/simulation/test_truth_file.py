@@ -12,8 +12,10 @@ from calib.data.cell import Cell
 from calib.robot.gravity import gravity_loads
 from calib.robot.payload import Payload
 from calib.robot.ranges import random_joint_values
-from calib.simulation.scenario import SCHEMA, Scenario, write_truth
-from calib.simulation.truth import Encoder, MovedTarget, Outliers, tracker_pose
+from calib.simulation.disturbances import Encoder, MovedTarget, Outliers
+from calib.simulation.scenario import Scenario
+from calib.simulation.truth import tracker_pose
+from calib.simulation.truth_file import SCHEMA, write_truth
 
 MANY = "placement+gain+eccentricity+compliance"
 FRAMES = {n: tracker_pose((2, y, 0), np.random.default_rng(1)) for n, y in (("a", 1), ("b", -1))}

@@ -11,9 +11,11 @@ import pytest
 from calib.data.cell import Cell, TrackerNoise
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
+from calib.simulation.disturbances import MovedTarget, Outliers
 from calib.simulation.scenario import Scenario, Simulated
-from calib.simulation.study import Study, Trial, Trials
-from calib.simulation.truth import MovedTarget, Outliers, draw_truth
+from calib.simulation.study import Study
+from calib.simulation.trial import Trial, Trials
+from calib.simulation.truth import draw_truth
 from calib.text.simulation import simulated_text, study_text
 from tests.simulation.cells import virtual
 

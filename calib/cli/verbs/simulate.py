@@ -192,11 +192,11 @@ def _prepare(
     """Load the robot, and read the scenario and the poses."""
     import calib.simulation.study  # noqa: F401  while the workers import it too
     from calib.design.plan_file import read_poses
-    from calib.simulation.scenario import read_scenario
+    from calib.simulation.scenario_words import ScenarioWords, read_scenario
 
     cell = read_cell(**asdict(setup))
     arm = load(robot, cell)
-    scenario = read_scenario(arm, cell, setup.cell, **asdict(errors))
+    scenario = read_scenario(arm, cell, setup.cell, ScenarioWords(**asdict(errors)))
     joints: Array | None = None
     sets: tuple[str, ...] = ()
     default_validation = 10
@@ -210,7 +210,8 @@ def _prepare(
 
 def _simulate_table(simulation: _Simulation, outputs: SimulateOutputs) -> tuple[str, list[Path]]:
     """Simulate one table, and write it with the truth; returns the text, and the files."""
-    from calib.simulation.scenario import simulate as simulate_rows, write_truth
+    from calib.simulation.scenario import simulate as simulate_rows
+    from calib.simulation.truth_file import write_truth
     from calib.text.simulation import simulated_text
 
     assert outputs.output is not None
@@ -243,7 +244,8 @@ def _run_study(
 ) -> tuple[str, list[Path]]:
     """Simulate and calibrate many robots; returns the text, and the files."""
     from calib.result.calibration_file import write_table
-    from calib.simulation.study import Trials, study, study_table
+    from calib.simulation.study import study, study_table
+    from calib.simulation.trial import Trials
     from calib.text.simulation import study_text
 
     assert options.study is not None

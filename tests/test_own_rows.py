@@ -17,7 +17,8 @@ from calib.data.measurements import Measurements
 from calib.model import families
 from calib.model.families import RAD, Factor, Family
 from calib.simulation.scenario import Scenario
-from calib.simulation.study import Trials, study
+from calib.simulation.study import study
+from calib.simulation.trial import Trials
 
 #: A gauge that reads how high the target is, and a joint's error twice a turn.
 HEIGHT = Kind(

@@ -1,0 +1,162 @@
+"""A scenario from the words of a command line, and from the table ``[simulation]`` of a cell file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calib.data.cell import Cell, TrackerNoise
+from calib.data.cell_file import DEGREES, MM, POINT, TEXT, Field, numbers, read_table, read_toml
+from calib.model.error_model import error_model
+from calib.model.families import unit_of
+from calib.model.parameters import ErrorModel
+from calib.robot.robot import Robot
+from calib.simulation.disturbances import Encoder, MovedTarget, Outliers
+from calib.simulation.scenario import DEFAULT_MODEL, Scenario
+from calib.simulation.truth import NONE, TARGET_ERROR, parse_error_sizes
+from calib.units import LENGTH, parse_amount, parse_noise
+
+#: Keys of ``[simulation]`` in a cell file.
+FIELDS: Mapping[str, Field] = {
+    "visits": Field("visits", numbers(1)),
+    "encoder_deg": Field("angle", DEGREES),
+    "encoder_mm": Field("length", MM),
+    "outlier_size_mm": Field("size", MM),
+    "drift_mm": Field("drift", POINT),
+    "moved_row": Field("row", numbers(1)),
+    "moved_mm": Field("by", POINT),
+    "moved_target": Field("target", TEXT),
+}
+
+#: Noise of an orientation about each axis, of a tracker's 6D probe [rad].
+_PROBE = float(np.radians(0.01))
+
+
+@dataclass(frozen=True, slots=True)
+class ScenarioWords:
+    """Options of a scenario, as typed on the command line; None: not given."""
+
+    sizes: str | None = None  #: Standard deviations of errors, see `parse_error_sizes`.
+    error: Iterable[str] | None = None  #: Single errors, ``elbow_joint.rx=2 mrad`` each.
+    noise: str | None = None  #: See `parse_tracker_noise`.
+    outliers: str | None = None  #: A number of rows or a share, see `Outliers.parse`.
+    truth_robot: Path | None = None  #: URDF of the true robot.
+    target_error: str | None = None  #: Standard deviation of the targets' positions, a length.
+
+
+def read_scenario(
+    robot: Robot, cell: Cell, path: Path | None = None, words: ScenarioWords | None = None
+) -> Scenario:
+    """Read a scenario.
+
+    Args:
+        robot: The nominal robot.
+        cell: The cell.
+        path: Its file, whose table ``[simulation]`` counts too; None: there is none.
+        words: Options of the command line; None: none are given.
+
+    Returns:
+        The scenario.
+
+    Raises:
+        CalibError: A text that an option does not take, or a fault of the file.
+    """
+    words = words or ScenarioWords()
+    events = _simulation_table(path)
+    model = DEFAULT_MODEL if cell.model == "auto" else cell.model
+    all_errors = error_model(robot, model, target=False, gravity=cell.gravity)
+    errors = tuple(_named_errors(words.error or (), all_errors))
+    noise = parse_tracker_noise(cell, words.noise)
+    return Scenario(
+        robot=robot,
+        cell=cell,
+        model=model,
+        sizes=parse_error_sizes(cell, words.sizes, named=bool(errors)),
+        errors=errors,
+        true_robot=_true_robot(robot, words.truth_robot),
+        target_error=_target_error(words.target_error),
+        noise=noise,
+        sigma_angle=_angle_noise(cell, noise),
+        encoder=Encoder(events.get("angle", 0.0), events.get("length", 0.0)),
+        outliers=_outliers(words.outliers, events),
+        moved=_moved_target(events),
+        drift=events.get("drift", np.zeros(3)),
+        visits=int(events.get("visits", 1)),
+    )
+
+
+def _simulation_table(path: Path | None) -> dict[str, Any]:
+    """Read the table ``[simulation]`` of a cell file, SI units, by the names of `FIELDS`."""
+    if path is None:
+        return {}
+    table = read_toml(path).get("simulation", {})
+    return read_table(table, FIELDS, f"[simulation] of {path}")
+
+
+def _true_robot(robot: Robot, path: Path | None) -> Robot | None:
+    """Load the true robot, with the chain of the nominal one; None without a file."""
+    if path is None:
+        return None
+    return Robot.load(path, robot.base, robot.tip, held=robot.held)
+
+
+def _target_error(text: str | None) -> float:
+    """Parse ``--target-error`` [m]; the default without one."""
+    if text is None:
+        return TARGET_ERROR
+    return parse_amount(text, "--target-error", LENGTH, "1 mm")
+
+
+def _angle_noise(cell: Cell, noise: TrackerNoise | None) -> float:
+    """Return the noise of an orientation about one axis [rad]: the cell's, or a probe's; 0 where there is no noise."""
+    if noise is None:
+        return 0.0
+    return _PROBE if cell.sigma_angle is None else cell.sigma_angle
+
+
+def _outliers(text: str | None, events: Mapping[str, Any]) -> Outliers | None:
+    """Parse ``--outliers``, with their size from ``[simulation]``; None without it."""
+    if text is None:
+        return None
+    return Outliers.parse(text, events.get("size", Outliers().size))
+
+
+def _moved_target(events: Mapping[str, Any]) -> MovedTarget | None:
+    """Return the target that moves, from ``[simulation]``; None if none does."""
+    if "row" not in events and "by" not in events:
+        return None
+    displacement = events.get("by", np.zeros(3))
+    return MovedTarget(int(events.get("row", 1)), displacement, events.get("target"))
+
+
+def _named_errors(pairs: Iterable[str], model: ErrorModel) -> Iterator[tuple[str, float]]:
+    """Parse single errors, ``elbow_joint.rx=2 mrad`` each, in the units of the parameters."""
+    for pair in dict.fromkeys(pairs):
+        name, _, value = (part.strip() for part in pair.rpartition("="))
+        unit = unit_of(model.parameters[model.index(name)].unit)
+        yield name, parse_amount(value, "--error", unit.quantity, unit.example, signed=True)
+
+
+def parse_tracker_noise(cell: Cell, text: str | None) -> TrackerNoise | None:
+    """Parse ``--noise``: ``15 um + 6 um/m``, ``0.05 mm`` or ``none``.
+
+    Args:
+        cell: Has the noise where nothing is typed: its own sigma, its tracker's, or a usual tracker's.
+        text: As typed; None: not given.
+
+    Returns:
+        The noise; None: none at all.
+
+    Raises:
+        CalibError: It is no such text.
+    """
+    if text is not None:
+        constant, per_length = (0.0, 0.0) if text == NONE else parse_noise(text, "--noise")
+        return TrackerNoise(constant, per_length, 0.0) if constant or per_length else None
+    if cell.sigma is not None:
+        return TrackerNoise(cell.sigma, 0.0, 0.0)
+    return TrackerNoise() if cell.tracker is None else cell.tracker.noise

@@ -1,0 +1,265 @@
+"""One trial of a study: a robot with errors of its own is planned for, measured, calibrated and verified.
+
+A true robot is drawn and measured with noise, the nominal robot is calibrated with these measurements alone, and both
+are asked for the target's position at poses that were not measured: the error there is known, because the truth is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import fdtri
+
+from calib.data.cell import Cell, Tracker
+from calib.design.candidates import draw, planning_ranges
+from calib.design.choice import PlanRequest, choose_poses
+from calib.design.forecast import Forecast, Workspace
+from calib.design.sensitivity import Sensitivity
+from calib.diagnosis.reasons import NO
+from calib.errors import ModelError
+from calib.estimate.fitting import Fitted
+from calib.model.kinematics import Samples
+from calib.numerics.errors import rms
+from calib.numerics.rigid_motion import without_rigid_motion
+from calib.result.calibrate import calibrate
+from calib.result.fits import fit_table
+from calib.robot.gravity import gravity_loads
+from calib.robot.robot import rigid_inverse
+from calib.simulation.scenario import DEFAULT_TRACKER, Scenario, Simulated
+from calib.simulation.truth import Truth
+from calib.units import Array, Mask
+
+#: Poses at which a trial is verified.
+VERIFIED = 500
+
+#: Seed that they are drawn with.
+_VERIFY_SEED = 19790401
+
+#: Candidates that each trial's plan is chosen from: it is made anew each time.
+_CANDIDATES = 2000
+
+#: Probability that a stated region should hold the truth.
+_LEVEL = 0.95
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trials:
+    """Task of each trial."""
+
+    scenario: Scenario  #: Robots and disturbances that are drawn
+    cell: Cell  #: The cell that the fit is given; its model too
+    #: shape (N, m), poses to measure, the same each time; None: ``count`` others each time
+    poses: Array | None = None
+    sets: tuple[str, ...] = ()  #: ``"estimate"`` or ``"validate"`` for each of ``poses``
+    count: int = 30  #: Poses to fit, where they are made each time
+    validation: int = 0  #: Random poses to validate with, besides
+    planned: bool = False  #: Whether they are planned, or drawn at random
+    criterion: str = "V"  #: Of the plan
+    validate: bool = True  #: Whether each fit is cross-validated, for its verdict
+    solver: str = "lm"  #: Of the fit
+
+    @property
+    def fitted(self) -> int:
+        """Number of poses that are fitted each time."""
+        return self.count if self.poses is None else self.sets.count("estimate")
+
+    def poses_of(self, seed: int) -> tuple[Array, tuple[str, ...]]:
+        """Return the poses of one trial: given, planned, or random by the seed; and those to validate with.
+
+        Collisions are not checked, for the robot is a virtual one.
+
+        Returns:
+            shape (N, m), [rad] or [m], and the set of each.
+        """
+        poses = self.poses
+        if poses is None and self.planned:
+            poses = self._plan(seed)
+        return self.scenario.poses(seed, self.count, self.validation, poses, self.sets)
+
+    def _plan(self, seed: int) -> Array:
+        """Plan the poses of one trial, shape (count, m), [rad] or [m]."""
+        robot = self.scenario.robot
+        sensitivity = Sensitivity.of(robot, self.cell)
+        ranges = planning_ranges(robot, self.scenario.cell.ranges, 0.0)
+        pool = draw(robot, ranges, [], max(_CANDIDATES, self.count), seed)
+        request = PlanRequest(self.count, 0, self.criterion, ladder=False, seed=seed)
+        return choose_poses(sensitivity, pool, request, restarts=1).planned
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """Figures of one robot, calibrated and verified."""
+
+    seed: int  #: Of everything that was drawn
+    #: Error of the nominal robot, frame and target where they truly are, over the poses of the verification [m]
+    nominal_rms: float
+    rms: float  #: Error of the calibrated robot's predictions there [m]
+    max: float  #: The largest [m]
+    stated_rms: float  #: Error there that the fit states [m]
+    covered: float  #: Share of these positions inside the 95 % ellipsoid that the fit states
+    sigma: (
+        float  #: Noise that the fit estimated, with the non-geometric model where there is one [m]
+    )
+    model: str  #: The parameter set that was fitted
+    verdict: str  #: The verdict's word; "" without one
+    outliers: int  #: Number of rows that are outliers in truth
+    flagged: int  #: Number of these that the fit flagged
+    false_alarms: int  #: Number of others that it flagged
+
+
+def one_trial(trials: Trials, seed: int) -> Trial:
+    """Plan, measure, fit and verify once, everything that is drawn with one seed.
+
+    Args:
+        trials: The task.
+        seed: Of the random numbers.
+    """
+    virtual_cell = trials.scenario.draw(seed)
+    q, sets = trials.poses_of(seed)
+    simulated = virtual_cell.measure(q, seed, sets)
+    calibrated = _calibrate(trials, simulated)
+    problem = calibrated.fitted.estimate.problem
+    of_lengths = problem.scales[:, :3][problem.rows.used[:, :3]]
+    verified = _verify(trials, simulated.truth, calibrated.fitted)
+    outliers = set(simulated.outlier_rows)
+    return Trial(
+        seed=seed,
+        nominal_rms=rms(simulated.truth.nominal_errors(verification_poses(trials.scenario))),
+        rms=rms(verified.errors),
+        max=float(np.max(verified.errors)),
+        stated_rms=verified.stated_rms,
+        covered=float(np.mean(verified.inside)),
+        sigma=float(np.median(of_lengths)) if of_lengths.size else float("nan"),
+        model=calibrated.fitted.kinematics.model.name,
+        verdict=calibrated.verdict,
+        outliers=len(outliers),
+        flagged=len(outliers & calibrated.flagged),
+        false_alarms=len(calibrated.flagged - outliers),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Calibrated:
+    """Last fit of a calibration."""
+
+    fitted: Fitted  # Of the non-geometric model, if any
+    verdict: str  # The verdict's word; "" without one
+    flagged: frozenset[int]  # Numbers of the rows that it flags
+
+
+def _calibrate(trials: Trials, simulated: Simulated) -> _Calibrated:
+    """Calibrate with a simulated table; without validation only the fits are made."""
+    robot, table = trials.scenario.robot, simulated.measurements
+    if trials.validate:
+        result = calibrate(robot, table, cell=trials.cell, solver=trials.solver)
+        assert result.verdict is not None
+        assert result.fit is not None
+        fitted = result.fit.non_geometric or result.fit.geometry
+        flagged = frozenset(outlier.row for outlier in result.outliers)
+        return _Calibrated(fitted, result.verdict.use, flagged)
+    fits = fit_table(robot, table, trials.cell, solver=trials.solver)
+    rows = np.array(table.rows)[table.estimation]
+    flagged = frozenset(rows[fits.geometry.estimate.outliers].tolist())
+    fitted = fits.non_geometric or fits.geometry
+    return _Calibrated(fitted, NO if fits.mistake else "", flagged)
+
+
+def verification_poses(scenario: Scenario) -> Array:
+    """Return the poses at which every trial is verified: random ones over the joint ranges.
+
+    Args:
+        scenario: Has the robot and its ranges.
+
+    Returns:
+        shape (500, m), [rad] or [m].
+    """
+    return scenario.random_poses(VERIFIED, _VERIFY_SEED)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Verified:
+    """Predictions of a fit against the truth at N poses that it has not seen."""
+
+    errors: Array  # (N,), distance of the predicted target from the true one [m]
+    stated_rms: float  # Error that the fit states [m]
+    inside: Mask  # (N,), whether the truth is inside the region that the fit states
+
+
+def _verify(trials: Trials, truth: Truth, fitted: Fitted) -> _Verified:
+    """Compare a fit's predictions with the truth.
+
+    Args:
+        trials: The task.
+        truth: Of the virtual cell.
+        fitted: The fit.
+    """
+    scenario, cell, estimate = trials.scenario, trials.cell, fitted.estimate
+    q = verification_poses(scenario)
+    load = None
+    if any(term.factor and term.factor.loaded for term in fitted.kinematics.model.terms):
+        load = gravity_loads(scenario.robot, q, cell.payload, cell.gravity)
+    samples = Samples.at(q, load)
+    poses, J = fitted.kinematics.twists(estimate.x, samples, rotation=False)
+    T_base_target = truth.tip_poses(q) @ truth.T_tip_target[0]
+    if scenario.kind.position:
+        T_frame_target = truth.T_frame_base[0] @ T_base_target
+        error = poses[:, :3, 3] - T_frame_target[:, :3, 3]
+    else:  # lengths do not tell where the base is: only the shape of all positions counts
+        T_base_frame = rigid_inverse(fitted.placed().T_frame_base[0])
+        predicted = (T_base_frame @ poses)[:, :3, 3]
+        difference = (predicted - T_base_target[:, :3, 3])[:, :, None]
+        error = without_rigid_motion(predicted, difference)[:, :, 0]
+        J = without_rigid_motion(predicted, J)
+    JC = (J.reshape(-1, J.shape[2]) @ estimate.covariance).reshape(J.shape)
+    covariance = JC @ J.transpose(0, 2, 1)
+    weighted = np.linalg.solve(covariance, error[:, :, None])[:, :, 0]
+    square = np.sum(error * weighted, axis=1)
+    limit = 3.0 * fdtri(3, max(estimate.freedom, 1.0), _LEVEL)
+    variance = np.trace(covariance, axis1=1, axis2=2)
+    return _Verified(
+        errors=np.asarray(np.linalg.norm(error, axis=1)),
+        stated_rms=float(np.sqrt(np.mean(variance))),
+        inside=np.asarray(square <= limit),
+    )
+
+
+def forecast_of_trial(trials: Trials, seed: int) -> Forecast | None:
+    """Forecast a calibration with one trial's poses, over the poses of the verification.
+
+    By the true noise, not by what the fit is given: where nothing says where the tracker is, at a usual distance.
+
+    Args:
+        trials: The task.
+        seed: Of the trial.
+
+    Returns:
+        The forecast; None without noise, or for a cell that has none.
+    """
+    scenario = trials.scenario
+    if scenario.noise is None:
+        return None
+    cell = replace(
+        trials.cell,
+        sigma=None,
+        sigma_angle=scenario.sigma_angle or trials.cell.sigma_angle,
+        tracker=Tracker(_tracker_position(scenario), noise=scenario.noise),
+    )
+    try:
+        sensitivity = Sensitivity.of(scenario.robot, cell)
+    except ModelError:
+        return None
+    q, sets = trials.poses_of(seed)
+    to_estimate = [set_name == "estimate" for set_name in sets]
+    visited = np.repeat(q[to_estimate], scenario.visits, axis=0)
+    workspace = Workspace.of(sensitivity, verification_poses(scenario))
+    return Forecast.of(sensitivity, workspace, visited)
+
+
+def _tracker_position(scenario: Scenario) -> Array:
+    """Return the position of the tracker in the base, shape (3,), [m]: as given, its frame's origin, or the default."""
+    if scenario.tracker is not None:
+        return scenario.tracker
+    cell = scenario.cell
+    T_frame_base = next(iter(cell.frames.values()), cell.T_frame_base)
+    return DEFAULT_TRACKER if T_frame_base is None else rigid_inverse(T_frame_base)[:3, 3]
