@@ -39,7 +39,7 @@ from calib.circle_points.fits import LEVEL, Circle, Plane, fit_circle, fit_plane
 from calib.circle_points.sweeps import Sweep, Sweeps
 from calib.errors import CalibError, MeasurementError, UrdfError, choices
 from calib.json_files import JsonLayout
-from calib.model.dh import zero_poses
+from calib.model.dh_table import zero_poses
 from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.units import Array
 

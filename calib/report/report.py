@@ -23,7 +23,8 @@ from calib.data.kinds import get as kind_named
 from calib.diagnosis.reasons import Why
 from calib.errors import FileError
 from calib.files import write_atomically
-from calib.model.dh import DHRow, dh_table
+from calib.model.dh import DHRow
+from calib.model.dh_table import dh_table
 from calib.numerics.intervals import interval_factor
 from calib.report.figure_base import angles_of, lengths_of
 from calib.result.calibration import CalibrationValues
