@@ -21,7 +21,7 @@ import numpy as np
 import pinocchio as pin
 from arms import load_arm
 from numpy.typing import NDArray
-from studies import add_noise, print_table, rms, rms_length, run_jobs, study_parser
+from studies import add_noise, draw_errors, print_table, rms, rms_length, run_jobs, study_parser
 
 from calib.calibration import calibrate
 from calib.circle_points.findings import with_positive_sense
@@ -251,9 +251,8 @@ def robot_errors(seed: int) -> tuple[float, float, float]:
     rng = np.random.default_rng(seed)
     nominal = load_arm("ur3")
     model = error_model(nominal, "hayati")
-    std = np.where([p.unit == "m" for p in model.parameters], LENGTH, ANGLE)
     geometric = np.array([p.family in ("length", "angle", "zero") for p in model.parameters])
-    true = model.apply(nominal, rng.normal(size=len(model)) * std * geometric)
+    true = model.apply(nominal, draw_errors(model, LENGTH, ANGLE, rng) * geometric)
     target = np.array([0.07, -0.05, 0.03])
 
     arcs = np.radians([270.0, 180.0])
