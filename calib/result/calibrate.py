@@ -44,12 +44,12 @@ from calib.result.prediction import (
     parameter_estimates,
     tells_place,
 )
-from calib.result.robustness import compare_weights
 from calib.robot.gravity import gravity_loads
 from calib.robot.ranges import spread_poses
 from calib.robot.robot import Robot, read_only
 from calib.selection.candidates import Candidate, alternative_models, mark_chosen
 from calib.selection.cross_validation import cross_validation, nominal_cross_validation
+from calib.selection.robustness import compare_weights
 from calib.units import Array, Mask
 
 

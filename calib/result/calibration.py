@@ -32,10 +32,10 @@ from calib.result.prediction import (
     ParameterEstimate,
     tells_place,
 )
-from calib.result.robustness import Robustness
 from calib.robot.payload import Payload
 from calib.robot.robot import Robot, rigid_inverse
 from calib.selection.candidates import Candidate
+from calib.selection.robustness import Robustness
 from calib.units import Array, Mask
 
 #: Number of values that stand for all those between the ends of a measured range.

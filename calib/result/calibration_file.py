@@ -29,11 +29,11 @@ from calib.numerics.errors import CrossValidation, Errors
 from calib.numerics.repeats import Repeats
 from calib.result.calibration import CalibrationValues, Source
 from calib.result.prediction import FittedModel, NonGeometric, Outlier
-from calib.result.robustness import Robustness
 from calib.robot.payload import Payload
 from calib.robot.robot import Robot, read_only
 from calib.robot.urdf import Urdf
 from calib.selection.candidates import Candidate
+from calib.selection.robustness import Robustness
 from calib.units import Array
 from calib.version import __version__
 

@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 
 from calib.errors import choices
+from calib.numerics.drift_test import LEVEL
 from calib.result.calibration import CalibrationValues
 from calib.result.calibration_file import versions
-from calib.result.comparison import LEVEL, ComparisonValues, Displacement, own_names, unknown_frame
+from calib.result.comparison import ComparisonValues
+from calib.result.difference import Displacement, own_names, unknown_frame
 from calib.text.layout.lines import deg, mm, wrap
 from calib.version import __version__
 
@@ -112,8 +114,8 @@ def _answer(c: ComparisonValues) -> str:
         registered.append("the target")
     if registered:
         text = f"Displacements are up to the place of {' and '.join(registered)}"
-        if c.untold:
-            text += f"; a drift of {choices(c.untold, limit=8)} cannot be seen"
+        if c.compensated:
+            text += f"; a drift of {choices(c.compensated, limit=8)} cannot be seen"
         lines.append(f"{text}.")
     return "\n".join([wrap(sentence(c)), *(wrap(line, "  ") for line in lines)])
 
@@ -184,7 +186,7 @@ def comparison_table(c: ComparisonValues) -> dict[str, Any]:
         "why": c.why,
         "test": {**asdict(c.test), "level": LEVEL},
         "moves": [_move_table(move) for move in c.moves],
-        "untold": list(c.untold),
+        "compensated": list(c.compensated),
         "only_a": list(c.only_a),
         "only_b": list(c.only_b),
         "results": [_result_table(name, result) for _, name, result in _both(c)],

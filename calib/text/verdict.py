@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.diagnosis.coverage import Beyond, OutsideRow
 from calib.diagnosis.reasons import NO, Reason, Verdict, Why
-from calib.result.robustness import Robustness
+from calib.selection.robustness import Robustness
 from calib.text.layout.lines import mm, plural
 
 #: Rows outside of the measured range that are named one by one; a sentence with more is hard to read.

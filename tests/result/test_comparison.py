@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from calib.calibration import Calibration, Comparison, calibrate, compare
@@ -24,7 +23,7 @@ from calib.example.__init__ import PAPER_TARGET
 from calib.json_files import plain
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
-from calib.result.comparison import LEVEL, DriftTest, Estimate, drift_test, joint_covariance
+from calib.numerics.drift_test import LEVEL
 from calib.robot.ranges import spread_between
 from calib.robot.robot import Robot
 from calib.text.comparison import notes
@@ -113,7 +112,7 @@ def test_a_robot_that_did_not_change(unchanged: Comparison):
     assert c.test.p > LEVEL
     # 24 parameters, less two of three parallel axes, two that the frame and four that the target make up for.
     assert c.test.combinations == 16
-    assert set(c.untold) == {"d1", "theta1", "a6", "alpha6", "d6", "theta6"}
+    assert set(c.compensated) == {"d1", "theta1", "a6", "alpha6", "d6", "theta6"}
     assert [m.where for m in c.moves] == ["measured ranges", "joint limits"]
     for move in c.moves:
         assert 0.4 * move.noise < move.rms < 1.6 * move.noise
@@ -158,12 +157,12 @@ def test_what_the_frame_makes_up_for_is_no_drift_but_with_a_known_frame_it_is(
 ):
     lost = compare(before, later("theta1", 1e-3))
     assert lost.outcome == "no drift shown"
-    assert "theta1" in lost.untold
+    assert "theta1" in lost.compensated
     known = [arm.measured(k, c, elsewhere=False)[0] for k, c in ((3, {}), (4, {"theta1": 1e-3}))]
     found = compare(*known)
     assert found.outcome == "drift"
     assert found.test.combinations == 18
-    assert set(found.untold) == {"a6", "alpha6", "d6", "theta6"}
+    assert set(found.compensated) == {"a6", "alpha6", "d6", "theta6"}
 
 
 def test_other_parameters_of_the_same_robot_predict_the_same(
@@ -285,81 +284,5 @@ def test_every_kind_of_measurement(calibrated, name: str):
     assert found.test.chi_square == 0.0
     assert found.test.combinations > 0
     everything = {"d1", "theta1", "a6", "alpha6", "d6", "theta6"}
-    assert set(found.untold) == ({"wrist_3_joint.zero"} if name == "held" else everything)
+    assert set(found.compensated) == ({"wrist_3_joint.zero"} if name == "held" else everything)
     assert np.isfinite(found.moves[0].rms_angle) == (name == "poses")
-
-
-# The statistics, on linear problems whose truth is known: rate of false alarms, covariance
-
-TAU = np.array([1.0, 1.0, 0.5, 0.5, 2.0])
-FLOOR = 1e-9
-
-
-def design(seed: int, count: int = 12) -> np.ndarray:
-    """A Jacobian whose last column next to nothing is known of, in units of the noise."""
-    A = np.random.default_rng(seed).normal(size=(count, 5)) * 2.0
-    A[:, 4] *= 1e-4
-    return A
-
-
-def posterior(A: np.ndarray) -> Estimate:
-    """What `x` of N(0, TAU^2) is known to by y = A x + noise of unit variance, with its coordinates the parameters."""
-    P = np.diag(1.0 / TAU**2)
-    C = np.linalg.inv(A.T @ A + P)
-    return Estimate(C, C - C @ P @ C, C @ P, TAU**2, 1e6, np.zeros(5))
-
-
-def means(A: np.ndarray, x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Posterior means of many truths, shape (count, 5)."""
-    y = x @ A.T + rng.normal(size=(len(x), len(A)))
-    return y @ A @ posterior(A).covariance
-
-
-@pytest.fixture(scope="module")
-def many() -> tuple[Estimate, Estimate, np.ndarray, np.ndarray, np.ndarray]:
-    """Two designs, and the estimates of 4000 unchanged robots by each, with the robots."""
-    rng = np.random.default_rng(5)
-    A, B = design(1), design(2)
-    x = rng.normal(size=(4000, 5)) * TAU
-    return posterior(A), posterior(B), means(A, x, rng), means(B, x, rng), x
-
-
-def judged(a: Estimate, b: Estimate, difference: np.ndarray) -> list[DriftTest]:
-    joint, one = joint_covariance(a, b, alike=True), np.eye(5)
-    return [drift_test(d, (one, one), (a, b), joint, FLOOR) for d in difference]
-
-
-def test_false_alarms_come_at_the_rate_told(many):
-    a, b, of_a, of_b, _ = many
-    found = judged(a, b, (of_b - of_a)[:1500])
-    assert {one.combinations for one in found} == {4}  # the last one is not known
-    assert stats.kstest([one.p for one in found], "uniform").pvalue > 1e-3
-    assert np.mean([one.drifted for one in found]) == pytest.approx(LEVEL, abs=0.009)
-
-
-def test_the_covariance_about_a_common_truth(many):
-    a, b, of_a, of_b, x = many
-    joint = joint_covariance(a, b, alike=True)
-    size = np.sqrt(np.outer(joint.diagonal(), joint.diagonal()))
-    found = np.cov(np.hstack([of_a - x, of_b - x]).T)
-    np.testing.assert_allclose(found / size, joint / size, atol=0.08)
-    both = np.hstack([-np.eye(5), np.eye(5)])
-    V = both @ joint @ both.T
-    np.testing.assert_allclose(np.cov((of_b - of_a).T), V, atol=0.05 * np.sqrt(V.diagonal().max()))
-    assert V[4, 4] < 1e-3 < 0.1 * a.covariance[4, 4]  # both say what the prior says
-
-
-def test_few_degrees_of_freedom_ask_for_more():
-    a, b = posterior(design(1)), posterior(design(2))
-    few = [replace(e, freedom=8.0) for e in (a, b)]
-    difference = np.array([1.5, -0.5, 0.2, 0.1, 0.0])
-    sure, unsure = judged(a, b, difference[None])[0], judged(*few, difference[None])[0]
-    assert unsure.chi_square == pytest.approx(sure.chi_square)
-    assert 8.0 < unsure.freedom <= 16.0
-    assert unsure.p > 3.0 * sure.p
-
-
-def test_nothing_known_in_common():
-    a = posterior(1e-3 * design(1))
-    (found,) = judged(a, a, np.ones((1, 5)))
-    assert (found.combinations, found.p, found.drifted) == (0, 1.0, False)

@@ -11,9 +11,9 @@ from calib.data.measurements import Measurements
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
 from calib.result.calibration import CalibrationValues
-from calib.result.robustness import compare_weights
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
+from calib.selection.robustness import compare_weights
 
 TARGET = np.array([0.05, -0.06, 0.04])
 WILD = (4, 21)

@@ -1,0 +1,69 @@
+"""The difference of two results, on calibrations of virtual cells."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.model.error_model import DIRECTIONS
+from calib.result.difference import Displacement, differences_of, own_names, unknown_frame
+
+
+def test_own_parameters_are_those_of_no_frame_and_no_target(calibrated):
+    _, c = calibrated("set-ups")
+    names = own_names(c)
+    assert names == tuple(n for n in c.model.names if not n.startswith(("frame_", "target_")))
+    assert len(names) < len(c.model.names)
+
+
+@pytest.mark.parametrize(
+    ("case", "directions"),
+    [("points", ()), ("set-ups", DIRECTIONS), ("known set-ups", ()), ("sockets", DIRECTIONS)],
+)
+def test_the_frame_is_unknown_where_it_was_estimated_or_no_row_determines_it(
+    calibrated, case, directions
+):
+    assert unknown_frame(calibrated(case)[1]) == directions
+
+
+def test_a_displacement_without_its_noise():
+    move = Displacement("joint limits", 5e-4, 9e-4, 3e-4, 1e-4, np.nan)
+    assert move.moved == pytest.approx(4e-4)
+    assert replace(move, noise=6e-4).moved == 0.0
+
+
+def test_a_result_does_not_differ_from_itself(calibrated):
+    _, c = calibrated("points")
+    differences = differences_of(c, c, same_start=True)
+    assert differences.test.chi_square == 0.0
+    assert [move.rms for move in differences.moves] == [0.0, 0.0]
+    assert (differences.only_a, differences.only_b) == ((), ())
+    # Of a target that both estimated.
+    assert "d6" in differences.compensated
+
+
+def test_a_change_of_the_last_tool_axis_is_compensated_and_one_of_an_elbow_is_not(calibrated):
+    _, c = calibrated("points")
+    names = list(c.model.names)
+
+    def changed(name: str, by: float) -> float:
+        x = c.x.copy()
+        x[names.index(name)] += by
+        parameters = tuple(replace(p, value=p.value + by * (p.name == name)) for p in c.parameters)
+        other = replace(c, x=x, parameters=parameters)
+        return differences_of(c, other, same_start=True).moves[0].rms
+
+    assert changed("d6", 1e-3) < 2e-5
+    assert changed("theta3", 1e-3) > 1e-4
+
+
+def test_orientations_count_at_the_end_of_a_lever(calibrated):
+    """Where they were measured the turn of the target is given too."""
+    _, c = calibrated("poses")
+    x = c.x.copy()
+    x[c.model.index("theta3")] += 1e-3
+    move = differences_of(c, replace(c, x=x), same_start=True).moves[0]
+    assert move.rms > 1e-4
+    assert 0.0 < move.rms_angle < 2e-3
