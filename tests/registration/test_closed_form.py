@@ -61,6 +61,14 @@ def test_orientations_determine_frame_and_target(make_scene):
     assert orientation_setup(points[1], points[0], points[2]) is None
 
 
+@pytest.mark.parametrize(("frame", "target"), [(True, False), (False, True), (True, True)])
+def test_orientations_of_a_known_frame_or_target_need_no_start(make_scene, frame, target):
+    scene = make_scene(2)
+    T_base_tip, setup, rows = measured(scene, scene.poses(8), Cell(estimate_frame=True))
+    fixed = setup.with_fixed(np.array([frame]), np.array([target]))
+    assert orientation_setup(fixed, T_base_tip, rows) is None
+
+
 def test_a_frame_is_fitted_to_points_of_known_targets(make_scene):
     scene = make_scene(3)
     T_base_tip, setup, rows = measured(scene, scene.points(3), Cell(estimate_frame=True))
