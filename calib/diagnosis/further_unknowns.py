@@ -21,7 +21,7 @@ from calib.estimate.linear import LinearProblem
 from calib.estimate.prior_terms import PriorTerms
 from calib.estimate.stages import Stage
 from calib.estimate.task import PAPER
-from calib.model.dh import zero_poses
+from calib.model.dh_table import zero_poses
 from calib.model.families import ANGLE, LENGTH, ZERO
 from calib.model.parameters import FRAME, TARGET
 from calib.numerics.errors import rms

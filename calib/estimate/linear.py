@@ -33,7 +33,7 @@ class _Kept(NamedTuple):
     equations: NormalEquations
 
     def is_for(self, weights: Array, rho: Array) -> bool:
-        """Whether they are those of these weights and shares."""
+        """True if they are those of weights (B, N) and shares rho."""
         return np.array_equal(self.weights, weights) and np.array_equal(self.rho, rho)
 
 

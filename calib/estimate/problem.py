@@ -153,15 +153,15 @@ class Problem:
         columns = np.empty((self.size + 1, rows.width, len(rows)))
         with_angles = rows.width > LENGTHS
         for part in rows.parts(PART):
-            some = rows.select(part)
-            width = some.width
+            part_rows = rows.select(part)
+            width = part_rows.width
             scale = scales[:width, part]
-            poses, twists = self.kinematics.twists(x, some.samples, rotation=with_angles)
+            poses, twists = self.kinematics.twists(x, part_rows.samples, rotation=with_angles)
             if width < rows.width:  # these rows lack a kind that others have
                 columns[:, width:, part] = 0.0
-            derivative = some.derivative(poses, twists).transpose(2, 1, 0)
+            derivative = part_rows.derivative(poses, twists).transpose(2, 1, 0)
             columns[:-1, :width, part] = derivative / scale
-            columns[-1][:width, part] = some.residual(poses).T / scale
+            columns[-1][:width, part] = part_rows.residual(poses).T / scale
         return columns
 
     def observability(self, x: Array) -> Observability:

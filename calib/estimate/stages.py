@@ -269,7 +269,12 @@ class Stage:
         )
 
     def updated(self, fits: Integers, new: Stage) -> Stage:
-        """Return the stage with those of some of the B fits, by their numbers, replaced by ``new``."""
+        """Return the stage with some of the B fits replaced.
+
+        Args:
+            fits: Numbers of the fits, from 0.
+            new: Their stage.
+        """
 
         def joined(old_values: Array, new_values: Array) -> Array:
             values: Array = old_values.copy()
@@ -327,7 +332,7 @@ def run_stages(
 
 
 def _has_settled(before: Stage, after: Stage, *, weights_only: bool) -> Mask:
-    """Which of the fits no longer change from one stage to the next, shape (B,)."""
+    """Mask of the fits that no longer change from one stage to the next, shape (B,)."""
     change = np.abs(after.effective - before.effective).max(axis=1)
     settled: Mask = change < _SETTLED_WEIGHT
     if weights_only:

@@ -20,17 +20,8 @@ from calib.errors import FileError, ModelError, choices
 from calib.files import write_atomically
 from calib.formats.notes import Note
 from calib.json_files import json_bytes
-from calib.model.dh import (
-    EQUATIONS,
-    HAYATI,
-    MODIFIED,
-    STANDARD,
-    DHRow,
-    DHTable,
-    dh_table,
-    near_parallel,
-    taken_as_parallel,
-)
+from calib.model.dh import EQUATIONS, HAYATI, MODIFIED, STANDARD, DHRow, DHTable
+from calib.model.dh_table import dh_table, near_parallel, taken_as_parallel
 from calib.robot.ranges import column_ranges, spread_between
 from calib.robot.readback import TOLERANCE
 from calib.robot.robot import Robot, rigid_inverse

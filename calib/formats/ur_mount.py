@@ -15,7 +15,7 @@ import pinocchio as pin
 
 from calib.errors import ModelError, UrdfError, choices
 from calib.formats.ur_arms import JOINTS, MODELS, SPREAD, UrModel, chain_poses
-from calib.model.dh import zero_poses
+from calib.model.dh_table import zero_poses
 from calib.robot.robot import Robot, read_only, rigid_inverse
 from calib.units import Array
 

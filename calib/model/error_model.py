@@ -19,7 +19,8 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from calib.errors import ModelError, choices
-from calib.model.dh import DHRow, dh_frames, dh_table, screw, zero_poses
+from calib.model.dh import DHRow, dh_frames, screw
+from calib.model.dh_table import dh_table, zero_poses
 from calib.model.families import ANGLE, LENGTH, ZERO, joint_families
 from calib.model.joint_errors import axis_twists, joint_parameters
 from calib.model.parameters import FRAME, TARGET, TIP, ErrorModel, Parameter, twist_of

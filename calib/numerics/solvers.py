@@ -76,9 +76,12 @@ class _Reduced:
 
     @classmethod
     def of(cls, x: Array, r: Array, J: Array) -> _Reduced:
-        """Reduce the residual r, (m,), and its Jacobian J, (m, p), at x.
+        """Reduce a system to its triangle, which carries all that r and J say: each damping costs p^3, not m p^2.
 
-        A triangle carries all that r and J say, so that each damping costs p^3 and not m p^2.
+        Args:
+            x: shape (p,).
+            r: shape (m,), residual at x.
+            J: shape (m, p), its Jacobian dr/dx.
         """
         R, rhs = _triangle(J, r)
         return cls(x, 0.5 * float(r @ r), R, rhs, _column_norms(J))

@@ -168,22 +168,36 @@ def with_frames_fitted(setup: Setup, T_base_tip: Array, rows: Rows) -> Setup:
         points = T_base_target[of_frame, :3, 3]
         measured = rows.measured[of_frame]
         has_position = positions[of_frame]
+        locating = _kind_that_locates(rows, of_frame)
         if _all(directions) and np.sum(has_position) >= _FEWEST_POINTS:
             T_frame_base[f] = _frame_by_points(measured[has_position, :3], points[has_position])
-            continue
-        locating = _kind_that_locates(rows, of_frame)
-        if locating is not None:
+        elif locating is not None:
             kind, of_kind = locating
             assert kind.locate is not None
             readings = measured[of_kind, : kind.size]
             T_frame_base[f] = kind.locate(points[of_kind], readings, T_frame_base[f])
         elif np.any(has_position):
-            R, s = T_frame_base[f, :3, :3], T_frame_base[f, :3, 3]
-            predicted = points[has_position] @ R.T + s
-            shift = measured[has_position, :3] - predicted
-            estimated = np.array([axis in directions for axis in _TRANSLATIONS])
-            T_frame_base[f, :3, 3] += np.where(estimated, shift.mean(axis=0), 0.0)
+            T_frame_base[f, :3, 3] += _mean_shift(
+                T_frame_base[f], directions, measured[has_position, :3], points[has_position]
+            )
     return setup.placed(T_frame_base, setup.T_tip_target)
+
+
+def _mean_shift(
+    T_frame_base: Array, directions: tuple[str, ...], measured: Array, points: Array
+) -> Array:
+    """Mean of measured minus predicted points, zero along directions that are not estimated, shape (3,) [m].
+
+    Args:
+        T_frame_base: shape (4, 4), of the frame.
+        directions: Directions of the frame that are estimated.
+        measured: shape (n, 3), points in the frame.
+        points: shape (n, 3), the same points in the base, predicted.
+    """
+    predicted = points @ T_frame_base[:3, :3].T + T_frame_base[:3, 3]
+    shift = measured - predicted
+    estimated = np.array([axis in directions for axis in _TRANSLATIONS])
+    return np.where(estimated, shift.mean(axis=0), 0.0)
 
 
 def _frame_by_points(measured: Array, points: Array) -> Array:
@@ -245,5 +259,5 @@ def nearest_rotation(M: Array) -> Array:
 
 
 def _all(directions: tuple[str, ...]) -> bool:
-    """Whether a frame is estimated in all six directions."""
+    """True if a frame is estimated in all six directions."""
     return len(directions) == len(DIRECTIONS)

@@ -215,7 +215,7 @@ class Rows:
         return result
 
     def keeps_frames(self, kept: Mask) -> bool:
-        """Whether a mask of rows, (N,), has at least half of the rows of each frame."""
+        """True if a mask of rows, (N,), keeps at least half of the rows of each frame."""
         count = np.bincount(self.samples.frame)
         kept_count = np.bincount(self.samples.frame, kept, len(count))
         return bool(np.all(2 * kept_count >= count))

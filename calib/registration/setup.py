@@ -54,7 +54,7 @@ class Setup:
 
     @property
     def estimate_target(self) -> bool:
-        """Whether any target is estimated."""
+        """True if any target is estimated."""
         return bool(np.any(self.target_unknown))
 
     @property

@@ -80,7 +80,7 @@ def _kinds_and_partners(measurements: Measurements) -> tuple[Integers, Integers]
 
 
 def _needs_loads(cell: Cell) -> bool:
-    """Whether a model that may be fitted depends on the loads of the joints, which take time to compute."""
+    """True if a model that may be fitted depends on the loads of the joints, which take time to compute."""
     if cell.model == AUTO:
         return True
     _, families = split_name(cell.model)

@@ -22,10 +22,20 @@ from calib.robot.urdf import Urdf, robot_data_urdfs
 from calib.robot.xacro_file import listed_folders, packages_in
 from calib.units import Array
 
+#: Indices of the three vertices of each triangle, shape (F, 3), from 0.
 Faces = NDArray[np.int64]
 
 KINDS = (".stl", ".obj", ".dae", ".ply", ".off", ".glb")
 """The mesh files that are read, by the ending of the name."""
+
+
+#: The attributes of a geometry that state its sizes [m], by its tag.
+_SIZE_KEYS = {
+    "box": ("size",),
+    "cylinder": ("radius", "length"),
+    "capsule": ("radius", "length"),
+    "sphere": ("radius",),
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,7 +48,7 @@ class LinkShape:
 
     @property
     def mesh(self) -> tuple[str, tuple[float, float, float]] | None:
-        """A mesh's file name and scale; None for another geometry."""
+        """The file name of a mesh and its scale along x, y, z; None for another geometry."""
         if self.geometry.tag != "mesh":
             return None
         scale = numbers(self.geometry.get("scale"), (1.0, 1.0, 1.0))
@@ -50,72 +60,108 @@ class LinkShape:
 
         None too where a size is missing or not positive.
         """
-        radius = ("radius", "length")
-        keys = {"box": ("size",), "cylinder": radius, "capsule": radius, "sphere": radius[:1]}
-        words = [self.geometry.get(key, "nan") for key in keys.get(self.geometry.tag, ())]
+        keys = _SIZE_KEYS.get(self.geometry.tag, ())
+        words = [self.geometry.get(key, "nan") for key in keys]
         try:
-            found = tuple(float(word) for word in " ".join(words).split())
+            sizes = tuple(float(word) for word in " ".join(words).split())
         except ValueError:
             return None
-        wanted = 3 if self.geometry.tag == "box" else len(words)
-        valid = len(found) == wanted and all(0.0 < size < math.inf for size in found)
-        return found if found and valid else None
+        count = 3 if self.geometry.tag == "box" else len(words)
+        if not sizes or len(sizes) != count:
+            return None
+        if not all(0.0 < size < math.inf for size in sizes):
+            return None
+        return sizes
 
 
 def link_shapes(urdf: Urdf, kind: Literal["visual", "collision"]) -> Iterator[LinkShape]:
-    """Every shape of that kind of every link, in the file's order; an origin that is not three numbers is absent."""
+    """Yield every shape of a kind of every link, in the file's order.
+
+    Args:
+        urdf: The robot.
+        kind: ``"visual"`` or ``"collision"``.
+    """
     for link in urdf.elements().findall("link"):
         for element in link.findall(kind):
-            T, zeros = np.eye(4), (0.0, 0.0, 0.0)
-            for origin in element.findall("origin"):
-                T[:3, 3] = numbers(origin.get("xyz"), zeros)
-                T[:3, :3] = pin.rpy.rpyToMatrix(*numbers(origin.get("rpy"), zeros))
+            T = _origin_of(element)
             for geometry in element.findall("geometry/*")[:1]:
                 yield LinkShape(link.get("name", ""), T, geometry)
 
 
-def mesh_folders(urdf: Urdf, package_dirs: Iterable[str | Path] = ()) -> tuple[Path, ...]:
-    """The folders in which ``package://`` and relative mesh names are looked for, each once.
+def _origin_of(element: Element) -> Array:
+    """Return the pose (4, 4) [m] of an element's last ``<origin>``; what is not three numbers counts as zeros."""
+    T = np.eye(4)
+    zeros = (0.0, 0.0, 0.0)
+    for origin in element.findall("origin"):
+        T[:3, 3] = numbers(origin.get("xyz"), zeros)
+        T[:3, :3] = pin.rpy.rpyToMatrix(*numbers(origin.get("rpy"), zeros))
+    return T
 
-    Those that the user named, the URDF's own folder and those above it, ``ROS_PACKAGE_PATH``, ``AMENT_PREFIX_PATH``,
+
+def mesh_folders(urdf: Urdf, package_dirs: Iterable[str | Path] = ()) -> tuple[Path, ...]:
+    """Return the folders in which ``package://`` and relative mesh names are looked for, each once.
+
+    Those that the user gives, the URDF's own folder and those above it, ``ROS_PACKAGE_PATH``, ``AMENT_PREFIX_PATH``,
     the share folder of example-robot-data and the one of this Python.
+
+    Args:
+        urdf: The robot.
+        package_dirs: Folders that the user gives; they come first.
     """
     folders = [Path(folder) for folder in package_dirs]
     if urdf.path is not None:
         folders += urdf.path.resolve().parents
     folders += listed_folders("ROS_PACKAGE_PATH")
     folders += [prefix / "share" for prefix in listed_folders("AMENT_PREFIX_PATH")]
-    shares = (folder for path in robot_data_urdfs().values() for folder in path.parents)
-    folders += [folder for folder in shares if folder.name == "share"][:1]
+    above_robots = (folder for path in robot_data_urdfs().values() for folder in path.parents)
+    folders += [folder for folder in above_robots if folder.name == "share"][:1]
     folders.append(Path(sys.prefix) / "share")
     return tuple(dict.fromkeys(folders))
 
 
 def find_mesh(name: str, folders: Sequence[Path]) -> Path | None:
-    """The file that ``package://package/rest``, ``file:///path`` or a plain path means in `mesh_folders`, or None."""
-    # os.path: a name that the system cannot have is that of no file.
-    return next((path for path in _candidates(name, folders) if os.path.isfile(path)), None)  # noqa: PTH113
+    """Return the file of a mesh; None if there is none.
+
+    Args:
+        name: ``package://package/path``, ``file:///path`` or a plain path.
+        folders: The folders to look in, see `mesh_folders`.
+    """
+    for path in _candidates(name, folders):
+        # os.path: a name that the system cannot have is that of no file.
+        if os.path.isfile(path):  # noqa: PTH113
+            return path
+    return None
 
 
 def _candidates(name: str, folders: Sequence[Path]) -> Iterator[Path]:
-    """The files that a name may mean, the likeliest first."""
-    scheme, separator, rest = name.partition("://")
+    """Yield the files that a name may mean, the likeliest first."""
+    scheme, separator, path = name.partition("://")
     if not separator or scheme == "file":
-        plain = urllib.parse.unquote(rest) if separator else name
+        plain = urllib.parse.unquote(path) if separator else name
         yield from (folder / plain for folder in folders)
     elif scheme in ("package", "model"):
-        package, _, inside = rest.lstrip("/").partition("/")
+        package, _, inside = path.lstrip("/").partition("/")
         yield from (folder / package / inside for folder in folders)
         yield from (folder / inside for folder in folders if folder.name == package)
-        for folder in folders:  # of a folder with another name its package.xml tells
-            yield from (found / inside for found in packages_in(folder, package))
+        for (
+            folder
+        ) in folders:  # a package's folder may have another name than its package.xml states
+            yield from (package_folder / inside for package_folder in packages_in(folder, package))
 
 
 def read_mesh(path: Path, scale: Sequence[float]) -> tuple[tuple[Array, Faces] | None, str]:
-    """Vertices, shape (V, 3), [m], and faces, shape (F, 3), of a mesh file, and ``""``; or None and what is wrong.
+    """Read the triangles of a mesh file.
 
-    The file's ending says of which kind it is; ``scale`` are factors along x, y, z. A COLLADA file is as large as its
-    ``<unit>`` says and stands as it is written: ``<up_axis>`` is not heeded, as ROS and its simulators do not.
+    A COLLADA file is as large as its ``<unit>`` says and stands as it is written: ``<up_axis>`` is ignored, as ROS and
+    its simulators ignore it.
+
+    Args:
+        path: The file, whose ending says of which of `KINDS` it is.
+        scale: Factors along x, y, z.
+
+    Returns:
+        Vertices, shape (V, 3), [m], and faces, shape (F, 3); and ``""``. Or None, and the fault as text for a message
+        behind the file's name.
     """
     kind = path.suffix.lower()
     if kind not in KINDS:
@@ -127,10 +173,12 @@ def read_mesh(path: Path, scale: Sequence[float]) -> tuple[tuple[Array, Faces] |
             warnings.simplefilter("ignore")
             scene: Any = trimesh.load_scene(file, file_type=kind[1:], process=False)
             mesh = scene.to_mesh()
-            unit = trimesh.units.unit_conversion(scene.units, "meters") if kind == ".dae" else 1.0
+            unit = 1.0
+            if kind == ".dae":
+                unit = trimesh.units.unit_conversion(scene.units, "meters")
             used, faces = np.unique(mesh.faces, return_inverse=True)
             vertices: Array = mesh.vertices[used] * (unit * np.asarray(scale, dtype=np.float64))
-    except Exception:  # noqa: BLE001  what the readers of many formats raise is not known
+    except Exception:  # noqa: BLE001  the readers of many formats may raise anything
         return None, "cannot be read"
     if not len(vertices) or not np.isfinite(vertices).all() or not np.ptp(vertices, axis=0).any():
         return None, "is empty"
@@ -138,11 +186,19 @@ def read_mesh(path: Path, scale: Sequence[float]) -> tuple[tuple[Array, Faces] |
 
 
 def load_mesh(path: Path, scale: Sequence[float]) -> tuple[Any, str]:
-    """A mesh file as a bounding volume hierarchy of coal, and ``""``; or None and what is wrong, see `read_mesh`."""
-    found, problem = read_mesh(path, scale)
-    if found is None:
-        return None, problem
-    vertices, faces = found
+    """Read a mesh file as a bounding volume hierarchy of coal.
+
+    Args:
+        path: The file.
+        scale: Factors along x, y, z.
+
+    Returns:
+        The hierarchy, and ``""``; or None and the fault, see `read_mesh`.
+    """
+    triangles, fault = read_mesh(path, scale)
+    if triangles is None:
+        return None, fault
+    vertices, faces = triangles
     mesh = hppfcl.BVHModelOBBRSS()
     mesh.beginModel(len(faces), len(vertices))
     mesh.addVertices(vertices)
@@ -152,9 +208,16 @@ def load_mesh(path: Path, scale: Sequence[float]) -> tuple[Any, str]:
 
 
 def numbers(text: str | None, default: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Three finite numbers, or the default."""
+    """Return the three finite numbers of a text.
+
+    Args:
+        text: The value of an attribute; None if it is missing.
+        default: The result where the text is anything but three finite numbers.
+    """
     try:
         x, y, z = (float(word) for word in (text or "").split())
     except ValueError:
         return default
-    return (x, y, z) if all(map(math.isfinite, (x, y, z))) else default
+    if not all(math.isfinite(number) for number in (x, y, z)):
+        return default
+    return x, y, z

@@ -9,7 +9,8 @@ import pinocchio as pin
 
 from calib.design.forecast import Forecast
 from calib.diagnosis.inspection import GENERIC_ANCHOR, GENERIC_TARGET, Inspection
-from calib.model.dh import DHRow, dh_table
+from calib.model.dh import DHRow
+from calib.model.dh_table import dh_table
 from calib.robot.robot import Robot
 from calib.robot.urdf import UrdfJoint
 from calib.text.layout.lines import fill, number, wrap

@@ -86,7 +86,7 @@ def test_failed_and_odd_ones_are_told(call, arms_shop: Path):
     assert done.code == 1
     assert done.err == "calib: 2 of 9 robots failed.\n"
     assert done.out.count("line 9") == 1
-    place = done.lines.index("Data given twice, which count once in what is usual:")
+    place = done.lines.index("Data given twice, which count once in the statistics:")
     assert done.lines[place + 1 : place + 3] == [
         "  SN-1: the same measurements as SN-6 (arm-1.csv)",
         "  SN-6: the same measurements as SN-1 (again.csv)",

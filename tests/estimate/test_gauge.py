@@ -12,7 +12,7 @@ from calib.data.cell import Cell, GroupDistance
 from calib.estimate.fitting import fit
 from calib.estimate.problem import Problem
 from calib.estimate.task import Task
-from calib.model.dh import dh_table
+from calib.model.dh_table import dh_table
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
 from calib.model.parameters import FRAME, TARGET

@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from calib.errors import FileError, ModelError
 from calib.formats.dh_files import ENDINGS, DHTables, write_dh
-from calib.model.dh import CONVENTIONS, dh_table
+from calib.model.dh import CONVENTIONS
+from calib.model.dh_table import dh_table
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 

@@ -6,7 +6,8 @@ import pytest
 
 from calib.errors import ModelError
 from calib.example import PAPER_TARGET
-from calib.model.dh import DHTable, dh_table
+from calib.model.dh import DHTable
+from calib.model.dh_table import dh_table
 from calib.model.error_model import (
     DIRECTIONS,
     error_model,

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import event, given, settings, strategies as st
 
 from calib.errors import CalibError, UrdfError
-from calib.model.dh import dh_table
+from calib.model.dh_table import dh_table
 from calib.robot.gravity import gravity_loads
 from calib.robot.payload import Payload
 from calib.robot.readback import check_written

@@ -12,7 +12,7 @@ from calib.data.measurements import Measurements
 from calib.design.forecast import Forecast
 from calib.design.plan import PlanRequest, plan
 from calib.diagnosis.inspection import Inspection, inspect as inspect_robot
-from calib.model.dh import dh_table
+from calib.model.dh_table import dh_table
 from calib.robot.robot import Robot
 from calib.text.inspection import inspection_text
 

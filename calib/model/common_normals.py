@@ -1,0 +1,237 @@
+"""The numbers of one DH row: from a frame to the common normal with the next axis.
+
+A row leads from a frame, whose z lies along a joint's axis, to one whose z lies along the next: x of the new frame lies
+along the common normal of the two axes. Between axes that are parallel, or nearly so for Hayati's rows, it lies along
+the offset between them in the plane across the first axis, and d = 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from calib.model.dh import HAYATI, MODIFIED, NEARLY_PARALLEL_RAD, DHRow
+from calib.robot.robot import rigid_inverse
+from calib.units import Array
+
+#: An offset between parallel axes below this is rounding [m].
+_COINCIDENT = 1e-13
+
+
+#: A tip whose z axis lies beside the last axis by less is on it [m].
+_ON_AXIS = 1e-3
+
+
+#: Poses by rows agree with the robot's within this [m; rotation matrices: 1]; products within this are zero.
+TOLERANCE = 1e-9
+
+
+#: A direction whose part across an axis is shorter than this is along it.
+_ALONG = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """The convention of rows, and the angle below which it takes axes as parallel."""
+
+    convention: str  #: One of `CONVENTIONS`.
+    limit: float  #: Of the standard and modified conventions [rad].
+
+    @property
+    def hayati(self) -> bool:
+        """True for Hayati's rows."""
+        return self.convention == HAYATI
+
+    def parallel(self, sine: float, reference: Reference | None) -> bool:
+        """Return True if axes at an angle of this sine count as parallel.
+
+        Axes that are nearly parallel are so in both robots, although the one may lie on this side of the limit.
+        """
+        if not self.hayati:
+            return sine < self.limit
+        if reference is not None:
+            return reference.row.near_parallel
+        return bool(sine < np.sin(NEARLY_PARALLEL_RAD))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reference:
+    """A row of the robot whose open choices are kept."""
+
+    row: DHRow  #: The row.
+    x: Array  #: shape (3,), x axis of its frame, in the base at q = 0.
+    T_n_tip: Array  #: shape (4, 4), [m], pose of that robot's tip in frame n.
+
+
+class RowNumbers(NamedTuple):
+    """The numbers of one row, [rad] and [m]."""
+
+    theta: float
+    d: float
+    a: float
+    alpha: float
+    beta: float
+
+
+def row_to(
+    T: Array, point: Array, axis: Array, reference: Reference | None, rule: Rule
+) -> RowNumbers:
+    """Return the row from a frame to the axis of the next joint.
+
+    Args:
+        T: Shape (4, 4), [m], the frame before the row, in the base at q = 0.
+        point: Shape (3,), [m], a point of the next axis, in the base.
+        axis: Shape (3,), unit vector along it.
+        reference: The row whose open choices are kept; None for none.
+        rule: The convention, and the angle below which axes count as parallel.
+    """
+    x = T[:3, 0]
+    z = T[:3, 2]
+    normal = cross(z, axis)
+    sine = float(np.linalg.norm(normal))
+    between = point - T[:3, 3]
+    if rule.parallel(sine, reference):
+        # The next origin is where the next axis meets the plane through this one's origin: d = 0.
+        offset = between - axis * (between @ z) / (axis @ z)
+        near = x if reference is None else reference.x
+        return _parallel_row(T, axis, offset, near, tilted=rule.hayati)
+    normal /= sine
+    if _points_backwards(normal, x, between, reference):
+        normal = -normal
+    # Feet of the common normal: origin + d z + a normal = point + s axis.
+    d, a, _ = np.linalg.solve(np.stack([z, normal, -axis], axis=1), between)
+    alpha = np.arctan2(cross(z, axis) @ normal, z @ axis)
+    theta = np.arctan2(cross(x, normal) @ z, x @ normal)
+    return RowNumbers(float(theta), float(d), float(a), float(alpha), 0.0)
+
+
+def _points_backwards(normal: Array, x: Array, between: Array, reference: Reference | None) -> bool:
+    """Return True if a common normal is to be turned round, so that x_i points as it should.
+
+    Args:
+        normal: Shape (3,), unit vector along the common normal.
+        x: Shape (3,), x axis of the frame before the row: x_i points as near to it as possible.
+        between: Shape (3,), [m], from that frame's origin to the next axis: decides where x and the normal are square.
+        reference: The row whose x axis decides instead; None for none.
+    """
+    if reference is not None:
+        return bool(normal @ reference.x < 0)
+    along = normal @ x
+    if along < -TOLERANCE:
+        return True
+    return bool(along < TOLERANCE and between @ normal < -TOLERANCE)
+
+
+def _parallel_row(T: Array, axis: Array, offset: Array, near: Array, *, tilted: bool) -> RowNumbers:
+    """Return the row, with d = 0, to an axis that is parallel or nearly so.
+
+    Args:
+        T: Shape (4, 4), [m], the frame before the row, in the base at q = 0.
+        axis: Shape (3,), unit vector along the next axis.
+        offset: Shape (3,), [m], from the frame's origin to that axis.
+        near: Shape (3,), the direction that x_i points nearest to.
+        tilted: True for a row with beta, whose axes need not be parallel.
+    """
+    x = T[:3, 0]
+    z = T[:3, 2]
+    offset = offset - z * (z @ offset)
+    a = float(np.linalg.norm(offset))
+    if a > _COINCIDENT:
+        normal = _across(z, offset / a)
+        a = float(offset @ normal)
+        if normal @ near < -TOLERANCE:
+            a = -a
+            normal = -normal
+    else:
+        a = 0.0
+        normal = _across(z, near)
+    beta = 0.0
+    if tilted:
+        beta = float(np.arcsin(np.clip(axis @ normal, -1.0, 1.0)))
+    alpha = np.arctan2(-(axis @ cross(z, normal)), axis @ z)
+    theta = np.arctan2(cross(x, normal) @ z, x @ normal)
+    return RowNumbers(float(theta), 0.0, a, float(alpha), beta)
+
+
+def last_row(T: Array, T_base_tip: Array, reference: Reference | None, rule: Rule) -> RowNumbers:
+    """Return the row from the last axis to the tip, whose frame is the tip's where it can be.
+
+    Args:
+        T: Shape (4, 4), [m], the frame before the row, in the base at q = 0.
+        T_base_tip: Shape (4, 4), [m], the tip at q = 0.
+        reference: The row whose open choices are kept; None for none.
+        rule: The convention, and the angle below which axes count as parallel.
+    """
+    z = T[:3, 2]
+    axis = T_base_tip[:3, 2]
+    sine = np.linalg.norm(cross(z, axis))
+    if sine >= np.sin(NEARLY_PARALLEL_RAD):
+        return row_to(T, T_base_tip[:3, 3], axis, reference, rule)
+    if reference is not None:
+        return _last_row_like(T, T_base_tip, reference)
+    between = T_base_tip[:3, 3] - T[:3, 3]
+    along = float(between @ z)
+    across = between - along * z
+    on_axis = np.linalg.norm(across) < _ON_AXIS
+    if not rule.hayati and (rule.convention == MODIFIED or sine >= rule.limit or on_axis):
+        # Frame n stays on the last axis, and T_n_tip leads from there to the tip.
+        across = np.zeros(3)
+        axis = z * np.sign(axis @ z)
+    near = T_base_tip[:3, 0]
+    numbers = _parallel_row(T, axis, across, near, tilted=rule.hayati)
+    return numbers._replace(d=along)
+
+
+def _last_row_like(T: Array, T_base_tip: Array, reference: Reference) -> RowNumbers:
+    """Return the last row with a, alpha and beta of another robot's, so that T_n_tip takes up how the tip moved.
+
+    Args:
+        T: Shape (4, 4), [m], the frame before the row, in the base at q = 0.
+        T_base_tip: Shape (4, 4), [m], the tip at q = 0.
+        reference: The other robot's last row.
+    """
+    row = reference.row
+    fixed = replace(row, theta=0.0, d=0.0).matrix()
+    turn = rigid_inverse(T) @ T_base_tip @ rigid_inverse(fixed @ reference.T_n_tip)
+    theta = np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])
+    return RowNumbers(float(theta), float(turn[2, 3]), row.a, row.alpha, row.beta)
+
+
+def first_frame(point: Array, axis: Array, near: Array) -> Array:
+    """Return frame 0: z along the first axis, origin and x nearest to those of another frame.
+
+    Args:
+        point: Shape (3,), [m], a point of the first axis, in the base.
+        axis: Shape (3,), unit vector along it.
+        near: Shape (4, 4), [m], the other frame, in the base.
+
+    Returns:
+        T_base_0, shape (4, 4), [m].
+    """
+    T = np.eye(4)
+    x = _across(axis, near[:3, 0])
+    T[:3, :3] = np.stack([x, cross(axis, x), axis], axis=1)
+    T[:3, 3] = point + axis * (axis @ (near[:3, 3] - point))
+    return T
+
+
+def _across(z: Array, near: Array) -> Array:
+    """Return the unit vector across z that is nearest to another, or to base y or z where that lies along z."""
+    for direction in (near, np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])):
+        across = direction - z * (z @ direction)
+        length = np.linalg.norm(across)
+        if length >= _ALONG:
+            # Twice is enough: the part along z after the first pass is rounding of a short vector.
+            across = across / length
+            across = across - z * (z @ across)
+            break
+    return np.asarray(across / np.linalg.norm(across))
+
+
+def cross(a: Array, b: Array) -> Array:
+    """Return a x b of two vectors of three: `numpy.cross` is made for stacks and takes ten times as long."""
+    a0, a1, a2 = a
+    b0, b1, b2 = b
+    return np.array([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])

@@ -1,0 +1,219 @@
+"""The DH table of a robot's chain, row by row from the base to the tip; see `calib.model.dh` for the conventions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from calib.model.common_normals import (
+    TOLERANCE,
+    Reference,
+    Rule,
+    cross,
+    first_frame,
+    last_row,
+    row_to,
+)
+from calib.model.dh import (
+    HAYATI,
+    MODIFIED,
+    NEARLY_PARALLEL_RAD,
+    STANDARD,
+    DHRow,
+    DHTable,
+    dh_frames,
+    screw,
+)
+from calib.robot.robot import Robot, read_only, rigid_inverse
+from calib.units import Array
+
+#: Axes closer to parallel than the first of these [rad] are rounding of a URDF's text: the common normal would be of
+#: noise. Behind a common normal that lies far away even such an angle is metres: there the first that holds is taken.
+_PARALLEL = (5e-7, 1e-8, 1e-10, 1e-12)
+
+
+#: Number of joint values at which rows are compared with the robot.
+_POSES = 8
+
+
+#: Seed of these joint values, so that the same robot always gets the same rows.
+_SEED = 20170401
+
+
+def dh_table(robot: Robot, convention: str = HAYATI, like: Robot | None = None) -> DHTable:
+    """Return the DH rows of a robot's chain; `DHTable.poses` then equals ``robot.poses`` up to rounding.
+
+    Args:
+        robot: The robot.
+        convention: One of `CONVENTIONS`.
+        like: A robot of the same chain, such as the nominal one, whose open choices are kept so that columns compare;
+            None to choose as a data sheet does.
+
+    Example:
+        >>> table = dh_table(Robot.load("ur3", base="base", tip="tool0"))
+        >>> [round(1000 * row.a, 2) + 0.0 for row in table.rows]
+        [0.0, -243.65, -213.25, 0.0, 0.0, 0.0]
+    """
+    reference = None
+    if like is not None:
+        reference = _product(like, _rule_for(like, convention))
+    table = _product(robot, _rule_for(robot, convention), reference)
+    return _rebracketed(table) if convention == MODIFIED else table
+
+
+def near_parallel(robot: Robot) -> dict[tuple[str, str], float]:
+    """Return the angle [rad] between axes of consecutive joints that are nearly, but not exactly, parallel.
+
+    Returns:
+        By the two joints' names, base to tip.
+    """
+    limit = _parallel_limit(robot)
+    names = [joint.name for joint in robot.joints]
+    angles = {}
+    for pair, sine in zip(pairwise(names), _sines(robot), strict=True):
+        if limit <= sine < np.sin(NEARLY_PARALLEL_RAD):
+            angles[pair] = float(np.arcsin(sine))
+    return angles
+
+
+def taken_as_parallel(robot: Robot) -> float:
+    """Return the largest angle [rad] between consecutive axes that standard rows take as parallel; 0 without such."""
+    limit = _parallel_limit(robot)
+    return max((sine for sine in _sines(robot) if sine < limit), default=0.0)
+
+
+def zero_poses(robot: Robot) -> tuple[list[Array], Array]:
+    """Return the joints' frames and the tip's at q = 0: n poses T_base_joint and T_base_tip, (4, 4), [m]."""
+    T = rigid_inverse(robot.T_root_base)
+    frames = []
+    for placement in robot.placements:
+        T = T @ placement
+        frames.append(T)
+    return frames[:-1], frames[-1]
+
+
+def _rule_for(robot: Robot, convention: str) -> Rule:
+    """Return the rule of a convention; of Hayati's rows, no angle below that of nearly parallel axes is a limit."""
+    limit = 0.0 if convention == HAYATI else _parallel_limit(robot)
+    return Rule(convention, limit)
+
+
+def _parallel_limit(robot: Robot) -> float:
+    """Return the angle [rad] below which axes count as parallel: the largest of `_PARALLEL` whose rows hold the robot.
+
+    If none holds, that with the smallest error.
+    """
+    sines = _sines(robot)
+    q = np.random.default_rng(_SEED).uniform(-np.pi, np.pi, (_POSES, len(robot.joint_names)))
+    values = robot.chain_values(q)
+    poses = robot.poses(q)
+    reach = 1.0 + float(np.linalg.norm(robot.placements[:, :3, 3], axis=1).sum())
+    errors: dict[float, float] = {}
+    for limit in _PARALLEL:
+        table = _product(robot, Rule(STANDARD, limit))
+        errors[limit] = float(np.abs(table.poses(values) - poses).max())
+        neglected = max((sine for sine in sines if sine < limit), default=0.0)
+        if errors[limit] <= TOLERANCE + 2.0 * reach * neglected:
+            return limit
+    return min(errors, key=lambda limit: errors[limit])
+
+
+def _axes(robot: Robot, T_base_joint: Sequence[Array]) -> list[Array]:
+    """Return the axis of each joint, shape (3,), in the base, by the joints' frames."""
+    return [T[:3, :3] @ joint.axis for T, joint in zip(T_base_joint, robot.joints, strict=True)]
+
+
+def _sines(robot: Robot) -> list[float]:
+    """Return the sine of the angle between the axes of each joint and the next, n - 1 of them."""
+    T_base_joint, _ = zero_poses(robot)
+    axes = _axes(robot, T_base_joint)
+    return [float(np.linalg.norm(cross(*pair))) for pair in pairwise(axes)]
+
+
+def _references(like: DHTable | None, count: int) -> list[Reference | None]:
+    """Return the rows of another robot as references, or so many None."""
+    if like is None:
+        return [None] * count
+    return [
+        Reference(row, frame[:3, 0], like.T_n_tip)
+        for row, frame in zip(like.rows, dh_frames(like), strict=True)
+    ]
+
+
+def _product(robot: Robot, rule: Rule, like: DHTable | None = None) -> DHTable:
+    """Return the rows in the standard bracketing, also for the modified convention.
+
+    Args:
+        robot: The robot.
+        rule: The convention, and the angle below which axes count as parallel.
+        like: Rows of a robot of the same chain, in the same bracketing, whose open choices are kept; None for none.
+    """
+    T_base_joint, T_base_tip = zero_poses(robot)
+    axes = _axes(robot, T_base_joint)
+    references = _references(like, len(axes))
+    near = np.eye(4) if like is None else like.T_base_0
+    T_base_0 = first_frame(T_base_joint[0][:3, 3], axes[0], near)
+    # Each row begins where those before it end: digits that one cannot hold, as the last of a d of kilometres, go into
+    # the next.
+    T = T_base_0
+    rows: list[DHRow] = []
+    for i, joint in enumerate(robot.joints):
+        if i + 1 < len(axes):
+            numbers = row_to(T, T_base_joint[i + 1][:3, 3], axes[i + 1], references[i], rule)
+        else:
+            numbers = last_row(T, T_base_tip, references[i], rule)
+        row = DHRow(joint.name, joint.type == "prismatic", *numbers)
+        rows.append(_tidy(row, references[i]))
+        T = T @ rows[-1].matrix()
+    return DHTable(
+        rows=tuple(rows),
+        T_base_0=read_only(T_base_0),
+        T_n_tip=read_only(rigid_inverse(T) @ T_base_tip),
+        convention=HAYATI if rule.hayati else STANDARD,
+    )
+
+
+def _rebracketed(table: DHTable) -> DHTable:
+    """Return standard rows as modified ones: a and alpha move down by a row, those of the last into the tip."""
+    moved = []
+    a = 0.0
+    alpha = 0.0
+    for row in table.rows:
+        moved.append(replace(row, a=a, alpha=alpha))
+        a = row.a
+        alpha = row.alpha
+    T_n_tip = read_only(screw(0, alpha, a) @ table.T_n_tip)
+    return DHTable(tuple(moved), table.T_base_0, T_n_tip, MODIFIED)
+
+
+def _tidy(row: DHRow, reference: Reference | None) -> DHRow:
+    """Return the row without signs of zero, and its angles in the turn of the reference's, or half a turn as pi."""
+    theta = row.theta
+    alpha = row.alpha
+    if reference is None:
+        theta = _half_turn_positive(theta)
+        alpha = _half_turn_positive(alpha)
+    else:
+        theta = _in_turn_of(reference.row.theta, theta)
+        alpha = _in_turn_of(reference.row.alpha, alpha)
+    return replace(
+        row,
+        theta=theta + 0.0,
+        d=row.d + 0.0,
+        a=row.a + 0.0,
+        alpha=alpha + 0.0,
+        beta=row.beta + 0.0,
+    )
+
+
+def _half_turn_positive(angle: float) -> float:
+    """Return an angle between -pi and pi [rad], half a turn as pi, not -pi."""
+    return angle + 2 * np.pi if angle < -np.pi + TOLERANCE else angle
+
+
+def _in_turn_of(reference: float, angle: float) -> float:
+    """Return an angle [rad] plus the whole turns that bring it nearest to a reference."""
+    return angle + 2 * np.pi * round((reference - angle) / (2 * np.pi))
