@@ -297,7 +297,7 @@ def test_another_schema(tmp_path: Path, text: str):
         ("covariance.0.1", None),
         ("x.0", None),
         ("parameters.0.name", "a9"),
-        ("parameters.0.push", None),
+        ("parameters.0.data_gradient", None),
         ("model.terms.0.place", "nowhere"),
         ("non_geometric.x", [1.0]),
         ("non_geometric.payload", {"mass_kg": -1.0, "com_m": [0.0, 0.0, 0.0]}),
