@@ -11,13 +11,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from studies import add_noise, print_table, show_progress, study_parser
+from studies import add_noise, draw_errors, print_table, show_progress, study_parser
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.example import PAPER_TARGET, paper_urdf
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
+from calib.numerics.geometry import pose_of
 from calib.result.accuracy import Accuracy, accuracy
 from calib.result.evaluation import evaluate
 from calib.robot.ranges import random_joint_values
@@ -55,9 +56,7 @@ def points_with_random_errors(kinematics: Kinematics, q: Array, rng: np.random.G
 
 def points_with_robot_errors(kinematics: Kinematics, q: Array, rng: np.random.Generator) -> Array:
     """Draw points of a robot with errors of 0.05 mm and 0.1 mrad in all placements."""
-    model = kinematics.model
-    std = np.where([unit == "m" for unit in model.units], 5e-5, 1e-4)
-    return kinematics.points(std * rng.normal(size=len(model)), q)
+    return kinematics.points(draw_errors(kinematics.model, 5e-5, 1e-4, rng), q)
 
 
 def accuracy_of(robot: Robot, q: Array, points: Array, cell: Cell) -> Accuracy:
@@ -92,10 +91,8 @@ def ap_ratios(
 def registration_rows(trials: int, rng: np.random.Generator) -> Iterator[list[str]]:
     """Yield mean ratios of AP for each registration and number of poses."""
     robot = Robot.load(paper_urdf(), base="base", tip="tool0")
-    T_tip_target = np.eye(4)
-    T_tip_target[:3, 3] = PAPER_TARGET
     model = error_model(robot, "placement", target=False)
-    kinematics = Kinematics(robot, model, np.eye(4), T_tip_target)
+    kinematics = Kinematics(robot, model, np.eye(4), pose_of(PAPER_TARGET))
     for name, cell in REGISTERING.items():
         for count in COUNTS:
             row = [name, str(count)]

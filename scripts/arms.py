@@ -31,68 +31,47 @@ class Segment:
     """A revolute joint, and the link that it moves."""
 
     xyz: Vector  # Origin of the joint in the link before it [m]
+    rpy: Vector  # Orientation of the joint in the link before it [rad]
+    axis: Vector  # Axis of the joint in the joint's frame
     limit: float  # The joint turns from -limit to limit [rad]
     mass: float  # Of the link [kg]
     com: Vector  # Centre of mass in the link [m]
-    rpy: Vector = (0.0, 0.0, 0.0)  # Orientation of the joint in the link before it [rad]
-    axis: Vector = (0.0, 0.0, 1.0)  # Axis of the joint in the joint's frame
 
+
+_X = (1.0, 0.0, 0.0)
+_Y = (0.0, 1.0, 0.0)
+_Z = (0.0, 0.0, 1.0)
+
+#: Orientations of an iiwa's joints, and of a joint that is not turned [rad].
+_STRAIGHT = (0.0, 0.0, 0.0)
+_OUTWARDS = (np.pi / 2, 0.0, np.pi)
+_FORWARDS = (np.pi / 2, 0.0, 0.0)
+_BACK = (-np.pi / 2, np.pi, 0.0)
+
+#: Limits of an iiwa's joints [rad].
+_WIDE = np.deg2rad(170.0)
+_NARROW = np.deg2rad(120.0)
+_FLANGE = np.deg2rad(175.0)
 
 #: An arm of the dimensions and masses of a KUKA LBR iiwa 14, which example-robot-data does not have.
 _IIWA = (
-    Segment((0.0, 0.0, 0.1575), np.deg2rad(170.0), 4.0, (0.0, -0.03, 0.12)),
-    Segment(
-        (0.0, 0.0, 0.2025),
-        np.deg2rad(120.0),
-        4.0,
-        (0.0003, 0.059, 0.042),
-        rpy=(np.pi / 2, 0.0, np.pi),
-    ),
-    Segment(
-        (0.0, 0.2045, 0.0),
-        np.deg2rad(170.0),
-        3.0,
-        (0.0, 0.03, 0.13),
-        rpy=(np.pi / 2, 0.0, np.pi),
-    ),
-    Segment(
-        (0.0, 0.0, 0.2155),
-        np.deg2rad(120.0),
-        2.7,
-        (0.0, 0.067, 0.034),
-        rpy=(np.pi / 2, 0.0, 0.0),
-    ),
-    Segment(
-        (0.0, 0.1845, 0.0),
-        np.deg2rad(170.0),
-        1.7,
-        (0.0001, 0.021, 0.076),
-        rpy=(-np.pi / 2, np.pi, 0.0),
-    ),
-    Segment(
-        (0.0, 0.0, 0.2155),
-        np.deg2rad(120.0),
-        1.8,
-        (0.0, 0.0006, 0.0004),
-        rpy=(np.pi / 2, 0.0, 0.0),
-    ),
-    Segment(
-        (0.0, 0.081, 0.0),
-        np.deg2rad(175.0),
-        0.3,
-        (0.0, 0.0, 0.02),
-        rpy=(-np.pi / 2, np.pi, 0.0),
-    ),
+    Segment((0.0, 0.0, 0.1575), _STRAIGHT, _Z, _WIDE, 4.0, (0.0, -0.03, 0.12)),
+    Segment((0.0, 0.0, 0.2025), _OUTWARDS, _Z, _NARROW, 4.0, (0.0003, 0.059, 0.042)),
+    Segment((0.0, 0.2045, 0.0), _OUTWARDS, _Z, _WIDE, 3.0, (0.0, 0.03, 0.13)),
+    Segment((0.0, 0.0, 0.2155), _FORWARDS, _Z, _NARROW, 2.7, (0.0, 0.067, 0.034)),
+    Segment((0.0, 0.1845, 0.0), _BACK, _Z, _WIDE, 1.7, (0.0001, 0.021, 0.076)),
+    Segment((0.0, 0.0, 0.2155), _FORWARDS, _Z, _NARROW, 1.8, (0.0, 0.0006, 0.0004)),
+    Segment((0.0, 0.081, 0.0), _BACK, _Z, _FLANGE, 0.3, (0.0, 0.0, 0.02)),
 )
 
 #: An ABB IRB 120 by its data sheet.
 _IRB120 = (
-    Segment((0.0, 0.0, 0.29), 2.87, 3.07, (0.0, 0.0, -0.05)),
-    Segment((0.0, 0.0, 0.0), 1.9, 3.9, (0.0, 0.0, 0.1), axis=(0.0, 1.0, 0.0)),
-    Segment((0.0, 0.0, 0.27), 1.2, 2.94, (0.06, 0.0, 0.02), axis=(0.0, 1.0, 0.0)),
-    Segment((0.0, 0.0, 0.07), 2.79, 1.33, (0.22, 0.0, 0.0), axis=(1.0, 0.0, 0.0)),
-    Segment((0.302, 0.0, 0.0), 2.09, 0.55, (0.0, 0.0, 0.0), axis=(0.0, 1.0, 0.0)),
-    Segment((0.072, 0.0, 0.0), 3.1, 0.0, (0.0, 0.0, 0.0), axis=(1.0, 0.0, 0.0)),
+    Segment((0.0, 0.0, 0.29), _STRAIGHT, _Z, 2.87, 3.07, (0.0, 0.0, -0.05)),
+    Segment((0.0, 0.0, 0.0), _STRAIGHT, _Y, 1.9, 3.9, (0.0, 0.0, 0.1)),
+    Segment((0.0, 0.0, 0.27), _STRAIGHT, _Y, 1.2, 2.94, (0.06, 0.0, 0.02)),
+    Segment((0.0, 0.0, 0.07), _STRAIGHT, _X, 2.79, 1.33, (0.22, 0.0, 0.0)),
+    Segment((0.302, 0.0, 0.0), _STRAIGHT, _Y, 2.09, 0.55, (0.0, 0.0, 0.0)),
+    Segment((0.072, 0.0, 0.0), _STRAIGHT, _X, 3.1, 0.0, (0.0, 0.0, 0.0)),
 )
 
 

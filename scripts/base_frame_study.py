@@ -21,18 +21,13 @@ import numpy as np
 import pinocchio as pin
 from arms import load_arm
 from numpy.typing import NDArray
-from studies import add_noise, print_table, rms, rms_length, run_jobs, study_parser
+from studies import add_noise, draw_errors, print_table, rms, rms_length, run_jobs, study_parser
 
 from calib.calibration import calibrate
+from calib.circle_points.findings import with_positive_sense
 from calib.circle_points.fits import fit_circle, fit_plane
-from calib.circle_points.survey import (
-    BaseFrame,
-    base_frame,
-    frame_of,
-    nominal_axes,
-    nominal_axes_frame,
-    positive,
-)
+from calib.circle_points.frame import BaseFrame, frame_of, nominal_axes, nominal_axes_frame
+from calib.circle_points.survey import base_frame
 from calib.circle_points.sweeps import Sweeps
 from calib.data.cell import Cell, TrackerNoise
 from calib.data.measurements import Measurements
@@ -173,7 +168,7 @@ def fit_frame(
     circles = []
     for joint, sweep in enumerate(sweeps.sweeps[1:]):
         circle = fit_circle(points[joint + 1], sigmas[joint + 1])
-        circles.append(positive(circle, sweep.joints, joint, sweeps.joint_names))
+        circles.append(with_positive_sense(circle, sweep.joints, joint, sweeps.joint_names))
     return frame_of(plane, circles[0], circles[1], T_axes_base=T_axes_base)
 
 
@@ -256,9 +251,8 @@ def robot_errors(seed: int) -> tuple[float, float, float]:
     rng = np.random.default_rng(seed)
     nominal = load_arm("ur3")
     model = error_model(nominal, "hayati")
-    std = np.where([p.unit == "m" for p in model.parameters], LENGTH, ANGLE)
     geometric = np.array([p.family in ("length", "angle", "zero") for p in model.parameters])
-    true = model.apply(nominal, rng.normal(size=len(model)) * std * geometric)
+    true = model.apply(nominal, draw_errors(model, LENGTH, ANGLE, rng) * geometric)
     target = np.array([0.07, -0.05, 0.03])
 
     arcs = np.radians([270.0, 180.0])

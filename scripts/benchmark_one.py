@@ -19,7 +19,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
-from studies import add_noise
+from studies import add_noise, draw_errors
 
 from calib.calibration import calibrate
 from calib.data.cell import Cell
@@ -30,6 +30,7 @@ from calib.estimate.task import Task
 from calib.example import paper_urdf
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
+from calib.numerics.geometry import pose_of
 from calib.registration.rows import Rows
 from calib.registration.table_rows import rows_and_setup
 from calib.robot.chain import pinocchio_chain
@@ -71,12 +72,9 @@ def simulate(count: int) -> tuple[Robot, Measurements]:
     rng = np.random.default_rng(0)
     robot = Robot.load(paper_urdf(), base="base", tip="tool0")
     model = error_model(robot, "dh", target=True)
-    T_tip_target = np.eye(4)
-    T_tip_target[:3, 3] = TARGET
-    std = np.where(np.array(model.units) == "m", 3e-4, 3e-3)
-    x = std * rng.normal(size=len(model))
+    x = draw_errors(model, 3e-4, 3e-3, rng)
     q = rng.uniform(-2.8, 2.8, (count, 6))
-    points = Kinematics(robot, model, np.eye(4), T_tip_target).points(x, q)
+    points = Kinematics(robot, model, np.eye(4), pose_of(TARGET)).points(x, q)
     points = add_noise(points, SIGMA, rng)
     outlier = rng.uniform(size=count) < 0.01
     points[outlier] = add_noise(points[outlier], 5e-3, rng)
@@ -154,8 +152,7 @@ class PlainFit:
         placements = [pin.SE3(T) for T in robot.placements @ D[1 : joints + 2]]
         chain = pinocchio_chain(robot.joints, np.array([T.homogeneous for T in placements]))
         data = chain.createData()
-        T_tip_target = np.eye(4)
-        T_tip_target[:3, 3] = TARGET
+        T_tip_target = pose_of(TARGET)
         T_last_target = placements[-1] * pin.SE3(T_tip_target) * pin.SE3(D[-1])
         target_columns = pin.SE3(T_tip_target @ D[-1]).toActionMatrixInverse() @ S[-12:-6] + S[-6:]
         count = len(self.q)

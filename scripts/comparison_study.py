@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from studies import add_noise, print_table, rms, run_cases, study_parser
+from studies import add_noise, draw_errors, print_table, rms, run_cases, study_parser
 
 from calib.calibration import Calibration, calibrate
 from calib.data.cell import Cell
@@ -22,6 +22,7 @@ from calib.example import PAPER_TARGET, paper_urdf
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
 from calib.model.parameters import ErrorModel
+from calib.numerics.geometry import pose_of
 from calib.result.comparison import ComparisonValues, compare
 from calib.robot.robot import Robot
 from calib.units import Array
@@ -94,11 +95,9 @@ def draw_placement(case: Case, rng: np.random.Generator) -> tuple[Array, Array]:
     """Draw T_frame_base of the tracker and T_tip_target of the target, shape (4, 4) each, [m]."""
     T_frame_base = np.eye(4)
     if case.frame:
-        T_frame_base[:3, :3] = Rotation.random(random_state=rng).as_matrix()
-        T_frame_base[:3, 3] = rng.uniform(-3.0, 3.0, 3)
-    T_tip_target = np.eye(4)
-    T_tip_target[:3, 3] = PAPER_TARGET + rng.normal(0.0, 0.02, 3)
-    return T_frame_base, T_tip_target
+        R = Rotation.random(random_state=rng).as_matrix()
+        T_frame_base = pose_of(rng.uniform(-3.0, 3.0, 3), R)
+    return T_frame_base, pose_of(PAPER_TARGET + rng.normal(0.0, 0.02, 3))
 
 
 def measure(
@@ -115,8 +114,7 @@ def compare_twice(case: Case, seed: int) -> ComparisonValues:
     rng = np.random.default_rng([2026, seed])
     robot = Robot.load(paper_urdf(), base="base", tip="tool0")
     errors = error_model(robot, case.truth, target=False)
-    std = np.where(np.array(errors.units) == "m", 3e-4, 1e-3)
-    x = rng.normal(size=len(errors)) * std * case.size
+    x = draw_errors(errors, 3e-4, 1e-3, rng) * case.size
     changed = x.copy()
     if case.joint:
         changed[errors.index(case.joint)] += case.drift

@@ -22,6 +22,7 @@ from calib.compensation.expected import mean_of_chi
 from calib.compensation.program import Program
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
+from calib.numerics.geometry import pose_of
 from calib.robot.payload import Payload
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
@@ -114,9 +115,8 @@ def draw_cell(seed: int) -> VirtualCell:
     result = calibrate(given, table, cell=replace(cell, sigma=sigma))
     direction = rng.normal(size=3)
     distance = rng.uniform(*TOOL_DISTANCES)
-    T_tip_tool = np.eye(4)
-    T_tip_tool[:3, 3] = truth.stated_T_tip_target[0, :3, 3]
-    T_tip_tool[:3, 3] += distance * direction / np.linalg.norm(direction)
+    away = distance * direction / np.linalg.norm(direction)
+    T_tip_tool = pose_of(truth.stated_T_tip_target[0, :3, 3] + away)
     program = random_joint_values(robot, PROGRAM, draw_seed(rng))
     return VirtualCell(
         nominal=given,

@@ -16,12 +16,21 @@ from itertools import product, tee
 import numpy as np
 from arms import load_arm
 from scipy.spatial.transform import Rotation
-from studies import add_noise, print_table, run_jobs, study_parser, verdict_of, verdict_text
+from studies import (
+    add_noise,
+    print_table,
+    run_jobs,
+    study_parser,
+    unchanged,
+    verdict_of,
+    verdict_text,
+)
 
 from calib.calibration import Calibration, calibrate
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import USE
+from calib.numerics.geometry import pose_of
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.simulation.truth import draw_truth
@@ -42,11 +51,6 @@ WIDTHS = (32, 6, 16, 20, 12)
 def no_errors(robot: Robot) -> dict[str, float]:  # noqa: ARG001  one of several functions
     """Return no error."""
     return {}
-
-
-def unchanged(q: Array) -> Array:
-    """Return joint values as they are."""
-    return q
 
 
 def at_known_frame(rng: np.random.Generator) -> Array:  # noqa: ARG001  one of several functions
@@ -91,10 +95,7 @@ def displaced_base(
     def draw(rng: np.random.Generator) -> Array:
         vectors = rng.normal(size=(2, 3))
         direction, axis = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
-        T = np.eye(4)
-        T[:3, 3] = length * direction
-        T[:3, :3] = Rotation.from_rotvec(angle * axis).as_matrix()
-        return T
+        return pose_of(length * direction, Rotation.from_rotvec(angle * axis).as_matrix())
 
     return draw
 

@@ -19,6 +19,7 @@ import json
 import os
 import re
 import shlex
+import shutil
 import sys
 import tempfile
 import time
@@ -30,8 +31,16 @@ from typing import Any
 
 import numpy as np
 from goldens_compare import LOOSE, STRICT, Comparison, rename
-from goldens_inputs import CASES, write_inputs
 from goldens_numbers import KEPT, file_content, json_content, text_numbers
+
+ROOT = Path(__file__).resolve().parents[1]
+
+#: Commands, a case a line.
+CASES = Path(__file__).with_name("goldens_cases.txt")
+
+#: Files that the commands begin with: cells, the paper's points apart from their joint values, and contacts and sweeps
+#: of a virtual UR3 (contacts with errors of 3 mrad and 0.3 mm in all placements, sweeps with two gross errors).
+INPUTS = Path(__file__).with_name("goldens_data")
 
 #: What a run keeps of its cases, by name.
 Kept = Mapping[str, Mapping[str, Any]]
@@ -96,8 +105,7 @@ API: dict[str, Callable[[], dict[str, Any]]] = {
 def all_cases() -> dict[str, list[str]]:
     """Return the words of every command, by the name of its case; those of the API have none."""
     cases = {}
-    text = CASES.read_text(encoding="utf-8").split("\n# Files\n")[0]
-    for line in text.splitlines():
+    for line in CASES.read_text(encoding="utf-8").splitlines():
         if line and not line.startswith("#"):
             name, words = line.split(": ", 1)
             cases[name] = shlex.split(words)
@@ -126,6 +134,28 @@ def writes_for(writer: list[str], reader: list[str]) -> bool:
 # Runs
 
 
+def copy_inputs(folder: Path, data: Path | None) -> None:
+    """Copy the files that the commands begin with.
+
+    Args:
+        folder: Folder of the run.
+        data: Folder of real data, each file of which gets its folder's name before its own; None: there are none.
+    """
+    shutil.copytree(INPUTS, folder, dirs_exist_ok=True)
+    shutil.copy(ROOT / "urdf" / "ur3.urdf", folder / "robot.urdf")
+    shutil.copy(ROOT / "calib" / "example" / "ur3_leica.csv", folder / "data.csv")
+    if data is None:
+        return
+    for path in data.rglob("*"):
+        if path.suffix in (".csv", ".urdf", ".conf"):
+            shutil.copy(path, folder / f"{path.parent.name}_{path.name}")
+    ur10 = folder / "ipa_ur10_series_C.csv"
+    if ur10.is_file():
+        head, *rows = ur10.read_text(encoding="utf-8").splitlines()
+        part = "\n".join([head, *rows[::15], ""])
+        (folder / "ur10_part.csv").write_text(part, encoding="utf-8")
+
+
 def run(pattern: str, data: Path | None) -> Kept:
     """Run the cases whose name matches a regular expression.
 
@@ -142,7 +172,7 @@ def run(pattern: str, data: Path | None) -> Kept:
     home = Path.cwd()
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)
-        write_inputs(Path(), data)
+        copy_inputs(Path(), data)
         for name, words in cases.items():
             if name in needed:
                 case = run_case(name, words)

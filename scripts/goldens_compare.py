@@ -21,7 +21,7 @@ VALUES = ("value", "delta", "nominal", "low", "high")
 
 @dataclass(frozen=True)
 class Comparison:
-    """How two runs are compared."""
+    """A way to compare two runs."""
 
     relative: float  # Largest relative difference of two equal numbers
     floor: float  # Largest difference of two equal numbers
@@ -88,7 +88,7 @@ def rename(value: Any, names: Sequence[tuple[str, str]]) -> Any:
 
     Args:
         value: What was kept of a file or a text.
-        names: Old and new words, replaced one after the other where they are whole words; ``_`` ends a word.
+        names: Old and new words, replaced one after the other where they are whole words; ``_`` is part of a word.
     """
     if isinstance(value, dict):
         return {rename(key, names): rename(v, names) for key, v in value.items()}
@@ -96,7 +96,7 @@ def rename(value: Any, names: Sequence[tuple[str, str]]) -> Any:
         return [rename(v, names) for v in value]
     if isinstance(value, str):
         for old, new in names:
-            value = re.sub(rf"(?<![A-Za-z0-9]){re.escape(old)}(?![A-Za-z0-9])", new, value)
+            value = re.sub(rf"(?<!\w){re.escape(old)}(?!\w)", new, value)
     return value
 
 

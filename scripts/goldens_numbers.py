@@ -11,9 +11,10 @@ import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
-from goldens_chain import chain_of, forward, read_joints
+import pinocchio as pin
 
 #: Keys that are not kept, wherever they stand: times, versions, hashes, iterations of the solver.
 IGNORED = {
@@ -114,23 +115,39 @@ def text_numbers(text: str) -> dict[str, list[str]]:
 
 
 def urdf_poses(path: Path) -> dict[str, list[float]]:
-    """Return poses of a URDF's last links at three sets of joint values.
+    """Return poses of a URDF's last links at three sets of joint values, by Pinocchio.
 
     Returns:
         By link: position and two columns of the rotation matrix of each pose, in one list.
     """
-    joints = read_joints(path)
-    names = sorted(joint.name for joint in joints.values())
-    ends = set(joints) - {joint.parent for joint in joints.values()}
-    poses: dict[str, list[float]] = {}
-    for end in sorted(ends):
-        chain = chain_of(joints, end)
-        poses[end] = []
-        for k in range(3):
-            values = {name: 0.7 * np.sin(1.0 + i + 2.0 * k) for i, name in enumerate(names)}
-            numbers = forward(chain, values)[:3, [3, 0, 1]].T.ravel()
-            poses[end] += [rounded(float(number)) for number in numbers]
+    text = path.read_text(encoding="utf-8")
+    model = pin.buildModelFromXML(text)
+    data = model.createData()
+    joints = ElementTree.fromstring(text).findall("joint")
+    parents = {element.attrib["link"] for joint in joints for element in joint.iter("parent")}
+    children = {element.attrib["link"] for joint in joints for element in joint.iter("child")}
+    names = sorted(joint.attrib["name"] for joint in joints)
+    poses: dict[str, list[float]] = {link: [] for link in sorted(children - parents)}
+    for k in range(3):
+        values = {name: 0.7 * np.sin(1.0 + i + 2.0 * k) for i, name in enumerate(names)}
+        pin.framesForwardKinematics(model, data, _configuration(model, values))
+        for link, numbers in poses.items():
+            pose = data.oMf[model.getFrameId(link, pin.FrameType.BODY)].homogeneous
+            numbers += [rounded(float(number)) for number in pose[:3, [3, 0, 1]].T.ravel()]
     return poses
+
+
+def _configuration(model: pin.Model, values: dict[str, float]) -> Any:
+    """Return Pinocchio's configuration vector of joint values by name; fixed joints have none."""
+    q = pin.neutral(model)
+    for name in list(model.names)[1:]:
+        joint = model.joints[model.getJointId(name)]
+        value = values[name]
+        # Of a joint without limits the configuration has cosine and sine.
+        q[joint.idx_q : joint.idx_q + joint.nq] = (
+            value if joint.nq == 1 else (np.cos(value), np.sin(value))
+        )
+    return q
 
 
 def rounded(value: Any) -> Any:

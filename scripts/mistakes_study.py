@@ -16,7 +16,7 @@ from itertools import tee
 import numpy as np
 from arms import load_arm
 from scipy.spatial.transform import Rotation
-from studies import add_noise, print_table, run_jobs, study_parser, verdict_of
+from studies import add_noise, print_table, run_jobs, study_parser, unchanged, verdict_of
 
 from calib.calibration import calibrate
 from calib.data.cell import Cell
@@ -43,11 +43,6 @@ SECOND_TARGET = (0.08, -0.05, 0.06)
 
 #: The second station, from the first one, in the frame of the points [m].
 SECOND_STATION = (0.4, 0.2, 0.1)
-
-
-def unchanged(table: Measurements) -> Measurements:
-    """Return a table as it is."""
-    return table
 
 
 def joints(change: Callable[[Array], Array]) -> Change:

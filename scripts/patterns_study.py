@@ -13,7 +13,7 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from studies import print_table, run_jobs, study_parser, verdict_of, verdict_text
+from studies import print_table, run_jobs, study_parser, unchanged, verdict_of, verdict_text
 
 from calib.calibration import Calibration, calibrate
 from calib.data.cell import Cell, TrackerNoise
@@ -33,11 +33,6 @@ MODELS = ("dh", "auto")
 
 #: Noise of a coordinate [m].
 SIGMA = 5e-5
-
-
-def unchanged(table: Measurements) -> Measurements:
-    """Return a table as it is."""
-    return table
 
 
 @dataclass(frozen=True)

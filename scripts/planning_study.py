@@ -25,6 +25,7 @@ from calib.design.forecast import Forecast, Workspace
 from calib.design.plan import Plan, plan
 from calib.design.sensitivity import Sensitivity
 from calib.example import PAPER_TARGET, paper_measurements, paper_urdf
+from calib.numerics.geometry import pose_of
 from calib.robot.robot import Robot
 from calib.simulation.scenario import Scenario
 from calib.simulation.study import Study, study
@@ -44,17 +45,13 @@ def paper_cell(model: str = "hayati") -> Cell:
 
 def surroundings() -> Cell:
     """Return that cell with a tracker, a reflector that faces one way, a table and a pillar."""
-    T_base_table = np.eye(4)
-    T_base_table[2, 3] = -0.03
-    T_base_pillar = np.eye(4)
-    T_base_pillar[:3, 3] = (-0.45, -0.45, 0.5)
     return replace(
         paper_cell(),
         tracker=Tracker(np.array([2.5, 1.5, 0.8]), nearest=0.8, farthest=20.0),
         reflector=Reflector(np.array([0.0, 0.0, 1.0]), acceptance=np.radians(50.0)),
         boxes=(
-            Box("table", np.array([1.2, 1.2, 0.04]), T_base_table),
-            Box("pillar", np.array([0.1, 0.1, 1.0]), T_base_pillar),
+            Box("table", np.array([1.2, 1.2, 0.04]), pose_of([0.0, 0.0, -0.03])),
+            Box("pillar", np.array([0.1, 0.1, 1.0]), pose_of([-0.45, -0.45, 0.5])),
         ),
     )
 

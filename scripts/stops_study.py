@@ -17,13 +17,14 @@ from dataclasses import dataclass
 import numpy as np
 from arms import load_arm
 from scipy.spatial.transform import Rotation
-from studies import add_noise, print_table, rms, run_cases, study_parser
+from studies import add_noise, draw_errors, print_table, rms, run_cases, study_parser
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.estimate.fitting import Fitted
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
+from calib.numerics.geometry import pose_of
 from calib.result.fits import fit_table
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
@@ -66,13 +67,11 @@ class Hand:
         """
         rng = np.random.default_rng([seed, stops])
         model = error_model(robot, "dh")
-        std = np.where(np.array(model.units) == "m", 1e-3, 5e-3)
-        x = std * rng.normal(size=len(model))
+        x = draw_errors(model, 1e-3, 5e-3, rng)
         T_tip_target = np.tile(np.eye(4), (len(MARKERS), 1, 1))
         T_tip_target[:, :3, 3] = MARKERS
-        T_frame_base = np.eye(4)
-        T_frame_base[:3, :3] = Rotation.random(random_state=seed).as_matrix()
-        T_frame_base[:3, 3] = rng.uniform(-3.0, 3.0, 3)
+        R = Rotation.random(random_state=seed).as_matrix()
+        T_frame_base = pose_of(rng.uniform(-3.0, 3.0, 3), R)
         true = Kinematics(robot, model, T_frame_base[None], T_tip_target)
         q = random_joint_values(robot, stops, seed)
         q_error = rng.normal(size=q.shape)

@@ -21,6 +21,7 @@ from rich.progress import Progress
 
 from calib.calibration import Calibration
 from calib.diagnosis.reasons import Verdict
+from calib.model.parameters import ErrorModel
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.units import Array
@@ -44,9 +45,30 @@ TYPICAL_ERRORS = {
 # Random draws
 
 
+def unchanged(value: Item) -> Item:
+    """Return a value as it is: the change of a table without a fault."""
+    return value
+
+
 def draw_seed(rng: np.random.Generator) -> int:
     """Draw the seed of another generator."""
     return int(rng.integers(10**6))
+
+
+def draw_errors(model: ErrorModel, length: float, angle: float, rng: np.random.Generator) -> Array:
+    """Draw the errors of a model.
+
+    Args:
+        model: The model.
+        length: Standard deviation of lengths [m].
+        angle: Standard deviation of the others, which are angles [rad].
+        rng: Random numbers.
+
+    Returns:
+        The errors, shape (p,).
+    """
+    std = np.where(np.array(model.units) == "m", length, angle)
+    return std * rng.normal(size=len(model))
 
 
 def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:

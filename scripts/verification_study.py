@@ -85,8 +85,7 @@ class Study:
 
     title: str
     cases: Callable[[], Sequence[str]]  # Names of the cases
-    runs: int  # Number of runs of each case
-    quick_runs: int  # The same with --quick
+    runs: tuple[int, int]  # Number of runs of each case, without and with --quick
     run: Callable[[str, np.random.Generator], Figures]  # One run of a case, from its random numbers
     rows: Callable[[Results], Iterator[Row]]  # The rows of the table
 
@@ -498,6 +497,11 @@ KINDS: Mapping[str, Callable[[Truth, np.random.Generator], Run]] = {
 }
 
 
+def kind_cases() -> list[str]:
+    """Return the cases: the kinds."""
+    return list(KINDS)
+
+
 def kinds(case: str, rng: np.random.Generator) -> Figures:
     """Calibrate a UR3 with one kind of measurement."""
     robot = load_arm("ur3")
@@ -529,61 +533,42 @@ def kind_rows(results: Results) -> Iterator[Row]:
 
 STUDIES: Mapping[str, Study] = {
     "accuracy": Study(
-        title="Error at other poses over the Cramer-Rao bound",
-        cases=accuracy_cases,
-        runs=200,
-        quick_runs=20,
-        run=accuracy,
-        rows=accuracy_rows,
+        "Error at other poses over the Cramer-Rao bound",
+        accuracy_cases,
+        (200, 20),
+        accuracy,
+        accuracy_rows,
     ),
     "coverage": Study(
-        title="95 % intervals and predicted uncertainty",
-        cases=coverage_cases,
-        runs=500,
-        quick_runs=30,
-        run=coverage,
-        rows=coverage_rows,
+        "95 % intervals and predicted uncertainty",
+        coverage_cases,
+        (500, 30),
+        coverage,
+        coverage_rows,
     ),
     "outliers": Study(
-        title="A fifth of the rows displaced by 5 to 50 mm",
-        cases=outlier_cases,
-        runs=200,
-        quick_runs=10,
-        run=outliers,
-        rows=outlier_rows,
+        "A fifth of the rows displaced by 5 to 50 mm",
+        outlier_cases,
+        (200, 10),
+        outliers,
+        outlier_rows,
     ),
-    "auto": Study(
-        title="Models that `auto` chooses",
-        cases=auto_cases,
-        runs=50,
-        quick_runs=4,
-        run=auto,
-        rows=auto_rows,
-    ),
+    "auto": Study("Models that `auto` chooses", auto_cases, (50, 4), auto, auto_rows),
     "robots": Study(
-        title="Every robot of example-robot-data, without noise",
-        cases=robot_cases,
-        runs=1,
-        quick_runs=1,
-        run=robots,
-        rows=robot_rows,
+        "Every robot of example-robot-data, without noise",
+        robot_cases,
+        (1, 1),
+        robots,
+        robot_rows,
     ),
     "compliance": Study(
-        title="Compliance of 1e-5 rad/Nm on each joint",
-        cases=compliance_cases,
-        runs=600,
-        quick_runs=10,
-        run=compliance,
-        rows=compliance_rows,
+        "Compliance of 1e-5 rad/Nm on each joint",
+        compliance_cases,
+        (600, 10),
+        compliance,
+        compliance_rows,
     ),
-    "kinds": Study(
-        title="Each kind of measurement",
-        cases=lambda: list(KINDS),
-        runs=300,
-        quick_runs=10,
-        run=kinds,
-        rows=kind_rows,
-    ),
+    "kinds": Study("Each kind of measurement", kind_cases, (300, 10), kinds, kind_rows),
 }
 
 
@@ -641,8 +626,7 @@ def main() -> None:
     parser.add_argument("--only", action="append", choices=sorted(STUDIES), help="one study")
     arguments = parser.parse_args()
     for name in arguments.only or STUDIES:
-        study = STUDIES[name]
-        runs = study.quick_runs if arguments.quick else study.runs
+        runs = STUDIES[name].runs[1 if arguments.quick else 0]
         results = run_study(name, runs, workers=arguments.workers)
         print(study_text(name, runs, results), end="\n\n", flush=True)
 

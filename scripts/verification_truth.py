@@ -12,8 +12,10 @@ from dataclasses import dataclass, field
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
+from studies import draw_errors
 
 from calib.model.error_model import error_model
+from calib.numerics.geometry import pose_of
 from calib.robot.payload import Payload
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
@@ -92,8 +94,7 @@ class Truth:
             payload: Payload of the tip.
         """
         parameters = error_model(nominal, model, target=False)
-        std = np.where(np.array(parameters.units) == "m", LENGTH, ANGLE)
-        x = std * rng.normal(size=len(parameters))
+        x = draw_errors(parameters, LENGTH, ANGLE, rng)
         T_tip_target = np.tile(np.eye(4), (targets, 1, 1))
         T_tip_target[:, :3, 3] = np.array(TARGET) + np.linspace(0.0, 0.1, targets)[:, None]
         T_tip_target[:, :3, 3] += 5e-3 * rng.normal(size=(targets, 3))
@@ -235,7 +236,5 @@ def draw_joint_values(robot: Robot, count: int, rng: np.random.Generator) -> Arr
 
 def draw_frame(rng: np.random.Generator) -> Array:
     """Draw the pose of the base in a tracker's frame, shape (4, 4), [m]."""
-    T_frame_base = np.eye(4)
-    T_frame_base[:3, :3] = pin.exp3(rng.uniform(-2.0, 2.0, size=3))
-    T_frame_base[:3, 3] = rng.uniform(-2.0, 2.0, size=3)
-    return T_frame_base
+    R = pin.exp3(rng.uniform(-2.0, 2.0, size=3))
+    return pose_of(rng.uniform(-2.0, 2.0, size=3), R)

@@ -9,7 +9,7 @@ maximum-likelihood fit, and its centre has no essential bias on short arcs eithe
 Electronic Journal of Statistics 3, 2009). A plane is the total least-squares one. Uncertainties are covariances of
 small displacements along the columns (u, v, normal) of the figure's own basis, sigma^2 (J^T W J)^-1.
 
-A gross point is one whose own displacement explains so much that chance does not: with the point's k residuals e and
+An outlier is a point whose own displacement explains more than chance does: with the point's k residuals e and
 their block H of the hat matrix, giving the point its own displacement lowers the sum of squares by e^T (I - H)^-1 e,
 which over the rest is F(k, dof - k). The largest of N points counts where N times its tail is below 0.001; then the
 point is left out, the fit made again, and the next one looked at.
@@ -42,13 +42,19 @@ FLOOR_M = 1e-9
 #: Chance of a finding where there is nothing but noise.
 LEVEL = 1e-3
 
-#: At most this share of the points is gross; more of them are no outliers.
+#: At most this share of the points are outliers.
 _SHARE = 0.1
 
-# Points are on a line where they spread along the second axis by this share of the first one, or times their noise.
-_THIN, _IN_NOISE = 1e-9, 1.5
+#: Points are on a line if they spread along the second axis by less than this share of the first one ...
+_THIN = 1e-9
 
-# Of a radius that is not known to this share of itself neither is the centre.
+#: ... or by less than this many times their spread along the third.
+_IN_NOISE = 1.5
+
+#: A point is tested as an outlier if the least eigenvalue of its block of I - H is above this.
+_TESTABLE = 1e-6
+
+#: Where the radius is not known to this share of itself, the centre is not known either.
 _VAGUE = 0.25
 
 _TOO_SHORT = (
@@ -59,7 +65,7 @@ _TOO_SHORT = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plane:
-    """A plane through N points."""
+    """Plane through N points."""
 
     point: Array  #: On the plane, the points' weighted mean, shape (3,) [m]
     basis: Array  #: Columns u, v, normal; shape (3, 3). The normal's sense means nothing
@@ -67,7 +73,7 @@ class Plane:
     #: [rad]
     covariance: Array
     residuals: Array  #: Signed distances of all points, shape (N, 1) [m]
-    used: Mask  #: Which points the plane is fitted to, the gross ones left out, shape (N,)
+    used: Mask  #: Points that the plane is fitted to, outliers rejected, shape (N,)
     noise: float  #: Standard deviation of one coordinate from the residuals [m]
     #: The one that was given, root of the mean square over the points [m]; None where none was
     given: float | None
@@ -82,7 +88,7 @@ class Plane:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Circle(Plane):
-    """A circle through N points; what the points do along it is not part of the fit.
+    """Circle through N points; positions along it are not part of the fit.
 
     Its ``point`` is the centre, u points from there to the first point used. Residuals are radial and axial, shape
     (N, 2) [m]; the covariance, shape (6, 6), is of the centre's displacement along u, v, normal [m], of the normal's
@@ -94,12 +100,12 @@ class Circle(Plane):
 
     @property
     def arc(self) -> float:
-        """The angle that the points cover: a full turn less the largest gap between neighbours [rad]."""
+        """Angle that the points cover: a full turn less the largest gap between neighbours [rad]."""
         ordered = np.sort(self.angles[self.used])
         return float(2.0 * np.pi - np.diff(ordered, append=ordered[0] + 2.0 * np.pi).max())
 
     def turned(self) -> Circle:
-        """The same circle with the opposite normal."""
+        """Return the circle with the opposite normal."""
         # (u, v, n) -> (u, -v, -n): what is along v or n changes its sign; a tilt towards u does through n, and one
         # towards v through both.
         signs = np.array([1.0, -1.0, -1.0, -1.0, 1.0, 1.0])
@@ -113,37 +119,50 @@ class Circle(Plane):
 
 
 class _Fit(NamedTuple):
-    """A figure through some of the points: residuals (N, k) [m] and their Jacobian (N, k, p) are of all of them."""
+    """Plane or circle fitted to some of N points; residuals and Jacobian are those of all of them."""
 
-    residuals: Array
-    jacobian: Array
-    point: Array
-    basis: Array
-    radius: float = np.inf
+    residuals: Array  # (N, k) [m]
+    jacobian: Array  # (N, k, p), of the residuals by the displacements of the figure
+    point: Array  # (3,), on the plane, or the centre [m]
+    basis: Array  # (3, 3), columns u, v, normal
+    radius: float = np.inf  # [m]
 
 
 def fit_plane(points: Array, sigma: Array | None = None, *, robust: bool = True) -> Plane:
-    """The total least-squares plane.
+    """Fit the total least-squares plane.
 
     Args:
         points: shape (N, 3), [m].
-        sigma: Standard deviation of a coordinate of each point, shape (N,) [m]; None: alike, found from the residuals.
-        robust: Whether gross points are left out.
+        sigma: Standard deviation of a coordinate of each point, shape (N,) [m]; None: all alike, estimated from the
+            residuals.
+        robust: Whether outliers are rejected.
+
+    Returns:
+        The plane.
 
     Raises:
         CalibError: Fewer than four points, or points on a line.
     """
-    return _judged(_plane_fit, points, sigma, robust=robust)[0]
+    plane, _ = _fit_robustly(_plane_fit, points, sigma, robust=robust)
+    return plane
 
 
 def fit_circle(points: Array, sigma: Array | None = None, *, robust: bool = True) -> Circle:
-    """The circle of least orthogonal distances; arguments as for `fit_plane`.
+    """Fit the circle of least orthogonal distances.
+
+    Args:
+        points: See `fit_plane`.
+        sigma: See `fit_plane`.
+        robust: See `fit_plane`.
+
+    Returns:
+        The circle.
 
     Raises:
         CalibError: Fewer than four points, points on a line, or an arc too short for its noise.
     """
     try:
-        plane, radius = _judged(_circle_fit, points, sigma, robust=robust)
+        plane, radius = _fit_robustly(_circle_fit, points, sigma, robust=robust)
     except ValueError as error:  # no size, or the radius has no effect that the centre has not
         raise CalibError(_TOO_SHORT) from error
     if not 0.0 <= plane.covariance[5, 5] <= (_VAGUE * radius) ** 2:
@@ -156,10 +175,17 @@ def fit_circle(points: Array, sigma: Array | None = None, *, robust: bool = True
 def circle_residuals(
     points: Array, center: Array, basis: Array, radius: float
 ) -> tuple[Array, Array]:
-    """Radial and axial distances of points (N, 3) from a circle, shape (N, 2) [m], and their Jacobian (N, 2, 6).
+    """Compute radial and axial distances of points from a circle, and their derivatives.
 
-    By the centre's displacement along u, v, normal, the columns of the basis, the normal's tilt towards u and v, and
-    the radius.
+    Args:
+        points: shape (N, 3), [m].
+        center: shape (3,), [m].
+        basis: Columns u, v, normal, shape (3, 3).
+        radius: [m].
+
+    Returns:
+        Distances, shape (N, 2) [m], and their Jacobian, shape (N, 2, 6): by the centre's displacement along u, v,
+        normal [m], the normal's tilt towards u and v [rad], and the radius [m].
     """
     local = (points - center) @ basis
     axial = local[:, 2]
@@ -175,14 +201,24 @@ def circle_residuals(
     return np.stack([across - radius, axial], axis=1), J
 
 
-def _judged(
+def _fit_robustly(
     figure: Callable[[Array, Array, Mask], _Fit],
     points: Array,
     sigma: Array | None,
     *,
     robust: bool,
 ) -> tuple[Plane, float]:
-    """A figure through all points but the gross ones, with its covariance, and its radius."""
+    """Fit a figure to all points but the outliers.
+
+    Args:
+        figure: Fits it to points (N, 3) [m] with weights (N,) of which some are used, (N,).
+        points: shape (N, 3), [m].
+        sigma: See `fit_plane`.
+        robust: See `fit_plane`.
+
+    Returns:
+        The figure with its covariance, and its radius [m].
+    """
     if len(points) < FEWEST:
         raise CalibError(
             f"there are {len(points)} points; it takes {FEWEST} at least and should be 10 or more. Measure more"
@@ -190,36 +226,44 @@ def _judged(
     # Their harmonic mean is 1: of the noise's variance, in its own unit.
     weights = np.ones(len(points)) if sigma is None else np.mean(sigma**2) / sigma**2
     fit = partial(figure, points, np.asarray(weights))
-    used = _all_but_gross(fit, weights) if robust else np.ones(len(points), dtype=np.bool_)
-    found = fit(used)
-    J = found.jacobian[used].reshape(-1, found.jacobian.shape[-1])
-    w = np.repeat(weights[used], found.residuals.shape[1])
-    e = found.residuals[used].ravel()
+    used = np.ones(len(points), dtype=np.bool_)
+    if robust:
+        used = _without_outliers(fit, weights)
+    fitted = fit(used)
+    J = fitted.jacobian[used].reshape(-1, fitted.jacobian.shape[-1])
+    w = np.repeat(weights[used], fitted.residuals.shape[1])
+    e = fitted.residuals[used].ravel()
     freedom = len(e) - J.shape[1]
     noise = float(np.sqrt(w @ e**2 / freedom))
     given = None if sigma is None else float(np.sqrt(np.mean(sigma**2)))
     # The noise as given, if it was and the residuals are not larger than it makes them.
     believed = given is not None and chdtrc(freedom, freedom * (noise / given) ** 2) >= LEVEL
-    taken = max(given if given is not None and believed else noise, FLOOR_M)
+    std = given if given is not None and believed else noise
+    variance = max(std, FLOOR_M) ** 2
     # Lengths beside angles: scaled before the inversion.
     norm = np.sqrt(w @ J**2)
     inverse = np.linalg.inv((J / norm).T @ (w[:, None] * (J / norm))) / np.outer(norm, norm)
     used.setflags(write=False)
     plane = Plane(
-        read_only(found.point),
-        read_only(found.basis),
-        read_only(taken**2 * inverse),
-        read_only(found.residuals),
-        used,
-        noise,
-        given,
-        np.inf if believed else float(freedom),
+        point=read_only(fitted.point),
+        basis=read_only(fitted.basis),
+        covariance=read_only(variance * inverse),
+        residuals=read_only(fitted.residuals),
+        used=used,
+        noise=noise,
+        given=given,
+        dof=np.inf if believed else float(freedom),
     )
-    return plane, found.radius
+    return plane, fitted.radius
 
 
-def _all_but_gross(fit: Callable[[Mask], _Fit], weights: Array) -> Mask:
-    """Which points are not gross, shape (N,); see the module's text."""
+def _without_outliers(fit: Callable[[Mask], _Fit], weights: Array) -> Mask:
+    """Return the points that are no outliers, shape (N,); see the module's text.
+
+    Args:
+        fit: Fits the figure to some of the points.
+        weights: Of the points, shape (N,).
+    """
     used = np.ones(len(weights), dtype=np.bool_)
     for _ in range(max(1, int(_SHARE * len(weights)))):
         residuals, jacobian, *_ = fit(used)
@@ -232,21 +276,25 @@ def _all_but_gross(fit: Callable[[Mask], _Fit], weights: Array) -> Mask:
         J = (root[:, None, None] * jacobian[used]).reshape(-1, p)
         Q = np.linalg.qr(J)[0].reshape(count, k, p)
         free = np.eye(k) - Q @ np.swapaxes(Q, 1, 2)
-        # A point that alone holds a direction of the fit has no residual there to judge it by.
-        judged = np.linalg.eigvalsh(free)[:, 0] > 1e-6
+        # A point that alone determines a direction of the fit has no residual there.
+        testable = np.linalg.eigvalsh(free)[:, 0] > _TESTABLE
         drop = np.zeros(count)
-        own = np.linalg.solve(free[judged], e[judged][..., None])[..., 0]
-        drop[judged] = np.einsum("ni,ni->n", e[judged], own)
-        worst, whole = int(np.argmax(drop)), float(np.sum(e**2))
-        left = max(whole - drop[worst], np.finfo(np.float64).eps * whole)
-        if drop[worst] <= 0.0 or count * fdtrc(k, rest, drop[worst] / k / (left / rest)) >= LEVEL:
+        deleted = np.linalg.solve(free[testable], e[testable][..., None])[..., 0]
+        drop[testable] = np.einsum("ni,ni->n", e[testable], deleted)
+        worst = int(np.argmax(drop))
+        if drop[worst] <= 0.0:
+            break
+        total = float(np.sum(e**2))
+        remaining = max(total - drop[worst], np.finfo(np.float64).eps * total)
+        F = drop[worst] / k / (remaining / rest)
+        if count * fdtrc(k, rest, F) >= LEVEL:
             break
         used[np.flatnonzero(used)[worst]] = False
     return used
 
 
 def _plane_fit(points: Array, weights: Array, used: Mask) -> _Fit:
-    """The plane of the points used."""
+    """Fit the plane of the points used."""
     point, basis = _principal_axes(points[used], weights[used])
     local = (points - point) @ basis
     J = np.concatenate([-np.ones((len(points), 1)), local[:, :2]], axis=1)[:, None, :]
@@ -254,45 +302,52 @@ def _plane_fit(points: Array, weights: Array, used: Mask) -> _Fit:
 
 
 def _circle_fit(points: Array, weights: Array, used: Mask) -> _Fit:
-    """The circle of the points used: Levenberg-Marquardt from the algebraic circle in their plane, in its radius."""
-    some, w = points[used], weights[used]
-    mean, axes = _principal_axes(some, w)
+    """Fit the circle of the points used: Levenberg-Marquardt from the algebraic circle in their plane."""
+    fitted, w = points[used], weights[used]
+    mean, axes = _principal_axes(fitted, w)
     # x^2 + y^2 = 2 a x + 2 b y + c
-    xy = (some - mean) @ axes[:, :2]
+    xy = (fitted - mean) @ axes[:, :2]
     design = np.column_stack([2.0 * xy, np.ones(len(xy))])
     a, b, c = np.linalg.lstsq(design, (xy**2).sum(axis=1), rcond=None)[0]
-    start, size = mean + axes @ [a, b, 0.0], float(np.sqrt(a * a + b * b + c))
-    B, root = _frame(axes[:, 2], some[0] - start), np.sqrt(w / w.mean())[:, None]
+    start = mean + axes @ [a, b, 0.0]
+    start_radius = float(np.sqrt(a * a + b * b + c))
+    B = _frame(axes[:, 2], fitted[0] - start)
+    root = np.sqrt(w / w.mean())[:, None]
 
-    def at(x: Array) -> tuple[Array, Array, float]:
-        """Centre, basis and radius of the circle displaced by x."""
+    def displaced(x: Array) -> tuple[Array, Array, float]:
+        """Return centre, basis and radius of the circle displaced by x, shape (6,)."""
         n = B @ np.array([x[3], x[4], 1.0])
-        return start + B @ x[:3], _frame(n / np.linalg.norm(n), B[:, 0]), size + float(x[5])
+        basis = _frame(n / np.linalg.norm(n), B[:, 0])
+        return start + B @ x[:3], basis, start_radius + float(x[5])
 
     def residuals(x: Array) -> Array:
-        return np.ravel(root * circle_residuals(some, *at(x))[0])
+        return np.ravel(root * circle_residuals(fitted, *displaced(x))[0])
 
     def jacobian(x: Array) -> Array:
-        """By displacements of the circle at x, which span what those of x do: the minimum is the same."""
-        return np.reshape(root[..., None] * circle_residuals(some, *at(x))[1], (-1, 6))
+        """Differentiate by displacements of the circle at x, which span what those of x do: the minimum is the same."""
+        return np.reshape(root[..., None] * circle_residuals(fitted, *displaced(x))[1], (-1, 6))
 
     tight = dict.fromkeys(("xtol", "ftol", "gtol"), float(np.finfo(np.float64).eps))
-    found = least_squares(residuals, np.zeros(6), jacobian, method="lm", **tight)
-    if found.status <= 0:
+    solution = least_squares(residuals, np.zeros(6), jacobian, method="lm", **tight)
+    if solution.status <= 0:
         raise CalibError(_TOO_SHORT)
-    center, basis, radius = at(found.x)
+    center, basis, radius = displaced(solution.x)
     return _Fit(*circle_residuals(points, center, basis, radius), center, basis, radius)
 
 
 def _principal_axes(points: Array, weights: Array) -> tuple[Array, Array]:
-    """Weighted mean (3,) [m] and principal axes (3, 3), the longest first; points on a spot or a line are refused."""
+    """Return weighted mean (3,) [m] and principal axes (3, 3), the longest first, of points (N, 3).
+
+    Raises:
+        CalibError: The points are on a spot or a line.
+    """
     mean: Array = weights @ points / weights.sum()
     share = np.sqrt(weights / weights.sum())
     _, spread, rows = np.linalg.svd(share[:, None] * (points - mean), full_matrices=False)
-    still = np.linalg.norm(spread) < STILL_M
-    if still or spread[1] <= max(_THIN * spread[0], _IN_NOISE * spread[2]):
+    is_spot = np.linalg.norm(spread) < STILL_M
+    if is_spot or spread[1] <= max(_THIN * spread[0], _IN_NOISE * spread[2]):
         raise CalibError(
-            f"the points lie on a spot or a line (they spread over {1e3 * spread[0]:.3g} mm along it and "
+            f"the points are on a spot or a line (they spread over {1e3 * spread[0]:.3g} mm along it and "
             f"{1e3 * spread[1]:.3g} mm across). Touch a plane at places well apart, and let a joint turn further"
         )
     basis = rows.T.copy()
@@ -301,7 +356,7 @@ def _principal_axes(points: Array, weights: Array) -> tuple[Array, Array]:
 
 
 def _frame(normal: Array, near: Array) -> Array:
-    """A right-handed basis, columns u, v, normal, with u as near as possible to a direction; shape (3, 3)."""
+    """Return a right-handed basis, columns u, v, normal, shape (3, 3), with u as near as possible to a direction."""
     u = near - normal * (normal @ near)
     u = u / np.linalg.norm(u)
     return np.column_stack([u, np.cross(normal, u), normal])

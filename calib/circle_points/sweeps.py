@@ -1,6 +1,6 @@
 """Single-joint sweeps: the points that one turning joint carries round, and points on the base's mounting plane.
 
-They stand in a table whose column ``sweep`` says which sweep a row is of, or in a list of points, as laser trackers
+They are in a table whose column ``sweep`` says which sweep a row is of, or in a list of points, as laser trackers
 write them, whose names do: ``plane_1``, ``joint1_03``. A sweep is called ``plane``, or by a joint's name, or
 ``joint 1``, ``1``. See docs/base-frame.md.
 """
@@ -16,14 +16,17 @@ from calib.data.columns import ORIENTATION, list_columns, name_columns, reserved
 from calib.data.layout import Layout
 from calib.data.measurements import Measurements
 from calib.data.points_file import PARTS, Points, read_points
-from calib.data.table import Table
+from calib.data.table import Column, Table
 from calib.data.values import read_values
 from calib.errors import MeasurementError, choices
 from calib.robot.robot import read_only
 from calib.units import Array
 
-#: What the sweep is called that is none, and its number.
-PLANE, _PLANE = "plane", -1
+#: Name of the points on the mounting plane.
+PLANE = "plane"
+
+#: Their number, where joints are numbered from 0.
+_PLANE = -1
 
 _NUMBERED = re.compile(r"(?:joint|axis|sweep|j|a)?[ _\-.]*0*([1-9][0-9]?)", re.IGNORECASE)
 _POINT_NAME = re.compile(r"(.*?)[ _\-.:]*[0-9]+")
@@ -31,10 +34,10 @@ _POINT_NAME = re.compile(r"(.*?)[ _\-.:]*[0-9]+")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sweep:
-    """The points of one sweep, in the order in which they were measured."""
+    """Points of one sweep, in the order in which they were measured."""
 
-    joint: int | None  #: Which joint of the chain turns, from 0; None for the plane
-    name: str  #: As the file calls it
+    joint: int | None  #: The joint of the chain that turns, from 0; None for the plane
+    name: str  #: In the file
     points: Array  #: shape (N, 3) in the tracker's frame [m]
     #: Standard deviation of a coordinate of each point, shape (N,) [m]; None where not given
     sigma: Array | None
@@ -52,15 +55,17 @@ class Sweep:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sweeps:
-    """All sweeps of a file."""
+    """Sweeps of a file."""
 
     #: The plane first, then the joints in the order of the chain; one of each at most
     sweeps: tuple[Sweep, ...]
-    joint_names: tuple[str, ...]  #: The chain's joints, base to tip; empty where nobody named them
+    joint_names: tuple[
+        str, ...
+    ]  #: The chain's joints, base to tip; empty where they were not given
     source: str  #: The file's name
 
     def label(self, joint: int) -> str:
-        """What to call a joint, from 0: its name, or its number where it has none."""
+        """Return the name of a joint, from 0, or ``joint`` and its number from 1 where it has none."""
         return self.joint_names[joint] if joint < len(self.joint_names) else f"joint {joint + 1}"
 
 
@@ -75,12 +80,15 @@ def read_sweeps(
 
     Args:
         path: A table with the columns ``sweep``, ``x``, ``y``, ``z``, perhaps ``sigma`` and the joints' values; None:
-            all stands in the list of points.
+            all is in the list of points.
         joint_names: Of the chain, base to tip; None: the table's columns in a unit of angle, in their order.
-        columns: Names of the table to names of calib, see `Measurements.read`.
+        columns: Names that calib uses, by the table's names; None: they are the same.
         points: A list of points. Beside a table its points are matched by the column ``point``, or in their order;
             without one, their names say which sweep they are of.
-        points_unit: The unit of that list, where it names none.
+        points_unit: The unit of that list; None: it names one.
+
+    Returns:
+        The sweeps.
 
     Raises:
         MeasurementError: Something in the files cannot be used; the text names the file, the row and the remedy.
@@ -94,7 +102,7 @@ def read_sweeps(
 
 
 def _number(word: str, joint_names: Sequence[str]) -> int | None:
-    """The joint that a word names, from 0, by its name or number; -1 for the plane; None for any other word."""
+    """Return the joint of a word, from 0, by its name or number from 1; -1 for the plane; None for any other word."""
     plain = word.strip()
     if plain.casefold() == PLANE:
         return _PLANE
@@ -106,60 +114,72 @@ def _number(word: str, joint_names: Sequence[str]) -> int | None:
     return int(match[1]) - 1
 
 
-def _split(
-    words: Sequence[str],
-    points: Array,
-    rows: Sequence[int],
-    source: str,
-    joint_names: tuple[str, ...],
-    *,
-    counted: str = "row",
-    sigma: Array | None = None,
-    joints: Array | None = None,
-) -> Sweeps:
-    """All points of a file by the words that name their sweeps, the plane first."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rows:
+    """All points of a file."""
+
+    words: Sequence[str]  # The word of each that names its sweep
+    points: Array  # (N, 3), [m]
+    numbers: Sequence[int]  # Its number in the file
+    source: str  # The file's name
+    counted: str = "row"  # What the numbers count: "row" or "line"
+    sigma: Array | None = None  # (N,), [m]; None: not given
+    joints: Array | None = None  # (N, n), [rad]; None: not given
+
+
+def _split(rows: _Rows, joint_names: tuple[str, ...]) -> Sweeps:
+    """Split the points of a file into sweeps, the plane first; raises `MeasurementError`."""
     by_number: dict[int, list[int]] = {}
-    for i, word in enumerate(words):
+    for i, word in enumerate(rows.words):
         number = _number(word, joint_names)
         if number is None:
-            named = f"a joint's name ({choices(joint_names)}), or " * bool(joint_names)
+            names = f"a joint's name ({choices(joint_names)}), or " if joint_names else ""
             raise MeasurementError(
-                f"{source}, {counted} {rows[i]}: '{word}' is not a sweep; allowed are '{PLANE}', {named}a joint's "
-                "number, 'joint 1'."
+                f"{rows.source}, {rows.counted} {rows.numbers[i]}: '{word}' is not a sweep; "
+                f"allowed are '{PLANE}', {names}a joint's number, 'joint 1'."
             )
         by_number.setdefault(number, []).append(i)
-    sweeps = tuple(
-        Sweep(
-            None if number == _PLANE else number,
-            words[at[0]],
-            read_only(points[at]),
-            None if sigma is None else read_only(sigma[at]),
-            None if joints is None or number == _PLANE else read_only(joints[at]),
-            tuple(rows[i] for i in at),
-            source,
-            counted,
-        )
-        for number, at in sorted(by_number.items())
+    sweeps = [_sweep(rows, number, members) for number, members in sorted(by_number.items())]
+    return Sweeps(tuple(sweeps), joint_names, rows.source)
+
+
+def _sweep(rows: _Rows, number: int, members: list[int]) -> Sweep:
+    """Return the sweep of some points of a file, by the number of its joint."""
+    is_plane = number == _PLANE
+    joints = None if rows.joints is None or is_plane else read_only(rows.joints[members])
+    return Sweep(
+        joint=None if is_plane else number,
+        name=rows.words[members[0]],
+        points=read_only(rows.points[members]),
+        sigma=None if rows.sigma is None else read_only(rows.sigma[members]),
+        joints=joints,
+        rows=tuple(rows.numbers[i] for i in members),
+        source=rows.source,
+        counted=rows.counted,
     )
-    return Sweeps(sweeps, joint_names, source)
 
 
 def _from_points(points: Points, joint_names: tuple[str, ...]) -> Sweeps:
-    """The sweeps of a list of points by their names."""
+    """Return the sweeps of a list of points by their names; raises `MeasurementError`."""
     if not points.names:
         raise MeasurementError(
-            f"{points.source}: the points have no names, which would say what sweep they are of. Name them 'plane_1', "
-            "'joint1_01' and so on, or give a table with a column 'sweep'."
+            f"{points.source}: the points have no names, which would tell their sweeps. Name them "
+            "'plane_1', 'joint1_01' and so on, or give a table with a column 'sweep'."
         )
-    words = []
-    for name in points.names:
-        parts = [part.strip() for part in name.split(PARTS)]
-        match = _POINT_NAME.fullmatch(parts[-1])
-        # The point's own name without its number; else the group that it stands in.
-        candidates = [match[1] if match else parts[-1], *parts[-2:-1]]
-        known = (word for word in candidates if _number(word, joint_names) is not None)
-        words.append(next(known, candidates[0]))
-    return _split(words, points.points, points.lines, points.source, joint_names, counted="line")
+    words = [_sweep_word(name, joint_names) for name in points.names]
+    rows = _Rows(words, points.points, points.lines, points.source, counted="line")
+    return _split(rows, joint_names)
+
+
+def _sweep_word(name: str, joint_names: tuple[str, ...]) -> str:
+    """Return the word of a point's name that tells its sweep: its last part without number, else the part before."""
+    parts = [part.strip() for part in name.split(PARTS)]
+    match = _POINT_NAME.fullmatch(parts[-1])
+    candidates = [match[1] if match else parts[-1], *parts[-2:-1]]
+    for word in candidates:
+        if _number(word, joint_names) is not None:
+            return word
+    return candidates[0]
 
 
 def _from_table(
@@ -168,33 +188,71 @@ def _from_table(
     columns: Mapping[str, str],
     points: Points | None,
 ) -> Sweeps:
-    """The sweeps of a table, whose points may stand in a list of their own."""
+    """Return the sweeps of a table.
+
+    Args:
+        table: The table.
+        joint_names: Of the chain; None: the table's columns in a unit of angle.
+        columns: Names that calib uses, by the table's names.
+        points: Its points, in a list of their own; None: they are in the table.
+
+    Raises:
+        MeasurementError: See `read_sweeps`.
+    """
     named, _ = name_columns(table, joint_names or (), columns)
-    sweep = next((column for name, column in named.items() if name.casefold() == "sweep"), None)
-    if sweep is None:
-        raise MeasurementError(
-            f"{table.source}: no column 'sweep', which says for each row what was measured: 'plane', or the joint that "
-            f'turned. {list_columns(table)} Another name is mapped by --columns "name in the table=sweep".'
-        )
-    if joint_names is None:
-        taken = (*reserved(), *ORIENTATION)
-        units = {name: column.unit for name, column in named.items() if name not in taken}
-        joint_names = [name for name, unit in units.items() if unit and unit.quantity == "angle"]
-    names = tuple(joint_names)
-    there = names if any(name in named for name in names) else ()
-    types = dict.fromkeys(there, "revolute")
-    apart = points is not None
-    layout = Layout.find(table, there, types, columns, "point", points_elsewhere=apart)
-    at = {column.index for column in layout.blocks["joints"]}
-    # Rows of the plane may leave their joint values empty.
-    cells = tuple(
-        [cell or "0" if k in at else cell for k, cell in enumerate(row)]
-        if _number(row[sweep.index], names) == _PLANE
-        else row
-        for row in table.cells
+    sweep_column = _sweep_column(table, named)
+    names = _angle_columns(named) if joint_names is None else tuple(joint_names)
+    has_joints = any(name in named for name in names)
+    measured_joints = names if has_joints else ()
+    types = dict.fromkeys(measured_joints, "revolute")
+    layout = Layout.find(
+        table, measured_joints, types, columns, "point", points_elsewhere=points is not None
     )
-    layout = replace(layout, groups=(sweep,))
-    values = Measurements(**read_values(replace(table, cells=cells), layout, points))
-    found = (values.groups, values.points, values.rows)
-    joints = values.joints if there else None
-    return _split(*found, table.source, names, sigma=values.sigma, joints=joints)
+    layout = replace(layout, groups=(sweep_column,))
+    filled = replace(table, cells=_filled_cells(table, layout, sweep_column, names))
+    values = Measurements(**read_values(filled, layout, points))
+    rows = _Rows(
+        words=values.groups,
+        points=values.points,
+        numbers=values.rows,
+        source=table.source,
+        sigma=values.sigma,
+        joints=values.joints if has_joints else None,
+    )
+    return _split(rows, names)
+
+
+def _sweep_column(table: Table, named: Mapping[str, Column]) -> Column:
+    """Return the column that names the sweep of each row; raises `MeasurementError`."""
+    for name, column in named.items():
+        if name.casefold() == "sweep":
+            return column
+    raise MeasurementError(
+        f"{table.source}: no column 'sweep', which names what was measured in each row: 'plane', or "
+        f"the joint that turned. {list_columns(table)} Another name is mapped by --columns "
+        '"name in the table=sweep".'
+    )
+
+
+def _angle_columns(named: Mapping[str, Column]) -> tuple[str, ...]:
+    """Return the columns in a unit of angle that are not orientations, in their order."""
+    reserved_names = (*reserved(), *ORIENTATION)
+    names = []
+    for name, column in named.items():
+        if name not in reserved_names and column.unit and column.unit.quantity == "angle":
+            names.append(name)
+    return tuple(names)
+
+
+def _filled_cells(
+    table: Table, layout: Layout, sweep_column: Column, joint_names: tuple[str, ...]
+) -> tuple[list[str], ...]:
+    """Return the cells of a table, with zeros for empty joint values of the plane's rows."""
+    joint_columns = {column.index for column in layout.blocks["joints"]}
+    rows = []
+    for row in table.cells:
+        cells = list(row)
+        if _number(row[sweep_column.index], joint_names) == _PLANE:
+            cells = [cell or "0" if k in joint_columns else cell for k, cell in enumerate(row)]
+        rows.append(cells)
+    return tuple(rows)

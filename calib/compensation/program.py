@@ -42,9 +42,8 @@ class Program:
     #: Joint values by name [rad] or [m] near which the search for the first of poses alone starts; others start in mid
     #: range; None: all do.
     start: Mapping[str, float] | None = None
-    kept: tuple[
-        tuple[str, tuple[str, ...]], ...
-    ] = ()  #: Other columns of the file: header and cells.
+    #: Other columns of the file: header and cells.
+    kept: tuple[tuple[str, tuple[str, ...]], ...] = ()
     form: str = ""  #: Form of the file's orientations; empty if there are none.
 
     def __post_init__(self) -> None:

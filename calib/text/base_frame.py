@@ -9,7 +9,8 @@ import numpy as np
 import pinocchio as pin
 
 from calib.circle_points.fits import Circle, Plane
-from calib.circle_points.survey import BaseFrame, Survey
+from calib.circle_points.frame import BaseFrame
+from calib.circle_points.survey import Survey
 from calib.robot.robot import Robot
 from calib.text.layout.lines import deg, fill, mm
 from calib.text.layout.tables import Column, name_column, table_lines

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from calib.circle_points.findings import SweepFinding, findings, with_positive_sense
 from calib.circle_points.fits import fit_circle
-from calib.circle_points.survey import Finding, findings, positive
 from calib.circle_points.sweeps import Sweep
 from calib.errors import CalibError
 
@@ -29,7 +29,7 @@ def sweep(
     return Sweep(0, "pan", points, given, None, tuple(range(21, 21 + N)), "s.csv")
 
 
-def found(swept: Sweep) -> tuple[Finding, ...]:
+def found(swept: Sweep) -> tuple[SweepFinding, ...]:
     return tuple(findings(swept, fit_circle(swept.points, swept.sigma)))
 
 
@@ -87,14 +87,14 @@ def turned(
 def test_the_sign_comes_from_the_values(arc: float, sense: float):
     q = np.radians(np.random.default_rng(1).uniform(0.0, arc, size=40))
     swept = turned(q, sense=sense)
-    assert positive(*swept).normal @ Z == pytest.approx(sense, abs=1e-4)
+    assert with_positive_sense(*swept).normal @ Z == pytest.approx(sense, abs=1e-4)
 
 
 @pytest.mark.parametrize("sense", [1.0, -1.0])
 @pytest.mark.parametrize("arc", [20.0, 120.0, 300.0])
 def test_or_from_the_order_of_the_rows(arc: float, sense: float):
     swept = turned(np.radians(np.linspace(40.0, 40.0 + arc, 40)), sense=sense, values=False)
-    assert positive(*swept).normal @ Z == pytest.approx(sense, abs=1e-4)
+    assert with_positive_sense(*swept).normal @ Z == pytest.approx(sense, abs=1e-4)
 
 
 def test_rows_both_ways_need_values():
@@ -102,9 +102,9 @@ def test_rows_both_ways_need_values():
     q = np.concatenate([there, there[::-1]])
     back = turned(q, values=False)
     with pytest.raises(CalibError, match="the points go round"):
-        positive(*back)
+        with_positive_sense(*back)
     known = turned(q)
-    assert positive(*known).normal @ Z == pytest.approx(1.0)
+    assert with_positive_sense(*known).normal @ Z == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(
@@ -115,4 +115,4 @@ def test_the_columns_show_another_joint(joints: list[float], said: str):
     q = np.linspace(0.0, 1.0, 20)
     circle, _, *names = turned(q)
     with pytest.raises(CalibError, match=said):
-        positive(circle, q[:, None] * joints, *names)
+        with_positive_sense(circle, q[:, None] * joints, *names)

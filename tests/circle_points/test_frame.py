@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 
 from calib.circle_points.fits import Circle, Plane, fit_circle, fit_plane
-from calib.circle_points.survey import BaseFrame, Line, frame_of, nominal_axes_frame
+from calib.circle_points.frame import BaseFrame, Line, frame_of, nominal_axes_frame
 from calib.robot.robot import rigid_inverse
 
 SIGMA = 33e-6

@@ -8,7 +8,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib.circle_points.survey import base_frame, between, nominal_axes
+from calib.circle_points.frame import nominal_axes
+from calib.circle_points.survey import base_frame, between
 from calib.circle_points.sweeps import Sweep, Sweeps
 from calib.errors import MeasurementError
 from calib.json_files import json_bytes

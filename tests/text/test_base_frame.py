@@ -4,7 +4,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib.circle_points.survey import BaseFrame
+from calib.circle_points.frame import BaseFrame
 from calib.data.cell import Cell
 from calib.text.base_frame import cell_text
 
