@@ -250,9 +250,26 @@ def draw_puppet(
         node.set_transform(at[target])
         node["ball"].set_object(mc.Sphere(ball), material)
         rods.append((target - 1, target, _STALK * ball))
+    _draw_rods(robot["rods"], at[:, :3, 3], rods, material)
+
+
+def _draw_rods(
+    parent: meshcat.Visualizer,
+    origins: Array,
+    rods: Sequence[tuple[int, int, float]],
+    material: mc.MeshPhongMaterial,
+) -> None:
+    """Draw rods between the origins of movers.
+
+    Args:
+        parent: Node of the rods.
+        origins: shape (L, 3), the movers' origins [m].
+        rods: Indices of two movers, and the radius [m].
+        material: Surface of the rods.
+    """
     for k, (start, end, radius) in enumerate(rods):
-        node = robot["rods"][f"{k:03d}"]
-        node.set_transform(rod_between(at[start, :3, 3], at[end, :3, 3]))
+        node = parent[f"{k:03d}"]
+        node.set_transform(rod_between(origins[start], origins[end]))
         node["rod"].set_object(mc.Cylinder(1.0, radius), material)
         node["rod"].set_transform(_Y_TO_Z)
 
@@ -500,14 +517,39 @@ def single_page(
     """
     visuals, warnings = read_visuals(robot.urdf)
     puppet = Puppet.of(robot, q[None], visuals, np.eye(4)[None], np.eye(4))
+    size = span(np.concatenate([puppet.outline(), points]))
+    window, scene, grid = _scene_of_one(puppet, points, size)
+    keys = [Key(legend, look.NOMINAL, "nominal"), *draw(scene, size)]
+    html = filled_page(
+        "page.html",
+        window.scene(),
+        keys=keys,
+        grid=grid,
+        title=title,
+        text=text,
+        warnings=warnings,
+    )
+    return Page(html, warnings)
+
+
+def _scene_of_one(
+    puppet: Puppet, points: Array, size: float
+) -> tuple[SceneWindow, meshcat.Visualizer, float]:
+    """Make a scene with one robot at its first pose.
+
+    Args:
+        puppet: The robot.
+        points: shape (K, 3), points in its base that the camera sees too [m].
+        size: Size of the scene's content [m].
+
+    Returns:
+        The scene, its node in the robot's base frame, and the edge of a square of the floor [m].
+    """
     outline = puppet.outline()
     everything = np.concatenate([outline, points])
-    size = span(everything)
     camera = look_at(everything, camera_direction(puppet.poses[0, :, :3, 3]))
     window, root, grid = new_scene(camera, size, float(outline[:, 2].min()))
     scene = root[SCENE]
     scene.set_transform(translation(-camera.centre))
     draw_puppet(scene["nominal"], puppet, 0, solid(look.NOMINAL))
-    keys = [Key(legend, look.NOMINAL, "nominal"), *draw(scene, size)]
-    words: dict[str, Any] = {"title": title, "text": text, "warnings": warnings}
-    return Page(filled_page("page.html", window.scene(), keys=keys, grid=grid, **words), warnings)
+    return window, scene, grid
