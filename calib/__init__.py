@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from calib.result.uncertainty import bootstrap as bootstrap
     from calib.robot.robot import Robot as Robot
     from calib.simulation.scenario import Scenario as Scenario, simulate as simulate
-    from calib.viewer.page import view as view
+    from calib.viewer.live import view as view
 
 from calib.version import __version__ as __version__
 
@@ -62,7 +62,7 @@ _NAMES = {
     "calib.result.uncertainty": "bootstrap",
     "calib.robot.robot": "Robot",
     "calib.simulation.scenario": "Scenario simulate",
-    "calib.viewer.page": "view",
+    "calib.viewer.live": "view",
 }
 #: Modules that a user adds a row to.
 _REGISTRIES = {"families": "calib.model.families", "kinds": "calib.data.kinds"}

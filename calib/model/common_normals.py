@@ -45,9 +45,13 @@ class Rule:
         return self.convention == HAYATI
 
     def parallel(self, sine: float, reference: Reference | None) -> bool:
-        """Return True if axes at an angle of this sine count as parallel.
+        """Return True if two axes count as parallel.
 
         Axes that are nearly parallel are so in both robots, although the one may lie on this side of the limit.
+
+        Args:
+            sine: Sine of the angle between them.
+            reference: The row of the other robot between these axes; None for none.
         """
         if not self.hayati:
             return sine < self.limit
@@ -93,10 +97,8 @@ def row_to(
     sine = float(np.linalg.norm(normal))
     between = point - T[:3, 3]
     if rule.parallel(sine, reference):
-        # The next origin is where the next axis meets the plane through this one's origin: d = 0.
-        offset = between - axis * (between @ z) / (axis @ z)
         near = x if reference is None else reference.x
-        return _parallel_row(T, axis, offset, near, tilted=rule.hayati)
+        return _parallel_row(T, axis, _offset(between, z, axis), near, tilted=rule.hayati)
     normal /= sine
     if _points_backwards(normal, x, between, reference):
         normal = -normal
@@ -105,6 +107,17 @@ def row_to(
     alpha = np.arctan2(cross(z, axis) @ normal, z @ axis)
     theta = np.arctan2(cross(x, normal) @ z, x @ normal)
     return RowNumbers(float(theta), float(d), float(a), float(alpha), 0.0)
+
+
+def _offset(between: Array, z: Array, axis: Array) -> Array:
+    """Return the offset (3,) [m] from a frame's origin to a nearly parallel axis in the plane across z: there d = 0.
+
+    Args:
+        between: Shape (3,), [m], from the frame's origin to a point of the axis.
+        z: Shape (3,), z axis of the frame.
+        axis: Shape (3,), unit vector along the axis.
+    """
+    return between - axis * (between @ z) / (axis @ z)
 
 
 def _points_backwards(normal: Array, x: Array, between: Array, reference: Reference | None) -> bool:
@@ -231,7 +244,12 @@ def _across(z: Array, near: Array) -> Array:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Return a x b of two vectors of three: `numpy.cross` is made for stacks and takes ten times as long."""
+    """Return the product a x b of two vectors; `numpy.cross` is made for stacks and takes ten times as long.
+
+    Args:
+        a: Shape (3,).
+        b: Shape (3,).
+    """
     a0, a1, a2 = a
     b0, b1, b2 = b
     return np.array([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])

@@ -90,17 +90,10 @@ def analyse(jacobian: Array, names: Sequence[str], units: Sequence[str]) -> Obse
     effect = np.linalg.norm(scaled, axis=0)
     identifiable = np.linalg.norm(null, axis=0) < _UNSEEN_SHARE
     combinations = []
-    for row in _echelon(null):
-        members = _members(row, effect)
+    for direction in _echelon(null):
+        members = _members(direction, effect)
         identifiable[members] = False
-        changes = row * step
-        combinations.append(
-            Combination(
-                names=tuple(names[k] for k in members),
-                steps=tuple(changes[members].tolist()),
-                units=tuple(units[k] for k in members),
-            )
-        )
+        combinations.append(_combination(members, direction * step, names, units))
     identifiable.setflags(write=False)
     return Observability(
         columns=p,
@@ -110,6 +103,24 @@ def analyse(jacobian: Array, names: Sequence[str], units: Sequence[str]) -> Obse
         indices=_indices(values[:rank], len(jacobian)),
         unidentifiable=tuple(combinations),
         identifiable=identifiable,
+    )
+
+
+def _combination(
+    members: list[int], changes: Array, names: Sequence[str], units: Sequence[str]
+) -> Combination:
+    """Return the combination of some of p parameters.
+
+    Args:
+        members: Indices of the parameters.
+        changes: Shape (p,), change of each parameter in its unit.
+        names: Of the p parameters.
+        units: Symbols of their units.
+    """
+    return Combination(
+        names=tuple(names[k] for k in members),
+        steps=tuple(changes[members].tolist()),
+        units=tuple(units[k] for k in members),
     )
 
 

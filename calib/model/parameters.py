@@ -240,5 +240,10 @@ class ErrorModel:
 
 
 def twist_of(linear: Array, angular: Array) -> Array:
-    """Return a twist, shape (6,), read-only: its linear, then its angular part, each of shape (3,)."""
+    """Return a twist, shape (6,), read-only: its linear, then its angular part.
+
+    Args:
+        linear: Shape (3,).
+        angular: Shape (3,).
+    """
     return read_only(np.concatenate([linear, angular]))

@@ -1,7 +1,7 @@
-"""What all pictures of a calibration share: the rows, their colours, and the look of figures.
+"""The look that all figures of a calibration share: colours, marks of rows, legends, axes, and the files.
 
 A figure belongs to no window and leaves no trace in matplotlib's global state. Names from files are plain text: none is
-read as a formula. Pages in the browser take the colours too, so matplotlib is loaded by what draws.
+read as a formula. Pages in the browser take the colours too, so matplotlib is imported by what draws.
 """
 
 from __future__ import annotations
@@ -15,11 +15,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from calib.data.measurements import Measurements
 from calib.errors import FileError, choices
-from calib.registration.setup import Setup
+from calib.report.row_values import flagged_rows
 from calib.result.calibration import CalibrationValues
-from calib.robot.robot import rigid_inverse
 from calib.units import Array, Mask
 
 if TYPE_CHECKING:
@@ -27,21 +25,34 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator
 
+#: Colour of the nominal robot.
+NOMINAL = "#45709c"
 
-#: The robots; the rows that the fit has seen, those that it has not, and those that do not belong to the others.
-NOMINAL, CALIBRATED = "#45709c", "#ee8420"
-ESTIMATION, VALIDATION, OUTLIER = "#16202a", "#009e73", "#c8323c"
+#: Colour of the calibrated robot.
+CALIBRATED = "#ee8420"
 
-#: Lines of sight, and what they come from.
+#: Colour of the estimation rows.
+ESTIMATION = "#16202a"
+
+#: Colour of the validation rows.
+VALIDATION = "#009e73"
+
+#: Colour of the flagged rows of either set.
+OUTLIER = "#c8323c"
+
+#: Colour of lines of sight and of the instruments that they come from.
 BEAM = "#a0569a"
 
-#: From little to much, from pale to dark: how often the target is somewhere, how badly a position is known.
+#: Colours from little (pale) to much (dark): density of the target's positions, uncertainty.
 LITTLE_TO_MUCH = ("#fbe3b0", "#f5b13a", "#d6602a", "#8c2a4f")
 
-#: Text and axes, and what stands behind them.
-INK, SOFT = "#16202a", "#5a6875"
+#: Colour of text and axes.
+INK = "#16202a"
 
-#: Kinds of picture files.
+#: Colour of what stands behind text and axes.
+SOFT = "#5a6875"
+
+#: Kinds of picture files, by the ending of their name.
 KINDS = ("png", "svg", "pdf")
 
 #: Width of a figure over both columns of a page [in].
@@ -50,54 +61,25 @@ WIDTH = 7.0
 #: More markers than this are pixels in SVG and PDF: each shape takes a line of its file.
 MOST_SHAPES = 250
 
-#: Rows are numbered in a figure if there are not more than this.
+#: Rows are numbered in a figure if there are not more than this: more numbers would overlap.
 _MOST_NUMBERS = 12
 
-#: Fonts that draw what DejaVu Sans lacks, where they are installed.
+#: Fonts that draw letters that DejaVu Sans lacks, where they are installed.
 _FALLBACKS = ("Noto Sans", "Noto Sans CJK JP", "Arial Unicode MS", "Microsoft YaHei", "PingFang SC")
 
+#: Metadata that PDF and SVG must not hold, since it would differ between two files of one figure.
+_UNDATED: dict[str, dict[str, Any]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
 
-def flagged_rows(c: CalibrationValues) -> Mask:
-    """The rows of either set that do not belong to the others, shape (N,)."""
-    return np.isin(c.measurements.rows, [one.row for one in (*c.outliers, *c.suspects)])
+#: Markers of more outliers than this are half as large.
+_MANY_OUTLIERS = 40
 
-
-def lengths_of(residual: Array, used: Mask) -> Array:
-    """Size of each row's error of length, shape (N,), [m]; NaN where none was measured."""
-    return _norms(residual[:, :3], used[:, :3])
-
-
-def angles_of(residual: Array, used: Mask) -> Array:
-    """Size of each row's error of orientation, shape (N,), [rad]; NaN where none was measured."""
-    return _norms(residual[:, 3:], used[:, 3:])
-
-
-def _norms(values: Array, used: Mask) -> Array:
-    """Norms of rows, NaN where nothing is used."""
-    size = np.linalg.norm(np.where(used, values, 0.0), axis=1)
-    return np.where(np.any(used, axis=1), size, np.nan)
-
-
-def placed(setup: Setup, m: Measurements) -> tuple[Array, Array]:
-    """T_frame_base and T_tip_target of each row, shapes (N, 4, 4), [m]."""
-    frames = [setup.groups.index(group) for group in m.groups]
-    return setup.T_frame_base[frames], setup.T_tip_target[[*map(setup.targets.index, m.targets)]]
-
-
-def measured_in_base(m: Measurements, T_frame_base: Array) -> Array:
-    """Where the target was seen, in the base, shape (N, 3), [m]; NaN where that is not known.
-
-    A target in a socket was where its set-up's frame stands. Distances and planes tell no place.
-    """
-    T_base_frame = rigid_inverse(T_frame_base)
-    points = np.einsum("nij,nj->ni", T_base_frame[:, :3, :3], np.nan_to_num(m.points))
-    known = m.where(lambda kind: kind.coordinates)
-    return np.where(known[:, None], points + T_base_frame[:, :3, 3], np.nan)
+#: Markers of more rows that are no outliers than this are half as large and have no white edge.
+_MANY_ROWS = 400
 
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """Matplotlib's defaults and the figures' look, whatever a user's matplotlibrc says, within the context."""
+    """Set matplotlib's defaults and the figures' look, whatever a user's matplotlibrc holds, within the context."""
     import matplotlib as mpl
     from matplotlib import style
     from matplotlib.font_manager import get_font_names
@@ -107,111 +89,168 @@ def styled() -> Iterator[None]:
         # A name in letters that no font has is drawn as boxes; the terminal is no place to say so.
         warnings.filterwarnings("ignore", message=".*Glyph", category=UserWarning)
         installed = set(get_font_names())
-        mpl.rc("font", family=["DejaVu Sans", *(f for f in _FALLBACKS if f in installed)])
+        fallbacks = [font for font in _FALLBACKS if font in installed]
+        mpl.rc("font", family=["DejaVu Sans", *fallbacks])
         yield
 
 
 def saved(figure: Figure, kind: str, title: str = "", caption: str = "", dpi: int = 180) -> bytes:
-    """A figure as a file of one of `KINDS`: the same figure is the same bytes. Called within `styled`."""
+    """Return a figure as a picture file; the same figure gives the same bytes. Call it within `styled`.
+
+    Args:
+        figure: The figure.
+        kind: One of `KINDS`.
+        title: Title in the file's metadata.
+        caption: Description in the file's metadata.
+        dpi: Dots per inch of PNG, and of the parts of SVG and PDF that are pixels.
+    """
     data = io.BytesIO()
-    words: dict[str, Any] = {"Title": title, "Subject" if kind == "pdf" else "Description": caption}
-    words |= {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind, {})
-    figure.savefig(data, format=kind, dpi=dpi, metadata=words)
+    description = "Subject" if kind == "pdf" else "Description"
+    metadata: dict[str, Any] = {"Title": title, description: caption}
+    metadata |= _UNDATED.get(kind, {})
+    figure.savefig(data, format=kind, dpi=dpi, metadata=metadata)
     return data.getvalue()
 
 
 def check_kind(kind: str) -> None:
-    """Refuse a kind of file that is none of `KINDS`."""
+    """Refuse a kind of file that is none of `KINDS`.
+
+    Raises:
+        FileError: It is none.
+    """
     if kind not in KINDS:
         raise FileError(f"Figures cannot be written as '{kind}'; choose one of {choices(KINDS)}.")
 
 
 def new_figure(height: float, width: float = WIDTH) -> Figure:
-    """An empty figure; sizes in inches."""
+    """Make an empty figure.
+
+    Args:
+        height: Its height [in].
+        width: Its width [in].
+    """
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height))
 
 
 def legend_above(figure: Figure, columns: int = 4) -> None:
-    """A legend of every label above all panels, where it hides nothing; so many columns side by side at most."""
-    found: dict[str, Any] = {}
+    """Draw one legend of every label above all panels, where it hides nothing.
+
+    Args:
+        figure: The figure; panels that have a legend already are passed over.
+        columns: Entries side by side at most.
+    """
+    handle_of: dict[str, Any] = {}
     for ax in figure.axes:
         if ax.get_legend() is None:
             handles, labels = ax.get_legend_handles_labels()
             for label, handle in zip(labels, handles, strict=True):
-                found.setdefault(label, handle)
-    if found:
-        ncols = min(len(found), columns)
-        figure.legend(found.values(), found, loc="outside upper left", ncols=ncols)
+                handle_of.setdefault(label, handle)
+    if handle_of:
+        ncols = min(len(handle_of), columns)
+        figure.legend(handle_of.values(), handle_of, loc="outside upper left", ncols=ncols)
 
 
 def log_axis(ax: Axes, which: str) -> None:
-    """A logarithmic scale ``"x"`` or ``"y"`` whose numbers are plain text."""
+    """Make an axis logarithmic, with plain numbers.
+
+    Args:
+        ax: The panel.
+        which: ``"x"`` or ``"y"``.
+    """
     axis = ax.xaxis if which == "x" else ax.yaxis
     ax.set(**{f"{which}scale": "log"})
     axis.set_major_formatter("{x:g}")
     axis.set_minor_formatter("")
 
 
-def few_ticks(count: int, *, whole: bool = False) -> MaxNLocator:
-    """At most so many steps between round numbers, or between whole ones."""
+def few_ticks(count: int, *, integers: bool = False) -> MaxNLocator:
+    """Return a locator of ticks at round numbers.
+
+    Args:
+        count: Steps between ticks at most.
+        integers: Ticks at integers only.
+    """
     from matplotlib.ticker import MaxNLocator
 
-    least = 1 if whole else 2
-    return MaxNLocator(count, integer=whole, min_n_ticks=least, steps=[1, 2, 2.5, 5, 10])
+    fewest = 1 if integers else 2
+    return MaxNLocator(count, integer=integers, min_n_ticks=fewest, steps=[1, 2, 2.5, 5, 10])
 
 
 def short_names(names: Sequence[str], longest: int = 26) -> list[str]:
-    """Names that fit: long ones lose their middle."""
-    head, texts = longest // 2, [" ".join(name.split()) for name in names]
-    return [
-        text if len(text) <= longest else f"{text[:head]}…{text[head + 1 - longest :]}"
-        for text in texts
-    ]
+    """Shorten names that are too long for an axis: their middle becomes an ellipsis.
+
+    Args:
+        names: Names of joints, parameters and the like; line breaks and tabs become blanks.
+        longest: Letters of a name at most.
+    """
+    return [_short_name(" ".join(name.split()), longest) for name in names]
 
 
-class Who(NamedTuple):
-    """How a robot's errors are drawn: a colour never stands alone."""
+def _short_name(name: str, longest: int) -> str:
+    """Shorten one name to ``longest`` letters."""
+    if len(name) <= longest:
+        return name
+    head = longest // 2
+    return f"{name[:head]}…{name[head + 1 - longest :]}"
 
-    word: str
-    colour: str
-    marker: str
-    line: str
-    hatch: str
+
+class RobotStyle(NamedTuple):
+    """Style in which a robot's errors are drawn; robots differ by more than their colour."""
+
+    label: str  #: Text in the legend
+    colour: str  #: Colour of lines and areas
+    marker: str  #: matplotlib's letter of the marker
+    line: str  #: matplotlib's line style
+    hatch: str  #: matplotlib's pattern of areas
 
     @property
     def area(self) -> dict[str, Any]:
-        """How its boxes and bars are drawn."""
+        """Properties of the robot's boxes and bars, as matplotlib takes them."""
         return {"alpha": 0.5, "fc": self.colour, "ec": self.colour, "hatch": self.hatch}
 
 
-BEFORE = Who("before (nominal)", NOMINAL, "s", "--", "////")
-AFTER = Who("after (calibrated)", CALIBRATED, "o", "-", "")
+BEFORE = RobotStyle("before (nominal)", NOMINAL, "s", "--", "////")
+AFTER = RobotStyle("after (calibrated)", CALIBRATED, "o", "-", "")
 
 
 class RowKind(NamedTuple):
-    """Rows of one kind, shape (N,), and how they are marked everywhere."""
+    """A group of rows, and how its rows are marked in every figure."""
 
-    word: str
-    mask: Mask
-    colour: str
-    marker: str
-    size: float
+    name: str  #: ``"estimation"``, ``"validation"`` or ``"outlier"``
+    mask: Mask  #: shape (N,), its rows among all rows of the table
+    colour: str  #: Colour of the markers
+    marker: str  #: matplotlib's letter of the marker
+    size: float  #: Size of the markers [pt]
 
     def style(self, factor: float = 1.0) -> dict[str, Any]:
-        """Of a line of markers, smaller where many rows are drawn; labelled with their number."""
-        out, every = self.word == "outlier", int(np.count_nonzero(self.mask))
-        size = factor * self.size * (0.5 if every > (40 if out else 400) else 1.0)
-        label = rows_text(self.mask, self.word, "" if out else " row")
-        look = {"ls": "none", "marker": self.marker, "ms": size, "color": self.colour}
-        edge = self.colour if out or every > 400 else "white"
-        return look | {"mec": edge, "mew": 1.4 if out else 0.4, "label": label}
+        """Return matplotlib's properties of a line of markers; its label holds the number of rows.
+
+        Args:
+            factor: Factor of the markers' size; where many rows are drawn they are half as large.
+        """
+        is_outlier = self.name == "outlier"
+        count = int(np.count_nonzero(self.mask))
+        size = factor * self.size
+        if count > (_MANY_OUTLIERS if is_outlier else _MANY_ROWS):
+            size *= 0.5
+        edge = self.colour if is_outlier or count > _MANY_ROWS else "white"
+        return {
+            "ls": "none",
+            "marker": self.marker,
+            "ms": size,
+            "color": self.colour,
+            "mec": edge,
+            "mew": 1.4 if is_outlier else 0.4,
+            "label": rows_text(self.mask, self.name, "" if is_outlier else " row"),
+        }
 
 
 def row_kinds(c: CalibrationValues) -> tuple[RowKind, ...]:
-    """Estimation rows, validation rows, and those of either that are flagged; none is empty, none stands in two."""
-    m, flagged = c.measurements, flagged_rows(c)
+    """Return estimation rows, validation rows and flagged rows of either set; each row is in one, none is empty."""
+    m = c.measurements
+    flagged = flagged_rows(c)
     kinds = (
         RowKind("estimation", m.estimation & ~flagged, ESTIMATION, "o", 4.2),
         RowKind("validation", m.validation & ~flagged, VALIDATION, "D", 5.0),
@@ -220,20 +259,37 @@ def row_kinds(c: CalibrationValues) -> tuple[RowKind, ...]:
     return tuple(kind for kind in kinds if np.any(kind.mask))
 
 
-def rows_text(mask: Mask, word: str, what: str = " row") -> str:
-    """A number of rows, such as ``"1 estimation row"``."""
+def rows_text(mask: Mask, kind: str, noun: str = " row") -> str:
+    """Word the number of rows of a mask, such as ``"1 estimation row"``.
+
+    Args:
+        mask: shape (N,), the rows that count.
+        kind: The word before the noun.
+        noun: The noun in singular, with a blank before it; empty where ``kind`` is the noun.
+    """
     count = int(np.count_nonzero(mask))
-    return f"{count:,} {word}{what}{'s' * (count != 1)}"
+    plural = "" if count == 1 else "s"
+    return f"{count:,} {kind}{noun}{plural}"
 
 
 def number_points(ax: Axes, rows: Sequence[int], places: Array, chosen: Mask) -> None:
-    """Row numbers beside some of the points of shape (N, 2), if they are few."""
-    at = np.flatnonzero(chosen & np.isfinite(places).all(axis=1)).tolist()
-    for k in at if len(at) <= _MOST_NUMBERS else ():
+    """Write row numbers beside points, if not more than a dozen are chosen.
+
+    Args:
+        ax: The panel.
+        rows: Row numbers of the N points.
+        places: shape (N, 2), the points in the panel's units; NaN where there is none.
+        chosen: shape (N,), the points that are numbered.
+    """
+    indices = np.flatnonzero(chosen & np.isfinite(places).all(axis=1)).tolist()
+    if len(indices) > _MOST_NUMBERS:
+        return
+    for k in indices:
         write_beside(ax, str(rows[k]), places[k])
 
 
 def write_beside(ax: Axes, text: str, at: Array) -> None:
-    """A short text to the right of and above a point."""
-    where: dict[str, Any] = {"xytext": (4.0, 3.0), "textcoords": "offset points", "zorder": 5}
-    ax.annotate(text, (at[0], at[1]), size=7.5, color=INK, **where).set_in_layout(False)
+    """Write a short text to the right of and above the point ``at``, shape (2,), in the panel's units."""
+    offset: dict[str, Any] = {"xytext": (4.0, 3.0), "textcoords": "offset points", "zorder": 5}
+    note = ax.annotate(text, (at[0], at[1]), size=7.5, color=INK, **offset)
+    note.set_in_layout(False)

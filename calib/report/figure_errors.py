@@ -1,4 +1,4 @@
-"""Errors before and after: over the rows, by axis, how often which size occurs, and along each joint's motion."""
+"""Figures of the errors before and after calibration: over the rows, by axis, and their distributions."""
 
 from __future__ import annotations
 
@@ -12,129 +12,164 @@ from numpy.typing import NDArray
 
 import calib.report.figure_base as base
 from calib.numerics.errors import CrossValidation
+from calib.report.row_values import angles_of, flagged_rows, lengths_of
 from calib.result.calibration import CalibrationValues
 from calib.units import Array, Mask
 
-#: More rows than this get no markers, and more than that are pixels in SVG and PDF.
-_MOST_MARKERS, _MOST_LINES = 80, 1000
+#: Curves over more rows than this have no markers: they would overlap.
+_MOST_MARKERS = 80
+
+#: Curves over more rows than this are pixels in SVG and PDF, and replace the single marks of rows.
+_MOST_LINES = 1000
 
 #: Residuals are drawn up to so many standard deviations.
 _REACH = 5.0
 
-#: A step that derivatives are taken with [rad] or [m]; a joint that moves the target less has no direction [m/rad].
-_STEP, _NO_LEVER = 1e-6, 2e-3
-
-#: The mean over runs of rows is drawn from so many rows on, over so many runs at most.
-_FEWEST_ROWS, _MOST_RUNS = 24, 12
+#: Outliers are drawn at most so many times as high as the largest error of the other rows.
+_OUTLIER_EDGE = 1.25
 
 
-class What(NamedTuple):
-    """Lengths, or orientations: their columns of the residuals, size, factor and unit, and what axes are to them."""
+class Quantity(NamedTuple):
+    """Lengths or orientations: the columns of the residuals that hold them, and how they are shown."""
 
-    columns: slice
-    size: Callable[[Array, Mask], Array]
-    scale: float
-    unit: str
-    word: str
+    columns: slice  #: Their columns of a residual (N, D)
+    size: Callable[[Array, Mask], Array]  #: Norm of each row's residual, see `lengths_of`
+    scale: float  #: Factor from SI to ``unit``
+    unit: str  #: ``"mm"`` or ``"deg"``
+    preposition: str  #: Of an error and an axis: ``"along"`` or ``"about"``
 
-    def both(self, c: CalibrationValues) -> list[Array]:
-        """The size of each row's error, nominal and calibrated, in the unit."""
-        residuals = c.residual_nominal, c.residual_calibrated
-        return [self.scale * self.size(residual, c.used) for residual in residuals]
+    def sizes(self, c: CalibrationValues) -> tuple[Array, Array]:
+        """Return each row's error of the nominal and of the calibrated robot, shapes (N,), in ``unit``."""
+        before = self.scale * self.size(c.residual_nominal, c.used)
+        after = self.scale * self.size(c.residual_calibrated, c.used)
+        return before, after
 
 
-LENGTH = What(slice(0, 3), base.lengths_of, 1e3, "mm", "along")
-ANGLE = What(slice(3, 6), base.angles_of, float(np.degrees(1.0)), "deg", "about")
+LENGTH = Quantity(slice(0, 3), lengths_of, 1e3, "mm", "along")
+ANGLE = Quantity(slice(3, 6), angles_of, float(np.degrees(1.0)), "deg", "about")
+
+
+class CurveRows(NamedTuple):
+    """The rows of the error curves and their residuals."""
+
+    name: str  #: ``"validation"``, ``"held-out"`` or ``"estimation"``
+    mask: Mask  #: shape (N,), the rows drawn
+    before: Array  #: shape (N, D), measured minus predicted of the nominal robot [m, rad]
+    after: Array  #: shape (N, D), of the calibrated robot
 
 
 def has_axes(c: CalibrationValues, rows: Mask | slice = slice(None)) -> bool:
-    """Whether any row has errors along x, y and z."""
+    """Tell if any row has errors along x, y and z.
+
+    Args:
+        c: The result.
+        rows: The rows looked at; all by default.
+    """
     used = c.used[rows]
     return used.shape[1] >= 3 and bool(np.any(np.all(used[:, :3], axis=1)))
 
 
-def curve_rows(c: CalibrationValues) -> tuple[str, Mask, Array, Array]:
-    """The rows of the error curves: what they are called, which they are, and both robots' residuals, (N, D).
+def curve_rows(c: CalibrationValues) -> CurveRows:
+    """Return the rows of the error curves.
 
-    Those for validation if there are any, else the estimation rows as fits predict them that had not seen them, else
-    the estimation rows.
+    The validation rows if there are any, else the estimation rows with held-out predictions if the result was
+    cross-validated, else the estimation rows with the fit's own predictions.
     """
-    m, measured = c.measurements, np.any(c.used[:, :3], axis=1)
-    if np.any(m.validation & measured):
-        return "validation", m.validation & measured, c.residual_nominal, c.residual_calibrated
-    before, after = c.nominal_cross_validation, c.cross_validation
+    m = c.measurements
+    measured = np.any(c.used[:, :3], axis=1)
+    validation = m.validation & measured
+    estimation = m.estimation & measured
+    if np.any(validation):
+        return CurveRows("validation", validation, c.residual_nominal, c.residual_calibrated)
+    before = c.nominal_cross_validation
+    after = c.cross_validation
     if before is not None and after is not None:
-        return "held-out", m.estimation & measured, _held_out(c, before), _held_out(c, after)
-    return "estimation", m.estimation & measured, c.residual_nominal, c.residual_calibrated
+        return CurveRows("held-out", estimation, _held_out(c, before), _held_out(c, after))
+    return CurveRows("estimation", estimation, c.residual_nominal, c.residual_calibrated)
 
 
-def _held_out(c: CalibrationValues, found: CrossValidation) -> Array:
-    """Measured minus predicted by fits that had not seen the row, shape (N, D), NaN for validation rows."""
+def _held_out(c: CalibrationValues, validated: CrossValidation) -> Array:
+    """Return the residuals (N, D) of a cross-validation, NaN for validation rows [m, rad]."""
     residual = np.full(c.residual_calibrated.shape, np.nan)
-    residual[c.measurements.estimation] = found.residual
+    residual[c.measurements.estimation] = validated.residual
     return residual
 
 
 def curves(c: CalibrationValues) -> Figure:
-    """As the paper's figure 8. Lengths have one panel: their errors with their signs."""
-    word, mask, before, after = curve_rows(c)
-    axes_too, rows = has_axes(c, mask), np.array(c.measurements.rows)[mask]
-    figure = base.new_figure(4.9 if axes_too else 2.8)
-    panels = figure.subplots(*((2, 2) if axes_too else (1, 1)), sharex=True, squeeze=False)
-    titles = ["Δx", "Δy", "Δz", "Size of the error"] if axes_too else ["Error of the length"]
-    for who, residual in ((base.BEFORE, before), (base.AFTER, after)):
-        values = np.where(c.used, residual, np.nan)[mask][:, : 3 if axes_too else 1]
-        if axes_too:
-            values = np.c_[values, base.lengths_of(residual, c.used)[mask]]
-            values[np.isnan(values).any(axis=1), :3] = np.nan
-        for ax, one in zip(panels.ravel(), 1e3 * values.T, strict=True):
-            _curve(ax, rows, one, who)
+    """Draw the errors over the rows, before and after, as the paper's figure 8.
+
+    Errors along x, y and z and their norm have a panel each; measured lengths have one, their errors with their signs.
+    """
+    shown = curve_rows(c)
+    with_axes = has_axes(c, shown.mask)
+    figure = base.new_figure(4.9 if with_axes else 2.8)
+    shape = (2, 2) if with_axes else (1, 1)
+    panels = figure.subplots(*shape, sharex=True, squeeze=False)
+    numbers = np.array(c.measurements.rows)[shown.mask]
+    for style, residual in ((base.BEFORE, shown.before), (base.AFTER, shown.after)):
+        errors = 1e3 * _curve_values(residual, c.used, with_axes=with_axes)[shown.mask]
+        for ax, values in zip(panels.ravel(), errors.T, strict=True):
+            _curve(ax, numbers, values, style)
+    titles = ["Δx", "Δy", "Δz", "Size of the error"] if with_axes else ["Error of the length"]
     for ax, title in zip(panels.ravel(), titles, strict=True):
         ax.axhline(0.0, color=base.INK, lw=0.7, zorder=1.5)
-        ax.xaxis.set_major_locator(base.few_ticks(6 if axes_too else 10, whole=True))
+        ax.xaxis.set_major_locator(base.few_ticks(6 if with_axes else 10, integers=True))
         ax.set(title=title, ylabel="error [mm]")
-    if axes_too:  # one scale for the three, so that they can be compared
-        reach = float(np.max(np.abs([ax.get_ylim() for ax in panels.ravel()[:3]])))
-        for ax in panels.ravel()[:3]:
-            ax.set_ylim(-reach, reach)
+    if with_axes:
+        _share_scale(panels.ravel()[:3])
         panels[1, 1].set_ylim(bottom=0.0)
     for ax in panels[-1]:
-        ax.set_xlabel(f"{word} row")
+        ax.set_xlabel(f"{shown.name} row")
     base.legend_above(figure)
     return figure
 
 
-def by_row(c: CalibrationValues, what: What = LENGTH) -> Figure:
-    """The size of each row's error: before and after above; after alone below."""
-    rows, others = np.array(c.measurements.rows), ~base.flagged_rows(c)
-    before, after = what.both(c)
+def _curve_values(residual: Array, used: Mask, *, with_axes: bool) -> Array:
+    """Return the values of the error curves.
+
+    Args:
+        residual: shape (N, D) [m, rad].
+        used: shape (N, D), the entries that were measured.
+        with_axes: Whole positions instead of lengths.
+
+    Returns:
+        shape (N, 4), errors along x, y, z and their norm [m], or (N, 1), signed errors of lengths; NaN where a row has
+        none.
+    """
+    measured = np.where(used, residual, np.nan)
+    if not with_axes:
+        return measured[:, :1]
+    values: Array = np.c_[measured[:, :3], lengths_of(residual, used)]
+    incomplete = np.isnan(values).any(axis=1)
+    values[incomplete, :3] = np.nan
+    return values
+
+
+def _share_scale(panels: NDArray[Any]) -> None:
+    """Give some panels one scale, symmetric about zero, so that they can be compared."""
+    reach = float(np.max(np.abs([ax.get_ylim() for ax in panels])))
+    for ax in panels:
+        ax.set_ylim(-reach, reach)
+
+
+def by_row(c: CalibrationValues, quantity: Quantity = LENGTH) -> Figure:
+    """Draw the size of each row's error: before and after above; after alone below, magnified.
+
+    Args:
+        c: The result.
+        quantity: Lengths or orientations.
+    """
+    rows = np.array(c.measurements.rows)
+    before, after = quantity.sizes(c)
     figure = base.new_figure(4.6)
     top, below = figure.subplots(2, 1, sharex=True)
     _curve(top, rows, before, base.BEFORE)
     _curve(top, rows, after, base.AFTER)
-    kinds = [kind for kind in base.row_kinds(c) if np.any(np.isfinite(after[kind.mask]))]
-    reach = float(np.nanmax(after[others], initial=1e-3))
-    if len(rows) > _MOST_LINES:
-        _curve(below, rows, np.where(others, after, np.nan), base.AFTER)
-        kinds = [kind for kind in kinds if kind.word == "outlier"]
-    elif c.cross_validation is not None:
-        unseen = what.size(_held_out(c, c.cross_validation), c.used)
-        dashes = np.where(others, what.scale * unseen, np.nan)
-        reach = float(np.nanmax(dashes, initial=reach))
-        look = {"ls": "none", "marker": "_", "ms": 7, "mew": 1.1, "color": base.SOFT}
-        below.plot(rows, dashes, label="left out of the fit", **look)
-    # Outliers far above the others stand at the edge: above they are drawn to scale.
-    after = np.where(others, after, np.minimum(after, 1.25 * reach))
-    for kind in kinds:
-        at = kind.mask & np.isfinite(after)
-        if len(rows) <= _MOST_MARKERS:
-            below.vlines(rows[at], 0.0, after[at], color=kind.colour, lw=0.9, alpha=0.6)
-        below.plot(rows[at], after[at], **kind.style())
-    base.number_points(below, c.measurements.rows, np.stack([rows, after], axis=1), ~others)
+    reach = _draw_calibrated_errors(below, c, quantity, after)
     for ax, title in ((top, "Before and after"), (below, "After")):
         ax.set_title(title)
-        ax.set_ylabel(f"size of the error [{what.unit}]")
-        ax.xaxis.set_major_locator(base.few_ticks(9, whole=True))
+        ax.set_ylabel(f"size of the error [{quantity.unit}]")
+        ax.xaxis.set_major_locator(base.few_ticks(9, integers=True))
     below.set_xlabel("row")
     top.set_ylim(bottom=0.0)
     below.set_ylim(0.0, 1.32 * reach)
@@ -142,170 +177,189 @@ def by_row(c: CalibrationValues, what: What = LENGTH) -> Figure:
     return figure
 
 
-def by_axis(c: CalibrationValues, what: What = LENGTH) -> Figure:
-    """How errors along or about each axis spread: sets of rows before and after; after alone below, magnified."""
-    m, flagged, columns = c.measurements, base.flagged_rows(c), what.columns
-    whole = np.all(c.used[:, columns], axis=1)
-    before, after = (
-        what.scale * r[:, columns] for r in (c.residual_nominal, c.residual_calibrated)
-    )
-    sets = [("estimation", m.estimation & whole), ("validation", m.validation & whole)]
-    sets = [(name, mask) for name, mask in sets if np.any(mask)]
+def _draw_calibrated_errors(
+    ax: Axes, c: CalibrationValues, quantity: Quantity, sizes: Array
+) -> float:
+    """Mark each row's error after calibration, and its held-out error as a dash.
+
+    Args:
+        ax: The panel.
+        c: The result.
+        quantity: Lengths or orientations.
+        sizes: shape (N,), each row's error of the calibrated robot in the quantity's unit, NaN where it has none.
+
+    Returns:
+        The largest error drawn of rows that are not flagged.
+    """
+    rows = np.array(c.measurements.rows)
+    flagged = flagged_rows(c)
+    reach = float(np.nanmax(sizes[~flagged], initial=1e-3))
+    kinds = [kind for kind in base.row_kinds(c) if np.any(np.isfinite(sizes[kind.mask]))]
+    if len(rows) > _MOST_LINES:
+        _curve(ax, rows, np.where(flagged, np.nan, sizes), base.AFTER)
+        kinds = [kind for kind in kinds if kind.name == "outlier"]
+    elif c.cross_validation is not None:
+        held_out = _held_out_sizes(c, c.cross_validation, quantity)
+        held_out[flagged] = np.nan
+        reach = float(np.nanmax(held_out, initial=reach))
+        look: dict[str, Any] = {
+            "ls": "none",
+            "marker": "_",
+            "ms": 7,
+            "mew": 1.1,
+            "color": base.SOFT,
+        }
+        ax.plot(rows, held_out, label="held out", **look)
+    # Outliers far above the others stand at the edge: the panel above has them to scale.
+    shown = np.where(flagged, np.minimum(sizes, _OUTLIER_EDGE * reach), sizes)
+    for kind in kinds:
+        at = kind.mask & np.isfinite(shown)
+        if len(rows) <= _MOST_MARKERS:
+            ax.vlines(rows[at], 0.0, shown[at], color=kind.colour, lw=0.9, alpha=0.6)
+        ax.plot(rows[at], shown[at], **kind.style())
+    base.number_points(ax, c.measurements.rows, np.stack([rows, shown], axis=1), flagged)
+    return reach
+
+
+def _held_out_sizes(c: CalibrationValues, validated: CrossValidation, quantity: Quantity) -> Array:
+    """Return each row's held-out error in the quantity's unit, shape (N,), NaN for validation rows."""
+    return quantity.scale * quantity.size(_held_out(c, validated), c.used)
+
+
+def by_axis(c: CalibrationValues, quantity: Quantity = LENGTH) -> Figure:
+    """Draw the distribution of errors along or about each axis as boxes; a column of panels for each set of rows.
+
+    Before and after above; after alone below, magnified and without outliers.
+
+    Args:
+        c: The result.
+        quantity: Lengths or orientations.
+    """
+    sets = _sets_with_axes(c, quantity)
     figure = base.new_figure(4.6)
     panels = figure.subplots(2, len(sets), squeeze=False, sharey="row", sharex=True)
     for (upper, lower), (name, mask) in zip(panels.T, sets, strict=True):
-        _boxes(upper, before[mask], -0.19, base.BEFORE)
-        _boxes(upper, after[mask], 0.19, base.AFTER)
-        _boxes(lower, after[mask & ~flagged], 0.0, base.AFTER)
+        _draw_boxes(upper, lower, c, quantity, mask)
         upper.set_title(base.rows_text(mask, name))
-        lower.set_title("After, " + ("without outliers" if np.any(flagged[mask]) else "alone"))
         for ax in (upper, lower):
             ax.axhline(0.0, color=base.INK, lw=0.7, zorder=1.5)
             ax.grid(visible=False, axis="x")
-        lower.set_xticks(range(3), [f"about {axis}" if what is ANGLE else axis for axis in "xyz"])
+        axes = ["about x", "about y", "about z"] if quantity is ANGLE else ["x", "y", "z"]
+        lower.set_xticks(range(3), axes)
     for ax in panels[:, 0]:
-        ax.set_ylabel(f"error {what.word} the axis [{what.unit}]")
+        ax.set_ylabel(f"error {quantity.preposition} the axis [{quantity.unit}]")
     base.legend_above(figure)
     return figure
+
+
+def _sets_with_axes(c: CalibrationValues, quantity: Quantity) -> list[tuple[str, Mask]]:
+    """Return name and mask (N,) of the sets that have rows with errors along or about all axes."""
+    m = c.measurements
+    complete = np.all(c.used[:, quantity.columns], axis=1)
+    sets = [("estimation", m.estimation & complete), ("validation", m.validation & complete)]
+    return [(name, mask) for name, mask in sets if np.any(mask)]
+
+
+def _draw_boxes(
+    upper: Axes, lower: Axes, c: CalibrationValues, quantity: Quantity, mask: Mask
+) -> None:
+    """Draw the boxes of the rows of a mask (N,): both robots above, the calibrated one without outliers below."""
+    before = quantity.scale * c.residual_nominal[:, quantity.columns]
+    after = quantity.scale * c.residual_calibrated[:, quantity.columns]
+    flagged = flagged_rows(c)
+    _boxes(upper, before[mask], -0.19, base.BEFORE)
+    _boxes(upper, after[mask], 0.19, base.AFTER)
+    _boxes(lower, after[mask & ~flagged], 0.0, base.AFTER)
+    addition = "without outliers" if np.any(flagged[mask]) else "alone"
+    lower.set_title(f"After, {addition}")
 
 
 def histograms(c: CalibrationValues) -> Figure:
-    """How often which size of error occurs, and whether the residuals look like noise."""
+    """Draw the distribution of the errors' sizes, and that of the residuals over their noise beside the normal one."""
     figure = base.new_figure(2.9)
     left, right = figure.subplots(1, 2)
-    what = LENGTH if np.any(c.used[:, :3]) else ANGLE
-    before, after = (prior_std[np.isfinite(prior_std)] for prior_std in what.both(c))
-    # Even in the logarithm; what is far below the median is put into the first bin.
-    top = max(float(np.max([before, after])), 1e-6)
-    low = min(max(0.05 * float(np.median(after)), 1e-6 * top), 0.5 * top)
-    bins = np.geomspace(low, 1.001 * top, int(np.clip(2.0 * np.sqrt(len(after)) + 5, 9, 61)))
-    for who, values in ((base.BEFORE, before), (base.AFTER, after)):
-        shown = np.maximum(values, low)
-        left.hist(shown, list(bins), histtype="stepfilled", label=who.word, **who.area)
-    base.log_axis(left, "x")
-    left.set(xlabel=f"size of the error [{what.unit}]", ylabel="rows")
-    left.set_title(f"All {len(after):,} rows")
-    values = scaled_residuals(c)
-    edges = np.linspace(-_REACH, _REACH, int(np.clip(np.sqrt(len(values)) * 1.5, 8, 50)) + 1)
-    right.hist(values, list(edges), histtype="stepfilled", **base.AFTER.area)
-    t = np.linspace(-_REACH, _REACH, 201)
-    normal = np.exp(-0.5 * t**2) / np.sqrt(2.0 * np.pi) * len(values) * (edges[1] - edges[0])
-    right.plot(t, normal, color=base.INK, lw=1.2, ls="--", label="normal")
-    right.set(xlabel="residual / its noise", ylabel="measured numbers")
-    right.set_title(f"{len(values):,} numbers of estimation rows")
-    outside = int(np.sum(np.abs(values) > _REACH))
-    if outside:
-        right.plot([], [], ls="none", label=f"{outside:,} beyond ±{_REACH:g}")
+    _size_histogram(left, c)
+    _noise_histogram(right, c)
     for ax in (left, right):
-        ax.yaxis.set_major_locator(base.few_ticks(6, whole=True))
+        ax.yaxis.set_major_locator(base.few_ticks(6, integers=True))
     base.legend_above(figure)
     return figure
 
 
+def _size_histogram(ax: Axes, c: CalibrationValues) -> None:
+    """Draw the sizes of all rows' errors before and after, on a logarithmic scale."""
+    quantity = LENGTH if np.any(c.used[:, :3]) else ANGLE
+    before, after = quantity.sizes(c)
+    before = before[np.isfinite(before)]
+    after = after[np.isfinite(after)]
+    # Bins are even in the logarithm; what is far below the median is put into the first one.
+    high = max(float(np.max([before, after])), 1e-6)
+    low = min(max(0.05 * float(np.median(after)), 1e-6 * high), 0.5 * high)
+    count = int(np.clip(2.0 * np.sqrt(len(after)) + 5, 9, 61))
+    edges = list(np.geomspace(low, 1.001 * high, count))
+    for style, values in ((base.BEFORE, before), (base.AFTER, after)):
+        shown = np.maximum(values, low)
+        ax.hist(shown, edges, histtype="stepfilled", label=style.label, **style.area)
+    base.log_axis(ax, "x")
+    ax.set(xlabel=f"size of the error [{quantity.unit}]", ylabel="rows")
+    ax.set_title(f"All {len(after):,} rows")
+
+
+def _noise_histogram(ax: Axes, c: CalibrationValues) -> None:
+    """Draw the residuals of the estimation rows over their noise, beside the normal distribution."""
+    values = scaled_residuals(c)
+    bins = int(np.clip(np.sqrt(len(values)) * 1.5, 8, 50))
+    edges = np.linspace(-_REACH, _REACH, bins + 1)
+    ax.hist(values, list(edges), histtype="stepfilled", **base.AFTER.area)
+    t = np.linspace(-_REACH, _REACH, 201)
+    normal = np.exp(-0.5 * t**2) / np.sqrt(2.0 * np.pi) * len(values) * (edges[1] - edges[0])
+    ax.plot(t, normal, color=base.INK, lw=1.2, ls="--", label="normal")
+    ax.set(xlabel="residual / its noise", ylabel="measured scalars")
+    ax.set_title(f"{len(values):,} scalars of estimation rows")
+    outside = int(np.sum(np.abs(values) > _REACH))
+    if outside:
+        ax.plot([], [], ls="none", label=f"{outside:,} beyond ±{_REACH:g}")
+
+
 def scaled_residuals(c: CalibrationValues) -> Array:
-    """Each measured number of the estimation rows minus predicted, over its estimated noise, shape (K,)."""
+    """Return the calibrated residual of each measured scalar of the estimation rows over its estimated noise, (K,)."""
     problem = c.fitted.estimate.problem
     residual = c.residual_calibrated[c.measurements.estimation]
     return np.asarray((residual / problem.scales)[problem.rows.used])
 
 
-def tells_of_joints(c: CalibrationValues) -> Mask:
-    """The rows whose residual lies along joints' motions, shape (N,); lengths between two rows belong to both."""
-    return np.asarray(c.used[:, 0] & ~c.measurements.of_kind("pair"))
+def _curve(ax: Axes, rows: NDArray[np.int_], values: Array, style: base.RobotStyle) -> None:
+    """Draw a robot's errors over row numbers; with markers where they are few, as pixels where they are many.
 
-
-def joints(c: CalibrationValues) -> Figure:
-    """The part r.g / |g| of each residual r, g the derivative of the predicted position by the joint's value."""
-    chosen, flagged = tells_of_joints(c), base.flagged_rows(c)
-    parts = 1e3 * along_joints(c)
-    parts[~chosen] = np.nan
-    q = c.measurements.joints_for(c.nominal.joint_names)
-    fitted = c.measurements.estimation & chosen & ~flagged
-    names = base.short_names(c.nominal.joint_names)
-    columns = 2 if len(names) in (2, 4) else min(len(names), 3)
-    lines = -(-len(names) // columns)
-    figure = base.new_figure(1.65 * lines + 0.6)
-    panels = figure.subplots(lines, columns, squeeze=False, sharey=True)
-    reach = max(1.15 * float(np.nanmax(np.abs(parts[~flagged]), initial=0.0)), 1e-3)
-    for ax in panels.ravel()[len(names) :]:
-        ax.remove()
-    for j, (ax, joint) in enumerate(zip(panels.ravel(), c.nominal.inputs, strict=False)):
-        scale, unit = (1e3, "mm") if joint.type == "prismatic" else (np.degrees(1.0), "deg")
-        ax.axhline(0.0, color=base.INK, lw=0.7, zorder=1.5)
-        for kind in base.row_kinds(c):
-            if np.any(kind.mask & chosen):
-                at = np.clip(parts[kind.mask, j], -reach, reach)
-                look = {"rasterized": len(q) > base.MOST_SHAPES, "zorder": 2}
-                ax.plot(scale * q[kind.mask, j], at, **look, **kind.style(0.8))
-        if np.count_nonzero(np.isfinite(parts[fitted, j])) >= _FEWEST_ROWS:
-            _mean(ax, scale * q[fitted, j], parts[fitted, j])
-        ax.set_ylim(-1.08 * reach, 1.08 * reach)
-        ax.set_title(names[j], size=8.5)
-        ax.set_xlabel(f"joint value [{unit}]")
-        ax.xaxis.set_major_locator(base.few_ticks(4))
-    for ax in panels[:, 0]:
-        ax.set_ylabel("residual [mm]")
-    base.legend_above(figure)
-    return figure
-
-
-def along_joints(c: CalibrationValues) -> Array:
-    """The part of each row's residual along each joint's motion of the target, shape (N, m), [m]; NaN without one."""
-    m = c.measurements
-    q = m.joints_for(c.nominal.joint_names)
-    T_frame_base, T_tip_target = base.placed(c.setup, m)
-
-    def places(q: Array) -> Array:
-        """Predicted positions in the measurement frame."""
-        return np.asarray((T_frame_base @ c.robot.poses(q) @ T_tip_target)[:, :3, 3])
-
-    at = places(q)
-    # Of a distance the part along the beam counts, of a plane that along its normal.
-    beam = at / np.maximum(np.linalg.norm(at, axis=1, keepdims=True), 1e-12)
-    distance, plane = m.of_kind("distance"), m.of_kind("plane")
-    residual = np.where(c.used, c.residual_calibrated, 0.0)[:, :3]
-    result = np.full(q.shape, np.nan)
-    for j, step in enumerate(_STEP * np.eye(q.shape[1])):
-        move = (places(q + step) - places(q - step)) / (2.0 * _STEP)
-        move[distance, 0] = np.sum(beam[distance] * move[distance], axis=1)
-        move[plane, 0] = move[plane, 2]
-        move[distance | plane, 1:] = 0.0
-        move = move[:, : residual.shape[1]]
-        length = np.linalg.norm(move, axis=1)
-        part = np.sum(residual * move, axis=1) / np.maximum(length, 1e-12)
-        result[:, j] = np.where(length > _NO_LEVER, part, np.nan)
-    return result
-
-
-def _mean(ax: Axes, at: Array, parts: Array) -> None:
-    """The mean over runs of rows that are neighbours in the joint's value, twice its standard error about it."""
-    order = np.argsort(at, kind="stable")
-    order = order[np.isfinite(parts[order])]
-    count = min(len(order) // 8, _MOST_RUNS)
-    runs = [(at[run], parts[run]) for run in np.array_split(order, count)]
-    x, mean = np.array([(np.mean(q), np.mean(p)) for q, p in runs]).T
-    error = np.array([np.std(p, ddof=1) / np.sqrt(len(p)) for _, p in runs])
-    look: dict[str, Any] = {"color": base.CALIBRATED, "zorder": 3}
-    label = "mean of the estimation rows ± 2 standard errors"
-    ax.fill_between(x, mean - 2 * error, mean + 2 * error, alpha=0.45, lw=0, label=label, **look)
-    ax.plot(x, mean, lw=1.3, **look)
-
-
-def _curve(ax: Axes, rows: NDArray[np.int_], values: Array, who: base.Who) -> None:
-    """A curve over rows; with markers where they are few, as pixels where they are many."""
-    # A line leads over rows that hold nothing, such as the second ones of pairs: gaps would leave nothing of it.
-    rows, values = rows[np.isfinite(values)], values[np.isfinite(values)]
+    Args:
+        ax: The panel.
+        rows: shape (K,), row numbers.
+        values: shape (K,), errors in the panel's unit; NaN where a row has none.
+        style: The robot's style.
+    """
+    # The line leads over rows without a value, such as the second rows of pairs: gaps would leave nothing of it.
+    finite = np.isfinite(values)
+    rows = rows[finite]
+    values = values[finite]
     few = len(values) <= _MOST_MARKERS
-    look: dict[str, Any] = {"color": who.colour, "label": who.word, "zorder": 3}
-    look |= {"ls": who.line, "marker": who.marker, "ms": 3.6} if few else {}
+    look: dict[str, Any] = {"color": style.colour, "label": style.label, "zorder": 3}
+    if few:
+        look |= {"ls": style.line, "marker": style.marker, "ms": 3.6}
     many = len(values) > _MOST_LINES
     ax.plot(rows, values, lw=1.3 if few else 0.6, mec="white", mew=0.4, rasterized=many, **look)
 
 
-def _boxes(ax: Axes, values: Array, shift: float, who: base.Who) -> None:
-    """A box for each of three columns."""
-    line = {"color": who.colour, "lw": 1.4}
-    found = ax.boxplot(
+def _boxes(ax: Axes, values: Array, shift: float, style: base.RobotStyle) -> None:
+    """Draw a box for each axis.
+
+    Args:
+        ax: The panel.
+        values: shape (K, 3), errors along or about x, y and z in the panel's unit.
+        shift: Distance of the boxes from the ticks 0, 1, 2.
+        style: The robot's style.
+    """
+    line = {"color": style.colour, "lw": 1.4}
+    parts = ax.boxplot(
         list(values.T),
         positions=[k + shift for k in range(3)],
         widths=0.3,
@@ -313,9 +367,9 @@ def _boxes(ax: Axes, values: Array, shift: float, who: base.Who) -> None:
         showfliers=False,
         patch_artist=True,
         manage_ticks=False,
-        boxprops=who.area,
+        boxprops=style.area,
         medianprops={"color": base.INK, "lw": 1.4},
         whiskerprops=line,
         capprops=line,
     )
-    found["boxes"][0].set_label(who.word)
+    parts["boxes"][0].set_label(style.label)

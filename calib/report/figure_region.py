@@ -1,6 +1,6 @@
-"""The density of a workspace and its region as a figure: three views through the whole, and three cuts.
+"""The figure of a workspace's density and region: three views through all of it, and three cuts.
 
-Every picture has equal scales. A view adds up the density along the line of sight and shows the region's outline; a cut
+Every panel has equal scales. A view adds up the density along the line of sight and shows the region's outline; a cut
 shows density and region in a plane. PNG, SVG or PDF, by the ending of the file's name.
 """
 
@@ -13,6 +13,7 @@ import numpy as np
 
 import calib.report.figure_base as base
 from calib.files import write_atomically
+from calib.regions.region import Density
 from calib.regions.region_rows import RegionView
 from calib.report.figure_space import VIEWS, flat, limits_of
 from calib.units import Array, Mask
@@ -21,16 +22,26 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+#: Height and width of the figure [in].
+_SIZE = (9.2, 13.0)
+
+#: Dots per inch of a picture that is pixels.
+_DPI = 150
+
 
 def check_ending(path: str | Path) -> str:
-    """The kind of a picture's file by its name's ending; a FileError where it is none of `KINDS`."""
+    """Return the kind of a picture file by its name's ending.
+
+    Raises:
+        FileError: It is none of `KINDS`.
+    """
     kind = Path(path).suffix.lower().removeprefix(".")
     base.check_kind(kind)
     return kind
 
 
 def headings(view: RegionView) -> tuple[str, str]:
-    """Title and line below it of pictures and pages of a region."""
+    """Return the title, and the line below it, of pictures and pages of a region."""
     region = view.region
     return (
         f"{view.robot.name}: positions of the target, {100 * region.share:.4g} %",
@@ -40,55 +51,102 @@ def headings(view: RegionView) -> tuple[str, str]:
 
 
 def write_picture(view: RegionView, path: str | Path, *, overwrite: bool = False) -> Path:
-    """Write the figure of a region; the file's ending says which of `KINDS`."""
+    """Write the figure of a region.
+
+    Args:
+        view: The region and the points of a table in it.
+        path: Name of the file; its ending is one of `KINDS`.
+        overwrite: Replace an existing file.
+
+    Returns:
+        The file's path.
+
+    Raises:
+        FileError: Another ending, or the file exists or cannot be written.
+    """
     kind = check_ending(path)
     with base.styled():
-        data = base.saved(draw_region(view), kind, *headings(view), dpi=150)
+        data = base.saved(draw_region(view), kind, *headings(view), dpi=_DPI)
     return write_atomically(Path(path), data, overwrite=overwrite)
 
 
 def draw_region(view: RegionView) -> Figure:
-    """The figure of a region; it belongs to no window and no global state."""
-    density, region = view.density, view.region
-    figure = base.new_figure(9.2, 13.0)
+    """Draw a region: views in the upper row, cuts through the mean of the samples below."""
+    figure = base.new_figure(*_SIZE)
     figure.suptitle("\n".join(headings(view)), x=0.01, ha="left")
     axes = figure.subplots(2, 3)
-    points = np.zeros((0, 3)) if view.checked is None else view.checked.points
-    limits = limits_of(1e3 * np.vstack([density.extent, points]))
-    low, voxel = 1e3 * density.origin, 1e3 * density.voxel
-    # The voxel at the mean of the samples.
-    index = np.indices(density.counts.shape).reshape(3, -1)
-    centre = np.round(index @ density.counts.ravel() / density.samples).astype(np.intp)
+    limits = _limits(view)
+    centre = _mean_voxel(view.density)
     images = {}
     for column, (i, j, name) in enumerate(VIEWS):
-        k, pair = 3 - i - j, [i, j]
-        at = low[k] + (centre[k] + 0.5) * voxel
-        cut = density.smooth.take(centre[k], axis=k), region.cells.take(centre[k], axis=k)
-        for row, values, inside, heading in (
-            (0, density.smooth.sum(axis=k), np.any(region.cells, axis=k), f"Seen {name}"),
-            (1, *cut, f"Cut at {'xyz'[k]} = {at:.0f} mm"),
-        ):
-            ax = axes[row, column]
-            images[row] = _panel(ax, values, inside, low[pair], voxel)
-            ax.set_title(heading)
-            flat(ax, limits, (i, j))
-        _mark(axes[0, column], view, (i, j))
-    for row, where in ((0, "along the line of sight"), (1, "in the cut")):
+        upper, lower = axes[:, column]
+        images[0] = _draw_view(upper, view, (i, j))
+        upper.set_title(f"Seen {name}")
+        flat(upper, limits, (i, j))
+        images[1] = _draw_cut(lower, view, (i, j), centre)
+        flat(lower, limits, (i, j))
+        _mark(upper, view, (i, j))
+    for row, place in ((0, "along the line of sight"), (1, "in the cut")):
         bar = figure.colorbar(images[row], ax=list(axes[row]), shrink=0.85, ticks=[0, 0.5, 1])
-        bar.set_label(f"how often {where}; 1: most often")
+        bar.set_label(f"density {place}; 1: highest")
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     return figure
 
 
-def _panel(ax: Axes, values: Array, inside: Mask, low: Array, voxel: float) -> Any:  # noqa: ANN401
-    """Density and outline in the plane of two axes, from the grid's least corner ``low`` [mm]."""
-    from matplotlib.collections import LineCollection
+def _limits(view: RegionView) -> Array:
+    """Return the limits of all panels, shape (2, 3), [mm]: around the density and the points of the table."""
+    points = np.zeros((0, 3)) if view.checked is None else view.checked.points
+    return limits_of(1e3 * np.vstack([view.density.extent, points]))
+
+
+def _mean_voxel(density: Density) -> Array:
+    """Return the index of the voxel at the mean of the samples, shape (3,), integers from 0."""
+    indices = np.indices(density.counts.shape).reshape(3, -1)
+    mean = indices @ density.counts.ravel() / density.samples
+    return np.round(mean).astype(np.intp)
+
+
+def _draw_view(ax: Axes, view: RegionView, pair: tuple[int, int]) -> Any:  # noqa: ANN401  matplotlib's image
+    """Draw the density added up along the line of sight; ``pair`` are the indices of the panel's axes."""
+    along = 3 - sum(pair)
+    density = view.density.smooth.sum(axis=along)
+    inside = np.any(view.region.cells, axis=along)
+    low = 1e3 * view.density.origin[list(pair)]
+    return _panel(ax, density, inside, low, 1e3 * view.density.voxel)
+
+
+def _draw_cut(ax: Axes, view: RegionView, pair: tuple[int, int], centre: Array) -> Any:  # noqa: ANN401  likewise
+    """Draw the density in the plane of two axes through the voxel of index ``centre``, shape (3,)."""
+    across = 3 - sum(pair)
+    density = view.density.smooth.take(centre[across], axis=across)
+    inside = view.region.cells.take(centre[across], axis=across)
+    low = 1e3 * view.density.origin
+    voxel = 1e3 * view.density.voxel
+    height = low[across] + (centre[across] + 0.5) * voxel
+    ax.set_title(f"Cut at {'xyz'[across]} = {height:.0f} mm")
+    return _panel(ax, density, inside, low[list(pair)], voxel)
+
+
+def _panel(ax: Axes, values: Array, inside: Mask, low: Array, voxel: float) -> Any:  # noqa: ANN401  matplotlib's image
+    """Draw density and outline in the plane of two axes.
+
+    Args:
+        ax: The panel.
+        values: shape (I, J), the density of cells along the horizontal and the vertical axis.
+        inside: shape (I, J), the cells of the region.
+        low: shape (2,), the least corner of the grid [mm].
+        voxel: Edge of a cell [mm].
+
+    Returns:
+        The image, with colours from 0 to 1: the most.
+    """
     from matplotlib.colors import LinearSegmentedColormap
 
     high = low + voxel * np.array(values.shape)
+    share = values.T / max(float(values.max()), 1e-300)
     image = ax.imshow(
-        np.ma.masked_where(values.T <= 0.0, values.T / max(float(values.max()), 1e-300)),
+        np.ma.masked_where(values.T <= 0.0, share),
         origin="lower",
         extent=(low[0], high[0], low[1], high[1]),
         cmap=LinearSegmentedColormap.from_list("often", list(base.LITTLE_TO_MUCH)),
@@ -97,42 +155,53 @@ def _panel(ax: Axes, values: Array, inside: Mask, low: Array, voxel: float) -> A
         interpolation="nearest",
         zorder=1,
     )
-    # The edges between cells inside and those that are not, shape (K, 2, 2).
+    _draw_outline(ax, inside, low, voxel)
+    return image
+
+
+def _draw_outline(ax: Axes, inside: Mask, low: Array, voxel: float) -> None:
+    """Draw the edges between cells inside and outside of the region; arguments as of `_panel`."""
+    from matplotlib.collections import LineCollection
+
     padded = np.pad(inside, 1)
     along = np.argwhere(padded[1:, :] != padded[:-1, :])
     across = np.argwhere(padded[:, 1:] != padded[:, :-1])
     upright = np.stack([along - [0, 1], along], axis=1)
     level = np.stack([across - [1, 0], across], axis=1)
-    edges = list(low + voxel * np.concatenate([upright, level]))
-    lines = LineCollection(edges, colors=base.INK, linewidths=1.3, capstyle="projecting", zorder=3)
+    edges = low + voxel * np.concatenate([upright, level])  # shape (K, 2, 2)
+    lines = LineCollection(
+        list(edges), colors=base.INK, linewidths=1.3, capstyle="projecting", zorder=3
+    )
     lines.set_label("outline of the region")
     ax.add_collection(lines)
-    return image
 
 
 def _mark(ax: Axes, view: RegionView, pair: tuple[int, int]) -> None:
-    """The points of a table's rows in a view: filled inside of the region, hollow and numbered outside."""
+    """Mark the points of a table's rows in a view: filled inside of the region, hollow and numbered outside.
+
+    Args:
+        ax: The panel.
+        view: The region and the points; without a table nothing is marked.
+        pair: Indices of the panel's axes.
+    """
     if view.checked is None:
         return
-    rows, points = view.checked.rows, view.checked.points
-    inside, places = view.region.contains(points), 1e3 * points[:, pair]
-    for chosen_set, colour, marker, size, word in (
-        (rows.estimation, base.ESTIMATION, "o", 4.5, "estimation"),
-        (rows.validation, base.VALIDATION, "D", 6.0, "validation"),
-    ):
-        for within, where, face, edge in (
-            (True, "inside", colour, "white"),
-            (False, "outside", "white", colour),
-        ):
-            chosen = chosen_set & (inside == within)
-            if chosen.any():
-                label = f"{np.count_nonzero(chosen)} {word} rows {where}"
-                look: dict[str, Any] = {
-                    "marker": marker,
-                    "ms": size,
-                    "mfc": face,
-                    "mec": edge,
-                    "label": label,
-                }
-                ax.plot(*places[chosen].T, ls="none", zorder=4, **look)
+    rows = view.checked.rows
+    places = 1e3 * view.checked.points[:, pair]
+    inside = view.region.contains(view.checked.points)
+    sets = (
+        (rows.estimation, "estimation", {"marker": "o", "ms": 4.5}, base.ESTIMATION),
+        (rows.validation, "validation", {"marker": "D", "ms": 6.0}, base.VALIDATION),
+    )
+    for mask, name, look, colour in sets:
+        filled = {"mfc": colour, "mec": "white", **look}
+        hollow = {"mfc": "white", "mec": colour, **look}
+        _mark_rows(ax, places[mask & inside], f"{name} rows inside", filled)
+        _mark_rows(ax, places[mask & ~inside], f"{name} rows outside", hollow)
     base.number_points(ax, rows.rows, places, rows.validation | ~inside)
+
+
+def _mark_rows(ax: Axes, places: Array, noun: str, look: dict[str, Any]) -> None:
+    """Mark points (K, 2) [mm], if there are any; the legend has their number and ``noun``."""
+    if len(places):
+        ax.plot(*places.T, ls="none", zorder=4, label=f"{len(places)} {noun}", **look)

@@ -1,7 +1,8 @@
-"""Errors in space: the measured points, and the uncertainty over the workspace."""
+"""Figures in space: the measured points, and the uncertainty of predicted positions over the workspace."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -9,45 +10,50 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import calib.report.figure_base as base
+from calib.report.row_values import flagged_rows, measured_in_base, setup_of_rows
 from calib.result.calibration import CalibrationValues
 from calib.robot.ranges import spread_poses
 from calib.units import Array
 
-#: The two axes of each view, and what it is called.
+#: Each view: indices of its horizontal and vertical axis of the base frame, and its name.
 VIEWS = ((0, 1, "from above"), (0, 2, "from the front"), (1, 2, "from the side"))
 
-#: The height of the upper views [in] at least, and of all at most.
-_LEAST, _HIGHEST = 2.2, 5.8
+#: Least height of the view from above [in].
+_LEAST_HEIGHT = 2.2
 
-#: Joint values over which the uncertainty is drawn, and cells across a view.
-POSES, _CELLS = 4000, 22
+#: Most height of all views together [in]: a page with a caption holds that.
+_MOST_HEIGHT = 5.8
+
+#: Number of poses over the joint limits at which the uncertainty is drawn.
+POSES = 4000
+
+#: Hexagons across a view.
+_CELLS = 22
+
+#: Measured points drawn in a view of the uncertainty, about; of more an even choice is drawn.
+_MEASURED_POINTS = 150
 
 
 def measured_places(c: CalibrationValues) -> Array:
-    """Where the target was, in the base, shape (N, 3), [m]; predicted by the calibrated robot where nothing tells."""
+    """Return the target's positions in the base frame, shape (N, 3), [m].
+
+    Measured ones; of rows that measure no position, those that the calibrated robot predicts.
+    """
     m = c.measurements
-    T_frame_base, T_tip_target = base.placed(c.setup, m)
-    places = base.measured_in_base(m, T_frame_base)
-    predicted = c.robot.poses(m.joints_for(c.nominal.joint_names)) @ T_tip_target
-    return np.where(np.isfinite(places), places, predicted[:, :3, 3])
+    T_frame_base, T_tip_target = setup_of_rows(c.setup, m)
+    places = measured_in_base(m, T_frame_base)
+    T_base_target = c.robot.poses(m.joints_for(c.nominal.joint_names)) @ T_tip_target
+    return np.where(np.isfinite(places), places, T_base_target[:, :3, 3])
 
 
 def points(c: CalibrationValues) -> Figure:
-    """The measured points in the base frame: in space, and from three sides; as the paper's figure 7."""
-    places, kinds = 1e3 * measured_places(c), base.row_kinds(c)
+    """Draw the measured points in the base frame: in space, and from three sides; as the paper's figure 7."""
+    places = 1e3 * measured_places(c)
     limits = limits_of(places)
-    x, y, z = limits[1] - limits[0]
-    scale = min(0.85 * base.WIDTH / (x + max(y, 0.7 * x)), _HIGHEST / (y + z))
-    upper = max(scale * y, _LEAST)
-    figure = base.new_figure(upper + scale * z + 1.4)
-    panels: dict[str, Any] = figure.subplot_mosaic(
-        [["from above", "space"], ["from the front", "from the side"]],
-        width_ratios=[x, max(y, 0.7 * x)],
-        height_ratios=[upper, scale * z],
-        per_subplot_kw={"space": {"projection": "3d"}},
-    )
-    numbered = c.measurements.validation | base.flagged_rows(c)
+    figure, panels = _panels_of_space(limits)
+    numbered = c.measurements.validation | flagged_rows(c)
     pixels = len(places) > base.MOST_SHAPES
+    kinds = base.row_kinds(c)
     for i, j, name in VIEWS:
         ax = panels[name]
         ax.set_title(f"Seen {name}")
@@ -56,7 +62,42 @@ def points(c: CalibrationValues) -> Figure:
             ax.plot(*at, rasterized=pixels, zorder=order, **kind.style(0.85))
         flat(ax, limits, (i, j))
         base.number_points(ax, c.measurements.rows, places[:, [i, j]], numbered)
-    ax = panels["space"]
+    _draw_space(panels["space"], places, kinds, limits)
+    base.legend_above(figure)
+    return figure
+
+
+def _panels_of_space(limits: Array) -> tuple[Figure, dict[str, Any]]:
+    """Make a figure with a panel for each of `VIEWS` and one in space, of the same scale.
+
+    Args:
+        limits: shape (2, 3), see `limits_of`.
+
+    Returns:
+        The figure, and its panels by the name of the view or ``"space"``.
+    """
+    x, y, z = limits[1] - limits[0]
+    right = max(y, 0.7 * x)
+    scale = min(0.85 * base.WIDTH / (x + right), _MOST_HEIGHT / (y + z))
+    upper = max(scale * y, _LEAST_HEIGHT)
+    figure = base.new_figure(upper + scale * z + 1.4)
+    panels: dict[str, Any] = figure.subplot_mosaic(
+        [["from above", "space"], ["from the front", "from the side"]],
+        width_ratios=[x, right],
+        height_ratios=[upper, scale * z],
+        per_subplot_kw={"space": {"projection": "3d"}},
+    )
+    return figure, panels
+
+
+def _draw_space(
+    ax: Any,  # noqa: ANN401  matplotlib's Axes3D, which has no types
+    places: Array,
+    kinds: Sequence[base.RowKind],
+    limits: Array,
+) -> None:
+    """Draw points (N, 3) [mm] in perspective, within limits (2, 3) [mm]."""
+    pixels = len(places) > base.MOST_SHAPES
     for kind in kinds:
         ax.plot(*places[kind.mask].T, rasterized=pixels, **kind.style())
     ax.set_box_aspect(limits[1] - limits[0], zoom=0.85)
@@ -68,72 +109,106 @@ def points(c: CalibrationValues) -> Figure:
         axis.set_major_locator(base.few_ticks(4))
     ax.tick_params(labelsize=7.5, pad=1)
     ax.view_init(elev=20, azim=-62)
-    base.legend_above(figure)
-    return figure
 
 
 def uncertainty(c: CalibrationValues) -> Figure:
-    """The standard deviation of predicted positions: three views, and how often which size occurs."""
+    """Draw the standard deviation of predicted positions over the joint limits: three views, and its distribution."""
     q = spread_poses(c.nominal, POSES)
-    T = c.robot.poses(q)
-    places, std = (
-        1e3 * (T[:, :3, :3] @ c.target + T[:, :3, 3]),
-        1e3 * c.position_std(q, non_geometric=False),
-    )
+    T_base_tip = c.robot.poses(q)
+    places = 1e3 * (T_base_tip[:, :3, :3] @ c.target + T_base_tip[:, :3, 3])
+    std = 1e3 * c.position_std(q, non_geometric=False)
     limits = limits_of(places)
     measured = 1e3 * measured_places(c)
-    measured = measured[:: 1 + len(measured) // 150]
-    ring: dict[str, Any] = {"ls": "none", "marker": "o", "ms": 3.0, "mfc": "white", "mew": 0.6}
+    measured = measured[:: 1 + len(measured) // _MEASURED_POINTS]
     figure = base.new_figure(6.2)
     *views, last = figure.subplots(2, 2).ravel()
     images = []
     for ax, (i, j, name) in zip(views, VIEWS, strict=True):
         images.append(_cells(ax, places[:, [i, j]], std, limits[:, [i, j]]))
-        ax.plot(*measured[:, [i, j]].T, mec=base.INK, label="measured rows", **ring)
+        _draw_rings(ax, measured[:, [i, j]])
         ax.set_title(f"Seen {name}")
         flat(ax, limits, (i, j))
-    every = np.concatenate([np.asarray(image.get_array()) for image in images])
-    low, high = float(every.min()), float(np.quantile(every, 0.98))
-    for image in images:  # one scale of colours; one cell must not make all others alike
-        image.set_clim(low, max(high, 1.01 * low + 1e-9))
+    _share_colours(images)
     bar = figure.colorbar(images[1], ax=views[1], shrink=0.95, pad=0.02, extend="max")
     bar.set_label("standard deviation [mm]")
-    _how_often(last, std, c)
+    _distribution(last, std, c)
     base.legend_above(figure)
     return figure
 
 
+def _draw_rings(ax: Axes, places: Array) -> None:
+    """Mark measured points (K, 2) [mm] with rings."""
+    ring: dict[str, Any] = {"ls": "none", "marker": "o", "ms": 3.0, "mfc": "white", "mew": 0.6}
+    ax.plot(*places.T, mec=base.INK, label="measured rows", **ring)
+
+
+def _share_colours(images: Sequence[Any]) -> None:
+    """Give pictures one scale of colours, on which a single cell does not make all others alike."""
+    values = np.concatenate([np.asarray(image.get_array()) for image in images])
+    low = float(values.min())
+    high = float(np.quantile(values, 0.98))
+    for image in images:
+        image.set_clim(low, max(high, 1.01 * low + 1e-9))
+
+
 def flat(ax: Axes, limits: Array, pair: tuple[int, int]) -> None:
-    """Equal scales, labels, and the base where it lies inside."""
-    (i, j), at = pair, limits[:, pair]
-    ax.set(aspect="equal", xlim=at[:, 0], ylim=at[:, 1])
+    """Give a view equal scales and labels, and mark the base where it lies inside.
+
+    Args:
+        ax: The panel.
+        limits: shape (2, 3), lowest and highest x, y, z [mm]; see `limits_of`.
+        pair: Indices of the horizontal and the vertical axis.
+    """
+    i, j = pair
+    low, high = limits[:, pair]
+    ax.set(aspect="equal", xlim=limits[:, i], ylim=limits[:, j])
     ax.set(xlabel=f"{'xyz'[i]} [mm]", ylabel=f"{'xyz'[j]} [mm]")
     ax.xaxis.set_major_locator(base.few_ticks(4))
     ax.yaxis.set_major_locator(base.few_ticks(4))
-    if np.all(at[0] <= 0.0) and np.all(at[1] >= 0.0):
+    if np.all(low <= 0.0) and np.all(high >= 0.0):
         ax.plot(0.0, 0.0, "+", ms=8, mew=1.4, color=base.SOFT, zorder=4, label="base")
 
 
 def limits_of(places: Array) -> Array:
-    """What the views show, shape (2, 3), [mm]: the points, and the base if it is near; no view is a line."""
-    low, high = places.min(axis=0), places.max(axis=0)
+    """Return the limits of views of points: around all of them, and the base if it is near.
+
+    Args:
+        places: shape (N, 3), points in the base frame [mm].
+
+    Returns:
+        shape (2, 3), lowest and highest x, y and z [mm]; no side is so short that a view would be a line.
+    """
+    low = places.min(axis=0)
+    high = places.max(axis=0)
     size = max(float(np.max(high - low)), 50.0)
     if np.all((low < size) & (high > -size)):
-        low, high = np.minimum(low, 0.0), np.maximum(high, 0.0)
-    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+        low = np.minimum(low, 0.0)
+        high = np.maximum(high, 0.0)
+    middle = 0.5 * (low + high)
+    half = 0.5 * (high - low)
     half = np.maximum(1.1 * half, 0.3 * max(float(half.max()), 25.0))
     return np.array([middle - half, middle + half])
 
 
 def _cells(ax: Axes, places: Array, std: Array, limits: Array) -> Any:  # noqa: ANN401  a collection of matplotlib
-    """The root mean square of the standard deviations of the poses in each hexagon of a view."""
-    share = _CELLS * (limits[1] - limits[0]) / np.max(limits[1] - limits[0])
+    """Draw the root mean square of the standard deviations of the poses in each hexagon of a view.
+
+    Args:
+        ax: The panel.
+        places: shape (N, 2), positions at the poses [mm].
+        std: shape (N,), their standard deviations [mm].
+        limits: shape (2, 2), lowest and highest value of both axes [mm].
+
+    Returns:
+        The hexagons; their array holds the values.
+    """
+    across, up = _CELLS * (limits[1] - limits[0]) / np.max(limits[1] - limits[0])
     return ax.hexbin(
         places[:, 0],
         places[:, 1],
         C=std**2,
         reduce_C_function=lambda squares: float(np.sqrt(np.mean(squares))),
-        gridsize=(max(int(share[0]), 4), max(int(share[1] / np.sqrt(3.0)), 3)),
+        gridsize=(max(int(across), 4), max(int(up / np.sqrt(3.0)), 3)),
         extent=limits.T.ravel().tolist(),
         cmap="cividis",
         linewidths=0.15,
@@ -142,19 +217,30 @@ def _cells(ax: Axes, places: Array, std: Array, limits: Array) -> Any:  # noqa: 
     )
 
 
-def _how_often(ax: Axes, std: Array, c: CalibrationValues) -> None:
-    """The share of poses below each standard deviation, with the rms at the measured poses and over the limits."""
+def _distribution(ax: Axes, std: Array, c: CalibrationValues) -> None:
+    """Draw the share of poses below each standard deviation, with the expected errors of the report.
+
+    Args:
+        ax: The panel.
+        std: shape (N,), standard deviations at the poses over the joint limits [mm].
+        c: The result.
+    """
     ax.ecdf(std, color=base.INK, lw=1.4)
-    for value, style, word in (
-        (1e3 * c.expected_measured, ":", "rms, measured poses"),
-        # Not of the poses drawn, which are more: the report has one number for one thing.
-        (1e3 * c.expected_everywhere, "--", "rms, joint limits"),
+    measured = 1e3 * c.expected_measured
+    # That of the report, not of the poses drawn, which are more: one number for one thing.
+    everywhere = 1e3 * c.expected_everywhere
+    lines = (
+        (measured, ":", "rms, measured poses"),
+        (everywhere, "--", "rms, joint limits"),
         (float(np.quantile(std, 0.95)), "-.", "95 % of the joint limits"),
-    ):
-        ax.vlines(value, 0, 1, colors=base.SOFT, ls=style, lw=1.1, label=f"{value:.3f} mm: {word}")
-    ax.set_xlim(0.0, 1.08 * max(float(np.quantile(std, 0.99)), 1e3 * c.expected_measured, 1e-9))
+    )
+    for value, style, meaning in lines:
+        label = f"{value:.3f} mm: {meaning}"
+        ax.vlines(value, 0, 1, colors=base.SOFT, ls=style, lw=1.1, label=label)
+    ax.set_xlim(0.0, 1.08 * max(float(np.quantile(std, 0.99)), measured, 1e-9))
     ax.set_ylim(0.0, 1.45)  # room for the legend above the curve
-    ax.set_yticks(np.linspace(0.0, 1.0, 6), [f"{share}" for share in range(0, 101, 20)])
+    percent = [f"{share}" for share in range(0, 101, 20)]
+    ax.set_yticks(np.linspace(0.0, 1.0, 6), percent)
     ax.set(xlabel="standard deviation [mm]", ylabel="poses below [%]")
-    ax.set_title("How often, over the joint limits")
+    ax.set_title("Distribution over the joint limits")
     ax.legend(loc="upper left", fontsize=7.5)

@@ -1,7 +1,7 @@
 """The figures of a calibration, for reports and papers: PNG, SVG or PDF, readable in print and with any colour vision.
 
 `FIGURES` is the one list of them. `drawings` gives those that apply to a calibration, `rendered` makes a file of
-one, `write_figures` writes all and what they show beside them.
+one, `write_figures` writes all and their captions beside them.
 """
 
 from __future__ import annotations
@@ -9,13 +9,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import yaml
 from matplotlib.figure import Figure
 
 import calib.report.figure_errors as errors
+import calib.report.figure_joints as joints
 import calib.report.figure_model as model
 import calib.report.figure_space as space
 from calib.errors import FileError
@@ -24,61 +25,125 @@ from calib.report.figure_base import check_kind, rows_text, saved, styled
 from calib.result.calibration import CalibrationValues
 from calib.robot.ranges import SPREAD
 
-#: The file of the captions, beside the figures.
+#: Name of the file of the captions, beside the figures.
 CAPTIONS = "captions.md"
+
+#: Kind of the rows of the error curves, and how the fit relates to them; see `calib.report.figure_errors.curve_rows`.
+_CURVE_ROWS = {
+    "validation": ("validation", "which took no part in the fit"),
+    "held-out": ("estimation", "each predicted by a fit without it"),
+    "estimation": ("estimation", "which the fit used"),
+}
 
 
 class Drawing(NamedTuple):
-    """A figure: its name, which is its file's, its section of the report, what it shows, and what draws it anew."""
+    """A figure of a calibration, not yet drawn."""
 
-    name: str
-    section: str
-    title: str
-    caption: str
-    draw: Callable[[], Figure]
+    name: str  #: Its file's name without the ending
+    section: str  #: Section of the report that it belongs to
+    title: str  #: Title
+    caption: str  #: Caption: rows, units, and the meaning of lines and marks
+    draw: Callable[[], Figure]  #: Draws it anew
 
 
-#: What draws each figure, in a report's order, and of which calibrations; ``captions.yaml`` says what it shows.
-FIGURES: dict[
-    str, tuple[Callable[[CalibrationValues], Figure], Callable[[CalibrationValues], Any]]
-] = {
-    "points": (space.points, lambda _: True),
-    "error-curves": (errors.curves, lambda c: np.any(c.used[:, :3])),
-    "errors-by-pose": (errors.by_row, lambda c: np.any(c.used[:, :3])),
-    "orientation-errors-by-pose": (
-        partial(errors.by_row, what=errors.ANGLE),
-        lambda c: np.any(c.used[:, 3:]),
-    ),
-    "errors-by-axis": (errors.by_axis, errors.has_axes),
-    "orientation-errors-by-axis": (
-        partial(errors.by_axis, what=errors.ANGLE),
-        lambda c: np.any(c.used[:, 3:]),
-    ),
-    "histograms": (errors.histograms, lambda _: True),
-    "residual-by-joint": (errors.joints, lambda c: np.any(errors.tells_of_joints(c))),
-    "convergence": (model.convergence, lambda c: c.solution.history),
-    "parameter-changes": (model.changes, model.shown_parameters),
-    "correlations": (model.correlations, lambda c: len(model.correlation_indices(c)) > 1),
-    "singular-values": (model.singular_values, lambda c: c.observability.columns),
-    "candidates": (model.candidates, lambda c: c.candidates),
-    "workspace-uncertainty": (space.uncertainty, lambda _: True),
+class FigureKind(NamedTuple):
+    """A kind of figure; ``captions.yaml`` has section, title and caption under its name."""
+
+    draw: Callable[[CalibrationValues], Figure]  #: Draws it
+    applies: Callable[[CalibrationValues], bool]  #: Tells if a calibration has it
+
+
+def _always(c: CalibrationValues) -> bool:  # noqa: ARG001
+    """Tell that every calibration has a figure."""
+    return True
+
+
+def _has_lengths(c: CalibrationValues) -> bool:
+    """Tell if any row measures a length or a position."""
+    return bool(np.any(c.used[:, :3]))
+
+
+def _has_orientations(c: CalibrationValues) -> bool:
+    """Tell if any row measures an orientation."""
+    return bool(np.any(c.used[:, 3:]))
+
+
+def _has_joint_parts(c: CalibrationValues) -> bool:
+    """Tell if any residual has a part along joints' motions."""
+    return bool(np.any(joints.has_joint_parts(c)))
+
+
+def _has_iterations(c: CalibrationValues) -> bool:
+    """Tell if the solver made any step."""
+    return bool(c.solution.history)
+
+
+def _has_changes(c: CalibrationValues) -> bool:
+    """Tell if any parameter's change is shown."""
+    return bool(model.shown_parameters(c))
+
+
+def _has_correlations(c: CalibrationValues) -> bool:
+    """Tell if there is a pair of identifiable parameters."""
+    return len(model.correlation_indices(c)) > 1
+
+
+def _has_singular_values(c: CalibrationValues) -> bool:
+    """Tell if the Jacobian has any column."""
+    return c.observability.columns > 0
+
+
+def _has_candidates(c: CalibrationValues) -> bool:
+    """Tell if several models were tried."""
+    return bool(c.candidates)
+
+
+_orientations_by_row = partial(errors.by_row, quantity=errors.ANGLE)
+_orientations_by_axis = partial(errors.by_axis, quantity=errors.ANGLE)
+
+#: The figures by name, in a report's order.
+FIGURES: dict[str, FigureKind] = {
+    "points": FigureKind(space.points, _always),
+    "error-curves": FigureKind(errors.curves, _has_lengths),
+    "errors-by-pose": FigureKind(errors.by_row, _has_lengths),
+    "orientation-errors-by-pose": FigureKind(_orientations_by_row, _has_orientations),
+    "errors-by-axis": FigureKind(errors.by_axis, errors.has_axes),
+    "orientation-errors-by-axis": FigureKind(_orientations_by_axis, _has_orientations),
+    "histograms": FigureKind(errors.histograms, _always),
+    "residual-by-joint": FigureKind(joints.residuals_by_joint, _has_joint_parts),
+    "convergence": FigureKind(model.convergence, _has_iterations),
+    "parameter-changes": FigureKind(model.changes, _has_changes),
+    "correlations": FigureKind(model.correlations, _has_correlations),
+    "singular-values": FigureKind(model.singular_values, _has_singular_values),
+    "candidates": FigureKind(model.candidates, _has_candidates),
+    "workspace-uncertainty": FigureKind(space.uncertainty, _always),
 }
 
 
 def drawings(calibration: CalibrationValues) -> tuple[Drawing, ...]:
-    """The figures that apply to a calibration, in a report's order; none is drawn yet."""
-    texts = yaml.safe_load((Path(__file__).parent / "captions.yaml").read_text("utf-8"))
-    words = {"c": calibration, **_words(calibration)}
-    return tuple(
-        Drawing(name, section, title, caption.format(**words), partial(draw, calibration))
-        for name, (draw, applies) in FIGURES.items()
-        if applies(calibration)
-        for section, title, caption in [texts[name].values()]
-    )
+    """Return the figures that apply to a calibration, in a report's order; none is drawn yet."""
+    captions = yaml.safe_load((Path(__file__).parent / "captions.yaml").read_text("utf-8"))
+    words = {"c": calibration, **_caption_words(calibration)}
+    made = []
+    for name, kind in FIGURES.items():
+        if kind.applies(calibration):
+            entry = captions[name]
+            caption = entry["caption"].format(**words)
+            draw = partial(kind.draw, calibration)
+            made.append(Drawing(name, entry["section"], entry["title"], caption, draw))
+    return tuple(made)
 
 
 def rendered(drawing: Drawing, kind: str = "png") -> bytes:
-    """A figure as a file of one of `KINDS`: the same figure is the same bytes."""
+    """Draw a figure and return its file; the same figure gives the same bytes.
+
+    Args:
+        drawing: The figure.
+        kind: One of `calib.report.figure_base.KINDS`.
+
+    Raises:
+        FileError: Another kind.
+    """
     check_kind(kind)
     with styled():
         return saved(drawing.draw(), kind, drawing.title, drawing.caption)
@@ -92,12 +157,21 @@ def write_figures(
     overwrite: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[Path, ...]:
-    """Write every figure into a folder, which is made if it is missing, and their captions as `CAPTIONS`.
+    """Write every figure of a calibration into a folder, and their captions as `CAPTIONS`.
 
-    ``progress`` is called after each figure with the number done and that of all.
+    Args:
+        calibration: The result.
+        folder: The folder; made if it is missing.
+        kind: One of `calib.report.figure_base.KINDS`.
+        overwrite: Replace existing files.
+        progress: Called after each figure with the number done and that of all.
+
+    Returns:
+        The figures' files, in a report's order.
 
     Raises:
-        FileError: Another kind, or a file exists or cannot be written; what exists is found before anything is drawn.
+        FileError: Another kind, or a file exists or cannot be written; an existing file is found before anything is
+            drawn.
     """
     made = drawings(calibration)
     *paths, captions = figure_files(made, make_folder(folder), kind, overwrite=overwrite)
@@ -105,8 +179,10 @@ def write_figures(
         write_atomically(path, rendered(drawing, kind), overwrite=overwrite)
         if progress is not None:
             progress(done, len(made))
-    parts = [f"## {one.name}.{kind}\n\n**{one.title}.** {one.caption}" for one in made]
-    text = "\n\n".join(["# Captions of the figures", *parts]) + "\n"
+    entries = [
+        f"## {drawing.name}.{kind}\n\n**{drawing.title}.** {drawing.caption}" for drawing in made
+    ]
+    text = "\n\n".join(["# Captions of the figures", *entries]) + "\n"
     write_atomically(captions, text.encode(), overwrite=overwrite)
     return tuple(paths)
 
@@ -114,7 +190,17 @@ def write_figures(
 def figure_files(
     made: Sequence[Drawing], folder: Path, kind: str, *, overwrite: bool = False
 ) -> tuple[Path, ...]:
-    """The files of figures, in their order, and that of their captions; `FileError` where one exists."""
+    """Return the files that `write_figures` writes: the figures', in their order, and that of their captions.
+
+    Args:
+        made: The figures.
+        folder: The folder.
+        kind: Kind of the figures' files.
+        overwrite: Existing files will be replaced.
+
+    Raises:
+        FileError: A file exists and is not to be replaced.
+    """
     paths = (*(folder / f"{drawing.name}.{kind}" for drawing in made), folder / CAPTIONS)
     for path in paths:
         if path.exists() and not overwrite:
@@ -122,23 +208,21 @@ def figure_files(
     return paths
 
 
-def _words(c: CalibrationValues) -> dict[str, str]:
-    """What captions say of a calibration."""
+def _caption_words(c: CalibrationValues) -> dict[str, str]:
+    """Return the texts that captions name in braces."""
     m = c.measurements
     estimation = rows_text(m.estimation, "estimation")
-    validation = f" and {rows_text(m.validation, 'validation')}" * bool(np.any(m.validation))
-    word, mask, _, _ = errors.curve_rows(c)
-    kind, seen = {
-        "validation": ("validation", "which the fit has not seen"),
-        "held-out": ("estimation", "each predicted by fits that have not seen it"),
-        "estimation": ("estimation", "which the fit has seen"),
-    }[word]
+    rows = estimation
+    if np.any(m.validation):
+        rows = f"{estimation} and {rows_text(m.validation, 'validation')}"
+    shown = errors.curve_rows(c)
+    kind, relation = _CURVE_ROWS[shown.name]
     words = {
-        "rows": estimation + validation,
+        "rows": rows,
         "estimation": estimation,
         "poses": f"{space.POSES:,}",
         "spread": str(SPREAD),
-        "curve_rows": f"the {rows_text(mask, kind)}, {seen}",
+        "curve_rows": f"the {rows_text(shown.mask, kind)}, {relation}",
     }
     if c.candidates:
         held_out = c.candidates[0].cross_validation.errors_without_outliers

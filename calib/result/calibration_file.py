@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import platform
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -41,34 +41,86 @@ from calib.version import __version__
 SCHEMA = 6
 
 
-def _ranges(found: Any) -> Array:  # noqa: ANN401
-    """Ends of the joints' ranges, from infinity down to minus infinity where no row was fitted."""
-    ends = np.array(found, dtype=np.float64)
-    return read_only(np.where(np.isnan(ends), [np.inf, -np.inf], ends))
-
-
-def error_table(e: Errors) -> dict[str, Any]:
-    """Errors of one set of rows, see docs/result-json.md: angles only where there are any."""
-    return {k: v for k, v in _LAYOUT.table(e).items() if e.n_angle or not k.endswith("_rad")}
+def error_table(errors: Errors) -> dict[str, Any]:
+    """Return the table of errors of one set of rows, see docs/result-json.md: angles only where there are any."""
+    table = _LAYOUT.table(errors)
+    if errors.n_angle:
+        return table
+    return {key: value for key, value in table.items() if not key.endswith("_rad")}
 
 
 def pose_table(T: Array, prefix: str = "") -> dict[str, Any]:
-    """A pose, shape (4, 4), as position [m] and roll, pitch, yaw [rad]."""
+    """Return a pose as position and roll, pitch, yaw.
+
+    Args:
+        T: The pose, shape (4, 4), [m].
+        prefix: Begins the keys, such as ``"frame_base_"``.
+    """
     return {f"{prefix}xyz_m": T[:3, 3], f"{prefix}rpy_rad": pin.rpy.matrixToRpy(T[:3, :3])}
 
 
-#: The size of each family's errors, the unit in the key.
-_SIZES = Key(
-    "prior_std",
-    lambda prior_std: {
-        f"{name}_{FAMILIES[name].unit.key}": size for name, size in prior_std.items()
-    },
-    lambda found: {
-        name: float(found[key])
-        for name, row in FAMILIES.items()
-        if (key := f"{name}_{row.unit.key}") in found
-    },
-)
+def _prior_std_key(family: str) -> str:
+    """Return the key of a family's prior standard deviation, with its unit."""
+    return f"{family}_{FAMILIES[family].unit.key}"
+
+
+def _prior_std_table(prior_std: Mapping[str, float]) -> dict[str, float]:
+    """Return the table of prior standard deviations, by family, in SI units."""
+    return {_prior_std_key(family): std for family, std in prior_std.items()}
+
+
+def _read_prior_std(table: Json) -> dict[str, float]:
+    """Return the prior standard deviation of each family that a table has."""
+    keys = {family: _prior_std_key(family) for family in FAMILIES}
+    return {family: float(table[key]) for family, key in keys.items() if key in table}
+
+
+def _values_table(values: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the values of a reason as a list, in their order."""
+    return [{"name": name, "value": value} for name, value in values.items()]
+
+
+def _read_values(table: Any) -> dict[str, Any]:  # noqa: ANN401
+    """Return the values of a reason from their list."""
+    return {row["name"]: row["value"] for row in table}
+
+
+def _ties_table(ties: Mapping[str, tuple[str, float]]) -> list[dict[str, Any]]:
+    """Return tied parameters as a list."""
+    return [
+        {"name": name, "other": other, "factor": factor} for name, (other, factor) in ties.items()
+    ]
+
+
+def _read_ties(table: Any) -> dict[str, tuple[str, float]]:  # noqa: ANN401
+    """Return tied parameters from their list."""
+    return {row["name"]: (row["other"], float(row["factor"])) for row in table}
+
+
+def _read_ranges(table: Any) -> Array:  # noqa: ANN401
+    """Return the ends of the joints' ranges, from infinity down to minus infinity where no row was fitted."""
+    ends = np.array(table, dtype=np.float64)
+    return read_only(np.where(np.isnan(ends), [np.inf, -np.inf], ends))
+
+
+def _read_condition(value: float | None) -> float:
+    """Return a condition number, which is infinite where the file has null."""
+    return np.inf if value is None else float(value)
+
+
+def _read_square(rows: Any) -> Array:  # noqa: ANN401
+    """Return a matrix from its rows, also of none, shape (p, p)."""
+    return read_only(np.array(rows, dtype=float).reshape(len(rows), -1))
+
+
+def _read_base_motion(rows: Any) -> Array | None:  # noqa: ANN401
+    """Return a compensating motion, shape (6, p), from its rows."""
+    return np.reshape(rows, (6, -1)) if rows else None
+
+
+#: The prior standard deviations of families.
+_PRIOR_STD = Key("prior_std", _prior_std_table, _read_prior_std)
+
 #: Where attributes stand in the file, by class; see `JsonLayout`.
 _LAYOUT: JsonLayout = JsonLayout(
     {
@@ -82,15 +134,11 @@ _LAYOUT: JsonLayout = JsonLayout(
         OutsideRow: {"beyond": "joints"},
         Reason: {
             "why": "code",
-            "values": Key(
-                "values",
-                lambda values: [{"name": name, "value": value} for name, value in values.items()],
-                lambda found: {one["name"]: one["value"] for one in found},
-            ),
+            "values": Key("values", _values_table, _read_values),
         },
         Payload: {"mass": "mass_kg", "com": "com_m"},
         Repeats: {"within": "scatter", "freedoms": "freedom", "rho": "correlation"},
-        Candidate: {"name": "set", "prior_std": _SIZES},
+        Candidate: {"name": "set", "prior_std": _PRIOR_STD},
         Robustness: {
             "lowered": "weights_lowered",
             "moved_rms": "moved_rms_m",
@@ -98,19 +146,13 @@ _LAYOUT: JsonLayout = JsonLayout(
             "errors_lowered": "lowered",
             "errors_full": "full",
         },
-        Observability: {
-            "condition": Key("condition", None, lambda v: np.inf if v is None else float(v))
-        },
+        Observability: {"condition": Key("condition", None, _read_condition)},
         FittedModel: {
             "kinematics": None,
             "setup": "frames",
-            "covariance": Key(
-                "covariance",
-                None,
-                lambda v: read_only(np.array(v, dtype=float).reshape(len(v), -1)),
-            ),
-            "base_motion": Key("base_motion", None, lambda v: v and np.reshape(v, (6, -1))),
-            "prior_std": _SIZES,
+            "covariance": Key("covariance", None, _read_square),
+            "base_motion": Key("base_motion", None, _read_base_motion),
+            "prior_std": _PRIOR_STD,
             "expected_measured": "expected.measured_rms_m",
             "expected_everywhere": "expected.everywhere_rms_m",
             "extrapolation": "expected.extrapolation",
@@ -126,22 +168,18 @@ _LAYOUT: JsonLayout = JsonLayout(
                 name: f"rows.{name}"
                 for name in ("residual_nominal", "residual_calibrated", "used", "scores", "weights")
             },
-            "ranges": Key("robot.ranges", None, _ranges),
+            "ranges": Key("robot.ranges", None, _read_ranges),
             **{
                 name: f"noise.{name}"
                 for name in ("freedom", "repeats", "prior_std_from", "flag_limit")
             },
-            "prior_std": replace(_SIZES, path="noise.prior_std"),
+            "prior_std": replace(_PRIOR_STD, path="noise.prior_std"),
             "sigma": "noise.sigma_m",
             "sigma_angle": "noise.sigma_angle_rad",
             "sigma_given": "noise.sigma_given_m",
             "sigma_angle_given": "noise.sigma_angle_given_rad",
             **{name: f"model.{name}" for name in ("frozen", "candidates")},
-            "ties": Key(
-                "model.ties",
-                lambda ties: [{"name": n, "other": o, "factor": f} for n, (o, f) in ties.items()],
-                lambda found: {one["name"]: (one["other"], float(one["factor"])) for one in found},
-            ),
+            "ties": Key("model.ties", _ties_table, _read_ties),
             "solver": "solver.name",
             "seconds": "solver.seconds",
             "solution": "solver.",
@@ -155,71 +193,111 @@ _LAYOUT: JsonLayout = JsonLayout(
 
 
 def versions() -> dict[str, str]:
-    """What computed the result."""
+    """Return the versions of calib and of the packages that computed the result."""
     packages = {name: importlib.metadata.version(name) for name in ("pin", "numpy", "scipy")}
     return {"calib": __version__, "python": platform.python_version(), **packages}
 
 
 def result_table(c: CalibrationValues) -> dict[str, Any]:
-    """The result as nested tables of plain values, before missing numbers become null."""
-    r, urdf, given = c.nominal, c.nominal.urdf, c.setup.target_given[0]
-    errors = {
-        who: {name: error_table(one) for name, one in sets.items()}
-        for who, sets in c.errors.items()
-    }
-    found = nested(
-        {
-            "schema": SCHEMA,
-            "robot": {"name": r.name, "base": r.base, "tip": r.tip, "joints": r.joint_names},
-            "robot.held": [{"joint": name, "value": value} for name, value in r.held.items()],
-            **{
-                f"robot.{key}": [{"joint": n, **pose_table(T)} for n, T in robot.origins().items()]
-                for key, robot in (("origins", c.robot), ("nominal_origins", r))
-            },
-            "frames": {**pose_table(c.T_frame_base, "frame_base_"), "target_m": c.target},
-            "frames.target_given_m": c.nominal_setup.T_tip_target[0, :3, 3] if given else None,
-            "frames.target_estimated": c.setup.estimate_target,
-            "errors": errors,
-            "model": _model_table(c.model),
-            "inputs.urdf": {"name": urdf.source, "sha256": urdf.sha256},
-            "inputs.urdf.text": urdf.data.decode("utf-8", "surrogateescape"),
-            "inputs.measurements": {"name": c.source.name, "sha256": c.source.sha256},
-            "inputs.measurements.rows": len(c.rows),
-            "versions": versions(),
-        }
-    )
+    """Return a result as nested tables of plain values, before missing numbers become null."""
+    table = nested(_derived_values(c))
     for key, value in _LAYOUT.table(c).items():
-        found[key] = found.get(key, {}) | value if isinstance(value, dict) else value
-    found["solver"]["iterations"] = c.solution.iterations
+        table[key] = table.get(key, {}) | value if isinstance(value, dict) else value
+    table["solver"]["iterations"] = c.solution.iterations
     if c.non_geometric is not None:
-        found["non_geometric"] |= {
-            "errors": errors["non_geometric"],
+        table["non_geometric"] |= {
+            "errors": table["errors"]["non_geometric"],
             "model": _model_table(c.non_geometric.model),
         }
-    return found
+    return table
+
+
+def _derived_values(c: CalibrationValues) -> dict[str, Any]:
+    """Return what the file has besides the attributes of a result, by its path in the file."""
+    robot, urdf = c.nominal, c.nominal.urdf
+    target_given = c.setup.target_given[0]
+    errors = {}
+    for name, sets in c.errors.items():
+        errors[name] = {rows: error_table(of_rows) for rows, of_rows in sets.items()}
+    return {
+        "schema": SCHEMA,
+        "robot": {
+            "name": robot.name,
+            "base": robot.base,
+            "tip": robot.tip,
+            "joints": robot.joint_names,
+        },
+        "robot.held": [{"joint": name, "value": value} for name, value in robot.held.items()],
+        "robot.origins": _origins_table(c.robot),
+        "robot.nominal_origins": _origins_table(robot),
+        "frames": {**pose_table(c.T_frame_base, "frame_base_"), "target_m": c.target},
+        "frames.target_given_m": c.nominal_setup.T_tip_target[0, :3, 3] if target_given else None,
+        "frames.target_estimated": c.setup.estimate_target,
+        "errors": errors,
+        "model": _model_table(c.model),
+        "inputs.urdf": {"name": urdf.source, "sha256": urdf.sha256},
+        "inputs.urdf.text": urdf.data.decode("utf-8", "surrogateescape"),
+        "inputs.measurements": {"name": c.source.name, "sha256": c.source.sha256},
+        "inputs.measurements.rows": len(c.rows),
+        "versions": versions(),
+    }
+
+
+def _origins_table(robot: Robot) -> list[dict[str, Any]]:
+    """Return the joint origins of a robot, as in its URDF."""
+    return [{"joint": name, **pose_table(T)} for name, T in robot.origins().items()]
 
 
 def write_result(
     c: CalibrationValues, path: str | Path, *, overwrite: bool = False, extra: Json | None = None
 ) -> Path:
-    """Write a calibration as JSON, with further keys if any; `FileError` where that cannot be."""
+    """Write a calibration as JSON.
+
+    Args:
+        c: The result.
+        path: The file.
+        overwrite: Whether a file that exists is replaced.
+        extra: Further keys at the top.
+
+    Returns:
+        The path.
+
+    Raises:
+        FileError: The file exists, or cannot be written.
+    """
     return write_table(result_table(c) | dict(extra or {}), path, overwrite=overwrite)
 
 
 def write_table(table: Json, path: str | Path, *, overwrite: bool = False) -> Path:
-    """Write nested tables of plain values and arrays as JSON, missing numbers as null; `FileError` as above."""
+    """Write nested tables of plain values and arrays as JSON, missing numbers as null.
+
+    Args:
+        table: The tables.
+        path: The file.
+        overwrite: Whether a file that exists is replaced.
+
+    Returns:
+        The path.
+
+    Raises:
+        FileError: The file exists, or cannot be written.
+    """
     return write_atomically(Path(path), json_bytes(table), overwrite=overwrite)
 
 
 def read_result(path: str | Path) -> CalibrationValues:
-    """Read a calibration; `FileError` where it cannot be read, is no result, of another schema, or damaged."""
+    """Read a calibration that `write_result` wrote.
+
+    Raises:
+        FileError: It cannot be read, is no result, of another schema, or damaged.
+    """
     expected = (
         f"a result of calib {__version__} has {SCHEMA}. Results are written by calib calibrate ROBOT DATA --json "
         "result.json"
     )
-    found = read_json(path, "calibration result", SCHEMA, expected)
+    table = read_json(path, "calibration result", SCHEMA, expected)
     try:
-        return _calibration(found, Path(path).parent)
+        return _calibration(table, Path(path).parent)
     except (
         CalibError, KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError,
     ) as error:  # fmt: skip
@@ -228,65 +306,76 @@ def read_result(path: str | Path) -> CalibrationValues:
         ) from error
 
 
-def _calibration(found: Json, folder: Path) -> CalibrationValues:
-    """A result from its tables; meshes lie beside the URDF, where that is in a folder."""
-    robot, inputs = found["robot"], found["inputs"]
-    name, text = inputs["urdf"]["name"], inputs["urdf"]["text"]
-    urdf = Urdf.from_bytes(text.encode("utf-8", "surrogateescape"), name, folder / name)
-    held = {one["joint"]: float(one["value"]) for one in robot["held"]}
-    nominal = Robot.from_urdf(urdf, robot["base"], robot["tip"], held=held)
-
-    def solved(kind: type[FittedModel], table: Json) -> dict[str, Any]:
-        """The attributes of the geometry, or of the non-geometric model."""
-        own = _LAYOUT.values(kind, table, excluded=("non_geometric",))
-        x, C, setup = own["x"], own["covariance"], own["setup"]
-        model = _model_of(table["model"], [one.name for one in own["parameters"]])
-        arrays = x, C, setup.T_frame_base, setup.T_tip_target
-        numbers = [
-            *(one.data_gradient for one in own["parameters"]),
-            *np.concatenate([*map(np.ravel, arrays)]),
-        ]
-        if C.shape != x.shape * 2 or not np.isfinite(numbers).all():
-            raise ValueError("a number is missing")
-        back = np.linalg.inv(model.displacements(x)[0])
-        own["kinematics"] = Kinematics(
-            nominal,
-            model,
-            setup.T_frame_base @ back[: len(setup.groups)],
-            setup.T_tip_target @ back[-len(setup.targets) :],
-        )
-        return own
-
-    own, non_geometric = solved(CalibrationValues, found), found["non_geometric"]
-    ends = len(own["ranges"]), len(own["rows"])
-    if ends != (len(nominal.joint_names), inputs["measurements"]["rows"]):
+def _calibration(table: Json, folder: Path) -> CalibrationValues:
+    """Return a result from its tables; meshes lie beside the URDF, where that is in the folder."""
+    nominal, inputs = _nominal(table, folder), table["inputs"]
+    values = _model_values(CalibrationValues, table, nominal)
+    lengths = len(values["ranges"]), len(values["rows"])
+    if lengths != (len(nominal.joint_names), inputs["measurements"]["rows"]):
         raise ValueError("'robot.ranges' or 'rows' are not those of the result")
+    non_geometric = None
+    if table["non_geometric"] is not None:
+        attributes = _model_values(NonGeometric, table["non_geometric"], nominal)
+        non_geometric = NonGeometric(**attributes)
     return CalibrationValues(
-        **own,
+        **values,
         nominal=nominal,
-        robot=own["kinematics"].model.apply(nominal, own["x"]),
+        robot=values["kinematics"].model.apply(nominal, values["x"]),
         source=Source(inputs["measurements"]["name"], inputs["measurements"]["sha256"]),
-        non_geometric=None
-        if non_geometric is None
-        else NonGeometric(**solved(NonGeometric, non_geometric)),
+        non_geometric=non_geometric,
     )
 
 
+def _nominal(table: Json, folder: Path) -> Robot:
+    """Return the nominal robot from the tables of a result."""
+    robot, stored = table["robot"], table["inputs"]["urdf"]
+    data = stored["text"].encode("utf-8", "surrogateescape")
+    urdf = Urdf.from_bytes(data, stored["name"], folder / stored["name"])
+    held = {row["joint"]: float(row["value"]) for row in robot["held"]}
+    return Robot.from_urdf(urdf, robot["base"], robot["tip"], held=held)
+
+
+def _model_values(kind: type[FittedModel], table: Json, nominal: Robot) -> dict[str, Any]:
+    """Return the attributes of a fitted model, by their names.
+
+    Args:
+        kind: `CalibrationValues`, or `NonGeometric`.
+        table: Its table: the whole one, or that of the non-geometric model.
+        nominal: The nominal robot.
+    """
+    values = _LAYOUT.values(kind, table, excluded=("non_geometric",))
+    x, covariance, setup = values["x"], values["covariance"], values["setup"]
+    parameters = values["parameters"]
+    model = _model_of(table["model"], [parameter.name for parameter in parameters])
+    arrays = (x, covariance, setup.T_frame_base, setup.T_tip_target)
+    gradients = [parameter.data_gradient for parameter in parameters]
+    numbers = np.concatenate([gradients, *(np.ravel(array) for array in arrays)])
+    if covariance.shape != x.shape * 2 or not np.isfinite(numbers).all():
+        raise ValueError("a number is missing")
+    # The offsets x count from frames and targets before the estimated displacements.
+    back = np.linalg.inv(model.displacements(x)[0])
+    frames = setup.T_frame_base @ back[: len(setup.groups)]
+    targets = setup.T_tip_target @ back[-len(setup.targets) :]
+    values["kinematics"] = Kinematics(nominal, model, frames, targets)
+    return values
+
+
 def _model_table(model: ErrorModel) -> dict[str, Any]:
-    """Where each term of an error model acts, and which parameters the terms follow."""
+    """Return the places of an error model's terms, and the parameters that the terms follow."""
     mixing = None if model.terms is model.parameters else model.mixing
-    terms = [_LAYOUT.table(one) for one in model.terms]
+    terms = [_LAYOUT.table(term) for term in model.terms]
     return {"set": model.name, "places": model.places, "terms": terms, "mixing": mixing}
 
 
-def _model_of(found: Json, names: Sequence[str]) -> ErrorModel:
-    """The same back, with these parameters."""
-    terms = tuple(_LAYOUT.read(Parameter, one) for one in found["terms"])
-    by_name, places = {one.name: one for one in terms}, tuple(found["places"])
+def _model_of(table: Json, names: Sequence[str]) -> ErrorModel:
+    """Return an error model from its table, with the parameters of these names."""
+    terms = tuple(_LAYOUT.read(Parameter, term) for term in table["terms"])
+    by_name = {term.name: term for term in terms}
     parameters = tuple(by_name[name] for name in names)
-    if found["mixing"] is not None:
-        mixing = np.array(found["mixing"], dtype=np.float64).reshape(len(terms), len(names))
-        return ErrorModel(found["set"], places, parameters, terms, read_only(mixing))
+    places = tuple(table["places"])
+    if table["mixing"] is not None:
+        mixing = np.array(table["mixing"], dtype=np.float64).reshape(len(terms), len(names))
+        return ErrorModel(table["set"], places, parameters, terms, read_only(mixing))
     if parameters != terms:
         raise ValueError("'parameters' and 'model.terms' name other parameters")
-    return ErrorModel(found["set"], places, terms)
+    return ErrorModel(table["set"], places, terms)

@@ -1,4 +1,4 @@
-"""Evidence: all figures of a result that its verdict is based on."""
+"""Evidence: all figures of a cross-validated result that its verdict is based on."""
 
 from __future__ import annotations
 
@@ -22,6 +22,9 @@ from calib.units import Array, Mask
 #: A share of validation rows up to which those that do not fit are set aside as accidents.
 _FEW_SUSPECTS = 0.15
 
+#: Parameters of a full geometry for each joint.
+_PER_JOINT = 4
+
 
 def evidence_of(
     result: CalibrationValues,
@@ -29,56 +32,61 @@ def evidence_of(
     rows: Rows,
     doubts: tuple[Reason, ...],
 ) -> Evidence:
-    """All that the verdict on a part of a result is based on: its URDF or its non-geometric model.
+    """Collect the evidence for the verdict on a part of a result.
 
-    The result is cross-validated, and the hint a set-up that explains more.
+    Args:
+        result: A cross-validated result, in memory.
+        part: The result itself, for the verdict on its geometry, or its non-geometric model.
+        rows: The N rows that were fitted, those of sole postures marked.
+        doubts: See `doubts_of`.
     """
-    fits, m, model = result.fit_in_memory, result.measurements, part.model
-    non_geometric = part if isinstance(part, NonGeometric) else None
-    fitted = (
-        fits.non_geometric
-        if non_geometric is not None and fits.non_geometric is not None
-        else fits.geometry
-    )
-    nominal, calibrated = result.nominal_cross_validation, part.cross_validation
-    assert nominal is not None
-    assert calibrated is not None
-    suspects = {o.row for o in result.suspects}
-    of_robot = ~model.family(FRAME, TARGET)
-    geometry = of_robot & np.isin(model.units, ("m", "rad"))
+    assert result.nominal_cross_validation is not None
+    assert part.cross_validation is not None
+    of_non_geometric = isinstance(part, NonGeometric)
+    fitted = _fit_of(result, part)
+    of_robot = ~part.model.family(FRAME, TARGET)
+    lengths_and_angles = of_robot & np.isin(part.model.units, ("m", "rad"))
     expected, expected_of_nominal = _over_joint_limits(result, part)
     return Evidence(
-        nominal=nominal,
-        calibrated=calibrated,
+        nominal=result.nominal_cross_validation,
+        calibrated=part.cross_validation,
         scales=fitted.estimate.problem.scales,
         used=rows.used & rows.checked[:, None],
         floor=_noise_floor(result, fitted, doubts),
         repeats=rows.poses,
         pairs=rows.partner >= 0,
         outliers=result.fitted.estimate.outliers,
-        validation=validation_errors(
-            m.validation,
-            np.array([row in suspects for row in m.rows]),
-            result.residual_nominal,
-            result.residual_calibrated if non_geometric is None else non_geometric.residual,
-            result.used,
-        ),
+        validation=_validation_errors(result, part),
         doubts=(*noise_doubts(result, fitted, doubts), *doubts),
-        notes=tuple(_notes(result)) if non_geometric is None else (),
-        parameters=len(model),
-        full_model_parameters=(4 * len(fitted.task.robot.inputs) + fitted.setup.count)
-        * bool(result.candidates),
+        notes=() if of_non_geometric else tuple(_notes(result)),
+        parameters=len(part.model),
+        full_model_parameters=_full_model_parameters(result, fitted),
         changes=bool(np.any(part.x[of_robot])),
-        largest=float(np.max(np.abs(part.x[geometry]), initial=0.0)),
+        largest=float(np.max(np.abs(part.x[lengths_and_angles]), initial=0.0)),
         noise=result.sigma,
         expected=expected,
         expected_of_nominal=expected_of_nominal,
-        non_geometric=_non_geometric(result) if non_geometric is None else None,
+        non_geometric=None if of_non_geometric else _usable_non_geometric(result),
     )
 
 
-def _non_geometric(result: CalibrationValues) -> tuple[str, Errors] | None:
-    """Name and held-out errors of the non-geometric model, unless it is not to be used itself."""
+def _fit_of(result: CalibrationValues, part: FittedModel) -> Fitted:
+    """Return the fit of a part of a result: of its non-geometric model, or of its geometry."""
+    fits = result.fit_in_memory
+    if isinstance(part, NonGeometric) and fits.non_geometric is not None:
+        return fits.non_geometric
+    return fits.geometry
+
+
+def _full_model_parameters(result: CalibrationValues, fitted: Fitted) -> int:
+    """Return the number of parameters of a full geometry; 0 where the model was named and not chosen."""
+    if not result.candidates:
+        return 0
+    return _PER_JOINT * len(fitted.task.robot.inputs) + fitted.setup.count
+
+
+def _usable_non_geometric(result: CalibrationValues) -> tuple[str, Errors] | None:
+    """Return name and held-out errors of the non-geometric model, unless its verdict is not to use it."""
     model = result.non_geometric
     if model is None or model.cross_validation is None or model.verdict is None:
         return None
@@ -88,77 +96,115 @@ def _non_geometric(result: CalibrationValues) -> tuple[str, Errors] | None:
 
 
 def _noise_floor(result: CalibrationValues, fitted: Fitted, doubts: tuple[Reason, ...]) -> Array:
-    """The least noise of each scalar that any model tried has left, over that of a fit, at most 1, shape (N, D)."""
+    """Return the least noise by any model tried over that of a fit, at most 1, for each scalar.
+
+    Args:
+        result: The result with its fits.
+        fitted: The fit whose noise is compared.
+        doubts: Among them may be that a full geometry, or one with non-geometric errors, would leave less.
+
+    Returns:
+        shape (N, D).
+    """
     fits = (result.fit_in_memory.geometry, result.fit_in_memory.non_geometric)
     noise = np.array(fitted.estimate.noise)
-    least = np.min([one.estimate.noise for one in fits if one is not None], axis=0)
+    least = np.min([fit.estimate.noise for fit in fits if fit is not None], axis=0)
     share = np.minimum(least / noise, 1.0)
     for doubt in doubts:
         if doubt.why == Why.MODEL_LACKS:
             share[0] = min(share[0], doubt.values["less_m"] / doubt.values["noise_m"])
+    # Scalars that were not measured have the instrument -1, the last one.
     return np.append(share, 1.0)[fitted.estimate.problem.rows.instruments]
 
 
 def _notes(result: CalibrationValues) -> Iterator[Reason]:
-    """What is told of the corrected robot besides, and decides nothing."""
-    non_geometric, m = result.non_geometric, result.measurements
-    if (
-        non_geometric is not None
-        and non_geometric.cross_validation is not None
-        and non_geometric.verdict is not None
-    ):
-        errors, own = (
-            non_geometric.cross_validation.errors_without_outliers,
-            result.cross_validation,
-        )
-        closer = own is None or not errors.rms >= own.errors_without_outliers.rms
-        why = Why.LARGER_MODEL if closer else Why.LARGER_NO_CLOSER
-        yield Reason.of(why, model=non_geometric.name, after=errors, use=non_geometric.verdict.use)
+    """Yield informational reasons; they do not affect the verdict."""
+    yield from _note_on_non_geometric(result)
+    m = result.measurements
     if m.copies:
         yield Reason.of(Why.ROWS_COPIED, rows=len(m.copies), row=m.copies[0])
     if result.outside:
-        one = max(result.outside, key=lambda row: row.beyond[0].by)
-        far, number = one.beyond[0], int(np.array(m.rows)[m.validation][one.index])
-        values = {"joint": far.joint, "by_m" if far.prismatic else "by_rad": far.by}
-        yield Reason.of(Why.OUTSIDE, rows=len(result.outside), row=number, **values)
+        farthest = max(result.outside, key=lambda row: row.beyond[0].by)
+        joint = farthest.beyond[0]
+        number = int(np.array(m.rows)[m.validation][farthest.index])
+        distance = {"by_m" if joint.prismatic else "by_rad": joint.by}
+        yield Reason.of(
+            Why.OUTSIDE, rows=len(result.outside), row=number, joint=joint.joint, **distance
+        )
+
+
+def _note_on_non_geometric(result: CalibrationValues) -> Iterator[Reason]:
+    """Say if there is a non-geometric model, and if it predicts better than the geometry."""
+    model = result.non_geometric
+    if model is None or model.cross_validation is None or model.verdict is None:
+        return
+    errors = model.cross_validation.errors_without_outliers
+    closer = True
+    if result.cross_validation is not None:
+        of_geometry = result.cross_validation.errors_without_outliers
+        closer = not errors.rms >= of_geometry.rms
+    why = Why.LARGER_MODEL if closer else Why.LARGER_NO_CLOSER
+    yield Reason.of(why, model=model.name, after=errors, use=model.verdict.use)
 
 
 def _over_joint_limits(result: CalibrationValues, part: FittedModel) -> tuple[float, float]:
-    """What a part of a result and the nominal robot are expected to be off by over the joint limits, rms [m].
+    """Return the expected errors over the joint limits, rms [m], of a part of a result and of the nominal robot.
 
     With the variance v of a prediction there, v_0 at the measured poses and the factor f by which extrapolated errors
     exceed their variance, the part is off by e^2 = v_0 + f (v - v_0). It is d away from the nominal robot, of which
     (f - 1) (v - v_0) is error of its own: the nominal robot is off by d^2 - (f - 1) (v - v_0) + v. Where the frame is
     registered anew for each table, motions of the base do not count.
     """
-    robot, nominal = result.nominal, result.nominal_setup
-    samples = result.samples(spread_poses(robot))
-    poses, twists = part.kinematics.twists(part.x, samples, rotation=False)
-    T_nominal = nominal.target_poses(robot.poses(samples.q), samples)
-    points, columns = poses[:, :3, 3], twists
-    away = (T_nominal[:, :3, 3] - points)[:, :, None]
+    samples = result.samples(spread_poses(result.nominal))
+    poses, columns = part.kinematics.twists(part.x, samples, rotation=False)
+    T_base_tip = result.nominal.poses(samples.q)
+    nominal_points = result.nominal_setup.target_poses(T_base_tip, samples)[:, :3, 3]
+    points = poses[:, :3, 3]
+    away = (nominal_points - points)[:, :, None]
     if result.frame_estimated or not result.tells_place:
-        away, columns = (without_rigid_motion(points, moves) for moves in (away, columns))
-    d = float(np.mean(np.sum(away**2, axis=(1, 2))))
+        away = without_rigid_motion(points, away)
+        columns = without_rigid_motion(points, columns)
+    d_square = float(np.mean(np.sum(away**2, axis=(1, 2))))
     v = float(np.mean(np.einsum("nip,pq,niq->n", columns, part.covariance, columns, optimize=True)))
     v_0 = min(part.expected_measured**2, v)
-    beyond = v - v_0
-    expected = v_0 + part.extrapolation * beyond
-    off = max(d - (part.extrapolation - 1.0) * beyond + v, expected)
-    return float(np.sqrt(expected)), float(np.sqrt(off))
+    added = v - v_0
+    of_part = v_0 + part.extrapolation * added
+    of_nominal = max(d_square - (part.extrapolation - 1.0) * added + v, of_part)
+    return float(np.sqrt(of_part)), float(np.sqrt(of_nominal))
+
+
+def _validation_errors(result: CalibrationValues, part: FittedModel) -> tuple[Errors, Errors, int]:
+    """Return the figures of `validation_errors` for a part of a result."""
+    m = result.measurements
+    suspects = [suspect.row for suspect in result.suspects]
+    residual = part.residual if isinstance(part, NonGeometric) else result.residual_calibrated
+    return validation_errors(
+        m.validation, np.isin(m.rows, suspects), result.residual_nominal, residual, result.used
+    )
 
 
 def validation_errors(
     validation: Mask, suspects: Mask, nominal: Array, calibrated: Array, used: Mask
 ) -> tuple[Errors, Errors, int]:
-    """Errors on the validation rows, before and after, without suspects if they are few, and how many those are.
+    """Compare errors on the validation rows, without suspects if they are few.
 
-    One wild row would decide the comparison; many of them are no accidents. Residuals are of shape (N, D), masks (N,).
+    One wild row would decide the comparison; many of them are no accidents.
+
+    Args:
+        validation: True for validation rows, shape (N,).
+        suspects: True for rows whose score is beyond the limit, shape (N,).
+        nominal: Measured minus predicted by the nominal robot, shape (N, D), [m] and [rad].
+        calibrated: By the calibrated one, likewise.
+        used: True for the scalars that were measured, shape (N, D).
+
+    Returns:
+        Errors of the nominal and of the calibrated robot, and the number of rows that were set aside.
     """
     aside = suspects & validation
     many = np.sum(suspects) > max(1, int(_FEW_SUSPECTS * np.sum(validation)))
     if many or np.array_equal(aside, validation):
         aside = np.zeros_like(suspects)
     chosen = validation & ~aside
-    before, after = (Errors.of(one[chosen], used[chosen]) for one in (nominal, calibrated))
+    before = Errors.of(nominal[chosen], used[chosen])
+    after = Errors.of(calibrated[chosen], used[chosen])
     return before, after, int(np.sum(aside))

@@ -1,4 +1,4 @@
-"""Uncertainty on demand, at the price of many fits; noise, prior std and robust weights stay as they were found.
+"""Uncertainty on demand, at the price of many fits; noise, prior std and robust weights stay as they were estimated.
 
 **Bootstrap.** Whole poses, with their repeats, are drawn with replacement within each set-up: B. Efron, R. J.
 Tibshirani, An Introduction to the Bootstrap, 1993, sections 9.5 and 13.3. Each sample draws the priors' means too
@@ -22,6 +22,7 @@ from scipy.special import fdtri, gammaincinv
 from calib.blas import one_blas_thread
 from calib.errors import CalibError, ModelError
 from calib.estimate.fitting import Fitted
+from calib.estimate.task import PAPER
 from calib.jobs import Progress, batch_size, run
 from calib.model.kinematics import Samples, SamplesOrValues
 from calib.model.observability import steps
@@ -34,36 +35,43 @@ from calib.robot.ranges import spread_poses
 from calib.robot.robot import read_only
 from calib.units import Array, Integers
 
-#: With fewer samples the ends of a 95 % interval lie beyond them; more tell nothing, and do not fit into memory.
-FEWEST_SAMPLES, MOST_SAMPLES = 40, 100_000
+#: With fewer samples the ends of a 95 % interval lie beyond them.
+FEWEST_SAMPLES = 40
 
-#: Poses over which a bootstrap's predicted spread is told.
+#: More samples make intervals no better, and do not fit into memory.
+MOST_SAMPLES = 100_000
+
+#: Poses over which the predicted scatter of a bootstrap is averaged.
 _POSES = 200
 
-#: A prior wider than this is no prior but a hold on what nothing determines; its mean stays [m, rad].
-_LEASH = 1.0
+#: A prior wider than this only holds what nothing determines; its mean is not drawn [m, rad].
+_WIDEST_DRAWN = 1.0
 
 #: A fit of a sample ends with steps below this, in steps of 1 mm and 1 mrad.
 _STEP = 1e-4
 
-#: Steps are doubled this many times before an end of a profile counts as open; an end is found to this share.
-_DOUBLINGS, _TOLERANCE = 10, 1e-4
+#: Steps are doubled this many times before an end of a profile counts as open.
+_DOUBLINGS = 10
+
+#: An end of a profile is found to this share of its distance.
+_TOLERANCE = 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bootstrap:
-    """Parameters of many fits to rows drawn with replacement from those of one."""
+    """Parameters of many fits to rows drawn with replacement from those of one fit."""
 
-    fitted: Fitted  #: That one
+    fitted: Fitted  #: That fit, of p parameters
     parameters: tuple[ParameterEstimate, ...]  #: Its values and intervals
     x: Array  #: shape (count, p), offsets like ``fitted.estimate.x``
-    seed: int
-    stopped: int  #: How many samples' fits reached the solver's limit of iterations
+    seed: int  #: Seed of the draws
+    stopped: int  #: Number of samples whose fits reached the solver's limit of iterations
 
     @property
     def measured_rms(self) -> float:
         """Standard deviation over the samples of the predicted position, rms over the measured poses [m]."""
-        return rms(self.position_std(_some(self.fitted.estimate.problem.rows.samples)))
+        measured = self.fitted.estimate.problem.rows.samples
+        return rms(self.position_std(_evenly(measured)))
 
     @property
     def everywhere_rms(self) -> float:
@@ -76,34 +84,54 @@ class Bootstrap:
         return np.asarray(np.std(self.x, axis=0, ddof=1))
 
     def intervals(self, level: float = 0.95) -> Array:
-        """Percentile interval of each parameter's value at a level of probability, shape (p, 2), in its unit."""
+        """Return the percentile interval of each parameter's value.
+
+        Args:
+            level: Its probability, between 0 and 1.
+
+        Returns:
+            Lower and upper ends, shape (p, 2), in the parameters' units.
+        """
         tail = 0.5 * (1.0 - level)
         ends = np.quantile(self.x, (tail, 1.0 - tail), axis=0).T
         values = np.array([p.value for p in self.parameters])
         return np.asarray(ends + (values - self.fitted.estimate.x)[:, None])
 
     def positions(self, where: SamplesOrValues) -> Array:
-        """Where each sample puts the target, in the measurement frame, shape (count, N, 3), [m]; see `position_std`."""
+        """Predict the target by each sample, in the measurement frame.
+
+        Args:
+            where: As of `position_std`.
+
+        Returns:
+            shape (count, N, 3), [m].
+        """
         return np.array([self.fitted.kinematics.points(x, where) for x in self.x])
 
     def position_std(self, where: SamplesOrValues) -> Array:
-        """Standard deviation of the predicted position over the samples, see `Calibration.position_std`, shape (N,).
+        """Return the standard deviation of the predicted position over the samples of the bootstrap.
 
-        At N samples (see `Calibration.samples`), or joint values of shape (N, m) of the first frame and target.
+        Where no row determines where the base stands, it leaves out what moves all positions as one body.
+
+        Args:
+            where: N samples, see `Calibration.samples`, or joint values of shape (N, m), [rad] or [m], for the first
+                frame and target.
+
+        Returns:
+            shape (N,), [m].
         """
         samples = where if isinstance(where, Samples) else Samples.at(where)
         problem = self.fitted.estimate.problem
-        seen = _some(problem.rows.samples)
-        as_one_body = not any(kind.position for kind in problem.rows.present)
-        if as_one_body:
-            samples, seen = (replace(s, frame=np.zeros_like(s.frame)) for s in (samples, seen))
-        points, moves = self._scatter(samples)
-        if as_one_body:
-            moves = without_rigid_motion(points, moves, self._scatter(seen))
-        return np.asarray(np.sqrt(np.sum(np.var(moves, axis=2, ddof=1), axis=1)))
+        if any(kind.position for kind in problem.rows.present):
+            _, scatter = self._scatter(samples)
+        else:
+            measured = _in_first_frame(_evenly(problem.rows.samples))
+            points, scatter = self._scatter(_in_first_frame(samples))
+            scatter = without_rigid_motion(points, scatter, self._scatter(measured))
+        return np.asarray(np.sqrt(np.sum(np.var(scatter, axis=2, ddof=1), axis=1)))
 
     def _scatter(self, samples: Samples) -> tuple[Array, Array]:
-        """Mean positions and the samples' differences from them, shapes (N, 3) and (N, 3, count)."""
+        """Return mean positions and the samples' differences from them, shapes (N, 3) and (N, 3, count), [m]."""
         points = self.positions(samples)
         mean = points.mean(axis=0)
         return mean, (points - mean).transpose(1, 2, 0)
@@ -122,6 +150,13 @@ def bootstrap(
     The samples are the same for the same seed, wherever they are fitted; 200 are enough for standard deviations, 1000
     for intervals.
 
+    Args:
+        calibration: A result in memory.
+        count: Number of samples.
+        seed: Seed of the draws, 0 or more.
+        progress: Called after each fit with the number of fits done and of all.
+        executor: Where the fits run; None: in this process.
+
     Raises:
         CalibError: Too few or too many samples, a seed below 0, or the paper's solver made the calibration.
     """
@@ -132,28 +167,37 @@ def bootstrap(
         )
     fitted = calibration.fitted
     _check_solver(fitted)
-    problem, start = fitted.estimate.problem, fitted.estimate.x
+    problem, parameters = fitted.estimate.problem, len(fitted.estimate.x)
     rows = problem.rows
-    drawn = bootstrap_indices(rows.blocks, count, seed, rows.samples.frame)
+    draws = bootstrap_counts(rows.blocks, count, seed, rows.samples.frame)
     # Not the generator that draws the rows: priors would follow them.
     rng = np.random.default_rng([seed, 1])
-    noise = rng.normal(size=(count, len(start) + len(problem.distances)))
-    x, stopped = np.empty((count, len(start))), 0
-    items, size = zip(drawn, noise, strict=True), batch_size(count)
-    for done, (k, found) in enumerate(run(_fit_sample, fitted, items, executor, batch=size), 1):
-        x[k], stopped = found[0], stopped + (not found[1])
+    normal = rng.normal(size=(count, parameters + len(problem.distances)))
+    x, stopped = np.empty((count, parameters)), 0
+    samples = zip(draws, normal, strict=True)
+    fits = run(_fit_sample, fitted, samples, executor, batch=batch_size(count))
+    for done, (k, (x_of_sample, converged)) in enumerate(fits, start=1):
+        x[k] = x_of_sample
+        stopped += not converged
         if progress is not None:
             progress(done, count)
     return Bootstrap(fitted, calibration.parameters, read_only(x), seed, stopped)
 
 
-def bootstrap_indices(
+def bootstrap_counts(
     blocks: NDArray[np.generic], count: int, seed: int, strata: NDArray[np.generic]
 ) -> Integers:
-    """How often each row is drawn in each sample, shape (count, N): as many blocks as there are, with replacement.
+    """Draw blocks of rows with replacement, as many as there are, for each sample of a bootstrap.
 
-    blocks, shape (N,), labels what is drawn together: the pose where it was repeated, or the set-up. Within strata,
-    labels of shape (N,), blocks are drawn apart, so that every set-up stays in every sample.
+    Args:
+        blocks: Label of each row's block, shape (N,): rows of one block, such as repeats of a pose, are drawn together.
+        count: Number of samples.
+        seed: Seed of the draws.
+        strata: Label of each row's stratum, shape (N,). Within each, such as a station, blocks are drawn apart, so that
+            it stays in every sample.
+
+    Returns:
+        Number of times that each row is drawn in each sample, shape (count, N).
     """
     rng = np.random.default_rng(seed)
     result = np.zeros((count, len(blocks)), dtype=np.int_)
@@ -166,18 +210,29 @@ def bootstrap_indices(
 
 
 def _fit_sample(fitted: Fitted, drawn: tuple[Array, Array]) -> tuple[Array, bool]:
-    """The parameters of one sample, and whether its fit converged."""
+    """Fit one sample of a bootstrap.
+
+    Args:
+        fitted: The fit to all N rows.
+        drawn: Number of times that each row is drawn, shape (N,), and standard normal numbers, one for the prior of
+            each parameter and one for each known distance between stations.
+
+    Returns:
+        Its parameters, shape (p,), and whether the fit converged.
+    """
     problem, start = fitted.estimate.problem, fitted.estimate.x
-    count, normal = drawn
-    held = problem.precision > 1.0 / _LEASH**2
-    wide = np.where(held, 1.0 / np.sqrt(np.where(held, problem.precision, 1.0)), 0.0)
-    moved = zip(problem.distances, normal[len(start) :].tolist(), strict=True)
+    counts, normal = drawn
+    is_drawn = problem.precision > 1.0 / _WIDEST_DRAWN**2
+    std = np.where(is_drawn, 1.0 / np.sqrt(np.where(is_drawn, problem.precision, 1.0)), 0.0)
+    distances = []
+    for known, by in zip(problem.distances, normal[len(start) :].tolist(), strict=True):
+        distances.append(known._replace(length=known.length + known.sigma * by))
     sample = replace(
         problem,
-        weights=problem.weights * count,
-        stops=None if problem.stops is None else problem.stops.drawn(count),
-        centre=problem.centre + wide * normal[: len(start)],
-        distances=tuple(d._replace(length=d.length + d.sigma * by) for d, by in moved),
+        weights=problem.weights * counts,
+        stops=None if problem.stops is None else problem.stops.drawn(counts),
+        centre=problem.centre + std * normal[: len(start)],
+        distances=tuple(distances),
     )
     size = steps(fitted.kinematics.model.units)
     solution = levenberg_marquardt(sample.system, start, step_size=size, step_tolerance=_STEP)
@@ -188,7 +243,7 @@ def _fit_sample(fitted: Fitted, drawn: tuple[Array, Array]) -> tuple[Array, bool
 class Profile:
     """An interval from the profile of the cost; an end is infinite where the cost does not rise enough."""
 
-    low: float
+    low: float  # In the parameter's unit
     high: float
     level: float  # Probability that the interval holds the true value
 
@@ -197,30 +252,36 @@ class Profile:
 def profile_interval(calibration: CalibrationValues, name: str, level: float = 0.95) -> Profile:
     """The interval of one parameter, in its unit, from the profile of the cost; see the module's text.
 
-    An end is infinite where the measurements set no limit. A parameter that the geometry lacks is that of
-    the non-geometric model.
+    An end is infinite where the measurements set no limit.
+
+    Args:
+        calibration: A result in memory.
+        name: Name of the parameter; one that the geometry lacks is that of the non-geometric model.
+        level: Probability that the interval holds the true value, between 0 and 1.
 
     Raises:
         ModelError: No such parameter, it stands at a bound, or the paper's solver made the calibration.
         CalibError: The level is not between 0 and 1.
     """
-    found = calibration.parameter(name)
+    parameter = calibration.parameter(name)
     fitted = calibration.fitted
-    if calibration.fit is not None and calibration.fit.non_geometric is not None:
-        fitted = fitted if name in calibration.model.names else calibration.fit.non_geometric
+    non_geometric = calibration.fit_in_memory.non_geometric
+    if non_geometric is not None and name not in calibration.model.names:
+        fitted = non_geometric
     _check_solver(fitted)
     estimate = fitted.estimate
     k = fitted.kinematics.model.index(name)
     if k in estimate.at_bound:
         raise ModelError(
-            f"'{name}' stands at its bound, {found.value:g} {found.unit}: it has no profile. Widen the bound in the "
-            "cell file's table [bounds]."
+            f"'{name}' stands at its bound, {parameter.value:g} {parameter.unit}: it has no profile. Widen the bound "
+            "in the cell file's table [bounds]."
         )
-    at = float(estimate.x[k])
+    x = float(estimate.x[k])
     low, high = profile(
-        lambda value: _least_cost(fitted, k, value), at, found.std, level, estimate.freedom
+        lambda value: _least_cost(fitted, k, value), x, parameter.std, level, estimate.freedom
     )
-    return Profile(low + found.value - at, high + found.value - at, level)
+    # Offsets from the registered start become values.
+    return Profile(low + parameter.value - x, high + parameter.value - x, level)
 
 
 def profile(
@@ -230,40 +291,68 @@ def profile(
     level: float = 0.95,
     freedom: float = np.inf,
 ) -> tuple[float, float]:
-    """The interval where the cost, minimised over the others, is not too high.
+    """Return the interval where the cost of one parameter, minimised over the others, is not too high.
 
-    cost(x) - cost(estimate) <= quantile of chi^2(1), or of F(1, freedom) where the noise was estimated. The cost is
-    that of squares over their variance, the standard deviation the first step.
+    cost(x) - cost(value) <= quantile of chi^2(1), or of F(1, freedom) where the noise was estimated.
+
+    Args:
+        cost_at: Least sum of squares over their variance with the parameter held at a value.
+        value: The estimate, where the cost is least.
+        std: Its standard deviation, the first step of the search.
+        level: Probability of the interval, between 0 and 1.
+        freedom: Degrees of freedom of the noise; infinite where the noise is known.
+
+    Returns:
+        Lower and upper end; infinite where the cost does not rise enough.
+
+    Raises:
+        CalibError: The level is not between 0 and 1.
     """
     if not 0.0 < level < 1.0:
         raise CalibError(f"The level of an interval is {level:g}; it must lie between 0 and 1.")
-    known = not np.isfinite(freedom)
-    rise = float(2.0 * gammaincinv(0.5, level) if known else fdtri(1.0, max(freedom, 1.0), level))
+    rise = _allowed_rise(level, freedom)
     least = cost_at(value)
 
     def above(x: float) -> float:
-        """The cost over the limit; finite, for the root finder."""
+        """Return the cost over the limit; finite, for the root finder."""
         over = cost_at(x) - least - rise
-        return float(min(over, 1e6 * rise)) if np.isfinite(over) else 1e6 * rise
+        if not np.isfinite(over):
+            return 1e6 * rise
+        return float(min(over, 1e6 * rise))
 
     # Not above: SciPy's optimisers take longer to import than most calibrations take.
     from scipy.optimize import brentq
 
     def end(step: float) -> float:
-        """Where the cost crosses the limit, on one side."""
-        inner, reach = value, step * float(np.sqrt(rise))
+        """Find where the cost crosses the limit, on one side."""
+        inner = value
+        reach = step * float(np.sqrt(rise))
         for _ in range(_DOUBLINGS + 1):
             outer = value + reach
             if above(outer) >= 0.0:
                 return float(brentq(above, inner, outer, xtol=_TOLERANCE * abs(reach)))
-            inner, reach = outer, 2.0 * reach
+            inner = outer
+            reach *= 2.0
         return float(np.copysign(np.inf, step))
 
     return end(-std), end(std)
 
 
+def _allowed_rise(level: float, freedom: float) -> float:
+    """Return the quantile of F(1, freedom), or of chi^2(1) where the freedom is infinite."""
+    if np.isfinite(freedom):
+        return float(fdtri(1.0, max(freedom, 1.0), level))
+    return float(2.0 * gammaincinv(0.5, level))
+
+
 def _least_cost(fitted: Fitted, k: int, value: float) -> float:
-    """Squares over their variance, the priors' included, with parameter k held at a value and the others fitted."""
+    """Return the least sum of squares over their variance, the priors' included, with one parameter held.
+
+    Args:
+        fitted: A fit.
+        k: Index of the parameter, from 0.
+        value: The offset at which it is held; the others are fitted.
+    """
     estimate = fitted.estimate
     problem, C = estimate.problem, estimate.covariance
     others = np.arange(len(estimate.x)) != k
@@ -273,10 +362,10 @@ def _least_cost(fitted: Fitted, k: int, value: float) -> float:
         residual, _ = problem.system(start)
         return float(residual @ residual)
 
-    def system(rest: Array) -> tuple[Array, Array]:
-        """Residual and derivative over the other parameters."""
+    def system(free: Array) -> tuple[Array, Array]:
+        """Return the residual and its derivative by the other parameters."""
         x = start.copy()
-        x[others] = rest
+        x[others] = free
         residual, jacobian = problem.system(x)
         return residual, jacobian[:, others]
 
@@ -286,11 +375,16 @@ def _least_cost(fitted: Fitted, k: int, value: float) -> float:
 
 def _check_solver(fitted: Fitted) -> None:
     """Refuse the paper's solver: its fit is not the least cost of its own problem."""
-    if fitted.task.solver == "paper":
+    if fitted.task.solver == PAPER:
         raise ModelError("The solver 'paper' has neither bootstrap nor profile. Choose 'lm'.")
 
 
-def _some(samples: Samples) -> Samples:
-    """At most `_POSES` of the samples, evenly spread over their order."""
+def _evenly(samples: Samples) -> Samples:
+    """Return at most `_POSES` of the samples, evenly spread over their order."""
     count = min(len(samples), _POSES)
     return samples.select(np.linspace(0, len(samples) - 1, count).astype(int))
+
+
+def _in_first_frame(samples: Samples) -> Samples:
+    """Return the samples as seen from the first frame."""
+    return replace(samples, frame=np.zeros_like(samples.frame))

@@ -84,8 +84,7 @@ def chain_between(urdf: Urdf, base: str, tip: str) -> SerialChain:
     _check_moving(urdf, base, tip, [step.joint for step in moving])
     full_model(urdf)  # which refuses what Pinocchio cannot read, or reads otherwise
     T_root_base = np.eye(4)
-    base_moves = moving[0].up
-    if not base_moves:
+    if not moving[0].up:
         # The chain starts in the URDF's root, with the joints above the base at zero.
         T_root_base = _product(_path(urdf, urdf.root, base))
         path = _path(urdf, urdf.root, tip)
@@ -105,7 +104,7 @@ def chain_between(urdf: Urdf, base: str, tip: str) -> SerialChain:
         carriers=tuple(carriers),
         T_root_base=read_only(T_root_base),
         factors=tuple(factors),
-        base_moves=base_moves,
+        base_moves=moving[0].up,
     )
 
 

@@ -20,7 +20,7 @@ from calib.robot import kernel
 from calib.robot.full_model import full_configurations, full_model, joint_frames, link_frame
 from calib.robot.payload import Payload, finite_vector
 from calib.robot.robot import Robot
-from calib.units import Array
+from calib.units import Array, Mask
 
 GRAVITY = (0.0, 0.0, -9.81)
 """The acceleration of gravity where the URDF's root link has z up, [m/s^2]."""
@@ -56,7 +56,7 @@ def gravity_loads(
     down = acceleration / max(float(np.linalg.norm(acceleration)), _TINY)
     model = _loaded_model(robot, payload, acceleration)
     data = model.createData()
-    columns = [model.idx_vs[model.getJointId(joint.name)] for joint in robot.joints]
+    columns = [model.idx_vs[number] for number in _joint_numbers(robot, model)]
 
     def work(block: slice) -> Array:
         """Return the loads and lever arms of a block of samples, (B, n, n + 3)."""
@@ -101,19 +101,39 @@ def _lever_arms(robot: Robot, model: pin.Model, values: Mapping[str, Array], dow
     Returns:
         Shape (N, n, n + 2), [m] per rad or m: at the origins of the n joints, the tip and the base.
     """
-    numbers = [model.getJointId(joint.name) for joint in robot.joints]
+    numbers = _joint_numbers(robot, model)
     ends = [model.frames[link_frame(model, link)] for link in (robot.tip, robot.base)]
     carriers = [*numbers, *(end.parentJoint for end in ends)]
     frames = joint_frames(model, robot.urdf, values, carriers)
     T_root_joint = np.stack([frames[number] for number in numbers], axis=1)
     axes = (T_root_joint[:, :, :3, :3] @ _urdf_axes(robot)[:, :, None])[..., 0]
     origins = T_root_joint[:, :, :3, 3]
-    T_root_end = [frames[end.parentJoint] @ end.placement.homogeneous for end in ends]
-    points = np.concatenate([origins, *(T[:, None, :3, 3] for T in T_root_end)], axis=1)
-    arms = _depths_per_unit(robot, axes, origins, points, down)
-    # A joint bears what comes behind it in the URDF.
+    points = [origins]
+    for end in ends:
+        T_root_end = frames[end.parentJoint] @ end.placement.homogeneous
+        points.append(T_root_end[:, None, :3, 3])
+    arms = _depths_per_unit(robot, axes, origins, np.concatenate(points, axis=1), down)
+    return np.asarray(arms * _bearing(model, numbers, carriers))
+
+
+def _joint_numbers(robot: Robot, model: pin.Model) -> list[int]:
+    """Return Pinocchio's numbers of the chain's n joints in the model of the whole URDF."""
+    return [model.getJointId(joint.name) for joint in robot.joints]
+
+
+def _bearing(model: pin.Model, numbers: list[int], carriers: list[int]) -> Mask:
+    """Return True where a joint bears a point: the point comes behind it in the URDF.
+
+    Args:
+        model: The model of the whole URDF.
+        numbers: Pinocchio's numbers of n joints.
+        carriers: Of the joint that carries each of k points.
+
+    Returns:
+        Shape (n, k).
+    """
     bears = [[number in model.supports[carrier] for carrier in carriers] for number in numbers]
-    return np.asarray(arms * np.array(bears))
+    return np.array(bears)
 
 
 def _depths_per_unit(

@@ -181,27 +181,33 @@ class Urdf:
                 f"no link can be added to {self.source} as '{name}': that name is empty or taken, "
                 f"or the name of its joint, '{joint_name}', is; choose another or use with_origins"
             )
+        lines = self._link_lines(name, joint_name, parent, T_parent_link)
+        document = self._document
+        close = document.root.close
+        outer = document.line_head(close)
+        if outer is None:  # </robot> shares its line, and so does the new link
+            return self._patched([(close, close, b"".join(line for _, line in lines))])
+        inner = document.line_head(document.root.children[-1].start) or outer + b"  "
+        step = inner[len(outer) :] if inner.startswith(outer) else b"  "
+        before = close - len(outer)
+        new = b"".join(inner + step * depth + line for depth, line in lines)
+        return self._patched([(before, before, new)])
+
+    def _link_lines(
+        self, name: str, joint_name: str, parent: str, T_parent_link: Array
+    ) -> list[tuple[int, bytes]]:
+        """Return the lines of a new link and its fixed joint, each with the number of steps that it is indented by."""
         document = self._document
         link = document.quoted(name)
         joint = document.quoted(joint_name)
-        lines = (
+        return [
             (0, b"<link name=" + link + b"/>"),
             (0, b"<joint name=" + joint + b' type="fixed">'),
             (1, b"<parent link=" + document.quoted(parent) + b"/>"),
             (1, b"<child link=" + link + b"/>"),
             (1, _origin_tag(T_parent_link)),
             (0, b"</joint>"),
-        )
-        close = document.root.close
-        outer = document.line_head(close)
-        if outer is None:  # </robot> shares its line, and so does the new link
-            patch = (close, close, b"".join(line for _, line in lines))
-        else:
-            inner = document.line_head(document.root.children[-1].start) or outer + b"  "
-            step = inner[len(outer) :] if inner.startswith(outer) else b"  "
-            before = close - len(outer)
-            patch = (before, before, b"".join(inner + step * deep + line for deep, line in lines))
-        return self._patched([patch])
+        ]
 
     def with_verdict(self, text: str) -> Urdf:
         """Return the URDF with a verdict as a comment on a line before ``<robot>``, in place of one that it has.

@@ -33,7 +33,7 @@ function look() {
 function update() {
   moveRobots();
   drawMarks();
-  tell();
+  describe();
   viewer.set_dirty();
 }
 
@@ -78,7 +78,7 @@ function rowAt(event) {
     const parent = group(who);
     if (!both || who === "calibrated" || state.mode === "side") {
       for (let row = 0; row < count; row++) {
-        const at = seen(row) || target(who, row);
+        const at = measuredPlace(row) || target(who, row);
         parent.localToWorld(screen.copy(at)).project(viewer.camera);
         const x = (0.5 + 0.5 * screen.x) * window.innerWidth, y = (0.5 - 0.5 * screen.y) * window.innerHeight;
         const far = Math.hypot(x - event.clientX, y - event.clientY);
@@ -162,17 +162,17 @@ function show(pose) {
 
 // An address may say what is shown at first, such as view.html#row=35&mode=over&robots=50.
 function start() {
-  const asked = new URLSearchParams(location.hash.slice(1));
+  const parameters = new URLSearchParams(location.hash.slice(1));
   for (const name of ["arrows", "robots"]) {
-    const choice = element(name) && [...element(name).options].find((one) => one.value === asked.get(name));
+    const choice = element(name) && [...element(name).options].find((one) => one.value === parameters.get(name));
     if (!choice) continue;
     choice.selected = true;
     state[name] = Number(choice.value);
   }
-  const row = table.labels.indexOf(`row ${asked.get("row")}`);
+  const row = table.labels.indexOf(`row ${parameters.get("row")}`);
   if (row >= 0) [state.row, state.alone] = [row, null];
   if (element("row")) element("row").value = state.row;
-  const mode = asked.get("mode");
+  const mode = parameters.get("mode");
   if (both && Object.hasOwn(table.cameras, mode) && mode !== state.mode) {
     state.mode = mode;
     look();

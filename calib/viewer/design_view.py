@@ -1,14 +1,15 @@
-"""A plan or a region in the browser: one HTML file.
+"""The pages of a plan and of a region: one HTML file each.
 
-A plan: the robot at its first pose, where the targets will be, what stands around, the way from pose to pose and the
-lines of sight. A region: its voxels as coloured points about the nominal robot, in bands by how often the target is
-there. Each can be hidden.
+A plan: the robot at its first pose, the targets of all poses, the boxes about it, the way from pose to pose and the
+lines of sight. A region: its voxels as coloured points about the nominal robot, in bands by density. Each can be
+hidden.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import meshcat
 import numpy as np
@@ -19,6 +20,7 @@ from calib.regions.region_rows import RegionView
 from calib.report.figure_base import BEAM, ESTIMATION, LITTLE_TO_MUCH, NOMINAL, VALIDATION
 from calib.report.figure_region import headings
 from calib.units import Array
+from calib.viewer.puppet import translation
 from calib.viewer.scene import (
     Key,
     Page,
@@ -29,80 +31,149 @@ from calib.viewer.scene import (
     single_page,
     solid,
 )
-from calib.viewer.view import translation
 
-#: Radii of a target's ball and of a row's, and length of a line of sight, as a part of the scene's size.
-_BALL, _ROW_BALL, _SIGHT = 0.008, 0.007, 0.12
+#: Radius of a target's ball, as a part of the scene's size.
+_BALL = 0.008
 
-#: Of what stands around, of poses measured already and of the way.
-_AROUND, _TAKEN, _WAY = "#b9a58c", "#8a94a0", "#5b6775"
+#: Radius of the ball of a row of a table, as a part of the scene's size.
+_ROW_BALL = 0.007
 
-#: The bands of a region end at these shares, as far as the region goes.
+#: Length of the drawn piece of a line of sight at most, as a part of the scene's size.
+_SIGHT = 0.12
+
+#: Colour of the boxes.
+_BOXES_COLOUR = "#b9a58c"
+
+#: Colour of poses measured already.
+_TAKEN_COLOUR = "#8a94a0"
+
+#: Colour of the way from pose to pose.
+_WAY_COLOUR = "#5b6775"
+
+#: Shares of the samples at which the bands of a region end, as far as the region goes.
 _BANDS = (0.5, 0.8)
+
+#: A band narrower than this share is joined with the next one.
+_LEAST_BAND = 0.02
 
 #: More voxels than this are thinned out, evenly.
 _MOST_POINTS = 60_000
+
+#: Voxels, about, that the camera is placed by.
+_CAMERA_POINTS = 5000
 
 #: Edge of a point, as a part of a voxel; the robot is seen between them.
 _POINT = 0.36
 
 
+class _Dots(NamedTuple):
+    """Points of one set."""
+
+    node: str  #: Name of their node in the scene
+    colour: str  #: ``"#rrggbb"``
+    text: str  #: Their entry of the legend
+    points: Array  #: shape (..., 3), in the base [m]
+
+
 def plan_page(plan: Plan) -> Page:
-    """A plan about the robot at its first pose."""
-    places, taken = plan.places(plan.joints), plan.places(plan.taken).reshape(-1, 3)
-    chosen, tracker, boxes = np.array(plan.sets) == "estimate", plan.cell.tracker, plan.cell.boxes
+    """Make the page of a plan, with the robot at its first pose."""
+    places = plan.places(plan.joints)
+    taken = plan.places(plan.taken).reshape(-1, 3)
 
     def draw(scene: meshcat.Visualizer, size: float) -> list[Key]:
-        sets = (
-            ("estimate", ESTIMATION, f"to estimate from, {chosen.sum()}", places[chosen]),
-            ("validate", VALIDATION, f"to validate with, {(~chosen).sum()}", places[~chosen]),
-            ("taken", _TAKEN, f"measured already, {len(plan.taken)}", taken),
-        )
-        keys = _draw_dots(scene, sets, _BALL * size)
-        draw_lines(scene["way"], np.stack([places[:-1, 0], places[1:, 0]], axis=1), _WAY, 0.55)
-        keys.append(Key("order to drive", _WAY, "way"))
-        if boxes:
-            poses = [box.T_base_box for box in boxes]
-            draw_boxes(scene["around"], [box.size for box in boxes], poses, _AROUND)
-            keys.append(Key(", ".join(box.name for box in boxes), _AROUND, "around"))
-        if tracker is not None:
-            # The last piece of each line of sight.
-            points = places.reshape(-1, 3)
-            towards = tracker.position - points
-            length = np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-9)
-            ends = points + towards / length * np.minimum(length, _SIGHT * size)
-            draw_lines(scene["sight"], np.stack([points, ends], axis=1), BEAM, 0.7)
-            keys.append(Key("towards the tracker", BEAM, "sight"))
+        keys = _draw_dots(scene, _plan_dots(plan, places, taken), _BALL * size)
+        ways = np.stack([places[:-1, 0], places[1:, 0]], axis=1)
+        draw_lines(scene["way"], ways, _WAY_COLOUR, 0.55)
+        keys.append(Key("order to drive", _WAY_COLOUR, "way"))
+        keys += _draw_boxes_of(scene, plan)
+        keys += _draw_sight(scene, plan, places.reshape(-1, 3), _SIGHT * size)
         return keys
 
-    f = plan.forecast
-    corners = [box.T_base_box[:3, 3] + sign * 0.5 * box.size for box in boxes for sign in (-1, 1)]
+    forecast = plan.forecast
     return single_page(
         plan.robot,
         plan.joints[0],
-        np.concatenate([places.reshape(-1, 3), taken, np.reshape(corners, (-1, 3))]),
+        np.concatenate([places.reshape(-1, 3), taken, _box_ends(plan)]),
         draw,
         title=f"{plan.robot.name}: {len(plan.joints)} poses to measure",
-        text=f"Expected error of a predicted position after the calibration: {1e3 * f.rms:.3f} mm rms over the "
-        f"workspace, {1e3 * f.rms_low:.3f} to {1e3 * f.rms_high:.3f} mm in 90 % of calibrations.",
+        text=f"Expected error of a predicted position after the calibration: {1e3 * forecast.rms:.3f} mm rms over the "
+        f"workspace, {1e3 * forecast.rms_low:.3f} to {1e3 * forecast.rms_high:.3f} mm in 90 % of calibrations.",
         legend=f"{plan.robot.name} at the first pose",
     )
 
 
-def _draw_dots(
-    scene: meshcat.Visualizer, sets: Iterable[tuple[str, str, str, Array]], radius: float
-) -> list[Key]:
-    """Points by node, colour and text, as far as there are any; the lines of the legend."""
+def _plan_dots(plan: Plan, places: Array, taken: Array) -> tuple[_Dots, ...]:
+    """Return the targets of a plan by set.
+
+    Args:
+        plan: The plan.
+        places: shape (N, K, 3), the targets at its poses, in the base [m].
+        taken: shape (L, 3), those at poses measured already [m].
+    """
+    chosen = np.array(plan.sets) == "estimate"
+    estimate = f"to estimate from, {chosen.sum()}"
+    validate = f"to validate with, {(~chosen).sum()}"
+    return (
+        _Dots("estimate", ESTIMATION, estimate, places[chosen]),
+        _Dots("validate", VALIDATION, validate, places[~chosen]),
+        _Dots("taken", _TAKEN_COLOUR, f"measured already, {len(plan.taken)}", taken),
+    )
+
+
+def _draw_boxes_of(scene: meshcat.Visualizer, plan: Plan) -> list[Key]:
+    """Draw the boxes of the cell, if there are any; return their entry of the legend."""
+    boxes = plan.cell.boxes
+    if not boxes:
+        return []
+    sizes = [box.size for box in boxes]
+    poses = [box.T_base_box for box in boxes]
+    draw_boxes(scene["around"], sizes, poses, _BOXES_COLOUR)
+    return [Key(", ".join(box.name for box in boxes), _BOXES_COLOUR, "around")]
+
+
+def _draw_sight(scene: meshcat.Visualizer, plan: Plan, points: Array, longest: float) -> list[Key]:
+    """Draw the last piece of each line of sight from the tracker, if there is one.
+
+    Args:
+        scene: Node of the scene.
+        plan: The plan.
+        points: shape (N, 3), the targets in the base [m].
+        longest: Length of a piece at most [m].
+
+    Returns:
+        The entry of the legend.
+    """
+    tracker = plan.cell.tracker
+    if tracker is None:
+        return []
+    towards = tracker.position - points
+    length = np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-9)
+    ends = points + towards / length * np.minimum(length, longest)
+    draw_lines(scene["sight"], np.stack([points, ends], axis=1), BEAM, 0.7)
+    return [Key("towards the tracker", BEAM, "sight")]
+
+
+def _box_ends(plan: Plan) -> Array:
+    """Return two points of each box of the cell, shape (K, 3), in the base [m], that the camera sees."""
+    ends = []
+    for box in plan.cell.boxes:
+        middle = box.T_base_box[:3, 3]
+        ends += [middle - 0.5 * box.size, middle + 0.5 * box.size]
+    return np.reshape(ends, (-1, 3))
+
+
+def _draw_dots(scene: meshcat.Visualizer, sets: Sequence[_Dots], radius: float) -> list[Key]:
+    """Draw the points of each set that has any, with a radius [m]; return the entries of the legend."""
     keys = []
-    for name, colour, text, points in sets:
-        if len(points):
-            draw_points(scene[name], points.reshape(-1, 3), colour, radius)
-            keys.append(Key(text, colour, name, "dot"))
+    for dots in sets:
+        if len(dots.points):
+            draw_points(scene[dots.node], dots.points.reshape(-1, 3), dots.colour, radius)
+            keys.append(Key(dots.text, dots.colour, dots.node, "dot"))
     return keys
 
 
 def region_page(view: RegionView) -> Page:
-    """A region about the nominal robot, in bands by how often the target is there."""
+    """Make the page of a region about the nominal robot, in bands by the density of the target's positions."""
     q = view.ranges.mean(axis=1)
     target = (view.robot.poses(q)[0] @ np.append(view.target, 1.0))[:3]
     centres = view.region.origin + view.region.voxel * (np.argwhere(view.region.cells) + 0.5)
@@ -113,19 +184,13 @@ def region_page(view: RegionView) -> Page:
         node.set_object(mc.Sphere(_BALL * size), solid(NOMINAL))
         node.set_transform(translation(target))
         keys = _draw_voxels(scene, view, centres)
-        if view.checked is not None:
-            rows, points, _ = view.checked
-            sets = (
-                ("estimation", ESTIMATION, "estimation rows", points[rows.estimation]),
-                ("validation", VALIDATION, "validation rows", points[rows.validation]),
-            )
-            keys += _draw_dots(scene, sets, _ROW_BALL * size)
+        keys += _draw_dots(scene, _row_dots(view), _ROW_BALL * size)
         return keys
 
     return single_page(
         view.robot,
         q,
-        np.concatenate([target[None], centres[:: 1 + len(centres) // 5000]]),
+        np.concatenate([target[None], centres[:: 1 + len(centres) // _CAMERA_POINTS]]),
         draw,
         title=title,
         text=text,
@@ -133,19 +198,40 @@ def region_page(view: RegionView) -> Page:
     )
 
 
+def _row_dots(view: RegionView) -> tuple[_Dots, ...]:
+    """Return the points of a table's rows by set; none without a table."""
+    if view.checked is None:
+        return ()
+    rows, points, _ = view.checked
+    return (
+        _Dots("estimation", ESTIMATION, "estimation rows", points[rows.estimation]),
+        _Dots("validation", VALIDATION, "validation rows", points[rows.validation]),
+    )
+
+
 def _draw_voxels(scene: meshcat.Visualizer, view: RegionView, centres: Array) -> list[Key]:
-    """The region's voxels, shape (K, 3) of centres, in bands, and their lines of the legend."""
-    needed = view.density.share_of(centres)
+    """Draw the voxels of a region in bands by density.
+
+    Args:
+        scene: Node of the scene.
+        view: The region.
+        centres: shape (K, 3), middles of its voxels in the base [m].
+
+    Returns:
+        The entries of the legend, the densest band first.
+    """
+    share_of = view.density.share_of(centres)
     chosen = np.sort(np.random.default_rng(0).permutation(len(centres))[:_MOST_POINTS])
-    centres, needed, edge = centres[chosen], needed[chosen], _POINT * view.region.voxel
+    centres = centres[chosen]
+    share_of = share_of[chosen]
     share = view.region.share
-    ends = [0.0, *[end for end in _BANDS if end < share - 0.02], share]
+    inner = [end for end in _BANDS if end < share - _LEAST_BAND]
     keys = []
-    for i, (start, end) in enumerate(itertools.pairwise(ends)):
+    for i, (start, end) in enumerate(itertools.pairwise([0.0, *inner, share])):
         colour = LITTLE_TO_MUCH[len(LITTLE_TO_MUCH) - 1 - i]
-        band = (needed > start) & ((needed <= end) | (end == share))
+        band = (share_of > start) & ((share_of <= end) | (end == share))
         if band.any():
-            draw_cloud(scene[f"band{i}"], centres[band], colour, edge)
-            words = f"the densest {100 * end:.3g} %" if i == 0 else f"up to {100 * end:.3g} %"
-            keys.append(Key(words, colour, f"band{i}"))
+            draw_cloud(scene[f"band{i}"], centres[band], colour, _POINT * view.region.voxel)
+            prefix = "the densest" if i == 0 else "up to"
+            keys.append(Key(f"{prefix} {100 * end:.3g} %", colour, f"band{i}"))
     return keys

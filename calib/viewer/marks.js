@@ -92,7 +92,7 @@ function drawMarks() {
   for (const who of names) {
     for (const { rows, mesh } of Object.values(marks[who].kinds)) {
       rows.forEach((row, k) => {
-        const at = seen(row);
+        const at = measuredPlace(row);
         const radius = (row === state.row ? 1.15 : 0.5) * table.ball;
         mesh.setMatrixAt(k, at ? matrix.compose(at, turn.identity(), scale.setScalar(radius)) : nothing);
       });

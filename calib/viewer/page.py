@@ -1,407 +1,326 @@
-"""The page of robots, as a file or served live.
+"""The page of robots: the nominal and the calibrated one side by side or overlaid, at every measured pose.
 
-It shows the nominal and the calibrated one side by side or overlaid, at every measured pose: its script
-moves them from pose to pose and draws what was measured, with arrows at a stated magnification. Every name is escaped;
-pages open from disk and load nothing. A live page is moved by this program, and meshcat draws more on it; a thread
-serves it at 127.0.0.1 only, where meshcat's own server listens on all addresses
-(https://github.com/meshcat-dev/meshcat-python/issues/14).
+Its script moves them from pose to pose and draws the measured positions, with arrows at a stated magnification. Every
+name is escaped; the page opens from disk and loads nothing.
 """
 
 from __future__ import annotations
 
-import asyncio
-import os
-import signal
-import socket
-import sys
-import tempfile
-import threading
-import webbrowser
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, suppress
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, Literal, overload
+from typing import Any
 
-import meshcat
 import numpy as np
-import umsgpack
-from numpy.typing import ArrayLike
-from tornado.httpserver import HTTPServer
-from tornado.web import Application, RequestHandler
-from tornado.websocket import WebSocketHandler
 
 import calib.report.figure_base as look
 import calib.viewer.scene as stage
-from calib.errors import CalibError, ModelError, choices
 from calib.result.calibration import CalibrationValues
-from calib.robot.robot import Robot
 from calib.units import Array
-from calib.viewer.scene import Page
-from calib.viewer.view import (
-    Puppet,
-    View,
-    Visual,
-    packed,
-    read_visuals,
-    translation,
-    view_of,
-    view_of_robots,
-)
+from calib.viewer.puppet import Puppet, Visual, packed, read_visuals, translation
+from calib.viewer.scene import Camera, Page, SceneWindow
+from calib.viewer.view import View, view_of
 
-#: What the rows of each kind are called, in colours of their own.
+#: Colour and text in the legend of the rows of each kind.
 _ROWS = {
-    "estimation": (look.ESTIMATION, "measured, fitted"),
-    "validation": (look.VALIDATION, "measured, held back"),
+    "estimation": (look.ESTIMATION, "measured, estimation"),
+    "validation": (look.VALIDATION, "measured, validation"),
     "flagged": (look.OUTLIER, "measured, flagged"),
 }
 
-#: The only address listened on: other computers cannot reach it.
-HOST = "127.0.0.1"
-
-#: Between slider and legend below and the heading above, as a part of the picture, see `look_at`.
+#: Ends of the text below and of the heading above, as a part of the picture's half height, see `look_at`.
 _TEXT = (-0.54, 0.67)
 
-#: Radius of the target's ball and length of the nominal robot's typical arrow, as parts of the scene's size.
-_BALL, _ARROW = 0.009, 0.12
+#: Radius of the target's ball, as a part of the scene's size.
+_BALL = 0.009
+
+#: Length of the nominal robot's typical arrow at most, as a part of the scene's size.
+_ARROW = 0.12
 
 #: Factors that arrows and the robots' difference can be magnified by.
 FACTORS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+
+#: Gap between two robots side by side, as a part of the scene's size.
+_GAP = 0.06
+
+#: Least distance of two robots side by side, as a part of the scene's size.
+_LEAST_DISTANCE = 0.4
+
+#: Labels stand in front of the parts of a robot up to this height above its foot, as a part of the scene's size.
+_FOOT_HEIGHT = 0.2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Layout:
+    """Places of the robots, labels and cameras of a page; the frame is the base of the calibrated robot."""
+
+    size: float  #: Diagonal of a robot's bounding box over all poses [m]
+    offsets: dict[str, Array]  #: shape (3,), displacement of each robot side by side [m]
+    foot: Array  #: shape (3,), place of the label of a robot that is not displaced [m]
+    side: Camera  #: The camera for the robots side by side
+    over: Camera  #: The camera for the overlaid robots
 
 
 def write_page(
     calibration: CalibrationValues, path: str | Path, *, overwrite: bool = False
 ) -> Path:
-    """Write the page of a calibration, whole or not at all; see `Page.write`."""
+    """Write the page of a calibration.
+
+    Args:
+        calibration: The result.
+        path: Name of the file.
+        overwrite: Replace an existing file.
+
+    Returns:
+        The file's path.
+
+    Raises:
+        FileError: The file exists or cannot be written.
+    """
     return view_page(view_of(calibration)).write(path, overwrite=overwrite)
 
 
 def view_page(view: View, *, live: bool = False) -> Page:
-    """Draw a view; a ``live`` page listens to the server that it came from."""
-    found = {who: read_visuals(robot.urdf) for who, robot in view.robots.items()}
-    warnings = tuple(dict.fromkeys(text for _, texts in found.values() for text in texts))
-    shown = puppets(view, {who: visuals for who, (visuals, _) in found.items()})
-    first, two = slice(view.start, view.start + 1), len(shown) > 1
-    start = np.concatenate([puppet.outline(first) for puppet in shown.values()])
-    outline = np.concatenate([start, *(puppet.outline() for puppet in shown.values())])
-    size = stage.span(outline)
-    back = stage.row_direction(shown["nominal"].poses[view.start, :, :3, 3])
-    right = np.array([-back[1], back[0], 0.0])
-    # Side by side nothing of one robot reaches into the other.
-    step = 0.5 * max(np.ptp(outline @ right) + 0.06 * size, 0.4 * size) * right
-    offsets = {"nominal": -step, "calibrated": step} if two else {"nominal": 0.0 * step}
-    # Labels stand at the foot, below the middle of a robot.
-    across = start @ right
-    foot = 0.5 * (across.min() + across.max()) * right
-    foot[2] = start[:, 2].min()
-    foot += (start[start[:, 2] < foot[2] + 0.2 * size] @ back).max() * back
-    # A wild measurement must not make the robots small: what was measured far away is not looked at.
-    one = np.vstack([outline, foot])
-    side = stage.look_at(np.concatenate([one + at for at in offsets.values()]), back, _TEXT)
-    over = stage.look_at(one, back, _TEXT)
-    window, root, grid = stage.new_scene(side, size, foot[2])
-    for who, puppet in shown.items():
-        group = root[stage.SCENE][who]
-        group.set_transform(translation(offsets[who] - side.centre))
-        material = stage.solid(stage.COLOURS[who], front=who == "calibrated")
-        stage.draw_puppet(group, puppet, view.start, material, _BALL * size)
+    """Make the page of a view.
+
+    Args:
+        view: The content.
+        live: The page listens to the server that it came from.
+    """
+    visuals, warnings = _read_visuals(view)
+    shown = puppets(view, visuals)
+    layout = _layout(view, shown)
+    window, grid = _draw(view, shown, layout)
+    factor = magnification(view, layout.size)
     names = [name.lower() for name, _ in view.names[: len(shown)]]
-    labels: list[tuple[Array, str, str, str]] = []
-    if two:  # of one robot the heading says what it is
-        for at, (name, meaning) in zip(offsets.values(), view.names, strict=True):
-            labels.append((at + foot - side.centre, "side", name, meaning))
-        meaning = f"{names[0]} solid, {names[1]} translucent"
-        labels.append((foot - over.centre, "over", "Overlaid", meaning))
-    factor = magnification(view, size)
-    kinds = Counter(np.array(view.kinds)[np.isfinite(view.measured[:, 0])].tolist())
-    table = script_table(view, shown) | {
-        "places": {who: (offset - side.centre).tolist() for who, offset in offsets.items()},
-        "over": (-over.centre).tolist(),
-        "floor": (side.centre - over.centre).tolist(),
-        "cameras": {"side": side.position, "over": over.position},
-        "size": size,
-        "ball": _BALL * size,
-        "arrows": factor,
-    }
     html = stage.filled_page(
         "robots.html",
         window.scene(),
         title=view.title or f"{view.nominal.name or 'Robot'}: {' and '.join(names)}",
         warnings=warnings,
         grid=grid,
-        legend=[
-            (f"{text} ({kinds[kind]})", colour, kind)
-            for kind, (colour, text) in _ROWS.items()
-            if kinds[kind]
-        ],
+        legend=_legend(view),
         names=names,
         beam=look.BEAM,
         groups=list(shown),
         view=view,
-        two=two,
+        two=len(shown) > 1,
         factors=FACTORS,
-        labels=labels,
-        table=table,
+        labels=_labels(view, layout),
+        table=script_table(view, shown) | _layout_table(layout, factor),
         arrows=factor,
         live=live,
     )
     return Page(html, warnings)
 
 
+def _read_visuals(view: View) -> tuple[dict[str, Sequence[Visual]], tuple[str, ...]]:
+    """Read the shapes of the robots, by ``"nominal"`` and ``"calibrated"``, and the warnings, each once."""
+    visuals: dict[str, Sequence[Visual]] = {}
+    warnings: dict[str, None] = {}
+    for name, robot in view.robots.items():
+        visuals[name], texts = read_visuals(robot.urdf)
+        warnings |= dict.fromkeys(texts)
+    return visuals, tuple(warnings)
+
+
 def puppets(view: View, visuals: Mapping[str, Sequence[Visual]]) -> dict[str, Puppet]:
-    """The robots of a view by ``"nominal"`` and ``"calibrated"``, in the base of the calibrated one."""
-    bases = view.T_base_nominal, np.broadcast_to(np.eye(4), (len(view.q), 4, 4))
-    targets = view.nominal_target, view.calibrated_target
+    """Place the robots of a view in the base of the calibrated one.
+
+    Args:
+        view: The robots, their poses, targets and bases.
+        visuals: The shapes of each robot, by ``"nominal"`` and ``"calibrated"``.
+
+    Returns:
+        The robots by the same names.
+    """
+    nominal = Puppet.of(
+        view.nominal, view.q, visuals["nominal"], view.T_base_nominal, view.nominal_target
+    )
+    if view.calibrated is None:
+        return {"nominal": nominal}
+    base = np.broadcast_to(np.eye(4), (len(view.q), 4, 4))
+    calibrated = Puppet.of(
+        view.calibrated, view.q, visuals["calibrated"], base, view.calibrated_target
+    )
+    return {"nominal": nominal, "calibrated": calibrated}
+
+
+def _layout(view: View, shown: Mapping[str, Puppet]) -> _Layout:
+    """Place robots, labels and cameras.
+
+    Only the robots count, not the measured positions: a wild measurement must not make the robots small.
+    """
+    first = slice(view.start, view.start + 1)
+    at_start = np.concatenate([puppet.outline(first) for puppet in shown.values()])
+    outline = np.concatenate([at_start, *(puppet.outline() for puppet in shown.values())])
+    size = stage.span(outline)
+    towards_camera = stage.camera_direction(shown["nominal"].poses[view.start, :, :3, 3])
+    offsets = {"nominal": np.zeros(3)}
+    if len(shown) > 1:
+        step = _half_distance(outline, towards_camera, size)
+        offsets = {"nominal": -step, "calibrated": step}
+    foot = _foot(at_start, towards_camera, size)
+    robot = np.vstack([outline, foot])
+    robots = np.concatenate([robot + offset for offset in offsets.values()])
+    side = stage.look_at(robots, towards_camera, _TEXT)
+    over = stage.look_at(robot, towards_camera, _TEXT)
+    return _Layout(size, offsets, foot, side, over)
+
+
+def _to_the_right(towards_camera: Array) -> Array:
+    """Return the horizontal unit vector to the right of the picture, shape (3,)."""
+    return np.array([-towards_camera[1], towards_camera[0], 0.0])
+
+
+def _half_distance(outline: Array, towards_camera: Array, size: float) -> Array:
+    """Return the displacement (3,) [m] of the right one of two robots side by side, which then do not overlap.
+
+    Args:
+        outline: shape (K, 3), points that enclose both robots at all poses [m].
+        towards_camera: shape (3,), horizontal unit vector.
+        size: The scene's size [m].
+    """
+    right = _to_the_right(towards_camera)
+    width = np.ptp(outline @ right) + _GAP * size
+    return np.asarray(0.5 * max(width, _LEAST_DISTANCE * size) * right)
+
+
+def _foot(at_start: Array, towards_camera: Array, size: float) -> Array:
+    """Return the point (3,) [m] for a label: below the middle of a robot, in front of what stands on the floor.
+
+    Args:
+        at_start: shape (K, 3), points that enclose the robot at the first pose [m].
+        towards_camera: shape (3,), horizontal unit vector.
+        size: The scene's size [m].
+    """
+    right = _to_the_right(towards_camera)
+    across = at_start @ right
+    foot: Array = 0.5 * (across.min() + across.max()) * right
+    foot[2] = at_start[:, 2].min()
+    low = at_start[at_start[:, 2] < foot[2] + _FOOT_HEIGHT * size]
+    foot += (low @ towards_camera).max() * towards_camera
+    return foot
+
+
+def _draw(view: View, shown: Mapping[str, Puppet], layout: _Layout) -> tuple[SceneWindow, float]:
+    """Draw the robots side by side at the first pose; return the scene and the edge of a square of the floor [m]."""
+    window, root, grid = stage.new_scene(layout.side, layout.size, layout.foot[2])
+    for name, puppet in shown.items():
+        group = root[stage.SCENE][name]
+        group.set_transform(translation(layout.offsets[name] - layout.side.centre))
+        material = stage.solid(stage.COLOURS[name], front=name == "calibrated")
+        stage.draw_puppet(group, puppet, view.start, material, _BALL * layout.size)
+    return window, grid
+
+
+def _labels(view: View, layout: _Layout) -> list[tuple[Array, str, str, str]]:
+    """Return the labels in the scene: place (3,) [m], arrangement ``"side"`` or ``"over"``, name and description.
+
+    A robot alone has none: the heading names it.
+    """
+    if view.calibrated is None:
+        return []
+    labels = []
+    for offset, (name, meaning) in zip(layout.offsets.values(), view.names, strict=True):
+        labels.append((offset + layout.foot - layout.side.centre, "side", name, meaning))
+    first, second = (name.lower() for name, _ in view.names)
+    meaning = f"{first} solid, {second} translucent"
+    labels.append((layout.foot - layout.over.centre, "over", "Overlaid", meaning))
+    return labels
+
+
+def _legend(view: View) -> list[tuple[str, str, str]]:
+    """Return text, colour and kind of the measured rows of each kind, with their number; none without rows."""
+    is_measured = np.isfinite(view.measured[:, 0])
+    counts = Counter(np.array(view.kinds)[is_measured].tolist())
+    legend = []
+    for kind, (colour, text) in _ROWS.items():
+        if counts[kind]:
+            legend.append((f"{text} ({counts[kind]})", colour, kind))
+    return legend
+
+
+def _layout_table(layout: _Layout, factor: int) -> dict[str, Any]:
+    """Return places, cameras and sizes for the script, as values that JSON can hold; ``factor`` magnifies arrows."""
+    side = layout.side
+    over = layout.over
+    places = {name: (offset - side.centre).tolist() for name, offset in layout.offsets.items()}
     return {
-        who: Puppet.of(robot, view.q, visuals[who], *place)
-        for (who, robot), *place in zip(view.robots.items(), bases, targets, strict=False)
+        "places": places,
+        "over": (-over.centre).tolist(),
+        "floor": (side.centre - over.centre).tolist(),
+        "cameras": {"side": side.position, "over": over.position},
+        "size": layout.size,
+        "ball": _BALL * layout.size,
+        "arrows": factor,
     }
 
 
 def magnification(view: View, size: float) -> int:
-    """The factor of `FACTORS` that makes the typical arrow of the nominal robot well visible, of rows not flagged."""
+    """Choose the factor of the arrows: the largest with which the nominal robot's typical one stays short.
+
+    Args:
+        view: The rows; flagged ones do not count.
+        size: The scene's size [m].
+
+    Returns:
+        One of `FACTORS`; of the median arrow, 12 % of the scene's size is not exceeded.
+    """
     nominal, calibrated = view.predicted
-    apart = np.linalg.norm((view.measured if view.measures else calibrated) - nominal, axis=1)
-    apart = apart[np.isfinite(apart) & (np.array(view.kinds) != "flagged")]
-    typical = float(np.median(apart)) if np.any(apart) else np.inf
-    return max((factor for factor in FACTORS if factor * typical <= _ARROW * size), default=1)
+    end = view.measured if view.measures else calibrated
+    lengths = np.linalg.norm(end - nominal, axis=1)
+    lengths = lengths[np.isfinite(lengths) & (np.array(view.kinds) != "flagged")]
+    typical = float(np.median(lengths)) if np.any(lengths) else np.inf
+    short = [factor for factor in FACTORS if factor * typical <= _ARROW * size]
+    return max(short, default=1)
 
 
 def script_table(view: View, shown: Mapping[str, Puppet]) -> dict[str, Any]:
-    """What the script needs of the poses, as values that JSON can hold; arrays as `floats`."""
-    robots, links = {}, shown["nominal"].links
+    """Return the poses, errors and measured positions for the script.
+
+    Args:
+        view: The content of the page.
+        shown: The robots by ``"nominal"`` and ``"calibrated"``.
+
+    Returns:
+        Values that JSON can hold; arrays as text, see `floats`.
+    """
     colours = {kind: colour for kind, (colour, _) in _ROWS.items()}
-    for who, puppet in shown.items():
-        count = puppet.poses.shape[1]
-        # Which mover of the nominal robot is the same; the last three are the frames of base, tip and target.
-        same = [links.index(one) if one in links else -1 for one in puppet.links]
-        robots[who] = {
-            "movers": count,
-            "poses": stage.floats(packed(puppet.poses)),
-            "rods": [*map(list, puppet.rods), [count - 2, count - 1]],
-            "same": [*same, *range(len(links), len(links) + 3)],
-        }
+    links = shown["nominal"].links
     return {
         "start": view.start,
         "labels": list(view.labels),
         "kinds": list(view.kinds),
         "names": [name for name, _ in view.names],
         "colours": {**stage.COLOURS, **colours, "beam": look.BEAM},
-        "robots": robots,
+        "robots": {name: _robot_table(puppet, links) for name, puppet in shown.items()},
         "measured": stage.floats(view.measured),
-        "errors": [stage.floats(one) for one in view.errors],
-        "angles": [stage.floats(one) for one in view.angles],
+        "errors": [stage.floats(errors) for errors in view.errors],
+        "angles": [stage.floats(angles) for angles in view.angles],
         "instruments": packed(view.instruments).tolist(),
     }
 
 
-class Viewer(AbstractContextManager["Viewer"]):
-    """A view at ``url``, on this computer only, until it is closed or the program ends; port 0 is any that is free.
+def _robot_table(puppet: Puppet, links: Sequence[str]) -> dict[str, Any]:
+    """Return a robot's movers for the script.
 
-    ``visualizer`` is meshcat's, to draw more: in the base frame of the calibrated robot, or of the only one [m].
-    ``warnings`` say what could not be drawn as the URDF says; ``joint_names`` are those of `display`, in order.
+    Args:
+        puppet: The robot.
+        links: Links of the nominal robot that move.
 
-    Example:
-        with Viewer(view_of(calibration)) as viewer:
-            viewer.open()
-            viewer.display(np.zeros(6))
-            viewer.wait()
-
-    Raises:
-        CalibError: The port is in use.
+    Returns:
+        Number of movers, their poses, the rods, and for each mover the index of the nominal robot's (``same``), -1
+        where it has none. The last three movers are the frames of base, tip and target.
     """
-
-    def __init__(self, view: View, *, port: int = 0) -> None:
-        k, places = view.start, ("nominal_target", "calibrated_target", "T_base_nominal")
-        at: dict[str, Any] = {name: getattr(view, name)[k] for name in places}
-        self._one = View(view.nominal, view.calibrated, view.q[k : k + 1], **at)
-        self.joint_names: tuple[str, ...] = view.nominal.joint_names
-        self._visuals = {who: read_visuals(one.urdf)[0] for who, one in view.robots.items()}
-        page = view_page(view, live=True)
-        self.warnings: tuple[str, ...] = page.warnings
-        try:
-            listener = socket.create_server((HOST, port))
-        except OSError as error:
-            raise CalibError(
-                f"Port {port} of {HOST} cannot be used ({error.strerror}); give another number, or 0 for any that is "
-                "free."
-            ) from error
-        self.port: int = listener.getsockname()[1]
-        self.url = f"http://{HOST}:{self.port}/"
-        self._sent: dict[tuple[str, ...], bytes] = {}
-        self._windows: set[WebSocketHandler] = set()
-        self._loop, self._stop = asyncio.new_event_loop(), asyncio.Event()
-        # Not the thread's join: one that Ctrl-C interrupts takes the thread for ended.
-        self._ended = threading.Event()
-        threading.Thread(target=self._run, args=[page.html, listener], daemon=True).start()
-        root = meshcat.Visualizer.view_into(self, meshcat.path.Path())
-        self.visualizer: meshcat.Visualizer = root[stage.SCENE][tuple(view.robots)[-1]]["own"]
-
-    def display(self, q: ArrayLike, label: str = "") -> None:
-        """Move the robots.
-
-        Args:
-            q: shape (m,), [rad] or [m], in the order of `joint_names`.
-            label: What the pose is called on the page.
-
-        Raises:
-            ModelError: There are not as many finite values as joints.
-            CalibError: The viewer is closed.
-        """
-        values = np.asarray(q, dtype=np.float64)
-        if values.shape != (len(self.joint_names),) or not np.all(np.isfinite(values)):
-            raise ModelError(
-                f"q is {values.tolist()}; give a finite value for each joint, [rad] or [m]: "
-                f"{choices(self.joint_names)}."
-            )
-        shown = puppets(replace(self._one, q=values[None]), self._visuals)
-        robots = {who: stage.floats(packed(puppet.poses)) for who, puppet in shown.items()}
-        # Windows that open later are told of it as they are of a transform.
-        pose = {"label": label, "robots": robots}
-        told = {"type": "set_transform", "path": "/pose", "pose": pose}
-        self.send(SimpleNamespace(lower=lambda: told))
-
-    def send(self, command: Any) -> None:  # noqa: ANN401  a command of meshcat
-        """Draw, move or remove, in all windows, also in those that open later; `CalibError` once it is closed."""
-        if self._ended.is_set():
-            raise CalibError(f"{self.url} was closed, and shows nothing any more; open a new one.")
-        self._loop.call_soon_threadsafe(self._take, command.lower())
-
-    def _take(self, message: dict[str, Any]) -> None:
-        """Keep the last message of each kind about each node, and tell the windows."""
-        path, data = message["path"], umsgpack.packb(message)
-        if message["type"] == "delete":
-            inside = f"{path}/"
-            self._sent = {k: v for k, v in self._sent.items() if not f"{k[0]}/".startswith(inside)}
-        else:
-            key = (path, message["type"], message.get("property", ""))
-            self._sent.pop(key, None)
-            self._sent[key] = data
-        for window in self._windows:
-            window.write_message(data, binary=True)
-
-    def open(self) -> bool:
-        """Open the page in the browser; False if none was found, or one that would take over the terminal."""
-        windows = sys.platform in ("win32", "darwin") or any(
-            os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")
-        )
-        return windows and webbrowser.open(self.url)
-
-    def wait(self) -> None:
-        """Wait for Ctrl-C; the viewer is closed afterwards."""
-        # A wait without end cannot be interrupted on every system.
-        with self, suppress(KeyboardInterrupt):
-            while not self._ended.wait(0.5):
-                pass
-
-    def close(self) -> None:
-        """Free the port; the windows keep their picture. Once closed, it does nothing."""
-        with suppress(RuntimeError):
-            self._loop.call_soon_threadsafe(self._stop.set)
-        self._ended.wait()
-
-    def __exit__(self, *_: object) -> None:
-        """Close it."""
-        self.close()
-
-    def _run(self, page: bytes, listener: socket.socket) -> None:
-        """The thread."""
-        self._loop.run_until_complete(self._serve(page, listener))
-        self._loop.close()
-        self._ended.set()
-
-    async def _serve(self, page: bytes, listener: socket.socket) -> None:
-        """Answer until asked to stop, then leave nothing open."""
-        app = Application(log_function=lambda _: None)
-        # A web site may let its own name point to 127.0.0.1: who asks for another host finds nothing.
-        handlers: Any = [("/", _Page, {"page": page}), ("/live", _Window, {"viewer": self})]
-        app.add_handlers(r"127\.0\.0\.1|localhost", handlers)
-        http = HTTPServer(app)
-        listener.setblocking(False)
-        http.add_socket(listener)
-        await self._stop.wait()
-        http.stop()
-        for window in tuple(self._windows):
-            window.close(1001, "closed")
-        await asyncio.sleep(0.05)  # for their farewell
-        await http.close_all_connections()
-
-
-class _Page(RequestHandler):
-    """The page."""
-
-    def initialize(self, page: bytes) -> None:
-        """Keep it; called by tornado."""
-        self._page = page
-
-    def get(self) -> None:
-        """Send it."""
-        self.write(self._page)
-
-
-class _Window(WebSocketHandler):
-    """The connection of a page that is open."""
-
-    def initialize(self, viewer: Viewer) -> None:
-        """Keep it; called by tornado."""
-        self._viewer = viewer
-
-    def open(self) -> None:
-        """Tell it what was drawn."""
-        self._viewer._windows.add(self)
-        for data in self._viewer._sent.values():
-            self.write_message(data, binary=True)
-
-    def on_close(self) -> None:
-        """Forget it."""
-        self._viewer._windows.discard(self)
-
-    def on_message(self, message: object) -> None:
-        """Windows have nothing to tell."""
-
-
-def serve(view: View, *, port: int, browser: bool, say: Callable[[str], object]) -> None:
-    """Show a page until Ctrl-C, or until the process is asked to end; what is said goes to ``say``."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    with Viewer(view, port=port) as viewer, suppress(KeyboardInterrupt):
-        for text in viewer.warnings:
-            say(f"Not drawn as in the URDF: {text}")
-        say(f"The picture is at {viewer.url} on this computer. Ctrl-C stops it.")
-        if browser and not viewer.open():
-            at = viewer.port
-            say(f"No browser was found. From elsewhere: ssh -L {at}:127.0.0.1:{at} THIS_COMPUTER")
-        viewer.wait()
-    say("Stopped.")
-
-
-Shown = CalibrationValues | Robot
-
-
-@overload
-def view(shown: Shown, other: Robot | None = None, *, live: Literal[False] = False) -> Path: ...
-
-
-@overload
-def view(shown: Shown, other: Robot | None = None, *, live: Literal[True]) -> Viewer: ...
-
-
-def view(shown: Shown, other: Robot | None = None, *, live: bool = False) -> Path | Viewer:
-    """Open the picture of a calibration, of a robot or of two robots in the browser.
-
-    A ``live`` page is served by this program, which can move the robots and draw more, until the viewer is closed.
-    Otherwise it is a file in a temporary folder of its own. Two robots must have the same joints.
-    """
-    if isinstance(shown, CalibrationValues):
-        scene = view_of(shown)
-    else:
-        names = (("First", shown.urdf.source), ("Second", (other or shown).urdf.source))
-        scene = view_of_robots(shown, other, names=names)
-    if live:
-        viewer = Viewer(scene)
-        webbrowser.open(viewer.url)
-        return viewer
-    page = view_page(scene).write(Path(tempfile.mkdtemp(prefix="calib-")) / "view.html")
-    webbrowser.open(page.as_uri())
-    return page
+    count = puppet.poses.shape[1]
+    same = [links.index(link) if link in links else -1 for link in puppet.links]
+    frames = range(len(links), len(links) + 3)
+    target_rod = [count - 2, count - 1]
+    return {
+        "movers": count,
+        "poses": stage.floats(packed(puppet.poses)),
+        "rods": [*map(list, puppet.rods), target_rod],
+        "same": [*same, *frames],
+    }

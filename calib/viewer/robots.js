@@ -61,7 +61,7 @@ function trueTarget(who, row) {
 }
 
 // Where the target was measured, moved away from the nominal one by the same factor; null where it was not.
-function seen(row) {
+function measuredPlace(row) {
   if (state.alone && row === state.row) return null;
   if (!Number.isFinite(measured[3 * row])) return null;
   const at = new THREE.Vector3().fromArray(measured, 3 * row);

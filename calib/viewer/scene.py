@@ -25,28 +25,50 @@ import calib.report.figure_base as look
 from calib.files import write_atomically
 from calib.robot.robot import Robot
 from calib.units import Array
-from calib.viewer.view import Puppet, read_visuals, translation
+from calib.viewer.puppet import Puppet, read_visuals, translation
 
-#: What a page that came from a server on this computer may talk to.
+#: Addresses that a page which came from a server on this computer may connect to: a rule of its security policy.
 _LIVE = "; connect-src 'self' ws://127.0.0.1:* ws://localhost:*"
+
+#: Folder of the templates and scripts.
+_FOLDER = Path(__file__).parent
 
 #: The files of the script of a page of robots, in order.
 _SCRIPTS = ("robots.js", "marks.js", "words.js", "controls.js")
 
-#: The colours of robots and of what was measured.
+#: Colours of robots and measured positions.
 COLOURS = {"nominal": look.NOMINAL, "calibrated": look.CALIBRATED, "measured": look.INK}
 
 #: The scene's node that holds the robots.
 SCENE = "robots"
 
-#: Radius of the rod to the target, as a part of its ball's; more points than these are a cloud of dots.
-_STALK, _MOST_BALLS = 0.3, 300
+#: Radius of the rod to the target, as a part of its ball's.
+_STALK = 0.3
+
+#: More points than this are a cloud of dots instead of balls: the page stays quick.
+_MOST_BALLS = 300
 
 #: Vertical angle of view [deg]: a long lens, so that robots at the side are not distorted.
 _FOV_DEG = 28.0
 
-#: How far the camera looks down [rad], and the part of the picture's half width for the scene.
-_DOWN, _WIDTH = np.deg2rad(16.0), 0.95
+#: Angle by which the camera looks down [rad].
+_DOWN = np.deg2rad(16.0)
+
+#: Part of the picture's half width that the scene may fill.
+_WIDTH = 0.95
+
+#: Width over height of the picture that cameras are placed for.
+_ASPECT = 16.0 / 9.0
+
+#: Angle between the arm and the direction to the camera, seen from above [rad]: it reaches to the right of the picture
+#: and a little towards the camera.
+_SIDE_VIEW = np.deg2rad(68.0)
+
+#: Squares of the floor across a scene, at least.
+_SQUARES = 7.0
+
+#: Lines of the floor on each side of its middle.
+_FLOOR_LINES = 8
 
 #: three.js turns cylinders about y, URDF about z.
 _Y_TO_Z = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
@@ -63,22 +85,23 @@ class SceneWindow:
         self._scene: dict[str, Any] = {"geometries": {}, "commands": []}
 
     def send(self, command: Any) -> None:  # noqa: ANN401  a command of meshcat
-        """Take a command, as meshcat's server does."""
+        """Keep a command, as meshcat's server does."""
         message = command.lower()
         if message["type"] == "set_object":
             self._share(message["object"], message["path"])
         self._scene["commands"].append(message)
 
     def scene(self) -> bytes:
-        """The whole scene as one message: the geometries by name, and the commands in order."""
+        """Return the scene as one message: the geometries by name, and the commands in order."""
         packed: bytes = umsgpack.packb(self._scene)
         return packed
 
     def _share(self, lowered: dict[str, Any], path: str) -> None:
-        """Name everything by its content or path, and keep the geometries apart."""
+        """Identify an object by its path and its geometry by its content, and keep the geometries apart."""
         lowered["object"]["uuid"] = f"object of {path}"
         if "geometries" in lowered:  # one, with its material
-            (geometry,), (material,) = lowered["geometries"], lowered["materials"]
+            (geometry,) = lowered["geometries"]
+            (material,) = lowered["materials"]
             del geometry["uuid"]
             name = hashlib.sha256(umsgpack.packb(geometry)).hexdigest()[:32]
             self._scene["geometries"].setdefault(name, {"uuid": name, **geometry})
@@ -88,38 +111,46 @@ class SceneWindow:
 
 
 class Camera(NamedTuple):
-    """A camera at a distance of a centre [m]; the rows of ``axes``, (3, 3), point right, up and towards the camera."""
+    """A camera that looks at a point."""
 
-    centre: Array
-    axes: Array
-    distance: float
+    centre: Array  #: shape (3,), the point [m]
+    axes: Array  #: shape (3, 3), unit vectors as rows: right, up, and from the point to the camera
+    distance: float  #: From the point [m]
 
     @property
     def position(self) -> list[float]:
-        """Where it stands, from the centre, in meshcat's frame of cameras, in which y is up [m]."""
+        """Its position from the centre, in meshcat's frame of cameras, in which y is up [m]."""
         x, y, z = (float(value) for value in self.distance * self.axes[2])
         return [x, z, -y]
 
 
-def row_direction(points: Array) -> Array:
-    """A horizontal direction to look from at an arm with joints at points, shape (3,)."""
-    # The arm reaches to the right of the picture and a little towards the camera.
+def camera_direction(points: Array) -> Array:
+    """Choose the side from which an arm is seen: it reaches to the right and a little towards the camera.
+
+    Args:
+        points: shape (K, 3), joints of the arm from the base to the tip.
+
+    Returns:
+        shape (3,), horizontal unit vector from the arm to the camera.
+    """
     x, y = points[-1, :2] - points[0, :2]
-    angle = np.arctan2(y, x) - np.deg2rad(68.0)
+    angle = np.arctan2(y, x) - _SIDE_VIEW
     return np.array([np.cos(angle), np.sin(angle), 0.0])
 
 
-def look_at(points: Array, back: Array, between: tuple[float, float] = (-0.69, 0.75)) -> Camera:
-    """A camera near enough that sees all points of shape (N, 3) where no text stands, on a 16:9 screen.
+def look_at(
+    points: Array, towards_camera: Array, between: tuple[float, float] = (-0.69, 0.75)
+) -> Camera:
+    """Place a camera as near as it sees all points where no text stands, on a 16:9 screen.
 
-    ``back`` is a horizontal unit vector from the scene to the camera; text at the foot ends and that of the heading
-    begins at ``between``, the picture being from -1 to 1.
+    Args:
+        points: shape (N, 3), [m].
+        towards_camera: shape (3,), horizontal unit vector from the scene to the camera.
+        between: Upper end of the text at the foot and lower end of the heading; the picture is from -1 to 1.
     """
     low, high = between
-    towards = np.cos(_DOWN) * back + np.sin(_DOWN) * np.array([0.0, 0.0, 1.0])
-    right = np.array([-back[1], back[0], 0.0])
-    axes = np.stack([right, np.cross(towards, right), towards])
-    tangents = np.tan(0.5 * np.deg2rad(_FOV_DEG)) * np.array([16.0 / 9.0, 1.0])
+    axes = _camera_axes(towards_camera)
+    tangents = np.tan(0.5 * np.deg2rad(_FOV_DEG)) * np.array([_ASPECT, 1.0])
     half = tangents * [_WIDTH, 0.5 * (high - low)]
     seen = points @ axes.T
     centre = 0.5 * (seen.min(axis=0) + seen.max(axis=0))
@@ -132,20 +163,32 @@ def look_at(points: Array, back: Array, between: tuple[float, float] = (-0.69, 0
     return Camera(centre @ axes, axes, distance)
 
 
+def _camera_axes(towards_camera: Array) -> Array:
+    """Return the camera's axes as rows: right, up, back, shape (3, 3), for a horizontal unit vector to the camera."""
+    back = np.cos(_DOWN) * towards_camera + np.sin(_DOWN) * np.array([0.0, 0.0, 1.0])
+    right = np.array([-towards_camera[1], towards_camera[0], 0.0])
+    return np.stack([right, np.cross(back, right), back])
+
+
 def new_scene(
     camera: Camera, size: float, floor: float
 ) -> tuple[SceneWindow, meshcat.Visualizer, float]:
-    """A scene with a camera, lights, background and floor, whose origin is what the camera looks at.
+    """Make a scene with a camera, lights, background and floor; its origin is the camera's centre.
 
-    ``size`` is that of what is drawn, ``floor`` the height of the floor [m]. It comes with meshcat's visualizer of all
-    of it and the edge of a square of the floor [m].
+    Args:
+        camera: The camera.
+        size: Size of the scene's content [m].
+        floor: Height of the floor in the frame of the camera's centre [m].
+
+    Returns:
+        The scene, meshcat's visualizer of all of it, and the edge of a square of the floor [m].
     """
     window = SceneWindow()
     root = meshcat.Visualizer.view_into(window, meshcat.path.Path())
     lens = mc.PerspectiveCamera(fov=_FOV_DEG, aspect=16 / 9, near=0.02 * size, far=100 * size)
     root["/Cameras/default/rotated"].set_object(lens)
     light = camera.axes[2] - 0.6 * camera.axes[0] + 1.1 * np.array([0.0, 0.0, 1.0])
-    for node, name, value in (
+    properties = (
         ("/Background", "top_color", [0.985, 0.99, 1.0]),
         ("/Background", "bottom_color", [0.86, 0.885, 0.915]),
         ("/Grid", "visible", False),
@@ -156,15 +199,25 @@ def new_scene(
         ("/Lights/FillLight/<object>", "intensity", 0.65),
         ("/Lights/FillLight/<object>", "position", (20.0 * size * light).tolist()),
         ("/Cameras/default/rotated/<object>", "position", camera.position),
-    ):
+    )
+    for node, name, value in properties:
         root[node].set_property(name, value)
-    power = 10.0 ** np.floor(np.log10(size / 7.0))
-    grid = float(power * max(step for step in (1, 2, 5) if step * power <= size / 7.0))
-    ends = grid * np.array([[[k, s * 8, 0.0] for s in (-1, 1)] for k in range(-8, 9)])
-    floor_lines = np.concatenate([ends, ends[..., [1, 0, 2]]])
-    draw_lines(root["/Floor/grid"], floor_lines, "#9aa7b4", 0.42)
-    root["/Floor/grid"].set_transform(translation([0, 0, floor - camera.centre[2]]))
-    return window, root, grid
+    square = _draw_floor(root["/Floor/grid"], size, floor - camera.centre[2])
+    return window, root, square
+
+
+def _draw_floor(node: meshcat.Visualizer, size: float, height: float) -> float:
+    """Draw the lines of the floor at a height [m]; return the edge of a square: 1, 2 or 5 times a power of ten [m]."""
+    power = 10.0 ** np.floor(np.log10(size / _SQUARES))
+    step = max(step for step in (1, 2, 5) if step * power <= size / _SQUARES)
+    square = float(power * step)
+    n = _FLOOR_LINES
+    ends = [[[k, -n, 0.0], [k, n, 0.0]] for k in range(-n, n + 1)]
+    along = square * np.array(ends)
+    across = along[..., [1, 0, 2]]
+    draw_lines(node, np.concatenate([along, across]), "#9aa7b4", 0.42)
+    node.set_transform(translation([0, 0, height]))
+    return square
 
 
 def draw_puppet(
@@ -174,58 +227,89 @@ def draw_puppet(
     material: mc.MeshPhongMaterial,
     ball: float = 0.0,
 ) -> None:
-    """One robot at the pose of a number, each part below its mover; a ball of a radius [m] on a rod is its target."""
-    at, robot = puppet.poses[pose], group["robot"]
+    """Draw one robot at one pose, each part below its mover.
+
+    Args:
+        group: Node of the robot.
+        puppet: The robot.
+        pose: Index of the pose, from 0.
+        material: Surface of all parts.
+        ball: Radius of the ball at the target [m], which a rod joins to the tip; 0 for none.
+    """
+    at = puppet.poses[pose]
+    robot = group["robot"]
     for i, (mover, mesh, T_mover_shape) in enumerate(puppet.parts):
         node = robot["links"][f"{mover:03d}"]
         node.set_transform(at[mover])
         node[f"{i:03d}"].set_object(mc.TriangularMeshGeometry(*mesh), material)
         node[f"{i:03d}"].set_transform(T_mover_shape)
     target = len(at) - 1
-    rods = [(*rod, puppet.radius) for rod in puppet.rods]
+    rods = [(start, end, puppet.radius) for start, end in puppet.rods]
     if ball:
         node = robot["links"][f"{target:03d}"]
         node.set_transform(at[target])
         node["ball"].set_object(mc.Sphere(ball), material)
         rods.append((target - 1, target, _STALK * ball))
-    for k, (one, other, radius) in enumerate(rods):
+    for k, (start, end, radius) in enumerate(rods):
         node = robot["rods"][f"{k:03d}"]
-        node.set_transform(rod_between(at[one, :3, 3], at[other, :3, 3]))
+        node.set_transform(rod_between(at[start, :3, 3], at[end, :3, 3]))
         node["rod"].set_object(mc.Cylinder(1.0, radius), material)
         node["rod"].set_transform(_Y_TO_Z)
 
 
 def rod_between(start: Array, end: Array) -> Array:
-    """A rod of length one, z along it, stretched from a point to another, shape (4, 4), [m]."""
+    """Return the transform (4, 4) that stretches a rod of length 1 along z between two points (3,) [m]."""
     length = float(np.linalg.norm(end - start))
     T = translation(0.5 * (start + end))
     if length > 0:
-        turn, _ = Rotation.align_vectors([(end - start) / length], [[0.0, 0.0, 1.0]])
-        T[:3, :3] = turn.as_matrix()
+        rotation, _ = Rotation.align_vectors([(end - start) / length], [[0.0, 0.0, 1.0]])
+        T[:3, :3] = rotation.as_matrix()
     T[:3, 2] *= max(length, 1e-9)
     return T
 
 
 def draw_points(node: meshcat.Visualizer, points: Array, colour: str, radius: float) -> None:
-    """Points of shape (N, 3) as balls of a radius, or as dots where they are many [m]."""
+    """Draw points as balls, or as dots where they are many.
+
+    Args:
+        node: Node of the points.
+        points: shape (N, 3), [m].
+        colour: ``"#rrggbb"``.
+        radius: Radius of a ball [m].
+    """
     if len(points) > _MOST_BALLS:
         draw_cloud(node["dots"], points, colour, 1.2 * radius)
         return
-    ball, material = mc.Sphere(radius), mc.MeshPhongMaterial(color=_number(colour))
+    ball = mc.Sphere(radius)
+    material = mc.MeshPhongMaterial(color=_number(colour))
     for i, point in enumerate(points):
         node[f"{i:03d}"].set_object(ball, material)
         node[f"{i:03d}"].set_transform(translation(point))
 
 
 def draw_cloud(node: meshcat.Visualizer, points: ArrayLike, colour: str, edge: float) -> None:
-    """Points of shape (N, 3) as dots of one colour with an edge [m]."""
+    """Draw points as square dots.
+
+    Args:
+        node: Node of the points.
+        points: shape (N, 3), [m].
+        colour: ``"#rrggbb"``.
+        edge: Edge of a dot [m].
+    """
     at = np.asarray(points, dtype=np.float32).T
     rgb = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)], dtype=np.float32) / 255
     node.set_object(mc.PointCloud(at, np.repeat(rgb[:, None], at.shape[1], axis=1), size=edge))
 
 
 def draw_lines(node: meshcat.Visualizer, ends: Array, colour: str, opacity: float = 1.0) -> None:
-    """Straight lines with ends of shape (N, 2, 3) or (2 N, 3) [m]."""
+    """Draw straight lines.
+
+    Args:
+        node: Node of the lines.
+        ends: shape (N, 2, 3) or (2 N, 3), both ends of each line [m].
+        colour: ``"#rrggbb"``.
+        opacity: From 0 to 1.
+    """
     material = mc.LineBasicMaterial(color=_number(colour), opacity=opacity, transparent=opacity < 1)
     node.set_object(mc.LineSegments(mc.PointsGeometry(ends.reshape(-1, 3).T), material))
 
@@ -233,7 +317,14 @@ def draw_lines(node: meshcat.Visualizer, ends: Array, colour: str, opacity: floa
 def draw_boxes(
     node: meshcat.Visualizer, sizes: Sequence[Array], poses: Sequence[Array], colour: str
 ) -> None:
-    """Translucent boxes of some sizes at some poses [m]."""
+    """Draw translucent boxes.
+
+    Args:
+        node: Node of the boxes.
+        sizes: Edges (3,) of each box [m].
+        poses: Pose (4, 4) of each box's middle [m].
+        colour: ``"#rrggbb"``.
+    """
     for i, (size, T) in enumerate(zip(sizes, poses, strict=True)):
         material = mc.MeshPhongMaterial(color=_number(colour), opacity=0.35, transparent=True)
         node[f"{i:02d}"].set_object(mc.Box(size.tolist()), material)
@@ -241,41 +332,63 @@ def draw_boxes(
 
 
 def solid(colour: str, *, front: bool = False) -> mc.MeshPhongMaterial:
-    """The surface of a robot; ``front`` draws it before another a fraction of a millimetre away, without flicker."""
-    more = {"polygonOffset": 1, "polygonOffsetFactor": -1.0, "polygonOffsetUnits": -4.0}
-    look = {"color": _number(colour), "shininess": 35, "specular": 0x2A2A2A, "side": 2}
-    return mc.MeshPhongMaterial(**look, **(more if front else {}))
+    """Return the surface of a robot.
+
+    Args:
+        colour: ``"#rrggbb"``.
+        front: Draw it in front of another surface that is a fraction of a millimetre away, without flicker.
+    """
+    surface: dict[str, Any] = {
+        "color": _number(colour),
+        "shininess": 35,
+        "specular": 0x2A2A2A,
+        "side": 2,
+    }
+    if front:
+        surface |= {"polygonOffset": 1, "polygonOffsetFactor": -1.0, "polygonOffsetUnits": -4.0}
+    return mc.MeshPhongMaterial(**surface)
 
 
 def _number(colour: str) -> int:
-    """A colour as meshcat takes it."""
+    """Return a colour ``"#rrggbb"`` as the number that meshcat takes."""
     return int(colour[1:], 16)
 
 
 def span(points: Array) -> float:
-    """The diagonal of the points' bounding box; 1 mm at least [m]."""
+    """Return the diagonal of the bounding box of points (N, 3) [m]; 1 mm at least."""
     return max(float(np.linalg.norm(np.ptp(points, axis=0))), 1e-3)
 
 
 class Page(NamedTuple):
-    """A complete HTML page, UTF-8, and what could not be drawn as the URDF says, a sentence each."""
+    """A complete HTML page."""
 
-    html: bytes
-    warnings: tuple[str, ...]
+    html: bytes  #: The page, UTF-8
+    warnings: tuple[str, ...]  #: A sentence for each shape that is not drawn as the URDF says
 
     def write(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
-        """Write the page, whole or not at all; `FileError` where the file exists or cannot be written."""
+        """Write the page, completely or not at all.
+
+        Args:
+            path: Name of the file.
+            overwrite: Replace an existing file.
+
+        Returns:
+            The file's path.
+
+        Raises:
+            FileError: The file exists or cannot be written.
+        """
         return write_atomically(path, self.html, overwrite=overwrite)
 
 
 class Key(NamedTuple):
-    """A line of the legend that shows and hides nodes below `SCENE`, with blanks between them."""
+    """An entry of the legend, which shows and hides nodes."""
 
-    text: str
-    colour: str
-    nodes: str
-    kind: str = ""
-    on: bool = True
+    text: str  #: Its text
+    colour: str  #: Colour of its mark, ``"#rrggbb"``
+    nodes: str  #: Nodes below `SCENE`, with blanks between them
+    kind: str = ""  #: Shape of its mark: ``"dot"``, ``"arrow"``, ...; empty for a square
+    on: bool = True  #: The nodes are shown at first
 
 
 def filled_page(
@@ -286,57 +399,80 @@ def filled_page(
     live: bool = False,
     **content: Any,  # noqa: ANN401  what the template names
 ) -> bytes:
-    """The page about a scene's message, UTF-8, by ``"page.html"`` or a template that extends it.
+    """Fill in the template of a page.
 
-    ``table`` is what the script of a page of robots is told; a ``live`` page listens to the server that it came from.
+    Args:
+        template: ``"page.html"`` or the name of a template that extends it.
+        scene: The scene's message, see `SceneWindow.scene`.
+        table: Values for the script of a page of robots; None for a page without one.
+        live: The page listens to the server that it came from.
+        content: The template's other variables.
+
+    Returns:
+        The page, UTF-8.
     """
     import jinja2
     from markupsafe import Markup
 
-    folder, viewer = Path(__file__).parent, Path(meshcat.viewer_assets_path())
     environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(folder),
+        loader=jinja2.FileSystemLoader(_FOLDER),
         autoescape=True,
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-
-    def read(path: Path) -> str:
-        """A file whose text cannot end the script that it stands in."""
-        return path.read_text("utf-8").replace("</script", "<\\/script").replace("<!--", "<\\!--")
-
-    scripts = [read(viewer / "dist/main.min.js"), read(folder / "page.js")]
-    if table:
-        own = "\n".join(read(folder / name) for name in _SCRIPTS)
-        scripts.append(f'"use strict";\n(() => {{\n{own}}})();\n')
-    # No other script runs, whatever a name may hold.
-    hashes = [_base64(hashlib.sha256(text.encode()).digest()) for text in scripts]
-    policy = " ".join(f"'sha256-{one}'" for one in hashes) + _LIVE * live
+    scripts = _scripts(of_robots=bool(table))
     # A block of JSON that no name in it can end.
-    told = json.dumps(table, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
-    # The notices that must go with a copy of the viewer: meshcat's own and those of what it contains.
-    notices = [viewer / "LICENSE", *sorted((viewer / "dist").glob("main.min.js.*LICENSE*"))]
+    json_text = json.dumps(table, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     page = environment.get_template(template).render(
-        hashes=Markup(policy),
+        hashes=Markup(_policy(scripts, live=live)),
         live=live,
         colours=COLOURS,
-        licences=Markup("\n\n".join(map(read, notices))),
+        licences=Markup(_licences()),
         scene=_base64(scene),
-        table=Markup(told) if table else "",
+        table=Markup(json_text) if table else "",
         scripts=[Markup(text) for text in scripts],
         **content,
     )
     return page.encode("utf-8", "replace")
 
 
+def _scripts(*, of_robots: bool) -> list[str]:
+    """Return the scripts of a page: meshcat's viewer, the page's, and those of a page of robots."""
+    viewer = Path(meshcat.viewer_assets_path())
+    scripts = [_safe_text(viewer / "dist/main.min.js"), _safe_text(_FOLDER / "page.js")]
+    if of_robots:
+        joined = "\n".join(_safe_text(_FOLDER / name) for name in _SCRIPTS)
+        scripts.append(f'"use strict";\n(() => {{\n{joined}}})();\n')
+    return scripts
+
+
+def _policy(scripts: Sequence[str], *, live: bool) -> str:
+    """Return the page's rule of scripts: no other script runs, whatever a name may hold."""
+    digests = [hashlib.sha256(text.encode()).digest() for text in scripts]
+    sources = " ".join(f"'sha256-{_base64(digest)}'" for digest in digests)
+    return sources + _LIVE if live else sources
+
+
+def _licences() -> str:
+    """Return the notices that must go with a copy of the viewer: meshcat's own and those of its contents."""
+    viewer = Path(meshcat.viewer_assets_path())
+    files = [viewer / "LICENSE", *sorted((viewer / "dist").glob("main.min.js.*LICENSE*"))]
+    return "\n\n".join(_safe_text(path) for path in files)
+
+
+def _safe_text(path: Path) -> str:
+    """Read a file as text that cannot end the script that it stands in."""
+    return path.read_text("utf-8").replace("</script", "<\\/script").replace("<!--", "<\\!--")
+
+
 def _base64(data: bytes) -> str:
-    """Bytes as text that needs no escaping."""
+    """Return bytes as text that needs no escaping."""
     return base64.b64encode(data).decode("ascii")
 
 
 def floats(values: ArrayLike) -> str:
-    """Numbers as base64 of little-endian float32."""
+    """Return numbers as base64 of little-endian float32, in C order."""
     return _base64(np.ascontiguousarray(values, dtype="<f4").tobytes())
 
 
@@ -350,17 +486,25 @@ def single_page(
     text: str,
     legend: str,
 ) -> Page:
-    """A page of one robot at a pose q of shape (m,), and of what is drawn at points of shape (K, 3) in the base.
+    """Make a page of one robot, and of things drawn about it.
 
-    ``draw`` draws below the node given, in the base frame, things about as large as the size given [m], and returns
-    their lines of the legend.
+    Args:
+        robot: The robot.
+        q: shape (m,), its pose [rad or m].
+        points: shape (K, 3), points of the things, in the base [m]: the camera sees them too.
+        draw: Draws the things below the node given, in the base frame; gets the scene's size [m], and returns their
+            entries of the legend.
+        title: The heading.
+        text: The sentence below it.
+        legend: The robot's entry of the legend.
     """
     visuals, warnings = read_visuals(robot.urdf)
     puppet = Puppet.of(robot, q[None], visuals, np.eye(4)[None], np.eye(4))
-    drawn = puppet.outline()
-    everything = np.concatenate([drawn, points])
-    camera, size = look_at(everything, row_direction(puppet.poses[0, :, :3, 3])), span(everything)
-    window, root, grid = new_scene(camera, size, float(drawn[:, 2].min()))
+    outline = puppet.outline()
+    everything = np.concatenate([outline, points])
+    size = span(everything)
+    camera = look_at(everything, camera_direction(puppet.poses[0, :, :3, 3]))
+    window, root, grid = new_scene(camera, size, float(outline[:, 2].min()))
     scene = root[SCENE]
     scene.set_transform(translation(-camera.centre))
     draw_puppet(scene["nominal"], puppet, 0, solid(look.NOMINAL))

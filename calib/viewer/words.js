@@ -17,7 +17,7 @@ function fill(parent, ...parts) {
 }
 
 function labelOf(row) {
-  const kind = { estimation: "fitted", validation: "held back", flagged: "flagged", pose: "" }[table.kinds[row]];
+  const kind = table.kinds[row] === "pose" ? "" : table.kinds[row];
   return table.labels[row] + (kind ? `, ${kind}` : "");
 }
 
@@ -25,7 +25,7 @@ function label() {
   return state.alone ? state.alone.label : labelOf(state.row);
 }
 
-// What is said of a row beside the mouse.
+// Text about a row beside the mouse.
 function brief(row) {
   const values = rowErrors.slice(0, names.length).map((errors) => errors[row]).filter(Number.isFinite);
   return labelOf(row) + (values.length ? `: ${values.map(mm).join(" \u2192 ")}` : "");
@@ -40,7 +40,7 @@ function points() {
   return result;
 }
 
-function tell() {
+function describe() {
   if (element("which")) element("which").textContent = label();
   const parts = [[label()], ". "];
   const values = rowErrors.map((errors) => known(errors[state.row]));
@@ -48,24 +48,22 @@ function tell() {
   const show = (who) => (values[who] === null ? [] : [[mm(values[who])]])
     .concat(turns[who] === null ? [] : [values[who] === null ? "" : " and ", [degrees(turns[who])]]);
   if (values[0] !== null || turns[0] !== null) {
-    // What is left over of a distance or on a plane is no distance in the picture.
-    const place = Number.isFinite(measured[3 * state.row]);
-    parts.push(place ? "From what was measured: " : "Left over of what was measured: ", `${table.names[0].toLowerCase()} `, ...show(0));
+    parts.push("Residual: ", `${table.names[0].toLowerCase()} `, ...show(0));
     if (both) parts.push(`, ${table.names[1].toLowerCase()} `, ...show(1));
     parts.push(".");
   } else if (both) {
     const apart = trueTarget("nominal", state.row).distanceTo(trueTarget("calibrated", state.row));
-    parts.push("The two robots put the target ", [mm(apart)], " apart.");
+    parts.push("Distance between the targets of the two robots: ", [mm(apart)], ".");
   }
   fill(element("pose"), ...parts);
   if (element("factors")) {
-    const robotsSaid = both
-      ? state.robots === 1 ? "Robots true to scale." : `Differences from ${table.names[0].toLowerCase()} drawn \u00d7 ${state.robots}.`
+    const robotsText = both
+      ? state.robots === 1 ? "Robots true to scale." : `Differences from ${table.names[0].toLowerCase()} magnified \u00d7 ${state.robots}.`
       : "Robot true to scale.";
     const ends = hasMeasured ? "from predicted towards measured" : `from ${table.names[0].toLowerCase()} to ${table.names[1].toLowerCase()}`;
-    const arrowsSaid = `Arrows ${ends}, \u00d7 ${state.arrows}.`;
-    const cutSaid = cut ? ` ${cut} longer than the scene ${cut > 1 ? "are" : "is"} cut.` : "";
-    fill(element("factors"), `${arrowsSaid} ${robotsSaid}${cutSaid}`);
+    const arrowsText = `Arrows ${ends}, \u00d7 ${state.arrows}.`;
+    const cutText = cut ? ` ${cut} longer than the scene ${cut > 1 ? "are" : "is"} cut.` : "";
+    fill(element("factors"), `${arrowsText} ${robotsText}${cutText}`);
   }
   drawInset(points());
 }

@@ -94,4 +94,4 @@ def test_findings_are_printed(call, bench: Path):
     done = call(bench, "base-frame", "bad.csv", *ROBOT)
     text = " ".join(done.out.split())
     assert "Findings: - bad.csv, row 30 (sweep 'shoulder_pan_joint') is " in text
-    assert "left out: measure it again." in text
+    assert "was ignored: measure it again." in text

@@ -1,4 +1,4 @@
-"""Rows as figures show them; the look of figures, their files, and names that fit."""
+"""The look of figures, their files, kinds of rows, and names that fit."""
 
 from __future__ import annotations
 
@@ -10,14 +10,7 @@ import pytest
 from PIL import Image
 
 from calib.errors import FileError
-from calib.report.figure_base import (
-    angles_of,
-    flagged_rows,
-    lengths_of,
-    new_figure,
-    row_kinds,
-    rows_text,
-)
+from calib.report.figure_base import new_figure, row_kinds, rows_text, short_names
 from calib.report.figures import Drawing, rendered
 
 
@@ -58,19 +51,13 @@ def test_files_open_and_carry_title_and_caption():
 def test_every_row_is_of_one_kind(calibrations):
     c = calibrations.made("with_outliers")
     kinds = row_kinds(c)
-    assert [kind.word for kind in kinds] == ["estimation", "validation", "outlier"]
+    assert [kind.name for kind in kinds] == ["estimation", "validation", "outlier"]
     assert np.all(np.sum([kind.mask for kind in kinds], axis=0) == 1)
-    flagged = {one.row for one in (*c.outliers, *c.suspects)}
-    assert {c.measurements.rows[k] for k in np.flatnonzero(flagged_rows(c))} == flagged
-    assert kinds[2].style()["label"] == f"{len(flagged)} outliers"
+    count = len(c.outliers) + len(c.suspects)
+    assert kinds[2].style()["label"] == f"{count} outliers"
     assert len({(kind.colour, kind.marker) for kind in kinds}) == 3
     assert rows_text(np.array([True]), "estimation") == "1 estimation row"
 
 
-def test_sizes_of_errors_are_those_of_the_tables(calibrations):
-    c = calibrations.made("poses")
-    v = c.measurements.validation
-    lengths, angles = (size(c.residual_calibrated, c.used)[v] for size in (lengths_of, angles_of))
-    errors = c.errors["calibrated"]["validation"]
-    assert lengths.max() == pytest.approx(errors.max, rel=1e-12)
-    assert np.sqrt(np.mean(angles**2)) == pytest.approx(errors.rms_angle, rel=1e-12)
+def test_long_names_lose_their_middle():
+    assert short_names(["a\tb", "abcdefghij"], 6) == ["a b", "abc…ij"]

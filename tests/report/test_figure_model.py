@@ -44,7 +44,7 @@ def test_changes_and_intervals_are_those_of_the_result(calibrations):
             assert (dot.get_markerfacecolor() == "white") == (not p.identifiable)
 
 
-def test_frames_and_targets_that_nobody_gave_are_left_out(calibrations):
+def test_frames_and_targets_that_were_not_given_are_not_shown(calibrations):
     names = [p.name for p in shown_parameters(calibrations.made("poses"))]
     assert len(names) == 24
     assert not [name for name in names if name.startswith(("frame", "target"))]
@@ -66,12 +66,12 @@ def test_cells_have_the_correlation_of_their_pair(calibrations):
 def test_the_cost_of_each_iteration_is_drawn(calibrations):
     c = calibrations.made("paper")
     figure = convergence(c)
-    cost, step, damping = figure.axes
-    drawn = next(line for line in cost.lines if line.get_marker() == "o")
+    panels = figure.axes
+    drawn = next(line for line in panels[0].lines if line.get_marker() == "o")
     history = c.solution.history
-    expected = [one.cost for one in history if one.accepted] + [c.solution.cost]
+    expected = [step.cost for step in history if step.accepted] + [c.solution.cost]
     np.testing.assert_allclose(drawn.get_ydata(), expected)
-    assert [ax.get_ylabel() for ax in (cost, step, damping)] == [
+    assert [ax.get_ylabel() for ax in panels] == [
         "cost E",
         "step\n[mm, mrad]",
         "damping μ",
@@ -81,26 +81,26 @@ def test_the_cost_of_each_iteration_is_drawn(calibrations):
 @pytest.mark.parametrize(("solver", "panels"), [("paper", 3), ("scipy", 2)])
 def test_other_solvers_have_figures_too_with_the_steps_not_taken(calibrations, solver, panels):
     c = calibrations.made("paper")
-    found = calibrate(c.nominal, c.measurements, cell=c.cell, solver=solver, validate=False)
-    figure = convergence(found)
+    solved = calibrate(c.nominal, c.measurements, cell=c.cell, solver=solver, validate=False)
+    figure = convergence(solved)
     assert len(figure.axes) == panels
     crosses = next(line for line in figure.axes[0].lines if line.get_marker() == "x")
-    assert len(crosses.get_ydata()) == sum(not one.accepted for one in found.solution.history)
+    assert len(crosses.get_ydata()) == sum(not step.accepted for step in solved.solution.history)
 
 
 def test_singular_values_tell_the_rank(calibrations):
     c = calibrations.made("paper")
     ax = singular_values(c).axes[0]
     o = c.observability
-    seen = next(line for line in ax.lines if line.get_marker() == "o")
-    unseen = next(line for line in ax.lines if line.get_marker() == "x")
-    np.testing.assert_allclose(seen.get_ydata(), 1e3 * o.singular_values[: o.rank])
-    assert len(unseen.get_ydata()) == o.columns - o.rank
-    assert np.all(unseen.get_ydata() > ax.get_ylim()[0])  # zeros stand at the foot
+    determined = next(line for line in ax.lines if line.get_marker() == "o")
+    unobservable = next(line for line in ax.lines if line.get_marker() == "x")
+    np.testing.assert_allclose(determined.get_ydata(), 1e3 * o.singular_values[: o.rank])
+    assert len(unobservable.get_ydata()) == o.columns - o.rank
+    assert np.all(unobservable.get_ydata() > ax.get_ylim()[0])  # zeros stand at the foot
     labels = [text.get_text() for text in ax.figure.legends[0].get_texts()]
     assert labels == [
-        f"{o.rank} combinations that the poses determine",
-        f"{o.columns - o.rank} that move nothing measured",
+        f"{o.rank} identifiable combinations",
+        f"{o.columns - o.rank} unobservable combinations",
         f"condition number {o.condition:,.0f}",
     ]
 

@@ -67,11 +67,11 @@ def test_rows_inside_and_outside_are_counted_and_numbered(view):
         "3 validation rows inside",
         "2 validation rows outside",
     ]
-    said = texts(figure)
-    assert {"\n".join(headings(view)), "Seen from above"} <= set(said)
+    shown = texts(figure)
+    assert {"\n".join(headings(view)), "Seen from above"} <= set(shown)
     for number in ("31", "32", "33", "34", "35"):
-        assert said.count(number) == 3  # once in each view
-    assert "30" not in said
+        assert shown.count(number) == 3  # once in each view
+    assert "30" not in shown
 
 
 def test_what_is_drawn_is_the_region(view, density, region):

@@ -1,4 +1,4 @@
-"""Which figures there are, and that every one can be made for every kind of calibration."""
+"""The list of figures: those that apply, and that every one can be made for every kind of calibration."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ALWAYS = ["points", "histograms", "singular-values", "workspace-uncertainty"]
 
 
 @pytest.mark.parametrize(
-    ("case", "there", "not_there"),
+    ("case", "present", "absent"),
     [
         pytest.param("auto", ["candidates"], [], marks=pytest.mark.slow),
         ("poses", ["orientation-errors-by-pose", "orientation-errors-by-axis"], ["candidates"]),
@@ -28,10 +28,10 @@ ALWAYS = ["points", "histograms", "singular-values", "workspace-uncertainty"]
         ("one_row", ["parameter-changes"], ["correlations", "convergence"]),
     ],
 )
-def test_figures_are_those_that_apply(calibrations, case, there, not_there):
+def test_figures_are_those_that_apply(calibrations, case, present, absent):
     names = [drawing.name for drawing in drawings(calibrations.made(case))]
-    assert set(there) | set(ALWAYS) <= set(names)
-    assert not set(not_there) & set(names)
+    assert set(present) | set(ALWAYS) <= set(names)
+    assert not set(absent) & set(names)
     assert len(set(names)) == len(names)
 
 
@@ -64,24 +64,25 @@ def test_all_are_written_and_none_is_written_over(calibrations, tmp_path, monkey
     quick = {name: figures.FIGURES[name] for name in QUICK}
     monkeypatch.setattr(figures, "FIGURES", quick)
     c = calibrations.made("one_row")
-    told = []
+    calls = []
     folder = tmp_path / "new" / "figures"
     paths = write_figures(
-        c, folder, kind="svg", progress=lambda done, every: told.append((done, every))
+        c, folder, kind="svg", progress=lambda done, every: calls.append((done, every))
     )
     names = [drawing.name for drawing in drawings(c)]
     assert [path.name for path in paths] == [f"{name}.svg" for name in names]
     assert sorted(folder.iterdir()) == sorted([*paths, folder / CAPTIONS])
-    assert told == [(k + 1, len(names)) for k in range(len(names))]
+    assert calls == [(k + 1, len(names)) for k in range(len(names))]
     paths[0].unlink()
-    paths[1].write_text("mine")
+    paths[1].write_text("kept")
     with pytest.raises(FileError, match=rf"{names[1]}\.svg exists already"):
         write_figures(c, folder, kind="svg")
-    assert paths[1].read_text() == "mine"
+    assert paths[1].read_text() == "kept"
     assert not paths[0].exists()  # refused before anything was drawn
     assert write_figures(c, folder, kind="svg", overwrite=True) == paths
     for path in paths:
         check_svg(path.read_bytes())
     text = (folder / CAPTIONS).read_text(encoding="utf-8")
-    for one in drawings(c):
-        assert f"## {one.name}.svg\n\n**{one.title}.** {one.caption}\n" in text
+    for drawing in drawings(c):
+        entry = f"## {drawing.name}.svg\n\n**{drawing.title}.** {drawing.caption}\n"
+        assert entry in text

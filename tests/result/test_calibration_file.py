@@ -278,7 +278,7 @@ def test_a_result_read_back_meets_every_row_as_the_fit_did(case: Any, tmp_path: 
 def test_another_schema(tmp_path: Path, text: str):
     path = tmp_path / "r.json"
     path.write_text(text, encoding="utf-8")
-    said = r"r\.json: its 'schema' is (None|2); a result of calib .* has 5\..*calib calibrate ROBOT DATA --json r"
+    said = r"r\.json: its 'schema' is (None|2); a result of calib .* has 6\..*calib calibrate ROBOT DATA --json r"
     with pytest.raises(FileError, match=said):
         read_result(path)
 
@@ -297,7 +297,7 @@ def test_another_schema(tmp_path: Path, text: str):
         ("covariance.0.1", None),
         ("x.0", None),
         ("parameters.0.name", "a9"),
-        ("parameters.0.push", None),
+        ("parameters.0.data_gradient", None),
         ("model.terms.0.place", "nowhere"),
         ("non_geometric.x", [1.0]),
         ("non_geometric.payload", {"mass_kg": -1.0, "com_m": [0.0, 0.0, 0.0]}),

@@ -20,7 +20,7 @@ from calib.model.kinematics import Kinematics
 from calib.result.uncertainty import (
     Bootstrap,
     bootstrap,
-    bootstrap_indices,
+    bootstrap_counts,
     profile,
     profile_interval,
 )
@@ -251,7 +251,7 @@ BLOCKS = np.array(["b", "a", "a", "c", "b", "d", "d", "d"])
 
 
 def test_blocks_are_drawn_whole_and_as_many_as_there_are():
-    counts = bootstrap_indices(BLOCKS, 500, 0, np.zeros(8))
+    counts = bootstrap_counts(BLOCKS, 500, 0, np.zeros(8))
     assert counts.shape == (500, 8)
     for label in "abcd":
         rows = counts[:, label == BLOCKS]
@@ -265,7 +265,7 @@ def test_blocks_are_drawn_whole_and_as_many_as_there_are():
 
 def test_every_set_up_stays_in_every_sample():
     blocks, strata = np.arange(12), np.repeat([0, 1, 2], [2, 4, 6])
-    counts = bootstrap_indices(blocks, 200, 1, strata)
+    counts = bootstrap_counts(blocks, 200, 1, strata)
     for s, size in enumerate((2, 4, 6)):
         np.testing.assert_array_equal(counts[:, strata == s].sum(axis=1), np.full(200, size))
 

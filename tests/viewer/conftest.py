@@ -15,7 +15,8 @@ from calib.data.measurements import Measurements
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from calib.viewer.page import view_page
-from calib.viewer.view import View, translation
+from calib.viewer.puppet import translation
+from calib.viewer.view import View
 from tests import hard_cases
 
 #: A gantry with a turning wrist: prismatic and continuous joints, no visuals, its base not at the root.

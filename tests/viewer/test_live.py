@@ -1,4 +1,4 @@
-"""The live picture: served to this computer alone, robots where they were sent, what meshcat draws in every window."""
+"""The live page: served to this computer alone, the same robots and objects of meshcat in every window."""
 
 from __future__ import annotations
 
@@ -20,8 +20,9 @@ from meshcat import geometry as mc
 
 import calib
 from calib import example
-from calib.viewer.page import Viewer
-from calib.viewer.view import View, translation
+from calib.viewer.live import Viewer
+from calib.viewer.puppet import translation
+from calib.viewer.view import View
 from tests.hard_cases import made
 from tests.listening import listening
 
@@ -30,13 +31,13 @@ TARGET = translation([0.1, 0.2, 0.3])
 #: The size of windows that need no more.
 SMALL = (640, 400)
 
-#: What was drawn by hand, on the page.
+#: Nodes that the program drew, on the page.
 OWN = 'viewer.scene_tree.find(["robots", "calibrated", "own"]).children'
 
 
 @pytest.fixture
 def view(gantry, disturb):
-    """Two robots of one page: no meshes, so that the page is small."""
+    """Two robots of a page: no meshes, so that the page is small."""
     q = np.array([[0.1, 0.2, 0.3], [0.3, -0.1, 1.0]])
     return View(gantry, disturb(gantry), q, nominal_target=TARGET, calibrated_target=TARGET)
 
@@ -48,7 +49,7 @@ def test_nothing_listens_beyond_this_computer_and_nothing_is_left(view):
         assert viewer.url == f"http://127.0.0.1:{viewer.port}/"
         viewer.display([0.0, 0.0, 0.0])
         viewer.visualizer["ball"].set_object(mc.Sphere(0.1))
-        opened = [one for one in listening(os.getpid()) if one not in before]
+        opened = [address for address in listening(os.getpid()) if address not in before]
         assert opened == [("127.0.0.1", viewer.port)]
     assert listening(os.getpid()) == before
     with socket.create_server(("127.0.0.1", viewer.port)):
@@ -82,32 +83,32 @@ def target_of(tab, who: str) -> list[float]:
 @pytest.mark.slow
 def test_robots_and_objects_are_the_same_in_every_window(browser, view):
     robots = {"nominal": view.nominal, "calibrated": view.calibrated}
-    with Viewer(view) as viewer, browser.open(viewer.url, SMALL) as one:
+    with Viewer(view) as viewer, browser.open(viewer.url, SMALL) as first:
         ball = viewer.visualizer["ball"]
         ball.set_object(mc.Sphere(0.2), mc.MeshLambertMaterial(color=0x00A000))
         for q in ([-1.0, 0.4, 2.0], [1.5, 0.5, -1.0]):
             viewer.display(q, f"at {q} <b>")
-            one.wait_for(f"document.getElementById('pose').textContent.includes('at {q} <b>')")
+            first.wait_for(f"document.getElementById('pose').textContent.includes('at {q} <b>')")
             for who, robot in robots.items():
-                there = (robot.poses(q)[0] @ TARGET)[:3, 3]
-                np.testing.assert_allclose(target_of(one, who), there, atol=2e-6)
+                expected = (robot.poses(q)[0] @ TARGET)[:3, 3]
+                np.testing.assert_allclose(target_of(first, who), expected, atol=2e-6)
         ball.set_transform(translation([0.3, 0.2, 0.1]))
         viewer.visualizer["gone"].set_object(mc.Box([1, 1, 1]))
-        one.wait_for(f"'gone' in {OWN}")
+        first.wait_for(f"'gone' in {OWN}")
         viewer.visualizer["gone"].delete()
         viewer.display([0.5, 0.5, 0.5], "last")
         with browser.open(viewer.url, SMALL) as late:
-            for tab in (one, late):
+            for tab in (first, late):
                 tab.wait_for("document.getElementById('pose').textContent.includes('last')")
                 assert tab.evaluate(f"Object.keys({OWN})") == ["ball"]
                 assert tab.evaluate(f"{OWN}.ball.object.position.x") == 0.3
-                there = (view.nominal.poses([0.5, 0.5, 0.5])[0] @ TARGET)[:3, 3]
-                np.testing.assert_allclose(target_of(tab, "nominal"), there, atol=2e-6)
+                expected = (view.nominal.poses([0.5, 0.5, 0.5])[0] @ TARGET)[:3, 3]
+                np.testing.assert_allclose(target_of(tab, "nominal"), expected, atol=2e-6)
                 assert tab.console == []
                 assert tab.elsewhere == []
             assert [url.split("/", 3)[-1] for url in late.requests] == ["", "live"]
         viewer.close()
-        one.wait_for("document.body.textContent.includes('The server has stopped')")
+        first.wait_for("document.body.textContent.includes('The server has stopped')")
 
 
 @pytest.mark.slow

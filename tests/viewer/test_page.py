@@ -1,4 +1,4 @@
-"""Pages say what a view holds, load nothing, and let no name be more than text."""
+"""Pages hold a view's content, load nothing, and let no name be more than text; so in a real browser too."""
 
 from __future__ import annotations
 
@@ -12,13 +12,19 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from calib.report.figure_base import CALIBRATED, NOMINAL
+from calib.report.figure_base import CALIBRATED, NOMINAL, OUTLIER, VALIDATION
 from calib.viewer.page import FACTORS, magnification, puppets, script_table, view_page
+from calib.viewer.puppet import packed, read_visuals, translation
 from calib.viewer.scene import Key, filled_page
-from calib.viewer.view import View, packed, read_visuals, translation
+from calib.viewer.view import View, view_of
+from tests.hard_cases import made
 from tests.viewer.conftest import scene_of
 
 NASTY = "</script><script>alert(1)</script> \"'&<!-- é漢字 \udcff"
+
+
+#: A name that would run as a script.
+HOSTILE = "<script>document.title='owned'</script>\"'& é漢"
 
 
 class Reader(HTMLParser):
@@ -60,7 +66,7 @@ def make(**changes):
 
 
 def table_of(page) -> dict:
-    """What the script of a page is told."""
+    """The values for the script of a page."""
     return json.loads(re.search(rb'id="table">([^<]*)<', page.html).group(1))
 
 
@@ -131,7 +137,9 @@ def test_the_ur3_is_drawn_twice_from_one_copy_of_its_meshes(ur3_view, ur3_page):
 
 def test_the_two_robots_do_not_touch(view):
     table = table_of(view_page(view))
-    shown = puppets(view, {who: read_visuals(one.urdf)[0] for who, one in view.robots.items()})
+    shown = puppets(
+        view, {name: read_visuals(robot.urdf)[0] for name, robot in view.robots.items()}
+    )
     groups = [shown[who].outline() + table["places"][who] for who in shown]
     row = np.subtract(table["places"]["calibrated"], table["places"]["nominal"])
     assert (groups[0] @ row).max() < (groups[1] @ row).min()
@@ -152,7 +160,9 @@ def test_poses_points_and_numbers_are_those_of_the_view(view):
     gap[3] = np.nan
     errors = np.linalg.norm(gap - view.predicted, axis=2)
     view = replace(view, measured=gap, errors=errors, start=30)
-    shown = puppets(view, {who: read_visuals(one.urdf)[0] for who, one in view.robots.items()})
+    shown = puppets(
+        view, {name: read_visuals(robot.urdf)[0] for name, robot in view.robots.items()}
+    )
     table = script_table(view, shown)
     json.dumps(table, allow_nan=False)  # plain numbers only
     for who, puppet in shown.items():
@@ -161,13 +171,13 @@ def test_poses_points_and_numbers_are_those_of_the_view(view):
         poses = floats(table["robots"][who]["poses"], 35, count, 7)
         np.testing.assert_array_equal(poses, packed(puppet.poses))
     np.testing.assert_allclose(floats(table["measured"], 35, 3), gap, atol=1e-7)
-    told = [floats(one, 35) for one in table["errors"]]
-    np.testing.assert_allclose(told, errors, rtol=1e-6)
-    assert np.isnan([floats(one, 35) for one in table["angles"]]).all()
+    sent = [floats(values, 35) for values in table["errors"]]
+    np.testing.assert_allclose(sent, errors, rtol=1e-6)
+    assert np.isnan([floats(values, 35) for values in table["angles"]]).all()
     assert (table["start"], table["kinds"][30]) == (30, "validation")
     assert table["instruments"] == []
-    seen = script_table(replace(view, instruments=translation([3.0, 1.0, 0.5])[None]), shown)
-    np.testing.assert_allclose(seen["instruments"], [[3.0, 1.0, 0.5, 0.0, 0.0, 0.0, 1.0]])
+    tracked = script_table(replace(view, instruments=translation([3.0, 1.0, 0.5])[None]), shown)
+    np.testing.assert_allclose(tracked["instruments"], [[3.0, 1.0, 0.5, 0.0, 0.0, 0.0, 1.0]])
 
 
 def test_typical_arrows_are_well_visible(ur3, ur3_view):
@@ -182,14 +192,172 @@ def test_typical_arrows_are_well_visible(ur3, ur3_view):
     assert magnification(View(ur3, ur3, np.zeros((2, 6))), 1.0) == 1
 
 
-def test_the_legend_says_what_there_is(view):
+def test_the_legend_counts_the_measured_rows(view):
     gap = np.array(view.measured)
     gap[0] = np.nan
     kinds = ("flagged", "flagged", *view.kinds[2:])
     page = view_page(replace(view, measured=gap, kinds=kinds, verdict="use with care", note="So."))
     text = Reader(page.html).text
-    for words in ("fitted (28)", "held back (5)", "flagged (1)"):  # the other one was not seen
+    for words in (
+        "estimation (28)",
+        "validation (5)",
+        "flagged (1)",
+    ):  # the second one has no position
         assert f"measured, {words}" in text
     assert "error arrows, predicted to measured" in text
     assert "measurement frame" not in text
     assert b'<b class="verdict care">Verdict: use with care.</b> So.' in page.html
+
+
+# In a real browser
+
+
+def near(picture: np.ndarray, colour: str, tolerance: float = 0.10) -> np.ndarray:
+    """The pixels that have the hue of a colour, lit or in the shade, shape (H, W)."""
+    expected = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255.0
+    pixels = picture / 255.0
+    bright = np.linalg.norm(pixels, axis=-1)
+    chroma = pixels.max(axis=-1) - pixels.min(axis=-1)
+    along = (pixels @ expected) / np.maximum(bright, 1e-9) / np.linalg.norm(expected)
+    return (np.arccos(np.clip(along, -1, 1)) < tolerance) & (chroma > 0.12)
+
+
+def parts(picture: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The left and the right half of the canvas, without the text above and below."""
+    height, width = picture.shape[:2]
+    middle = picture[int(0.17 * height) : int(0.78 * height)]
+    return middle[:, : width // 2], middle[:, width // 2 :]
+
+
+def amounts(picture: np.ndarray, colour: str) -> tuple[float, float]:
+    """The share of each half that has a colour."""
+    left, right = (float(near(half, colour).mean()) for half in parts(picture))
+    return left, right
+
+
+@pytest.fixture(scope="module")
+def demo_page(tmp_path_factory):
+    """The page of the paper's calibration, as the demo writes it."""
+    folder = tmp_path_factory.mktemp("demo")
+    return view_page(view_of(made("paper"))).write(folder / "view.html")
+
+
+def choose(tab, name: str, value: int) -> None:
+    tab.evaluate(
+        f"(() => {{ const e = document.getElementById('{name}'); e.value = '{value}'; "
+        "e.dispatchEvent(new Event('change')); e.dispatchEvent(new Event('input')); })()"
+    )
+
+
+def node_matrix(tab, *path: str) -> np.ndarray:
+    """The transform of a node of the scene, shape (4, 4)."""
+    names = ", ".join(f"'{name}'" for name in ("robots", *path))
+    script = (
+        f"(() => {{ const o = viewer.scene_tree.find([{names}]).object; o.updateMatrix(); "
+        "return o.matrix.toArray(); })()"
+    )
+    return np.array(tab.evaluate(script)).reshape(4, 4).T
+
+
+@pytest.mark.slow
+def test_chromium_shows_two_robots_with_arrows_and_calls_nobody(browser, demo_page):
+    with browser.open(demo_page.as_uri(), size=(1280, 720)) as tab:
+        picture = tab.screenshot()
+        left, right = amounts(picture, NOMINAL)
+        assert left > 0.06
+        assert right < 0.004
+        left, right = amounts(picture, CALIBRATED)
+        assert left < 0.004
+        assert right > 0.06
+        assert sum(amounts(picture, VALIDATION)) > 1e-4  # balls of validation rows
+        assert sum(amounts(picture, OUTLIER)) > 2e-5  # and of flagged ones
+        legend = tab.evaluate("document.querySelector('footer').innerText")
+        for word in (
+            "nominal",
+            "calibrated",
+            "measured, estimation (28)",
+            "validation (5)",
+            "flagged (2)",
+        ):
+            assert word in legend
+        header = tab.evaluate("document.querySelector('header').innerText")
+        assert "Verdict: use." in header
+        assert "Arrows from predicted towards measured, × 50. Robots true to scale." in header
+        assert "row 35, validation" in header
+        assert "nominal 3.61 mm" in header
+
+        # Without the arrows there is less of the dark blue that only they have.
+        tab.evaluate("document.querySelector('[data-show*=arrows]').click()")
+        without = tab.screenshot()
+        assert np.mean(np.any(picture != without, axis=-1)) > 0.002
+        tab.evaluate("document.querySelector('[data-show*=arrows]').click()")
+        np.testing.assert_array_equal(tab.screenshot(), picture)
+        assert tab.complaints == []  # no error, and nothing that the page's policy refused to load
+        assert tab.elsewhere == []
+
+
+@pytest.mark.slow
+def test_the_slider_takes_both_robots_through_the_measured_poses(browser, demo_page):
+    """The tips and targets in the browser are where the robots' own forward kinematics put them, at every factor."""
+    view = view_of(made("paper"))
+    with browser.open(demo_page.as_uri(), size=(640, 360)) as tab:
+        movers = tab.evaluate(
+            "JSON.parse(document.getElementById('table').textContent).robots.nominal.movers"
+        )
+        target = f"{movers - 1:03d}"
+        for row in (0, 17):
+            choose(tab, "row", row)
+            for factor in (1, 20):
+                choose(tab, "robots", factor)
+                nominal, calibrated = view.predicted[:, row]
+                expected = {
+                    "nominal": nominal,
+                    "calibrated": nominal + factor * (calibrated - nominal),
+                }
+                for who, place in expected.items():
+                    at = node_matrix(tab, who, "robot", "links", target)[:3, 3]
+                    np.testing.assert_allclose(at, place, atol=2e-7 * factor)
+                if factor == 1:  # the links too, their turns included
+                    T = view.calibrated.poses(view.q[row])[0]
+                    wrist = node_matrix(tab, "calibrated", "robot", "links", target)
+                    np.testing.assert_allclose(wrist[:3, :3], T[:3, :3], atol=1e-6)
+        assert tab.evaluate("document.getElementById('which').value") == "row 18, estimation"
+        tab.evaluate("document.activeElement.blur()")
+        tab.key("ArrowLeft", 37)
+        assert tab.evaluate("document.getElementById('which').value") == "row 17, estimation"
+        # Near a mark the mouse is told its row, and a click goes there.
+        x, y = tab.evaluate(
+            "(() => { const T = MeshCat.THREE, t = JSON.parse(document.getElementById('table').textContent);"
+            "const m = new Float32Array(Uint8Array.from(atob(t.measured), (c) => c.charCodeAt(0)).buffer);"
+            "const at = new T.Vector3().fromArray(m, 3 * 33);"
+            "viewer.scene_tree.find(['robots', 'nominal']).object.localToWorld(at).project(viewer.camera);"
+            "return [(0.5 + 0.5 * at.x) * innerWidth, (0.5 - 0.5 * at.y) * innerHeight]; })()"
+        )
+        tab.mouse(x, y)
+        assert tab.evaluate("document.getElementById('hint').textContent") == (
+            "row 34, validation: 3.49 mm → 0.266 mm"
+        )
+        tab.mouse(x, y, click=True)
+        assert tab.evaluate("document.getElementById('which').value") == "row 34, validation"
+        choose(tab, "row", 16)
+        tab.click("#play")
+        tab.wait_for("document.getElementById('which').value.startsWith('row 18')")
+        assert tab.complaints == []
+
+
+def test_a_page_shows_its_robot_and_keeps_hostile_names_as_text(browser, gantry, tmp_path):
+    """The one test with a browser in every run: the scripts work, nothing of a name runs, nothing is loaded."""
+    q = np.array([[0.1, 0.2, 0.3], [0.3, -0.1, 1.0]])
+    shown = View(gantry, gantry, q, labels=(HOSTILE, "b"), note=HOSTILE, title=HOSTILE)
+    page = view_page(shown).write(tmp_path / "v.html")
+    with browser.open(page.as_uri(), size=(640, 360)) as tab:
+        assert tab.evaluate("document.title") == HOSTILE
+        assert tab.evaluate("document.querySelector('header').innerText").count(HOSTILE) == 3
+        assert (
+            min(amounts(tab.screenshot(), NOMINAL)[0], amounts(tab.screenshot(), CALIBRATED)[1])
+            > 0.001
+        )
+        tab.click("#forward")
+        assert tab.evaluate("document.getElementById('which').value") == "b"
+        assert tab.complaints == []
+        assert tab.elsewhere == []

@@ -58,7 +58,8 @@ class PageOptions:
             view: What it shows.
             say: Prints a line.
         """
-        from calib.viewer.page import serve, view_page
+        from calib.viewer.live import serve
+        from calib.viewer.page import view_page
 
         if self.output is None:
             serve(view, port=self.port, browser=not self.no_browser, say=say)

@@ -1,0 +1,83 @@
+"""Values of the rows of a calibration that figures, tables and pages show: errors, flags, places in the base frame."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.data.measurements import Measurements
+from calib.registration.setup import Setup
+from calib.result.calibration import CalibrationValues
+from calib.robot.robot import rigid_inverse
+from calib.units import Array, Mask
+
+
+def flagged_rows(c: CalibrationValues) -> Mask:
+    """Return the mask of the flagged rows of either set, shape (N,): outliers and suspects."""
+    numbers = [outlier.row for outlier in (*c.outliers, *c.suspects)]
+    return np.isin(c.measurements.rows, numbers)
+
+
+def lengths_of(residual: Array, used: Mask) -> Array:
+    """Return the norm of each row's residual of lengths.
+
+    Args:
+        residual: shape (N, D), measured minus predicted: lengths [m] in the first three columns, rotation vectors
+            [rad] in those behind.
+        used: shape (N, D), the entries that were measured.
+
+    Returns:
+        shape (N,), [m]; NaN where no length was measured.
+    """
+    return _norms(residual[:, :3], used[:, :3])
+
+
+def angles_of(residual: Array, used: Mask) -> Array:
+    """Return the angle of each row's residual of orientation.
+
+    Args:
+        residual: shape (N, D), see `lengths_of`.
+        used: shape (N, D), the entries that were measured.
+
+    Returns:
+        shape (N,), [rad]; NaN where no orientation was measured.
+    """
+    return _norms(residual[:, 3:], used[:, 3:])
+
+
+def _norms(values: Array, used: Mask) -> Array:
+    """Return the norm of each row's used entries, NaN where there are none."""
+    norms = np.linalg.norm(np.where(used, values, 0.0), axis=1)
+    return np.where(np.any(used, axis=1), norms, np.nan)
+
+
+def setup_of_rows(setup: Setup, m: Measurements) -> tuple[Array, Array]:
+    """Return the poses of frame and target that each row was measured with.
+
+    Args:
+        setup: Frames of the stations and targets.
+        m: N rows; each names its station (``groups``) and its target.
+
+    Returns:
+        T_frame_base and T_tip_target of each row, shapes (N, 4, 4), [m].
+    """
+    frames = [setup.groups.index(group) for group in m.groups]
+    targets = [setup.targets.index(target) for target in m.targets]
+    return setup.T_frame_base[frames], setup.T_tip_target[targets]
+
+
+def measured_in_base(m: Measurements, T_frame_base: Array) -> Array:
+    """Return the measured positions of the target in the base frame.
+
+    A target in a socket was at the origin of its station's frame. Distances and planes measure no position.
+
+    Args:
+        m: N rows.
+        T_frame_base: shape (N, 4, 4), base in each row's measurement frame [m].
+
+    Returns:
+        shape (N, 3), [m]; NaN where no position was measured.
+    """
+    T_base_frame = rigid_inverse(T_frame_base)
+    turned = np.einsum("nij,nj->ni", T_base_frame[:, :3, :3], np.nan_to_num(m.points))
+    known = m.where(lambda kind: kind.coordinates)
+    return np.where(known[:, None], turned + T_base_frame[:, :3, 3], np.nan)

@@ -1,0 +1,436 @@
+"""The tables of a report: errors, validation rows, parameters, geometry before and after, flagged rows, joint ranges.
+
+Every cell is text in the unit that the table's head or title names: lengths [mm], angles [deg], small rotations [mrad].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+import calib.text.summary as texts
+from calib.model.dh import DHRow
+from calib.model.dh_table import dh_table
+from calib.numerics.errors import Errors
+from calib.report.row_values import angles_of, lengths_of
+from calib.result.calibration import CalibrationValues
+from calib.result.prediction import ParameterEstimate
+from calib.robot.robot import rigid_inverse
+from calib.text.layout.lines import deg, mm, number
+from calib.units import Array, Mask
+
+#: Rows, targets or combinations of parameters that a report lists at most; the others are counted.
+MOST_LISTED = 40
+
+#: Number of validation rows listed where there are more than `MOST_LISTED`: those with the largest errors.
+MOST_WORST = 20
+
+#: Least change of an origin that is listed, [m] along or [rad] about an axis: rounding of the URDF's digits is less.
+_LEAST_DISPLACEMENT = 1e-9
+
+#: Millimetres per metre.
+_MM = 1e3
+
+#: Milliradians per radian.
+_MRAD = 1e3
+
+#: Degrees per radian.
+_DEG = float(np.degrees(1.0))
+
+#: Angle [rad] as text in degrees with four digits after the point: as fine as a micrometre at 0.6 m.
+_degrees = partial(deg, digits=4)
+
+#: Factor from SI and digits after the point of a, alpha, d, theta and beta in the table of DH rows: [mm] and [deg].
+_DH_FORMATS = ((_MM, 3), (_DEG, 4), (_MM, 3), (_DEG, 4), (_DEG, 4))
+
+#: Indices of the angles alpha, theta and beta among the five DH parameters of a row.
+_DH_ANGLES = [1, 3, 4]
+
+
+class Table(NamedTuple):
+    """A table whose cells are text; without rows it is not shown."""
+
+    title: str  #: Its caption, with the unit where all numbers have the same
+    head: Sequence[str]  #: Labels of the columns
+    rows: Sequence[Sequence[str]]  #: Cells, one for each column
+    align: str  #: A letter for each column: ``l`` for text, ``r`` for numbers
+    note: str = ""  #: Sentences below the table
+    groups: Sequence[
+        tuple[str, int]
+    ] = ()  #: Labels above the head, each with the number of columns that it spans
+    strong: Sequence[int] = ()  #: Indices of the rows in bold, from 0
+
+
+def errors(c: CalibrationValues, *, turned: bool = False) -> Table:
+    """Tabulate the errors of each set of rows, of the nominal and the calibrated robot.
+
+    Args:
+        c: The result.
+        turned: Orientation errors [deg] instead of errors of positions and lengths [mm].
+
+    Returns:
+        Number of rows, largest, mean and rms error of each set. Position errors also have their span (largest minus
+        smallest signed error) along each axis of the measurement frame. The calibrated robot's rows are strong.
+    """
+    labelled = texts.error_rows(c)
+    labels = _full_labels([label for label, _ in labelled])
+    with_span = not turned and any(_has_span(e) for _, e in labelled)
+    rows: list[tuple[str, ...]] = []
+    strong = []
+    for label, (_, e) in zip(labels, labelled, strict=True):
+        count = e.n_angle if turned else e.n
+        if count:
+            if ", calibrated" in label:
+                strong.append(len(rows))
+            rows.append((label, f"{count:,}", *_error_cells(e, turned=turned, with_span=with_span)))
+    notes = []
+    if c.cross_validation is not None:
+        notes.append(f"{texts.held_out_text(c)}.")
+    head = ["rows, robot", "number", "max", "mean", "rms"]
+    groups = [("", 2), ("size of the error", 3)]
+    if with_span:
+        notes.append("Span: largest minus smallest signed error along an axis of the frame.")
+        head += ["x", "y", "z"]
+        groups.append(("span", 3))
+    title = f"{texts.error_title(c.used)} by set of rows [mm]"
+    if turned:
+        title = "Orientation error by set of rows [deg]"
+    align = "l" + "r" * (len(head) - 1)
+    return Table(title, head, rows, align, " ".join(notes), groups, strong)
+
+
+def _full_labels(labels: Iterable[str]) -> list[str]:
+    """Return labels that need no look at the row above: ``the same ...`` is spelt out."""
+    full = []
+    subject = ""
+    for label in labels:
+        addition = label.strip().removeprefix("the same ")
+        subject = label if addition == label else f"{subject}, {addition}"
+        full.append(subject)
+    return full
+
+
+def _has_span(e: Errors) -> bool:
+    """Tell if a set has errors along the axes of the frame: whole positions, not only lengths."""
+    return e.n > 0 and bool(np.any(np.isfinite(e.span_axis)))
+
+
+def _error_cells(e: Errors, *, turned: bool, with_span: bool) -> list[str]:
+    """Write largest, mean and rms error of a set, [deg] if ``turned``, else [mm], and the spans by axis [mm]."""
+    if turned:
+        return [_degrees(value) for value in (e.max_angle, e.mean_angle, e.rms_angle)]
+    cells = [mm(value) for value in (e.max, e.mean, e.rms)]
+    if with_span:
+        cells += [mm(value) for value in e.span_axis]
+    return cells
+
+
+def validation_rows(c: CalibrationValues) -> Table:
+    """Tabulate the errors of single validation rows before and after calibration.
+
+    Residuals along the axes of the measurement frame, measured minus predicted, and their norm [mm]; of orientations
+    the angle [deg]. Of more than `MOST_LISTED` rows the `MOST_WORST` with the largest errors after calibration are
+    listed, in the order of the table of measurements.
+    """
+    indices = np.flatnonzero(c.measurements.validation & np.any(c.used, axis=1))
+    subject = f"the {len(indices):,} validation rows"
+    if len(indices) > MOST_LISTED:
+        subject = f"the {MOST_WORST} of {len(indices):,} validation rows with the largest error after calibration"
+        indices = _worst_rows(c, indices)
+    names, cells = _row_columns(c, indices)
+    head = list(names)
+    groups = [("", len(names))]
+    used = c.used[indices]
+    axes = _axis_labels(used)
+    if np.any(used[:, :3]):
+        head += _add_length_columns(c, indices, cells, groups, axes)
+    if np.any(used[:, 3:]):
+        head += _add_angle_columns(c, indices, cells, groups)
+    note = ""
+    if axes:
+        note = "dx, dy, dz: measured minus predicted along the axes of the measurement frame."
+    align = "l" * len(names) + "r" * (len(head) - len(names))
+    title = f"Error of {subject}, which took no part in the fit"
+    return Table(title, head, cells, align, note, groups)
+
+
+def _worst_rows(c: CalibrationValues, indices: NDArray[np.int_]) -> NDArray[np.int_]:
+    """Return the `MOST_WORST` of some rows with the largest calibrated errors of length, in ascending order."""
+    lengths = lengths_of(c.residual_calibrated, c.used)[indices]
+    order = np.argsort(-np.nan_to_num(lengths), kind="stable")
+    return indices[np.sort(order[:MOST_WORST])]
+
+
+def _axis_labels(used: Mask) -> tuple[str, ...]:
+    """Return the heads of the columns of signed errors by axis; none where no row measures a whole position."""
+    if used.shape[1] >= 3 and np.any(np.all(used[:, :3], axis=1)):
+        return ("dx", "dy", "dz")
+    return ()
+
+
+def _residuals(c: CalibrationValues) -> tuple[tuple[str, Array], tuple[str, Array]]:
+    """Return the residuals (N, D) of the nominal and of the calibrated robot with the labels of their columns."""
+    before = ("before: nominal", c.residual_nominal)
+    after = ("after: calibrated", c.residual_calibrated)
+    return before, after
+
+
+def _add_length_columns(
+    c: CalibrationValues,
+    indices: NDArray[np.int_],
+    cells: list[list[str]],
+    groups: list[tuple[str, int]],
+    axes: Sequence[str],
+) -> list[str]:
+    """Append signed errors by axis and their norm [mm] of both robots to the cells of each row and to the groups.
+
+    Args:
+        c: The result.
+        indices: Indices of the listed rows, shape (K,).
+        cells: Cells of the K rows; extended in place.
+        groups: Labels above the head; extended in place.
+        axes: Heads of the signed errors; empty where there are none.
+
+    Returns:
+        The heads of the new columns.
+    """
+    whole = np.all(c.used[indices, :3], axis=1, keepdims=True)
+    head: list[str] = []
+    for label, residual in _residuals(c):
+        groups.append((f"{label} [mm]", len(axes) + 1))
+        head += [*axes, "size"]
+        by_axis = np.where(whole, residual[indices, :3], np.nan)[:, : len(axes)]
+        lengths = lengths_of(residual, c.used)[indices]
+        for row, signed, length in zip(cells, by_axis, lengths, strict=True):
+            row += [mm(value) for value in signed]
+            row.append(mm(length))
+    return head
+
+
+def _add_angle_columns(
+    c: CalibrationValues,
+    indices: NDArray[np.int_],
+    cells: list[list[str]],
+    groups: list[tuple[str, int]],
+) -> list[str]:
+    """Append both robots' angles of the orientation residual [deg]; arguments as in `_add_length_columns`."""
+    groups.append(("angle [deg]", 2))
+    for _, residual in _residuals(c):
+        angles = angles_of(residual, c.used)[indices]
+        for row, angle in zip(cells, angles, strict=True):
+            row.append(_degrees(angle))
+    return ["before", "after"]
+
+
+def flagged(c: CalibrationValues) -> Table:
+    """Tabulate the flagged rows of either set: errors before and after [mm], score, and weight in the fit."""
+    m = c.measurements
+    outliers = [*c.outliers, *c.suspects]
+    listed = outliers[:MOST_LISTED]
+    indices = np.array([m.rows.index(outlier.row) for outlier in listed], dtype=np.int_)
+    names, rows = _row_columns(c, indices)
+    before = lengths_of(c.residual_nominal, c.used)
+    after = lengths_of(c.residual_calibrated, c.used)
+    for outlier, i, cells in zip(listed, indices, rows, strict=True):
+        cells += [m.sets[i], mm(before[i]), mm(after[i])]
+        cells += [number(outlier.score, 1), f"{c.weights[i]:.2f}"]
+    note = (
+        "Score: distance from what the other rows predict, in standard deviations. Estimation rows are flagged "
+        f"beyond {c.flag_limit:.1f}."
+    )
+    unlisted = len(outliers) - len(listed)
+    if unlisted:
+        note += f" {unlisted} more are in the result file (--json)."
+    return Table(
+        "Rows flagged",
+        (*names, "set", "before [mm]", "after [mm]", "score", "weight"),
+        rows,
+        "l" * len(names) + "lrrrr",
+        note,
+    )
+
+
+def parameters(c: CalibrationValues, unit: str) -> Table:
+    """Tabulate nominal value, calibrated value, correction and 95 % interval of the parameters of one unit.
+
+    Args:
+        c: The result.
+        unit: ``"mm"`` for the lengths of the model, ``"deg"`` for everything else.
+
+    Returns:
+        One row a parameter. Half the interval is ``-`` for a parameter stopped by a bound and for one that stayed
+        nominal because its family has no errors; so are nominal value and correction of one that was not given.
+    """
+    kept = texts.errorless(c)
+    shown = [p for p in texts.shown_parameters(c) if (p.unit == "m") == (unit == "mm")]
+    rows = [_parameter_row(p, unit, kept=p.name in kept) for p in shown]
+    title = "Lengths [mm]" if unit == "mm" else "Angles [deg]"
+    head = ("parameter", "nominal", "calibrated", "correction", "95 % ±", "determined")
+    return Table(title, head, rows, "lrrrrl")
+
+
+def _parameter_row(p: ParameterEstimate, unit: str, *, kept: bool) -> tuple[str, ...]:
+    """Write a parameter; ``kept``: it stayed nominal, so that it has no interval."""
+    scale, digits = (_MM, 3) if unit == "mm" else (_DEG, 4)
+    nominal = np.nan if p.nominal is None else p.nominal
+    change = np.nan if p.nominal is None else p.delta
+    half = np.nan if p.at_bound or kept else 0.5 * (p.high - p.low)
+    return (
+        p.name,
+        number(scale * nominal, digits),
+        number(scale * p.value, digits),
+        number(scale * change, digits, "+"),
+        number(scale * half, digits),
+        _determined(p, kept=kept),
+    )
+
+
+def _determined(p: ParameterEstimate, *, kept: bool) -> str:
+    """Word how the measurements determine a parameter."""
+    if kept:
+        return "kept"
+    if p.at_bound:
+        return "at bound"
+    return "yes" if p.identifiable else "jointly"
+
+
+def non_geometric(c: CalibrationValues) -> Table:
+    """Tabulate the parameters of the non-geometric model that no URDF can hold; no rows without that model."""
+    name = c.non_geometric.name if c.non_geometric else ""
+    rows = []
+    for parameter, value, half, unit in texts.non_geometric_parameters(c):
+        rows.append((parameter, value, half.strip("()"), unit))
+    title = f"Non-geometric model '{name}': in the result file, not in the URDF"
+    return Table(title, ("parameter", "value", "95 % interval", "unit"), rows, "lrrl")
+
+
+def dh(c: CalibrationValues) -> Table:
+    """Tabulate the standard DH rows of the nominal and of the calibrated robot, and their differences."""
+    before = dh_table(c.nominal).rows
+    after = dh_table(c.robot, like=c.nominal).rows
+    tilted = any(row.near_parallel for row in (*before, *after))
+    # Without nearly parallel axes beta is zero everywhere, and its column is left away.
+    columns = 7 if tilted else 6
+    rows: list[tuple[str, ...]] = []
+    for nominal_row, calibrated_row in zip(before, after, strict=True):
+        lines = _dh_lines(nominal_row, calibrated_row)
+        rows.extend(line[:columns] for line in lines)
+    hayati = ""
+    if tilted:
+        hayati = " Ry(beta), with Hayati's beta between nearly parallel axes, where d is 0"
+    head = ("joint", "robot", "a [mm]", "alpha [deg]", "d [mm]", "theta [deg]", "beta [deg]")
+    return Table(
+        "DH rows before and after",
+        head[:columns],
+        rows,
+        "llrrrrr"[:columns],
+        f"Standard convention: Rz(theta + q) Tz(d) Tx(a) Rx(alpha){hayati}. The rows are read off both URDFs; frame 0 "
+        "and the tip after the last row may have moved too, which the next table shows.",
+        strong=range(2, 3 * len(before), 3),
+    )
+
+
+def _dh_lines(before: DHRow, after: DHRow) -> Iterator[tuple[str, ...]]:
+    """Write a joint's nominal row, calibrated row, and the change; no change where the conventions differ."""
+    nominal = np.array([before.a, before.alpha, before.d, before.theta, before.beta])
+    calibrated = np.array([after.a, after.alpha, after.d, after.theta, after.beta])
+    change = calibrated - nominal
+    change[_DH_ANGLES] = np.angle(np.exp(1j * change[_DH_ANGLES]))
+    if before.near_parallel != after.near_parallel:
+        change[:] = np.nan
+    yield before.joint, "nominal", *_dh_cells(nominal, "-")
+    yield "", "calibrated", *_dh_cells(calibrated, "-")
+    yield "", "change", *_dh_cells(change, "+")
+
+
+def _dh_cells(values: Array, sign: str) -> list[str]:
+    """Write a, alpha, d, theta, beta in [mm] and [deg]; ``sign`` as in `calib.text.layout.lines.number`."""
+    cells = []
+    for value, (scale, digits) in zip(values, _DH_FORMATS, strict=True):
+        cells.append(number(scale * value, digits, sign))
+    return cells
+
+
+def origins(c: CalibrationValues) -> Table:
+    """Tabulate the displacement of each joint origin that changed: shift [mm] and rotation vector [mrad].
+
+    Both are of T_nominal_calibrated, along and about the axes of the nominal origin.
+    """
+    after = c.robot.origins()
+    rows = []
+    for joint, T_parent_nominal in c.nominal.origins().items():
+        T_nominal_calibrated = rigid_inverse(T_parent_nominal) @ after[joint]
+        rotation = pin.log3(T_nominal_calibrated[:3, :3])
+        twist = np.concatenate([T_nominal_calibrated[:3, 3], rotation])
+        if np.abs(twist).max() > _LEAST_DISPLACEMENT:
+            shift = [number(_MM * value, 3, "+") for value in twist[:3]]
+            turn = [number(_MRAD * value, 3, "+") for value in twist[3:]]
+            rows.append((joint, *shift, *turn))
+    return Table(
+        "Displacement of each <origin> of the corrected URDF from the nominal one",
+        ("joint", "x", "y", "z", "rx", "ry", "rz"),
+        rows,
+        "lrrrrrr",
+        "Along and about the axes of the nominal origin. All else in the URDF is unchanged.",
+        (("", 1), ("shift [mm]", 3), ("rotation vector [mrad]", 3)),
+    )
+
+
+def ranges(c: CalibrationValues) -> Table:
+    """Tabulate the joint values of the estimation rows beside the joint limits, [deg] or [mm]."""
+    m = c.measurements
+    q = m.joints_for(c.nominal.joint_names)[m.estimation]
+    rows = []
+    for joint, values in zip(c.nominal.inputs, q.T, strict=True):
+        scale, unit = (_MM, "mm") if joint.type == "prismatic" else (_DEG, "deg")
+        low = values.min()
+        high = values.max()
+        lower = np.nan if joint.lower is None else joint.lower
+        upper = np.nan if joint.upper is None else joint.upper
+        shown = [number(scale * value, 2) for value in (low, high, lower, upper)]
+        rows.append((joint.name, unit, *shown, _used_share(low, high, lower, upper)))
+    return Table(
+        "Joint values of the estimation rows",
+        ("joint", "unit", "lowest", "highest", "lower", "upper", "used [%]"),
+        rows,
+        "llrrrrr",
+        "Used: share of the range between the limits. Outside the measured range (extrapolation) errors may be "
+        "larger.",
+        (("", 2), ("measured", 2), ("limit", 2), ("", 1)),
+    )
+
+
+def _used_share(low: float, high: float, lower: float, upper: float) -> str:
+    """Write the share [%] of the range from ``lower`` to ``upper`` that lies between ``low`` and ``high``."""
+    if not upper > lower:  # NaN: a joint without limits
+        return "-"
+    inside = max(0.0, min(high, upper) - max(low, lower))
+    return number(100.0 * inside / (upper - lower), 0)
+
+
+def _row_columns(
+    c: CalibrationValues, indices: NDArray[np.int_]
+) -> tuple[list[str], list[list[str]]]:
+    """Return heads and cells that identify rows: their number; kind, target and station where there are several.
+
+    Args:
+        c: The result.
+        indices: Indices of the rows in the table of measurements, from 0, shape (K,).
+
+    Returns:
+        The heads, and a list of cells for each of the K rows.
+    """
+    m = c.measurements
+    columns: list[tuple[str, Sequence[object]]] = [("row", m.rows)]
+    optional = (("kind", m.kinds), ("target", m.targets), ("station", m.groups))
+    for name, values in optional:
+        if len(set(values)) > 1:
+            columns.append((name, values))
+    heads = [name for name, _ in columns]
+    cells = [[str(values[i]) for _, values in columns] for i in indices]
+    return heads, cells
