@@ -268,29 +268,45 @@ def _without_outliers(fit: Callable[[Mask], _Fit], weights: Array) -> Mask:
     for _ in range(max(1, int(_SHARE * len(weights)))):
         residuals, jacobian, *_ = fit(used)
         count, k, p = jacobian[used].shape
-        rest = count * k - p - k
-        if rest < k + 1:
+        freedom = count * k - p - k
+        if freedom < k + 1:
             break
         root = np.sqrt(weights[used])
-        e = root[:, None] * residuals[used]
-        J = (root[:, None, None] * jacobian[used]).reshape(-1, p)
-        Q = np.linalg.qr(J)[0].reshape(count, k, p)
-        free = np.eye(k) - Q @ np.swapaxes(Q, 1, 2)
-        # A point that alone determines a direction of the fit has no residual there.
-        testable = np.linalg.eigvalsh(free)[:, 0] > _TESTABLE
-        drop = np.zeros(count)
-        deleted = np.linalg.solve(free[testable], e[testable][..., None])[..., 0]
-        drop[testable] = np.einsum("ni,ni->n", e[testable], deleted)
+        whitened = root[:, None] * residuals[used]
+        drop = _drop_by_point(whitened, root[:, None, None] * jacobian[used])
         worst = int(np.argmax(drop))
         if drop[worst] <= 0.0:
             break
-        total = float(np.sum(e**2))
+        total = float(np.sum(whitened**2))
         remaining = max(total - drop[worst], np.finfo(np.float64).eps * total)
-        F = drop[worst] / k / (remaining / rest)
-        if count * fdtrc(k, rest, F) >= LEVEL:
+        F = drop[worst] / k / (remaining / freedom)
+        if count * fdtrc(k, freedom, F) >= LEVEL:
             break
         used[np.flatnonzero(used)[worst]] = False
     return used
+
+
+def _drop_by_point(residuals: Array, jacobian: Array) -> Array:
+    """Compute by how much each point lowers the sum of squares if it gets a displacement of its own.
+
+    It is e^T (I - H)^-1 e of the point's residuals e and their block H of the hat matrix; 0 for a point that alone
+    determines a direction of the fit, where it has no residual.
+
+    Args:
+        residuals: Whitened, shape (N, k).
+        jacobian: Of these, shape (N, k, p).
+
+    Returns:
+        shape (N,).
+    """
+    count, k, p = jacobian.shape
+    Q = np.linalg.qr(jacobian.reshape(-1, p))[0].reshape(count, k, p)
+    free = np.eye(k) - Q @ np.swapaxes(Q, 1, 2)
+    testable = np.linalg.eigvalsh(free)[:, 0] > _TESTABLE
+    deleted = np.linalg.solve(free[testable], residuals[testable][..., None])[..., 0]
+    drop = np.zeros(count)
+    drop[testable] = np.einsum("ni,ni->n", residuals[testable], deleted)
+    return drop
 
 
 def _plane_fit(points: Array, weights: Array, used: Mask) -> _Fit:

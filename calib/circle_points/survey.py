@@ -130,13 +130,10 @@ def base_frame(
     joints = _joint_axes(sweeps, swept, circles, geometry)
     pairs = _axis_pairs(joints, geometry, nominal)
     if robot is not None:
-        chain = f"the URDF of '{robot.name}' from '{robot.base}' to '{robot.tip}'"
-        for pair in pairs:
-            _check_pair(pair, chain)
-    found = [*findings(touched, plane)]
-    for sweep, circle in zip(swept, circles, strict=True):
-        found += findings(sweep, circle)
-    return Survey(frame, plane, joints, pairs, tuple(found))
+        _check_pairs(pairs, robot)
+    figures = zip(sweeps.sweeps, [plane, *circles], strict=True)
+    about_sweeps = [finding for sweep, figure in figures for finding in findings(sweep, figure)]
+    return Survey(frame, plane, joints, pairs, tuple(about_sweeps))
 
 
 def _check_sweeps(sweeps: Sweeps) -> None:
@@ -282,6 +279,13 @@ def between(first: Line, second: Line) -> tuple[float, float]:
     if sine < np.sin(PARALLEL_RAD):
         return angle, float(np.linalg.norm(np.cross(displacement, first.direction)))
     return angle, float(displacement @ cross) / sine
+
+
+def _check_pairs(pairs: Sequence[AxisPair], robot: Robot) -> None:
+    """Refuse axes whose angles or distances no calibration of the robot explains; raises `MeasurementError`."""
+    chain = f"the URDF of '{robot.name}' from '{robot.base}' to '{robot.tip}'"
+    for pair in pairs:
+        _check_pair(pair, chain)
 
 
 def _check_pair(pair: AxisPair, chain: str) -> None:

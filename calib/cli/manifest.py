@@ -15,7 +15,7 @@ from calib.cli.words import parse_columns
 from calib.errors import CalibError, choices
 
 if TYPE_CHECKING:
-    from calib.fleets.fleet import FleetInputs, FleetRobot
+    from calib.fleets.fleet_robot import FleetInputs, FleetRobot
     from calib.robot.urdf import Urdf
 
 #: Columns that a manifest must have.
@@ -46,7 +46,7 @@ def read_manifest(
         CalibError: A column is missing or unknown, a cell is empty, or a name is no folder's or there twice.
     """
     from calib.data.table import Table
-    from calib.fleets.fleet import FleetRobot, check_names
+    from calib.fleets.fleet_robot import FleetRobot, check_names
 
     # Options that are wrong for every robot are refused before the work.
     parse_columns(columns)
@@ -105,7 +105,7 @@ def _load(
         defaults: Options for what it does not say.
         urdf_of: Reads a URDF, or returns one that was read already.
     """
-    from calib.fleets.fleet import FleetRobot
+    from calib.fleets.fleet_robot import FleetRobot
 
     folder = defaults.folder
     options: dict[str, Any] = {name: cells[name] for name in _SETUP if name in cells}

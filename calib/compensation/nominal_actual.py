@@ -164,7 +164,7 @@ def _load(non_geometric: NonGeometric, nominal: Robot, payload: Payload | None, 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pair:
-    """The same tool on the nominal robot and on the actual one; made by `pair_of`."""
+    """Tool on the nominal robot and on the actual one; made by `pair_of`."""
 
     nominal: Arm  #: The robot as its controller has it, with the tool that the controller is to be set to.
     actual: Arm  #: The calibrated robot, with the tool where it is.

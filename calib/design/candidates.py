@@ -89,27 +89,27 @@ def draw(
 
     sequence = qmc.Sobol(len(ranges), scramble=True, seed=seed)
     low, high = ranges.T
-    kept, workspace = [], []
+    measurable, in_region = np.empty((0, len(ranges))), np.empty((0, len(ranges)))
     refused: dict[str, int] = dict.fromkeys((condition.reason for condition in conditions), 0)
-    drawn, passed = 0, 0
-    while passed < count:
-        most = _MOST * max(count, _BATCH) if passed else _NONE_YET
-        if drawn >= most:
-            break
+    drawn = 0
+    while len(measurable) < count and drawn < _most(len(measurable), count):
         unit = sequence.random(_BATCH)
         batch = rounded(robot, low + unit * (high - low), ranges)[: _MOST * count]
         drawn += len(batch)
-        in_region, measurable = _sift(batch, conditions, refused)
-        workspace.append(in_region)
-        kept.append(measurable)
-        passed += len(measurable)
+        batch_in_region, batch_measurable = _sift(batch, conditions, refused)
+        in_region = np.concatenate([in_region, batch_in_region])
+        measurable = np.concatenate([measurable, batch_measurable])
         if progress is not None:
-            progress(min(passed, count), count)
-    if passed == 0:
+            progress(min(len(measurable), count), count)
+    if not len(measurable):
         _refuse_all(drawn, refused)
-    q = _without_repeats(np.concatenate(kept))
-    everywhere = np.concatenate(workspace)
-    return Pool(read_only(q[:count]), read_only(everywhere[:count]), drawn, refused)
+    q = _without_repeats(measurable)
+    return Pool(read_only(q[:count]), read_only(in_region[:count]), drawn, refused)
+
+
+def _most(measurable: int, count: int) -> int:
+    """Return how many poses are drawn at most, by the number that can be measured so far."""
+    return _MOST * max(count, _BATCH) if measurable else _NONE_YET
 
 
 def _sift(

@@ -315,33 +315,47 @@ def _choose_pairs(
         configurations: Pinocchio's, spread over the joints' ranges, shape (N, nq).
         clearance: Least distance [m].
     """
-    by_owners = _pairs_by_owners(urdf, solids, rigid)
-    flat = [pair for pairs in by_owners.values() for pair in pairs]
-    touched = scene.comparing(flat, [0.0] * len(flat)).touched(configurations)
-    near = touched
-    if clearance > 0.0:
-        near = scene.comparing(flat, [clearance] * len(flat)).touched(configurations)
-    kept: list[tuple[int, tuple[int, int], float]] = []  # times it touches, pair, margin
     always_close, always_touching = [], []
-    columns = iter(range(len(flat)))
-    for owners, pairs in by_owners.items():
-        members = list(itertools.islice(columns, len(pairs)))
-        always_touches = touched[:, members].any(axis=1).mean() >= ALWAYS
+    kept: list[_Pair] = []
+    for owners, pairs in _pairs_by_owners(urdf, solids, rigid).items():
+        touched = _touched(scene, pairs, 0.0, configurations)
+        always_touches = touched.any(axis=1).mean() >= ALWAYS
         is_box = solids[pairs[0][1]].kind == "box"
         if always_touches and not is_box:
             always_touching.append(" and ".join(owners))
             continue
-        is_close = not always_touches and near[:, members].any(axis=1).mean() >= ALWAYS
-        hits, margin = near, clearance
-        if is_close:
+        hits, margin = _touched(scene, pairs, clearance, configurations), clearance
+        if not always_touches and hits.any(axis=1).mean() >= ALWAYS:
             always_close.append(" and ".join(owners))
             hits, margin = touched, 0.0
-        kept += [(int(hits[:, k].sum()), flat[k], margin) for k in members]
-    kept.sort(key=lambda entry: -entry[0])
-    pairs = [pair for _, pair, _ in kept]
-    margins = [margin for *_, margin in kept]
-    names = dict.fromkeys((solids[i].owner, solids[j].owner) for i, j in pairs)
-    return _ChosenPairs(pairs, margins, tuple(names), always_close, always_touching)
+        for shapes, times in zip(pairs, hits.sum(axis=0).tolist(), strict=True):
+            kept.append(_Pair(shapes, margin, times))
+    kept.sort(key=lambda pair: -pair.times)
+    names = dict.fromkeys(
+        (solids[first].owner, solids[second].owner) for (first, second), *_ in kept
+    )
+    return _ChosenPairs(
+        pairs=[pair.shapes for pair in kept],
+        margins=[pair.margin for pair in kept],
+        names=tuple(names),
+        always_close=always_close,
+        always_touching=always_touching,
+    )
+
+
+class _Pair(NamedTuple):
+    """Two shapes to compare."""
+
+    shapes: tuple[int, int]  # Their numbers
+    margin: float  # Their least distance [m]
+    times: int  # Number of configurations at which they are closer
+
+
+def _touched(
+    scene: _Scene, pairs: Sequence[tuple[int, int]], margin: float, configurations: Array
+) -> Mask:
+    """Return which pairs of shapes are closer than a margin [m] at configurations (N, nq), shape (N, pairs)."""
+    return scene.comparing(pairs, [margin] * len(pairs)).touched(configurations)
 
 
 def _pairs_by_owners(

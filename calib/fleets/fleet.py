@@ -1,120 +1,67 @@
-"""fleet: many robots calibrated, each from its own data into a folder of its own, and compared with each other.
+"""fleet: calibrate many robots, each from its own data into its own folder, and compare them with each other.
 
 Robots are read when their turn has come and calibrated in any executor; the process that reads the inputs writes the
-files too, so that workers on other machines need no shared disk. One that fails is told with its reason, and the others
-are finished. The last file of a robot's folder, ``made.json``, has the SHA-256 of the robot's inputs and its row of the
-fleet's table: by it the next run knows what is finished and unchanged.
+files too, so that workers on other machines need no shared disk. A robot that fails has a row with the reason, and the
+others are finished. Robots whose folder is finished and whose inputs have not changed are kept, see
+`calib.fleets.robot_folder`.
 """
 
 from __future__ import annotations
 
-import hashlib
-import json
-import re
-import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import asdict, dataclass, fields, is_dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from calib.calibration import calibrate
-from calib.data.cell import Cell
-from calib.data.measurements import Measurements
-from calib.data.table import Table
 from calib.errors import CalibError
-from calib.files import make_folder, remove, write_atomically
+from calib.files import make_folder, write_atomically
+from calib.fleets.fleet_robot import FleetRobot, check_names
+from calib.fleets.job import (
+    FleetJob,
+    FleetJobResult,
+    FleetOptions,
+    calibrate_job,
+    failed_row,
+)
+from calib.fleets.outliers import FleetOutlier, fleet_outliers
 from calib.fleets.record import (
     ACCEPTED,
     FAILED,
     ROWS,
     WITHHELD,
-    FleetOutlier,
     FleetRow,
     csv_bytes,
-    fleet_outliers,
 )
-from calib.jobs import run
+from calib.fleets.robot_folder import RobotFolder
+from calib.jobs import Progress, run
 from calib.json_files import json_bytes, plain
-from calib.report.report import write_report
-from calib.robot.robot import Robot
-from calib.robot.urdf import Urdf, read_urdf
-from calib.version import __version__
+from calib.robot.urdf import read_urdf
 
-#: The tables of a fleet: for a spreadsheet, and for a program; see docs/fleet.md.
-CSV, JSON = "fleet.csv", "fleet.json"
+#: The table of a fleet for a spreadsheet; see docs/fleet.md.
+CSV = "fleet.csv"
 
-#: The corrected URDF in a robot's folder.
-_URDF = "corrected.urdf"
+#: The table of a fleet for a program; see docs/fleet.md.
+JSON = "fleet.json"
 
-#: Beside a robot's files, written last; counted up when the files of a robot change.
-MADE, SCHEMA = "made.json", "fleet robot 5"
+#: Schema of ``fleet.json``.
+SCHEMA = "fleet 2"
 
-#: A robot's name is that of its folder.
-_NAME = re.compile(r"[^\W_](?:[\w .+-]{0,98}[\w+-])?")
-
-#: What is read of one robot: the nominal robot, its rows, its set-up.
-FleetInputs = tuple[Robot, Measurements, Cell]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FleetRobot:
-    """One robot of a fleet, not read yet."""
-
-    name: str  #: Unique; the name of its folder
-    #: Reads it, when its turn has come. Its argument reads a URDF, a xacro or a robot by its name, and keeps the last
-    #: ones, which many robots may share
-    load: Callable[[Callable[[str], Urdf]], FleetInputs]
-
-    @classmethod
-    def of_files(
-        cls,
-        name: str,
-        robot: str | Path,
-        data: str | Path,
-        cell: Cell | None = None,
-        *,
-        columns: Mapping[str, str] | None = None,
-        points: str | Path | None = None,
-        points_unit: str | None = None,
-    ) -> FleetRobot:
-        """A robot from its files: a URDF or xacro, or a name such as ``"ur3"``; a table, see `Measurements.read`."""
-        cell, renamed = cell or Cell(), dict(columns or {})
-
-        def load(urdf_of: Callable[[str], Urdf]) -> FleetInputs:
-            table, urdf = Table.read(data), urdf_of(str(robot))
-            names = table.names(renamed)
-            arm = Robot.from_urdf(urdf, cell.base, cell.tip, measured=names, held=cell.held)
-            own = (arm.joint_names, arm.joint_types, renamed, cell.kind, points, points_unit)
-            return arm, Measurements.read(table, *own), cell
-
-        return cls(name, load)
-
-
-@dataclass(frozen=True, slots=True)
-class FleetOptions:
-    """How all robots of a fleet are calibrated."""
-
-    solver: str = "lm"  #: As of `calibrate`
-    robust: bool = True  #: As of `calibrate`
-    validate: bool = True  #: As of `calibrate`
-    reports: bool = True  #: Whether each gets a report, which takes longer than the fit
-    target_link: bool = False  #: Whether the corrected URDFs get a link at the target
-    accept: bool = False  #: Whether URDFs are written also where the verdict is ``do not use``
-    command: str = ""  #: For the reports: the command that made them
+#: URDFs kept in memory while the robots are read: those of a fleet have few, and use them one after the other.
+_KEPT_URDFS = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fleet:
-    """Many robots, calibrated."""
+    """Many robots, calibrated and compared."""
 
     rows: tuple[FleetRow, ...]  #: One for each robot, in their order
-    odd: tuple[FleetOutlier, ...]  #: What is odd about which of them, see `calib.fleets.record`
-    notes: tuple[str, ...]  #: What could not be said
-    kept: int  #: How many of them were taken from an earlier run
+    outliers: tuple[
+        FleetOutlier, ...
+    ]  #: Robots unlike the others, a figure each; see `calib.fleets.outliers`
+    notes: tuple[str, ...]  #: Comparisons that were not possible
+    kept: int  #: Number of robots taken from an earlier run
 
     @property
     def failed(self) -> tuple[FleetRow, ...]:
@@ -132,10 +79,15 @@ class Fleet:
         return tuple(row for row in self.rows if row.urdf == ACCEPTED)
 
     def table(self) -> dict[str, Any]:
-        """All of it as in ``fleet.json``, SI units, the unit in the keys."""
-        parts = {"robots": map(ROWS.table, self.rows), "odd": map(asdict, self.odd)}
-        found = {name: plain([*part]) for name, part in parts.items()}
-        return {"schema": "fleet 2", **found, "notes": [*self.notes]}
+        """Return the content of ``fleet.json``: SI units, with the unit in the keys."""
+        robots = [ROWS.table(row) for row in self.rows]
+        outliers = [asdict(outlier) for outlier in self.outliers]
+        return {
+            "schema": SCHEMA,
+            "robots": plain(robots),
+            "outliers": plain(outliers),
+            "notes": [*self.notes],
+        }
 
 
 def fleet(
@@ -144,7 +96,7 @@ def fleet(
     options: FleetOptions | None = None,
     *,
     executor: Executor | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
     force: bool = False,
 ) -> Fleet:
     """Calibrate many robots into a folder: one of its own for each, and the tables ``fleet.csv`` and ``fleet.json``.
@@ -155,177 +107,127 @@ def fleet(
 
     Args:
         robots: The robots.
-        folder: Where to; it is made if missing.
-        options: How they are calibrated.
-        executor: Where; None: here, one after the other. Any of `concurrent.futures`, or Dask's
-            ``Client.get_executor()``.
-        progress: Called after each robot.
-        force: Whether all are calibrated anew.
+        folder: Folder of the results; it is made if missing.
+        options: Options for all robots; None: the defaults.
+        executor: Where the robots are calibrated; None: in this process, one after the other. Any of
+            `concurrent.futures`, or Dask's ``Client.get_executor()``.
+        progress: Called after each robot with the numbers of robots done and of all robots.
+        force: Whether finished robots are calibrated anew.
+
+    Returns:
+        A row for each robot, and the outliers among them.
 
     Raises:
         CalibError: Names that cannot be those of folders or belong to two, or a worker was killed.
         FileError: The folder cannot be written.
     """
     check_names((robot.name, f"Robot {i}") for i, robot in enumerate(robots, 1))
-    path, how = make_folder(folder), options or FleetOptions()
-    done: dict[str, FleetRow] = {}
-    sent: list[tuple[str, str]] = []
-    kept: list[str] = []
+    path = make_folder(folder)
+    options = options or FleetOptions()
+    state = _Run(path, options, len(robots), progress)
+    jobs = state.jobs(robots, force=force)
+    for number, result in run(calibrate_job, options, jobs, executor):
+        state.write(number, result)
+    calibrated = state.compared(robots)
+    _write_tables(calibrated, path)
+    return calibrated
 
-    def settle(name: str, result: FleetRow | str) -> None:
-        """Keep a robot's row, or why there is none."""
-        done[name] = FleetRow(name, FAILED, result) if isinstance(result, str) else result
-        if progress is not None:
-            progress(len(done), len(robots))
 
-    def jobs() -> Iterator[tuple[str, FleetInputs]]:
-        """The robots that are to be calibrated, read when they are asked for."""
-        urdf_of = lru_cache(maxsize=8)(read_urdf)
+class _Run:
+    """A run of `fleet`: reads the robots, writes their files, and collects their rows in any order."""
+
+    def __init__(
+        self, folder: Path, options: FleetOptions, count: int, progress: Progress | None
+    ) -> None:
+        """Begin a run; ``count`` is the number of all robots, the others are as of `fleet`."""
+        self._folder = folder
+        self._options = options
+        self._count = count
+        self._progress = progress
+        #: Folder and fingerprint of each job, in the order of the jobs
+        self._sent: list[tuple[RobotFolder, str]] = []
+        #: Rows of the robots that are done, by name
+        self._rows: dict[str, FleetRow] = {}
+        #: Number of robots taken from an earlier run
+        self._kept = 0
+
+    def jobs(self, robots: Sequence[FleetRobot], *, force: bool) -> Iterator[FleetJob]:
+        """Read one robot after the other, and yield those that must be calibrated.
+
+        Args:
+            robots: All robots.
+            force: Whether finished robots are calibrated anew.
+
+        Yields:
+            The jobs. Robots that cannot be read and those that are kept get their row here.
+        """
+        read_robot = lru_cache(maxsize=_KEPT_URDFS)(read_urdf)
         for robot in robots:
             try:
-                arm, rows, cell = robot.load(urdf_of)
+                nominal, measurements, cell = robot.load(read_robot)
             except Exception as error:  # noqa: BLE001  a fault with one robot must not cost the others
-                settle(robot.name, _told(error))
+                self._add(failed_row(robot.name, error))
                 continue
-            # By all that the files hang on, the sources' names too, which no comparison counts.
-            table = {f: getattr(rows, f) for f in Measurements.__dataclass_fields__}
-            own = (robot.name, arm, arm.urdf.source, table, cell)
-            # What is accepted changes only the robots that there is something to accept of.
-            alike = replace(how, command="", accept=False)
-            told = fingerprint(*own, alike, __version__, SCHEMA)
-            row = None if force else _finished(path / robot.name, told)
-            if row is not None and row.urdf == (WITHHELD if how.accept else ACCEPTED):
-                row = None
+            job = FleetJob(robot.name, nominal, measurements, cell)
+            folder = RobotFolder(self._folder / robot.name)
+            fingerprint = job.fingerprint(self._options)
+            row = None if force else self._kept_row(folder, fingerprint)
             if row is None:
-                sent.append((robot.name, told))
-                yield robot.name, (arm, rows, cell)
+                self._sent.append((folder, fingerprint))
+                yield job
             else:
-                kept.append(robot.name)
-                settle(robot.name, row)
+                self._kept += 1
+                self._add(row)
 
-    for number, made in run(_calibrated, how, jobs(), executor):
-        name, told = sent[number]
-        try:
-            settle(name, made if isinstance(made, str) else _written(path / name, told, *made))
-        except CalibError as error:
-            settle(name, str(error))
-    every = tuple(done[robot.name] for robot in robots)
-    result = Fleet(every, *fleet_outliers(every), len(kept))
-    write_atomically(path / JSON, json_bytes(result.table()), overwrite=True)
-    write_atomically(
-        path / CSV, csv_bytes(every, [(odd.name, odd.text) for odd in result.odd]), overwrite=True
-    )
-    return result
+    def write(self, number: int, result: FleetJobResult) -> None:
+        """Write the files of a calibrated robot, and add its row; if they cannot be written, a failed one.
 
+        Args:
+            number: Number of the job, from 0, in the order of `jobs`.
+            result: Its result.
+        """
+        row = result.row
+        folder, fingerprint = self._sent[number]
+        if row.status != FAILED:
+            try:
+                folder.write(fingerprint, row, result.files)
+            except CalibError as error:
+                row = failed_row(row.name, error)
+        self._add(row)
 
-def check_names(names: Iterable[tuple[str, str]]) -> None:
-    """Refuse names, each with where it stands, that cannot be those of folders, or that two robots have."""
-    seen = set()
-    for name, where in names:
-        if not _NAME.fullmatch(name) or name.casefold() in seen:
-            raise CalibError(
-                f"{where}: {name!r} cannot be the name of a robot's folder. A name has 1 to 100 letters, digits, and "
-                "'_', '-', '+', '.' or blanks between them, and is no other robot's, capitals aside."
-            )
-        seen.add(name.casefold())
+    def compared(self, robots: Sequence[FleetRobot]) -> Fleet:
+        """Return the fleet when all robots are done, their rows in the order of ``robots``."""
+        rows = tuple(self._rows[robot.name] for robot in robots)
+        outliers, notes = fleet_outliers(rows)
+        return Fleet(rows, outliers, notes, self._kept)
 
+    def _kept_row(self, folder: RobotFolder, fingerprint: str) -> FleetRow | None:
+        """Return the row of a finished robot if also its URDF is as ``accept`` has it; None: it must be calibrated."""
+        row = folder.finished_row(fingerprint)
+        contrary = WITHHELD if self._options.accept else ACCEPTED
+        if row is None or row.urdf == contrary:
+            return None
+        return row
 
-def _calibrated(
-    options: FleetOptions, job: tuple[str, FleetInputs]
-) -> tuple[FleetRow, dict[str, bytes]] | str:
-    """Calibrate a robot: its row and the bytes of its files by name, or why there are none."""
-    name, (robot, rows, cell) = job
-    how = {key: getattr(options, key) for key in ("solver", "robust", "validate")}
-    try:
-        result = calibrate(robot, rows, cell=cell, **how)
-        with tempfile.TemporaryDirectory() as folder:
-            there, row = Path(folder), FleetRow.of(name, result, accept=options.accept)
-            if row.urdf != WITHHELD:
-                target = options.target_link
-                result.write_urdf(there / _URDF, target_link=target, accept=True)
-            result.write_json(there / "result.json")
-            text = f"{result.summary()}\n"
-            (there / "summary.txt").write_bytes(text.encode("utf-8", "backslashreplace"))
-            if options.reports:
-                command = f"{options.command}  # {name}" if options.command else ""
-                write_report(result, there / "report.html", command=command)
-            return row, {p.name: p.read_bytes() for p in there.iterdir()}
-    except Exception as error:  # noqa: BLE001  a fault with one robot must not cost the others
-        return _told(error)
+    def _add(self, row: FleetRow) -> None:
+        """Add the row of a robot that is done."""
+        self._rows[row.name] = row
+        if self._progress is not None:
+            self._progress(len(self._rows), self._count)
 
 
-def _told(error: Exception) -> str:
-    """Why a robot has no result."""
-    if isinstance(error, CalibError):
-        return str(error)
-    return f"internal error: {type(error).__name__}: {error}. Please report it with this robot's files."
+def _write_tables(calibrated: Fleet, folder: Path) -> None:
+    """Write ``fleet.json`` and ``fleet.csv``."""
+    content = json_bytes(calibrated.table())
+    write_atomically(folder / JSON, content, overwrite=True)
+    reasons = _reasons(calibrated.outliers)
+    content = csv_bytes(calibrated.rows, reasons)
+    write_atomically(folder / CSV, content, overwrite=True)
 
 
-def fingerprint(*values: object) -> str:
-    """The SHA-256 of some values: of dataclasses by the fields that count in a comparison, of arrays by every bit.
-
-    Example:
-        >>> fingerprint("a", 1.0) == fingerprint("a", 1.0), fingerprint("a", 1.0) == fingerprint("a1.0")
-        (True, False)
-    """
-
-    def parts(value: object) -> object:
-        """What JSON has no word for, by its kind and what it consists of."""
-        kind = type(value).__name__
-        if is_dataclass(value) and not isinstance(value, type):
-            return [kind, *((f.name, getattr(value, f.name)) for f in fields(value) if f.compare)]
-        if isinstance(value, (np.ndarray, np.generic)):
-            return [kind, value.dtype.str, value.shape, value.tobytes().hex()]
-        if isinstance(value, Mapping):
-            return [kind, *value.items()]
-        if isinstance(value, (bytes, Path)):
-            return [kind, str(value)]
-        raise TypeError(f"a value of type {kind} has no fingerprint")
-
-    return hashlib.sha256(json.dumps(values, default=parts).encode()).hexdigest()
-
-
-def _finished(folder: Path, fingerprint: str) -> FleetRow | None:
-    """The row of a robot whose folder was made of the inputs with this fingerprint, and is finished; else None."""
-    try:
-        table = json.loads((folder / MADE).read_bytes())
-        same = table["schema"] == SCHEMA and table["fingerprint"] == fingerprint
-        whole = all((folder / name).is_file() for name in table["files"])
-        row: FleetRow = ROWS.read(FleetRow, table["row"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
-    return row if same and whole else None
-
-
-def _written(folder: Path, fingerprint: str, row: FleetRow, files: dict[str, bytes]) -> FleetRow:
-    """Write a robot's files, first that they are a fleet's and not finished, at last that they are.
-
-    Files of an earlier result that this one does not have are removed: a URDF must not pass for this result's.
-    """
-    make_folder(folder)
-    # A URDF that is not written for its verdict must not be somebody's either, beside this result.
-    strange = [name for name in (*files, _URDF) if (folder / name).exists()]
-    if strange and not (folder / MADE).exists():
-        raise CalibError(
-            f"{folder / strange[0]} exists already, and no fleet has written it. Move it away."
-        )
-    earlier = [name for name in _files_made(folder) if name not in files]
-    parts = {"files": [*files], "row": ROWS.table(row)}
-    table = {"schema": SCHEMA, "fingerprint": fingerprint, **parts}
-    begun = table | {"fingerprint": "", "files": [*files, *earlier]}
-    write_atomically(folder / MADE, json_bytes(begun), overwrite=True)
-    for name in earlier:
-        remove(folder / name)
-    for name, data in (*files.items(), (MADE, json_bytes(table))):
-        write_atomically(folder / name, data, overwrite=True)
-    return row
-
-
-def _files_made(folder: Path) -> list[str]:
-    """Names of the files that an earlier fleet has written into a robot's folder, finished or not."""
-    try:
-        names = json.loads((folder / MADE).read_bytes())["files"]
-    except (OSError, ValueError, KeyError, TypeError):
-        return []
-    # What calib wrote are plain names: a list that somebody changed reaches no other folder.
-    return [n for n in names if isinstance(n, str) and Path(n).name == n and n != MADE]
+def _reasons(outliers: Sequence[FleetOutlier]) -> Mapping[str, Sequence[str]]:
+    """Return the texts of the outliers by the robot's name."""
+    texts: dict[str, list[str]] = {}
+    for outlier in outliers:
+        texts.setdefault(outlier.name, []).append(outlier.text)
+    return texts

@@ -80,7 +80,7 @@ def _runs(cells: Mask) -> list[int]:
 
 
 class _Origin(NamedTuple):
-    """What a region was made for."""
+    """Chain and target that a region was made for."""
 
     base: str
     tip: str

@@ -169,9 +169,7 @@ def correlation_indices(c: CalibrationValues) -> list[int]:
 def correlations(c: CalibrationValues) -> Figure:
     """Draw the correlation of each pair of identifiable parameters as a colour."""
     chosen = correlation_indices(c)
-    covariance = c.covariance[np.ix_(chosen, chosen)]
-    variance = np.diag(covariance)
-    correlation = covariance / np.sqrt(np.outer(variance, variance))
+    correlation = _correlation_matrix(c.covariance[np.ix_(chosen, chosen)])
     names = base.short_names([c.parameters[k].name for k in chosen], 18)
     count = len(chosen)
     font_size = _matrix_font_size(count)
@@ -189,6 +187,12 @@ def correlations(c: CalibrationValues) -> Figure:
     ax.set_yticks(range(count - 1), names[1:], size=font_size)
     ax.grid(visible=False)
     return figure
+
+
+def _correlation_matrix(covariance: Array) -> Array:
+    """Return the correlations of a covariance (p, p)."""
+    variance = np.diag(covariance)
+    return np.asarray(covariance / np.sqrt(np.outer(variance, variance)))
 
 
 def _matrix_font_size(count: int) -> float:

@@ -6,6 +6,7 @@ shows density and region in a plane. PNG, SVG or PDF, by the ending of the file'
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -77,21 +78,25 @@ def draw_region(view: RegionView) -> Figure:
     axes = figure.subplots(2, 3)
     limits = _limits(view)
     centre = _mean_voxel(view.density)
-    images = {}
     for column, (i, j, name) in enumerate(VIEWS):
         upper, lower = axes[:, column]
-        images[0] = _draw_view(upper, view, (i, j))
+        density = _draw_view(upper, view, (i, j))
         upper.set_title(f"Seen {name}")
         flat(upper, limits, (i, j))
-        images[1] = _draw_cut(lower, view, (i, j), centre)
+        cut = _draw_cut(lower, view, (i, j), centre)
         flat(lower, limits, (i, j))
         _mark(upper, view, (i, j))
-    for row, place in ((0, "along the line of sight"), (1, "in the cut")):
-        bar = figure.colorbar(images[row], ax=list(axes[row]), shrink=0.85, ticks=[0, 0.5, 1])
-        bar.set_label(f"density {place}; 1: highest")
+    _colour_bar(figure, density, axes[0], "density along the line of sight; 1: highest")
+    _colour_bar(figure, cut, axes[1], "density in the cut; 1: highest")
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     return figure
+
+
+def _colour_bar(figure: Figure, image: Any, panels: Iterable[Axes], label: str) -> None:  # noqa: ANN401
+    """Draw the scale of colours of an image, from 0 to 1, beside a row of panels."""
+    bar = figure.colorbar(image, ax=list(panels), shrink=0.85, ticks=[0, 0.5, 1])
+    bar.set_label(label)
 
 
 def _limits(view: RegionView) -> Array:

@@ -118,8 +118,7 @@ def uncertainty(c: CalibrationValues) -> Figure:
     places = 1e3 * (T_base_tip[:, :3, :3] @ c.target + T_base_tip[:, :3, 3])
     std = 1e3 * c.position_std(q, non_geometric=False)
     limits = limits_of(places)
-    measured = 1e3 * measured_places(c)
-    measured = measured[:: 1 + len(measured) // _MEASURED_POINTS]
+    measured = _some_measured_places(c)
     figure = base.new_figure(6.2)
     *views, last = figure.subplots(2, 2).ravel()
     images = []
@@ -134,6 +133,12 @@ def uncertainty(c: CalibrationValues) -> Figure:
     _distribution(last, std, c)
     base.legend_above(figure)
     return figure
+
+
+def _some_measured_places(c: CalibrationValues) -> Array:
+    """Return the target's positions in the base frame, (K, 3) [mm]; of many rows every so many-th."""
+    places = 1e3 * measured_places(c)
+    return places[:: 1 + len(places) // _MEASURED_POINTS]
 
 
 def _draw_rings(ax: Axes, places: Array) -> None:

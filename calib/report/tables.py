@@ -78,11 +78,10 @@ def errors(c: CalibrationValues, *, turned: bool = False) -> Table:
         smallest signed error) along each axis of the measurement frame. The calibrated robot's rows are strong.
     """
     labelled = texts.error_rows(c)
-    labels = _full_labels([label for label, _ in labelled])
     with_span = not turned and any(_has_span(e) for _, e in labelled)
     rows: list[tuple[str, ...]] = []
     strong = []
-    for label, (_, e) in zip(labels, labelled, strict=True):
+    for label, (_, e) in zip(_full_labels(labelled), labelled, strict=True):
         count = e.n_angle if turned else e.n
         if count:
             if ", calibrated" in label:
@@ -104,11 +103,11 @@ def errors(c: CalibrationValues, *, turned: bool = False) -> Table:
     return Table(title, head, rows, align, " ".join(notes), groups, strong)
 
 
-def _full_labels(labels: Iterable[str]) -> list[str]:
-    """Return labels that need no look at the row above: ``the same ...`` is spelt out."""
+def _full_labels(labelled: Iterable[tuple[str, Errors]]) -> list[str]:
+    """Return the labels of sets so that they need no look at the row above: ``the same ...`` is spelt out."""
     full = []
     subject = ""
-    for label in labels:
+    for label, _ in labelled:
         addition = label.strip().removeprefix("the same ")
         subject = label if addition == label else f"{subject}, {addition}"
         full.append(subject)

@@ -194,23 +194,8 @@ def _verify(trials: Trials, truth: Truth, fitted: Fitted) -> _Verified:
         truth: Of the virtual cell.
         fitted: The fit.
     """
-    scenario, cell, estimate = trials.scenario, trials.cell, fitted.estimate
-    q = verification_poses(scenario)
-    load = None
-    if any(term.factor and term.factor.loaded for term in fitted.kinematics.model.terms):
-        load = gravity_loads(scenario.robot, q, cell.payload, cell.gravity)
-    samples = Samples.at(q, load)
-    poses, J = fitted.kinematics.twists(estimate.x, samples, rotation=False)
-    T_base_target = truth.tip_poses(q) @ truth.T_tip_target[0]
-    if scenario.kind.position:
-        T_frame_target = truth.T_frame_base[0] @ T_base_target
-        error = poses[:, :3, 3] - T_frame_target[:, :3, 3]
-    else:  # lengths do not tell where the base is: only the shape of all positions counts
-        T_base_frame = rigid_inverse(fitted.placed().T_frame_base[0])
-        predicted = (T_base_frame @ poses)[:, :3, 3]
-        difference = (predicted - T_base_target[:, :3, 3])[:, :, None]
-        error = without_rigid_motion(predicted, difference)[:, :, 0]
-        J = without_rigid_motion(predicted, J)
+    error, J = _prediction_errors(trials, truth, fitted)
+    estimate = fitted.estimate
     JC = (J.reshape(-1, J.shape[2]) @ estimate.covariance).reshape(J.shape)
     covariance = JC @ J.transpose(0, 2, 1)
     weighted = np.linalg.solve(covariance, error[:, :, None])[:, :, 0]
@@ -222,6 +207,36 @@ def _verify(trials: Trials, truth: Truth, fitted: Fitted) -> _Verified:
         stated_rms=float(np.sqrt(np.mean(variance))),
         inside=np.asarray(square <= limit),
     )
+
+
+def _prediction_errors(trials: Trials, truth: Truth, fitted: Fitted) -> tuple[Array, Array]:
+    """Compute the errors of predicted positions at the poses of the verification.
+
+    Args:
+        trials: The task.
+        truth: Of the virtual cell.
+        fitted: The fit.
+
+    Returns:
+        Predicted minus true positions, shape (N, 3) [m], and their derivative by the parameters, shape (N, 3, p).
+    """
+    scenario, cell = trials.scenario, trials.cell
+    q = verification_poses(scenario)
+    load = None
+    if any(term.factor and term.factor.loaded for term in fitted.kinematics.model.terms):
+        load = gravity_loads(scenario.robot, q, cell.payload, cell.gravity)
+    samples = Samples.at(q, load)
+    poses, J = fitted.kinematics.twists(fitted.estimate.x, samples, rotation=False)
+    T_base_target = truth.tip_poses(q) @ truth.T_tip_target[0]
+    if scenario.kind.position:
+        T_frame_target = truth.T_frame_base[0] @ T_base_target
+        return poses[:, :3, 3] - T_frame_target[:, :3, 3], J
+    # Lengths do not tell where the base is: only the shape of all positions counts.
+    T_base_frame = rigid_inverse(fitted.placed().T_frame_base[0])
+    predicted = (T_base_frame @ poses)[:, :3, 3]
+    difference = (predicted - T_base_target[:, :3, 3])[:, :, None]
+    error = without_rigid_motion(predicted, difference)[:, :, 0]
+    return error, without_rigid_motion(predicted, J)
 
 
 def forecast_of_trial(trials: Trials, seed: int) -> Forecast | None:

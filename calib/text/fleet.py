@@ -101,7 +101,7 @@ def fleet_cells(fleet: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     """
     shown = [robot for robot in fleet["robots"] if not robot["message"]]
     if len(shown) > LISTED:
-        outliers = {outlier["name"] for outlier in fleet["odd"]}
+        outliers = {outlier["name"] for outlier in fleet["outliers"]}
         shown = [
             robot
             for robot in shown
@@ -134,8 +134,8 @@ def fleet_text(fleet: Mapping[str, Any], kept: int) -> Iterator[str]:
     Yields:
         The paragraphs.
     """
-    outliers = _texts_by_name(one for one in fleet["odd"] if one["figure"] != "data")
-    copies = _texts_by_name(one for one in fleet["odd"] if one["figure"] == "data")
+    outliers = _texts_by_name(one for one in fleet["outliers"] if one["figure"] != "data")
+    copies = _texts_by_name(one for one in fleet["outliers"] if one["figure"] == "data")
     withheld = [robot["name"] for robot in fleet["robots"] if robot["urdf"] == "withheld"]
     failed: dict[str, list[str]] = {}
     for robot in fleet["robots"]:

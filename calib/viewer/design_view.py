@@ -20,10 +20,9 @@ from calib.regions.region_rows import RegionView
 from calib.report.figure_base import BEAM, ESTIMATION, LITTLE_TO_MUCH, NOMINAL, VALIDATION
 from calib.report.figure_region import headings
 from calib.units import Array
+from calib.viewer.html_page import Key, Page
 from calib.viewer.puppet import translation
 from calib.viewer.scene import (
-    Key,
-    Page,
     draw_boxes,
     draw_cloud,
     draw_lines,

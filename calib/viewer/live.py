@@ -33,6 +33,7 @@ import calib.viewer.scene as stage
 from calib.errors import CalibError, ModelError, choices
 from calib.result.calibration import CalibrationValues
 from calib.robot.robot import Robot
+from calib.viewer.html_page import floats
 from calib.viewer.page import puppets, view_page
 from calib.viewer.puppet import packed, read_visuals
 from calib.viewer.view import View, view_of, view_of_robots
@@ -108,7 +109,7 @@ class Viewer(AbstractContextManager["Viewer"]):
                 f"{choices(self.joint_names)}."
             )
         shown = puppets(replace(self._pose, q=values[None]), self._visuals)
-        robots = {name: stage.floats(packed(puppet.poses)) for name, puppet in shown.items()}
+        robots = {name: floats(packed(puppet.poses)) for name, puppet in shown.items()}
         # Sent as a transform of a node, so that windows that open later get it too.
         pose = {"label": label, "robots": robots}
         message = {"type": "set_transform", "path": "/pose", "pose": pose}

@@ -18,8 +18,9 @@ import calib.report.figure_base as look
 import calib.viewer.scene as stage
 from calib.result.calibration import CalibrationValues
 from calib.units import Array
+from calib.viewer.html_page import COLOURS, Page, filled_page, floats
 from calib.viewer.puppet import Puppet, Visual, packed, read_visuals, translation
-from calib.viewer.scene import Camera, Page, SceneWindow
+from calib.viewer.scene import Camera, SceneWindow
 from calib.viewer.view import View, view_of
 
 #: Colour and text in the legend of the rows of each kind.
@@ -94,7 +95,7 @@ def view_page(view: View, *, live: bool = False) -> Page:
     window, grid = _draw(view, shown, layout)
     factor = magnification(view, layout.size)
     names = [name.lower() for name, _ in view.names[: len(shown)]]
-    html = stage.filled_page(
+    html = filled_page(
         "robots.html",
         window.scene(),
         title=view.title or f"{view.nominal.name or 'Robot'}: {' and '.join(names)}",
@@ -210,7 +211,7 @@ def _draw(view: View, shown: Mapping[str, Puppet], layout: _Layout) -> tuple[Sce
     for name, puppet in shown.items():
         group = root[stage.SCENE][name]
         group.set_transform(translation(layout.offsets[name] - layout.side.centre))
-        material = stage.solid(stage.COLOURS[name], front=name == "calibrated")
+        material = stage.solid(COLOURS[name], front=name == "calibrated")
         stage.draw_puppet(group, puppet, view.start, material, _BALL * layout.size)
     return window, grid
 
@@ -294,11 +295,11 @@ def script_table(view: View, shown: Mapping[str, Puppet]) -> dict[str, Any]:
         "labels": list(view.labels),
         "kinds": list(view.kinds),
         "names": [name for name, _ in view.names],
-        "colours": {**stage.COLOURS, **colours, "beam": look.BEAM},
+        "colours": {**COLOURS, **colours, "beam": look.BEAM},
         "robots": {name: _robot_table(puppet, links) for name, puppet in shown.items()},
-        "measured": stage.floats(view.measured),
-        "errors": [stage.floats(errors) for errors in view.errors],
-        "angles": [stage.floats(angles) for angles in view.angles],
+        "measured": floats(view.measured),
+        "errors": [floats(errors) for errors in view.errors],
+        "angles": [floats(angles) for angles in view.angles],
         "instruments": packed(view.instruments).tolist(),
     }
 
@@ -320,7 +321,7 @@ def _robot_table(puppet: Puppet, links: Sequence[str]) -> dict[str, Any]:
     target_rod = [count - 2, count - 1]
     return {
         "movers": count,
-        "poses": stage.floats(packed(puppet.poses)),
+        "poses": floats(packed(puppet.poses)),
         "rods": [*map(list, puppet.rods), target_rod],
         "same": [*same, *frames],
     }

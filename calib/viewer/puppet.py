@@ -6,7 +6,7 @@ movers; a rod joins the origins of two.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
@@ -142,19 +142,14 @@ class Puppet(NamedTuple):
             T_scene_base: shape (N, 4, 4), its base in the scene [m].
             target: shape (N, 4, 4) or (4, 4), T_tip_target [m].
         """
+        links, rods = _movers(robot, visuals)
         T_root_link = root_poses(robot, q)
         T_scene_root = T_scene_base @ rigid_inverse(T_root_link[robot.base])
-        links, joints = _moving_links(robot, visuals)
+        moved = [T_scene_root @ T_root_link[link] for link in links]
         # The robot's own forward kinematics place tip and target: the tables are about those points.
         T_scene_tip = T_scene_base @ robot.poses(q)
-        moved = [T_scene_root @ T_root_link[link] for link in links]
         poses = np.stack([*moved, T_scene_base, T_scene_tip, T_scene_tip @ target], axis=1)
-        drawn = [(v.link, v.mesh, v.T_link_shape) for v in visuals if v.mesh is not None]
-        parts = [(links.index(link), mesh, T) for link, mesh, T in drawn]
-        rods = [(links.index(parent), links.index(child)) for parent, child in joints]
-        origins = [T[0, :3, 3] for T in T_root_link.values()]
-        radius = _ROD_RADIUS * float(np.linalg.norm(np.ptp(origins, axis=0)))
-        return cls(links, parts, rods, radius, poses)
+        return cls(links, _parts(links, visuals), rods, _rod_radius(T_root_link), poses)
 
     def outline(self, poses: slice = slice(None)) -> Array:
         """Return points that enclose the robot at some poses: origins, and corners of the parts' bounding boxes.
@@ -178,18 +173,39 @@ class Puppet(NamedTuple):
         return np.concatenate(points)
 
 
-def _moving_links(
+def _movers(
     robot: Robot, visuals: Sequence[Visual]
-) -> tuple[tuple[str, ...], list[tuple[str, str]]]:
-    """Return the links that are drawn, in the URDF's order, and the pairs of links that a rod joins."""
+) -> tuple[tuple[str, ...], list[tuple[int, int]]]:
+    """Choose the links that are drawn.
+
+    Args:
+        robot: The robot.
+        visuals: Its shapes; without any, all links are rods.
+
+    Returns:
+        The links in the URDF's order, and the pairs of their indices that a rod joins.
+    """
     drawn = {visual.link for visual in visuals if visual.mesh is not None}
     sticks = set(robot.urdf.links)
     if drawn:
         sticks = {visual.link for visual in visuals if visual.mesh is None}
-    joints = [(j.parent, j.child) for j in robot.urdf.joints if j.parent in sticks]
-    needed = drawn | sticks | {child for _, child in joints}
+    joints = [joint for joint in robot.urdf.joints if joint.parent in sticks]
+    needed = drawn | sticks | {joint.child for joint in joints}
     links = tuple(link for link in robot.urdf.links if link in needed)
-    return links, joints
+    rods = [(links.index(joint.parent), links.index(joint.child)) for joint in joints]
+    return links, rods
+
+
+def _parts(links: Sequence[str], visuals: Sequence[Visual]) -> list[tuple[int, Mesh, Array]]:
+    """Return index of the link, mesh and T_link_shape, (4, 4), [m], of each visual that has a mesh."""
+    drawn = [(v.link, v.mesh, v.T_link_shape) for v in visuals if v.mesh is not None]
+    return [(links.index(link), mesh, T_link_shape) for link, mesh, T_link_shape in drawn]
+
+
+def _rod_radius(T_root_link: Mapping[str, Array]) -> float:
+    """Return the radius of rods [m] by the size of the robot at its first pose; poses (N, 4, 4) by link."""
+    origins = [T[0, :3, 3] for T in T_root_link.values()]
+    return _ROD_RADIUS * float(np.linalg.norm(np.ptp(origins, axis=0)))
 
 
 def root_poses(robot: Robot, q: Array) -> dict[str, Array]:

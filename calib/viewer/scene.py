@@ -1,4 +1,4 @@
-"""A scene of meshcat, z up: robots, camera, lights, floor and marks about them; and the HTML page that carries it.
+"""A scene of meshcat, z up: robots, camera, lights, floor and marks about them.
 
 meshcat's own window starts a server in another process, whose web port listens on all addresses. `SceneWindow` opens no
 socket: it stores the same commands in meshcat's own tree, and the page carries meshcat's viewer and the commands.
@@ -6,12 +6,8 @@ socket: it stores the same commands in meshcat's own tree, and the page carries 
 
 from __future__ import annotations
 
-import base64
 import hashlib
-import json
-import os
-from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import meshcat
@@ -22,22 +18,10 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 import calib.report.figure_base as look
-from calib.files import write_atomically
 from calib.robot.robot import Robot
 from calib.units import Array
+from calib.viewer.html_page import Key, Page, filled_page
 from calib.viewer.puppet import Puppet, read_visuals, translation
-
-#: Addresses that a page which came from a server on this computer may connect to: a rule of its security policy.
-_LIVE = "; connect-src 'self' ws://127.0.0.1:* ws://localhost:*"
-
-#: Folder of the templates and scripts.
-_FOLDER = Path(__file__).parent
-
-#: The files of the script of a page of robots, in order.
-_SCRIPTS = ("robots.js", "marks.js", "words.js", "controls.js")
-
-#: Colours of robots and measured positions.
-COLOURS = {"nominal": look.NOMINAL, "calibrated": look.CALIBRATED, "measured": look.INK}
 
 #: The scene's node that holds the robots.
 SCENE = "robots"
@@ -250,9 +234,26 @@ def draw_puppet(
         node.set_transform(at[target])
         node["ball"].set_object(mc.Sphere(ball), material)
         rods.append((target - 1, target, _STALK * ball))
+    _draw_rods(robot["rods"], at[:, :3, 3], rods, material)
+
+
+def _draw_rods(
+    parent: meshcat.Visualizer,
+    origins: Array,
+    rods: Sequence[tuple[int, int, float]],
+    material: mc.MeshPhongMaterial,
+) -> None:
+    """Draw rods between the origins of movers.
+
+    Args:
+        parent: Node of the rods.
+        origins: shape (L, 3), the movers' origins [m].
+        rods: Indices of two movers, and the radius [m].
+        material: Surface of the rods.
+    """
     for k, (start, end, radius) in enumerate(rods):
-        node = robot["rods"][f"{k:03d}"]
-        node.set_transform(rod_between(at[start, :3, 3], at[end, :3, 3]))
+        node = parent[f"{k:03d}"]
+        node.set_transform(rod_between(origins[start], origins[end]))
         node["rod"].set_object(mc.Cylinder(1.0, radius), material)
         node["rod"].set_transform(_Y_TO_Z)
 
@@ -359,123 +360,6 @@ def span(points: Array) -> float:
     return max(float(np.linalg.norm(np.ptp(points, axis=0))), 1e-3)
 
 
-class Page(NamedTuple):
-    """A complete HTML page."""
-
-    html: bytes  #: The page, UTF-8
-    warnings: tuple[str, ...]  #: A sentence for each shape that is not drawn as the URDF says
-
-    def write(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
-        """Write the page, completely or not at all.
-
-        Args:
-            path: Name of the file.
-            overwrite: Replace an existing file.
-
-        Returns:
-            The file's path.
-
-        Raises:
-            FileError: The file exists or cannot be written.
-        """
-        return write_atomically(path, self.html, overwrite=overwrite)
-
-
-class Key(NamedTuple):
-    """An entry of the legend, which shows and hides nodes."""
-
-    text: str  #: Its text
-    colour: str  #: Colour of its mark, ``"#rrggbb"``
-    nodes: str  #: Nodes below `SCENE`, with blanks between them
-    kind: str = ""  #: Shape of its mark: ``"dot"``, ``"arrow"``, ...; empty for a square
-    on: bool = True  #: The nodes are shown at first
-
-
-def filled_page(
-    template: str,
-    scene: bytes,
-    *,
-    table: Mapping[str, Any] | None = None,
-    live: bool = False,
-    **content: Any,  # noqa: ANN401  what the template names
-) -> bytes:
-    """Fill in the template of a page.
-
-    Args:
-        template: ``"page.html"`` or the name of a template that extends it.
-        scene: The scene's message, see `SceneWindow.scene`.
-        table: Values for the script of a page of robots; None for a page without one.
-        live: The page listens to the server that it came from.
-        content: The template's other variables.
-
-    Returns:
-        The page, UTF-8.
-    """
-    import jinja2
-    from markupsafe import Markup
-
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(_FOLDER),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
-    )
-    scripts = _scripts(of_robots=bool(table))
-    # A block of JSON that no name in it can end.
-    json_text = json.dumps(table, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
-    page = environment.get_template(template).render(
-        hashes=Markup(_policy(scripts, live=live)),
-        live=live,
-        colours=COLOURS,
-        licences=Markup(_licences()),
-        scene=_base64(scene),
-        table=Markup(json_text) if table else "",
-        scripts=[Markup(text) for text in scripts],
-        **content,
-    )
-    return page.encode("utf-8", "replace")
-
-
-def _scripts(*, of_robots: bool) -> list[str]:
-    """Return the scripts of a page: meshcat's viewer, the page's, and those of a page of robots."""
-    viewer = Path(meshcat.viewer_assets_path())
-    scripts = [_safe_text(viewer / "dist/main.min.js"), _safe_text(_FOLDER / "page.js")]
-    if of_robots:
-        joined = "\n".join(_safe_text(_FOLDER / name) for name in _SCRIPTS)
-        scripts.append(f'"use strict";\n(() => {{\n{joined}}})();\n')
-    return scripts
-
-
-def _policy(scripts: Sequence[str], *, live: bool) -> str:
-    """Return the page's rule of scripts: no other script runs, whatever a name may hold."""
-    digests = [hashlib.sha256(text.encode()).digest() for text in scripts]
-    sources = " ".join(f"'sha256-{_base64(digest)}'" for digest in digests)
-    return sources + _LIVE if live else sources
-
-
-def _licences() -> str:
-    """Return the notices that must go with a copy of the viewer: meshcat's own and those of its contents."""
-    viewer = Path(meshcat.viewer_assets_path())
-    files = [viewer / "LICENSE", *sorted((viewer / "dist").glob("main.min.js.*LICENSE*"))]
-    return "\n\n".join(_safe_text(path) for path in files)
-
-
-def _safe_text(path: Path) -> str:
-    """Read a file as text that cannot end the script that it stands in."""
-    return path.read_text("utf-8").replace("</script", "<\\/script").replace("<!--", "<\\!--")
-
-
-def _base64(data: bytes) -> str:
-    """Return bytes as text that needs no escaping."""
-    return base64.b64encode(data).decode("ascii")
-
-
-def floats(values: ArrayLike) -> str:
-    """Return numbers as base64 of little-endian float32, in C order."""
-    return _base64(np.ascontiguousarray(values, dtype="<f4").tobytes())
-
-
 def single_page(
     robot: Robot,
     q: Array,
@@ -500,14 +384,39 @@ def single_page(
     """
     visuals, warnings = read_visuals(robot.urdf)
     puppet = Puppet.of(robot, q[None], visuals, np.eye(4)[None], np.eye(4))
+    size = span(np.concatenate([puppet.outline(), points]))
+    window, scene, grid = _scene_of_one(puppet, points, size)
+    keys = [Key(legend, look.NOMINAL, "nominal"), *draw(scene, size)]
+    html = filled_page(
+        "page.html",
+        window.scene(),
+        keys=keys,
+        grid=grid,
+        title=title,
+        text=text,
+        warnings=warnings,
+    )
+    return Page(html, warnings)
+
+
+def _scene_of_one(
+    puppet: Puppet, points: Array, size: float
+) -> tuple[SceneWindow, meshcat.Visualizer, float]:
+    """Make a scene with one robot at its first pose.
+
+    Args:
+        puppet: The robot.
+        points: shape (K, 3), points in its base that the camera sees too [m].
+        size: Size of the scene's content [m].
+
+    Returns:
+        The scene, its node in the robot's base frame, and the edge of a square of the floor [m].
+    """
     outline = puppet.outline()
     everything = np.concatenate([outline, points])
-    size = span(everything)
     camera = look_at(everything, camera_direction(puppet.poses[0, :, :3, 3]))
     window, root, grid = new_scene(camera, size, float(outline[:, 2].min()))
     scene = root[SCENE]
     scene.set_transform(translation(-camera.centre))
     draw_puppet(scene["nominal"], puppet, 0, solid(look.NOMINAL))
-    keys = [Key(legend, look.NOMINAL, "nominal"), *draw(scene, size)]
-    words: dict[str, Any] = {"title": title, "text": text, "warnings": warnings}
-    return Page(filled_page("page.html", window.scene(), keys=keys, grid=grid, **words), warnings)
+    return window, scene, grid

@@ -214,12 +214,8 @@ def view_of_robots(
         cells: Target and frame of each robot, where they are known.
         names: Name and description of each robot; by default nominal and calibrated, and their files.
     """
-    robots = [nominal] if calibrated is None else [nominal, calibrated]
     title = nominal.name if calibrated is None else ""
-    if not names:
-        words = (title or "Nominal", "Calibrated")
-        files = [Path(robot.urdf.source).name for robot in robots]
-        names = list(zip(words, files, strict=False))
+    names = names or _default_names(nominal, calibrated)
     if table is not None:
         first = evaluate(nominal, table, cells[0])
         second = evaluate(calibrated, table, cells[1]) if calibrated else None
@@ -229,6 +225,14 @@ def view_of_robots(
     targets = [_first_target(cell) for cell in cells]
     view = View(nominal, calibrated, q, labels, names=names, title=title)
     return replace(view, nominal_target=targets[0], calibrated_target=targets[-1])
+
+
+def _default_names(nominal: Robot, calibrated: Robot | None) -> Names:
+    """Return name and file of each robot: nominal and calibrated, or of one robot alone its name."""
+    file = Path(nominal.urdf.source).name
+    if calibrated is None:
+        return [(nominal.name or "Nominal", file)]
+    return [("Nominal", file), ("Calibrated", Path(calibrated.urdf.source).name)]
 
 
 def _first_target(cell: Cell) -> Array:
@@ -282,9 +286,8 @@ def _at_rows(first: Evaluation, second: Evaluation | None, flagged: Mask) -> Vie
     """
     m = first.measurements
     last = second or first
-    both = (first, last)
-    errors = np.array([lengths_of(robot.residual, robot.used) for robot in both])
-    angles = np.array([angles_of(robot.residual, robot.used) for robot in both])
+    errors = np.array([lengths_of(e.residual, e.used) for e in (first, last)])
+    angles = np.array([angles_of(e.residual, e.used) for e in (first, last)])
     start = _first_shown(errors[0], m.validation, flagged)
     at = _shown_rows(start, flagged)
     kinds = np.where(flagged, "flagged", np.where(m.validation, "validation", "estimation"))

@@ -49,16 +49,16 @@ def test_a_fleet_is_calibrated_compared_and_kept(call, arms_shop: Path):
     assert (quiet.code, quiet.out, quiet.err) == (0, "", "")
 
     table = json.loads((arms_shop / "r" / "fleet.json").read_text())
-    keys = {"schema", "notes", *keys_of("robots", table), *keys_of("odd", table)}
+    keys = {"schema", "notes", *keys_of("robots", table), *keys_of("outliers", table)}
     keys |= {f"robots[].{key}" for key in keys_of("parameters", table["robots"][0])}
     said = set(
         re.findall(
             r"^\| `([a-z_\[\].]+)` \| [a-z]+(?:, null| of texts)? \|", DOC.read_text(), re.MULTILINE
         )
     )
-    # Of the odd ones there may be none here.
-    assert {k for k in keys if not k.startswith("odd")} - {"robots[].parameters"} == {
-        k for k in said if not k.startswith("odd")
+    # There may be no outliers here.
+    assert {k for k in keys if not k.startswith("outliers")} - {"robots[].parameters"} == {
+        k for k in said if not k.startswith("outliers")
     }
     rows = list(csv.DictReader((arms_shop / "r" / "fleet.csv").read_text().splitlines()))
     assert [row["name"] for row in rows] == [f"SN-{k}" for k in range(6)]
@@ -72,7 +72,7 @@ def keys_of(name: str, table: dict[str, list[dict[str, object]]]) -> set[str]:
     return {f"{name}[].{key}" for one in table[name] for key in one}
 
 
-def test_failed_and_odd_ones_are_told(call, arms_shop: Path):
+def test_failed_robots_and_copies_are_reported(call, arms_shop: Path):
     shutil.copy(arms_shop / "arm-1.csv", arms_shop / "again.csv")
     rows = [f"SN-{k},robot.urdf,arm-{k}.csv" for k in range(6)]
     manifest(
@@ -97,10 +97,10 @@ def test_failed_and_odd_ones_are_told(call, arms_shop: Path):
     )
     assert "7 of 9 robots calibrated (7 no verdict); " in done.lines[-3]
     rows = list(csv.DictReader((arms_shop / "r" / "fleet.csv").read_text().splitlines()))
-    assert rows[1]["odd"] == "the same measurements as SN-6 (arm-1.csv)"
+    assert rows[1]["outlier"] == "the same measurements as SN-6 (arm-1.csv)"
     assert rows[7]["status"] == "failed"
     quiet = call(arms_shop, "fleet", "m.csv", "--out", "r", *QUICK, "--quiet")
     assert (quiet.out, quiet.err) == ("", "calib: 2 of 9 robots failed.\n")
-    odd = json.loads((arms_shop / "r" / "fleet.json").read_text())["odd"]
-    said = set(re.findall(r"^\| `odd\[\]\.([a-z]+)`", DOC.read_text(), re.MULTILINE))
-    assert {key for one in odd for key in one} == said
+    outliers = json.loads((arms_shop / "r" / "fleet.json").read_text())["outliers"]
+    said = set(re.findall(r"^\| `outliers\[\]\.([a-z]+)`", DOC.read_text(), re.MULTILINE))
+    assert {key for one in outliers for key in one} == said

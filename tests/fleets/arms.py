@@ -8,32 +8,39 @@ from pathlib import Path
 
 import calib.example
 from calib.data.cell import Cell
-from calib.fleets.fleet import FleetRobot
+from calib.fleets.fleet_robot import FleetRobot
 from calib.robot.robot import Robot
 from calib.simulation.scenario import Scenario
 
+#: Position of the target in the tip [m].
 TARGET = (-0.07, 0.07, 0.0225)
 
-#: A model that is fitted fast.
+#: A measurement setup whose model is fitted fast.
 CELL = Cell(base="base", tip="tool0", target=TARGET, model="zeros")
 
 
 def scenario(robot: Robot) -> Scenario:
-    """What the arms are like."""
+    """The arms' distribution of errors: joint zeros."""
     return Scenario(robot, cell=CELL, model="zeros")
 
 
 def arms(folder: Path, robot: Robot, numbers: Iterable[int]) -> list[FleetRobot]:
     """Arms whose files stand in a folder: ``robot.urdf``, and ``arm-0.csv`` and so on with 12 poses."""
-    what = scenario(robot)
+    errors = scenario(robot)
     shutil.copy(calib.example.paper_urdf(), folder / "robot.urdf")
-    made = []
+    robots = []
     for k in numbers:
-        path = folder / f"arm-{k}.csv"
-        if not path.exists():
-            what.draw(k).measure(what.random_poses(12, k), k).measurements.write(path)
-        made.append(FleetRobot.of_files(f"arm-{k}", folder / "robot.urdf", path, CELL))
-    return made
+        table = folder / f"arm-{k}.csv"
+        if not table.exists():
+            poses = errors.random_poses(12, k)
+            errors.draw(k).measure(poses, k).measurements.write(table)
+        robots.append(arm(folder, f"arm-{k}"))
+    return robots
+
+
+def arm(folder: Path, name: str) -> FleetRobot:
+    """The arm whose table in the folder has its name."""
+    return FleetRobot.of_files(name, folder / "robot.urdf", folder / f"{name}.csv", CELL)
 
 
 def files(folder: Path) -> dict[str, bytes]:

@@ -1,4 +1,4 @@
-"""A fleet: folders that are whole, runs that go on, robots that fail alone, any executor."""
+"""A fleet: complete folders, interrupted runs continued, robots that fail alone, any executor."""
 
 from __future__ import annotations
 
@@ -14,11 +14,13 @@ from pathlib import Path
 import pytest
 
 from calib.errors import CalibError
-from calib.fleets.fleet import FleetOptions, FleetRobot, fleet
+from calib.fleets.fleet import fleet
+from calib.fleets.fleet_robot import FleetRobot
+from calib.fleets.job import FleetOptions
 from calib.fleets.record import ACCEPTED, DONE, FAILED, WITHHELD, WRITTEN
 from calib.robot.urdf import Urdf
 from calib.simulation.scenario import Scenario
-from tests.fleets.arms import CELL, arms, files
+from tests.fleets.arms import CELL, arm, arms, files
 
 QUICK = FleetOptions(validate=False, reports=False)
 MADE = {"corrected.urdf", "made.json", "result.json", "summary.txt"}
@@ -26,16 +28,15 @@ MADE = {"corrected.urdf", "made.json", "result.json", "summary.txt"}
 
 @pytest.fixture(scope="module")
 def shop(tmp_path_factory, ur3):
-    """A folder with four arms, and what a serial run makes of them."""
+    """A folder with four arms, and the results of a serial run in its folder ``serial``."""
     folder = tmp_path_factory.mktemp("fleet")
     fleet(arms(folder, ur3, range(4)), folder / "serial", QUICK)
     return folder
 
 
 def robots_of(shop: Path, count: int = 4) -> list[FleetRobot]:
-    """Its arms."""
-    of = FleetRobot.of_files
-    return [of(f"arm-{k}", shop / "robot.urdf", shop / f"arm-{k}.csv", CELL) for k in range(count)]
+    """Its first arms."""
+    return [arm(shop, f"arm-{k}") for k in range(count)]
 
 
 def numbers(folder: Path) -> dict[str, object]:
@@ -47,20 +48,20 @@ def numbers(folder: Path) -> dict[str, object]:
 
 
 def test_each_robot_has_a_folder_and_the_fleet_its_tables(shop):
-    there = files(shop / "serial")
-    own = {f"arm-{k}/{name}" for k in range(4) for name in MADE}
-    assert set(there) == {"fleet.csv", "fleet.json", *own}
-    result = json.loads(there["arm-2/result.json"])
-    table = json.loads(there["fleet.json"])
-    assert [one["name"] for one in table["robots"]] == [f"arm-{k}" for k in range(4)]
-    one = table["robots"][2]
-    assert one["status"] == DONE
-    assert one["nominal_rms_m"] == result["errors"]["nominal"]["estimation"]["rms_m"]
-    assert one["calibrated_rms_m"] == result["errors"]["calibrated"]["estimation"]["rms_m"]
-    assert one["sigma_m"] == result["noise"]["sigma_m"]
-    assert one["unseen_rms_m"] is None
+    contents = files(shop / "serial")
+    of_robots = {f"arm-{k}/{name}" for k in range(4) for name in MADE}
+    assert set(contents) == {"fleet.csv", "fleet.json", *of_robots}
+    result = json.loads(contents["arm-2/result.json"])
+    table = json.loads(contents["fleet.json"])
+    assert [robot["name"] for robot in table["robots"]] == [f"arm-{k}" for k in range(4)]
+    robot = table["robots"][2]
+    assert robot["status"] == DONE
+    assert robot["nominal_rms_m"] == result["errors"]["nominal"]["estimation"]["rms_m"]
+    assert robot["calibrated_rms_m"] == result["errors"]["calibrated"]["estimation"]["rms_m"]
+    assert robot["sigma_m"] == result["noise"]["sigma_m"]
+    assert robot["unseen_rms_m"] is None
     deltas = {p["name"]: p["delta"] for p in result["parameters"]}
-    geometry = [p for p in one["parameters"] if "target" not in p["name"]]
+    geometry = [p for p in robot["parameters"] if "target" not in p["name"]]
     assert geometry
     assert all(p["change"] == deltas[p["name"]] for p in geometry)
 
@@ -68,8 +69,8 @@ def test_each_robot_has_a_folder_and_the_fleet_its_tables(shop):
 @pytest.mark.slow
 def test_processes_make_the_same(shop, tmp_path):
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as executor:
-        found = fleet(robots_of(shop), tmp_path / "out", QUICK, executor=executor)
-    assert not found.failed
+        calibrated = fleet(robots_of(shop), tmp_path / "out", QUICK, executor=executor)
+    assert not calibrated.failed
     assert numbers(tmp_path / "out") == numbers(shop / "serial")
 
 
@@ -81,8 +82,8 @@ def test_dask_makes_the_same(shop, tmp_path):
         distributed.Client(cluster) as client,
         client.get_executor() as executor,
     ):
-        found = fleet(robots_of(shop), tmp_path / "out", QUICK, executor=executor)
-    assert not found.failed
+        calibrated = fleet(robots_of(shop), tmp_path / "out", QUICK, executor=executor)
+    assert not calibrated.failed
     assert numbers(tmp_path / "out") == numbers(shop / "serial")
 
 
@@ -90,9 +91,9 @@ def test_only_what_has_changed_is_done_again(tmp_path, ur3):
     out, robots = tmp_path / "out", arms(tmp_path, ur3, range(3))
     assert fleet(robots, out, QUICK).kept == 0
     stamps = {path: path.stat().st_mtime_ns for path in out.rglob("result.json")}
-    told = []
-    assert fleet(robots, out, QUICK, progress=lambda *count: told.append(count)).kept == 3
-    assert told == [(1, 3), (2, 3), (3, 3)]
+    counts = []
+    assert fleet(robots, out, QUICK, progress=lambda *count: counts.append(count)).kept == 3
+    assert counts == [(1, 3), (2, 3), (3, 3)]
     assert {path: path.stat().st_mtime_ns for path in out.rglob("result.json")} == stamps
     assert fleet(robots, out, QUICK, force=True).kept == 0
     assert fleet(robots, out, replace(QUICK, command="calib fleet")).kept == 3
@@ -112,21 +113,21 @@ def test_robots_that_fail_are_named_and_the_others_finished(tmp_path, ur3):
     (out / "arm-2").mkdir()
     (out / "arm-2" / "result.json").write_text("somebody's")
     robots += [
-        FleetRobot.of_files("gone", tmp_path / "robot.urdf", tmp_path / "gone.csv", CELL),
+        arm(tmp_path, "gone"),
         FleetRobot("faulty", lambda _: 1 / 0),
     ]
-    found = fleet(robots, out, QUICK)
-    assert {row.name: row.status for row in found.rows} == {
+    calibrated = fleet(robots, out, QUICK)
+    assert {row.name: row.status for row in calibrated.rows} == {
         "arm-0": FAILED,
         "arm-1": DONE,
         "arm-2": FAILED,
         "gone": FAILED,
         "faulty": FAILED,
     }
-    messages = {row.name: row.message for row in found.failed}
+    messages = {row.name: row.message for row in calibrated.failed}
     assert "gone.csv" in messages["gone"]
     assert "ZeroDivisionError" in messages["faulty"]
-    assert found.kept == 1
+    assert calibrated.kept == 1
     assert files(out / "arm-0") == before
     assert (out / "arm-2" / "result.json").read_text() == "somebody's"
 
@@ -169,11 +170,10 @@ def test_the_example_of_the_document_runs(shop, tmp_path):
 def right(tmp_path, ur3) -> list[FleetRobot]:
     """A robot with errors, and one that its URDF describes: there is nothing to gain, and it is not to be used."""
     wrong = arms(tmp_path, ur3, [0])
-    what = Scenario(ur3, cell=CELL, model="frames")
-    made = what.draw(0).measure(what.random_poses(14, 0), 0)
-    made.measurements.write(tmp_path / "right.csv")
-    of = FleetRobot.of_files
-    return [*wrong, of("right", tmp_path / "robot.urdf", tmp_path / "right.csv", CELL)]
+    no_errors = Scenario(ur3, cell=CELL, model="frames")
+    poses = no_errors.random_poses(14, 0)
+    no_errors.draw(0).measure(poses, 0).measurements.write(tmp_path / "right.csv")
+    return [*wrong, arm(tmp_path, "right")]
 
 
 JUDGED = FleetOptions(reports=False)
@@ -181,10 +181,10 @@ JUDGED = FleetOptions(reports=False)
 
 def test_a_robot_that_is_not_to_be_used_gets_no_urdf_unless_it_is_accepted(right, tmp_path):
     out = tmp_path / "out"
-    found = fleet(right, out, JUDGED)
-    assert [row.urdf for row in found.rows] == [WRITTEN, WITHHELD]
-    assert [row.name for row in found.withheld] == ["right"]
-    assert not found.failed
+    calibrated = fleet(right, out, JUDGED)
+    assert [row.urdf for row in calibrated.rows] == [WRITTEN, WITHHELD]
+    assert [row.name for row in calibrated.withheld] == ["right"]
+    assert not calibrated.failed
     assert set(files(out / "right")) == MADE - {"corrected.urdf"}
     assert set(files(out / "arm-0")) == MADE
     assert fleet(right, out, JUDGED).kept == 2
@@ -230,6 +230,6 @@ def test_somebody_s_urdf_is_not_left_beside_a_result_that_has_none(right, tmp_pa
     folder = tmp_path / "out" / "right"
     folder.mkdir(parents=True)
     (folder / "corrected.urdf").write_text("somebody's")
-    found = fleet(right[1:], tmp_path / "out", JUDGED)
-    assert "corrected.urdf exists already" in found.failed[0].message
+    calibrated = fleet(right[1:], tmp_path / "out", JUDGED)
+    assert "corrected.urdf exists already" in calibrated.failed[0].message
     assert set(files(folder)) == {"corrected.urdf"}

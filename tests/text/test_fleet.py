@@ -29,7 +29,7 @@ def robot(name: str, **values: Any) -> dict[str, Any]:
 
 
 def fleet(*robots: dict[str, Any], **values: Any) -> dict[str, Any]:
-    return {"robots": list(robots), "odd": [], "notes": [], **values}
+    return {"robots": list(robots), "outliers": [], "notes": [], **values}
 
 
 def outlier(name: str, figure: str = "noise", text: str = "noise 9 mm") -> dict[str, str]:
@@ -53,7 +53,7 @@ def test_failed_robots_have_no_row():
 def test_of_a_large_fleet_those_to_look_at_are_listed():
     robots = [robot(f"SN-{k}") for k in range(LISTED + 1)]
     robots[3]["verdict"] = "use with care"
-    _, rows = fleet_cells(fleet(*robots, odd=[outlier("SN-7")]))
+    _, rows = fleet_cells(fleet(*robots, outliers=[outlier("SN-7")]))
     assert [row[0] for row in rows] == ["SN-3", "SN-7"]
 
 
@@ -65,7 +65,7 @@ def test_counts_are_those_of_the_fleet():
         robot("SN-4"),
     ]
     outliers = [outlier("SN-1"), outlier("SN-2", "data", data_text(["SN-4"], "data.csv"))]
-    *paragraphs, counts = fleet_text(fleet(*robots, odd=outliers, notes=["A note."]), kept=2)
+    *paragraphs, counts = fleet_text(fleet(*robots, outliers=outliers, notes=["A note."]), kept=2)
     assert " ".join(counts.split()) == (
         "3 of 4 robots calibrated (2 use, 1 do not use), 2 of them by an earlier run; 1 fleet outlier, 1 with the data "
         "of another, 1 without a corrected URDF, 1 failed."

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import base64
-import hashlib
 import json
 import re
 from dataclasses import replace
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
@@ -15,54 +13,16 @@ import pytest
 from calib.report.figure_base import CALIBRATED, NOMINAL, OUTLIER, VALIDATION
 from calib.viewer.page import FACTORS, magnification, puppets, script_table, view_page
 from calib.viewer.puppet import packed, read_visuals, translation
-from calib.viewer.scene import Key, filled_page
 from calib.viewer.view import View, view_of
 from tests.hard_cases import made
 from tests.viewer.conftest import scene_of
+from tests.viewer.test_html_page import Reader
 
 NASTY = "</script><script>alert(1)</script> \"'&<!-- é漢字 \udcff"
 
 
 #: A name that would run as a script.
 HOSTILE = "<script>document.title='owned'</script>\"'& é漢"
-
-
-class Reader(HTMLParser):
-    """The tags of a page, its visible text and its scripts."""
-
-    def __init__(self, page: bytes) -> None:
-        super().__init__()
-        self.tags, self.text, self.scripts = [], "", []
-        self._inside = ""
-        self.feed(page.decode("utf-8"))
-        self.close()
-
-    def handle_starttag(self, tag, attrs):
-        self._inside = tag
-        self.tags.append((tag, dict(attrs)))
-        if tag == "script":
-            self.scripts.append("")
-
-    def handle_endtag(self, tag):  # noqa: ARG002
-        self._inside = ""
-
-    def handle_data(self, data):
-        if self._inside == "script":
-            self.scripts[-1] += data
-        elif self._inside != "style":
-            self.text += data
-
-
-def make(**changes):
-    arguments = {
-        "title": "UR3",
-        "text": "a fact",
-        "warnings": (),
-        "keys": [Key("arm", "#123456", "arm")],
-        "grid": 0.1,
-        "table": {"labels": ["row 1"]},
-    }
-    return filled_page("page.html", b"scene", **{**arguments, **changes})
 
 
 def table_of(page) -> dict:
@@ -82,29 +42,6 @@ def view(gantry, disturb):
     kinds = ("estimation",) * 30 + ("validation",) * 5
     plain = View(gantry, disturb(gantry), q, kinds=kinds)
     return replace(plain, measured=plain.predicted[1] + rng.normal(0, 1e-4, (35, 3)))
-
-
-def test_only_the_page_s_three_scripts_run_and_nothing_loads():
-    reader = Reader(make())
-    urls = [
-        a for _, a in reader.tags for key in ("src", "href") if (key in a) and a[key] != "data:,"
-    ]
-    assert urls == []
-    (policy,) = [a["content"] for _, a in reader.tags if "http-equiv" in a]
-    assert policy.startswith("default-src 'none';")
-    types = [a.get("type") for tag, a in reader.tags if tag == "script"]
-    assert types == ["text/plain", "application/octet-stream", "application/json", None, None, None]
-    for script in reader.scripts[3:]:
-        digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-        assert f"'sha256-{digest}'" in policy
-    assert policy.count("sha256-") == 3
-    assert base64.b64decode(reader.scripts[1]) == b"scene"
-    for holder in ("Robin Deits", "mrdoob", "Permission is hereby granted"):
-        assert holder in reader.scripts[0]
-    assert "connect-src" not in policy
-    (live,) = [a["content"] for _, a in Reader(make(live=True)).tags if "http-equiv" in a]
-    (sources,) = re.findall(r"connect-src ([^;]*)", live)
-    assert sources.split() == ["'self'", "ws://127.0.0.1:*", "ws://localhost:*"]
 
 
 def test_names_add_no_tag_wherever_they_stand(view):

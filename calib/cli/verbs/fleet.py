@@ -25,7 +25,9 @@ from calib.cli.verb import verb
 from calib.errors import FileError, choices
 
 if TYPE_CHECKING:
-    from calib.fleets.fleet import Fleet, FleetOptions, FleetRobot
+    from calib.fleets.fleet import Fleet
+    from calib.fleets.fleet_robot import FleetRobot
+    from calib.fleets.job import FleetOptions
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +89,8 @@ def fleet(
 ) -> None:
     """Run the verb; its help is the text of `verb`."""
     from calib.cli.manifest import read_manifest
-    from calib.fleets.fleet import CSV, FleetOptions
+    from calib.fleets.fleet import CSV
+    from calib.fleets.job import FleetOptions
 
     if manifest.resolve() == (out / CSV).resolve():
         raise FileError(f"{manifest} would be the table of results too; choose another --out.")
