@@ -94,33 +94,43 @@ def misses_row(title: str, misses: Array) -> list[str]:
     ]
 
 
+def random_rows(result: Calibration, q: Array, commands: Commands) -> Iterator[list[str]]:
+    """Yield the misses of poses without correction, with commands as joint values, and with poses sent.
+
+    Args:
+        result: The calibration; the true robot is its corrected one.
+        q: shape (N, m), joint values of the nominal robot [rad].
+        commands: Their commands.
+    """
+    nominal, true = result.nominal, result.robot
+    poses = nominal.poses(q)
+    reached = commands.reached
+    sendable = reached & ~warned(commands, "ambiguous pose")
+    sent = sent_to_controller(nominal, commands, sendable)
+    by_joints = POSE.misses(true.poses(commands.q[reached]), poses[reached])
+    yield misses_row("without correction", POSE.misses(true.poses(q), poses))
+    yield misses_row("joint values", by_joints)
+    yield misses_row("poses to a controller", POSE.misses(true.poses(sent), poses[sendable]))
+
+
 def print_random(title: str, result: Calibration, count: int, seed: int) -> None:
     """Command random poses as joint values, and as poses to a controller with the nominal model.
 
     Args:
         title: Title of the table.
-        result: The calibration; the true robot is its corrected one.
+        result: The calibration.
         count: Number of poses.
         seed: Of the random numbers.
     """
-    nominal, true = result.nominal, result.robot
-    q = random_joint_values(nominal, count, seed)
+    q = random_joint_values(result.nominal, count, seed)
     began = time.perf_counter()
     commands = compensate(result, Program.of_joints(q))
     seconds = time.perf_counter() - began
-    poses = nominal.poses(q)
+    print(f"\n{title}: {seconds:.2f} s\n")
+    titles = ["commands", "poses", "mean", "largest"]
+    print_table(titles, random_rows(result, q, commands), [21])
     reached = commands.reached
     ambiguous = reached & warned(commands, "ambiguous pose")
-    sendable = reached & ~ambiguous
-    sent = sent_to_controller(nominal, commands, sendable)
-    rows = (
-        ("without correction", q, np.ones(count, dtype=np.bool_)),
-        ("joint values", commands.q[reached], reached),
-        ("poses to a controller", sent, sendable),
-    )
-    print(f"\n{title}: {seconds:.2f} s\n")
-    table = (misses_row(name, POSE.misses(true.poses(at), poses[of])) for name, at, of in rows)
-    print_table(["commands", "poses", "mean", "largest"], table, [21])
     with_reason = all(commands.reasons[row] for row in np.flatnonzero(~reached))
     near_singularity = reached & warned(commands, "near singularity")
     print(f"\nwarned that poses may go astray: {ambiguous.sum()}")

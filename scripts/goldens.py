@@ -122,7 +122,7 @@ def with_needed(names: Iterable[str], cases: Mapping[str, list[str]]) -> set[str
 
 
 def writes_for(writer: list[str], reader: list[str]) -> bool:
-    """Tell if a command writes a file that another one reads."""
+    """Return True if a command writes a file that another one reads."""
     if writer is reader:
         return False
     pairs = itertools.pairwise

@@ -61,7 +61,7 @@ class Comparison:
                 yield from self.differences(f"{path}/{key}", a[key], b[key], scale)
 
     def _equal(self, a: Any, b: Any, scale: float) -> bool:
-        """Tell if two values are equal, numbers but for rounding."""
+        """Return True if two values are equal, numbers but for rounding."""
         if a == b:
             return True
         last_place = 0.0
@@ -114,12 +114,12 @@ def _scale_of(key: str, a: Mapping[str, Any], b: Mapping[str, Any]) -> Any:
 
 
 def _is_number(value: Any) -> bool:
-    """Tell if a value is a number."""
+    """Return True if a value is a number."""
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _is_number_text(value: Any) -> bool:
-    """Tell if a value is a printed number."""
+    """Return True if a value is a printed number."""
     return isinstance(value, str) and NUMBER.fullmatch(value) is not None
 
 

@@ -156,7 +156,7 @@ def rounded(value: Any) -> Any:
 
 
 def _is_sentence(text: str) -> bool:
-    """Tell if a text has four words or more."""
+    """Return True if a text has four words or more."""
     return text.count(" ") > 2
 
 

@@ -101,7 +101,7 @@ class Mistake:
     tip: str = ""  # Tip of the robot that calib is given; the right one if empty
 
     def named_by(self, code: str, *, free: bool) -> bool:
-        """Tell if a code names the mistake, where the measurement frame is free (unknown) or not."""
+        """Return True if a code names the mistake, where the measurement frame is free (unknown) or not."""
         expected = self.unknown_code if free and self.unknown_code else self.code
         return code == expected
 

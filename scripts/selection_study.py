@@ -24,6 +24,7 @@ from itertools import product
 
 import numpy as np
 from arms import load_arm, without_masses
+from numpy.typing import NDArray
 from studies import (
     add_noise,
     draw_seed,
@@ -263,6 +264,26 @@ def gravity_rows(runs: int, workers: int) -> Iterator[list[str]]:
 # geometry
 
 
+@dataclass(frozen=True)
+class Harmonics:
+    """Errors of joint angles that no model holds: dq = amplitude sin(order q + phase)."""
+
+    amplitude: float  # [rad]
+    order: NDArray[np.int_]  # shape (m,)
+    phase: Array  # shape (m,), [rad]
+
+    @classmethod
+    def draw(cls, joints: int, rng: np.random.Generator) -> Harmonics:
+        """Draw the errors of so many joints; half of the robots have none."""
+        amplitude = log_uniform(rng, *UNMODELLED) * bool(rng.integers(2))
+        order = rng.integers(2, 6, joints)
+        return cls(amplitude, order, rng.uniform(0.0, 2.0 * np.pi, joints))
+
+    def reached(self, q: Array) -> Array:
+        """Return the true joint values where q is read, shape (N, m) each, [rad]."""
+        return np.asarray(q + self.amplitude * np.sin(self.order * q + self.phase))
+
+
 def drawn_widely(seed: int) -> tuple[str, Table]:
     """Draw a robot whose families err by widely different amounts, and measure it in a part of its joint ranges.
 
@@ -281,24 +302,16 @@ def drawn_widely(seed: int) -> tuple[str, Table]:
     sizes = None if true_model == "frames" else std
     truth = draw_truth(robot, true_model, sizes, draw_seed(rng), cell=cell)
 
-    joints = len(robot.joint_names)
-    amplitude = log_uniform(rng, *UNMODELLED) * bool(rng.integers(2))
-    order = rng.integers(2, 6, joints)
-    phase = rng.uniform(0.0, 2.0 * np.pi, joints)
-
-    def true_points(q: Array) -> Array:
-        """Return the true points, with harmonic errors of the joint angles that no model holds."""
-        return truth.points(q + amplitude * np.sin(order * q + phase))
-
+    harmonics = Harmonics.draw(len(robot.joint_names), rng)
     centre = random_joint_values(robot, 1, draw_seed(rng))
     share = float(rng.choice(SHARES))
     count = int(rng.choice(GEOMETRY_COUNTS))
     q = joint_values_around(centre, share, robot, count, draw_seed(rng))
     other = joint_values_around(centre, share, robot, OTHER, 98)
-    points = add_noise(true_points(q), log_uniform(rng, *SIGMAS), rng)
+    points = add_noise(truth.points(harmonics.reached(q)), log_uniform(rng, *SIGMAS), rng)
     measurements = Measurements(robot.joint_names, q, points)
-    geometry = true_model.split("+")[0]
-    return geometry, Table(robot, cell, measurements, other, true_points(other))
+    true = truth.points(harmonics.reached(other))
+    return true_model.split("+")[0], Table(robot, cell, measurements, other, true)
 
 
 def run_geometry(seed: int) -> tuple[str, int, float]:

@@ -73,7 +73,7 @@ class Table:
         return rms_length(predicted - self.truth.points(self.fresh))
 
     def named_by(self, result: Calibration) -> bool:
-        """Tell if the verdict names the row with its joint."""
+        """Return True if the verdict names the row with its joint."""
         pair = (self.row + 1, self.truth.nominal.joint_names[self.joint])
         for reason in verdict_of(result).reasons:
             if reason.code == "sole_posture":

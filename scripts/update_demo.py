@@ -1,6 +1,6 @@
 """Make anew what ships with the demo: the corrected UR3, the origins of its joints, and the pictures of the docs.
 
-    .venv/bin/python scripts/update_demo.py [--no-pictures] [--browser chromium]
+    python scripts/update_demo.py [--no-pictures] [--browser chromium]
 
 Tests compare the robots' files with what the demo computes. The pictures are taken by a headless Chromium.
 """
@@ -31,6 +31,7 @@ PICTURES = (
     ("report.png", "report.html", (1000, 1320)),
 )
 
+#: Options of Chromium: a picture of the whole window, and nothing from the network.
 _FLAGS = (
     "--headless",
     "--no-sandbox",
@@ -45,7 +46,7 @@ _FLAGS = (
 def main() -> None:
     """Calibrate as the demo does, write the files beside the nominal URDF, and photograph the pages."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--no-pictures", action="store_true")
+    parser.add_argument("--no-pictures", action="store_true", help="write the files alone")
     parser.add_argument("--browser", default=shutil.which("chromium"), help="Chromium to use")
     arguments = parser.parse_args()
     robot = Robot.load(paper_urdf(), base="base", tip="tool0")
@@ -64,10 +65,11 @@ def main() -> None:
         write_page(result, Path(pages) / "view.html")
         write_report(result, Path(pages) / "report.html", command="calib demo")
         for name, page, (width, height) in PICTURES:
+            file, hash_sign, fragment = page.partition("#")
+            address = (Path(pages) / file).as_uri() + hash_sign + fragment
             command = [arguments.browser, *_FLAGS, f"--user-data-dir={pages}/profile"]
-            command += [f"--window-size={width},{height}", f"--screenshot={DOCS / name}"]
-            address = (Path(pages) / page.split("#")[0]).as_uri() + page[len(page.split("#")[0]) :]
-            subprocess.run([*command, address], check=True, capture_output=True, timeout=120)
+            command += [f"--window-size={width},{height}", f"--screenshot={DOCS / name}", address]
+            subprocess.run(command, check=True, capture_output=True, timeout=120)
             print(f"Written: {DOCS / name}")
 
 

@@ -346,25 +346,15 @@ def sockets_run(truth: Truth, rng: np.random.Generator, count: int, sigma: float
     q, socket = _reach_contacts(truth, rng, contacts, count, sigma)
     true_model = TrueModel.of(truth)
     positions = true_model.position_jacobian(q)
-    parameters = positions.shape[2]
     minus_identity = np.tile(-np.eye(3), (len(q), 1, 1))
     by_sockets = _group_columns(socket, minus_identity)
     J = np.concatenate([positions, by_sockets], axis=2).reshape(3 * len(q), -1) / sigma
-    rows = []
-    bars = []
-    for i in range(len(SOCKETS)):
-        for j in range(i):
-            length, unit = _lengths_and_units(SOCKETS[i] - SOCKETS[j])
-            row = np.zeros(J.shape[1])
-            row[parameters + 3 * i : parameters + 3 * i + 3] = unit / BAR_SIGMA
-            row[parameters + 3 * j : parameters + 3 * j + 3] = -unit / BAR_SIGMA
-            rows.append(row)
-            measured = float(length) + BAR_SIGMA * float(rng.normal())
-            bars.append(GroupDistance(f"socket_{i}", f"socket_{j}", measured, BAR_SIGMA))
+    bars, by_bars = _measure_bars(rng)
+    J_bars = np.column_stack([np.zeros((len(bars), positions.shape[2])), by_bars])
     table = _contact_table(truth, q, "fixed", [f"socket_{k}" for k in socket])
     q_other = draw_joint_values(truth.nominal, OTHER, rng)
-    cell = Cell(distances=tuple(bars))
-    return true_model.run(table, cell, q_other, np.concatenate([J, rows]), free=MOTION)
+    J = np.concatenate([J, J_bars])
+    return true_model.run(table, Cell(distances=bars), q_other, J, free=MOTION)
 
 
 def planes_run(truth: Truth, rng: np.random.Generator, count: int, sigma: float) -> Run:
@@ -429,6 +419,25 @@ def _reach_contacts(
         parts.append(q)
         numbers += [number] * len(q)
     return np.concatenate(parts), np.array(numbers)
+
+
+def _measure_bars(rng: np.random.Generator) -> tuple[tuple[GroupDistance, ...], Array]:
+    """Measure the distances between all sockets.
+
+    Returns:
+        The distances, and their whitened derivative by the sockets' positions, shape (distances, 3 sockets).
+    """
+    bars, rows = [], []
+    for i in range(len(SOCKETS)):
+        for j in range(i):
+            length, unit = _lengths_and_units(SOCKETS[i] - SOCKETS[j])
+            row = np.zeros((len(SOCKETS), 3))
+            row[i] = unit / BAR_SIGMA
+            row[j] = -unit / BAR_SIGMA
+            measured = float(length) + BAR_SIGMA * float(rng.normal())
+            rows.append(row.ravel())
+            bars.append(GroupDistance(f"socket_{i}", f"socket_{j}", measured, BAR_SIGMA))
+    return tuple(bars), np.array(rows)
 
 
 def _contact_table(truth: Truth, q: Array, kind: str, groups: Sequence[str]) -> Measurements:

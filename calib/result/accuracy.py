@@ -351,10 +351,10 @@ def _recognised(c: CalibrationValues, robot: Robot, measurements: Measurements, 
         stored_rows = np.flatnonzero(c.rows.estimation & (stored_used.sum(axis=1) == lengths))
         if not len(rows) or not len(stored_rows):
             continue
-        own = _lengths_of(used, rows, nominal.residual, calibrated.residual)
+        measured = _lengths_of(used, rows, nominal.residual, calibrated.residual)
         stored = _lengths_of(stored_used, stored_rows, c.residual_nominal, c.residual_calibrated)
         tree = KDTree(stored)
-        distance, _ = tree.query(own, p=np.inf, distance_upper_bound=_SAME)
+        distance, _ = tree.query(measured, p=np.inf, distance_upper_bound=_SAME)
         fitted[rows] = distance <= _SAME
     return fitted
 

@@ -147,26 +147,26 @@ def _estimate(result: CalibrationValues, other: CalibrationValues) -> Estimate:
     """
     precision, of_other = _prior_precision(result), _prior_precision(other)
     by_name = dict(zip(other.model.names, of_other, strict=True))
-    own, step = _own_indices(result), _own_steps(result)
-    shared = [min(precision[k], by_name.get(result.model.names[k], np.inf)) for k in own]
+    indices, step = _own_indices(result), _own_steps(result)
+    shared = [min(precision[k], by_name.get(result.model.names[k], np.inf)) for k in indices]
     # Never wider than anything an arm may err by either: with priors off there is none.
     shared = np.clip(shared, 1.0 / (_WIDEST * step) ** 2, 1.0 / (_ROOM * step) ** 2)
     bounded = np.array([p.at_bound for p in result.parameters], dtype=bool)
     common = precision.copy()
-    common[own] = shared
+    common[indices] = shared
     common[bounded] = 0.0
 
     C = covariance_under(result.covariance, common - precision, ~bounded)
-    of_own = C[np.ix_(own, own)]
+    of_own = C[np.ix_(indices, indices)]
     noise = C - (C * common) @ C
-    data_gradient = np.array([result.parameters[k].data_gradient for k in own])
+    data_gradient = np.array([result.parameters[k].data_gradient for k in indices])
     return Estimate(
         covariance=of_own,
-        noise=noise[np.ix_(own, own)],
-        pull=of_own * common[own],
+        noise=noise[np.ix_(indices, indices)],
+        pull=of_own * common[indices],
         prior=1.0 / shared,
         freedom=result.freedom,
-        shift=of_own @ (data_gradient - common[own] * result.x[own]),
+        shift=of_own @ (data_gradient - common[indices] * result.x[indices]),
     )
 
 
@@ -250,15 +250,15 @@ def _prediction(
         Poses by the nominal and by the calibrated robot, shape (N, 4, 4), [m], and the twists of a unit of each own
         parameter at the nominal and at the calibrated robot, shape (N, 6, p).
     """
-    own = _own_indices(result)
-    others = np.delete(np.array(result.model.names), own)
+    indices = _own_indices(result)
+    others = np.delete(np.array(result.model.names), indices)
     frames = np.tile(np.eye(4), (len(result.setup.groups), 1, 1))
     targets = np.tile(first.setup.T_tip_target[0], (len(result.setup.targets), 1, 1))
     kinematics = Kinematics(result.nominal, result.model.without(others), frames, targets)
     # Effects at the nominal robot, from which both count: elsewhere they would differ by what is of second order, and
     # that would look like combinations of their own.
-    nominal, effect = kinematics.twists(np.zeros(len(own)), q)
-    calibrated, slope = kinematics.twists(result.x[own], q)
+    nominal, effect = kinematics.twists(np.zeros(len(indices)), q)
+    calibrated, slope = kinematics.twists(result.x[indices], q)
     return nominal, calibrated, effect, slope
 
 

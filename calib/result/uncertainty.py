@@ -75,7 +75,7 @@ class Bootstrap:
 
     @property
     def everywhere_rms(self) -> float:
-        """The same over joint values spread over the limits [m]."""
+        """Standard deviation of the predicted position over joint values spread over the limits, rms [m]."""
         return rms(self.position_std(Samples.at(spread_poses(self.fitted.task.robot, _POSES))))
 
     @property

@@ -54,28 +54,28 @@ def linear_cross_validation(fitted: Fitted, outliers: Mask | None = None) -> Cro
     residuals = []
     for mask, x in zip(folds.masks, means, strict=True):
         part = linear.select(mask)
-        own = seen_only_by(fitted, mask)
-        if np.any(own):
-            x = _with_own_places(part, x, own, problem.weights[mask])
+        own_places = seen_only_by(fitted, mask)
+        if np.any(own_places):
+            x = _with_own_places(part, x, own_places, problem.weights[mask])
         residuals.append(part.residual(x) * rows.scales[mask])
     return folds.joined(rows, residuals, estimate.outliers if outliers is None else outliers)
 
 
-def _with_own_places(part: LinearProblem, x: Array, own: Mask, weights: Array) -> Array:
+def _with_own_places(part: LinearProblem, x: Array, own_places: Mask, weights: Array) -> Array:
     """Return parameters with those of places that only these rows see fitted to these rows.
 
     Args:
         part: The linear problem of the n held-out rows.
         x: Parameters by the other rows, shape (p,).
-        own: True for the parameters to fit, shape (p,).
+        own_places: True for the parameters to fit, shape (p,).
         weights: Weights of the rows, shape (n,). A row without weight must not move the frame of the others.
     """
     row, _ = np.nonzero(part.used)
     root = np.sqrt(weights)[row]
-    by_others = part.residual(np.where(own, 0.0, x))[part.used]
-    columns = part.A[part.used][:, own]
+    by_others = part.residual(np.where(own_places, 0.0, x))[part.used]
+    columns = part.A[part.used][:, own_places]
     result = x.copy()
-    result[own] = np.linalg.lstsq(columns * root[:, None], by_others * root, rcond=1e-9)[0]
+    result[own_places] = np.linalg.lstsq(columns * root[:, None], by_others * root, rcond=1e-9)[0]
     return np.asarray(result)
 
 
