@@ -50,6 +50,14 @@ def test_the_model_that_made_the_data_is_chosen(
     }
 
 
+def test_the_search_begins_with_the_largest_model_less_what_its_priors_shrink_to_nothing(
+    make_scene,
+):
+    found = chosen(scene_of(make_scene, 100, "dh+compliance", other={"compliance": 1e-4}), 40)
+    assert found.candidates[0].name == "placement+compliance"
+    assert (found.geometry, found.non_geometric) == ("dh", "dh+compliance")
+
+
 def test_tilts_that_no_dh_table_has_need_the_placements(make_scene):
     """Axes 2 to 4 of a UR3 are parallel and stay so in its table; the base is known, so its tilt shows too."""
     assert chosen(scene_of(make_scene, 110, "placement")).geometry == "placement"
