@@ -150,8 +150,8 @@ def _without_repeats(q: Array) -> Array:
     return q[np.sort(first)]
 
 
-def by_joint(robot: Robot, margin: float) -> Array:
-    """Return a margin of each of the robot's columns, shape (m,).
+def margins_by_joint(robot: Robot, margin: float) -> Array:
+    """Return the margin to the limits of each of the robot's joints, shape (m,), [rad] or [m].
 
     Args:
         robot: The robot.
@@ -173,7 +173,7 @@ def planning_ranges(
     Args:
         robot: The robot.
         narrowed: Ranges of single joints by name [rad] or [m].
-        margin: Distance to the URDF's limits, see `by_joint`.
+        margin: Distance to the URDF's limits of joints that turn [rad]; see `margins_by_joint` for those that slide.
         turns: Whether joints that turn, and are not narrowed, go to their limits where these allow more than a turn.
 
     Returns:
@@ -183,7 +183,7 @@ def planning_ranges(
         ModelError: The margin leaves nothing of a range.
     """
     limits = column_limits(robot)
-    gap = by_joint(robot, margin)
+    gap = margins_by_joint(robot, margin)
     ranges = np.array(joint_ranges(robot, narrowed))
     for k, joint in enumerate(robot.inputs):
         if turns and joint.type != "prismatic" and joint.name not in narrowed:

@@ -237,6 +237,9 @@ def _best_moves(costs: Array, barred: tuple[Array, ...]) -> Iterator[_Move]:
     Args:
         costs: shape (size, size), symmetric, the costs between the places of the path.
         barred: See `_barred`.
+
+    Yields:
+        Moves. Their gain is what they add to the length of the path, so that of a move which shortens it is negative.
     """
     size = len(costs)
     step = np.diagonal(costs, 1)  # from place i to i + 1

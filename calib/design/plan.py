@@ -183,8 +183,11 @@ def _conditions(
 
     Args:
         sensitivity: The robot in its cell.
-        region: Where the first target must lie; None: anywhere.
-        body: Checks collisions; None: they are not checked.
+        region: Where the first target must lie, in the robot's base; None: anywhere.
+        body: Checks collisions of the links and of the tracker's beam with them; None: neither is checked.
+
+    Yields:
+        Conditions of joint values, shape (n, m), that return True for those that pass, shape (n,).
     """
     robot, cell = sensitivity.kinematics.robot, sensitivity.cell
     T_tip_target = sensitivity.setup.T_tip_target

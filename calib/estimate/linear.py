@@ -189,7 +189,8 @@ class LinearProblem:
             noise: shape (B, C), of each instrument, in units of the given sigma.
 
         Returns:
-            shape (B, N), in standard deviations, as of rows of three scalars.
+            shape (B, N), >= 0, in standard deviations. Rows of more or fewer scalars are scored by what three scalars
+                of the same probability would have.
         """
         norms = self.norms(x, covariance, weights, 1.0 / self.noise_by_scalar(noise))
         return point_scores(norms, np.sum(self.used, axis=1))

@@ -276,12 +276,15 @@ class Problem:
     def independent(self, values: Array, weights: Array) -> Array:
         """Transform whitened values so that the errors which targets of a stop share are independent.
 
+        The values of a stop are multiplied by K^-1/2, the root of its covariance; see `calib.estimate.stop_errors`.
+
         Args:
-            values: shape (N, D, q), residuals or Jacobians, whitened.
-            weights: shape (N,), weights of the rows in them.
+            values: shape (N, D, q), residuals or columns of Jacobians in units of the noise, multiplied by the roots
+                of the rows' weights.
+            weights: shape (N,), these weights.
 
         Returns:
-            shape (N, D, q); as they are where no errors are shared.
+            shape (N, D, q), in the same units; as they are where no errors are shared.
         """
         if self.stops is None or not np.any(self.rho):
             return values

@@ -200,7 +200,17 @@ class Stage:
         return stage
 
     def _row_weights(self, linear: LinearProblem) -> Array:
-        """Weights that follow from the scores of the linear fit, shape (B, N); of few rows all keep theirs."""
+        """Weight the rows of each fit by their scores under the linear fit.
+
+        Where few degrees of freedom are left, or the weights would reject more than `_MOST_OUTLIERS` of a fit's rows,
+        every row that the fit has keeps the weight 1.
+
+        Args:
+            linear: The linearised problem.
+
+        Returns:
+            shape (B, N), from 0 to 1; 0 for rows that a fit does not have.
+        """
         x, covariance, freedom = self.scoring_fit(linear)
         count = np.sum(self.kept, axis=1)
         scores = linear.scores(x, covariance, self.effective, self.noise)
@@ -230,7 +240,7 @@ class Stage:
         return replace(self, share=1.0 / (1.0 + others * rho[:, None]))
 
     def _correlation_of_repeats(self, linear: LinearProblem, poses: Integers) -> Array:
-        """Correlation of repeats in each fit, shape (B,); 1 where there are too few of them."""
+        """Estimate the correlation of repeats in each fit, shape (B,); 1 where there are too few of them."""
         x, _, freedom = self.fit(linear)
         residual = linear.residual(x) / linear.noise_by_scalar(self.noise)
         scalars = np.sum(self.effective @ linear.used, axis=1)
@@ -272,8 +282,8 @@ class Stage:
         """Return the stage with some of the B fits replaced.
 
         Args:
-            fits: Numbers of the fits, from 0.
-            new: Their stage.
+            fits: Numbers of the fits to replace, from 0, shape (n,).
+            new: A stage of these n fits alone, in the order of ``fits``.
         """
 
         def joined(old_values: Array, new_values: Array) -> Array:

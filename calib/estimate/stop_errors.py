@@ -1,8 +1,9 @@
 """Stops: targets that are seen while the robot stands still are parts of one rigid body, and share its displacement.
 
-The robot's repeatability and what the model lacks displace that body by a translation and a rotation about the
-centroid of its targets, random and independent from stop to stop. A stop's scalars, in units of their sigma, have the
-covariance
+A stop is one standstill of the robot at which several targets are measured; a cell is one of these targets at that
+stop, whose repeats it holds. The robot's repeatability and what the model lacks displace that body by a translation and
+a rotation about the centroid of its targets, random and independent from stop to stop. A stop's scalars, in units of
+their sigma, have the covariance
 
     V = noise^2 K,        K = kappa I + rho_t J_t J_t^T + rho_r J_r J_r^T,        kappa = 1 - rho_t - rho_r
 
@@ -89,10 +90,13 @@ class Moments:
         return rho
 
     def _components(self, rho: Array) -> Array:
-        """Variances theta of independent errors, translations and rotations, shape (3,), the last two >= 0.
+        """Estimate the variances theta of independent errors, translations and rotations, the last two >= 0.
 
         Args:
             rho: shape (2,), shares at which the equations are set up.
+
+        Returns:
+            theta, shape (3,), in the square of the residual's unit.
         """
         left, right = self._equations(rho)
         free = np.diagonal(left) > 0.0  # no translation moves angles
@@ -104,9 +108,17 @@ class Moments:
             free[1 + int(np.argmin(theta[1:]))] = False
 
     def _equations(self, rho: Array) -> tuple[Array, Array]:
-        """The equations for theta of the module's text at some shares, shapes (3, 3) and (3,).
+        """Set up the equations of the module's text for theta.
 
-        With T = (kappa I + S M)^-1, J S J^T = G G^T and H = T S, K^-1 J = J T and K^-1 = (I - J H J^T) / kappa.
+        The shares S = diag(rho_t, rho_t, rho_t, rho_r, rho_r, rho_r) give G G^T = J S J^T. With
+        T = (kappa I + S M)^-1 and H = T S, K^-1 J = J T and K^-1 = (I - J H J^T) / kappa.
+
+        Args:
+            rho: shape (2,), the shares of translations and rotations in the variance of a scalar.
+
+        Returns:
+            The traces tr(K^-1 K_i K^-1 K_j), shape (3, 3), where K_i is the derivative of V by theta_i, and the right
+            side, shape (3,), in the square of the residual's unit.
         """
         kappa, S, M, R = _unshared(rho), _roots(rho) ** 2, self.M, self.R
         T = np.linalg.inv(kappa * np.eye(6) + S[:, None] * M)
@@ -126,7 +138,10 @@ class Moments:
 
 
 def _shares_of(theta: Array) -> Array:
-    """The shares of the last two of three variances, which leave the first at least `_LEAST_UNSHARED`."""
+    """Return the shares rho, shape (2,), of the last two of three variances, shape (3,) and >= 0 but for the first.
+
+    Their sum is at most 1 - `_LEAST_UNSHARED`.
+    """
     shares = theta[1:] / max(float(np.sum(theta)), _TINY)
     return np.asarray(shares / max(float(np.sum(shares)) / (1.0 - _LEAST_UNSHARED), 1.0))
 
@@ -202,7 +217,7 @@ class Stops:
         must the displacement that it shares.
 
         Args:
-            count: shape (N,), how often each row's stop was drawn.
+            count: shape (N,), how often the stop of each of the table's rows was drawn; 0: not at all.
         """
         often = count[self.rows, None, None]
         return replace(self, J=np.where(often > 0, self.J / np.sqrt(np.maximum(often, 1)), 0.0))
@@ -212,8 +227,8 @@ class Stops:
 
         Args:
             columns: shape (q, D, N), of the table's scalars, in units of their sigma.
-            weights: shape (B, N), of its rows.
-            rho: shape (B, C, 2), the shares of each of C instruments.
+            weights: shape (B, N), of its rows: the variance of a row's scalars is divided by its weight.
+            rho: shape (B, C, 2), the shares of each of C instruments, of translations and of rotations.
 
         Returns:
             X^T (K^-1 - I) X with the weighted columns X of each instrument, shape (B, C, q, q); log det K, shape (B,).
@@ -232,13 +247,16 @@ class Stops:
     def _correction(
         self, X: Array, weights: Array, c: int, rho: Array
     ) -> tuple[Array, tuple[float, float]]:
-        """Change of the normal equations of one instrument, shape (q, q), and two terms of log det K.
+        """Correct the normal equations of one instrument.
 
         Args:
-            X: shape (K, D, q), columns of these rows.
+            X: shape (K, D, q), columns of these rows, in units of their sigma.
             weights: shape (N,), of the table's rows.
-            c: The instrument's number.
+            c: The instrument's number, from 0.
             rho: shape (2,), its shares.
+
+        Returns:
+            X^T (K^-1 - I) X with the weighted columns, shape (q, q); two terms whose sum is log det K.
         """
         means, J, count = self._means(X, weights, c)
         kappa, G = _unshared(rho), J * _roots(rho)
@@ -280,13 +298,16 @@ class Stops:
         return result
 
     def _change_of_means(self, X: Array, weights: Array, c: int, rho: Array) -> Array:
-        """Change of the cells' means, shape (M, D, q), by which those of a stop become independent.
+        """Return what must be added to the cells' means so that those of a stop are independent: (K^-1/2 - I) means.
 
         Args:
-            X: shape (K, D, q), columns of these rows.
-            weights: shape (N,), of the table's rows.
-            c: The instrument's number.
-            rho: shape (2,), its shares.
+            X: shape (K, D, q), columns of these rows, in units of their noise.
+            weights: shape (N,), of the table's rows: the variance of a row's scalars is divided by its weight.
+            c: The instrument's number, from 0.
+            rho: shape (2,), its shares of translations and rotations; K has the kappa that they leave.
+
+        Returns:
+            shape (M, D, q), in units of the noise; zero for scalars of other instruments.
         """
         means, J, _ = self._means(X, weights, c)
         kappa = _unshared(rho)
@@ -303,7 +324,7 @@ class Stops:
         Args:
             columns: shape (p + 1, D, N), the derivative A of the prediction and the residual, in units of sigma.
             weights: shape (N,), of the rows.
-            c: The instrument's number.
+            c: The instrument's number, from 0.
             x: shape (p,), the solution, relative to where the residual of ``columns`` was taken.
             C: shape (p, p), its covariance.
 
@@ -331,7 +352,7 @@ class Stops:
         Args:
             X: shape (K, D, q), columns of these rows.
             weights: shape (N,), of the table's rows.
-            c: The instrument's number.
+            c: The instrument's number, from 0.
 
         Returns:
             Means of the columns, shape (M, D, q), of the Jacobian by the body, shape (M, D, 6), and numbers of scalars,
@@ -347,15 +368,15 @@ class Stops:
         return both[..., :-6], both[..., -6:], count
 
     def _sums(self, values: Array) -> Array:
-        """Sums of values (M, ...) over the cells of each stop, shape (S, ...)."""
+        """Sum values (M, ...) over the cells of each stop, shape (S, ...)."""
         return np.asarray(np.add.reduceat(values, self._first_cell))
 
     def _rows_of(self, columns: Array) -> Array:
-        """The columns (q, D, N) of these rows, shape (K, D, q)."""
+        """Return the columns (q, D, N) of these rows, shape (K, D, q)."""
         return np.ascontiguousarray(columns[:, :, self.rows].transpose(2, 1, 0))
 
     def _parts(self) -> list[Stops]:
-        """The stops in parts of about `_PART` rows, each stop whole."""
+        """Return the stops in parts of about `_PART` rows, each stop whole."""
         if len(self.rows) <= _PART:
             return [self]
         first = self._first_row[self._first_cell][self._stop_of_cell][self._cell_of_row]
@@ -363,7 +384,7 @@ class Stops:
         return [self._some(part == k) for k in np.unique(part)]
 
     def _some(self, kept: Mask) -> Stops:
-        """The stops of some of these rows, by a mask (K,); numbers in the table stay."""
+        """Return the stops of some of these rows, by a mask (K,); numbers in the table stay."""
         return Stops(
             rows=self.rows[kept],
             cells=self.cells[kept],
@@ -374,7 +395,7 @@ class Stops:
 
 
 def _stop_of_rows(rows: Rows) -> Integers | None:
-    """Number of the stop of each row, shape (N,); -1 for rows of stops with one target; None where all are such."""
+    """Number the stop of each row, shape (N,); -1 for rows of stops with one target; None where all are such."""
     target = rows.samples.target
     if not len(rows) or target.min() == target.max():
         return None
@@ -389,12 +410,12 @@ def _stop_of_rows(rows: Rows) -> Integers | None:
 
 
 def _unshared(rho: Array) -> float:
-    """The share kappa of a scalar's variance that is independent of the other targets of its stop."""
+    """Return the share kappa of a scalar's variance that is independent of the other targets of its stop."""
     return float(max(1.0 - np.sum(rho), _LEAST_UNSHARED))
 
 
 def _roots(rho: Array) -> Array:
-    """The square root of the share of each direction of a displacement, shape (6,)."""
+    """Return the square root of the share of each direction of a displacement, shape (6,)."""
     return np.repeat(np.sqrt(rho), 3)
 
 

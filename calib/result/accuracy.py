@@ -360,7 +360,7 @@ def _recognised(c: CalibrationValues, robot: Robot, measurements: Measurements, 
 
 
 def _lengths_of(used: Mask, rows: Integers, nominal: Array, calibrated: Array) -> Array:
-    """Return the residual lengths of some rows by both robots, side by side, shape (n, 2 k), [m].
+    """Return the signed residuals in length of some rows by both robots, side by side, shape (n, 2 k), [m].
 
     Args:
         used: True for the k lengths that each row measures, shape (N, 3).

@@ -350,7 +350,12 @@ def _spread_samples(fitted: Fitted) -> Samples:
 
 
 def _non_geometric(fits: Fits, validation: CrossValidation | None) -> NonGeometric | None:
-    """Return the non-geometric model of the result, if there is one."""
+    """Return the non-geometric model of the result; None if none was fitted.
+
+    Args:
+        fits: The fits of the result.
+        validation: Cross-validation of the non-geometric fit; None: it was not run.
+    """
     fitted = fits.non_geometric
     if fitted is None:
         return None

@@ -80,9 +80,14 @@ _NARROW = 1.0 / 3.0
 def doubts_of(result: CalibrationValues, rows: Rows) -> tuple[Reason, ...]:
     """List the reasons for doubt about a result besides its errors.
 
+    They concern the fit of the non-geometric model where the result has one, else that of the geometry.
+
     Args:
         result: A result in memory, with its fits.
         rows: The rows that were fitted, those of sole postures marked.
+
+    Returns:
+        Reasons in the order of the report; empty where there is no doubt.
     """
     best = result.fit_in_memory.non_geometric or result.fitted
     return tuple(_doubts(result, best, rows))
@@ -296,12 +301,12 @@ def _noise_of(fitted: Fitted, model: str) -> float | None:
 def noise_doubts(
     result: CalibrationValues, fitted: Fitted, doubts: tuple[Reason, ...]
 ) -> Iterator[Reason]:
-    """Say if the noise of a fit is above the one stated, or, where none is stated, above that of instruments.
+    """Yield a reason for each instrument whose noise exceeds the stated or, without one, a usual one.
 
     Args:
         result: The result with its table and cell.
-        fitted: The fit.
-        doubts: Doubts so far; where a model lacks something, residuals are no noise.
+        fitted: The fit. Its noise is the ratio of the estimated to the given standard deviation, for each instrument.
+        doubts: Doubts so far; where a model lacks something, residuals are no noise, and nothing is yielded.
     """
     codes = {doubt.why for doubt in doubts}
     if Why.MODEL_LACKS in codes:

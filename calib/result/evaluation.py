@@ -155,12 +155,13 @@ def _not_given(setup: Setup) -> tuple[str, ...]:
 def _with_known(setup: Setup, known: Setup, which: tuple[str, ...]) -> Setup:
     """Return a table's measurement setup with the frames and targets of an earlier result.
 
-    The only one of a result stands for the only one of a table; but a target that is named otherwise is another.
+    They are matched by name. Where table and result have one frame each, or one target, these are matched whatever
+    they are called; but a single target that the table names, so that it is not the default one, is matched by name.
 
     Args:
         setup: Of the table.
         known: Of the result.
-        which: What to take from it: some of `PLACES`.
+        which: What to take from the result: ``"frame"``, ``"target"``, or both.
 
     Raises:
         ModelError: Frames are to be taken, and the table has a station that the result lacks.

@@ -79,6 +79,10 @@ def fit_table(
         solver: Likewise.
         robust: Whether outliers lose their weight.
 
+    Returns:
+        The fits. A usual mistake in the table is not raised but returned as their ``mistake``; the model ``"auto"`` is
+        then ``"zeros"``, since no larger one of such measurements means anything.
+
     Raises:
         ModelError: An unknown parameter set, parameter or solver, or measurements that the model does not cover.
         MeasurementError: Too few rows, or columns that the robot needs are missing.

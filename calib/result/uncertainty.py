@@ -98,10 +98,11 @@ class Bootstrap:
         return np.asarray(ends + (values - self.fitted.estimate.x)[:, None])
 
     def positions(self, where: SamplesOrValues) -> Array:
-        """Predict the target by each sample, in the measurement frame.
+        """Predict the target's position by each sample of the bootstrap, in the measurement frame.
 
         Args:
-            where: As of `position_std`.
+            where: N samples, which name the frame and target of each, or joint values of shape (N, m), [rad] or [m],
+                for the first frame and target.
 
         Returns:
             shape (count, N, 3), [m].

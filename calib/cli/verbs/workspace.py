@@ -170,7 +170,7 @@ def _joint_ranges(
     arm: Robot, cell: Cell, ranges: RangeOptions, tables: Mapping[Path, Measurements]
 ) -> Array:
     """Return the lowest and highest value of each joint, shape (m, 2), [rad] or [m]."""
-    from calib.design.candidates import by_joint
+    from calib.design.candidates import margins_by_joint
     from calib.robot.ranges import joint_ranges
     from calib.units import ANGLE, parse_amount
 
@@ -179,7 +179,7 @@ def _joint_ranges(
     if ranges.like is not None:
         rows = tables[ranges.like]
         measured = rows.joints_for(arm.joint_names)[rows.estimation]
-    return joint_ranges(arm, cell.ranges, measured, by_joint(arm, margin))
+    return joint_ranges(arm, cell.ranges, measured, margins_by_joint(arm, margin))
 
 
 def _target(cell: Cell) -> Array:
