@@ -23,6 +23,9 @@ hypothesis.settings.register_profile(
 )
 hypothesis.settings.load_profile("calib")
 
+#: Fixtures of calibrations, tables and virtual cells.
+pytest_plugins = ["tests.fits"]
+
 JointSpec = tuple[str, Sequence[float], Sequence[float], Sequence[float]]
 
 

@@ -28,11 +28,6 @@ POINT = 0
 
 
 @pytest.fixture(scope="session")
-def ur3() -> Robot:
-    return Robot.load(paper_urdf(), base="base", tip="tool0")
-
-
-@pytest.fixture(scope="session")
 def table(ur3: Robot) -> Measurements:
     return Measurements.read(paper_measurements(), ur3.joint_names, ur3.joint_types)
 

@@ -1,32 +1,8 @@
-"""The paper's UR3, its table, and calibrations of virtual cells."""
+"""Scenes with several frames and targets."""
 
 from __future__ import annotations
 
 import pytest
-
-from tests.fits import (
-    calibrated,
-    case,
-    default_result,
-    join,
-    make_scene,
-    paper_cell,
-    table,
-    ur3,
-    virtual,
-)
-
-__all__ = [
-    "calibrated",
-    "case",
-    "default_result",
-    "join",
-    "make_scene",
-    "paper_cell",
-    "table",
-    "ur3",
-    "virtual",
-]
 
 
 @pytest.fixture(scope="module")
