@@ -181,6 +181,14 @@ def test_a_step_is_found_at_its_row(poses, repeats, row):
     assert found.size == pytest.approx(5.0, abs=1.0)
 
 
+def test_a_step_is_found_at_its_row_where_rows_near_it_are_as_improbable():
+    table = Table(np.random.default_rng(12), 400, columns=10)
+    by = np.array([4000.0, 0.0, -3000.0])
+    found = table.step((np.arange(400) >= 137)[:, None] * by)
+    assert (found.row, found.test.p < 1e-280) == (137, True)
+    assert found.size == pytest.approx(5000.0, abs=1.0)
+
+
 def points(robot: Robot, q: np.ndarray, target: np.ndarray) -> np.ndarray:
     """Where a target fixed to the tip lies in the base, (N, 3)."""
     T = robot.poses(q)

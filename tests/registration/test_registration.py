@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.data.cell import Cell
+from calib.errors import MeasurementError
 from calib.model.error_model import frame_and_target_model
 from calib.model.parameters import FRAME
 from calib.registration.registration import _system, register
@@ -163,6 +164,28 @@ def test_the_right_robot_is_registered_exactly(make_scene, join, case):
     assert rms(scene, found, rows) < 1e-9
     if case != "pairs":  # they are blind to where the frame stands
         assert off(scene, found)[0] < 1e-7
+
+
+@pytest.mark.parametrize(
+    ("counts", "message"),
+    [
+        ([2], "2 rows with 6 numbers for 9 unknowns"),
+        ([2, 2], "4 rows with 12 numbers for 15 unknowns"),
+        # Enough numbers, but two points leave the rotation about the line through them.
+        ([8, 2], "2 rows with 6 numbers for 6 unknowns"),
+    ],
+)
+def test_fewer_numbers_than_unknowns_are_refused(make_scene, join, counts, message):
+    scene = make_scene(12, frames=2)
+    table = join(*(scene.points(count, f) for f, count in enumerate(counts)))
+    with pytest.raises(MeasurementError, match=message):
+        registered(scene, table, FREE)
+
+
+def test_three_points_are_enough_at_a_further_station(make_scene, join):
+    scene = make_scene(12, frames=2, length=0.0, angle=0.0)
+    found, _, _ = registered(scene, join(scene.points(8, 0), scene.points(3, 1)), FREE)
+    assert off(scene, found)[0] < 1e-7
 
 
 def test_the_derivative_in_every_frame_and_target_against_differences(make_scene, join):
