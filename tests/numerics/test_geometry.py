@@ -93,3 +93,13 @@ def test_the_derivative_of_the_logarithm_against_its_inverse_series(angle):
         (-1.0) ** k * np.linalg.matrix_power(cross, k) / factorial(k + 1) for k in range(40)
     )
     np.testing.assert_allclose(inverse_right_jacobian(turned)[0], np.linalg.inv(series), atol=1e-7)
+
+
+@pytest.mark.parametrize("angle", [2e-5, 0.9e-4, 1.1e-4])
+def test_the_inverse_right_jacobian_of_small_rotations_is_its_series(angle):
+    """To the second order, on both sides of the angle below which the closed form loses its digits."""
+    r = angle * np.array([0.6, -0.48, 0.64])
+    cross = np.cross(r, np.eye(3)).T
+    J = inverse_right_jacobian(Rotation.from_rotvec(r[None]))[0]
+    second = J - np.eye(3) - 0.5 * cross
+    np.testing.assert_allclose(second, cross @ cross / 12.0, atol=0.02 * angle**2)

@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 
 from calib.model.error_model import DIRECTIONS
-from calib.result.difference import Displacement, differences_of, own_names, unknown_frame
+from calib.result.difference import (
+    Displacement,
+    _estimate,
+    differences_of,
+    own_names,
+    unknown_frame,
+)
 
 
 def test_own_parameters_are_those_of_no_frame_and_no_target(calibrated):
@@ -67,3 +73,23 @@ def test_orientations_count_at_the_end_of_a_lever(calibrated):
     move = differences_of(c, replace(c, x=x), same_start=True).moves[0]
     assert move.rms > 1e-4
     assert 0.0 < move.rms_angle < 2e-3
+
+
+def test_an_estimate_under_common_priors_is_that_of_a_fit_with_them(calibrated):
+    """Its covariance by the information of the data alone, with the wider of the priors added."""
+    _, c = calibrated("points")
+    prior_std = np.array([p.prior_std for p in c.parameters])
+    wider = replace(
+        c, parameters=tuple(replace(p, prior_std=3.0 * p.prior_std) for p in c.parameters)
+    )
+    found = _estimate(c, wider)
+    of_data = np.linalg.inv(c.covariance) - np.diag(np.nan_to_num(prior_std**-2.0))
+    own = [name in own_names(c) for name in c.model.names]
+    common = np.nan_to_num(prior_std**-2.0)
+    common[own] = 1.0 / found.prior
+    expected = np.linalg.inv(of_data + np.diag(common))[np.ix_(own, own)]
+    std = np.sqrt(np.diag(expected))
+    correlation = found.covariance / np.outer(std, std)
+    np.testing.assert_allclose(correlation, expected / np.outer(std, std), atol=1e-3)
+    # Nine times the variance, or more where that leaves too little room for a drift.
+    assert np.all(found.prior >= 0.99 * 9.0 * prior_std[own] ** 2)
