@@ -100,9 +100,12 @@ def plain(value: Any) -> Any:  # noqa: ANN401  any value
 class Key:
     """Path of an attribute in the file, and functions for a value that its type does not say how to write."""
 
-    path: str  #: Keys of nested tables, separated by dots.
-    write: Callable[[Any], Any] | None = None  #: From the attribute to the file; None: by its type.
-    read: Callable[[Any], Any] | None = None  #: From the file to the attribute; None: by its type.
+    #: Keys of nested tables, separated by dots.
+    path: str
+    #: From the attribute to the file; None: by its type.
+    write: Callable[[Any], Any] | None = None
+    #: From the file to the attribute; None: by its type.
+    read: Callable[[Any], Any] | None = None
 
 
 @dataclass(frozen=True, slots=True)

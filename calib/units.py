@@ -30,9 +30,12 @@ Quantity = Literal["length", "angle", "torque", "force", "mass"]
 class Unit:
     """A unit of one quantity: ``value_si = value * to_si``."""
 
-    symbol: str  #: As written in a header, ``"mm"``.
-    quantity: Quantity  #: Of the SI units m, rad, Nm, N and kg.
-    to_si: float  #: One of this unit, in the SI unit.
+    #: As written in a header, ``"mm"``.
+    symbol: str
+    #: Of the SI units m, rad, Nm, N and kg.
+    quantity: Quantity
+    #: One of this unit, in the SI unit.
+    to_si: float
 
 
 _ROWS: tuple[tuple[str, Quantity, float], ...] = (

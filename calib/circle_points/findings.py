@@ -42,8 +42,10 @@ class SweepFinding:
     #: ``gross`` (an outlier), ``radial`` and ``axial`` (residuals of neighbours are correlated), ``scatter`` (the noise
     #: is larger than sigma).
     code: str
-    where: str  #: File, and row or sweep.
-    value: float  #: Distance of the outlier [m], the correlation, or the factor.
+    #: File, and row or sweep.
+    where: str
+    #: Distance of the outlier [m], the correlation, or the factor.
+    value: float
 
 
 def with_positive_sense(

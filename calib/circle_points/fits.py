@@ -67,14 +67,19 @@ _TOO_SHORT = (
 class Plane:
     """Plane through N points."""
 
-    point: Array  #: On the plane, the points' weighted mean, shape (3,) [m]
-    basis: Array  #: Columns u, v, normal; shape (3, 3). The normal's sense means nothing
+    #: On the plane, the points' weighted mean, shape (3,) [m]
+    point: Array
+    #: Columns u, v, normal; shape (3, 3). The normal's sense means nothing
+    basis: Array
     #: shape (3, 3), of the displacement along the normal at ``point`` [m] and of the normal's tilt towards u and v
     #: [rad]
     covariance: Array
-    residuals: Array  #: Signed distances of all points, shape (N, 1) [m]
-    used: Mask  #: Points that the plane is fitted to, outliers rejected, shape (N,)
-    noise: float  #: Standard deviation of one coordinate from the residuals [m]
+    #: Signed distances of all points, shape (N, 1) [m]
+    residuals: Array
+    #: Points that the plane is fitted to, outliers rejected, shape (N,)
+    used: Mask
+    #: Standard deviation of one coordinate from the residuals [m]
+    noise: float
     #: The one that was given, root of the mean square over the points [m]; None where none was
     given: float | None
     #: Degrees of freedom of the noise in the covariance; infinite where it is the given one, which the residuals allow
@@ -95,8 +100,10 @@ class Circle(Plane):
     tilt towards u and v [rad], and of the radius [m].
     """
 
-    radius: float  #: [m]
-    angles: Array  #: Of the points about the normal, from u, in (-pi, pi], shape (N,) [rad]
+    #: [m]
+    radius: float
+    #: Of the points about the normal, from u, in (-pi, pi], shape (N,) [rad]
+    angles: Array
 
     @property
     def arc(self) -> float:
@@ -121,11 +128,16 @@ class Circle(Plane):
 class _Fit(NamedTuple):
     """Plane or circle fitted to some of N points; residuals and Jacobian are those of all of them."""
 
-    residuals: Array  # (N, k) [m]
-    jacobian: Array  # (N, k, p), of the residuals by the displacements of the figure
-    point: Array  # (3,), on the plane, or the centre [m]
-    basis: Array  # (3, 3), columns u, v, normal
-    radius: float = np.inf  # [m]
+    #: (N, k) [m]
+    residuals: Array
+    #: (N, k, p), of the residuals by the displacements of the figure
+    jacobian: Array
+    #: (3,), on the plane, or the centre [m]
+    point: Array
+    #: (3, 3), columns u, v, normal
+    basis: Array
+    #: [m]
+    radius: float = np.inf
 
 
 def fit_plane(points: Array, sigma: Array | None = None, *, robust: bool = True) -> Plane:

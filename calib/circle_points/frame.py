@@ -44,8 +44,10 @@ _STEP = 3e-6
 class Line(NamedTuple):
     """Axis, or plane with its normal."""
 
-    point: Array  #: shape (3,), on it [m].
-    direction: Array  #: shape (3,), unit vector.
+    #: Shape (3,), on it [m].
+    point: Array
+    #: Shape (3,), unit vector.
+    direction: Array
 
     def seen_from(self, T: Array) -> Line:
         """Return the line in another frame, by the pose T (4, 4) of its own frame there [m]."""
@@ -83,10 +85,12 @@ def nominal_axes(robot: Robot) -> tuple[Line, ...]:
 class BaseFrame:
     """Base frame and its uncertainty."""
 
-    T_tracker_base: Array  #: Pose of the base in the tracker's frame, shape (4, 4) [m]
+    #: Pose of the base in the tracker's frame, shape (4, 4) [m]
+    T_tracker_base: Array
     #: Of the twist xi (displacement [m], rotation [rad], in the base's axes) in T_tracker_base exp(xi), shape (6, 6)
     covariance: Array
-    dof: Array  #: Degrees of freedom of each component's variance, shape (6,); infinite where the noise was given
+    #: Degrees of freedom of each component's variance, shape (6,); infinite where the noise was given
+    dof: Array
 
     @property
     def T_base_tracker(self) -> Array:

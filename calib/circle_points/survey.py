@@ -57,12 +57,16 @@ _SIGMAS = 6.0
 class JointAxis:
     """Axis of a joint, from its sweep."""
 
-    name: str  #: Name of the joint
+    #: Name of the joint
+    name: str
     #: In the tracker's frame, its normal in the joint's positive sense: centre and normal are the axis
     circle: Circle
-    rows: tuple[int, ...]  #: The points' numbers in the file
-    point: Array  #: The circle's centre in the base, shape (3,) [m]
-    direction: Array  #: Its normal in the base, shape (3,)
+    #: The points' numbers in the file
+    rows: tuple[int, ...]
+    #: The circle's centre in the base, shape (3,) [m]
+    point: Array
+    #: Its normal in the base, shape (3,)
+    direction: Array
     #: shape (6, 6), of point [m] and direction in the base, the base's own uncertainty included
     covariance: Array
 
@@ -71,24 +75,36 @@ class JointAxis:
 class AxisPair:
     """Angle and distance of two neighbouring axes; those of the URDF are NaN without one."""
 
-    joints: tuple[str, str]  #: Names of the joints
-    angle: float  #: In [0, pi] [rad]
-    distance: float  #: Their shortest one, positive along n_1 x n_2, or between parallel axes [m]
-    angle_std: float  #: [rad]
-    distance_std: float  #: [m]
-    angle_nominal: float  #: [rad]
-    distance_nominal: float  #: [m]
+    #: Names of the joints
+    joints: tuple[str, str]
+    #: In [0, pi] [rad]
+    angle: float
+    #: Their shortest one, positive along n_1 x n_2, or between parallel axes [m]
+    distance: float
+    #: [rad]
+    angle_std: float
+    #: [m]
+    distance_std: float
+    #: [rad]
+    angle_nominal: float
+    #: [m]
+    distance_nominal: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Survey:
     """Results of all sweeps."""
 
-    frame: BaseFrame  #: The base frame
-    plane: Plane  #: The mounting plane as measured, in the tracker's frame
-    joints: tuple[JointAxis, ...]  #: The swept joints, from the first one on
-    pairs: tuple[AxisPair, ...]  #: Of each joint and the next
-    findings: tuple[SweepFinding, ...]  #: What is wrong with the sweeps
+    #: The base frame
+    frame: BaseFrame
+    #: The mounting plane as measured, in the tracker's frame
+    plane: Plane
+    #: The swept joints, from the first one on
+    joints: tuple[JointAxis, ...]
+    #: Of each joint and the next
+    pairs: tuple[AxisPair, ...]
+    #: What is wrong with the sweeps
+    findings: tuple[SweepFinding, ...]
 
     def table(self) -> dict[str, Any]:
         """Return all of it as nested tables of plain values and arrays, SI units, see docs/base-frame.md."""
@@ -184,10 +200,14 @@ def _check_upright(frame: BaseFrame, first: Circle, plane: Plane) -> None:
 class _Geometry:
     """Axes in the base, and angles and distances of neighbours, with their covariance."""
 
-    axes: Array  # (n, 2, 3), point [m] and direction of each
-    axes_covariance: Array  # (n, 6, 6), of each
-    neighbours: Array  # (n - 1, 2), angle [rad] and distance [m] of each axis and the next
-    neighbours_std: Array  # (n - 1, 2), their standard deviations
+    #: (n, 2, 3), point [m] and direction of each
+    axes: Array
+    #: (n, 6, 6), of each
+    axes_covariance: Array
+    #: (n - 1, 2), angle [rad] and distance [m] of each axis and the next
+    neighbours: Array
+    #: (n - 1, 2), their standard deviations
+    neighbours_std: Array
 
 
 def _geometry_of_axes(

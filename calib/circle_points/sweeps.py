@@ -36,15 +36,22 @@ _POINT_NAME = re.compile(r"(.*?)[ _\-.:]*[0-9]+")
 class Sweep:
     """Points of one sweep, in the order in which they were measured."""
 
-    joint: int | None  #: The joint of the chain that turns, from 0; None for the plane
-    name: str  #: In the file
-    points: Array  #: shape (N, 3) in the tracker's frame [m]
+    #: The joint of the chain that turns, from 0; None for the plane
+    joint: int | None
+    #: In the file
+    name: str
+    #: Shape (N, 3) in the tracker's frame [m]
+    points: Array
     #: Standard deviation of a coordinate of each point, shape (N,) [m]; None where not given
     sigma: Array | None
-    joints: Array | None  #: Values of the chain's joints, shape (N, n) [rad]; None where not given
-    rows: tuple[int, ...]  #: Their numbers in the file, for messages
-    source: str  #: The file's name, for messages
-    counted: str = "row"  #: What ``rows`` are: "row" or "line"
+    #: Values of the chain's joints, shape (N, n) [rad]; None where not given
+    joints: Array | None
+    #: Their numbers in the file, for messages
+    rows: tuple[int, ...]
+    #: The file's name, for messages
+    source: str
+    #: What ``rows`` are: "row" or "line"
+    counted: str = "row"
 
     @property
     def where(self) -> str:
@@ -59,10 +66,10 @@ class Sweeps:
 
     #: The plane first, then the joints in the order of the chain; one of each at most
     sweeps: tuple[Sweep, ...]
-    joint_names: tuple[
-        str, ...
-    ]  #: The chain's joints, base to tip; empty where they were not given
-    source: str  #: The file's name
+    #: The chain's joints, base to tip; empty where they were not given
+    joint_names: tuple[str, ...]
+    #: The file's name
+    source: str
 
     def label(self, joint: int) -> str:
         """Return the name of a joint, from 0, or ``joint`` and its number from 1 where it has none."""
@@ -118,13 +125,20 @@ def _number(word: str, joint_names: Sequence[str]) -> int | None:
 class _Rows:
     """All points of a file."""
 
-    words: Sequence[str]  # The word of each that names its sweep
-    points: Array  # (N, 3), [m]
-    numbers: Sequence[int]  # Its number in the file
-    source: str  # The file's name
-    counted: str = "row"  # What the numbers count: "row" or "line"
-    sigma: Array | None = None  # (N,), [m]; None: not given
-    joints: Array | None = None  # (N, n), [rad]; None: not given
+    #: The word of each that names its sweep
+    words: Sequence[str]
+    #: (N, 3), [m]
+    points: Array
+    #: Its number in the file
+    numbers: Sequence[int]
+    #: The file's name
+    source: str
+    #: What the numbers count: "row" or "line"
+    counted: str = "row"
+    #: (N,), [m]; None: not given
+    sigma: Array | None = None
+    #: (N, n), [rad]; None: not given
+    joints: Array | None = None
 
 
 def _split(rows: _Rows, joint_names: tuple[str, ...]) -> Sweeps:

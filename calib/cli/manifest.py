@@ -88,7 +88,8 @@ def _checked_header(path: Path, labels: Sequence[str]) -> list[str]:
 class _Defaults:
     """Options of the command line, which hold for all robots."""
 
-    folder: Path  # The manifest's, where relative paths begin
+    #: The manifest's, where relative paths begin
+    folder: Path
     setup: FitOptions
     columns: Sequence[str]
     points_unit: str | None

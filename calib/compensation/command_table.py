@@ -22,8 +22,10 @@ from calib.units import Array
 class _Unit(NamedTuple):
     """Unit of a column."""
 
-    scale: float  # Number of it in one SI unit
-    digits: int  # Decimals: angles are exact to 1e-11 rad, lengths to 1e-9 m
+    #: Number of it in one SI unit
+    scale: float
+    #: Decimals: angles are exact to 1e-11 rad, lengths to 1e-9 m
+    digits: int
 
 
 _UNITS = {
@@ -39,7 +41,8 @@ class _Form(NamedTuple):
 
     columns: Sequence[str]
     unit: str
-    numbers_of: Callable[[Array], Array]  # Of a rotation, shape (3, 3)
+    #: Of a rotation, shape (3, 3)
+    numbers_of: Callable[[Array], Array]
 
 
 _ORIENTATIONS = {
@@ -54,7 +57,8 @@ class _Block(NamedTuple):
 
     names: Sequence[str]
     units: Sequence[str]
-    values: Array  # (N, columns), SI units; NaN: an empty cell
+    #: (N, columns), SI units; NaN: an empty cell
+    values: Array
 
 
 def write_commands(

@@ -68,25 +68,34 @@ _CORRECTIONS = 6
 class Commands:
     """Commands that bring the true robot to the poses of a program; rows that cannot be reached are NaN."""
 
-    pair: Pair  #: The robot as its controller has it and the actual one, their tools, the frame of the poses.
-    program: Program  #: The program.
-    match: str  #: What of the poses is reached, one of `calib.compensation.inverse.MATCHES`.
+    #: The robot as its controller has it and the actual one, their tools, the frame of the poses.
+    pair: Pair
+    #: The program.
+    program: Program
+    #: What of the poses is reached, one of `calib.compensation.inverse.MATCHES`.
+    match: str
     #: shape (N, 4, 4), wanted pose of the tool, in the frame of the poses [m]; where only its position was given,
     #: oriented as the nominal robot's is.
     T_wanted: Array
-    q_nominal: Array  #: shape (N, m), joint values that the nominal model has for it [rad] or [m].
-    q: Array  #: shape (N, m), joint values to command [rad] or [m].
-    T_send: Array  #: shape (N, 4, 4), pose to send to a controller with the nominal model [m].
+    #: Shape (N, m), joint values that the nominal model has for it [rad] or [m].
+    q_nominal: Array
+    #: Shape (N, m), joint values to command [rad] or [m].
+    q: Array
+    #: Shape (N, 4, 4), pose to send to a controller with the nominal model [m].
+    T_send: Array
     #: shape (N, 2), how far the true robot would miss at ``q_nominal``, as the calibrated model predicts: position
     #: [m], angle [rad]. Of the position alone the angle is NaN.
     missed: Array
-    left: Array  #: shape (N, 2), how far it misses at ``q`` [m], [rad]: what cannot be reached.
+    #: Shape (N, 2), how far it misses at ``q`` [m], [rad]: what cannot be reached.
+    left: Array
     #: shape (N, 2), how far it misses if ``T_send`` is sent, to a controller that stays near ``q_nominal``.
     left_by_pose: Array
     #: Expected errors of the rows that have a command, in their order; None of two robots without a result.
     expected: ExpectedErrors | None
-    reasons: tuple[CommandWarning | None, ...]  #: Why a row has no command; None where it has one.
-    warnings: tuple[tuple[CommandWarning, ...], ...]  #: Of each row that has one.
+    #: Why a row has no command; None where it has one.
+    reasons: tuple[CommandWarning | None, ...]
+    #: Of each row that has one.
+    warnings: tuple[tuple[CommandWarning, ...], ...]
 
     def __len__(self) -> int:
         """Return the number of rows."""

@@ -61,7 +61,8 @@ class Contribution(NamedTuple):
     """Part of the mean square of the position error that one source adds."""
 
     source: Source
-    square: float  #: [m^2]
+    #: [m^2]
+    square: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -280,9 +281,12 @@ class _Residuals(NamedTuple):
     """Held-out errors of lengths or of angles."""
 
     rows: int
-    rms: float  # [m] or [rad]
-    scalars: float  # Number of scalars of a row
-    predicted: float  # Mean square by the covariance at the measured poses, three axes together [m^2] or [rad^2]
+    #: [m] or [rad]
+    rms: float
+    #: Number of scalars of a row
+    scalars: float
+    #: Mean square by the covariance at the measured poses, three axes together [m^2] or [rad^2]
+    predicted: float
 
     def beyond(self, sigma: float, freedom: float) -> float:
         """Return the mean square beyond noise and the prediction's variance, three axes together.

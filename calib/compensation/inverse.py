@@ -73,8 +73,10 @@ _TURN = 2.0 * np.pi
 class Matching(NamedTuple):
     """Part of a pose that is matched."""
 
-    name: str  #: One of `MATCHES`.
-    length: float  #: Length that one radian weighs as [m].
+    #: One of `MATCHES`.
+    name: str
+    #: Length that one radian weighs as [m].
+    length: float
 
     @property
     def rows(self) -> int:
@@ -132,9 +134,12 @@ class Matching(NamedTuple):
 class Solution(NamedTuple):
     """Joint values, as near to the wanted poses as was found, and the tool there."""
 
-    q: Array  #: shape (N, m), [rad] or [m].
-    T_base_tool: Array  #: shape (N, 4, 4), [m].
-    twists: Array  #: shape (N, 6, m), see `calib.compensation.nominal_actual.Arm.motion`.
+    #: Shape (N, m), [rad] or [m].
+    q: Array
+    #: Shape (N, 4, 4), [m].
+    T_base_tool: Array
+    #: Shape (N, 6, m), see `calib.compensation.nominal_actual.Arm.motion`.
+    twists: Array
 
 
 def solve(

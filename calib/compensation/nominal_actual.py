@@ -48,10 +48,14 @@ _POSES = 64
 class Arm:
     """Robot whose errors are known, with a tool; made by `of` or `of_non_geometric`."""
 
-    robot: Robot  #: With the placements as they are.
-    T_tip_tool: Array  #: shape (4, 4), [m].
-    kinematics: Kinematics  #: Its parameters are the errors of the joints, and one more for each measured joint.
-    x: Array  #: Values of the parameters; 0 for those of the measured joints.
+    #: With the placements as they are.
+    robot: Robot
+    #: Shape (4, 4), [m].
+    T_tip_tool: Array
+    #: Its parameters are the errors of the joints, and one more for each measured joint.
+    kinematics: Kinematics
+    #: Values of the parameters; 0 for those of the measured joints.
+    x: Array
     #: Load on each joint at joint values, (N, m) to (N, n), [Nm, N]; None: no error needs it.
     load: Callable[[Array], Array] | None = None
 
@@ -166,15 +170,21 @@ def _load(non_geometric: NonGeometric, nominal: Robot, payload: Payload | None, 
 class Pair:
     """Tool on the nominal robot and on the actual one; made by `pair_of`."""
 
-    nominal: Arm  #: The robot as its controller has it, with the tool that the controller is to be set to.
-    actual: Arm  #: The calibrated robot, with the tool where it is.
-    T_frame_base: Array  #: shape (4, 4), the base in the frame of the poses [m].
-    target: str | None = None  #: Name of the target that the tool is; None where it is none.
-    group: str | None = None  #: Name of the group whose frame it is; None where it is none.
+    #: The robot as its controller has it, with the tool that the controller is to be set to.
+    nominal: Arm
+    #: The calibrated robot, with the tool where it is.
+    actual: Arm
+    #: Shape (4, 4), the base in the frame of the poses [m].
+    T_frame_base: Array
+    #: Name of the target that the tool is; None where it is none.
+    target: str | None = None
+    #: Name of the group whose frame it is; None where it is none.
+    group: str | None = None
     result: CalibrationValues | None = (
         None  #: The calibration of the actual robot; None for two robots.
     )
-    non_geometric: bool = False  #: Whether the actual robot is the result's non-geometric model.
+    #: Whether the actual robot is the result's non-geometric model.
+    non_geometric: bool = False
 
     def __post_init__(self) -> None:
         """Refuse two robots that are no calibration of each other."""
@@ -270,9 +280,12 @@ def _pair_of_robots(
 class _Tool(NamedTuple):
     """Tool in the tip."""
 
-    T_actual: Array  # Where it is, shape (4, 4), [m]
-    T_nominal: Array  # Where the controller has it, shape (4, 4), [m]
-    target: str | None  # Name of the target that it is; None where it is none
+    #: Where it is, shape (4, 4), [m]
+    T_actual: Array
+    #: Where the controller has it, shape (4, 4), [m]
+    T_nominal: Array
+    #: Name of the target that it is; None where it is none
+    target: str | None
 
 
 def _tool(

@@ -38,10 +38,12 @@ _AT_A_TIME = 2048
 class View(NamedTuple):
     """Tool as seen from a frame."""
 
-    samples: Samples  #: N samples of joint values, frames and targets.
+    #: N samples of joint values, frames and targets.
+    samples: Samples
     #: shape (4, 4), a tool known in the tip [m]; None: the target of each sample.
     T_tip_tool: Array | None
-    in_base: bool  #: Whether poses are in the base, not in the frame of each sample.
+    #: Whether poses are in the base, not in the frame of each sample.
+    in_base: bool
     #: shape (6, 6), covariance of a motion of the base besides the parameters, along and about its axes, linear part
     #: first [m, rad]; None for the base less the motion of it that compensates best, see `FittedModel.base_motion`.
     base: Array | None
@@ -50,7 +52,8 @@ class View(NamedTuple):
 class PoseCovariance(NamedTuple):
     """Covariance of N predicted poses."""
 
-    covariance: Array  #: shape (N, 6, 6), of each pose along the axes of its frame, linear part first [m, rad].
+    #: Shape (N, 6, 6), of each pose along the axes of its frame, linear part first [m, rad].
+    covariance: Array
     #: shape (k,), variances of independent unknowns that all rows share: the mean square of the positions' errors is
     #: sum_k shared_k z_k^2 with standard normal z [m^2].
     shared: Array

@@ -29,13 +29,15 @@ class Program:
         ModelError: Neither joint values nor poses, a number or a rotation that is none, or words that do not fit.
     """
 
-    labels: tuple[str, ...]  #: What messages call each row, such as ``"row 3"``.
+    #: What messages call each row, such as ``"row 3"``.
+    labels: tuple[str, ...]
     #: shape (N, m), joint values in the order of ``Robot.joint_names`` [rad] or [m]; with ``T_wanted`` those at which
     #: the search for joint values starts; None: poses alone.
     q: Array | None = None
     #: shape (N, 4, 4), wanted poses of the tool [m]; None: those that the nominal robot reaches at ``q``.
     T_wanted: Array | None = None
-    oriented: bool = True  #: Whether ``T_wanted`` gives the orientation too, or the position alone.
+    #: Whether ``T_wanted`` gives the orientation too, or the position alone.
+    oriented: bool = True
     #: What of the poses is to be reached, one of `MATCHES`; None: ``"pose"``, ``"axis"`` with five joints,
     #: ``"position"`` with fewer or where no orientation is given.
     match: str | None = None
@@ -44,7 +46,8 @@ class Program:
     start: Mapping[str, float] | None = None
     #: Other columns of the file: header and cells.
     kept: tuple[tuple[str, tuple[str, ...]], ...] = ()
-    form: str = ""  #: Form of the file's orientations; empty if there are none.
+    #: Form of the file's orientations; empty if there are none.
+    form: str = ""
 
     def __post_init__(self) -> None:
         """Check the values, and make the arrays read-only copies."""

@@ -93,8 +93,10 @@ class _Header:
 
     table: Table
     joint_names: Sequence[str]
-    named: Mapping[str, Column]  # Columns by the names that calib uses
-    filled: set[int]  # Columns, from 0, in which any cell is filled in
+    #: Columns by the names that calib uses
+    named: Mapping[str, Column]
+    #: Columns, from 0, in which any cell is filled in
+    filled: set[int]
 
     def block(self, names: Sequence[str]) -> tuple[Column, ...]:
         """Return the columns of these names, all or none; none if no cell is filled in, as in a plan of poses.

@@ -63,8 +63,10 @@ class CommandWarning(NamedTuple):
     #: matched; "beyond limit": value and limit; "near singularity": joint motion for 1 mm of the tool; else the motion
     #: of the joint, or its distance from the measured range [rad or m].
     numbers: tuple[float, ...] = ()
-    joint: str = ""  #: The joint that it is about; empty if it is about none.
-    row: str = ""  #: Label of the other row that it is about; empty if it is about none.
+    #: The joint that it is about; empty if it is about none.
+    joint: str = ""
+    #: Label of the other row that it is about; empty if it is about none.
+    row: str = ""
 
 
 def within(misses: Array, allowed: tuple[float, float]) -> Mask:
@@ -125,15 +127,24 @@ def reasons_without_command(
 class ReachedRows:
     """The n rows of a program that have a command."""
 
-    pair: Pair  # The nominal and the actual robot
-    match: str  # What of the poses is matched
-    labels: tuple[str, ...]  # What messages call each row
-    T_wanted: Array  # (n, 4, 4), wanted poses of the tool in the frame of the poses [m]
-    q_nominal: Array  # (n, m), joint values of the nominal robot for them [rad] or [m]
-    q: Array  # (n, m), joint values to command [rad] or [m]
-    pose_corrections: Array  # (n, 2), distance of the pose to send from the wanted one [m], [rad]
-    misses: Array  # (n, 2), what the actual robot misses at ``q`` [m], [rad]
-    misses_by_pose: Array  # (n, 2), what it misses if the pose is sent [m], [rad]
+    #: The nominal and the actual robot
+    pair: Pair
+    #: What of the poses is matched
+    match: str
+    #: What messages call each row
+    labels: tuple[str, ...]
+    #: (n, 4, 4), wanted poses of the tool in the frame of the poses [m]
+    T_wanted: Array
+    #: (n, m), joint values of the nominal robot for them [rad] or [m]
+    q_nominal: Array
+    #: (n, m), joint values to command [rad] or [m]
+    q: Array
+    #: (n, 2), distance of the pose to send from the wanted one [m], [rad]
+    pose_corrections: Array
+    #: (n, 2), what the actual robot misses at ``q`` [m], [rad]
+    misses: Array
+    #: (n, 2), what it misses if the pose is sent [m], [rad]
+    misses_by_pose: Array
 
 
 def warnings_of(rows: ReachedRows, tolerance: tuple[float, float]) -> list[list[CommandWarning]]:

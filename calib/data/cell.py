@@ -65,10 +65,14 @@ class GroupDistance:
         (('1/left', '1/right'), ('2/left', '2/right'))
     """
 
-    first: str  #: Name of a group. It may hold one ``*``, which then stands for any text.
-    second: str  #: Name of another one; its ``*`` stands for the same text.
-    length: float  #: Known distance [m].
-    sigma: float  #: Standard deviation of the length [m].
+    #: Name of a group. It may hold one ``*``, which then stands for any text.
+    first: str
+    #: Name of another one; its ``*`` stands for the same text.
+    second: str
+    #: Known distance [m].
+    length: float
+    #: Standard deviation of the length [m].
+    sigma: float
 
     def __post_init__(self) -> None:
         """Check the names, the length and its standard deviation."""
@@ -110,7 +114,8 @@ class GroupDistance:
 class _Check:
     """A check of a value of a cell."""
 
-    must: str  #: For the message: ``"three numbers [m]"``.
+    #: For the message: ``"three numbers [m]"``.
+    must: str
     #: Gives the value that is kept; refuses by None, a TypeError or a ValueError.
     convert: Callable[[Any], Any]
 
@@ -218,7 +223,8 @@ class Cell:
     #: shape (4, 4), pose of the base in the measurement frame [m]. None: not given; then it is
     #: estimated if ``estimate_frame``, else the measurements are in the base frame itself.
     T_frame_base: Array | None = None
-    estimate_frame: bool = False  #: Whether the measurement frames are estimated.
+    #: Whether the measurement frames are estimated.
+    estimate_frame: bool = False
     #: Standard deviation of one measured coordinate or length [m]; None: estimated from the data.
     sigma: float | None = None
     #: Prior standard deviations of the robot's errors, by family.
@@ -226,9 +232,12 @@ class Cell:
     #: What is estimated of the robot: ``"auto"``, as much as the measurements support, or a parameter set such as
     #: ``"dh"``, with families of errors appended, ``"dh+gain+compliance"``.
     model: str = AUTO
-    frozen: tuple[str, ...] = ()  #: Names of parameters that stay at their nominal values.
-    base: str | None = None  #: Base link; None: left to the command line or the URDF.
-    tip: str | None = None  #: Tip link; None: left to the command line or the URDF.
+    #: Names of parameters that stay at their nominal values.
+    frozen: tuple[str, ...] = ()
+    #: Base link; None: left to the command line or the URDF.
+    base: str | None = None
+    #: Tip link; None: left to the command line or the URDF.
+    tip: str | None = None
     #: Positions of targets in the tip by name, shape (3,) each [m]; they override ``target``.
     targets: Mapping[str, Array] = field(default_factory=_no_entries)
     #: shape (3, 3), R_tip_target, orientation of the targets in the tip; None: not known.
@@ -250,7 +259,8 @@ class Cell:
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=_no_entries)
     #: Prior standard deviations of the changes of single parameters, by name; they override ``priors``.
     parameter_priors: Mapping[str, float] = field(default_factory=_no_entries)
-    payload: Payload | None = None  #: What the tip carries; None: nothing.
+    #: What the tip carries; None: nothing.
+    payload: Payload | None = None
     #: shape (3,), acceleration of gravity in the URDF's root frame [m/s^2].
     gravity: Array = field(default_factory=lambda: read_only(GRAVITY))
     #: Known distances between the fixed points of groups.

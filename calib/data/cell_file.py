@@ -48,9 +48,12 @@ Read = Callable[[Any, str], Any]
 class Field:
     """A key of a TOML table: the attribute that it gives, and how its value is read."""
 
-    name: str  #: The attribute, such as ``"sigma"`` for the key ``sigma_mm``.
-    read: Read  #: Reads the value.
-    needed: bool = False  #: Whether a table must have the key.
+    #: The attribute, such as ``"sigma"`` for the key ``sigma_mm``.
+    name: str
+    #: Reads the value.
+    read: Read
+    #: Whether a table must have the key.
+    needed: bool = False
 
 
 def checked(value: Any, what: str, must: str, convert: Callable[[Any], Any]) -> Any:  # noqa: ANN401

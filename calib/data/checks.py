@@ -28,10 +28,14 @@ _LISTED_ROWS = 8
 class RowLabels:
     """Names of N rows of measurements and their joints, for messages."""
 
-    source: str  #: The file's name; empty: none.
-    rows: Sequence[int]  #: Row numbers as the table has them.
-    kinds: Sequence[str]  #: Name of each row's kind.
-    joint_names: Sequence[str]  #: Names of the joints, in the order of the columns of joint values.
+    #: The file's name; empty: none.
+    source: str
+    #: Row numbers as the table has them.
+    rows: Sequence[int]
+    #: Name of each row's kind.
+    kinds: Sequence[str]
+    #: Names of the joints, in the order of the columns of joint values.
+    joint_names: Sequence[str]
 
     @property
     def name(self) -> str:

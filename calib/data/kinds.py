@@ -41,9 +41,12 @@ _RANK_TOLERANCE = 1e-9
 class Reading:
     """A column of the table with a number that rows of a kind measure."""
 
-    name: str  #: Name of the column without its unit, ``"distance"``.
-    quantity: Quantity = "length"  #: ``"length"`` or ``"angle"``.
-    positive: bool = False  #: Whether it is always greater than zero, as a distance is.
+    #: Name of the column without its unit, ``"distance"``.
+    name: str
+    #: ``"length"`` or ``"angle"``.
+    quantity: Quantity = "length"
+    #: Whether it is always greater than zero, as a distance is.
+    positive: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,8 +71,10 @@ class Kind:
             followed by angles.
     """
 
-    name: str  #: Name of the kind, as in the table's column ``kind``.
-    words: str  #: What a row measures, for texts: ``"position of the target"``.
+    #: Name of the kind, as in the table's column ``kind``.
+    name: str
+    #: What a row measures, for texts: ``"position of the target"``.
+    words: str
     #: Unit of each of the s residual scalars: ``"m"`` for lengths, which come first, or ``"rad"``.
     units: tuple[str, ...]
     #: Derivative of the prediction by the parameters, which is minus that of the residual:
@@ -82,9 +87,12 @@ class Kind:
     #: Residual, measured minus predicted: (measured, T_frame_target) to shape (n, s) [m or rad].
     #: None: the difference ``measured - measure(T_frame_target)``.
     residual: Callable[[Array, Array], Array] | None = None
-    position: bool = False  #: Whether the columns x, y, z are measured.
-    orientation: bool = False  #: Whether an orientation is measured.
-    readings: tuple[Reading, ...] = ()  #: The other columns that are measured.
+    #: Whether the columns x, y, z are measured.
+    position: bool = False
+    #: Whether an orientation is measured.
+    orientation: bool = False
+    #: The other columns that are measured.
+    readings: tuple[Reading, ...] = ()
     #: Whether one measurement takes two rows, which share a word in the column ``pair``.
     paired: bool = False
     #: Directions of the measurement frame, of `DIRECTIONS`, that rows of this kind determine.
@@ -103,7 +111,8 @@ class Kind:
     #: Choice of the directions that no row determines, after the estimate: T_frame_base, shape
     #: (4, 4) [m], to an equivalent T_frame_base. None: they stay as the estimate left them.
     settle: Callable[[Array], Array] | None = None
-    place: str = "Measurement frame"  #: What the frame stands for, in texts: ``"Socket"``.
+    #: What the frame stands for, in texts: ``"Socket"``.
+    place: str = "Measurement frame"
 
     def __post_init__(self) -> None:
         """Check that the residual is defined and its units are ordered."""

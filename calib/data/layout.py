@@ -41,11 +41,13 @@ class Layout:
 
     #: Columns of words that are used, by name: ``row``, ``set``, ``kind``, ``target``, ``pair``, ``point``, ``status``.
     words: Named
-    groups: Columns  #: Columns whose words make the group's name, in the order of the table.
+    #: Columns whose words make the group's name, in the order of the table.
+    groups: Columns
     #: Columns of numbers that are used: ``joints`` in the order of the joints, ``torques``, ``points``, ``orientation``
     #: (three or four), ``sigma``, ``sigma_angle``, and each reading of a kind by its name.
     blocks: Mapping[str, Columns]
-    kinds: tuple[str, ...]  #: Kinds of the rows; more than one only with a column ``kind``.
+    #: Kinds of the rows; more than one only with a column ``kind``.
+    kinds: tuple[str, ...]
     #: Headers of the columns that are not used, but for those that a plan has and a fit does not need.
     ignored: tuple[str, ...] = ()
 

@@ -64,30 +64,40 @@ class Measurements:
         MeasurementError: A shape, a value or a word does not fit.
     """
 
-    joint_names: tuple[str, ...]  #: Names of the n joints, the columns of ``joints``.
-    joints: Array  #: Joint values, shape (N, n), [rad] or, for ``prismatic`` joints, [m].
-    points: Array  #: Measured positions of the targets in the measurement frame, shape (N, 3), [m].
+    #: Names of the n joints, the columns of ``joints``.
+    joint_names: tuple[str, ...]
+    #: Joint values, shape (N, n), [rad] or, for ``prismatic`` joints, [m].
+    joints: Array
+    #: Measured positions of the targets in the measurement frame, shape (N, 3), [m].
+    points: Array
     #: ``"estimate"`` or ``"validate"``; all ``"estimate"`` when not given.
     sets: tuple[str, ...] = ()
     #: Standard deviation of one coordinate or length, shape (N,), [m]; None: not given.
     sigma: Array | None = None
-    targets: tuple[str, ...] = ()  #: Names of the targets; ``"target"`` when not given.
+    #: Names of the targets; ``"target"`` when not given.
+    targets: tuple[str, ...] = ()
     #: Names of the stations, each with a measurement frame of its own; ``""`` when not given.
     groups: tuple[str, ...] = ()
     #: Row numbers as the table has them, unique; 1 to N when not given.
     rows: tuple[int, ...] = ()
-    source: str = ""  #: The file's name, for messages.
-    sha256: str = ""  #: Hash of the file's bytes, ``"... + ..."`` of two files.
-    ignored: tuple[str, ...] = ()  #: Headers of the table's columns that are not used.
-    prismatic: tuple[str, ...] = ()  #: Names of the joints whose values are lengths.
-    kinds: tuple[str, ...] = ()  #: Names of the kinds; all ``"point"`` when not given.
+    #: The file's name, for messages.
+    source: str = ""
+    #: Hash of the file's bytes, ``"... + ..."`` of two files.
+    sha256: str = ""
+    #: Headers of the table's columns that are not used.
+    ignored: tuple[str, ...] = ()
+    #: Names of the joints whose values are lengths.
+    prismatic: tuple[str, ...] = ()
+    #: Names of the kinds; all ``"point"`` when not given.
+    kinds: tuple[str, ...] = ()
     #: Measured R_frame_target, shape (N, 3, 3); None: no orientation is measured.
     rotations: Array | None = None
     #: Measured distances, shape (N,), [m]; both rows of a pair have it. None: none is measured.
     distances: Array | None = None
     #: Standard deviation of an orientation about one axis, shape (N,), [rad]; None: not given.
     sigma_angle: Array | None = None
-    pairs: tuple[str, ...] = ()  #: The word that both rows of a pair share; ``""`` in other rows.
+    #: The word that both rows of a pair share; ``""`` in other rows.
+    pairs: tuple[str, ...] = ()
     #: Torques (forces) of the drives on the joints, positive along the joint's axis, shape (N, n), [Nm] ([N]); NaN for
     #: joints without; None: not given.
     torques: Array | None = None

@@ -34,9 +34,12 @@ _LENGTH_TOLERANCE = 1e-3
 class Fault(NamedTuple):
     """A number that cannot be in its unit."""
 
-    row: int  #: From 0.
-    column: int  #: Among the columns that were checked, from 0.
-    what: str  #: What is wrong and how to mend it, for the message.
+    #: From 0.
+    row: int
+    #: Among the columns that were checked, from 0.
+    column: int
+    #: What is wrong and how to mend it, for the message.
+    what: str
 
 
 def implausible_length(values: Array, units: Sequence[Unit], *, near: bool = True) -> Fault | None:

@@ -64,10 +64,14 @@ class Points:
 
     #: Whole names, with collection and group if the file has them, ``"A::Main::P1"``; empty if it has no names.
     names: tuple[str, ...]
-    points: NDArray[np.float64]  #: Positions, shape (N, 3), [m], read-only.
-    lines: tuple[int, ...]  #: Line of the file of each point, from 1.
-    source: str  #: The file's name, for messages.
-    sha256: str  #: Hash of the file's bytes.
+    #: Positions, shape (N, 3), [m], read-only.
+    points: NDArray[np.float64]
+    #: Line of the file of each point, from 1.
+    lines: tuple[int, ...]
+    #: The file's name, for messages.
+    source: str
+    #: Hash of the file's bytes.
+    sha256: str
 
     def of_rows(self, source: str, rows: Sequence[int], names: Sequence[str] | None) -> list[int]:
         """Find the point of each row of a table.
@@ -187,11 +191,16 @@ def read_points(path: str | Path, unit: str | None = None) -> Points:
 class _Content(NamedTuple):
     """The lines of a list of points, sorted into remarks and points."""
 
-    separator: str  #: One of `_SEPARATORS`, as in the first point; empty without a point
-    lines: list[int]  #: Line of each point, from 1
-    cells: list[list[str]]  #: Cells of each point's line
-    remarks: list[str]  #: All remarks
-    headings: list[str]  #: The remarks above the first point
+    #: One of `_SEPARATORS`, as in the first point; empty without a point
+    separator: str
+    #: Line of each point, from 1
+    lines: list[int]
+    #: Cells of each point's line
+    cells: list[list[str]]
+    #: All remarks
+    remarks: list[str]
+    #: The remarks above the first point
+    headings: list[str]
 
 
 def _content_of(text: str) -> _Content:

@@ -33,9 +33,12 @@ class TrackerNoise:
     AT901's 15 um + 6 um/m and a robot's 0.02 mm (the paper, section 2).
     """
 
-    constant: float = 15e-6  #: Standard deviation at no distance [m].
-    per_length: float = 6e-6  #: Increase with the distance [m/m].
-    repeatability: float = 20e-6  #: Standard deviation of the robot's position, one coordinate [m].
+    #: Standard deviation at no distance [m].
+    constant: float = 15e-6
+    #: Increase with the distance [m/m].
+    per_length: float = 6e-6
+    #: Standard deviation of the robot's position, one coordinate [m].
+    repeatability: float = 20e-6
 
     def __post_init__(self) -> None:
         """Check that no part is negative, and that not all are zero."""
@@ -60,9 +63,12 @@ class TrackerNoise:
 class Box:
     """A box that the robot must not touch and the tracker's beam must not cross."""
 
-    name: str  #: For messages; each box of a cell has its own.
-    size: Array  #: shape (3,), lengths of the edges along x, y, z of the box [m].
-    T_base_box: Array  #: shape (4, 4), pose of the box's centre in the robot's base [m].
+    #: For messages; each box of a cell has its own.
+    name: str
+    #: Shape (3,), lengths of the edges along x, y, z of the box [m].
+    size: Array
+    #: Shape (4, 4), pose of the box's centre in the robot's base [m].
+    T_base_box: Array
 
     def __post_init__(self) -> None:
         """Check size and pose, and keep read-only copies."""
@@ -94,9 +100,12 @@ def check_box_names(boxes: Iterable[Box]) -> None:
 class Tracker:
     """A laser tracker: its position, its range and its noise."""
 
-    position: Array  #: shape (3,), point that its beam turns about, in the robot's base [m].
-    nearest: float = 0.0  #: Least distance that it measures [m].
-    farthest: float = 80.0  #: Largest distance that it measures [m].
+    #: Shape (3,), point that its beam turns about, in the robot's base [m].
+    position: Array
+    #: Least distance that it measures [m].
+    nearest: float = 0.0
+    #: Largest distance that it measures [m].
+    farthest: float = 80.0
     #: Standard deviation of a coordinate, as a function of the distance.
     noise: TrackerNoise = field(default_factory=TrackerNoise)
 

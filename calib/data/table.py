@@ -41,10 +41,14 @@ _EXAMPLE = "such as: set,joint_1 [deg],joint_2 [deg],x [mm],y [mm],z [mm]"
 class Column:
     """One column of a table: its position, its header, and the name and unit that calib reads it by."""
 
-    index: int  #: Position in the table, from 0.
-    label: str  #: The header cell as written, for messages.
-    name: str  #: Name that calib reads it by, after ``--columns`` was applied.
-    symbol: str | None  #: Symbol of the unit as written; None without brackets.
+    #: Position in the table, from 0.
+    index: int
+    #: The header cell as written, for messages.
+    label: str
+    #: Name that calib reads it by, after ``--columns`` was applied.
+    name: str
+    #: Symbol of the unit as written; None without brackets.
+    symbol: str | None
 
     @property
     def unit(self) -> Unit | None:
@@ -74,12 +78,18 @@ class Table:
     A line ``sep=;`` before the header names the separator, as it does for Excel.
     """
 
-    source: str  #: The file's name, for messages.
-    sha256: str  #: Hash of the file's bytes.
-    separator: str  #: One of `SEPARATORS`.
-    header: tuple[str, ...]  #: The header's cells.
-    lines: tuple[int, ...]  #: Line of the file at which each row ends, from 1.
-    cells: tuple[list[str], ...]  #: The stripped cells of each row, as many as the header has.
+    #: The file's name, for messages.
+    source: str
+    #: Hash of the file's bytes.
+    sha256: str
+    #: One of `SEPARATORS`.
+    separator: str
+    #: The header's cells.
+    header: tuple[str, ...]
+    #: Line of the file at which each row ends, from 1.
+    lines: tuple[int, ...]
+    #: The stripped cells of each row, as many as the header has.
+    cells: tuple[list[str], ...]
 
     @classmethod
     def read(cls, path: str | Path) -> Table:

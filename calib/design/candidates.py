@@ -43,21 +43,23 @@ class Condition(NamedTuple):
     That of the region says where accuracy is wanted, the others what can be measured.
     """
 
-    reason: Reason  #: Why a pose is refused that does not pass.
-    passes: Callable[
-        [Array], NDArray[np.bool_]
-    ]  #: Of poses (n, m) [rad] or [m], whether each passes, (n,).
+    #: Why a pose is refused that does not pass.
+    reason: Reason
+    #: Of poses (n, m) [rad] or [m], whether each passes, (n,).
+    passes: Callable[[Array], NDArray[np.bool_]]
 
 
 class Pool(NamedTuple):
     """Candidates of a plan."""
 
-    q: Array  #: shape (n, m), the poses that passed all conditions, all different, [rad] or [m].
-    workspace: Array  #: shape (k, m), those in the region, among the first drawn.
-    drawn: int  #: Number of poses that were drawn.
-    refused: dict[
-        str, int
-    ]  #: Number that each condition refused, of those that had passed the ones before it.
+    #: Shape (n, m), the poses that passed all conditions, all different, [rad] or [m].
+    q: Array
+    #: Shape (k, m), those in the region, among the first drawn.
+    workspace: Array
+    #: Number of poses that were drawn.
+    drawn: int
+    #: Number that each condition refused, of those that had passed the ones before it.
+    refused: dict[str, int]
 
 
 def draw(

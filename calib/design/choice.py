@@ -42,18 +42,23 @@ _RUNGS = (0.5, 0.67, 0.83, 1.0, 1.33, 1.67, 2.0, 3.0)
 class PlanRequest:
     """Poses that are wanted of a plan."""
 
-    count: int = 30  #: Poses to fit.
-    validation: int = 5  #: Poses to validate with, drawn at random from the same candidates.
+    #: Poses to fit.
+    count: int = 30
+    #: Poses to validate with, drawn at random from the same candidates.
+    validation: int = 5
     #: ``"V"``: least mean variance of predicted positions; ``"D"``: largest determinant of the information; ``"A"``:
     #: least mean variance of the parameters.
     criterion: str = "V"
-    candidates: int = 20_000  #: Poses to choose from.
-    margin: float = math.radians(5.0)  #: Distance to the joint limits of the URDF [rad].
+    #: Poses to choose from.
+    candidates: int = 20_000
+    #: Distance to the joint limits of the URDF [rad].
+    margin: float = math.radians(5.0)
     #: shape (m,), the robot's joint values before the first move [rad] or [m]; None: it begins at any pose.
     start: ArrayLike | None = None
     #: Whether other numbers of poses, from half to three times ``count``, are forecast too.
     ladder: bool = True
-    seed: int = 0  #: The same seed makes the same plan.
+    #: The same seed makes the same plan.
+    seed: int = 0
 
     def check(self, candidates: int) -> None:
         """Refuse an unknown criterion, and numbers of poses that cannot be.
@@ -79,12 +84,18 @@ class PlanRequest:
 class Choice(NamedTuple):
     """Poses that were chosen out of a pool, as `calib.design.plan.Plan` has them."""
 
-    planned: Array  #: shape (count, m), to fit.
-    validation: Array  #: shape (validation, m).
-    forecast: Forecast  #: Of poses taken and planned.
-    before: Forecast | None  #: Of the poses taken alone; None without.
-    at_random: Forecast  #: Of as many random poses: the median of several draws.
-    ladder: tuple[tuple[int, Forecast], ...]  #: Of other numbers of poses.
+    #: Shape (count, m), to fit.
+    planned: Array
+    #: Shape (validation, m).
+    validation: Array
+    #: Of poses taken and planned.
+    forecast: Forecast
+    #: Of the poses taken alone; None without.
+    before: Forecast | None
+    #: Of as many random poses: the median of several draws.
+    at_random: Forecast
+    #: Of other numbers of poses.
+    ladder: tuple[tuple[int, Forecast], ...]
 
 
 def choose_poses(
@@ -155,12 +166,17 @@ class _Search:
     """Candidates, differentiated and along a basis, ready to be chosen from."""
 
     sensitivity: Sensitivity
-    workspace: Workspace  # Where accuracy counts
-    q: Array  # (n, m), the candidates [rad] or [m]
-    taken: Array  # (T, m), poses measured already
-    blocks: Array  # (n, d, r), their whitened derivatives along the basis
+    #: Where accuracy counts
+    workspace: Workspace
+    #: (n, m), the candidates [rad] or [m]
+    q: Array
+    #: (T, m), poses measured already
+    taken: Array
+    #: (n, d, r), their whitened derivatives along the basis
+    blocks: Array
     basis: Basis
-    rank: Array  # (n,), `ranking` of the candidates
+    #: (n,), `ranking` of the candidates
+    rank: Array
 
     @classmethod
     def of(

@@ -64,12 +64,14 @@ ALWAYS = 0.95
 class CollisionCheck:
     """Extent and clearance of a check for collisions."""
 
-    clearance: float = 0.0  #: Least distance of all that is checked [m].
+    #: Least distance of all that is checked [m].
+    clearance: float = 0.0
     #: Whether nothing may come below the mounting plane: z = 0 of the base, or the lowest link that is fixed to the
     #: base where that is lower.
     floor: bool = True
     #: A target and what holds it are a rod of this radius from the tip to the target [m].
-    holder_radius: float = 0.020  # a 1.5 inch reflector has 19 mm
+    #: A 1.5 inch reflector has 19 mm
+    holder_radius: float = 0.020
     #: Folders in which ``package://`` meshes are looked for before all others.
     package_dirs: tuple[str | Path, ...] = ()
 
@@ -77,9 +79,11 @@ class CollisionCheck:
 class _Scene(NamedTuple):
     """Shapes, and pairs of them to compare, as Pinocchio has them."""
 
-    model: pin.Model  # The whole robot
+    #: The whole robot
+    model: pin.Model
     shapes: pin.GeometryModel
-    margins: Sequence[float] = ()  # Least distance of each pair [m]
+    #: Least distance of each pair [m]
+    margins: Sequence[float] = ()
 
     @classmethod
     def of(cls, urdf: Urdf, solids: Iterable[Solid]) -> _Scene:
@@ -139,12 +143,15 @@ class _Scene(NamedTuple):
 class CollisionModel:
     """A robot and boxes around it, with the pairs of shapes that are compared."""
 
-    robot: Robot  #: The robot.
+    #: The robot.
+    robot: Robot
     #: Names of the pairs that are checked (links, targets, boxes, the plane), those that touch most often first.
     pairs: Names
-    notes: tuple[Note, ...]  #: What was checked, and what was not as a person might expect.
+    #: What was checked, and what was not as a person might expect.
+    notes: tuple[Note, ...]
     _scene: _Scene
-    _beams: _Scene  # the last shape, a beam, with links and boxes
+    #: The last shape, a beam, with links and boxes
+    _beams: _Scene
 
     @classmethod
     def of(
@@ -288,13 +295,16 @@ def _beam_scene(scene: _Scene, solids: Sequence[Solid]) -> _Scene:
 class _ChosenPairs(NamedTuple):
     """Pairs of shapes to check."""
 
-    pairs: list[tuple[int, int]]  # Numbers of the shapes, those that touch most often first
-    margins: list[float]  # Least distance of each [m]
-    names: Names  # Of their owners, each pair of these once
-    always_close: list[
-        str
-    ]  # Owners that are always closer than the clearance, and refused only where they touch
-    always_touching: list[str]  # Owners that always touch, and are not checked
+    #: Numbers of the shapes, those that touch most often first
+    pairs: list[tuple[int, int]]
+    #: Least distance of each [m]
+    margins: list[float]
+    #: Of their owners, each pair of these once
+    names: Names
+    #: Owners that are always closer than the clearance, and refused only where they touch
+    always_close: list[str]
+    #: Owners that always touch, and are not checked
+    always_touching: list[str]
 
 
 def _choose_pairs(
@@ -346,9 +356,12 @@ def _choose_pairs(
 class _Pair(NamedTuple):
     """Two shapes to compare."""
 
-    shapes: tuple[int, int]  # Their numbers
-    margin: float  # Their least distance [m]
-    times: int  # Number of configurations at which they are closer
+    #: Their numbers
+    shapes: tuple[int, int]
+    #: Their least distance [m]
+    margin: float
+    #: Number of configurations at which they are closer
+    times: int
 
 
 def _touched(

@@ -41,9 +41,12 @@ _RANGE = 0.90
 class Workspace(NamedTuple):
     """Poses over which accuracy is forecast, as `Sensitivity` differentiates them."""
 
-    measured: Array  #: shape (n, d, p), whitened, see `Sensitivity.measured`.
-    located: Array  #: shape (n, 3 k, p), [m per unit], see `Sensitivity.located`.
-    rank: int  #: Number of parameters, or combinations, that all these poses determine.
+    #: Shape (n, d, p), whitened, see `Sensitivity.measured`.
+    measured: Array
+    #: Shape (n, 3 k, p), [m per unit], see `Sensitivity.located`.
+    located: Array
+    #: Number of parameters, or combinations, that all these poses determine.
+    rank: int
 
     @classmethod
     def of(cls, sensitivity: Sensitivity, q: Array) -> Workspace:
@@ -66,24 +69,38 @@ class Forecast:
     noise.
     """
 
-    names: tuple[str, ...]  #: Names of the p parameters.
-    units: tuple[str, ...]  #: Unit of each.
-    parameter_std: Array  #: shape (p,), expected standard deviation after the fit, in the units.
-    identifiable: NDArray[
-        np.bool_
-    ]  #: shape (p,), whether these poses determine a parameter by itself.
-    poses: int  #: Number of poses.
-    rms: float  #: Expected rms error of a predicted position over the workspace [m].
-    rms_low: float  #: The rms of 90 % of calibrations lies between this one
-    rms_high: float  #: and this one [m].
-    max: float  #: Largest standard deviation of a predicted position over the workspace [m].
-    sigma: float  #: Noise of one measured coordinate, rms over the poses [m].
-    rank: int  #: Number of parameters, or combinations, that the poses determine.
-    columns: int  #: Number of parameters.
-    workspace_rank: int  #: Number that the poses of the whole workspace could determine.
-    mean_variance: float  #: Mean over the workspace, in variances of the noise.
-    worst_variance: float  #: Largest over the workspace, likewise.
-    indices: dict[str, float]  #: Observability indices O1 to O5.
+    #: Names of the p parameters.
+    names: tuple[str, ...]
+    #: Unit of each.
+    units: tuple[str, ...]
+    #: Shape (p,), expected standard deviation after the fit, in the units.
+    parameter_std: Array
+    #: Shape (p,), whether these poses determine a parameter by itself.
+    identifiable: NDArray[np.bool_]
+    #: Number of poses.
+    poses: int
+    #: Expected rms error of a predicted position over the workspace [m].
+    rms: float
+    #: The rms of 90 % of calibrations lies between this one
+    rms_low: float
+    #: And this one [m].
+    rms_high: float
+    #: Largest standard deviation of a predicted position over the workspace [m].
+    max: float
+    #: Noise of one measured coordinate, rms over the poses [m].
+    sigma: float
+    #: Number of parameters, or combinations, that the poses determine.
+    rank: int
+    #: Number of parameters.
+    columns: int
+    #: Number that the poses of the whole workspace could determine.
+    workspace_rank: int
+    #: Mean over the workspace, in variances of the noise.
+    mean_variance: float
+    #: Largest over the workspace, likewise.
+    worst_variance: float
+    #: Observability indices O1 to O5.
+    indices: dict[str, float]
 
     @classmethod
     def of(cls, sensitivity: Sensitivity, workspace: Workspace, q: Array) -> Forecast:

@@ -20,4 +20,5 @@ class Note(NamedTuple):
     """Remark on a plan; `calib.text.plan` makes a sentence of it."""
 
     code: Code
-    values: tuple[str | float, ...] = ()  #: In SI units, as listed at the code.
+    #: In SI units, as listed at the code.
+    values: tuple[str | float, ...] = ()

@@ -54,9 +54,12 @@ _LEASH = 1e-6
 class Basis(NamedTuple):
     """Directions that a pool of candidates can tell apart, scaled so that a mean candidate's information is I."""
 
-    directions: Array  #: shape (p, r), a unit of each coordinate in the parameters.
-    known: Array  #: shape (r, r), the information before the first pose.
-    target: Array | None  #: shape (r, r), W or B of the criterion; None for ``D``.
+    #: Shape (p, r), a unit of each coordinate in the parameters.
+    directions: Array
+    #: Shape (r, r), the information before the first pose.
+    known: Array
+    #: Shape (r, r), W or B of the criterion; None for ``D``.
+    target: Array | None
 
     @classmethod
     def of(cls, mean_information: Array, known: Array, weight: Array | None) -> Basis:

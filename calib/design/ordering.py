@@ -48,30 +48,40 @@ _ROUNDING = 1e-9
 class Blocked(NamedTuple):
     """Move whose straight way in joint space is not free."""
 
-    start: int  #: Pose that it begins at, from 1 in the order to drive; 0: the robot's pose before the first move.
-    end: int  #: Pose that it leads to, from 1.
-    by: (
-        Array | None
-    )  #: shape (m,), joint values by which the way is free, [rad] or [m]; None: none was found.
+    #: Pose that it begins at, from 1 in the order to drive; 0: the robot's pose before the first move.
+    start: int
+    #: Pose that it leads to, from 1.
+    end: int
+    #: Shape (m,), joint values by which the way is free, [rad] or [m]; None: none was found.
+    by: Array | None
 
 
 class Route(NamedTuple):
     """Poses in the order to drive."""
 
-    joints: Array  #: shape (K, m), [rad] or [m].
-    indices: Indices  #: shape (K,), which of the given poses each is, from 0.
-    length: float  #: Sum of the largest joint move over all moves [rad or m].
-    blocked: tuple[Blocked, ...]  #: The moves that are not free.
+    #: Shape (K, m), [rad] or [m].
+    joints: Array
+    #: Shape (K,), which of the given poses each is, from 0.
+    indices: Indices
+    #: Sum of the largest joint move over all moves [rad or m].
+    length: float
+    #: The moves that are not free.
+    blocked: tuple[Blocked, ...]
 
 
 class _Move(NamedTuple):
     """Change of a path: a piece of it is put elsewhere, or turned where it is."""
 
-    gain: float  # Change of the path's cost; negative: it gets shorter
-    first: int  # First place of the piece
-    length: int  # Number of its places
-    place: int  # Its first place afterwards
-    turned: bool  # Whether it is reversed
+    #: Change of the path's cost; negative: it gets shorter
+    gain: float
+    #: First place of the piece
+    first: int
+    #: Number of its places
+    length: int
+    #: Its first place afterwards
+    place: int
+    #: Whether it is reversed
+    turned: bool
 
 
 def order(q: Array, start: Array | None = None, free_path: FreePath | None = None) -> Route:

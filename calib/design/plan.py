@@ -41,33 +41,50 @@ _USUAL_CHECK = CollisionCheck()
 class Plan:
     """Poses to measure, in the order to drive."""
 
-    robot: Robot  #: The robot.
-    cell: Cell  #: The cell that was planned for.
-    request: PlanRequest  #: The request.
-    joints: Array  #: shape (K, m), [rad] or [m], whole steps of 0.001 deg or mm.
-    sets: tuple[str, ...]  #: ``"estimate"`` or ``"validate"`` for each pose.
-    taken: Array  #: shape (T, m), poses that were measured already.
-    targets: tuple[str, ...]  #: The targets measured at every pose.
-    T_tip_target: Array  #: shape (targets, 4, 4), their poses in the tip [m].
+    #: The robot.
+    robot: Robot
+    #: The cell that was planned for.
+    cell: Cell
+    #: The request.
+    request: PlanRequest
+    #: Shape (K, m), [rad] or [m], whole steps of 0.001 deg or mm.
+    joints: Array
+    #: ``"estimate"`` or ``"validate"`` for each pose.
+    sets: tuple[str, ...]
+    #: Shape (T, m), poses that were measured already.
+    taken: Array
+    #: The targets measured at every pose.
+    targets: tuple[str, ...]
+    #: Shape (targets, 4, 4), their poses in the tip [m].
+    T_tip_target: Array
     #: shape (K, targets, 3), each target as the nominal robot predicts it, in the measurement frame if that is known,
     #: else in the base [m].
     expected: Array
-    model: str  #: The parameter set planned for.
-    kind: str  #: Kind of measurement at each pose.
-    forecast: Forecast  #: Of the fit of taken poses and planned ones.
-    before: Forecast | None  #: Of a fit of the poses taken alone; None without.
+    #: The parameter set planned for.
+    model: str
+    #: Kind of measurement at each pose.
+    kind: str
+    #: Of the fit of taken poses and planned ones.
+    forecast: Forecast
+    #: Of a fit of the poses taken alone; None without.
+    before: Forecast | None
     #: Of as many poses drawn at random from the same candidates, in place of the planned ones: the median of several
     #: draws.
     at_random: Forecast
     #: Forecasts for other numbers of planned poses, in rising order, that of the plan among them.
     ladder: tuple[tuple[int, Forecast], ...]
-    drawn: int  #: Candidates drawn.
-    candidates: int  #: Of these, those that can be measured.
+    #: Candidates drawn.
+    drawn: int
+    #: Of these, those that can be measured.
+    candidates: int
     #: Number of those drawn that were refused, by reason, see `calib.design.candidates.Reason`.
     refused: dict[str, int]
-    travel: float  #: The sum over all moves of the largest move of a joint [rad] or [m].
-    blocked: tuple[Blocked, ...]  #: The moves whose straight way is not free.
-    notes: tuple[Note, ...]  #: Remarks for the person who measures.
+    #: The sum over all moves of the largest move of a joint [rad] or [m].
+    travel: float
+    #: The moves whose straight way is not free.
+    blocked: tuple[Blocked, ...]
+    #: Remarks for the person who measures.
+    notes: tuple[Note, ...]
 
     def places(self, q: Array) -> Array:
         """Predict where each target is in the base at q, shape (N, m), by the nominal robot; (N, targets, 3), [m]."""

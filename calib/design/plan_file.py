@@ -91,9 +91,12 @@ class _Columns:
     """Columns of a plan's table, besides row, set, point and target."""
 
     joints: list[_Column]
-    empty: list[str]  # Headers of what is to be measured
-    expected: list[_Column]  # What the nominal robot would give
-    measured: list[int]  # Which of the kind's numbers these are
+    #: Headers of what is to be measured
+    empty: list[str]
+    #: What the nominal robot would give
+    expected: list[_Column]
+    #: Which of the kind's numbers these are
+    measured: list[int]
 
     @classmethod
     def of(cls, plan: Plan) -> _Columns:
@@ -160,9 +163,12 @@ def _expected_cells(kind_name: str, columns: _Columns, place: Array) -> dict[str
 class Poses(NamedTuple):
     """Poses of a table."""
 
-    joints: Array  #: shape (N, m), [rad] or [m].
-    sets: tuple[str, ...]  #: ``"estimate"`` or ``"validate"`` for each.
-    last_row: int  #: Largest number of a row of the table.
+    #: Shape (N, m), [rad] or [m].
+    joints: Array
+    #: ``"estimate"`` or ``"validate"`` for each.
+    sets: tuple[str, ...]
+    #: Largest number of a row of the table.
+    last_row: int
 
 
 def read_poses(path: str | Path, robot: Robot, *, taken: bool = False) -> Poses:

@@ -49,11 +49,16 @@ class Sensitivity:
     """Model of a robot in a cell, as the fit will use it; p is the number of parameters, k that of targets."""
 
     cell: Cell
-    kind: str  #: Kind of measurement at each pose.
-    setup: Setup  #: Frames and targets; a target that was not given is at a general place.
-    kinematics: Kinematics  #: Of the nominal robot, under the error model of the fit.
-    precision: Array  #: shape (p,), 1 / tau^2 of each parameter's prior, its own or its family's, or of the leash.
-    notes: tuple[Note, ...]  #: What was assumed.
+    #: Kind of measurement at each pose.
+    kind: str
+    #: Frames and targets; a target that was not given is at a general place.
+    setup: Setup
+    #: Of the nominal robot, under the error model of the fit.
+    kinematics: Kinematics
+    #: Shape (p,), 1 / tau^2 of each parameter's prior, its own or its family's, or of the leash.
+    precision: Array
+    #: What was assumed.
+    notes: tuple[Note, ...]
 
     @classmethod
     def of(cls, robot: Robot, cell: Cell) -> Sensitivity:

@@ -34,11 +34,15 @@ _SIMPLE = ("Box", "Cylinder", "Capsule", "Sphere")
 class Solid(NamedTuple):
     """One shape of coal."""
 
-    owner: str  #: Name of the link, target, box or plane that it belongs to.
+    #: Name of the link, target, box or plane that it belongs to.
+    owner: str
     kind: Literal["link", "target", "box", "plane"]
-    link: str  #: Link that it is fixed to.
-    T_link_shape: Array  #: shape (4, 4), [m].
-    geometry: Any  #: Of coal, which has no types.
+    #: Link that it is fixed to.
+    link: str
+    #: Shape (4, 4), [m].
+    T_link_shape: Array
+    #: Of coal, which has no types.
+    geometry: Any
 
 
 def read_solids(

@@ -20,17 +20,22 @@ _STILL = 1e-3
 class Beyond:
     """A joint value outside the measured range."""
 
-    joint: str  # The joint's name
-    prismatic: bool  # Whether it slides
-    by: float  # Distance from the nearest end of the measured range, > 0 [rad or m]
+    #: The joint's name
+    joint: str
+    #: Whether it slides
+    prismatic: bool
+    #: Distance from the nearest end of the measured range, > 0 [rad or m]
+    by: float
 
 
 @dataclass(frozen=True, slots=True)
 class OutsideRow:
     """A row with joint values outside the measured range."""
 
-    index: int  # The number of the queried row, from 0
-    beyond: tuple[Beyond, ...]  # The joint furthest out first, in shares of their measured range
+    #: The number of the queried row, from 0
+    index: int
+    #: The joint furthest out first, in shares of their measured range
+    beyond: tuple[Beyond, ...]
 
 
 def outside(

@@ -43,12 +43,16 @@ _BLOCKS = 8
 class FurtherUnknowns:
     """Further unknowns b, estimated jointly with the p parameters of a fit."""
 
-    b: Array  #: shape (k,), the further unknowns
-    covariance: Array  #: shape (k, k), of ``b``
-    x: Array  #: shape (p,), the parameters of the fit, estimated jointly with ``b``
+    #: Shape (k,), the further unknowns
+    b: Array
+    #: Shape (k, k), of ``b``
+    covariance: Array
+    #: Shape (p,), the parameters of the fit, estimated jointly with ``b``
+    x: Array
     #: shape (p,), to which share the measurements, and not the prior, determine each parameter, 0 to 1
     determined: Array
-    prior_std: Mapping[str, float]  #: Prior standard deviation of each family, estimated anew
+    #: Prior standard deviation of each family, estimated anew
+    prior_std: Mapping[str, float]
 
     def p_value(self, freedom: float, directions: Array | None = None) -> float:
         """Test b = 0 by F(k, freedom) of b^T C^-1 b / k.
@@ -232,10 +236,14 @@ def priors_from_data(fitted: Fitted) -> bool:
 class Scale:
     """Scale error of the instrument, estimated jointly with the lengths of the arm."""
 
-    share: float  #: By which share all measured lengths are too long
-    std: float  #: Its standard deviation, mostly from the uncertainty of the arm's lengths
-    p: float  #: The p-value of no scale error
-    reach: float  #: Distance of the target from the base, rms over the rows [m]
+    #: By which share all measured lengths are too long
+    share: float
+    #: Its standard deviation, mostly from the uncertainty of the arm's lengths
+    std: float
+    #: The p-value of no scale error
+    p: float
+    #: Distance of the target from the base, rms over the rows [m]
+    reach: float
     #: Whether any row measures a length; else known distances alone determine the scale
     measured: bool
 
@@ -287,11 +295,16 @@ def instrument_scale(fitted: Fitted) -> Scale | None:
 class BaseMotion:
     """Displacement of the base from where a known measurement frame has it, estimated with the arm's corrections."""
 
-    moved: float  #: Of the first joint's origin [m]
-    turned: float  #: Of its axis and about it [rad]
-    p: float  #: The p-value of no motion
-    effect: float  #: Displacement of the measured positions by it, rms [m]
-    effect_of_arm: float  #: Displacement of these positions by the arm's other corrections, rms [m]
+    #: Of the first joint's origin [m]
+    moved: float
+    #: Of its axis and about it [rad]
+    turned: float
+    #: The p-value of no motion
+    p: float
+    #: Displacement of the measured positions by it, rms [m]
+    effect: float
+    #: Displacement of these positions by the arm's other corrections, rms [m]
+    effect_of_arm: float
 
 
 def motion_of_base(fitted: Fitted) -> BaseMotion | None:

@@ -38,11 +38,16 @@ _MODEL = "dh"
 class Inspection:
     """Observability of a model at the nominal robot."""
 
-    model: ErrorModel  # The error model
-    observability: Observability  # Rank and combinations of its parameters
-    poses: int  # Number of poses
-    source: str | None  # File of the table they are from; None: spread over the joint limits
-    assumed: tuple[str, ...] = ()  # What was put at a generic place: ``"target"`` or ``"anchor"``
+    #: The error model
+    model: ErrorModel
+    #: Rank and combinations of its parameters
+    observability: Observability
+    #: Number of poses
+    poses: int
+    #: File of the table they are from; None: spread over the joint limits
+    source: str | None
+    #: What was put at a generic place: ``"target"`` or ``"anchor"``
+    assumed: tuple[str, ...] = ()
 
 
 def inspect(robot: Robot, cell: Cell, measurements: Measurements | None = None) -> Inspection:

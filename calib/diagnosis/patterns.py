@@ -52,12 +52,18 @@ _ROUNDING = 1e-12
 class Explained:
     """Result of an F test of further regressors; F is 0 and p is 1 where there is nothing to test."""
 
-    F: float  # The statistic
-    p: float  # Its p-value where the residual is noise
-    share: float  # Share of the sum of squares of the projected residual that they explain, 0 to 1
-    chance: float  # Share that as many random regressors explain on average
-    columns: int  # Number of independent further regressors
-    freedom: int  # Degrees of freedom that remain
+    #: The statistic
+    F: float
+    #: Its p-value where the residual is noise
+    p: float
+    #: Share of the sum of squares of the projected residual that they explain, 0 to 1
+    share: float
+    #: Share that as many random regressors explain on average
+    chance: float
+    #: Number of independent further regressors
+    columns: int
+    #: Degrees of freedom that remain
+    freedom: int
 
     @property
     def values(self) -> dict[str, float]:
@@ -69,12 +75,18 @@ class Explained:
 class Stack:
     """M whitened scalars of a fit to N rows, of variance 1 if the model is complete."""
 
-    A: Array  # (M, p), whitened regressors of the fit
-    r: Array  # (M,), whitened residual, measured minus predicted
-    row_of: Integers  # (M,), the row of each scalar, from 0
-    component_of: Integers  # (M,), the column of each scalar among the D of its row, from 0
-    ones: Array  # (M, components), whitened, a constant of each component
-    poses: Integers  # (N,), the pose of each row: rows of one number are repeats
+    #: (M, p), whitened regressors of the fit
+    A: Array
+    #: (M,), whitened residual, measured minus predicted
+    r: Array
+    #: (M,), the row of each scalar, from 0
+    row_of: Integers
+    #: (M,), the column of each scalar among the D of its row, from 0
+    component_of: Integers
+    #: (M, components), whitened, a constant of each component
+    ones: Array
+    #: (N,), the pose of each row: rows of one number are repeats
+    poses: Integers
 
     @property
     def cells(self) -> Integers:
@@ -185,10 +197,14 @@ def lag(stack: Stack, moves: Array) -> tuple[Array, Explained] | None:
 class Step:
     """A step in the residuals: from some row on they are displaced."""
 
-    row: int  # The first displaced row, from 0
-    size: float  # Norm of the displacement, in the unit of the directions
-    test: Explained  # The p-value is corrected for the number of rows tried
-    Z: Array  # (M, k), its regressors
+    #: The first displaced row, from 0
+    row: int
+    #: Norm of the displacement, in the unit of the directions
+    size: float
+    #: The p-value is corrected for the number of rows tried
+    test: Explained
+    #: (M, k), its regressors
+    Z: Array
 
 
 def step(stack: Stack, rows: Integers, along: Array) -> Step | None:

@@ -51,8 +51,10 @@ class Why(Enum):
 class Reason:
     """One reason of a verdict."""
 
-    why: Why  # The code
-    values: Mapping[str, Any]  # The numbers and names of its sentence, in SI units
+    #: The code
+    why: Why
+    #: The numbers and names of its sentence, in SI units
+    values: Mapping[str, Any]
 
     @classmethod
     def of(cls, why: Why, **values: Any) -> Reason:  # noqa: ANN401
@@ -84,5 +86,7 @@ class Reason:
 class Verdict:
     """Verdict on the corrected robot, or on the non-geometric model."""
 
-    use: str  # ``"use"``, ``"use with care"`` or ``"do not use"``
-    reasons: tuple[Reason, ...]  # The weightiest first
+    #: ``"use"``, ``"use with care"`` or ``"do not use"``
+    use: str
+    #: The weightiest first
+    reasons: tuple[Reason, ...]

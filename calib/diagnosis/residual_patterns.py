@@ -64,7 +64,8 @@ _FLAGGED_BEFORE = 0.1
 class Order:
     """The order in which the N rows of a fit were measured."""
 
-    numbers: Integers  #: shape (N,), of the rows in the table
+    #: Shape (N,), of the rows in the table
+    numbers: Integers
     #: shape (N, m), each joint's value minus that in the table's row before [rad] or [m]; 0 in the first row
     moves: Array
 
@@ -73,12 +74,18 @@ class Order:
 class Residuals:
     """Residuals of a fit to N rows, whitened, and their derivatives by p displacements of joints and targets."""
 
-    fitted: Fitted  #: The fit
-    stack: Stack  #: The M whitened scalars that count
-    weights: Array  #: shape (N,), of the rows; 1 where a target's first or last rows were flagged: it may have moved
-    displacements: ErrorModel  #: The zeros of the joints, and the places of the targets
-    columns: Array  #: shape (N, D, p), derivative of the predicted scalars [m], [rad] by each displacement
-    whitened: Array  #: shape (M, p), the same of the stack's scalars, whitened
+    #: The fit
+    fitted: Fitted
+    #: The M whitened scalars that count
+    stack: Stack
+    #: Shape (N,), of the rows; 1 where a target's first or last rows were flagged: it may have moved
+    weights: Array
+    #: The zeros of the joints, and the places of the targets
+    displacements: ErrorModel
+    #: Shape (N, D, p), derivative of the predicted scalars [m], [rad] by each displacement
+    columns: Array
+    #: Shape (M, p), the same of the stack's scalars, whitened
+    whitened: Array
 
     @classmethod
     def of(cls, fitted: Fitted) -> Residuals:

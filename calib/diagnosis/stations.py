@@ -73,11 +73,16 @@ def disagreeing_stations(fitted: Fitted) -> tuple[Reason, ...]:
 class _Comparison:
     """A fit to N rows of up to D scalars whose stations are compared; p parameters."""
 
-    fitted: Fitted  # The fit to all rows
-    linear: LinearProblem  # The problem linearised there
-    noise: Array  # (1, C), noise of each instrument over its sigma, as estimated by the fit
-    station: Integers  # (N,), number of each row's station; those that known distances join are one
-    counts: Mask  # (N,), rows with a weight and a measured scalar
+    #: The fit to all rows
+    fitted: Fitted
+    #: The problem linearised there
+    linear: LinearProblem
+    #: (1, C), noise of each instrument over its sigma, as estimated by the fit
+    noise: Array
+    #: (N,), number of each row's station; those that known distances join are one
+    station: Integers
+    #: (N,), rows with a weight and a measured scalar
+    counts: Mask
 
     @classmethod
     def of(cls, fitted: Fitted, station: Integers) -> _Comparison:

@@ -99,12 +99,18 @@ _FREE_FRAME = 2.0
 class Trial:
     """An input in which a mistake is undone."""
 
-    factor: float  # On the trial's error when trials are ranked; the freer the trial, the larger
-    robot: Robot  # The robot
-    setup: Setup  # Frames and targets, with what is registered anew
-    rows: Rows  # The rows
-    why: Why  # Code of the mistake
-    values: dict[str, Any] = field(default_factory=dict)  # Of its reason
+    #: On the trial's error when trials are ranked; the freer the trial, the larger
+    factor: float
+    #: The robot
+    robot: Robot
+    #: Frames and targets, with what is registered anew
+    setup: Setup
+    #: The rows
+    rows: Rows
+    #: Code of the mistake
+    why: Why
+    #: Of its reason
+    values: dict[str, Any] = field(default_factory=dict)
 
 
 def check_positions(robot: Robot, rows: Rows, source: str) -> None:

@@ -73,28 +73,43 @@ class Evidence:
     The nominal robot is cross-validated with frame and target fitted as for the calibrated one.
     """
 
-    nominal: CrossValidation  # Of the nominal robot
-    calibrated: CrossValidation  # Of the calibrated one
-    scales: Array  # (N, D), the noise of each scalar [m], [rad]
-    used: Mask  # (N, D), which scalars were measured
+    #: Of the nominal robot
+    nominal: CrossValidation
+    #: Of the calibrated one
+    calibrated: CrossValidation
+    #: (N, D), the noise of each scalar [m], [rad]
+    scales: Array
+    #: (N, D), which scalars were measured
+    used: Mask
     #: (N, D), the least noise of each scalar by any model tried, over ``scales``; what exceeds it is lack of model.
     floor: Array
-    repeats: Integers  # (N,), rows of one number are repeats of one measurement
-    pairs: Mask  # (N,), which rows hold the distance between two poses
-    outliers: Mask  # (N,), flagged by the fit to all of them
+    #: (N,), rows of one number are repeats of one measurement
+    repeats: Integers
+    #: (N,), which rows hold the distance between two poses
+    pairs: Mask
+    #: (N,), flagged by the fit to all of them
+    outliers: Mask
     # Errors of nominal and calibrated robot on validation rows, and how many further rows were set aside as outliers
     validation: tuple[Errors, Errors, int]
-    parameters: int  # Number of parameters of the model
-    changes: bool  # Whether any parameter of the robot has changed
-    largest: float  # Largest change of a parameter of the robot [m or rad]
-    noise: float  # Standard deviation of the noise of one length [m]
-    expected: float  # Expected error of predictions over the joint limits, rms [m]
-    expected_of_nominal: float  # That of the nominal robot's predictions [m]
+    #: Number of parameters of the model
+    parameters: int
+    #: Whether any parameter of the robot has changed
+    changes: bool
+    #: Largest change of a parameter of the robot [m or rad]
+    largest: float
+    #: Standard deviation of the noise of one length [m]
+    noise: float
+    #: Expected error of predictions over the joint limits, rms [m]
+    expected: float
+    #: That of the nominal robot's predictions [m]
+    expected_of_nominal: float
     full_model_parameters: int = (
         0  # Of a full geometry, where `auto` may have chosen a smaller one; else 0
     )
-    doubts: tuple[Reason, ...] = ()  # Findings besides errors
-    notes: tuple[Reason, ...] = ()  # Stated last, and decide nothing
+    #: Findings besides errors
+    doubts: tuple[Reason, ...] = ()
+    #: Stated last, and decide nothing
+    notes: tuple[Reason, ...] = ()
     hint: Reason | None = (
         None  # A usual mistake that explains the measurements; None where there is none
     )
@@ -196,26 +211,43 @@ _GIVEN = (Why.TARGET_FAR, Why.BASE_MOVED)
 class _Figures:
     """Figures that the rules compare."""
 
-    before: Errors  # Of the nominal robot on held-out rows, outliers aside
-    after: Errors  # Of the calibrated one
-    before_all: Errors  # Of the nominal robot, outliers too
-    after_all: Errors  # Of the calibrated one, outliers too
-    validation_before: Errors  # Of the nominal robot on validation rows
-    validation_after: Errors  # Of the calibrated one
-    gain: float  # Fall of the squared error on held-out rows, in standard errors
-    unproven: bool  # Whether the gain may be chance
-    handful: bool  # So few poses that held-out rows prove nothing
-    few: bool  # Too few numbers for this model
-    few_for_full_model: bool  # Too few for a full geometry
-    flagged: int  # Number of flagged rows
-    many: bool  # Whether more rows are flagged than can be accidents
-    accidents: bool  # Whether these are accidents nonetheless
-    plausible: bool  # Whether the noise may be the instrument's
+    #: Of the nominal robot on held-out rows, outliers aside
+    before: Errors
+    #: Of the calibrated one
+    after: Errors
+    #: Of the nominal robot, outliers too
+    before_all: Errors
+    #: Of the calibrated one, outliers too
+    after_all: Errors
+    #: Of the nominal robot on validation rows
+    validation_before: Errors
+    #: Of the calibrated one
+    validation_after: Errors
+    #: Fall of the squared error on held-out rows, in standard errors
+    gain: float
+    #: Whether the gain may be chance
+    unproven: bool
+    #: So few poses that held-out rows prove nothing
+    handful: bool
+    #: Too few numbers for this model
+    few: bool
+    #: Too few for a full geometry
+    few_for_full_model: bool
+    #: Number of flagged rows
+    flagged: int
+    #: Whether more rows are flagged than can be accidents
+    many: bool
+    #: Whether these are accidents nonetheless
+    accidents: bool
+    #: Whether the noise may be the instrument's
+    plausible: bool
     unpredictable: (
         bool  # Whether the error expected over the joint limits is several times the nominal one
     )
-    held_out: float  # Share of the error that remains on held-out rows
-    everywhere: float  # Share of the error that is expected to remain over the joint limits
+    #: Share of the error that remains on held-out rows
+    held_out: float
+    #: Share of the error that is expected to remain over the joint limits
+    everywhere: float
 
     @classmethod
     def of(cls, e: Evidence) -> _Figures:

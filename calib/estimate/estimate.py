@@ -31,21 +31,30 @@ _RANK_TOLERANCE = 1e-9
 class Estimate:
     """Estimated parameters of one fit to N rows."""
 
-    x: Array  # (p,), offsets from the nominal robot and the registered setup [m, rad, ...]
+    #: (p,), offsets from the nominal robot and the registered setup [m, rad, ...]
+    x: Array
     # The problem in its last form: weights, scales and prior precision as estimated
     problem: Problem
-    solution: Solution  # The solver's: all stages one after the other
-    covariance: Array  # (p, p), of x
-    scores: Array  # (N,), deleted residual norm of each row: `calib.numerics.scores`
-    flag_limit: float  # A row with a higher score is flagged as an outlier
-    freedom: float  # Degrees of freedom left for the noise
+    #: The solver's: all stages one after the other
+    solution: Solution
+    #: (p, p), of x
+    covariance: Array
+    #: (N,), deleted residual norm of each row: `calib.numerics.scores`
+    scores: Array
+    #: A row with a higher score is flagged as an outlier
+    flag_limit: float
+    #: Degrees of freedom left for the noise
+    freedom: float
     # (C,), estimated noise of each instrument, in units of the given sigma
     noise: tuple[float, ...]
     # Prior standard deviation of each family, SI units; empty without priors
     prior_std: Mapping[str, float]
-    weights: Array  # (N,), robust weights, repeats not shared out
-    log_likelihood: float  # Restricted log-likelihood at these prior standard deviations and noise
-    at_bound: tuple[int, ...] = ()  # Numbers of parameters that are at a bound
+    #: (N,), robust weights, repeats not shared out
+    weights: Array
+    #: Restricted log-likelihood at these prior standard deviations and noise
+    log_likelihood: float
+    #: Numbers of parameters that are at a bound
+    at_bound: tuple[int, ...] = ()
 
     @property
     def outliers(self) -> Mask:

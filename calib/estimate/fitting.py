@@ -32,10 +32,14 @@ from calib.units import Array
 class Fitted:
     """One fit: the registered start and the estimate from there."""
 
-    task: Task  # What was fitted
-    setup: Setup  # Frames and targets as registered, where the estimate starts
-    kinematics: Kinematics  # The nominal robot under its error model, with these frames and targets
-    estimate: Estimate  # The parameters from there, with their weights, noise and priors
+    #: What was fitted
+    task: Task
+    #: Frames and targets as registered, where the estimate starts
+    setup: Setup
+    #: The nominal robot under its error model, with these frames and targets
+    kinematics: Kinematics
+    #: The parameters from there, with their weights, noise and priors
+    estimate: Estimate
 
     def placed(self) -> Setup:
         """Frames and targets at the solution."""

@@ -49,8 +49,10 @@ TOLERANCE = 1e-6
 class SizeGauge:
     """The growth of an arm that no row observes, and the combination g of parameters that is held at zero."""
 
-    growth: Array  #: shape (p,), the change of x when all lengths of arm, frames and targets double
-    held: Array  #: shape (p,), the gradient of g: g(x) = held @ x, and held @ growth = 1
+    #: Shape (p,), the change of x when all lengths of arm, frames and targets double
+    growth: Array
+    #: Shape (p,), the gradient of g: g(x) = held @ x, and held @ growth = 1
+    held: Array
 
     def variance(self, precision: Array) -> float:
         """The prior variance of g, from the prior precision (p,) of independent parameters."""

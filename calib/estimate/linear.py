@@ -28,8 +28,10 @@ _KEPT = 3
 class _Kept(NamedTuple):
     """Normal equations that were computed, and for which weights and shares of stops."""
 
-    weights: Array  # (B, N)
-    rho: Array  # (C, 2) or (B, C, 2)
+    #: (B, N)
+    weights: Array
+    #: (C, 2) or (B, C, 2)
+    rho: Array
     equations: NormalEquations
 
     def is_for(self, weights: Array, rho: Array) -> bool:
@@ -41,19 +43,26 @@ class _Kept(NamedTuple):
 class LinearProblem:
     """N rows of D scalars linearised at x, by p parameters, in units of each scalar's given sigma."""
 
-    x: Array  # (p,), x0, where the problem is linearised
+    #: (p,), x0, where the problem is linearised
+    x: Array
     # (p + 1, D, N): the Jacobian A of the prediction, and behind it the residual r at x0
     columns: Array
-    used: Mask  # (N, D), which scalars were measured
+    #: (N, D), which scalars were measured
+    used: Mask
     # (N, D), which noise each scalar has, from 0; -1 where there is none
     instruments: NDArray[np.int8]
     # (C,), lowest noise of each instrument, in units of the given sigma
     smallest_noise: tuple[float, ...]
-    C: Array  # (K, p), rows of constraints C x = z, whitened: known distances, last what is held
-    z: Array  # (K,), value of each constraint
-    held: Array  # (p,), see `NormalEquations.held`
-    stops: Stops | None = None  # Where the robot stood while several targets were measured
-    _cache: list[_Kept] = field(init=False, repr=False, default_factory=list)  # The latest first
+    #: (K, p), rows of constraints C x = z, whitened: known distances, last what is held
+    C: Array
+    #: (K,), value of each constraint
+    z: Array
+    #: (p,), see `NormalEquations.held`
+    held: Array
+    #: Where the robot stood while several targets were measured
+    stops: Stops | None = None
+    #: The latest first
+    _cache: list[_Kept] = field(init=False, repr=False, default_factory=list)
 
     def __len__(self) -> int:
         """Number of rows N."""

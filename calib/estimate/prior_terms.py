@@ -32,17 +32,24 @@ _FIXED = 1e-10
 class PriorTerms:
     """Priors and bounds of p parameters: K families with one prior standard deviation each, and single parameters."""
 
-    names: tuple[str, ...]  # (K,), names of the families
-    families: Mask  # (K, p), which parameters belong to each
+    #: (K,), names of the families
+    names: tuple[str, ...]
+    #: (K, p), which parameters belong to each
+    families: Mask
     # (K,), prior standard deviations as given or assumed before the fit, in SI units
     start: tuple[float, ...]
     # (p,), of parameters with a prior of their own, and of frames and targets; else 0
     precision: Array
-    centre: Array  # (p,), means of the priors: 0, but for parameters at a bound, and given targets and frames
-    flat: Mask  # (p,), frames and targets without a prior of their own
-    source: str  # "data": prior standard deviations are estimated; "given": kept; "off": weak priors alone
-    limits: Array  # (p, 2), lowest and highest value of each parameter; infinite without a bound
-    fixed: tuple[int, ...] = ()  # Numbers of parameters that are held at a bound
+    #: (p,), means of the priors: 0, but for parameters at a bound, and given targets and frames
+    centre: Array
+    #: (p,), frames and targets without a prior of their own
+    flat: Mask
+    #: "data": prior standard deviations are estimated; "given": kept; "off": weak priors alone
+    source: str
+    #: (p, 2), lowest and highest value of each parameter; infinite without a bound
+    limits: Array
+    #: Numbers of parameters that are held at a bound
+    fixed: tuple[int, ...] = ()
 
     @classmethod
     def of(cls, task: Task, model: ErrorModel, registered: Setup) -> PriorTerms:

@@ -55,17 +55,26 @@ class Problem:
 
     # The nominal robot under its error model, frames and targets as registered
     kinematics: Kinematics
-    rows: Rows  # The measurements
-    scales: Array  # (N, D), standard deviation of each scalar as estimated: sigma times noise, [m] and [rad]
-    weights: Array  # (N,), of the rows, between 0 and 1
-    precision: Array  # (p,), 1 / tau_k^2; 0 for a parameter without prior
-    centre: Array  # (p,), means m_k of the priors
-    distances: tuple[KnownDistance, ...]  # Known distances between frames
+    #: The measurements
+    rows: Rows
+    #: (N, D), standard deviation of each scalar as estimated: sigma times noise, [m] and [rad]
+    scales: Array
+    #: (N,), of the rows, between 0 and 1
+    weights: Array
+    #: (p,), 1 / tau_k^2; 0 for a parameter without prior
+    precision: Array
+    #: (p,), means m_k of the priors
+    centre: Array
+    #: Known distances between frames
+    distances: tuple[KnownDistance, ...]
     # (C,), lowest noise of each instrument, in units of its sigma
     smallest_noise: tuple[float, ...]
-    rho: Array  # (C, 2), share of each instrument's variance that targets of a stop have in common
-    gauge: SizeGauge | None = None  # The size of the arm, held where nothing measures a length
-    stops: Stops | None = None  # Where the robot stood while several targets were measured
+    #: (C, 2), share of each instrument's variance that targets of a stop have in common
+    rho: Array
+    #: The size of the arm, held where nothing measures a length
+    gauge: SizeGauge | None = None
+    #: Where the robot stood while several targets were measured
+    stops: Stops | None = None
     # Cache of the last linearisation
     _last: list[LinearProblem] = field(default_factory=list, repr=False)
 

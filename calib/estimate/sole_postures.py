@@ -181,10 +181,14 @@ class _Update:
     Its residual stacks the whitened scalars of all rows, the constraints, and x_o - x over wide priors.
     """
 
-    start: LinearProblem  # Linearised at x_o
-    whiten: Array  # (N, D, D), maps residuals in units of sigma to whitened ones along the open directions
-    reference: Array  # (N, D), residuals of the other rows at x_o, which they keep; 0 for rows of sole postures
-    prior: Array  # (p,), 1 / tau of wide priors
+    #: Linearised at x_o
+    start: LinearProblem
+    #: (N, D, D), maps residuals in units of sigma to whitened ones along the open directions
+    whiten: Array
+    #: (N, D), residuals of the other rows at x_o, which they keep; 0 for rows of sole postures
+    reference: Array
+    #: (p,), 1 / tau of wide priors
+    prior: Array
 
     def residual(self, linear: LinearProblem) -> Array:
         """The residual where a problem is linearised, shape (N D + K + p,)."""

@@ -60,9 +60,12 @@ _ROUNDS = 12
 class Weighting:
     """Treatment of the rows' weights in a fit."""
 
-    repeats: str  # Repeats of a pose: "independent", "average" (as one row), or "weighted" by their correlation
-    robust: bool  # Whether outliers lose their weight
-    start: Array | float  # (N,), weights to begin with; or 1 for all rows
+    #: Repeats of a pose: "independent", "average" (as one row), or "weighted" by their correlation
+    repeats: str
+    #: Whether outliers lose their weight
+    robust: bool
+    #: (N,), weights to begin with; or 1 for all rows
+    start: Array | float
 
     @classmethod
     def of(cls, repeats: str, robust: bool, rows: Rows) -> Weighting:
@@ -82,13 +85,20 @@ class Weighting:
 class Stage:
     """Weights, noise and prior standard deviations at one point of an estimation of B fits."""
 
-    prior: PriorTerms  # Priors as given, the same for all fits
-    kept: Mask  # (B, N), the rows that each fit has
-    weights: Array  # (B, N), robust weights; 0 for rows that a fit does not have
-    share: Array  # (B, N), factor on the weight of a row that has repeats
-    noise: Array  # (B, C), of each instrument, in units of the given sigma
-    prior_std: Array  # (B, K), of each family, in its parameters' unit
-    rho: Array  # (B, C, 2), shares of each instrument's variance that targets of a stop have in common
+    #: Priors as given, the same for all fits
+    prior: PriorTerms
+    #: (B, N), the rows that each fit has
+    kept: Mask
+    #: (B, N), robust weights; 0 for rows that a fit does not have
+    weights: Array
+    #: (B, N), factor on the weight of a row that has repeats
+    share: Array
+    #: (B, C), of each instrument, in units of the given sigma
+    noise: Array
+    #: (B, K), of each family, in its parameters' unit
+    prior_std: Array
+    #: (B, C, 2), shares of each instrument's variance that targets of a stop have in common
+    rho: Array
 
     @classmethod
     def initial(

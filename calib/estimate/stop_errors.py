@@ -65,10 +65,14 @@ _TINY = 1e-300
 class Moments:
     """The moments of an instrument's residual r at S stops, from which its shares are estimated, in any unit."""
 
-    M: Array  # (S, 6, 6), J^T J
-    R: Array  # (S, 6, 6), J^T [r r^T + A C A^T] J
-    total: float  # The trace of r r^T + A C A^T, of all stops
-    count: float  # The number of scalars
+    #: (S, 6, 6), J^T J
+    M: Array
+    #: (S, 6, 6), J^T [r r^T + A C A^T] J
+    R: Array
+    #: The trace of r r^T + A C A^T, of all stops
+    total: float
+    #: The number of scalars
+    count: float
 
     def shares(self, rho: Array) -> Array:
         """Estimate the shares of translations and rotations, by iteration.
@@ -150,15 +154,24 @@ def _shares_of(theta: Array) -> Array:
 class Stops:
     """The rows of stops at which several targets were measured: K rows, in M cells of one target at one of S stops."""
 
-    rows: Integers  # (K,), their numbers in the table, cell by cell and stop by stop
-    cells: Integers  # (K,), rows of one number are of one cell
-    stops: Integers  # (K,), rows of one number are of one stop
-    J: Array  # (K, D, 6), Jacobian of each scalar by the body's displacement, of mean square 1
-    instruments: NDArray[np.int8]  # (K, D), which noise each scalar has, from 0; -1 for none
-    _first_row: Integers = field(init=False, repr=False)  # (M,), of each cell, among these rows
-    _first_cell: Integers = field(init=False, repr=False)  # (S,), of each stop, among the cells
-    _cell_of_row: Integers = field(init=False, repr=False)  # (K,), from 0
-    _stop_of_cell: Integers = field(init=False, repr=False)  # (M,), from 0
+    #: (K,), their numbers in the table, cell by cell and stop by stop
+    rows: Integers
+    #: (K,), rows of one number are of one cell
+    cells: Integers
+    #: (K,), rows of one number are of one stop
+    stops: Integers
+    #: (K, D, 6), Jacobian of each scalar by the body's displacement, of mean square 1
+    J: Array
+    #: (K, D), which noise each scalar has, from 0; -1 for none
+    instruments: NDArray[np.int8]
+    #: (M,), of each cell, among these rows
+    _first_row: Integers = field(init=False, repr=False)
+    #: (S,), of each stop, among the cells
+    _first_cell: Integers = field(init=False, repr=False)
+    #: (K,), from 0
+    _cell_of_row: Integers = field(init=False, repr=False)
+    #: (M,), from 0
+    _stop_of_cell: Integers = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Find where cells and stops begin, among rows in their order."""

@@ -22,14 +22,22 @@ PAPER = "paper"
 class Task:
     """Robot, cell, measurement setup and model of a fit, and its options."""
 
-    robot: Robot  # The nominal robot
-    cell: Cell  # What the user gave: priors, bounds, frozen and tied parameters, gravity
-    setup: Setup  # Frames and targets as given, not registered
-    model: str | Sequence[Parameter]  # Name of the set and families, or the robot's own parameters
-    distances: tuple[KnownDistance, ...] = ()  # Known distances between frames
-    solver: str | Solver = "lm"  # A name of `SOLVERS`, `PAPER`, or a solver itself
-    robust: bool = True  # Whether outliers lose their weight
-    allow_absent: bool = False  # Whether the cell may name parameters that this model lacks, as where several are tried
+    #: The nominal robot
+    robot: Robot
+    #: What the user gave: priors, bounds, frozen and tied parameters, gravity
+    cell: Cell
+    #: Frames and targets as given, not registered
+    setup: Setup
+    #: Name of the set and families, or the robot's own parameters
+    model: str | Sequence[Parameter]
+    #: Known distances between frames
+    distances: tuple[KnownDistance, ...] = ()
+    #: A name of `SOLVERS`, `PAPER`, or a solver itself
+    solver: str | Solver = "lm"
+    #: Whether outliers lose their weight
+    robust: bool = True
+    #: Whether the cell may name parameters that this model lacks, as where several are tried
+    allow_absent: bool = False
 
     def check_solver(self) -> None:
         """Raise `ModelError` where the solver's name is unknown."""

@@ -56,12 +56,14 @@ _KEPT_URDFS = 8
 class Fleet:
     """Many robots, calibrated and compared."""
 
-    rows: tuple[FleetRow, ...]  #: One for each robot, in their order
-    outliers: tuple[
-        FleetOutlier, ...
-    ]  #: Robots unlike the others, a figure each; see `calib.fleets.outliers`
-    notes: tuple[str, ...]  #: Comparisons that were not possible
-    kept: int  #: Number of robots taken from an earlier run
+    #: One for each robot, in their order
+    rows: tuple[FleetRow, ...]
+    #: Robots unlike the others, a figure each; see `calib.fleets.outliers`
+    outliers: tuple[FleetOutlier, ...]
+    #: Comparisons that were not possible
+    notes: tuple[str, ...]
+    #: Number of robots taken from an earlier run
+    kept: int
 
     @property
     def failed(self) -> tuple[FleetRow, ...]:

@@ -28,7 +28,8 @@ UrdfReader = Callable[[str], Urdf]
 class FleetRobot:
     """One robot of a fleet, whose inputs are read when its turn has come."""
 
-    name: str  #: Unique in the fleet; the name of its folder
+    #: Unique in the fleet; the name of its folder
+    name: str
     #: Reads the robot's inputs. Its argument reads URDFs and keeps the last ones, which many robots may share
     load: Callable[[UrdfReader], FleetInputs]
 

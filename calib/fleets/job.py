@@ -26,23 +26,34 @@ from calib.version import __version__
 class FleetOptions:
     """Options that hold for all robots of a fleet."""
 
-    solver: str = "lm"  #: As of `calibrate`
-    robust: bool = True  #: As of `calibrate`
-    validate: bool = True  #: As of `calibrate`
-    reports: bool = True  #: Whether each robot gets a report, which takes longer than the fit
-    target_link: bool = False  #: Whether the corrected URDFs get a link at the target
-    accept: bool = False  #: Whether URDFs are written also where the verdict is ``do not use``
-    command: str = ""  #: The command that made the reports, to be shown in them
+    #: As of `calibrate`
+    solver: str = "lm"
+    #: As of `calibrate`
+    robust: bool = True
+    #: As of `calibrate`
+    validate: bool = True
+    #: Whether each robot gets a report, which takes longer than the fit
+    reports: bool = True
+    #: Whether the corrected URDFs get a link at the target
+    target_link: bool = False
+    #: Whether URDFs are written also where the verdict is ``do not use``
+    accept: bool = False
+    #: The command that made the reports, to be shown in them
+    command: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FleetJob:
     """One robot to calibrate."""
 
-    name: str  #: The robot's name
-    robot: Robot  #: The nominal robot
-    measurements: Measurements  #: Its measured rows
-    cell: Cell  #: Its measurement setup
+    #: The robot's name
+    name: str
+    #: The nominal robot
+    robot: Robot
+    #: Its measured rows
+    measurements: Measurements
+    #: Its measurement setup
+    cell: Cell
 
     def fingerprint(self, options: FleetOptions) -> str:
         """Return the fingerprint of all that the robot's files depend on.
@@ -69,7 +80,8 @@ class FleetJob:
 class FleetJobResult:
     """The result of one robot, not written yet."""
 
-    row: FleetRow  #: Its row of the fleet's table; its status is `FAILED` if there is no result
+    #: Its row of the fleet's table; its status is `FAILED` if there is no result
+    row: FleetRow
     #: Content of each file, by name; none if the robot failed
     files: Mapping[str, bytes] = field(default_factory=dict)
 

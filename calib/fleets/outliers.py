@@ -60,26 +60,40 @@ _ERRORS = (
 class FleetOutlier:
     """One figure by which a robot is unlike the others, or data that it shares with another."""
 
-    name: str  #: The robot's name
-    figure: str  #: Name of the figure or parameter, or ``"data"``, of which all numbers are NaN
-    unit: str = ""  #: Unit of ``value`` and ``usual``; ``""`` for data
-    value: float = math.nan  #: The robot's figure
-    usual: float = math.nan  #: Median of the robots of its kind
-    z: float = math.nan  #: Deviation from the median, see the module's text
-    limit: float = math.nan  #: |z| beyond which a figure is flagged
-    text: str = ""  #: The outlier in words
+    #: The robot's name
+    name: str
+    #: Name of the figure or parameter, or ``"data"``, of which all numbers are NaN
+    figure: str
+    #: Unit of ``value`` and ``usual``; ``""`` for data
+    unit: str = ""
+    #: The robot's figure
+    value: float = math.nan
+    #: Median of the robots of its kind
+    usual: float = math.nan
+    #: Deviation from the median, see the module's text
+    z: float = math.nan
+    #: |z| beyond which a figure is flagged
+    limit: float = math.nan
+    #: The outlier in words
+    text: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Figure:
     """One figure of the n robots of a kind."""
 
-    name: str  #: Name of the figure or parameter
-    unit: str  #: Its unit
-    values: Array  #: Compared values, shape (n,), logarithms if ``logarithmic``; NaN: the robot has none
-    stds: Array  #: Their standard deviations, shape (n,); 0 or NaN: none
-    floor: float  #: Differences of values below which robots are alike
-    logarithmic: bool  #: Whether ``values`` are natural logarithms of the figure
+    #: Name of the figure or parameter
+    name: str
+    #: Its unit
+    unit: str
+    #: Compared values, shape (n,), logarithms if ``logarithmic``; NaN: the robot has none
+    values: Array
+    #: Their standard deviations, shape (n,); 0 or NaN: none
+    stds: Array
+    #: Differences of values below which robots are alike
+    floor: float
+    #: Whether ``values`` are natural logarithms of the figure
+    logarithmic: bool
 
     def shown(self, value: float) -> float:
         """Return the figure in its unit, from a compared value."""

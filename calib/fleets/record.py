@@ -48,9 +48,12 @@ _NOT_MEASURED = 1e9
 class FleetParameter:
     """One estimated parameter of a robot, to be compared with those of the other robots."""
 
-    name: str  #: Its name
-    unit: str  #: Its unit: ``"m"``, ``"rad"``, ``"1"``, or that of a compliance
-    change: float  #: Calibrated minus nominal; of a target its position in the tip
+    #: Its name
+    name: str
+    #: Its unit: ``"m"``, ``"rad"``, ``"1"``, or that of a compliance
+    unit: str
+    #: Calibrated minus nominal; of a target its position in the tip
+    change: float
     #: Standard deviation; NaN where the measurements do not determine the parameter, or a bound stopped it
     std: float
 
@@ -59,28 +62,46 @@ class FleetParameter:
 class FleetRow:
     """One robot of a fleet. Numbers that do not exist are NaN, texts ``""``."""
 
-    name: str  #: Its name
-    status: str  #: `DONE` or `FAILED`
-    message: str = ""  #: Why it failed
-    verdict: str = ""  #: ``"use"``, ``"use with care"`` or ``"do not use"``
-    urdf: str = ""  #: State of its corrected URDF: `WRITTEN`, `WITHHELD` or `ACCEPTED`
-    model: str = ""  #: The geometry's parameter set
-    non_geometric: str = ""  #: The non-geometric model
-    rows: int = 0  #: Number of rows that were fitted
-    outliers: int = 0  #: Number of flagged rows among them
-    nominal_rms: float = math.nan  #: Error of the nominal robot on the fitted rows [m]
-    calibrated_rms: float = math.nan  #: Error of the calibrated robot on the fitted rows [m]
-    unseen: str = ""  #: Rows of ``unseen_rms``: ``"validation"`` or ``"cross-validation"``
-    unseen_rms: float = math.nan  #: Error of the calibrated robot on rows that were not fitted [m]
+    #: Its name
+    name: str
+    #: `DONE` or `FAILED`
+    status: str
+    #: Why it failed
+    message: str = ""
+    #: ``"use"``, ``"use with care"`` or ``"do not use"``
+    verdict: str = ""
+    #: State of its corrected URDF: `WRITTEN`, `WITHHELD` or `ACCEPTED`
+    urdf: str = ""
+    #: The geometry's parameter set
+    model: str = ""
+    #: The non-geometric model
+    non_geometric: str = ""
+    #: Number of rows that were fitted
+    rows: int = 0
+    #: Number of flagged rows among them
+    outliers: int = 0
+    #: Error of the nominal robot on the fitted rows [m]
+    nominal_rms: float = math.nan
+    #: Error of the calibrated robot on the fitted rows [m]
+    calibrated_rms: float = math.nan
+    #: Rows of ``unseen_rms``: ``"validation"`` or ``"cross-validation"``
+    unseen: str = ""
+    #: Error of the calibrated robot on rows that were not fitted [m]
+    unseen_rms: float = math.nan
     #: Error on held-out rows that are not flagged, by cross-validation [m]
     held_out_rms: float = math.nan
-    sigma: float = math.nan  #: Estimated noise of one coordinate or length [m]
-    sigma_angle: float = math.nan  #: Estimated noise of an angle [rad]
+    #: Estimated noise of one coordinate or length [m]
+    sigma: float = math.nan
+    #: Estimated noise of an angle [rad]
+    sigma_angle: float = math.nan
     #: Text that robots must share to be compared: name in the URDF, base, tip, joints
     kind: str = ""
-    data: str = ""  #: Name of the table of measurements
-    measured: str = ""  #: Hash of the measured values, see `measured_hash`
-    parameters: tuple[FleetParameter, ...] = ()  #: Those of the geometry, without those of frames
+    #: Name of the table of measurements
+    data: str = ""
+    #: Hash of the measured values, see `measured_hash`
+    measured: str = ""
+    #: Those of the geometry, without those of frames
+    parameters: tuple[FleetParameter, ...] = ()
 
     @classmethod
     def of(cls, name: str, calibration: CalibrationValues, *, accept: bool = False) -> FleetRow:

@@ -31,7 +31,8 @@ SCHEMA = "fleet robot 5"
 class RobotFolder:
     """The folder of one robot."""
 
-    path: Path  #: Where it is, or will be
+    #: Where it is, or will be
+    path: Path
 
     def finished_row(self, fingerprint: str) -> FleetRow | None:
         """Return the robot's row of an earlier run if that had the same inputs and all its files are there.

@@ -40,11 +40,16 @@ Notes = tuple[Note, ...]
 class Conversion:
     """A conversion that was done: what was read, and what was written."""
 
-    source: Source  #: What was read.
-    format: str  #: Name of the format that was written, one of `FORMATS`.
-    path: Path  #: The file that was written.
-    notes: Notes  #: What the writer has to say.
-    against: str = ""  #: The verdict ``do not use`` and its reason, where one was accepted.
+    #: What was read.
+    source: Source
+    #: Name of the format that was written, one of `FORMATS`.
+    format: str
+    #: The file that was written.
+    path: Path
+    #: What the writer has to say.
+    notes: Notes
+    #: The verdict ``do not use`` and its reason, where one was accepted.
+    against: str = ""
 
 
 def read_source(source: str, path: Path, options: Options) -> tuple[Source, str]:
@@ -158,8 +163,10 @@ def _write_ur_conf(source: Source, path: Path, options: Options) -> Notes:
 class Format(NamedTuple):
     """A format that can be written."""
 
-    what: str  #: What it is, for texts.
-    endings: tuple[str, ...]  #: Endings of its files.
+    #: What it is, for texts.
+    what: str
+    #: Endings of its files.
+    endings: tuple[str, ...]
     #: Writes a source to a file that is read back and compared; returns what it has to say.
     write: Callable[[Source, Path, Options], Notes]
 

@@ -62,20 +62,28 @@ _POSES = 64
 class Added(NamedTuple):
     """The value that is added to a row: that of a joint times a factor, plus an offset."""
 
-    driver: str | None  #: The joint; None: none, the row's joint is held.
-    factor: float  #: How many times its value; 0 without a joint.
-    offset: float  #: What is added besides [rad], or [m] of a row whose joint slides.
-    formula: str  #: The same as text, ``"-2 * arm + 5 deg"``; of most rows the joint's own name.
+    #: The joint; None: none, the row's joint is held.
+    driver: str | None
+    #: How many times its value; 0 without a joint.
+    factor: float
+    #: What is added besides [rad], or [m] of a row whose joint slides.
+    offset: float
+    #: The same as text, ``"-2 * arm + 5 deg"``; of most rows the joint's own name.
+    formula: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DHTables:
     """The DH rows of a robot beside those of its nominal state; both hold the poses of their robots."""
 
-    robot: Robot  #: The robot, as it is.
-    nominal: Robot | None  #: The same chain before the calibration; None: not known.
-    after: DHTable  #: The rows of ``robot``; their open choices are those of ``before``.
-    before: DHTable | None  #: The rows of ``nominal``.
+    #: The robot, as it is.
+    robot: Robot
+    #: The same chain before the calibration; None: not known.
+    nominal: Robot | None
+    #: The rows of ``robot``; their open choices are those of ``before``.
+    after: DHTable
+    #: The rows of ``nominal``.
+    before: DHTable | None
 
     @classmethod
     def of(cls, robot: Robot, nominal: Robot | None = None, convention: str = STANDARD) -> DHTables:

@@ -23,5 +23,7 @@ Code = Literal[
 class Note(NamedTuple):
     """A note of a conversion."""
 
-    code: Code  #: What it is about.
-    values: tuple[str | float, ...] = ()  #: What its sentence names, in SI units [m], [rad].
+    #: What it is about.
+    code: Code
+    #: What its sentence names, in SI units [m], [rad].
+    values: tuple[str | float, ...] = ()

@@ -41,8 +41,10 @@ _HEADER = """\
 class JointOrigin(NamedTuple):
     """The ``<origin>`` of a joint, as a URDF states it: R = Rz(yaw) Ry(pitch) Rx(roll)."""
 
-    xyz: tuple[float, ...]  #: x, y, z of the joint's frame in the parent link [m].
-    rpy: tuple[float, ...]  #: roll, pitch, yaw [rad].
+    #: X, y, z of the joint's frame in the parent link [m].
+    xyz: tuple[float, ...]
+    #: Roll, pitch, yaw [rad].
+    rpy: tuple[float, ...]
 
     @property
     def T_parent_joint(self) -> NDArray[np.float64]:

@@ -18,21 +18,27 @@ from calib.units import Array
 class Options:
     """Options of a conversion; all may be left out."""
 
-    to: str | None = None  #: Name of the format to write; None: by the ending of the file.
+    #: Name of the format to write; None: by the ending of the file.
+    to: str | None = None
     #: The nominal robot: URDF, xacro or name; None: that of a result, or a bare one of ``ur_model``.
     robot: str | None = None
-    ur_model: str | None = None  #: Name of an arm of Universal Robots; None: found from the robot.
+    #: Name of an arm of Universal Robots; None: found from the robot.
+    ur_model: str | None = None
     urcontrol: Path | None = (
         None  #: The arm's file with the nominal rows of a ``calibration.conf``.
     )
     #: The robot's own ``kinematics.yaml`` or ``calibration.conf``, whose hash a new ``kinematics.yaml`` keeps.
     hash_from: Path | None = None
-    update: Path | None = None  #: A ``calibration.conf`` whose other lines a new one keeps.
-    base: str | None = None  #: First link of the chain; None: that of the source.
-    tip: str | None = None  #: Last link of the chain; None: that of the source.
+    #: A ``calibration.conf`` whose other lines a new one keeps.
+    update: Path | None = None
+    #: First link of the chain; None: that of the source.
+    base: str | None = None
+    #: Last link of the chain; None: that of the source.
+    tip: str | None = None
     #: Values of joints that stay, by name [rad or m]; None: those of the source.
     held: Mapping[str, float] | None = None
-    overwrite: bool = False  #: Whether a file that exists is replaced.
+    #: Whether a file that exists is replaced.
+    overwrite: bool = False
 
     def load(self, source: str) -> Robot:
         """Return a robot, by its URDF, xacro or name, between the links of these options."""
@@ -46,15 +52,22 @@ class Source:
     Of Universal Robots' files also the driver's name of the calibration, the arm, and what the file holds.
     """
 
-    kind: str  #: Kind of source, one of `calib.formats.convert.KINDS`.
-    robot: Robot  #: The robot, calibrated if the file is.
-    nominal: Robot | None  #: The nominal robot; None: not known.
-    hash: str | None = None  #: The driver's name of the calibration; None: of another file.
-    model: UrModel | None = None  #: The arm of Universal Robots; None: of another maker.
-    conf: Conf | None = None  #: The ``calibration.conf`` that was read; None: another file was.
+    #: Kind of source, one of `calib.formats.convert.KINDS`.
+    kind: str
+    #: The robot, calibrated if the file is.
+    robot: Robot
+    #: The nominal robot; None: not known.
+    nominal: Robot | None
+    #: The driver's name of the calibration; None: of another file.
+    hash: str | None = None
+    #: The arm of Universal Robots; None: of another maker.
+    model: UrModel | None = None
+    #: The ``calibration.conf`` that was read; None: another file was.
+    conf: Conf | None = None
     #: Numbers of the ``kinematics.yaml`` that was read, shape (6, 6) [m], [rad], see `read_numbers`; None: another file
     #: was.
     numbers: Array | None = None
-    notes: tuple[Note, ...] = ()  #: What the reader has to say.
+    #: What the reader has to say.
+    notes: tuple[Note, ...] = ()
     #: The verdict of a result; None of any other file, and of a result that was not validated.
     verdict: Verdict | None = None

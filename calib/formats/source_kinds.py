@@ -30,9 +30,12 @@ YAML = (".yaml", ".yml")
 class SourceKind(NamedTuple):
     """A kind of source."""
 
-    endings: tuple[str, ...]  #: Endings of its files; ``""`` of the name of a robot.
-    key: str  #: The key by which a YAML file is recognised; empty: by its ending alone.
-    read: Callable[[str, Options], Source]  #: Reads a file, or the name of a robot.
+    #: Endings of its files; ``""`` of the name of a robot.
+    endings: tuple[str, ...]
+    #: The key by which a YAML file is recognised; empty: by its ending alone.
+    key: str
+    #: Reads a file, or the name of a robot.
+    read: Callable[[str, Options], Source]
 
 
 def source_kind(source: str) -> str:

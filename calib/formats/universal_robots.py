@@ -238,12 +238,15 @@ class UrWritten:
     With the file's own kinematics K(q) from the controller's base to its flange, the arm is T_base K(q) T_tool.
     """
 
-    path: Path  #: The file.
-    T_base: Array  #: shape (4, 4), [m], in the controller's base; the identity if nothing is lost.
+    #: The file.
+    path: Path
+    #: Shape (4, 4), [m], in the controller's base; the identity if nothing is lost.
+    T_base: Array
     T_tool: (
         Array  #: shape (4, 4), [m], in the controller's flange; the identity if nothing is lost.
     )
-    notes: tuple[Note, ...]  #: What the file cannot hold, and what of another file was kept.
+    #: What the file cannot hold, and what of another file was kept.
+    notes: tuple[Note, ...]
 
 
 def write_ur_yaml(

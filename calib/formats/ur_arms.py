@@ -92,8 +92,10 @@ _JointRow = tuple[str, str, str, tuple[float, ...], tuple[float, ...]]
 class UrModel:
     """One type of arm, with its nominal kinematics."""
 
-    name: str  #: ``"UR5e"``; of an arm that calib does not know ``"arm of urcontrol.conf"``.
-    rows: Array  #: Nominal DH rows theta, a, d, alpha, shape (6, 4), [rad] and [m].
+    #: ``"UR5e"``; of an arm that calib does not know ``"arm of urcontrol.conf"``.
+    name: str
+    #: Nominal DH rows theta, a, d, alpha, shape (6, 4), [rad] and [m].
+    rows: Array
 
     @property
     def known(self) -> bool:

@@ -42,10 +42,14 @@ _QUOTED = 40
 class Conf(NamedTuple):
     """A ``calibration.conf``."""
 
-    deltas: Array  #: shape (6, 4), ``delta_theta``, ``delta_a``, ``delta_d`` and ``delta_alpha`` [rad], [m].
-    others: tuple[str, ...]  #: The other keys of ``[mounting]``, such as ``joint_checksum``.
-    status: str  #: Its ``calibration_status``, see `LINEARISED`.
-    text: str  #: The whole file, a character for each byte.
+    #: Shape (6, 4), ``delta_theta``, ``delta_a``, ``delta_d`` and ``delta_alpha`` [rad], [m].
+    deltas: Array
+    #: The other keys of ``[mounting]``, such as ``joint_checksum``.
+    others: tuple[str, ...]
+    #: Its ``calibration_status``, see `LINEARISED`.
+    status: str
+    #: The whole file, a character for each byte.
+    text: str
 
     @classmethod
     def read(cls, path: PathLike, data: bytes | None = None) -> Conf:

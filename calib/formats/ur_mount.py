@@ -39,13 +39,17 @@ _FLANGES = ("tool0", "wrist_3_link")
 class Mount:
     """Mount of an arm in a URDF: T_base_tip = T_base_arm chain(q) T_flange_tip."""
 
-    model: UrModel  #: The arm.
-    T_base_arm: Array  #: shape (4, 4), [m], pose of the controller's base in the robot's base.
-    T_flange_tip: Array  #: shape (4, 4), [m], pose of the robot's tip in the controller's flange.
+    #: The arm.
+    model: UrModel
+    #: Shape (4, 4), [m], pose of the controller's base in the robot's base.
+    T_base_arm: Array
+    #: Shape (4, 4), [m], pose of the robot's tip in the controller's flange.
+    T_flange_tip: Array
     #: shape (6, 4, 4), [m], pose of each joint's frame of the URDF in the arm's frame of that joint: a motion along and
     #: about the axis.
     T_arm_joint: Array
-    nominal: bool  #: Whether the robot has the arm's nominal kinematics.
+    #: Whether the robot has the arm's nominal kinematics.
+    nominal: bool
 
     def chain_of(self, robot: Robot) -> Array:
         """Return the chain of the arm that a robot with this mount is.

@@ -36,8 +36,10 @@ _ALONG = 1e-6
 class Rule:
     """The convention of rows, and the angle below which it takes axes as parallel."""
 
-    convention: str  #: One of `CONVENTIONS`.
-    limit: float  #: Of the standard and modified conventions [rad].
+    #: One of `CONVENTIONS`.
+    convention: str
+    #: Of the standard and modified conventions [rad].
+    limit: float
 
     @property
     def hayati(self) -> bool:
@@ -64,9 +66,12 @@ class Rule:
 class Reference:
     """A row of the robot whose open choices are kept."""
 
-    row: DHRow  #: The row.
-    x: Array  #: shape (3,), x axis of its frame, in the base at q = 0.
-    T_n_tip: Array  #: shape (4, 4), [m], pose of that robot's tip in frame n.
+    #: The row.
+    row: DHRow
+    #: Shape (3,), x axis of its frame, in the base at q = 0.
+    x: Array
+    #: Shape (4, 4), [m], pose of that robot's tip in frame n.
+    T_n_tip: Array
 
 
 class RowNumbers(NamedTuple):

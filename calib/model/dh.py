@@ -50,13 +50,20 @@ NEARLY_PARALLEL_RAD = np.radians(3.0)
 class DHRow:
     """One row; lengths [m], angles [rad]."""
 
-    joint: str  #: The joint whose value is added.
-    prismatic: bool  #: True if it is added to d instead of theta.
-    theta: float  #: About z.
-    d: float  #: Along z.
-    a: float  #: Along x: a_i, or a_(i-1) in the modified convention.
-    alpha: float  #: About x: alpha_i, or alpha_(i-1) in the modified convention.
-    beta: float = 0.0  #: About y, Hayati's; 0 in the others.
+    #: The joint whose value is added.
+    joint: str
+    #: True if it is added to d instead of theta.
+    prismatic: bool
+    #: About z.
+    theta: float
+    #: Along z.
+    d: float
+    #: Along x: a_i, or a_(i-1) in the modified convention.
+    a: float
+    #: About x: alpha_i, or alpha_(i-1) in the modified convention.
+    alpha: float
+    #: About y, Hayati's; 0 in the others.
+    beta: float = 0.0
 
     @property
     def near_parallel(self) -> bool:
@@ -92,10 +99,14 @@ class DHRow:
 class DHTable:
     """The rows of a chain, with the constant poses before the first and behind the last."""
 
-    rows: tuple[DHRow, ...]  #: One for each moving joint, base to tip.
-    T_base_0: Array  #: shape (4, 4), [m], pose of frame 0 in the base.
-    T_n_tip: Array  #: shape (4, 4), [m], pose of the tip in frame n.
-    convention: str = HAYATI  #: One of `CONVENTIONS`.
+    #: One for each moving joint, base to tip.
+    rows: tuple[DHRow, ...]
+    #: Shape (4, 4), [m], pose of frame 0 in the base.
+    T_base_0: Array
+    #: Shape (4, 4), [m], pose of the tip in frame n.
+    T_n_tip: Array
+    #: One of `CONVENTIONS`.
+    convention: str = HAYATI
 
     def poses(self, values: ArrayLike) -> Array:
         """Return T_base_tip from the rows alone.

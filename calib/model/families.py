@@ -31,18 +31,22 @@ from calib.units import Array
 class Unit:
     """A unit of parameters, in results, on screens and in cell files."""
 
-    symbol: str  #: In SI units: ``"m"``, ``"rad/Nm"``.
-    key: str  #: The suffix of keys in result files: ``"rad_Nm"``.
-    quantity: str  #: The quantity it measures, for messages: ``"a length"``.
-    step: float  #: Typical error of arms, in SI: parameters of different units are compared in such steps.
-    shown: tuple[
-        float, str
-    ]  #: The factor from SI to the unit that people read, and its symbol: ``(1e3, "mm")``.
-    cell: tuple[
-        str, float
-    ]  #: The suffix of a cell file's keys, and its unit in SI: ``("_mm", 1e-3)``.
-    example: str  #: A value that could be typed: ``"0.5 mm"``.
-    largest: float = 1.0  #: A value beyond this, in SI, is no error but another robot.
+    #: In SI units: ``"m"``, ``"rad/Nm"``.
+    symbol: str
+    #: The suffix of keys in result files: ``"rad_Nm"``.
+    key: str
+    #: The quantity it measures, for messages: ``"a length"``.
+    quantity: str
+    #: Typical error of arms, in SI: parameters of different units are compared in such steps.
+    step: float
+    #: The factor from SI to the unit that people read, and its symbol: ``(1e3, "mm")``.
+    shown: tuple[float, str]
+    #: The suffix of a cell file's keys, and its unit in SI: ``("_mm", 1e-3)``.
+    cell: tuple[str, float]
+    #: A value that could be typed: ``"0.5 mm"``.
+    example: str
+    #: A value beyond this, in SI, is no error but another robot.
+    largest: float = 1.0
 
 
 M = Unit(
@@ -121,13 +125,18 @@ ENDS = ("tip", "base")
 class JointState:
     """The state of the joints in N samples, from which the factor of one joint's error is computed."""
 
-    joint: str  #: Name of the joint that errs.
-    joint_names: tuple[str, ...]  #: The m measured joints.
-    values: Array  #: shape (N, m), of all measured joints, [rad] or [m].
-    chain: tuple[str, ...] = ()  #: Names of the n joints of the chain.
+    #: Name of the joint that errs.
+    joint: str
+    #: The m measured joints.
+    joint_names: tuple[str, ...]
+    #: Shape (N, m), of all measured joints, [rad] or [m].
+    values: Array
+    #: Names of the n joints of the chain.
+    chain: tuple[str, ...] = ()
     #: shape (N, n, n + 3), see `calib.robot.gravity.gravity_loads`; None if not known.
     loads: Array | None = None
-    point: str = ""  #: Name of the point of the chain that carries a mass: the joint that lies there, or of `ENDS`.
+    #: Name of the point of the chain that carries a mass: the joint that lies there, or of `ENDS`.
+    point: str = ""
 
     @property
     def q(self) -> Array:
@@ -157,11 +166,14 @@ class JointState:
 class Factor:
     """The known number of the joints' state that multiplies one parameter of a joint."""
 
-    name: str  #: Names the parameter, ``<joint>.<name>``.
-    value: Callable[[JointState], Array]  #: The number, of shape (N,), from a `JointState`.
+    #: Names the parameter, ``<joint>.<name>``.
+    name: str
+    #: The number, of shape (N,), from a `JointState`.
+    value: Callable[[JointState], Array]
     #: Its derivative by the joint's own value, shape (N,); None: next to 0, and taken as that.
     slope: Callable[[JointState], Array] | None
-    loaded: bool = False  #: True if it needs the load on the joints.
+    #: True if it needs the load on the joints.
+    loaded: bool = False
     #: True if there is one for each later point of the chain, ``<joint>.<name>[<point>]``.
     later: bool = False
     #: The name of that point; "" where ``later`` is False or the point is not chosen yet.
@@ -172,18 +184,26 @@ class Factor:
 class Family:
     """A family of errors, whose parameters share the standard deviation of a prior."""
 
-    name: str  #: As a model names it behind a "+": ``"gain"``.
-    unit: Unit  #: Of a parameter, at a joint that turns.
-    prior: float  #: Prior standard deviation that is assumed, or where the search for it begins, in that unit.
-    typical: float  #: Standard deviation of a virtual robot's errors, in that unit.
-    factors: tuple[Factor, ...] = ()  #: Of each joint's parameters; empty for the geometry.
+    #: As a model names it behind a "+": ``"gain"``.
+    name: str
+    #: Of a parameter, at a joint that turns.
+    unit: Unit
+    #: Prior standard deviation that is assumed, or where the search for it begins, in that unit.
+    prior: float
+    #: Standard deviation of a virtual robot's errors, in that unit.
+    typical: float
+    #: Of each joint's parameters; empty for the geometry.
+    factors: tuple[Factor, ...] = ()
     #: Of a parameter at a joint that slides; None: such a joint has none of the family.
     sliding: Unit | None = None
     #: True if all joints of the chain err; False: the measured ones, and followers with them.
     every_joint: bool = False
-    bounds: tuple[float, float] = (1e-7, 0.1)  #: Prior standard deviations to believe, in ``unit``.
-    positive: bool = False  #: True if its parameters cannot be negative, as a compliance cannot.
-    lever: float = 1.0  #: A sliding joint's typical error over that of a turning one.
+    #: Prior standard deviations to believe, in ``unit``.
+    bounds: tuple[float, float] = (1e-7, 0.1)
+    #: True if its parameters cannot be negative, as a compliance cannot.
+    positive: bool = False
+    #: A sliding joint's typical error over that of a turning one.
+    lever: float = 1.0
 
     @property
     def geometric(self) -> bool:

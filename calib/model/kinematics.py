@@ -25,9 +25,12 @@ from calib.units import Array, Integers, Mask
 class Samples:
     """Joint values in N samples, and the measurement frame and the target of each."""
 
-    q: Array  #: shape (N, m), values of the measured joints, [rad] or [m], in the order of `Robot.joint_names`.
-    frame: Integers  #: shape (N,), index of the measurement frame, from 0.
-    target: Integers  #: shape (N,), index of the target, from 0.
+    #: Shape (N, m), values of the measured joints, [rad] or [m], in the order of `Robot.joint_names`.
+    q: Array
+    #: Shape (N,), index of the measurement frame, from 0.
+    frame: Integers
+    #: Shape (N,), index of the target, from 0.
+    target: Integers
     #: shape (N, n, n + 3), see `calib.robot.gravity.gravity_loads`; None if not known.
     load: Array | None = None
 
@@ -61,10 +64,14 @@ SamplesOrValues: TypeAlias = Samples | Array
 class Kinematics:
     """A robot under an error model, seen at targets from measurement frames."""
 
-    robot: Robot  #: The nominal robot.
-    model: ErrorModel  #: Its p parameters x.
-    T_frame_base: Array  #: shape (F, 4, 4) or (4, 4), [m], pose of the base in each measurement frame at x = 0.
-    T_tip_target: Array  #: shape (T, 4, 4) or (4, 4), [m], pose of each target in the tip at x = 0.
+    #: The nominal robot.
+    robot: Robot
+    #: Its p parameters x.
+    model: ErrorModel
+    #: Shape (F, 4, 4) or (4, 4), [m], pose of the base in each measurement frame at x = 0.
+    T_frame_base: Array
+    #: Shape (T, 4, 4) or (4, 4), [m], pose of each target in the tip at x = 0.
+    T_tip_target: Array
 
     def __post_init__(self) -> None:
         """Make one frame and one target stacks of one."""

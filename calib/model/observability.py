@@ -39,25 +39,32 @@ _LEAST_PIVOT = 0.05
 class Combination:
     """Parameters that can change together without changing what was measured."""
 
-    names: tuple[str, ...]  #: The parameters, in the model's order.
+    #: The parameters, in the model's order.
+    names: tuple[str, ...]
     #: Change of each, in its own unit, for the leading one, as a rule the first, changing by its declared step.
     steps: tuple[float, ...]
-    units: tuple[str, ...]  #: Symbol of the unit of each, see `calib.model.families.unit_of`.
+    #: Symbol of the unit of each, see `calib.model.families.unit_of`.
+    units: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observability:
     """The result of `analyse`."""
 
-    columns: int  #: Number of parameters.
-    rank: int  #: Number of combinations that the measurements determine.
-    condition: float  #: Largest over smallest singular value of the determined part.
-    singular_values: Array  #: shape (columns,), of the scaled Jacobian, descending, [m per step].
-    indices: dict[str, float]  #: O1 to O5 of the determined part.
-    unidentifiable: tuple[Combination, ...]  #: One combination for each missing rank.
-    identifiable: NDArray[
-        np.bool_
-    ]  #: shape (columns,), True for a parameter that takes part in none of them.
+    #: Number of parameters.
+    columns: int
+    #: Number of combinations that the measurements determine.
+    rank: int
+    #: Largest over smallest singular value of the determined part.
+    condition: float
+    #: Shape (columns,), of the scaled Jacobian, descending, [m per step].
+    singular_values: Array
+    #: O1 to O5 of the determined part.
+    indices: dict[str, float]
+    #: One combination for each missing rank.
+    unidentifiable: tuple[Combination, ...]
+    #: Shape (columns,), True for a parameter that takes part in none of them.
+    identifiable: NDArray[np.bool_]
 
 
 def steps(units: Sequence[str]) -> Array:

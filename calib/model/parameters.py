@@ -34,23 +34,32 @@ _UNMOVED = 1e-12
 class Parameter:
     """One error: a direction at a place."""
 
-    name: str  #: Unique, such as ``"d1"``, ``"elbow_joint.rx"`` or ``"target_x"``.
-    unit: str  #: The symbol of a `calib.model.families.Unit`: "m", "rad", "rad/Nm", ...
-    place: str  #: A joint's name, `TIP`, or that of a frame or a target.
+    #: Unique, such as ``"d1"``, ``"elbow_joint.rx"`` or ``"target_x"``.
+    name: str
+    #: The symbol of a `calib.model.families.Unit`: "m", "rad", "rad/Nm", ...
+    unit: str
+    #: A joint's name, `TIP`, or that of a frame or a target.
+    place: str
     #: shape (6,), twist in the place's frame, linear then angular, of a unit of the parameter or the joint's motion.
     direction: Array
-    family: str  #: One of `calib.model.families.FAMILIES`, `FRAME` or `TARGET`.
-    nominal: float = 0.0  #: The value that it adds to, in its unit: the DH table's, or 0.
-    factor: Factor | None = None  #: The number of the joint's state that multiplies it; None for 1.
+    #: One of `calib.model.families.FAMILIES`, `FRAME` or `TARGET`.
+    family: str
+    #: The value that it adds to, in its unit: the DH table's, or 0.
+    nominal: float = 0.0
+    #: The number of the joint's state that multiplies it; None for 1.
+    factor: Factor | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ErrorModel:
     """A named list of parameters for one chain, and the terms of the equation that they move."""
 
-    name: str  #: The set's name, such as ``"dh"``.
-    places: tuple[str, ...]  #: All places in order: the frames, the joints, the tip, the targets.
-    parameters: tuple[Parameter, ...]  #: The p unknowns, in the order of the parameter vector x.
+    #: The set's name, such as ``"dh"``.
+    name: str
+    #: All places in order: the frames, the joints, the tip, the targets.
+    places: tuple[str, ...]
+    #: The p unknowns, in the order of the parameter vector x.
+    parameters: tuple[Parameter, ...]
     #: The parameters and those tied to them, in the order in which they act; the parameters where none is.
     terms: tuple[Parameter, ...] = ()
     #: shape (terms, p): the value of each term is mixing @ x; the identity where none is tied.

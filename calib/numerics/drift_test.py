@@ -40,23 +40,34 @@ _SMALLEST_P = 1e-300
 class Estimate:
     """A result's p robot parameters under common priors of precision Q."""
 
-    covariance: Array  # (p, p), C
-    noise: Array  # (p, p), its part from noise, C - C Q C over all parameters of the fit
-    pull: Array  # (p, p), C Q
-    prior: Array  # (p,), the variance of each prior, 1 / Q
-    freedom: float  # Degrees of freedom of the noise
-    shift: Array  # (p,), change of the estimate by the change of priors, x_q - x
+    #: (p, p), C
+    covariance: Array
+    #: (p, p), its part from noise, C - C Q C over all parameters of the fit
+    noise: Array
+    #: (p, p), C Q
+    pull: Array
+    #: (p,), the variance of each prior, 1 / Q
+    prior: Array
+    #: Degrees of freedom of the noise
+    freedom: float
+    #: (p,), change of the estimate by the change of priors, x_q - x
+    shift: Array
 
 
 @dataclass(frozen=True, slots=True)
 class DriftTest:
     """The test of a difference."""
 
-    combinations: int  #: Number k of combinations of parameters that both data know
-    chi_square: float  #: d^T V^-1 d over them
-    freedom: float  #: Degrees of freedom nu of the noise
-    p: float  #: The probability of such a difference, or a larger one, if nothing has changed
-    sigma: float  #: The same as one-sided standard deviations of a normal distribution; 0 where p > 0.5
+    #: Number k of combinations of parameters that both data know
+    combinations: int
+    #: D^T V^-1 d over them
+    chi_square: float
+    #: Degrees of freedom nu of the noise
+    freedom: float
+    #: The probability of such a difference, or a larger one, if nothing has changed
+    p: float
+    #: The same as one-sided standard deviations of a normal distribution; 0 where p > 0.5
+    sigma: float
 
     @property
     def drifted(self) -> bool:

@@ -22,18 +22,28 @@ def rms(values: Array) -> float:
 class Errors:
     """Error figures of a set of rows: of lengths, and of angles where there are any."""
 
-    n: int  # Number of rows with a measured length
-    max: float  # Largest error, the norm of a row's residual [m]; NaN where n = 0, as all that follow
-    mean: float  # Mean of the norms [m]
-    rms: float  # Root mean square of the norms [m]
+    #: Number of rows with a measured length
+    n: int
+    #: Largest error, the norm of a row's residual [m]; NaN where n = 0, as all that follow
+    max: float
+    #: Mean of the norms [m]
+    mean: float
+    #: Root mean square of the norms [m]
+    rms: float
     # (3,), mean residual along x, y, z [m]; NaN unless all rows have three coordinates
     mean_axis: Array
-    rms_axis: Array  # (3,), root mean square of the residual along x, y, z [m]; NaN likewise
-    span_axis: Array  # (3,), largest minus smallest residual along x, y, z [m]; NaN likewise
-    n_angle: int = 0  # Number of rows with a measured orientation
-    max_angle: float = np.nan  # Largest angle between measured and predicted [rad]; NaN without any
-    mean_angle: float = np.nan  # Mean of these angles [rad]
-    rms_angle: float = np.nan  # Their root mean square [rad]
+    #: (3,), root mean square of the residual along x, y, z [m]; NaN likewise
+    rms_axis: Array
+    #: (3,), largest minus smallest residual along x, y, z [m]; NaN likewise
+    span_axis: Array
+    #: Number of rows with a measured orientation
+    n_angle: int = 0
+    #: Largest angle between measured and predicted [rad]; NaN without any
+    max_angle: float = np.nan
+    #: Mean of these angles [rad]
+    mean_angle: float = np.nan
+    #: Their root mean square [rad]
+    rms_angle: float = np.nan
 
     @classmethod
     def of(cls, residual: Array, used: Mask | None = None) -> Errors:
@@ -100,9 +110,15 @@ def _figures_of_norms(vectors: Array) -> tuple[float, float, float]:
 class CrossValidation:
     """Errors on held-out rows: each row is predicted by a fit without it."""
 
-    method: str  # ``"leave-one-out"``, ``"leave-one-pose-out"``, ``"leave-one-station-out"``, ``"10-fold"``, ...
-    folds: int  # Number of fits
-    poses: Integers  # (N,), from 0: rows of one number are of one pose or one pair, and held out together
-    residual: Array  # (N, D), measured minus predicted by the fit without the row [m], [rad]
-    errors: Errors  # Of all rows
-    errors_without_outliers: Errors  # Of the rows that the fit to all rows did not flag
+    #: ``"leave-one-out"``, ``"leave-one-pose-out"``, ``"leave-one-station-out"``, ``"10-fold"``, ...
+    method: str
+    #: Number of fits
+    folds: int
+    #: (N,), from 0: rows of one number are of one pose or one pair, and held out together
+    poses: Integers
+    #: (N, D), measured minus predicted by the fit without the row [m], [rad]
+    residual: Array
+    #: Of all rows
+    errors: Errors
+    #: Of the rows that the fit to all rows did not flag
+    errors_without_outliers: Errors

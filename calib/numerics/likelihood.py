@@ -37,21 +37,30 @@ _ZERO_EIGENVALUE = 1e-13
 class GaussianPriors:
     """Independent priors x_k ~ N(centre_k, 1 / precision_k) of p parameters, known before the fit."""
 
-    precision: Array  # (B, p) or (p,); 0 for a parameter without prior
-    centre: Array  # (p,), means
+    #: (B, p) or (p,); 0 for a parameter without prior
+    precision: Array
+    #: (p,), means
+    centre: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NormalEquations:
     """Sums over the rows that B linear fits need, and over constraints C x = z that are known, whitened."""
 
-    H: Array  # (B, C, p, p), A_c^T W A_c of each instrument, A in units of the given sigma
-    g: Array  # (B, C, p), A_c^T W y_c
-    yy: Array  # (B, C), y_c^T W y_c
-    count: Array  # (B, C), number of scalars, by weight
-    known: tuple[Array, Array, float]  # C^T C, C^T z and z^T z, of shapes (p, p), (p,) and ()
-    held: Array  # (p,), row of C of a combination held at zero by choice, not by measurement; else zeros
-    log_det: Array | float = 0.0  # (B,), log determinant of the weighted scalars' covariance over
+    #: (B, C, p, p), A_c^T W A_c of each instrument, A in units of the given sigma
+    H: Array
+    #: (B, C, p), A_c^T W y_c
+    g: Array
+    #: (B, C), y_c^T W y_c
+    yy: Array
+    #: (B, C), number of scalars, by weight
+    count: Array
+    #: C^T C, C^T z and z^T z, of shapes (p, p), (p,) and ()
+    known: tuple[Array, Array, float]
+    #: (p,), row of C of a combination held at zero by choice, not by measurement; else zeros
+    held: Array
+    #: (B,), log determinant of the weighted scalars' covariance over
+    log_det: Array | float = 0.0
     # the noise; 0 where scalars are independent of each other
 
     def posterior(self, noise: Array, priors: GaussianPriors) -> tuple[Array, Array]:

@@ -49,12 +49,12 @@ _HIGHEST_NOISE = 1e6
 class VarianceLimits:
     """Bounds of the standard deviations that are estimated, and the prior of the noise."""
 
-    smallest_noise: tuple[float, ...]  # (C,), of each instrument, in units of the given sigma
+    #: (C,), of each instrument, in units of the given sigma
+    smallest_noise: tuple[float, ...]
     # (K,), lowest and highest of each family, in its parameters' unit
     prior_std: tuple[tuple[float, float], ...]
-    noise_spread: float = (
-        np.inf
-    )  # Standard deviation of a normal prior on log noise about 0 (the given
+    #: Standard deviation of a normal prior on log noise about 0 (the given
+    noise_spread: float = np.inf
     # noise), which decides where rows are too few to separate noise from errors of the robot
 
 

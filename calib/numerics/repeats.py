@@ -31,9 +31,12 @@ _MEANS_FITTED = 1e-6
 class Repeats:
     """Scatter within repeats, of lengths and of angles (G = 1 or 2 groups), and the correlation of repeats."""
 
-    within: Array  # (G,), standard deviation of a component of a repeat, in the residual's unit; NaN without repeats
-    freedoms: Array  # (G,), its degrees of freedom; 0 without repeats
-    rho: float  # Intraclass correlation of all groups together, 0 to 1; 0 without repeats
+    #: (G,), standard deviation of a component of a repeat, in the residual's unit; NaN without repeats
+    within: Array
+    #: (G,), its degrees of freedom; 0 without repeats
+    freedoms: Array
+    #: Intraclass correlation of all groups together, 0 to 1; 0 without repeats
+    rho: float
 
     @property
     def freedom(self) -> float:
@@ -44,14 +47,22 @@ class Repeats:
 class _Moments(NamedTuple):
     """Sums over the poses from which s_w^2 and s_b^2 are estimated, of one component or added up over several."""
 
-    within: float  # Weighted squares about the mean of each pose
-    within_noise: float  # Expectation of `within` where s_w^2 is 1
-    within_freedom: float  # Degrees of freedom of `within`
-    between: float  # Weighted squares of the means about the grand mean
-    between_noise: float  # Share of s_w^2 in the expectation of `between`
-    between_shared: float  # Share of s_b^2 in the expectation of `between`
-    poses: float  # Number of poses with a measured scalar
-    between_freedom: float  # Number of these poses less one
+    #: Weighted squares about the mean of each pose
+    within: float
+    #: Expectation of `within` where s_w^2 is 1
+    within_noise: float
+    #: Degrees of freedom of `within`
+    within_freedom: float
+    #: Weighted squares of the means about the grand mean
+    between: float
+    #: Share of s_w^2 in the expectation of `between`
+    between_noise: float
+    #: Share of s_b^2 in the expectation of `between`
+    between_shared: float
+    #: Number of poses with a measured scalar
+    poses: float
+    #: Number of these poses less one
+    between_freedom: float
 
     def scatter(self) -> tuple[float, float]:
         """Standard deviation s_w, NaN without repeats, and its degrees of freedom, 0 without repeats."""

@@ -48,8 +48,10 @@ _THINNEST_TAIL = 1e-200
 class Limits:
     """Scores between which the weight of a row falls from 1 to 0, of one table (scalars) or of B fits, shape (B, 1)."""
 
-    full: Array  # Up to this score a row has full weight
-    flagged: Array  # From this score on a row has no weight; above it, it is flagged as an outlier
+    #: Up to this score a row has full weight
+    full: Array
+    #: From this score on a row has no weight; above it, it is flagged as an outlier
+    flagged: Array
 
     @classmethod
     def of(cls, rows: ArrayLike, freedom: ArrayLike) -> Limits:

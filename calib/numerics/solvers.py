@@ -38,25 +38,34 @@ System = Callable[[Array], tuple[Array, Array]]
 class Iteration:
     """One trial step."""
 
-    cost: float  # E before the step
-    mu: float  # Its damping; 0 for SciPy, which has a trust region instead
-    gain: (
-        float | None
-    )  # Actual over predicted decrease of E; None where the solver does not state it
-    step: float  # Length of the step, in the solver's units
-    accepted: bool  # Whether x moved
+    #: E before the step
+    cost: float
+    #: Its damping; 0 for SciPy, which has a trust region instead
+    mu: float
+    #: Actual over predicted decrease of E; None where the solver does not state it
+    gain: float | None
+    #: Length of the step, in the solver's units
+    step: float
+    #: Whether x moved
+    accepted: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
     """Result of a solver."""
 
-    x: Array  # shape (p,)
-    cost: float  # E(x)
-    status: str  # ``"converged"`` or ``"stopped"`` (at the limit of iterations)
-    message: str  # Why, in a sentence
-    evaluations: int  # Number of calls of the system
-    history: tuple[Iteration, ...]  # One entry a trial step
+    #: Shape (p,)
+    x: Array
+    #: E(x)
+    cost: float
+    #: ``"converged"`` or ``"stopped"`` (at the limit of iterations)
+    status: str
+    #: Why, in a sentence
+    message: str
+    #: Number of calls of the system
+    evaluations: int
+    #: One entry a trial step
+    history: tuple[Iteration, ...]
 
     @property
     def iterations(self) -> int:
@@ -68,11 +77,16 @@ class Solution:
 class _Reduced:
     """The system at one x, reduced to a triangle: |r + J dx|^2 = |R dx - rhs|^2 + constant."""
 
-    x: Array  # (p,)
-    cost: float  # E(x)
-    R: Array  # (p, p), upper triangle
-    rhs: Array  # (p,)
-    norms: Array  # (p,), norm of each column of J; 1 where a column is zero
+    #: (p,)
+    x: Array
+    #: E(x)
+    cost: float
+    #: (p, p), upper triangle
+    R: Array
+    #: (p,)
+    rhs: Array
+    #: (p,), norm of each column of J; 1 where a column is zero
+    norms: Array
 
     @classmethod
     def of(cls, x: Array, r: Array, J: Array) -> _Reduced:
@@ -97,7 +111,8 @@ class _Damping:
     """Damping by the gain ratio, actual over predicted decrease of E (H. B. Nielsen, 1999)."""
 
     mu: float = 1e-8
-    raise_by: float = 2.0  # Factor at the next step that fails
+    #: Factor at the next step that fails
+    raise_by: float = 2.0
 
     def after_success(self, gain: float) -> _Damping:
         """Lower the damping by up to ten times: the closer the gain is to 1, the more."""

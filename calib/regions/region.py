@@ -57,11 +57,16 @@ _SPOT_VOXEL = 1e-3
 class Region:
     """Part of space that a robot is measured in: voxels of a grid in the base frame."""
 
-    origin: Array  #: shape (3,), the grid's least corner [m].
-    voxel: float  #: Edge of a voxel [m].
-    cells: Mask  #: shape (nx, ny, nz), whether a voxel belongs to the region.
-    share: float  #: Share of the samples that was asked for, 0 to 1.
-    held: float  #: Share of the samples that the voxels hold: not less than ``share``.
+    #: Shape (3,), the grid's least corner [m].
+    origin: Array
+    #: Edge of a voxel [m].
+    voxel: float
+    #: Shape (nx, ny, nz), whether a voxel belongs to the region.
+    cells: Mask
+    #: Share of the samples that was asked for, 0 to 1.
+    share: float
+    #: Share of the samples that the voxels hold: not less than ``share``.
+    held: float
 
     @property
     def volume(self) -> float:
@@ -93,11 +98,16 @@ class Region:
 class Density:
     """Counts of samples in the voxels of a grid in the base frame."""
 
-    origin: Array  #: shape (3,), the grid's least corner [m].
-    voxel: float  #: Edge of a voxel [m].
-    counts: NDArray[np.int64]  #: shape (nx, ny, nz), samples in each voxel.
-    smooth: Array  #: The counts smoothed over neighbours, 0 where there is no sample.
-    needed: Array  #: shape (nx, ny, nz), the smallest share whose region has a voxel, infinite without a sample.
+    #: Shape (3,), the grid's least corner [m].
+    origin: Array
+    #: Edge of a voxel [m].
+    voxel: float
+    #: Shape (nx, ny, nz), samples in each voxel.
+    counts: NDArray[np.int64]
+    #: The counts smoothed over neighbours, 0 where there is no sample.
+    smooth: Array
+    #: Shape (nx, ny, nz), the smallest share whose region has a voxel, infinite without a sample.
+    needed: Array
 
     @classmethod
     def of(cls, points: ArrayLike, voxel: float | None = None) -> Density:

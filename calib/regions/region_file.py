@@ -85,7 +85,8 @@ class _Origin(NamedTuple):
     base: str
     tip: str
     joints: list[str]
-    target: Array  # In the tip [m], shape (3,)
+    #: In the tip [m], shape (3,)
+    target: Array
 
 
 def read_region(

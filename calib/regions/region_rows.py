@@ -23,8 +23,10 @@ class Checked(NamedTuple):
     """Rows of a table that are compared with a region."""
 
     rows: Measurements
-    points: Array  #: shape (N, 3), the target of each row in the base [m].
-    measured: Mask  #: shape (N,), whether that was measured, or else predicted.
+    #: Shape (N, 3), the target of each row in the base [m].
+    points: Array
+    #: Shape (N,), whether that was measured, or else predicted.
+    measured: Mask
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,11 +34,14 @@ class RegionView:
     """Region of a robot's workspace as it is printed and drawn."""
 
     robot: Robot
-    target: Array  #: shape (3,), in the tip [m].
-    ranges: Array  #: shape (m, 2), of the joints [rad] or [m].
+    #: Shape (3,), in the tip [m].
+    target: Array
+    #: Shape (m, 2), of the joints [rad] or [m].
+    ranges: Array
     density: Density
     region: Region
-    checked: Checked | None = None  #: Rows that are compared with the region; None: none are.
+    #: Rows that are compared with the region; None: none are.
+    checked: Checked | None = None
 
 
 def read_rows(

@@ -18,10 +18,14 @@ from calib.units import Integers
 class KnownDistance(NamedTuple):
     """A known distance between the origins of two frames, such as two sockets on one bar."""
 
-    first: int  # Index of a frame in `Setup.groups`, from 0
-    second: int  # Index of the other
-    length: float  # Distance of their origins [m]
-    sigma: float  # Its standard deviation [m]
+    #: Index of a frame in `Setup.groups`, from 0
+    first: int
+    #: Index of the other
+    second: int
+    #: Distance of their origins [m]
+    length: float
+    #: Its standard deviation [m]
+    sigma: float
 
 
 def known_distances(cell: Cell, setup: Setup) -> tuple[KnownDistance, ...]:

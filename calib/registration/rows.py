@@ -29,8 +29,10 @@ class _KindRows:
     """The rows of one kind."""
 
     kind: Kind
-    rows: Integers | slice  # Their numbers; a slice where all rows are of this kind
-    columns: Integers  # Columns of the residual that the kind fills
+    #: Their numbers; a slice where all rows are of this kind
+    rows: Integers | slice
+    #: Columns of the residual that the kind fills
+    columns: Integers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,22 +42,32 @@ class Rows:
     A residual has D = `width` columns: lengths in the first three, angles behind. Not every row fills all of them.
     """
 
-    samples: Samples  # Joint values, frame and target of each row
-    kinds: Integers  # (N,), numbers of `calib.data.kinds`; `NONE` for the second row of a pair
-    measured: Array  # (N, K), as `calib.data.kinds.Kind` says; zero in columns that a kind lacks
-    partner: Integers  # (N,), number of the second row of a pair, at its first row; -1 elsewhere
-    sigma: Array  # (N,), standard deviation of one length, as given or assumed before the fit [m]
-    sigma_angle: Array  # (N,), of one angle, as given or assumed before the fit [rad]
-    poses: Integers  # (N,), rows of one number are repeats: one pose, target, frame and kind
-    blocks: Integers  # (N,), rows of one number are held out together: one pose, and both rows of a pair
-    weights: Array | None = None  # (N,), weights that a fit takes as they are, with repeats already
+    #: Joint values, frame and target of each row
+    samples: Samples
+    #: (N,), numbers of `calib.data.kinds`; `NONE` for the second row of a pair
+    kinds: Integers
+    #: (N, K), as `calib.data.kinds.Kind` says; zero in columns that a kind lacks
+    measured: Array
+    #: (N,), number of the second row of a pair, at its first row; -1 elsewhere
+    partner: Integers
+    #: (N,), standard deviation of one length, as given or assumed before the fit [m]
+    sigma: Array
+    #: (N,), of one angle, as given or assumed before the fit [rad]
+    sigma_angle: Array
+    #: (N,), rows of one number are repeats: one pose, target, frame and kind
+    poses: Integers
+    #: (N,), rows of one number are held out together: one pose, and both rows of a pair
+    blocks: Integers
+    #: (N,), weights that a fit takes as they are, with repeats already
+    weights: Array | None = None
     # shared out; None: the fit estimates them
     # (N,), rows of sole postures, see `calib.estimate.sole_postures`; None:
     sole: Mask | None = None
     # the fit finds them
     # D, columns of a residual: 6 with angles, 3 with positions, else 1
     width: int = field(init=False)
-    used: Mask = field(init=False, repr=False)  # (N, D), which entries of the residual are measured
+    #: (N, D), which entries of the residual are measured
+    used: Mask = field(init=False, repr=False)
     # (N, D), which instrument, and so which noise, each scalar has, from 0; -1 for no scalar. Lengths of each kind are
     # an instrument, in the order of the kinds' numbers, then angles of each kind.
     instruments: NDArray[np.int8] = field(init=False, repr=False)

@@ -22,18 +22,28 @@ from calib.units import Array, Mask
 class Setup:
     """F frames and T targets, in the order of the numbers that rows refer to them with."""
 
-    groups: tuple[str, ...]  # Names of the stations, with one frame each
-    targets: tuple[str, ...]  # Names of the targets
-    T_frame_base: Array  # (F, 4, 4), pose of the base in each frame [m]
-    T_tip_target: Array  # (T, 4, 4), pose of each target in the tip [m]
+    #: Names of the stations, with one frame each
+    groups: tuple[str, ...]
+    #: Names of the targets
+    targets: tuple[str, ...]
+    #: (F, 4, 4), pose of the base in each frame [m]
+    T_frame_base: Array
+    #: (T, 4, 4), pose of each target in the tip [m]
+    T_tip_target: Array
     # For each frame the directions that are estimated: "x" ... "rz"
     unknown: tuple[tuple[str, ...], ...]
-    frame_given: Mask  # (F,), frames whose pose the user gave; of others it is registered
-    target_unknown: Mask  # (T,), targets that are estimated
-    target_given: Mask  # (T,), targets whose place the user gave, to be kept or as a start
-    rotation: bool  # Whether targets have an orientation to estimate, because one was measured; else they are points
-    own_axes: Mask  # (F,), frames whose directions are along their own axes (planes); else along the base's
-    oriented: bool = False  # Whether the targets' orientations are known, measured or given
+    #: (F,), frames whose pose the user gave; of others it is registered
+    frame_given: Mask
+    #: (T,), targets that are estimated
+    target_unknown: Mask
+    #: (T,), targets whose place the user gave, to be kept or as a start
+    target_given: Mask
+    #: Whether targets have an orientation to estimate, because one was measured; else they are points
+    rotation: bool
+    #: (F,), frames whose directions are along their own axes (planes); else along the base's
+    own_axes: Mask
+    #: Whether the targets' orientations are known, measured or given
+    oriented: bool = False
 
     @property
     def frame_unknowns(self) -> Mapping[str, tuple[str, ...]]:

@@ -199,11 +199,16 @@ def _short_name(name: str, longest: int) -> str:
 class RobotStyle(NamedTuple):
     """Style in which a robot's errors are drawn; robots differ by more than their colour."""
 
-    label: str  #: Text in the legend
-    colour: str  #: Colour of lines and areas
-    marker: str  #: matplotlib's letter of the marker
-    line: str  #: matplotlib's line style
-    hatch: str  #: matplotlib's pattern of areas
+    #: Text in the legend
+    label: str
+    #: Colour of lines and areas
+    colour: str
+    #: Matplotlib's letter of the marker
+    marker: str
+    #: Matplotlib's line style
+    line: str
+    #: Matplotlib's pattern of areas
+    hatch: str
 
     @property
     def area(self) -> dict[str, Any]:
@@ -218,11 +223,16 @@ AFTER = RobotStyle("after (calibrated)", CALIBRATED, "o", "-", "")
 class RowKind(NamedTuple):
     """A group of rows, and how its rows are marked in every figure."""
 
-    name: str  #: ``"estimation"``, ``"validation"`` or ``"outlier"``
-    mask: Mask  #: shape (N,), its rows among all rows of the table
-    colour: str  #: Colour of the markers
-    marker: str  #: matplotlib's letter of the marker
-    size: float  #: Size of the markers [pt]
+    #: ``"estimation"``, ``"validation"`` or ``"outlier"``
+    name: str
+    #: Shape (N,), its rows among all rows of the table
+    mask: Mask
+    #: Colour of the markers
+    colour: str
+    #: Matplotlib's letter of the marker
+    marker: str
+    #: Size of the markers [pt]
+    size: float
 
     def style(self, factor: float = 1.0) -> dict[str, Any]:
         """Return matplotlib's properties of a line of markers; its label holds the number of rows.

@@ -32,11 +32,16 @@ _OUTLIER_EDGE = 1.25
 class Quantity(NamedTuple):
     """Lengths or orientations: the columns of the residuals that hold them, and how they are shown."""
 
-    columns: slice  #: Their columns of a residual (N, D)
-    size: Callable[[Array, Mask], Array]  #: Norm of each row's residual, see `lengths_of`
-    scale: float  #: Factor from SI to ``unit``
-    unit: str  #: ``"mm"`` or ``"deg"``
-    preposition: str  #: Of an error and an axis: ``"along"`` or ``"about"``
+    #: Their columns of a residual (N, D)
+    columns: slice
+    #: Norm of each row's residual, see `lengths_of`
+    size: Callable[[Array, Mask], Array]
+    #: Factor from SI to ``unit``
+    scale: float
+    #: ``"mm"`` or ``"deg"``
+    unit: str
+    #: Of an error and an axis: ``"along"`` or ``"about"``
+    preposition: str
 
     def sizes(self, c: CalibrationValues) -> tuple[Array, Array]:
         """Return each row's error of the nominal and of the calibrated robot, shapes (N,), in ``unit``."""
@@ -52,10 +57,14 @@ ANGLE = Quantity(slice(3, 6), angles_of, float(np.degrees(1.0)), "deg", "about")
 class CurveRows(NamedTuple):
     """The rows of the error curves and their residuals."""
 
-    name: str  #: ``"validation"``, ``"held-out"`` or ``"estimation"``
-    mask: Mask  #: shape (N,), the rows drawn
-    before: Array  #: shape (N, D), measured minus predicted of the nominal robot [m, rad]
-    after: Array  #: shape (N, D), of the calibrated robot
+    #: ``"validation"``, ``"held-out"`` or ``"estimation"``
+    name: str
+    #: Shape (N,), the rows drawn
+    mask: Mask
+    #: Shape (N, D), measured minus predicted of the nominal robot [m, rad]
+    before: Array
+    #: Shape (N, D), of the calibrated robot
+    after: Array
 
 
 def has_axes(c: CalibrationValues, rows: Mask | slice = slice(None)) -> bool:

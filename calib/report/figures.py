@@ -39,18 +39,25 @@ _CURVE_ROWS = {
 class Drawing(NamedTuple):
     """A figure of a calibration, not yet drawn."""
 
-    name: str  #: Its file's name without the ending
-    section: str  #: Section of the report that it belongs to
-    title: str  #: Title
-    caption: str  #: Caption: rows, units, and the meaning of lines and marks
-    draw: Callable[[], Figure]  #: Draws it anew
+    #: Its file's name without the ending
+    name: str
+    #: Section of the report that it belongs to
+    section: str
+    #: Title
+    title: str
+    #: Caption: rows, units, and the meaning of lines and marks
+    caption: str
+    #: Draws it anew
+    draw: Callable[[], Figure]
 
 
 class FigureKind(NamedTuple):
     """A kind of figure; ``captions.yaml`` has section, title and caption under its name."""
 
-    draw: Callable[[CalibrationValues], Figure]  #: Draws it
-    applies: Callable[[CalibrationValues], bool]  #: Tells if a calibration has it
+    #: Draws it
+    draw: Callable[[CalibrationValues], Figure]
+    #: Tells if a calibration has it
+    applies: Callable[[CalibrationValues], bool]
 
 
 def _always(c: CalibrationValues) -> bool:  # noqa: ARG001

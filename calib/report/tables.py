@@ -55,15 +55,20 @@ _DH_ANGLES = [1, 3, 4]
 class Table(NamedTuple):
     """A table whose cells are text; without rows it is not shown."""
 
-    title: str  #: Its caption, with the unit where all numbers have the same
-    head: Sequence[str]  #: Labels of the columns
-    rows: Sequence[Sequence[str]]  #: Cells, one for each column
-    align: str  #: A letter for each column: ``l`` for text, ``r`` for numbers
-    note: str = ""  #: Sentences below the table
-    groups: Sequence[
-        tuple[str, int]
-    ] = ()  #: Labels above the head, each with the number of columns that it spans
-    strong: Sequence[int] = ()  #: Indices of the rows in bold, from 0
+    #: Its caption, with the unit where all numbers have the same
+    title: str
+    #: Labels of the columns
+    head: Sequence[str]
+    #: Cells, one for each column
+    rows: Sequence[Sequence[str]]
+    #: A letter for each column: ``l`` for text, ``r`` for numbers
+    align: str
+    #: Sentences below the table
+    note: str = ""
+    #: Labels above the head, each with the number of columns that it spans
+    groups: Sequence[tuple[str, int]] = ()
+    #: Indices of the rows in bold, from 0
+    strong: Sequence[int] = ()
 
 
 def errors(c: CalibrationValues, *, turned: bool = False) -> Table:

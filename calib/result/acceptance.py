@@ -50,11 +50,16 @@ _EXACT = 1e-6
 class Check:
     """One figure compared with its tolerance, in m or rad."""
 
-    figure: float  #: The figure A that is judged
-    tolerance: float  #: The tolerance T
-    uncertainty: float  #: Expanded measuring uncertainty U as stated; 0 where none was
-    factor: float  #: The factor f: random errors before registration to the same rows over those after it; >= 1
-    seen: bool  #: Whether a calibration was fitted to the judged rows
+    #: The figure A that is judged
+    figure: float
+    #: The tolerance T
+    tolerance: float
+    #: Expanded measuring uncertainty U as stated; 0 where none was
+    uncertainty: float
+    #: The factor f: random errors before registration to the same rows over those after it; >= 1
+    factor: float
+    #: Whether a calibration was fitted to the judged rows
+    seen: bool
 
     @property
     def outcome(self) -> Outcome:
@@ -75,11 +80,16 @@ class Check:
 class Acceptance:
     """The outcome of an acceptance test."""
 
-    accuracy: Accuracy  #: Accuracy and repeatability at each pose
-    criterion: str  #: One of `CRITERIA`
-    length: Check | None  #: Of positions or lengths [m]; None where no tolerance was stated
-    angle: Check | None  #: Of orientations [rad]; likewise
-    within: int  #: Number of poses that are within the tolerances, by the error that the criterion looks at in each
+    #: Accuracy and repeatability at each pose
+    accuracy: Accuracy
+    #: One of `CRITERIA`
+    criterion: str
+    #: Of positions or lengths [m]; None where no tolerance was stated
+    length: Check | None
+    #: Of orientations [rad]; likewise
+    angle: Check | None
+    #: Number of poses that are within the tolerances, by the error that the criterion looks at in each
+    within: int
 
     @property
     def checks(self) -> tuple[tuple[Check, bool], ...]:
@@ -212,9 +222,12 @@ class Assessment:
 
     #: Errors, by ``"nominal"``, ``"urdf"``, ``"calibration"`` and ``"non_geometric"`` as far as there are such robots
     evaluations: Mapping[str, Evaluation]
-    accuracies: Mapping[str, Accuracy]  #: Their pose accuracy, by the same names
-    judged: str  #: Name of the robot that is judged
-    accepted: Acceptance | None  #: The acceptance, where a tolerance was stated
+    #: Their pose accuracy, by the same names
+    accuracies: Mapping[str, Accuracy]
+    #: Name of the robot that is judged
+    judged: str
+    #: The acceptance, where a tolerance was stated
+    accepted: Acceptance | None
     #: Judged rows with joint values outside of the fitted ranges, and the numbers of all judged rows
     outside: tuple[tuple[OutsideRow, ...], tuple[int, ...]]
     #: An explanation by which the rows would fit far better: a usual mistake, or a frame or target that has moved since

@@ -51,18 +51,30 @@ _SAME = 1e-7
 class PoseAccuracy:
     """Accuracy and repeatability at one pose of one target at one station; NaN for what was not measured."""
 
-    rows: tuple[int, ...]  #: Numbers of the rows in the table: the repeats of the pose
-    kind: str  #: Kind of measurement
-    group: str  #: Their station
-    target: str  #: Their target
-    ap: float  #: Pose accuracy [m]
-    ap_xyz: Array  #: shape (3,), its components along the base's axes [m]; NaN where one length was measured
-    rp: float  #: Pose repeatability [m]; NaN below three repeats
-    single: float  #: Largest error of a single repeat [m]
-    ap_angle: float  #: Angle between the commanded and the mean attained orientation [rad]
-    ap_abc: Array  #: shape (3,), its components about the base's axes [rad]
-    rp_abc: Array  #: shape (3,), repeatability about them [rad]; NaN below three repeats
-    single_angle: float  #: Largest angle of a single repeat [rad]
+    #: Numbers of the rows in the table: the repeats of the pose
+    rows: tuple[int, ...]
+    #: Kind of measurement
+    kind: str
+    #: Their station
+    group: str
+    #: Their target
+    target: str
+    #: Pose accuracy [m]
+    ap: float
+    #: Shape (3,), its components along the base's axes [m]; NaN where one length was measured
+    ap_xyz: Array
+    #: Pose repeatability [m]; NaN below three repeats
+    rp: float
+    #: Largest error of a single repeat [m]
+    single: float
+    #: Angle between the commanded and the mean attained orientation [rad]
+    ap_angle: float
+    #: Shape (3,), its components about the base's axes [rad]
+    ap_abc: Array
+    #: Shape (3,), repeatability about them [rad]; NaN below three repeats
+    rp_abc: Array
+    #: Largest angle of a single repeat [rad]
+    single_angle: float
 
     @property
     def rp_angle(self) -> float:
@@ -74,20 +86,25 @@ class PoseAccuracy:
 class Accuracy:
     """Accuracy of a robot over the poses that it is judged by."""
 
-    poses: tuple[PoseAccuracy, ...]  #: The poses in the order of the table
+    #: The poses in the order of the table
+    poses: tuple[PoseAccuracy, ...]
     #: ``"all"``; where something was registered to the others, ``"validation"``, the table's validation rows, or
     #: ``"fresh"``, others that nothing was fitted or registered to
     rows: JudgedRows
     #: Where some rows alone are judged, the use of the others: ``"calibration"``, ``"target"``, ``"frame"``
     others: tuple[str, ...]
-    measured: int  #: Number of rows that hold a measurement
-    fitted: int  #: Number of those that the calibration was fitted to
-    seen: bool  #: Whether some of these are judged
-    registered: tuple[
-        str, ...
-    ]  #: Some of ``"target"`` and ``"frame"``, registered to the judged rows
-    unknowns: int  #: Number of unknowns of targets and frames that were not given
-    numbers: int  #: Number of scalars that these were registered to, repeats counted once
+    #: Number of rows that hold a measurement
+    measured: int
+    #: Number of those that the calibration was fitted to
+    fitted: int
+    #: Whether some of these are judged
+    seen: bool
+    #: Some of ``"target"`` and ``"frame"``, registered to the judged rows
+    registered: tuple[str, ...]
+    #: Number of unknowns of targets and frames that were not given
+    unknowns: int
+    #: Number of scalars that these were registered to, repeats counted once
+    numbers: int
 
     @property
     def factor(self) -> float:

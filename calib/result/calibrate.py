@@ -230,11 +230,16 @@ def _judged(result: CalibrationValues, rows: Rows) -> CalibrationValues:
 class _Scored:
     """Figures of each of N rows, fitted or not, by the fit of the geometry."""
 
-    residual: Array  # (N, D), measured minus predicted [m], [rad]
-    scores: Array  # (N,), in standard deviations
-    weights: Array  # (N,), robust weights; 0 for validation rows
-    flag_limit: float  # Score above which a fitted row is flagged
-    suspect_limit: float  # Score above which a validation row is
+    #: (N, D), measured minus predicted [m], [rad]
+    residual: Array
+    #: (N,), in standard deviations
+    scores: Array
+    #: (N,), robust weights; 0 for validation rows
+    weights: Array
+    #: Score above which a fitted row is flagged
+    flag_limit: float
+    #: Score above which a validation row is
+    suspect_limit: float
 
 
 def _assembled(

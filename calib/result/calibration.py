@@ -46,11 +46,16 @@ _BETWEEN = 73
 class RowNames:
     """Number, set, kind, station and target of each of the N rows of a table."""
 
-    numbers: tuple[int, ...]  #: Number in the table, from 1
-    sets: tuple[str, ...]  #: ``"estimate"`` or ``"validate"``
-    kinds: tuple[str, ...]  #: Name of the kind of measurement
-    groups: tuple[str, ...]  #: Name of the station
-    targets: tuple[str, ...]  #: Name of the target
+    #: Number in the table, from 1
+    numbers: tuple[int, ...]
+    #: ``"estimate"`` or ``"validate"``
+    sets: tuple[str, ...]
+    #: Name of the kind of measurement
+    kinds: tuple[str, ...]
+    #: Name of the station
+    groups: tuple[str, ...]
+    #: Name of the target
+    targets: tuple[str, ...]
 
     def __len__(self) -> int:
         """The number of rows."""
@@ -71,66 +76,100 @@ class RowNames:
 class Source:
     """The file of the measurements; both empty where there was none."""
 
-    name: str  #: Its name
-    sha256: str  #: SHA-256 of its bytes, in hexadecimal digits
+    #: Its name
+    name: str
+    #: SHA-256 of its bytes, in hexadecimal digits
+    sha256: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
     """Measurements and solved problem of a calibration that was made in this process."""
 
-    measurements: Measurements  #: All rows
-    cell: Cell  #: The cell as given
-    geometry: Fitted  #: Fit of the geometry, which the URDF holds
-    non_geometric: Fitted | None = None  #: Fit of the non-geometric model
+    #: All rows
+    measurements: Measurements
+    #: The cell as given
+    cell: Cell
+    #: Fit of the geometry, which the URDF holds
+    geometry: Fitted
+    #: Fit of the non-geometric model
+    non_geometric: Fitted | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class CalibrationValues(FittedModel):
     """The result of `calib.calibrate`; attributes of `FittedModel` are those of the geometry, which the URDF holds."""
 
-    nominal: Robot  #: The robot as given
-    robot: Robot  #: The calibrated robot, its URDF corrected
-    source: Source  #: The measurements' file
-    rows: RowNames  #: All N rows of the table
-    frame_estimated: bool  #: Whether the cell left the measurement frames to be estimated
-    frozen: tuple[str, ...]  #: Parameters that were kept at their nominal values
-    ties: Mapping[str, tuple[str, float]]  #: Parameters that follow another one, by a factor
-    prior_std_from: str  #: Source of the prior standard deviations: ``"data"``, ``"given"``; ``"off"`` without priors
-    nominal_setup: Setup  #: Frames and targets of the nominal robot: as given, or registered
-    solver: str  #: Name of the solver
-    solution: Solution  #: Its solution, with its history
-    seconds: float  #: Time that choosing a model, registration and estimation took [s]; NaN where unknown
-    freedom: float  #: Degrees of freedom left for the noise
-    sigma: float  #: Standard deviation of one measured length (median over rows) [m]; NaN where none was measured
-    sigma_angle: float  #: Of one measured angle [rad]; NaN where none was
+    #: The robot as given
+    nominal: Robot
+    #: The calibrated robot, its URDF corrected
+    robot: Robot
+    #: The measurements' file
+    source: Source
+    #: All N rows of the table
+    rows: RowNames
+    #: Whether the cell left the measurement frames to be estimated
+    frame_estimated: bool
+    #: Parameters that were kept at their nominal values
+    frozen: tuple[str, ...]
+    #: Parameters that follow another one, by a factor
+    ties: Mapping[str, tuple[str, float]]
+    #: Source of the prior standard deviations: ``"data"``, ``"given"``; ``"off"`` without priors
+    prior_std_from: str
+    #: Frames and targets of the nominal robot: as given, or registered
+    nominal_setup: Setup
+    #: Name of the solver
+    solver: str
+    #: Its solution, with its history
+    solution: Solution
+    #: Time that choosing a model, registration and estimation took [s]; NaN where unknown
+    seconds: float
+    #: Degrees of freedom left for the noise
+    freedom: float
+    #: Standard deviation of one measured length (median over rows) [m]; NaN where none was measured
+    sigma: float
+    #: Of one measured angle [rad]; NaN where none was
+    sigma_angle: float
     #: Standard deviation of one measured length as the cell or the table states it (rms over fitted rows) [m]; NaN
     #: where it is not stated
     sigma_given: float = np.nan
-    sigma_angle_given: float = np.nan  #: Of one measured angle, likewise [rad]
+    #: Of one measured angle, likewise [rad]
+    sigma_angle_given: float = np.nan
     #: shape (N, D), measured minus predicted by the nominal robot, all rows: lengths [m] in the first columns, angles
     #: [rad] in three more where poses were measured
     residual_nominal: Array
-    residual_calibrated: Array  #: shape (N, D), by the calibrated robot
-    used: Mask  #: shape (N, D), True for the scalars that were measured
-    scores: Array  #: shape (N,), of all rows; see `calib.numerics.scores`
-    weights: Array  #: shape (N,), of all rows in the fit, between 0 and 1; 0 for validation rows
-    ranges: Array  #: shape (m, 2), smallest and largest joint values of fitted rows [rad], [m]
-    flag_limit: float  #: The score above which a row is flagged
-    outliers: tuple[Outlier, ...]  #: Fitted rows flagged; without weight if robust
-    suspects: tuple[Outlier, ...]  #: Validation rows flagged; they never have weight
+    #: Shape (N, D), by the calibrated robot
+    residual_calibrated: Array
+    #: Shape (N, D), True for the scalars that were measured
+    used: Mask
+    #: Shape (N,), of all rows; see `calib.numerics.scores`
+    scores: Array
+    #: Shape (N,), of all rows in the fit, between 0 and 1; 0 for validation rows
+    weights: Array
+    #: Shape (m, 2), smallest and largest joint values of fitted rows [rad], [m]
+    ranges: Array
+    #: The score above which a row is flagged
+    flag_limit: float
+    #: Fitted rows flagged; without weight if robust
+    outliers: tuple[Outlier, ...]
+    #: Validation rows flagged; they never have weight
+    suspects: tuple[Outlier, ...]
     #: The fit with weights lowered beside the one with every row in full; None without outliers, or by ``"paper"``
     robustness: Robustness | None
-    repeats: Repeats | None  #: Scatter of rows that repeat a pose; None where none does
-    outside: tuple[OutsideRow, ...]  #: Validation rows outside of the fitted joint values
+    #: Scatter of rows that repeat a pose; None where none does
+    repeats: Repeats | None
+    #: Validation rows outside of the fitted joint values
+    outside: tuple[OutsideRow, ...]
     #: Of the nominal robot, its target (and frame, if estimated) fitted to the other rows
     nominal_cross_validation: CrossValidation | None
-    observability: Observability  #: Rank and unobservable directions at the measured poses
-    candidates: tuple[Candidate, ...]  #: The ladder that ``auto`` chose from, or empty
-    non_geometric: NonGeometric | None  #: The non-geometric model, if one was chosen or named
-    verdict: (
-        Verdict | None
-    )  #: None without cross-validation, unless a usual mistake explains the rows far better
+    #: Rank and unobservable directions at the measured poses
+    observability: Observability
+    #: The ladder that ``auto`` chose from, or empty
+    candidates: tuple[Candidate, ...]
+    #: The non-geometric model, if one was chosen or named
+    non_geometric: NonGeometric | None
+    #: None without cross-validation, unless a usual mistake explains the rows far better
+    verdict: Verdict | None
     #: Measurements and solved problem; None where the result was read from a file
     fit: Fit | None = field(default=None, repr=False)
 

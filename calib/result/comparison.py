@@ -34,19 +34,28 @@ _FAR = 3.0
 class ComparisonValues:
     """The result of `compare`."""
 
-    a: CalibrationValues  #: The first result
-    b: CalibrationValues  #: The second
-    names: tuple[str, str]  #: Their files, or ``"a"`` and ``"b"``
-    outcome: Outcome  #: ``"drift"``, ``"no drift shown"`` or ``"cannot tell"``
-    why: Why  #: Reason why nothing can be told; empty otherwise
-    robot: Robot  #: The robot whose meshes are shown
-    test: DriftTest  #: The test of the difference
+    #: The first result
+    a: CalibrationValues
+    #: The second
+    b: CalibrationValues
+    #: Their files, or ``"a"`` and ``"b"``
+    names: tuple[str, str]
+    #: ``"drift"``, ``"no drift shown"`` or ``"cannot tell"``
+    outcome: Outcome
+    #: Reason why nothing can be told; empty otherwise
+    why: Why
+    #: The robot whose meshes are shown
+    robot: Robot
+    #: The test of the difference
+    test: DriftTest
     #: Displacement of the target: over the joint values that both data cover, then over the limits
     moves: tuple[Displacement, Displacement]
     #: Parameters that frame and target compensate, so that no drift of them shows
     compensated: tuple[str, ...]
-    only_a: tuple[str, ...]  #: Parameters of a whose effects those of b cannot have
-    only_b: tuple[str, ...]  #: The same of b
+    #: Parameters of a whose effects those of b cannot have
+    only_a: tuple[str, ...]
+    #: The same of b
+    only_b: tuple[str, ...]
 
     def __repr__(self) -> str:
         """In one line."""

@@ -67,12 +67,18 @@ _SPANS_NOTHING = 1e-4
 class Displacement:
     """Displacement of the predicted target in b from that in a."""
 
-    where: Where  #: Joint values over which it is averaged
-    rms: float  #: [m], noise included
-    max: float  #: [m]
-    noise: float  #: The rms that the noise of both alone would show [m]
-    std: float  #: Standard deviation of ``rms`` [m]
-    rms_angle: float  #: [rad]; NaN where orientations were not measured
+    #: Joint values over which it is averaged
+    where: Where
+    #: [m], noise included
+    rms: float
+    #: [m]
+    max: float
+    #: The rms that the noise of both alone would show [m]
+    noise: float
+    #: Standard deviation of ``rms`` [m]
+    std: float
+    #: [rad]; NaN where orientations were not measured
+    rms_angle: float
 
     @property
     def moved(self) -> float:
@@ -84,12 +90,16 @@ class Displacement:
 class Differences:
     """The difference of two results, tested and averaged."""
 
-    test: DriftTest  # The test of the difference
+    #: The test of the difference
+    test: DriftTest
     #: Displacement of the target: over the joint values that both data cover, then over the limits
     moves: tuple[Displacement, Displacement]
-    compensated: tuple[str, ...]  # Parameters that frame and target compensate
-    only_a: tuple[str, ...]  # Parameters of a whose effects those of b cannot have
-    only_b: tuple[str, ...]  # The same of b
+    #: Parameters that frame and target compensate
+    compensated: tuple[str, ...]
+    #: Parameters of a whose effects those of b cannot have
+    only_a: tuple[str, ...]
+    #: The same of b
+    only_b: tuple[str, ...]
 
 
 def own_names(result: CalibrationValues) -> tuple[str, ...]:
@@ -186,13 +196,16 @@ class _Predictions:
     D = 3, or 6 where orientations count.
     """
 
-    turns: bool  # Whether orientations count
-    difference: Array  # (N D,), prediction of b less that of a
-    effects: tuple[
-        Array, Array
-    ]  # (N D, p), derivatives by each result's own parameters, at the nominal robot
-    slopes: tuple[Array, Array]  # (N D, p), the same at the results
-    gauge: Array  # (N D, g), derivatives by the motions of base and target that are not known
+    #: Whether orientations count
+    turns: bool
+    #: (N D,), prediction of b less that of a
+    difference: Array
+    #: (N D, p), derivatives by each result's own parameters, at the nominal robot
+    effects: tuple[Array, Array]
+    #: (N D, p), the same at the results
+    slopes: tuple[Array, Array]
+    #: (N D, g), derivatives by the motions of base and target that are not known
+    gauge: Array
 
     @property
     def signed(self) -> Array:
@@ -302,11 +315,15 @@ def _as_lengths(twists: Array, *, turns: bool) -> Array:
 class _Compensation:
     """The motion of base and target that explains the difference best, over the joint values that both data cover."""
 
-    inside: _Predictions  # There
+    #: There
+    inside: _Predictions
     estimates: tuple[Estimate, Estimate]
-    joint: Array  # (p_a + p_b, p_a + p_b), their joint covariance
-    to_motion: Array  # (g, N D), takes displacements there to the motion
-    motion: Array  # (g,), that of the difference
+    #: (p_a + p_b, p_a + p_b), their joint covariance
+    joint: Array
+    #: (g, N D), takes displacements there to the motion
+    to_motion: Array
+    #: (g,), that of the difference
+    motion: Array
 
     @classmethod
     def of(

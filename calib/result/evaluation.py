@@ -40,12 +40,18 @@ _SMALL = 1e-4
 class Evaluation:
     """Errors of a robot as it is."""
 
-    robot: Robot  #: The robot
-    measurements: Measurements  #: All N rows
-    setup: Setup  #: Frames and targets as given or registered
-    registered: tuple[str, ...]  #: Some of ``"target"`` and ``"frame"``, registered to these rows
-    residual: Array  #: shape (N, D), measured minus predicted: lengths [m] first, then angles [rad]
-    used: Mask  #: shape (N, D), True for the scalars that were measured
+    #: The robot
+    robot: Robot
+    #: All N rows
+    measurements: Measurements
+    #: Frames and targets as given or registered
+    setup: Setup
+    #: Some of ``"target"`` and ``"frame"``, registered to these rows
+    registered: tuple[str, ...]
+    #: Shape (N, D), measured minus predicted: lengths [m] first, then angles [rad]
+    residual: Array
+    #: Shape (N, D), True for the scalars that were measured
+    used: Mask
 
     @property
     def errors(self) -> dict[str, Errors]:

@@ -47,16 +47,22 @@ _MANY_ROWS = 300
 class Fits:
     """The fits of one table, from which `calibrate` assembles its result."""
 
-    geometry: Fitted  # Of the geometry
-    non_geometric: Fitted | None  # Of the non-geometric model
-    candidates: tuple[
-        Candidate, ...
-    ]  # Models that they were chosen from; empty where the model was named
-    all_rows: Rows  # All N rows of the table
-    fitted_rows: Rows  # Those that were fitted, those of sole postures marked
-    unseen: Setup  # The measurement setup; unknown are the frames and targets that only the other rows see
-    mistake: Reason | None  # A usual mistake that would explain the measurements far better
-    seconds: float  # Time that choosing a model, registration and estimation took
+    #: Of the geometry
+    geometry: Fitted
+    #: Of the non-geometric model
+    non_geometric: Fitted | None
+    #: Models that they were chosen from; empty where the model was named
+    candidates: tuple[Candidate, ...]
+    #: All N rows of the table
+    all_rows: Rows
+    #: Those that were fitted, those of sole postures marked
+    fitted_rows: Rows
+    #: The measurement setup; unknown are the frames and targets that only the other rows see
+    unseen: Setup
+    #: A usual mistake that would explain the measurements far better
+    mistake: Reason | None
+    #: Time that choosing a model, registration and estimation took
+    seconds: float
 
 
 @one_blas_thread()

@@ -41,17 +41,28 @@ _MOST_MEASURED = 20_000
 class ParameterEstimate:
     """One parameter of the result, in its unit."""
 
-    name: str  #: Its name
-    unit: str  #: ``"m"``, ``"rad"``, ``"1"``, ``"m/m"``, ``"rad/Nm"`` or ``"m/N"``
-    nominal: float | None  #: The value before; None for a target that was not given
-    value: float  #: The value after
-    delta: float  #: The change; for a target that was not given, from where registration put it
-    std: float  #: Standard deviation of the value
-    low: float  #: Lower end of the value's 95 % interval
-    high: float  #: Upper end
-    identifiable: bool  #: Whether the measurements determine it, not in combinations only
-    at_bound: bool = False  #: Whether a bound stopped it; std and interval are then NaN
-    prior_std: float = np.nan  #: Of the prior that the fit ended with; NaN where there was none
+    #: Its name
+    name: str
+    #: ``"m"``, ``"rad"``, ``"1"``, ``"m/m"``, ``"rad/Nm"`` or ``"m/N"``
+    unit: str
+    #: The value before; None for a target that was not given
+    nominal: float | None
+    #: The value after
+    value: float
+    #: The change; for a target that was not given, from where registration put it
+    delta: float
+    #: Standard deviation of the value
+    std: float
+    #: Lower end of the value's 95 % interval
+    low: float
+    #: Upper end
+    high: float
+    #: Whether the measurements determine it, not in combinations only
+    identifiable: bool
+    #: Whether a bound stopped it; std and interval are then NaN
+    at_bound: bool = False
+    #: Of the prior that the fit ended with; NaN where there was none
+    prior_std: float = np.nan
     #: Minus the derivative of half the sum of the data's weighted squares by the parameter [1/unit]; positive where the
     #: data ask for a larger value. At the optimum it equals the pull of the prior, (x - mean) / prior_std^2. Where a
     #: prior is next to nothing wide, x is too, and only this still shows what the data ask for.
@@ -62,30 +73,40 @@ class ParameterEstimate:
 class Outlier:
     """A row that does not belong to the others."""
 
-    row: int  #: Its number in the table
-    residual: float  #: Norm of measured minus predicted length [m]; NaN where none was measured
-    score: float  #: Distance from what the others predict, in standard deviations
+    #: Its number in the table
+    row: int
+    #: Norm of measured minus predicted length [m]; NaN where none was measured
+    residual: float
+    #: Distance from what the others predict, in standard deviations
+    score: float
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class FittedModel:
     """One fitted error model: its parameters, their covariance, and what it predicts."""
 
-    kinematics: Kinematics  #: The nominal robot, with frames and targets where ``x`` counts from
-    x: Array  #: shape (p,), offsets from the registered start [m, rad]
-    covariance: Array  #: shape (p, p), of ``x``
+    #: The nominal robot, with frames and targets where ``x`` counts from
+    kinematics: Kinematics
+    #: Shape (p,), offsets from the registered start [m, rad]
+    x: Array
+    #: Shape (p, p), of ``x``
+    covariance: Array
     #: Standard deviation of the prior of each family's errors, in its unit; empty without priors
     prior_std: Mapping[str, float]
-    parameters: tuple[ParameterEstimate, ...]  #: One entry for each element of ``x``
-    setup: Setup  #: Frames and targets as estimated or given
+    #: One entry for each element of ``x``
+    parameters: tuple[ParameterEstimate, ...]
+    #: Frames and targets as estimated or given
+    setup: Setup
     #: shape (6, p), the motion of the base, linear part first, that compensates a unit of each parameter best over the
     #: measured poses; None where the rows determine where the base stands
     base_motion: Array | None
-    cross_validation: CrossValidation | None  #: On held-out fitted rows; None without
+    #: On held-out fitted rows; None without
+    cross_validation: CrossValidation | None
     #: Standard deviation of the predicted point at the measured poses, rms [m]. From the covariance, so it knows
     #: nothing of errors that the model lacks
     expected_measured: float
-    expected_everywhere: float  #: The same over joint values spread over the limits [m]
+    #: The same over joint values spread over the limits [m]
+    expected_everywhere: float
     #: Squared error of extrapolated predictions over that by the covariance, 1 or more
     extrapolation: float = 1.0
 
@@ -158,10 +179,14 @@ class FittedModel:
 class NonGeometric(FittedModel):
     """A fitted model with errors that depend on the joints' state, which no URDF can hold."""
 
-    residual: Array  #: shape (N, D), measured minus predicted, all rows [m], [rad]
-    payload: Payload | None  #: Carried by the tip; None where none was stated
-    gravity: Array  #: shape (3,), in the URDF's root frame [m/s^2]
-    verdict: Verdict | None = None  #: None without cross-validation
+    #: Shape (N, D), measured minus predicted, all rows [m], [rad]
+    residual: Array
+    #: Carried by the tip; None where none was stated
+    payload: Payload | None
+    #: Shape (3,), in the URDF's root frame [m/s^2]
+    gravity: Array
+    #: None without cross-validation
+    verdict: Verdict | None = None
 
     @property
     def name(self) -> str:

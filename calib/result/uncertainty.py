@@ -61,11 +61,16 @@ _TOLERANCE = 1e-4
 class Bootstrap:
     """Parameters of many fits to rows drawn with replacement from those of one fit."""
 
-    fitted: Fitted  #: That fit, of p parameters
-    parameters: tuple[ParameterEstimate, ...]  #: Its values and intervals
-    x: Array  #: shape (count, p), offsets like ``fitted.estimate.x``
-    seed: int  #: Seed of the draws
-    stopped: int  #: Number of samples whose fits reached the solver's limit of iterations
+    #: That fit, of p parameters
+    fitted: Fitted
+    #: Its values and intervals
+    parameters: tuple[ParameterEstimate, ...]
+    #: Shape (count, p), offsets like ``fitted.estimate.x``
+    x: Array
+    #: Seed of the draws
+    seed: int
+    #: Number of samples whose fits reached the solver's limit of iterations
+    stopped: int
 
     @property
     def measured_rms(self) -> float:
@@ -244,9 +249,11 @@ def _fit_sample(fitted: Fitted, drawn: tuple[Array, Array]) -> tuple[Array, bool
 class Profile:
     """An interval from the profile of the cost; an end is infinite where the cost does not rise enough."""
 
-    low: float  # In the parameter's unit
+    #: In the parameter's unit
+    low: float
     high: float
-    level: float  # Probability that the interval holds the true value
+    #: Probability that the interval holds the true value
+    level: float
 
 
 @one_blas_thread()

@@ -38,9 +38,12 @@ class OriginFactors:
     A placement that no ``<origin>`` holds has none of them, and identities here.
     """
 
-    before: Array  #: shape (4, 4), [m].
-    after: Array  #: shape (4, 4), [m].
-    inverted: bool  #: True where the joint is walked from child to parent: before O^-1 after.
+    #: Shape (4, 4), [m].
+    before: Array
+    #: Shape (4, 4), [m].
+    after: Array
+    #: True where the joint is walked from child to parent: before O^-1 after.
+    inverted: bool
 
     def origin(self, placement: Array) -> Array:
         """Return the ``<origin>`` O of a placement, both of shape (4, 4), [m]."""
@@ -54,17 +57,18 @@ class OriginFactors:
 class SerialChain:
     """The path between two links as a serial chain of n moving joints; see `calib.robot.robot.Robot`."""
 
-    joints: tuple[
-        UrdfJoint, ...
-    ]  #: Base to tip, n of them; those on the base's side with the axis turned round.
-    placements: Array  #: shape (n + 1, 4, 4), [m]: of each joint in the one before it, of the tip in the last.
+    #: Base to tip, n of them; those on the base's side with the axis turned round.
+    joints: tuple[UrdfJoint, ...]
+    #: Shape (n + 1, 4, 4), [m]: of each joint in the one before it, of the tip in the last.
+    placements: Array
     #: n + 1 names of URDF joints whose ``<origin>`` holds the placement; None where a moving joint carries the end.
     carriers: tuple[str | None, ...]
-    T_root_base: Array  #: shape (4, 4), [m], pose of the base in the frame that the first placement is given in.
-    factors: tuple[
-        OriginFactors, ...
-    ]  #: The n + 1 placements as products of an ``<origin>`` and constants.
-    base_moves: bool  #: True if joints lie on the base's side of the link where the branches part.
+    #: Shape (4, 4), [m], pose of the base in the frame that the first placement is given in.
+    T_root_base: Array
+    #: The n + 1 placements as products of an ``<origin>`` and constants.
+    factors: tuple[OriginFactors, ...]
+    #: True if joints lie on the base's side of the link where the branches part.
+    base_moves: bool
 
 
 def chain_between(urdf: Urdf, base: str, tip: str) -> SerialChain:
@@ -123,7 +127,8 @@ class _Step:
     """A joint of the path, fixed ones included."""
 
     joint: UrdfJoint
-    up: bool  #: True where the path goes from the joint's child link to its parent.
+    #: True where the path goes from the joint's child link to its parent.
+    up: bool
 
     @property
     def origin(self) -> Array:
@@ -276,11 +281,12 @@ def _moving_joints_to(
 class Coupling:
     """Motion of a chain's n joints with the m columns of q: q_chain = A q + b."""
 
-    inputs: tuple[
-        UrdfJoint, ...
-    ]  #: The joint of each column; the driver of a mimic joint may lie beside the chain.
-    matrix: Array  #: A, shape (n, m): 1 where a joint is its own column, the multiplier where it mimics another.
-    offset: Array  #: b, shape (n,), offsets of mimic joints and held values [rad or m].
+    #: The joint of each column; the driver of a mimic joint may lie beside the chain.
+    inputs: tuple[UrdfJoint, ...]
+    #: A, shape (n, m): 1 where a joint is its own column, the multiplier where it mimics another.
+    matrix: Array
+    #: B, shape (n,), offsets of mimic joints and held values [rad or m].
+    offset: Array
 
 
 def coupling(urdf: Urdf, joints: Sequence[UrdfJoint], held: Mapping[str, float]) -> Coupling:
@@ -374,11 +380,11 @@ def all_values(
 class _Rule:
     """A joint's value by the one that drives it: factor * driver + offset."""
 
-    driver: (
-        str | None
-    )  #: Name of the driving joint, the joint itself where it moves freely; None where none drives it.
+    #: Name of the driving joint, the joint itself where it moves freely; None where none drives it.
+    driver: str | None
     factor: float
-    offset: float  #: [rad or m].
+    #: [rad or m].
+    offset: float
 
 
 def _rule(

@@ -28,32 +28,44 @@ class Geometry:
 
     #: shape (n,), True for joints that slide along their axis; the others turn about it.
     slides: NDArray[np.bool_]
-    turns: Array  #: shape (n, 3, 3), a rotation that takes z to each joint's axis, see `turns_to`.
-    placements: Array  #: shape (n + 1, 4, 4): of each joint in the one before it, of the tip in the last joint.
-    bases: Array  #: shape (F, 4, 4), T_frame_base.
-    T_base_root: Array  #: shape (4, 4), of the frame that the first placement is given in.
-    targets: Array  #: shape (T, 4, 4), T_tip_target.
+    #: Shape (n, 3, 3), a rotation that takes z to each joint's axis, see `turns_to`.
+    turns: Array
+    #: Shape (n + 1, 4, 4): of each joint in the one before it, of the tip in the last joint.
+    placements: Array
+    #: Shape (F, 4, 4), T_frame_base.
+    bases: Array
+    #: Shape (4, 4), of the frame that the first placement is given in.
+    T_base_root: Array
+    #: Shape (T, 4, 4), T_tip_target.
+    targets: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Directions:
     """Twists per unit of each of p parameters, linear part first, in the local axes of the place that they move."""
 
-    bases: Array  #: shape (F, 6, p), of the base behind each measurement frame.
-    placements: Array  #: shape (n + 1, 6, p), of the joints and the tip.
-    targets: Array  #: shape (T, 6, p).
+    #: Shape (F, 6, p), of the base behind each measurement frame.
+    bases: Array
+    #: Shape (n + 1, 6, p), of the joints and the tip.
+    placements: Array
+    #: Shape (T, 6, p).
+    targets: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChainSamples:
     """Joint values of the chain in N samples, and the frame and the target of each."""
 
-    values: Array  #: shape (N, n), of the chain's joints, their own errors included [rad or m].
-    frame: Numbers  #: shape (N,), index of the measurement frame, from 0.
-    target: Numbers  #: shape (N,), index of the target, from 0.
+    #: Shape (N, n), of the chain's joints, their own errors included [rad or m].
+    values: Array
+    #: Shape (N,), index of the measurement frame, from 0.
+    frame: Numbers
+    #: Shape (N,), index of the target, from 0.
+    target: Numbers
     #: shape (N, n, k), derivative of ``values`` by the k parameters that change them; k = 0 without such.
     moved: Array
-    columns: Numbers  #: shape (k,), indices of these among the p parameters.
+    #: Shape (k,), indices of these among the p parameters.
+    columns: Numbers
 
 
 def turns_to(axes: Array) -> Array:

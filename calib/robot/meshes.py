@@ -42,9 +42,12 @@ _SIZE_KEYS = {
 class LinkShape:
     """One ``<visual>`` or ``<collision>`` of one link, as the URDF states it."""
 
-    link: str  #: The link's name.
-    T_link_shape: Array  #: shape (4, 4), [m], pose of the shape in the link.
-    geometry: Element  #: The element inside ``<geometry>``.
+    #: The link's name.
+    link: str
+    #: Shape (4, 4), [m], pose of the shape in the link.
+    T_link_shape: Array
+    #: The element inside ``<geometry>``.
+    geometry: Element
 
     @property
     def mesh(self) -> tuple[str, tuple[float, float, float]] | None:

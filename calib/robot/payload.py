@@ -16,7 +16,8 @@ from calib.units import Array
 class Payload:
     """A point mass that the tip carries and that the URDF does not hold."""
 
-    mass: float  #: [kg], 0 or more.
+    #: [kg], 0 or more.
+    mass: float
     #: shape (3,), its centre of mass in the frame of the tip [m].
     com: Array = field(default_factory=lambda: np.zeros(3))
 

@@ -57,16 +57,22 @@ class Robot:
     T_root_base: Array = field(compare=False)
     #: The n + 1 placements as products of an ``<origin>`` and constants.
     _origin_factors: tuple[OriginFactors, ...] = field(compare=False)
-    base_moves: bool = field(compare=False)  #: True if joints lie on the base's side.
-    urdf: Urdf  #: The URDF that describes this robot; always in step with ``placements``.
-    base: str  #: Link in whose frame poses are given.
-    tip: str  #: Link whose pose is given.
-    _held: tuple[tuple[str, float], ...]  #: Held joints and their values [rad or m], by name.
+    #: True if joints lie on the base's side.
+    base_moves: bool = field(compare=False)
+    #: The URDF that describes this robot; always in step with ``placements``.
+    urdf: Urdf
+    #: Link in whose frame poses are given.
+    base: str
+    #: Link whose pose is given.
+    tip: str
+    #: Held joints and their values [rad or m], by name.
+    _held: tuple[tuple[str, float], ...]
     #: The joint of each column of q, m of them; a driver that lies outside the chain is among them.
     inputs: tuple[UrdfJoint, ...] = field(compare=False)
     #: A of q_chain = A q + b, shape (n, m): how the joints of the chain follow the columns of q.
     coupling: Array = field(compare=False)
-    _offset: Array = field(compare=False)  #: b, shape (n,), [rad] or [m].
+    #: B, shape (n,), [rad] or [m].
+    _offset: Array = field(compare=False)
 
     @classmethod
     def load(

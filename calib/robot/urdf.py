@@ -34,19 +34,20 @@ _VERDICT = "calib verdict: "
 class Urdf:
     """A URDF: its bytes and the kinematic tree they state. Two are equal when their bytes are."""
 
-    data: bytes = field(repr=False)  #: The file, byte for byte.
+    #: The file, byte for byte.
+    data: bytes = field(repr=False)
     #: Name of the file, for messages; a xacro's with its arguments.
     source: str = field(compare=False)
     #: The file that it, or the xacro that it was flattened from, was read from; None if it came as bytes.
     path: Path | None = field(compare=False)
-    name: str = field(compare=False)  #: Name of the robot; empty if it has none.
+    #: Name of the robot; empty if it has none.
+    name: str = field(compare=False)
     #: The joints in the file's order.
     joints: tuple[UrdfJoint, ...] = field(repr=False, compare=False)
     #: Names of the links in the file's order.
     links: tuple[str, ...] = field(repr=False, compare=False)
-    _document: Document = field(
-        repr=False, compare=False
-    )  #: The elements and their positions in the bytes.
+    #: The elements and their positions in the bytes.
+    _document: Document = field(repr=False, compare=False)
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Urdf:

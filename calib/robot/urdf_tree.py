@@ -57,18 +57,30 @@ def read_only(values: ArrayLike) -> Array:
 class UrdfJoint:
     """A joint as the URDF states it."""
 
-    name: str  #: Name of the joint.
-    type: str  #: One of `JOINT_TYPES`.
-    parent: str  #: Name of the parent link.
-    child: str  #: Name of the child link.
-    xyz: Array  #: Translation of the origin in the parent link, (3,) [m].
-    rpy: Array  #: Rotation of the origin about the fixed x, y, z axes, (3,) [rad].
-    axis: Array  #: Unit vector in the joint's frame, (3,); (1, 0, 0) for fixed and floating joints.
-    mimic: str | None  #: Name of the joint that drives this one, or None.
-    lower: float | None  #: Lower limit [rad or m]; None where none is stated or the type has none.
-    upper: float | None  #: Upper limit, likewise.
-    mimic_multiplier: float = 1.0  #: Factor of the driving joint's value.
-    mimic_offset: float = 0.0  #: Added to it [rad or m].
+    #: Name of the joint.
+    name: str
+    #: One of `JOINT_TYPES`.
+    type: str
+    #: Name of the parent link.
+    parent: str
+    #: Name of the child link.
+    child: str
+    #: Translation of the origin in the parent link, (3,) [m].
+    xyz: Array
+    #: Rotation of the origin about the fixed x, y, z axes, (3,) [rad].
+    rpy: Array
+    #: Unit vector in the joint's frame, (3,); (1, 0, 0) for fixed and floating joints.
+    axis: Array
+    #: Name of the joint that drives this one, or None.
+    mimic: str | None
+    #: Lower limit [rad or m]; None where none is stated or the type has none.
+    lower: float | None
+    #: Upper limit, likewise.
+    upper: float | None
+    #: Factor of the driving joint's value.
+    mimic_multiplier: float = 1.0
+    #: Added to it [rad or m].
+    mimic_offset: float = 0.0
 
     @property
     def T_parent_joint(self) -> Array:

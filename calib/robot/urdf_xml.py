@@ -34,13 +34,20 @@ _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 class Element:
     """An element of the upper three levels."""
 
-    tag: str  #: Name of the element.
-    attributes: Mapping[str, str]  #: Attribute values as text, references expanded.
-    line: int  #: Line of the start tag, from 1.
-    start: int  #: First byte of the start tag.
-    end: int  #: Byte after the start tag.
-    close: int  #: First byte of the end tag; equals ``end`` for a self-closing element.
-    children: list[Element]  #: Child elements in the file's order.
+    #: Name of the element.
+    tag: str
+    #: Attribute values as text, references expanded.
+    attributes: Mapping[str, str]
+    #: Line of the start tag, from 1.
+    line: int
+    #: First byte of the start tag.
+    start: int
+    #: Byte after the start tag.
+    end: int
+    #: First byte of the end tag; equals ``end`` for a self-closing element.
+    close: int
+    #: Child elements in the file's order.
+    children: list[Element]
 
     def all(self, tag: str) -> list[Element]:
         """Return the children of that name, in the file's order."""
@@ -51,20 +58,28 @@ class Element:
 class Comment:
     """A comment of the file."""
 
-    text: str  #: Its text, between ``<!--`` and ``-->``.
-    start: int  #: First byte of ``<!--``.
-    end: int  #: Byte after ``-->``.
+    #: Its text, between ``<!--`` and ``-->``.
+    text: str
+    #: First byte of ``<!--``.
+    start: int
+    #: Byte after ``-->``.
+    end: int
 
 
 @dataclass(frozen=True, slots=True)
 class Document:
     """The bytes of an XML file with its upper levels of elements."""
 
-    data: bytes  #: The file, byte for byte.
-    source: str  #: Its name, for messages.
-    encoding: str  #: As its XML declaration states it, else UTF-8.
-    root: Element  #: The outermost element.
-    comments: tuple[Comment, ...]  #: All comments, in the file's order.
+    #: The file, byte for byte.
+    data: bytes
+    #: Its name, for messages.
+    source: str
+    #: As its XML declaration states it, else UTF-8.
+    encoding: str
+    #: The outermost element.
+    root: Element
+    #: All comments, in the file's order.
+    comments: tuple[Comment, ...]
 
     @classmethod
     def from_bytes(cls, data: bytes, source: str) -> Document:
@@ -184,17 +199,23 @@ class Document:
 class _Scanner:
     """Handlers of a parser that note the elements of the upper levels, the comments and the encoding of a file."""
 
-    data: bytes  #: The file.
-    source: str  #: Its name, for messages.
-    parser: expat.XMLParserType  #: The parser that calls the handlers.
-    encoding: str = "utf-8"  #: As the XML declaration states it.
-    root: Element | None = None  #: The outermost element.
+    #: The file.
+    data: bytes
+    #: Its name, for messages.
+    source: str
+    #: The parser that calls the handlers.
+    parser: expat.XMLParserType
+    #: As the XML declaration states it.
+    encoding: str = "utf-8"
+    #: The outermost element.
+    root: Element | None = None
     comments: list[Comment] = field(default_factory=list)
-    _open: list[Element] = field(
-        default_factory=list
-    )  #: The elements of the upper levels that are open.
-    _depth: int = 0  #: Number of all elements that are open.
-    _xacro: set[str] = field(default_factory=lambda: {"xacro"})  #: Prefixes of xacro's names.
+    #: The elements of the upper levels that are open.
+    _open: list[Element] = field(default_factory=list)
+    #: Number of all elements that are open.
+    _depth: int = 0
+    #: Prefixes of xacro's names.
+    _xacro: set[str] = field(default_factory=lambda: {"xacro"})
 
     def declaration(self, _version: str, encoding: str | None, _standalone: int) -> None:
         """Note the encoding of an XML declaration."""

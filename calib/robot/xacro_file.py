@@ -30,10 +30,10 @@ _FILE = re.compile(r"\.xacro(?=\s|$)", re.IGNORECASE)
 class XacroCall:
     """A xacro file and its arguments, ``(name, value)`` each."""
 
-    path: Path  #: The xacro file.
-    arguments: tuple[
-        tuple[str, str], ...
-    ] = ()  #: Names and values, in the order in which they were given.
+    #: The xacro file.
+    path: Path
+    #: Names and values, in the order in which they were given.
+    arguments: tuple[tuple[str, str], ...] = ()
 
     @classmethod
     def parse(cls, source: str | os.PathLike[str]) -> XacroCall:

@@ -41,17 +41,21 @@ _MOST_ALTERNATIVES = 3
 class Candidate:
     """A model that was fitted during the search."""
 
-    name: str  # Its geometry and families, such as ``"dh+gain"``
-    parameters: int  # Number of parameters
-    log_likelihood: float  # Restricted log-likelihood
-    cross_validation: CrossValidation  # On the linearised problem; outliers: rows without weight
-    prior_std: dict[
-        str, float
-    ]  # Estimated std of the errors of each family, in its unit; empty without priors
+    #: Its geometry and families, such as ``"dh+gain"``
+    name: str
+    #: Number of parameters
+    parameters: int
+    #: Restricted log-likelihood
+    log_likelihood: float
+    #: On the linearised problem; outliers: rows without weight
+    cross_validation: CrossValidation
+    #: Estimated std of the errors of each family, in its unit; empty without priors
+    prior_std: dict[str, float]
     evidence: (
         float  # Penalised log-likelihood; without priors the fall of held-out errors, in steps
     )
-    chosen: str = ""  # ``"geometry"``, ``"non_geometric"`` or ``""``
+    #: ``"geometry"``, ``"non_geometric"`` or ``""``
+    chosen: str = ""
 
 
 def candidate_of(fitted: Fitted) -> Candidate:

@@ -34,10 +34,10 @@ _FEWEST_STATIONS = 3
 class Folds:
     """Rows that are held out together; each row is in one fold."""
 
-    method: str  # Name, such as ``"leave-one-out"``, ``"leave-one-station-out"`` or ``"10-fold"``
-    masks: tuple[
-        Mask, ...
-    ]  # For each fold, True for the rows that it holds out, each of shape (N,)
+    #: Name, such as ``"leave-one-out"``, ``"leave-one-station-out"`` or ``"10-fold"``
+    method: str
+    #: For each fold, True for the rows that it holds out, each of shape (N,)
+    masks: tuple[Mask, ...]
 
     @classmethod
     def of(

@@ -24,12 +24,15 @@ class Robustness:
     lowered: (
         bool  # True if the calibration has the weights lowered, and the other fit every row in full
     )
-    moved_rms: float  # Distance between both fits' predictions at the measured poses, rms [m]
-    moved_max: float  # The largest such distance [m]
+    #: Distance between both fits' predictions at the measured poses, rms [m]
+    moved_rms: float
+    #: The largest such distance [m]
+    moved_max: float
     errors_lowered: (
         Errors  # Of rows not flagged, held out on the linearised problem, with weights lowered
     )
-    errors_full: Errors  # The same with every row in full
+    #: The same with every row in full
+    errors_full: Errors
 
 
 def compare_weights(fitted: Fitted) -> Robustness:

@@ -24,14 +24,18 @@ from calib.selection.pose_errors import pose_errors
 class Search:
     """A search among models of the same rows."""
 
-    task: Task  # The fit whose model is chosen
-    rows: Rows  # Rows by which it is chosen
-    reference: Fitted  # Fit whose weights of the rows are used for all candidates
-    geometries: tuple[str, ...]  # Geometries to choose from, from the smallest to the largest
-    families: tuple[str, ...]  # Families to choose from, in their order in names
-    tried: dict[str, Candidate] = field(
-        default_factory=dict
-    )  # All that were fitted, in order, by name
+    #: The fit whose model is chosen
+    task: Task
+    #: Rows by which it is chosen
+    rows: Rows
+    #: Fit whose weights of the rows are used for all candidates
+    reference: Fitted
+    #: Geometries to choose from, from the smallest to the largest
+    geometries: tuple[str, ...]
+    #: Families to choose from, in their order in names
+    families: tuple[str, ...]
+    #: All that were fitted, in order, by name
+    tried: dict[str, Candidate] = field(default_factory=dict)
 
     def highest_evidence(self, start: str) -> str:
         """Return the name of a model that no neighbour and no geometry exceeds in evidence.

@@ -35,10 +35,14 @@ _CHOSEN_BY = 2000
 class Selection:
     """The chosen models."""
 
-    geometry: str  # Name of the geometry that goes into the URDF
-    non_geometric: str  # Name of the non-geometric model; "" where the data support none
-    candidates: tuple[Candidate, ...]  # All that were fitted, in order
-    reference: Fitted  # Fit of the non-geometric model, or of the geometry where there is none, with its own weights
+    #: Name of the geometry that goes into the URDF
+    geometry: str
+    #: Name of the non-geometric model; "" where the data support none
+    non_geometric: str
+    #: All that were fitted, in order
+    candidates: tuple[Candidate, ...]
+    #: Fit of the non-geometric model, or of the geometry where there is none, with its own weights
+    reference: Fitted
 
 
 def select(task: Task, rows: Rows) -> Selection:

@@ -18,9 +18,12 @@ from calib.units import Array, Mask
 class Outliers:
     """Rows whose measurement is displaced in any direction; lengths are that much longer or shorter."""
 
-    share: float = 0.0  #: Of the rows to estimate from, 0 to 1; at least one row if it is above 0.
-    count: int | None = None  #: Number of rows, in place of a share; None: by the share.
-    size: float = 5e-3  #: Displacement [m].
+    #: Of the rows to estimate from, 0 to 1; at least one row if it is above 0.
+    share: float = 0.0
+    #: Number of rows, in place of a share; None: by the share.
+    count: int | None = None
+    #: Displacement [m].
+    size: float = 5e-3
 
     @classmethod
     def parse(cls, text: str, size: float) -> Outliers:
@@ -72,9 +75,12 @@ class Outliers:
 class MovedTarget:
     """A target that is elsewhere from some row on, as if it had been knocked."""
 
-    row: int  #: Number of the first row, from 1, that finds it moved.
-    by: Array  #: shape (3,), displacement in the tip [m].
-    target: str | None = None  #: Its name; None: all targets.
+    #: Number of the first row, from 1, that finds it moved.
+    row: int
+    #: Shape (3,), displacement in the tip [m].
+    by: Array
+    #: Its name; None: all targets.
+    target: str | None = None
 
     def __post_init__(self) -> None:
         """Keep a read-only copy of the displacement."""
@@ -110,8 +116,10 @@ class Encoder:
     The robot stops somewhere within half a step of where it is sent, and what is read is the nearest step.
     """
 
-    angle: float = 0.0  #: Step of joints that turn [rad]; 0: none.
-    length: float = 0.0  #: Step of joints that slide [m]; 0: none.
+    #: Step of joints that turn [rad]; 0: none.
+    angle: float = 0.0
+    #: Step of joints that slide [m]; 0: none.
+    length: float = 0.0
 
     def measure(self, q: Array, sliding: Sequence[bool], seed: int) -> tuple[Array, Array]:
         """Draw where the robot stops when it is sent to joint values, and what is read there.

@@ -41,27 +41,36 @@ DEFAULT_MODEL = "placement"
 class Scenario:
     """Specification of virtual cells, before anything is drawn."""
 
-    robot: Robot  #: The nominal robot
+    #: The nominal robot
+    robot: Robot
     #: Targets, frames, tracker, payload, gravity, kind, and limits of single errors
     cell: Cell = field(default_factory=Cell)
-    model: str = DEFAULT_MODEL  #: Errors of the robot, see `draw_truth`
+    #: Errors of the robot, see `draw_truth`
+    model: str = DEFAULT_MODEL
     #: Standard deviations of the errors that are drawn, by family; None: none is drawn
     sizes: Mapping[str, float] | None = field(default_factory=dict)
-    errors: tuple[tuple[str, float], ...] = ()  #: Names and values of single errors
-    true_robot: Robot | None = None  #: The true geometry, if it is given
+    #: Names and values of single errors
+    errors: tuple[tuple[str, float], ...] = ()
+    #: The true geometry, if it is given
+    true_robot: Robot | None = None
     #: Standard deviation of the targets' true positions about their stated ones [m]
     target_error: float = TARGET_ERROR
     #: Of one coordinate, by the distance from the tracker; None: none. The repeatability in it displaces all targets
     #: of one stop alike; of the kind ``distance`` the distance is that from the anchor
     noise: TrackerNoise | None = field(default_factory=TrackerNoise)
-    sigma_angle: float = 0.0  #: Standard deviation of a measured orientation about one axis [rad]
-    encoder: Encoder = field(default_factory=Encoder)  #: Steps of the joint values
-    outliers: Outliers | None = None  #: Outliers; None: none
-    moved: MovedTarget | None = None  #: A target that moves; None: none
+    #: Standard deviation of a measured orientation about one axis [rad]
+    sigma_angle: float = 0.0
+    #: Steps of the joint values
+    encoder: Encoder = field(default_factory=Encoder)
+    #: Outliers; None: none
+    outliers: Outliers | None = None
+    #: A target that moves; None: none
+    moved: MovedTarget | None = None
     #: shape (3,), drift of the instrument, or of the base, from the first row to the last, along the measurement
     #: frame's axes, linear in the row [m]
     drift: Array = field(default_factory=lambda: np.zeros(3))
-    visits: int = 1  #: Number of tours of all poses
+    #: Number of tours of all poses
+    visits: int = 1
 
     def __post_init__(self) -> None:
         """Refuse a kind that cannot be simulated; keep a read-only copy of the drift."""
@@ -150,17 +159,22 @@ class Scenario:
 class Simulated:
     """Measurements of a virtual cell, and the truth of each row."""
 
-    measurements: Measurements  #: The table, as `calib calibrate` reads it
-    truth: Truth  #: The robot, the targets and the frames
+    #: The table, as `calib calibrate` reads it
+    measurements: Measurements
+    #: The robot, the targets and the frames
+    truth: Truth
     #: shape (R, m), true joint values in each row, before the joints' errors [rad] or [m]
     q: Array
     #: shape (R, 4, 4), true poses of the targets, the moved one's included [m]
     T_frame_target: Array
-    sigma: Array  #: shape (R,), standard deviation of the noise of one coordinate or length [m]
+    #: Shape (R,), standard deviation of the noise of one coordinate or length [m]
+    sigma: Array
     #: shape (R, 3), displacement of outliers [m]; zero in other rows. Of lengths the first column is the change
     outliers: Array
-    moved: Mask  #: shape (R,), whether a row found the target moved
-    seed: int  #: Of the random numbers
+    #: Shape (R,), whether a row found the target moved
+    moved: Mask
+    #: Of the random numbers
+    seed: int
 
     @property
     def points(self) -> Array:
@@ -177,12 +191,18 @@ class Simulated:
 class _Tour:
     """The R rows that are measured: all targets at each stop, one tour of the poses after the other."""
 
-    route: Indices  # (stops,), the pose of each stop
-    stop: Indices  # (R,), the stop of each row
-    target: Indices  # (R,), its target
-    group: Indices  # (R,), its group
-    sets: tuple[str, ...]  # (R,), its set
-    partner: Indices | None  # (R,), the other row of its pair; None: rows are no pairs
+    #: (stops,), the pose of each stop
+    route: Indices
+    #: (R,), the stop of each row
+    stop: Indices
+    #: (R,), its target
+    target: Indices
+    #: (R,), its group
+    group: Indices
+    #: (R,), its set
+    sets: tuple[str, ...]
+    #: (R,), the other row of its pair; None: rows are no pairs
+    partner: Indices | None
 
     @classmethod
     def of(cls, scenario: Scenario, truth: Truth, sets: Sequence[str]) -> _Tour:
@@ -225,8 +245,10 @@ class _Tour:
 class VirtualCell:
     """A robot with known errors, and an instrument that measures it."""
 
-    scenario: Scenario  #: What is measured, and what disturbs it
-    truth: Truth  #: The robot, the targets and the frames
+    #: What is measured, and what disturbs it
+    scenario: Scenario
+    #: The robot, the targets and the frames
+    truth: Truth
 
     def measure(self, q: ArrayLike, seed: int = 0, sets: Sequence[str] | None = None) -> Simulated:
         """Measure every target at every pose.

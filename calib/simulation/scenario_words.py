@@ -40,12 +40,18 @@ _PROBE = float(np.radians(0.01))
 class ScenarioWords:
     """Options of a scenario, as typed on the command line; None: not given."""
 
-    sizes: str | None = None  #: Standard deviations of errors, see `parse_error_sizes`.
-    error: Iterable[str] | None = None  #: Single errors, ``elbow_joint.rx=2 mrad`` each.
-    noise: str | None = None  #: See `parse_tracker_noise`.
-    outliers: str | None = None  #: A number of rows or a share, see `Outliers.parse`.
-    truth_robot: Path | None = None  #: URDF of the true robot.
-    target_error: str | None = None  #: Standard deviation of the targets' positions, a length.
+    #: Standard deviations of errors, see `parse_error_sizes`.
+    sizes: str | None = None
+    #: Single errors, ``elbow_joint.rx=2 mrad`` each.
+    error: Iterable[str] | None = None
+    #: See `parse_tracker_noise`.
+    noise: str | None = None
+    #: A number of rows or a share, see `Outliers.parse`.
+    outliers: str | None = None
+    #: URDF of the true robot.
+    truth_robot: Path | None = None
+    #: Standard deviation of the targets' positions, a length.
+    target_error: str | None = None
 
 
 def read_scenario(

@@ -30,8 +30,10 @@ _FORECASTS = 9
 class Study:
     """Results of many trials."""
 
-    trials: tuple[Trial, ...]  #: In the order of their seeds
-    failures: tuple[tuple[int, str], ...]  #: Seed and reason of those that ended with an error
+    #: In the order of their seeds
+    trials: tuple[Trial, ...]
+    #: Seed and reason of those that ended with an error
+    failures: tuple[tuple[int, str], ...]
     #: Of the first trial's poses, or where poses are random the median of several trials'; None where the robots'
     #: errors or what is fitted have no forecast
     forecast: Forecast | None

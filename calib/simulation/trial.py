@@ -47,17 +47,26 @@ _LEVEL = 0.95
 class Trials:
     """Task of each trial."""
 
-    scenario: Scenario  #: Robots and disturbances that are drawn
-    cell: Cell  #: The cell that the fit is given; its model too
+    #: Robots and disturbances that are drawn
+    scenario: Scenario
+    #: The cell that the fit is given; its model too
+    cell: Cell
     #: shape (N, m), poses to measure, the same each time; None: ``count`` others each time
     poses: Array | None = None
-    sets: tuple[str, ...] = ()  #: ``"estimate"`` or ``"validate"`` for each of ``poses``
-    count: int = 30  #: Poses to fit, where they are made each time
-    validation: int = 0  #: Random poses to validate with, besides
-    planned: bool = False  #: Whether they are planned, or drawn at random
-    criterion: str = "V"  #: Of the plan
-    validate: bool = True  #: Whether each fit is cross-validated, for its verdict
-    solver: str = "lm"  #: Of the fit
+    #: ``"estimate"`` or ``"validate"`` for each of ``poses``
+    sets: tuple[str, ...] = ()
+    #: Poses to fit, where they are made each time
+    count: int = 30
+    #: Random poses to validate with, besides
+    validation: int = 0
+    #: Whether they are planned, or drawn at random
+    planned: bool = False
+    #: Of the plan
+    criterion: str = "V"
+    #: Whether each fit is cross-validated, for its verdict
+    validate: bool = True
+    #: Of the fit
+    solver: str = "lm"
 
     @property
     def fitted(self) -> int:
@@ -91,21 +100,31 @@ class Trials:
 class Trial:
     """Figures of one robot, calibrated and verified."""
 
-    seed: int  #: Of everything that was drawn
+    #: Of everything that was drawn
+    seed: int
     #: Error of the nominal robot, frame and target where they truly are, over the poses of the verification [m]
     nominal_rms: float
-    rms: float  #: Error of the calibrated robot's predictions there [m]
-    max: float  #: The largest [m]
-    stated_rms: float  #: Error there that the fit states [m]
-    covered: float  #: Share of these positions inside the 95 % ellipsoid that the fit states
+    #: Error of the calibrated robot's predictions there [m]
+    rms: float
+    #: The largest [m]
+    max: float
+    #: Error there that the fit states [m]
+    stated_rms: float
+    #: Share of these positions inside the 95 % ellipsoid that the fit states
+    covered: float
     sigma: (
         float  #: Noise that the fit estimated, with the non-geometric model where there is one [m]
     )
-    model: str  #: The parameter set that was fitted
-    verdict: str  #: The verdict's word; "" without one
-    outliers: int  #: Number of rows that are outliers in truth
-    flagged: int  #: Number of these that the fit flagged
-    false_alarms: int  #: Number of others that it flagged
+    #: The parameter set that was fitted
+    model: str
+    #: The verdict's word; "" without one
+    verdict: str
+    #: Number of rows that are outliers in truth
+    outliers: int
+    #: Number of these that the fit flagged
+    flagged: int
+    #: Number of others that it flagged
+    false_alarms: int
 
 
 def one_trial(trials: Trials, seed: int) -> Trial:
@@ -143,9 +162,12 @@ def one_trial(trials: Trials, seed: int) -> Trial:
 class _Calibrated:
     """Last fit of a calibration."""
 
-    fitted: Fitted  # Of the non-geometric model, if any
-    verdict: str  # The verdict's word; "" without one
-    flagged: frozenset[int]  # Numbers of the rows that it flags
+    #: Of the non-geometric model, if any
+    fitted: Fitted
+    #: The verdict's word; "" without one
+    verdict: str
+    #: Numbers of the rows that it flags
+    flagged: frozenset[int]
 
 
 def _calibrate(trials: Trials, simulated: Simulated) -> _Calibrated:
@@ -181,9 +203,12 @@ def verification_poses(scenario: Scenario) -> Array:
 class _Verified:
     """Predictions of a fit against the truth at N poses that it has not seen."""
 
-    errors: Array  # (N,), distance of the predicted target from the true one [m]
-    stated_rms: float  # Error that the fit states [m]
-    inside: Mask  # (N,), whether the truth is inside the region that the fit states
+    #: (N,), distance of the predicted target from the true one [m]
+    errors: Array
+    #: Error that the fit states [m]
+    stated_rms: float
+    #: (N,), whether the truth is inside the region that the fit states
+    inside: Mask
 
 
 def _verify(trials: Trials, truth: Truth, fitted: Fitted) -> _Verified:

@@ -60,19 +60,29 @@ NONE = "none"
 class Truth:
     """Truth of a virtual cell."""
 
-    nominal: Robot  #: The robot of the nominal URDF
-    model: ErrorModel  #: The errors of the robot by name
+    #: The robot of the nominal URDF
+    nominal: Robot
+    #: The errors of the robot by name
+    model: ErrorModel
     #: shape (p,), their values, in the units of ``model``. Of a robot that was given as a URDF, what of it the model
     #: can express
     x: Array
-    given: Robot | None  #: The true geometry, where it was given as a URDF
-    groups: tuple[str, ...]  #: Names of the groups; ``("",)`` for the only one
-    T_frame_base: Array  #: shape (F, 4, 4), true pose of the base in each measurement frame [m]
-    targets: tuple[str, ...]  #: Names of the targets
-    T_tip_target: Array  #: shape (T, 4, 4), their true poses in the tip [m]
-    stated_T_tip_target: Array  #: shape (T, 4, 4), their stated poses in the tip [m]
-    payload: Payload | None  #: What the tip carries
-    gravity: Array  #: shape (3,), acceleration in the URDF's root [m/s^2]
+    #: The true geometry, where it was given as a URDF
+    given: Robot | None
+    #: Names of the groups; ``("",)`` for the only one
+    groups: tuple[str, ...]
+    #: Shape (F, 4, 4), true pose of the base in each measurement frame [m]
+    T_frame_base: Array
+    #: Names of the targets
+    targets: tuple[str, ...]
+    #: Shape (T, 4, 4), their true poses in the tip [m]
+    T_tip_target: Array
+    #: Shape (T, 4, 4), their stated poses in the tip [m]
+    stated_T_tip_target: Array
+    #: What the tip carries
+    payload: Payload | None
+    #: Shape (3,), acceleration in the URDF's root [m/s^2]
+    gravity: Array
 
     @property
     def robot(self) -> Robot:

@@ -68,10 +68,14 @@ _POINT = 0.36
 class _Dots(NamedTuple):
     """Points of one set."""
 
-    node: str  #: Name of their node in the scene
-    colour: str  #: ``"#rrggbb"``
-    text: str  #: Their entry of the legend
-    points: Array  #: shape (..., 3), in the base [m]
+    #: Name of their node in the scene
+    node: str
+    #: ``"#rrggbb"``
+    colour: str
+    #: Their entry of the legend
+    text: str
+    #: Shape (..., 3), in the base [m]
+    points: Array
 
 
 def plan_page(plan: Plan) -> Page:

@@ -33,8 +33,10 @@ COLOURS = {"nominal": look.NOMINAL, "calibrated": look.CALIBRATED, "measured": l
 class Page(NamedTuple):
     """A complete HTML page."""
 
-    html: bytes  #: The page, UTF-8
-    warnings: tuple[str, ...]  #: A sentence for each shape that is not drawn as the URDF says
+    #: The page, UTF-8
+    html: bytes
+    #: A sentence for each shape that is not drawn as the URDF says
+    warnings: tuple[str, ...]
 
     def write(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
         """Write the page, completely or not at all.
@@ -55,11 +57,16 @@ class Page(NamedTuple):
 class Key(NamedTuple):
     """An entry of the legend, which shows and hides nodes."""
 
-    text: str  #: Its text
-    colour: str  #: Colour of its mark, ``"#rrggbb"``
-    nodes: str  #: Nodes below `calib.viewer.scene.SCENE`, with blanks between them
-    kind: str = ""  #: Shape of its mark: ``"dot"``, ``"arrow"``, ...; empty for a square
-    on: bool = True  #: The nodes are shown at first
+    #: Its text
+    text: str
+    #: Colour of its mark, ``"#rrggbb"``
+    colour: str
+    #: Nodes below `calib.viewer.scene.SCENE`, with blanks between them
+    nodes: str
+    #: Shape of its mark: ``"dot"``, ``"arrow"``, ...; empty for a square
+    kind: str = ""
+    #: The nodes are shown at first
+    on: bool = True
 
 
 def filled_page(

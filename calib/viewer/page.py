@@ -56,11 +56,16 @@ _FOOT_HEIGHT = 0.2
 class _Layout:
     """Places of the robots, labels and cameras of a page; the frame is the base of the calibrated robot."""
 
-    size: float  #: Diagonal of a robot's bounding box over all poses [m]
-    offsets: dict[str, Array]  #: shape (3,), displacement of each robot side by side [m]
-    foot: Array  #: shape (3,), place of the label of a robot that is not displaced [m]
-    side: Camera  #: The camera for the robots side by side
-    over: Camera  #: The camera for the overlaid robots
+    #: Diagonal of a robot's bounding box over all poses [m]
+    size: float
+    #: Shape (3,), displacement of each robot side by side [m]
+    offsets: dict[str, Array]
+    #: Shape (3,), place of the label of a robot that is not displaced [m]
+    foot: Array
+    #: The camera for the robots side by side
+    side: Camera
+    #: The camera for the overlaid robots
+    over: Camera
 
 
 def write_page(

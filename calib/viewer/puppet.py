@@ -42,9 +42,12 @@ CORNERS = np.indices((2, 2, 2)).reshape(3, -1).T - 0.5
 class Visual(NamedTuple):
     """One visual shape of a link."""
 
-    link: str  #: The link's name
-    T_link_shape: Array  #: shape (4, 4), the shape in the link's frame [m]
-    mesh: Mesh | None  #: Its triangles; None where a mesh file cannot be found or read
+    #: The link's name
+    link: str
+    #: Shape (4, 4), the shape in the link's frame [m]
+    T_link_shape: Array
+    #: Its triangles; None where a mesh file cannot be found or read
+    mesh: Mesh | None
 
 
 def read_visuals(urdf: Urdf) -> tuple[tuple[Visual, ...], tuple[str, ...]]:
@@ -119,13 +122,16 @@ def creased(vertices: NDArray[np.floating], faces: NDArray[np.int64]) -> Mesh:
 class Puppet(NamedTuple):
     """The shapes of one robot, and its poses in the scene."""
 
-    links: tuple[
-        str, ...
-    ]  #: Links that move; the movers are these, then the frames of base, tip and target
-    parts: list[tuple[int, Mesh, Array]]  #: A mover's index, a mesh, and T_mover_shape, (4, 4), [m]
-    rods: list[tuple[int, int]]  #: Indices of two movers whose origins a rod joins
-    radius: float  #: Radius of the rods [m]
-    poses: Array  #: shape (N, L, 4, 4), T_scene_mover at each pose [m]
+    #: Links that move; the movers are these, then the frames of base, tip and target
+    links: tuple[str, ...]
+    #: A mover's index, a mesh, and T_mover_shape, (4, 4), [m]
+    parts: list[tuple[int, Mesh, Array]]
+    #: Indices of two movers whose origins a rod joins
+    rods: list[tuple[int, int]]
+    #: Radius of the rods [m]
+    radius: float
+    #: Shape (N, L, 4, 4), T_scene_mover at each pose [m]
+    poses: Array
 
     @classmethod
     def of(

@@ -97,9 +97,12 @@ class SceneWindow:
 class Camera(NamedTuple):
     """A camera that looks at a point."""
 
-    centre: Array  #: shape (3,), the point [m]
-    axes: Array  #: shape (3, 3), unit vectors as rows: right, up, and from the point to the camera
-    distance: float  #: From the point [m]
+    #: Shape (3,), the point [m]
+    centre: Array
+    #: Shape (3, 3), unit vectors as rows: right, up, and from the point to the camera
+    axes: Array
+    #: From the point [m]
+    distance: float
 
     @property
     def position(self) -> list[float]:

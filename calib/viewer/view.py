@@ -60,31 +60,41 @@ class View:
         ModelError: The robots have different joints.
     """
 
-    nominal: Robot  #: The robot before calibration
-    calibrated: Robot | None  #: The robot after it, the same chain; None to show one robot alone
-    q: Array  #: shape (N, m), [rad] or [m], in the order of ``nominal.joint_names``
-    labels: tuple[str, ...] = ()  #: Name of each pose, such as ``"row 31"``
+    #: The robot before calibration
+    nominal: Robot
+    #: The robot after it, the same chain; None to show one robot alone
+    calibrated: Robot | None
+    #: Shape (N, m), [rad] or [m], in the order of ``nominal.joint_names``
+    q: Array
+    #: Name of each pose, such as ``"row 31"``
+    labels: tuple[str, ...] = ()
     #: ``"estimation"``, ``"validation"``, ``"flagged"`` or, where nothing was measured, ``"pose"``
     kinds: tuple[str, ...] = ()
     #: shape (N, 4, 4) or (4, 4), T_tip_target of the nominal robot [m]
     nominal_target: Array = field(default_factory=lambda: np.eye(4))
-    calibrated_target: Array = field(default_factory=lambda: np.eye(4))  #: Of the calibrated one
+    #: Of the calibrated one
+    calibrated_target: Array = field(default_factory=lambda: np.eye(4))
     #: shape (N, 4, 4) or (4, 4), base of the nominal robot in the calibrated one's [m]
     T_base_nominal: Array = field(default_factory=lambda: np.eye(4))
     #: shape (N, 3), the measured targets in the base [m]; NaN where nothing was measured
     measured: Array = field(default_factory=lambda: np.array(np.nan))
     #: shape (2, N), norm of each robot's residual of lengths [m]; NaN where none was measured
     errors: Array = field(default_factory=lambda: np.array(np.nan))
-    angles: Array = field(default_factory=lambda: np.array(np.nan))  #: Of orientations [rad]
+    #: Of orientations [rad]
+    angles: Array = field(default_factory=lambda: np.array(np.nan))
     #: shape (K, 4, 4), frames of the stations in the base [m], but for those that are the base
     instruments: Array = field(default_factory=lambda: np.zeros((0, 4, 4)))
-    start: int = 0  #: Index of the pose shown first, from 0
+    #: Index of the pose shown first, from 0
+    start: int = 0
     rows: int = (
         0  #: Number of rows of the table, where those shown are a choice; 0 where all are shown
     )
-    title: str = ""  #: The page's heading
-    verdict: str = ""  #: Verdict of the calibration; empty without one
-    note: str = ""  #: A sentence below the heading, such as the verdict's first reason
+    #: The page's heading
+    title: str = ""
+    #: Verdict of the calibration; empty without one
+    verdict: str = ""
+    #: A sentence below the heading, such as the verdict's first reason
+    note: str = ""
     #: Name and description of each robot
     names: Names = (("Nominal", "the URDF as given"), ("Calibrated", "the corrected URDF"))
 

@@ -132,11 +132,16 @@ class CommandOutputs:
 class _Models:
     """Both models of the robot, and the verdict on the real one's."""
 
-    nominal: Robot  # As the controller has it
-    actual: CalibrationValues | Robot  # As it really is: a result, or the robot of a corrected URDF
-    payload: Payload | None  # What the tip carried when it was calibrated; None: nothing is known
-    stated: str  # The verdict, as `calib.text.verdict.against` gives it; empty: nothing against it
-    remedy: str = ""  # What to do about it besides
+    #: As the controller has it
+    nominal: Robot
+    #: As it really is: a result, or the robot of a corrected URDF
+    actual: CalibrationValues | Robot
+    #: What the tip carried when it was calibrated; None: nothing is known
+    payload: Payload | None
+    #: The verdict, as `calib.text.verdict.against` gives it; empty: nothing against it
+    stated: str
+    #: What to do about it besides
+    remedy: str = ""
 
 
 @verb("""Compute compensated commands so that the real robot reaches the programmed poses.

@@ -109,10 +109,14 @@ class _Simulation:
 
     scenario: Scenario
     cell: Cell
-    poses: Array | None  # (N, m), [rad] or [m]; None: random ones
-    sets: tuple[str, ...]  # The set of each of these poses
-    count: int  # Number of random poses to fit
-    validation: int  # Number of random poses to validate with
+    #: (N, m), [rad] or [m]; None: random ones
+    poses: Array | None
+    #: The set of each of these poses
+    sets: tuple[str, ...]
+    #: Number of random poses to fit
+    count: int
+    #: Number of random poses to validate with
+    validation: int
     seed: int
 
 

@@ -12,10 +12,14 @@ from calib.text.layout.lines import WIDTH, fill, wrap
 class Column:
     """A column of a printed table."""
 
-    head: str  # Its heading
-    width: int = 0  # The fewest characters of its cells; longer cells widen the column
-    left: bool = False  # Cells are aligned to the left, else to the right
-    gap: int = 1  # Spaces before it; the first column has none
+    #: Its heading
+    head: str
+    #: The fewest characters of its cells; longer cells widen the column
+    width: int = 0
+    #: Cells are aligned to the left, else to the right
+    left: bool = False
+    #: Spaces before it; the first column has none
+    gap: int = 1
 
     def cell(self, text: str, width: int) -> str:
         """Align the text of a cell.
