@@ -33,7 +33,7 @@ from calib.model.kinematics import Kinematics
 from calib.numerics.geometry import pose_of
 from calib.registration.rows import Rows
 from calib.registration.table_rows import rows_and_setup
-from calib.robot.chain import pinocchio_chain
+from calib.robot.chain import pinocchio_chain, rigid_inverse
 from calib.robot.robot import Robot
 from calib.units import Array
 
@@ -150,6 +150,8 @@ class PlainFit:
         model = error_model(robot, "dh", target=True)
         D, S = model.displacements(x)  # of the frame, the joints, the tip and the target
         placements = [pin.SE3(T) for T in robot.placements @ D[1 : joints + 2]]
+        # The first placement is in the URDF's root; points are measured in the base.
+        placements[0] = pin.SE3(rigid_inverse(robot.T_root_base)) * placements[0]
         chain = pinocchio_chain(robot.joints, np.array([T.homogeneous for T in placements]))
         data = chain.createData()
         T_tip_target = pose_of(TARGET)
@@ -191,6 +193,11 @@ def measure_plain(count: int) -> dict[str, float]:
     """Measure plain least squares: with finite differences, as most scripts do it, and with the derivative."""
     task, rows = fit_input(count)
     plain = PlainFit(task.robot, task.robot.chain_values(rows.joints), rows.measured[:, :3])
+    # Times compare only if both fit the same points.
+    points, _ = plain.predict(np.zeros(27), jacobian=False)
+    model = error_model(task.robot, "dh", target=True)
+    kinematics = Kinematics(task.robot, model, np.eye(4), pose_of(TARGET))
+    np.testing.assert_allclose(points, kinematics.points(np.zeros(27), rows.joints), atol=1e-12)
     return {"differences": plain.solve("2-point"), "regressor": plain.solve(plain.derivative)}
 
 
