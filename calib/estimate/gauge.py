@@ -129,7 +129,7 @@ def _with_setup_growth(growth: Array, derivative: Array, used: Mask, of_setup: M
     """
     change = (derivative @ growth)[used]
     of_setup_columns = derivative[used][:, of_setup]
-    result = growth.copy()
+    result: Array = growth.copy()
     result[of_setup] = -np.linalg.lstsq(of_setup_columns, change, rcond=_RANK_TOLERANCE)[0]
     return result
 

@@ -340,7 +340,7 @@ def update_by_sole_postures(
     A = update.derivative(linear)
     scalars_of_a_row = update.reference.shape[1]
     of_sole = np.flatnonzero(np.repeat(weights > 0.0, scalars_of_a_row))
-    gain = np.linalg.pinv(A)[:, of_sole]
+    gain = np.asarray(np.linalg.pinv(A)[:, of_sole])
     return linear.x, _joseph_update(covariance, gain, A[of_sole])
 
 

@@ -14,213 +14,34 @@ G = [sqrt(rho_t) J_t, sqrt(rho_r) J_r], as in any mixed model (C. R. Henderson, 
 
     K^-1 = [I - G (kappa I + G^T G)^-1 G^T] / kappa
 
-The shares are estimated from the residual r of generalised least squares, E[r r^T] = V - A C A^T, by equations that
-end where the restricted likelihood is highest (R. D. Anderson, 1973; S. R. Searle, G. Casella, C. E. McCulloch,
-Variance Components, 1992): with the derivatives V_i of V by theta, which are noise^2 times kappa, rho_t and rho_r,
-
-    sum_j tr(V^-1 V_i V^-1 V_j) theta_j = tr(V^-1 V_i V^-1 [r r^T + A C A^T])
-
-Repeats of a target at a stop enter with their mean: what repeats share is found by `calib.estimate.stages`. Each
-instrument, lengths and angles apart, has shares of its own.
+The shares are estimated from the residuals of a fit by `calib.estimate.stop_shares`. Repeats of a target at a stop
+enter with their mean: what repeats share is found by `calib.estimate.stages`. Each instrument, lengths and angles
+apart, has shares of its own.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.estimate.stop_shares import (
+    ROTATION,
+    TINY,
+    TRANSLATION,
+    Moments,
+    root_shares,
+    transposed,
+    unshared,
+)
 from calib.model.kinematics import Kinematics
 from calib.registration.rows import Rows
 from calib.registration.same_poses import same_poses
 from calib.units import Array, Integers, Mask
 
-#: Columns of a body's translation.
-_TRANSLATION = slice(0, 3)
-
-#: Columns of a body's rotation.
-_ROTATION = slice(3, 6)
-
-#: The least kappa: no instrument's noise is less than a thousandth of what the targets of a stop share.
-_LEAST_UNSHARED = 1e-6
-
-#: With fewer degrees of freedom, of the bodies or of the targets within them, the shares are zero.
-_FEWEST_FREEDOM = 12
-
-#: The most iterations for the shares.
-_STEPS = 20
-
-#: Shares that change by less than this, relative to kappa, have settled.
-_SETTLED = 1e-4
-
 #: Rows whose columns are copied at a time.
 _PART = 16_384
-
-#: Divisor in place of zero.
-_TINY = 1e-300
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _InverseCovariance:
-    """K^-1 of S stops by matrices of six rows: K^-1 = (I - J H J^T) / kappa, and K^-1 J = J T.
-
-    J has the derivatives of a stop's scalars by its body's displacement. With M = J^T J and the shares
-    D = diag(rho_t, rho_t, rho_t, rho_r, rho_r, rho_r), G G^T is J D J^T.
-    """
-
-    #: The share of a scalar's variance that is independent of the other targets of its stop
-    kappa: float
-    #: (S, 6, 6), (kappa I + D M)^-1
-    T: Array
-    #: (S, 6, 6), T D
-    H: Array
-
-    @classmethod
-    def of(cls, M: Array, rho: Array) -> _InverseCovariance:
-        """Invert the covariance of each stop.
-
-        Args:
-            M: shape (S, 6, 6), J^T J of each of S stops.
-            rho: shape (2,), the shares rho_t and rho_r of translations and rotations in the variance of a scalar.
-        """
-        kappa = _unshared(rho)
-        shares = _roots(rho) ** 2
-        T = np.linalg.inv(kappa * np.eye(6) + shares[:, None] * M)
-        return cls(kappa, T, T * shares)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Moments:
-    """The moments of an instrument's residual r at S stops, from which its shares are estimated, in any unit."""
-
-    #: (S, 6, 6), J^T J
-    M: Array
-    #: (S, 6, 6), J^T [r r^T + A C A^T] J
-    R: Array
-    #: The trace of r r^T + A C A^T, of all stops
-    total: float
-    #: The number of scalars
-    count: float
-
-    @classmethod
-    def joined(cls, parts: Sequence[Moments]) -> Moments:
-        """Join the moments of several parts of the stops.
-
-        Args:
-            parts: Moments of the parts, in the order of the stops, of the same fit and instrument; at least one.
-        """
-        total = 0.0
-        count = 0.0
-        for part in parts:
-            total += part.total
-            count += part.count
-        M = np.concatenate([part.M for part in parts])
-        R = np.concatenate([part.R for part in parts])
-        return cls(M, R, total, count)
-
-    def shares(self, rho: Array) -> Array:
-        """Estimate the shares of translations and rotations in the variance of a scalar, by iteration.
-
-        Uses the moments of the fit's residual: `M`, `R`, `total` and `count`.
-
-        Args:
-            rho: shape (2,), the shares rho_t of translations and rho_r of rotations to begin with.
-
-        Returns:
-            shape (2,), each from 0 to 1; zero where the degrees of freedom are few.
-        """
-        bodies = int(np.sum(np.linalg.matrix_rank(self.M, hermitian=True)))
-        if min(bodies, self.count - bodies) < _FEWEST_FREEDOM:
-            return np.zeros(2)
-        for _ in range(_STEPS):
-            before = rho
-            rho = _shares_of(self._components(rho))
-            if np.max(np.abs(rho - before)) < _SETTLED * _unshared(rho):
-                break
-        return rho
-
-    def _components(self, rho: Array) -> Array:
-        """Estimate the variances theta of independent errors, translations and rotations, the last two >= 0.
-
-        Args:
-            rho: shape (2,), the shares of translations and rotations at which the equations for theta are set up.
-
-        Returns:
-            theta, shape (3,), in the square of the residual's unit.
-        """
-        inverse = _InverseCovariance.of(self.M, rho)
-        left = self._left_side(inverse)
-        right = self._right_side(inverse)
-        free = np.diagonal(left) > 0.0  # no translation moves angles
-        while True:
-            theta = np.zeros(3)
-            theta[free] = np.linalg.solve(left[np.ix_(free, free)], right[free])
-            if not np.any(theta[1:] < 0.0):
-                return theta
-            free[1 + int(np.argmin(theta[1:]))] = False
-
-    def _left_side(self, inverse: _InverseCovariance) -> Array:
-        """The matrix of the equations for theta, the variances of independent errors, translations and rotations.
-
-        Uses `M`, J^T J of each of S stops, and the `count` of scalars; see the module's text.
-
-        Args:
-            inverse: K^-1 of the stops.
-
-        Returns:
-            tr(K^-1 K_i K^-1 K_j), shape (3, 3), where K_i is the derivative of the covariance V by theta_i.
-        """
-        HM = inverse.H @ self.M
-        MT = self.M @ inverse.T
-        TMT = _transposed(inverse.T) @ self.M @ inverse.T
-        result = np.zeros((3, 3))
-        of_independent = self.count - 2.0 * _trace(HM) + _trace(HM @ HM)
-        result[0, 0] = of_independent / inverse.kappa**2
-        parts = (_TRANSLATION, _ROTATION)
-        for k, i in enumerate(parts, 1):
-            of_part = _trace(TMT[:, i, i])
-            result[0, k] = of_part
-            result[k, 0] = of_part
-            result[k, 1:] = [np.sum(MT[:, i, j] ** 2) for j in parts]
-        return result
-
-    def _right_side(self, inverse: _InverseCovariance) -> Array:
-        """The right side of the equations for theta, the variances of independent errors, translations and rotations.
-
-        Uses the moments `M`, `R` and `total` of the fit's residual r; see the module's text.
-
-        Args:
-            inverse: K^-1 of the stops.
-
-        Returns:
-            tr(K^-1 K_i K^-1 [r r^T + A C A^T]), shape (3,), in the square of the residual's unit, where K_i is the
-            derivative of the covariance V by theta_i.
-        """
-        HM = inverse.H @ self.M
-        HR = inverse.H @ self.R
-        TRT = _transposed(inverse.T) @ self.R @ inverse.T
-        result = np.zeros(3)
-        of_independent = self.total - 2.0 * _trace(HR) + _trace(HM @ HR)
-        result[0] = of_independent / inverse.kappa**2
-        for k, part in enumerate((_TRANSLATION, _ROTATION), 1):
-            result[k] = _trace(TRT[:, part, part])
-        return result
-
-
-def _shares_of(theta: Array) -> Array:
-    """Return the shares of translations and rotations in the variance of a scalar, from the variances of its parts.
-
-    Args:
-        theta: shape (3,), variances of independent errors, of translations and of rotations; the last two >= 0.
-
-    Returns:
-        rho, shape (2,), of translations and rotations; their sum is at most 1 - `_LEAST_UNSHARED`.
-    """
-    shares = theta[1:] / max(float(np.sum(theta)), _TINY)
-    excess = float(np.sum(shares)) / (1.0 - _LEAST_UNSHARED)
-    return np.asarray(shares / max(excess, 1.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -386,11 +207,11 @@ class Stops:
             covariance K of the scalars over the noise squared.
         """
         means = self._means(X, weights, c)
-        kappa = _unshared(rho)
-        G = means.J * _roots(rho)
-        GG = self._sums(_transposed(G) @ G)
+        kappa = unshared(rho)
+        G = means.J * root_shares(rho)
+        GG = self._sums(transposed(G) @ G)
         root = np.linalg.cholesky(np.eye(6) + GG / kappa)
-        G_X = self._sums(_transposed(G) @ means.columns)
+        G_X = self._sums(transposed(G) @ means.columns)
         shared = np.linalg.solve(root, G_X / kappa)
         change = _change_of_products(means.columns, shared, kappa)
         of_unshared = np.sum(means.count) * np.log(kappa)
@@ -417,9 +238,9 @@ class Stops:
         instruments = np.flatnonzero(np.any(rho > 0.0, axis=1)).tolist()
         for stops in self._parts():
             w = weights[stops.rows]
-            root_weights = np.sqrt(np.maximum(w, _TINY))
+            root_weights = np.sqrt(np.maximum(w, TINY))
             X = stops._rows_of(columns) / root_weights[:, None, None]
-            weight_of_cell = np.maximum(np.add.reduceat(w, stops._first_row), _TINY)
+            weight_of_cell = np.maximum(np.add.reduceat(w, stops._first_row), TINY)
             root_share = np.sqrt(w / weight_of_cell[stops._cell_of_row])
             for c in instruments:
                 change = stops._change_of_means(X, weights, c, rho[c])
@@ -443,12 +264,12 @@ class Stops:
             shape (M, D, q), of M cells, in units of the noise; zero for scalars of other instruments.
         """
         means = self._means(X, weights, c)
-        kappa = _unshared(rho)
-        G = means.J * _roots(rho) / np.sqrt(kappa)
-        squares, Q = np.linalg.eigh(self._sums(_transposed(G) @ G))
+        kappa = unshared(rho)
+        G = means.J * root_shares(rho) / np.sqrt(kappa)
+        squares, Q = np.linalg.eigh(self._sums(transposed(G) @ G))
         s = np.sqrt(1.0 + np.maximum(squares, 0.0))[:, None]
-        G_means = self._sums(_transposed(G) @ means.columns)
-        shared = (Q / (s + s**2)) @ (_transposed(Q) @ G_means)
+        G_means = self._sums(transposed(G) @ means.columns)
+        shared = (Q / (s + s**2)) @ (transposed(Q) @ G_means)
         independent = (means.columns - G @ shared[self._stop_of_cell]) / np.sqrt(kappa)
         return np.asarray(independent - means.columns)
 
@@ -476,7 +297,7 @@ class Stops:
         """Compute the moments of a fit's residual from the means of these stops' cells.
 
         Args:
-            means: Means of one instrument's scalars over the cells, of the columns of `moments`: the derivative A of the
+            means: Means of one instrument's scalars over the cells; their columns are the derivative A of the
                 prediction by p parameters, and behind it the residual, in units of sigma.
             x: shape (p,), the solution, relative to where the residual was taken.
             C: shape (p, p), its covariance.
@@ -486,11 +307,11 @@ class Stops:
         """
         A = means.columns[..., :-1]
         r = means.columns[..., -1:] - A @ x[:, None]
-        sums = self._sums(_transposed(means.J) @ np.concatenate([means.J, A, r], axis=2))
+        sums = self._sums(transposed(means.J) @ np.concatenate([means.J, A, r], axis=2))
         J_J = sums[..., :6]
         J_A = sums[..., 6:-1]
         J_r = sums[..., -1:]
-        R = J_r @ _transposed(J_r) + J_A @ C @ _transposed(J_A)
+        R = J_r @ transposed(J_r) + J_A @ C @ transposed(J_A)
         total = float(np.sum(r**2) + np.sum((A @ C) * A))
         return Moments(J_J, R, total, float(np.sum(means.count)))
 
@@ -511,7 +332,7 @@ class Stops:
         w = weights[self.rows, None]
         of_instrument = self.instruments == c
         total = np.add.reduceat(w, self._first_row)
-        scale = 1.0 / np.sqrt(np.maximum(total, _TINY))
+        scale = 1.0 / np.sqrt(np.maximum(total, TINY))
         weight = (w * of_instrument)[:, :, None]
         weighted = np.concatenate([X, self.J], axis=2) * weight
         means = np.add.reduceat(weighted, self._first_row) * scale[:, :, None]
@@ -608,40 +429,6 @@ def _stop_of_rows(rows: Rows) -> Integers | None:
     return np.where(chosen, stop, -1)
 
 
-def _unshared(rho: Array) -> float:
-    """Return the share kappa of a scalar's variance that is independent of the other targets of its stop.
-
-    Args:
-        rho: shape (2,), the shares of its variance that the stop's translation and rotation have.
-
-    Returns:
-        1 - rho_t - rho_r, but never below `_LEAST_UNSHARED`.
-    """
-    return float(max(1.0 - np.sum(rho), _LEAST_UNSHARED))
-
-
-def _roots(rho: Array) -> Array:
-    """Return the square root of the share of each direction of a body's displacement.
-
-    Args:
-        rho: shape (2,), the shares of translations and of rotations in the variance of a scalar.
-
-    Returns:
-        shape (6,): of the three translations, then of the three rotations.
-    """
-    return np.repeat(np.sqrt(rho), 3)
-
-
-def _transposed(M: NDArray[np.floating]) -> Array:
-    """Return matrices (..., m, n) transposed, (..., n, m)."""
-    return np.asarray(M.swapaxes(-1, -2))
-
-
-def _trace(M: Array) -> float:
-    """Return the sum of the traces of S matrices, shape (S, n, n)."""
-    return float(np.einsum("sii->", M))
-
-
 def _twists_of_bodies(points: Array, stops: Integers, counts: Array) -> Array:
     """Differentiate points by the displacements of their bodies, which turn about the centroids of their points.
 
@@ -661,7 +448,7 @@ def _twists_of_bodies(points: Array, stops: Integers, counts: Array) -> Array:
     twists = np.zeros((len(points), 6, 6))
     twists[:] = np.eye(6)
     # Column k is e_k x lever.
-    twists[:, :3, 3:] = _transposed(np.cross(np.eye(3), lever[:, None]))
+    twists[:, :3, 3:] = transposed(np.cross(np.eye(3), lever[:, None]))
     return twists
 
 
@@ -671,8 +458,8 @@ def _of_unit_size(J: Array, instruments: NDArray[np.int8], counts: Array) -> Arr
     Each instrument's Jacobians by translations, and those by rotations, have a scale of their own.
 
     Args:
-        J: shape (K, D, 6), derivative of the D scalars of each of K rows by its body's displacement: three translations,
-            three rotations.
+        J: shape (K, D, 6), derivative of the D scalars of each of K rows by its body's displacement: three
+            translations, three rotations.
         instruments: shape (K, D), index of each scalar's instrument, from 0; -1 for no scalar.
         counts: shape (K,), weight of each row in the mean.
 
@@ -683,7 +470,7 @@ def _of_unit_size(J: Array, instruments: NDArray[np.int8], counts: Array) -> Arr
     for c in range(int(instruments.max()) + 1):
         of_instrument = instruments == c
         weight = counts[:, None] * of_instrument
-        for part in (_TRANSLATION, _ROTATION):
+        for part in (TRANSLATION, ROTATION):
             square = float(np.sum(weight[:, :, None] * J[:, :, part] ** 2))
             if square > 0.0:
                 scale = np.sqrt(np.sum(weight) / square)
