@@ -58,7 +58,11 @@ class Estimate:
 
     @property
     def outliers(self) -> Mask:
-        """Rows that are flagged as outliers: their score is above `flag_limit`; mask, shape (N,)."""
+        """Rows that are flagged as outliers: those whose score is above `flag_limit`.
+
+        Returns:
+            Mask of the N fitted rows, shape (N,), in the order of ``problem.rows``.
+        """
         return self.scores > self.flag_limit
 
 

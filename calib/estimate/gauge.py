@@ -74,6 +74,9 @@ def measures_length(rows: Rows, distances: tuple[KnownDistance, ...]) -> bool:
     Args:
         rows: Rows of measurements of any kinds: points and distances compare it, rows in sockets and on planes do not.
         distances: Known distances between the origins of measurement frames [m]; any of them compares it.
+
+    Returns:
+        False where only the shape of the arm can be found, not its size.
     """
     return bool(distances) or any(kind.measures_length for kind in rows.present)
 

@@ -42,6 +42,9 @@ class _Kept(NamedTuple):
             weights: shape (B, N), of N rows in B fits.
             rho: shape (C, 2) or (B, C, 2), shares of each instrument's variance that the targets of a stop have in
                 common.
+
+        Returns:
+            False where any of them differs, or has another shape.
         """
         return np.array_equal(self.weights, weights) and np.array_equal(self.rho, rho)
 
@@ -77,7 +80,12 @@ class LinearProblem:
 
     @property
     def A(self) -> Array:
-        """Jacobian of the prediction, shape (N, D, p), in units of each scalar's given sigma."""
+        """Jacobian of the prediction by the p parameters, where the problem is linearised.
+
+        Returns:
+            shape (N, D, p), of the D scalars of N rows, in units of each scalar's given sigma per unit of the
+            parameter; 0 for scalars that were not measured.
+        """
         return np.asarray(self.columns[:-1].transpose(2, 1, 0))
 
     def noise_by_scalar(self, noise: Array) -> Array:
@@ -230,7 +238,7 @@ class LinearProblem:
         factor = root_weights[:, None] * of_instrument[scalars]
 
         def product(rows: slice) -> Array:
-            """The products over some of the rows, shape (B, p + 1, p + 1)."""
+            """The products [A r]^T W [A r] over a slice of the rows, of each of B fits, shape (B, p + 1, p + 1)."""
             columns = self.columns[:, scalars, rows]
             of_fits = []
             for factor_of_fit in factor[:, :, rows]:

@@ -124,7 +124,10 @@ def _constrained(task: Task, model: ErrorModel) -> list[int]:
     Args:
         task: Robot, cell and options of a fit; where ``allow_absent`` is True, its cell may name parameters that the
             model lacks, which are left out.
-        model: The parameters that are estimated.
+        model: The p parameters that are estimated.
+
+    Returns:
+        Indices in the parameter vector x, bounded ones first; one with both a bound and a prior occurs once.
 
     Raises:
         ModelError: A name that the model lacks, and must not.

@@ -89,6 +89,10 @@ class Problem:
             rows: N rows of measurements: joint values, frame and target of each, and the measured scalars.
             distances: Known distances between the origins of measurement frames; those between frames that the rows see
                 count.
+
+        Returns:
+            The least-squares problem of these rows: p parameters, which are offsets from the nominal robot and the
+            registered frames and targets. The arm's size is not held.
         """
         scales = rows.scales
         smallest_noise = _smallest_noise(rows)
@@ -122,7 +126,7 @@ class Problem:
 
     @property
     def size(self) -> int:
-        """Number of parameters p."""
+        """Number p of parameters: of the robot, then of frames and targets."""
         return len(self.kinematics.model)
 
     def residual(self, x: Array) -> Array:
@@ -341,7 +345,7 @@ class Problem:
         factor = whiten * used
 
         def block_triangle(rows: slice) -> Array:
-            """The triangle of some of the rows."""
+            """The triangle R of [A r] = Q R, whitened, over a slice of the rows, shape (p + 1, p + 1) or fewer rows."""
             block = (columns[:, :, rows] * factor[:, rows]).reshape(len(columns), -1)
             return triangle(block.T)
 

@@ -113,7 +113,7 @@ def _traces(linear: LinearProblem, covariance: Array) -> Array:
     """
 
     def work(rows: slice) -> Array:
-        """The traces of some of the rows."""
+        """The traces of a slice of the rows, shape (n,)."""
         A = linear.A[rows]
         return np.asarray(np.einsum("ndp,ndp->n", A @ covariance, A))
 
@@ -246,6 +246,9 @@ class _Update:
             weights: shape (N,), > 0 for rows of sole postures; 0 for all others, which have the stage's weights.
             projections: shape (N, D, D), of each row's scalars, in units of the noise, on the directions in which the
                 other rows do not predict it; see `open_directions`.
+
+        Returns:
+            The least-squares problem whose minimum is the updated estimate.
         """
         is_sole = weights > 0.0
         factor = np.where(is_sole, 1.0, _NOISE_OF_OTHERS)

@@ -104,8 +104,14 @@ class StageSolver:
         It is that of the last stage where the solution has hardly moved, or one at a solution that is close, if a
         second linear fit confirms it.
 
+        Uses the problem linearised for the last stage (`_linear`, None before the first one), and the parameters where
+        the last solve stopped (`_x`, shape (p,)), which it moves to a solution that is confirmed.
+
         Args:
             stage: Row weights, noise and prior standard deviations of one fit (B = 1).
+
+        Returns:
+            N rows of D scalars by p parameters, in units of each scalar's given sigma; or None.
         """
         if self._linear is None:
             return None
@@ -127,6 +133,9 @@ class StageSolver:
 
         Args:
             change: shape (p,), in the parameters' units [m, rad, ...].
+
+        Returns:
+            The Euclidean norm over all parameters, without unit.
         """
         return float(np.linalg.norm(change / self._step_size))
 

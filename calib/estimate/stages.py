@@ -77,6 +77,9 @@ class Weighting:
             robust: True if outliers lose their weight.
             rows: N rows of measurements. In their weights, if any, repeats are already shared out; None for rows whose
                 weights the fit estimates.
+
+        Returns:
+            The treatment as asked for; of rows with weights "independent" and not robust, to begin with these weights.
         """
         if rows.weights is None:
             return cls(repeats, robust, 1.0)
@@ -131,7 +134,11 @@ class Stage:
 
     @property
     def effective(self) -> Array:
-        """Weights of the N rows in each of B fits, shape (B, N): the robust ones, times the factor for repeats."""
+        """Weights with which the rows count in the fits: the robust ones, times the factor for repeats.
+
+        Returns:
+            shape (B, N), of the N rows in each of B fits, >= 0; 0 for rows that a fit does not have.
+        """
         return self.weights * self.share
 
     @property
@@ -243,6 +250,10 @@ class Stage:
 
         Args:
             linear: The least-squares problem linearised: N rows of D scalars by p parameters.
+
+        Returns:
+            The stage with a new `noise`, shape (B, C), of C instruments in B fits, as a multiple of the given sigma,
+            and a new `prior_std`, shape (B, K), of K families, in their parameters' unit.
         """
         prior = self.prior
         limits = VarianceLimits(
@@ -263,6 +274,9 @@ class Stage:
 
         Args:
             linear: The least-squares problem linearised: N rows of D scalars by p parameters.
+
+        Returns:
+            The stage with a new `noise`, shape (B, C), of C instruments in B fits, as a multiple of the given sigma.
         """
         limits = VarianceLimits(
             smallest_noise=linear.smallest_noise, prior_std=(), noise_spread=_NOISE_SPREAD
@@ -362,6 +376,9 @@ class Stage:
 
         Args:
             fits: shape (n,), indices of the fits to keep, from 0.
+
+        Returns:
+            The stage of these n fits, in the order of ``fits``.
         """
         return replace(
             self,

@@ -362,7 +362,11 @@ class Stops:
         return np.ascontiguousarray(columns[:, :, self.rows].transpose(2, 1, 0))
 
     def _parts(self) -> list[Stops]:
-        """Return the stops in parts of about `_PART` rows, each stop whole: a list of stops, in their order."""
+        """Divide the stops into parts of about `_PART` rows, for memory; each stop stays whole.
+
+        Returns:
+            The parts, in the order of the K rows; this object alone where it has few rows.
+        """
         if len(self.rows) <= _PART:
             return [self]
         first = self._first_row[self._first_cell][self._stop_of_cell][self._cell_of_row]
@@ -373,7 +377,10 @@ class Stops:
         """Return the stops of some of these rows; their indices in the table stay.
 
         Args:
-            kept: shape (K,), which of these K rows.
+            kept: shape (K,), which of these K rows to keep.
+
+        Returns:
+            The kept rows, in their order, with their cells and stops.
         """
         return Stops(
             rows=self.rows[kept],

@@ -64,6 +64,9 @@ class _InverseCovariance:
         Args:
             M: shape (S, 6, 6), J^T J of each of S stops.
             rho: shape (2,), the shares rho_t and rho_r of translations and rotations in the variance of a scalar.
+
+        Returns:
+            K^-1 of each stop, where K is the covariance of its scalars over the noise squared.
         """
         kappa = unshared(rho)
         shares = root_shares(rho) ** 2
@@ -90,6 +93,9 @@ class Moments:
 
         Args:
             parts: Moments of the parts, in the order of the stops, of the same fit and instrument; at least one.
+
+        Returns:
+            The moments of all stops: matrices of each stop in this order, and the sums over all.
         """
         total = 0.0
         count = 0.0
@@ -228,10 +234,21 @@ def root_shares(rho: Array) -> Array:
 
 
 def transposed(M: NDArray[np.floating]) -> Array:
-    """Return matrices (..., m, n) transposed, (..., n, m)."""
+    """Return the transpose of each matrix of a stack.
+
+    Args:
+        M: shape (..., m, n).
+
+    Returns:
+        shape (..., n, m).
+    """
     return np.asarray(M.swapaxes(-1, -2))
 
 
 def _trace(M: Array) -> float:
-    """Return the sum of the traces of S matrices, shape (S, n, n)."""
+    """Return the sum of the traces of a stack of matrices.
+
+    Args:
+        M: shape (S, n, n).
+    """
     return float(np.einsum("sii->", M))
