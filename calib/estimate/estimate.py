@@ -179,7 +179,8 @@ def _log_likelihood(stage: Stage, linear: LinearProblem) -> float:
 def _without_traces(problem: Problem, linear: LinearProblem, covariance: Array) -> Array:
     """The solution with changes of the robot that are mere traces of the priors set to zero.
 
-    Frames and targets change so that the predictions stay.
+    A trace is an offset below 1e-8 m or rad (`_NOTHING`), or below 3e-4 (`_TRACE`) of its standard deviation. Frames
+    and targets change so that the predictions stay.
 
     Args:
         problem: The least-squares problem of p parameters.

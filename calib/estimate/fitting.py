@@ -45,8 +45,9 @@ class Fitted:
         """Frames and targets at the solution.
 
         Returns:
-            The setup whose `T_frame_base`, shape (F, 4, 4), and `T_tip_target`, shape (T, 4, 4) [m], are the registered
-            ones (`setup`) displaced by the estimated parameters.
+            The setup whose `T_frame_base`, shape (F, 4, 4), pose of the base in each measurement frame, and
+            `T_tip_target`, shape (T, 4, 4), pose of each target in the tip [m], are the registered ones (`setup`)
+            displaced by the estimated parameters.
         """
         displacement, _ = self.kinematics.model.displacements(self.estimate.x)
         return self.setup.displaced(displacement)

@@ -178,7 +178,7 @@ def _tip_motion(kinematics: Kinematics, lengths: Mask, q: Array) -> Array:
         q: shape (N, m), values of the m measured joints at N poses [rad or m].
 
     Returns:
-        shape (N, 3, K), along the base's axes, in metres per metre, at the nominal parameters.
+        shape (N, 3, K), along the base's axes, metres per metre of each of these parameters, at the nominal ones.
     """
     model = kinematics.model
     others = [name for name, is_length in zip(model.names, lengths, strict=True) if not is_length]

@@ -75,7 +75,7 @@ class LinearProblem:
     _cache: list[_Kept] = field(init=False, repr=False, default_factory=list)
 
     def __len__(self) -> int:
-        """Number of rows N."""
+        """Number N of the rows of measurements."""
         return int(self.columns.shape[2])
 
     @property
@@ -89,7 +89,7 @@ class LinearProblem:
         return np.asarray(self.columns[:-1].transpose(2, 1, 0))
 
     def noise_by_scalar(self, noise: Array) -> Array:
-        """Return the noise of each scalar: that of its instrument.
+        """Return the noise of each scalar, a measured component of a row's residual: that of its instrument.
 
         Args:
             noise: shape (B, C), standard deviation of each of C instruments in B fits, as multiple of the given sigma.
@@ -238,7 +238,14 @@ class LinearProblem:
         factor = root_weights[:, None] * of_instrument[scalars]
 
         def product(rows: slice) -> Array:
-            """The products [A r]^T W [A r] over a slice of the rows, of each of B fits, shape (B, p + 1, p + 1)."""
+            """The products [A r]^T W [A r] over some of the rows.
+
+            Args:
+                rows: Slice of the N rows.
+
+            Returns:
+                shape (B, p + 1, p + 1), of each of B fits.
+            """
             columns = self.columns[:, scalars, rows]
             of_fits = []
             for factor_of_fit in factor[:, :, rows]:

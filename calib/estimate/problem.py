@@ -136,7 +136,8 @@ class Problem:
             x: shape (p,), offsets from the nominal robot and the registered frames and targets [m, rad, ...].
 
         Returns:
-            shape (N, D), of the D scalars of N rows, [m] and [rad], not whitened; 0 where nothing was measured.
+            shape (N, D), of the D scalars of N rows, [m] and [rad], not divided by their standard deviations; 0 where
+            nothing was measured.
         """
         T_frame_target = self.kinematics.poses(x, self.rows.samples)
         return self.rows.residual(T_frame_target)
@@ -148,7 +149,8 @@ class Problem:
             x: shape (p,), offsets from the nominal robot and the registered frames and targets [m, rad, ...].
 
         Returns:
-            shape (N, D, p), of the D scalars of N rows, [m] and [rad] per unit of each parameter, not whitened.
+            shape (N, D, p), of the D scalars of N rows, [m] and [rad] per unit of each parameter; not divided by their
+            standard deviations.
         """
         return np.asarray(self.linear(x).A * self.rows.scales[:, :, None])
 
@@ -187,7 +189,7 @@ class Problem:
         """Jacobian of the prediction and, behind it, the residual, measured minus predicted.
 
         Args:
-            x: shape (p,), parameters [m, rad, ...].
+            x: shape (p,), offsets from the nominal robot and the registered frames and targets [m, rad, ...].
 
         Returns:
             shape (p + 1, D, N), of the D scalars of N rows, in units of each scalar's given sigma; 0 where nothing was
@@ -237,10 +239,12 @@ class Problem:
         return analyse(np.concatenate([jacobian, of_distances]), model.names, model.units)
 
     def constraints(self, x: Array) -> tuple[Array, Array]:
-        """Residuals of what is known besides the rows: of the known distances, and last of the arm's size if held.
+        """Residuals of what is known besides the measured rows: of the known distances between frames (`distances`).
+
+        Last, where nothing measures a length, comes the combination of parameters that keeps the arm's size (`gauge`).
 
         Args:
-            x: shape (p,), parameters [m, rad, ...].
+            x: shape (p,), offsets from the nominal robot and the registered frames and targets [m, rad, ...].
 
         Returns:
             Known minus predicted of K constraints, over its sigma, shape (K,), and the Jacobian of the prediction,
@@ -256,7 +260,7 @@ class Problem:
         """Known minus predicted distances between the origins of measurement frames.
 
         Args:
-            x: shape (p,), parameters [m, rad, ...].
+            x: shape (p,), offsets from the nominal robot and the registered frames and targets [m, rad, ...].
 
         Returns:
             Known minus predicted of K distances (`distances`), over its sigma, shape (K,), and the Jacobian of the
@@ -280,11 +284,10 @@ class Problem:
         """Origins of the measurement frames in the base: c = -R^T t with T_frame_base = (R, t).
 
         Args:
-            x: shape (p,), parameters [m, rad, ...].
+            x: shape (p,), offsets from the nominal robot and the registered frames and targets [m, rad, ...].
 
         Returns:
-            Origins of the F frames, shape (F, 3), along the base's axes [m], and their derivative by x, shape (F, 3,
-            p).
+            Origins of the F frames, shape (F, 3), along the base's axes [m]; their derivative by x, shape (F, 3, p).
         """
         displacement, directions = self.kinematics.model.displacements(x)
         frames = len(self.kinematics.T_frame_base)
@@ -345,7 +348,14 @@ class Problem:
         factor = whiten * used
 
         def block_triangle(rows: slice) -> Array:
-            """The triangle R of [A r] = Q R, whitened, over a slice of the rows, shape (p + 1, p + 1) or fewer rows."""
+            """The triangle R of [A r] = Q R, whitened, over some of the rows.
+
+            Args:
+                rows: Slice of the N rows.
+
+            Returns:
+                shape (p + 1, p + 1), or fewer rows where there are fewer scalars.
+            """
             block = (columns[:, :, rows] * factor[:, rows]).reshape(len(columns), -1)
             return triangle(block.T)
 

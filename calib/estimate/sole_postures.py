@@ -113,7 +113,14 @@ def _traces(linear: LinearProblem, covariance: Array) -> Array:
     """
 
     def work(rows: slice) -> Array:
-        """The traces of a slice of the rows, shape (n,)."""
+        """The traces of some of the rows.
+
+        Args:
+            rows: Slice of the N rows.
+
+        Returns:
+            shape (n,), of the n rows of this slice.
+        """
         A = linear.A[rows]
         return np.asarray(np.einsum("ndp,ndp->n", A @ covariance, A))
 
@@ -265,6 +272,10 @@ class _Update:
     def residual(self, linear: LinearProblem) -> Array:
         """The residual at the parameters x where a problem is linearised.
 
+        Uses `start`, the problem at the estimate x_o by all other rows; `whiten`, shape (N, D, D), a map from units of
+        the given sigma to whitened ones; `reference`, shape (N, D), residuals at x_o; and `prior`, shape (p,), 1 / tau
+        of wide priors.
+
         Args:
             linear: The problem linearised at x, shape (p,): N rows of D scalars, K constraints.
 
@@ -281,6 +292,9 @@ class _Update:
     def derivative(self, linear: LinearProblem) -> Array:
         """Minus the derivative of `residual` by the parameters.
 
+        Uses `whiten`, shape (N, D, D), a map from units of the given sigma to whitened ones, and `prior`, shape (p,),
+        1 / tau of wide priors.
+
         Args:
             linear: The problem linearised at the parameters x, shape (p,): N rows of D scalars, K constraints.
 
@@ -293,6 +307,8 @@ class _Update:
 
     def solved(self, linear_at: Callable[[Array], LinearProblem]) -> LinearProblem:
         """The problem linearised at the minimum: Gauss-Newton steps, halved until the sum of squares falls.
+
+        Begins at `start`, the problem linearised at the estimate by all other rows.
 
         Args:
             linear_at: Maps parameters x, shape (p,), to the problem linearised there.

@@ -402,7 +402,15 @@ class Stage:
         """
 
         def joined(old_values: Array, new_values: Array) -> Array:
-            """A copy of the old values, shape (B, ...), with the new ones, shape (n, ...), at the fits to replace."""
+            """A copy of an array of all fits, with the rows of the fits to replace exchanged.
+
+            Args:
+                old_values: shape (B, ...), of all B fits.
+                new_values: shape (n, ...), of the n fits to replace, in the order of ``fits``.
+
+            Returns:
+                shape (B, ...).
+            """
             values: Array = old_values.copy()
             values[fits] = new_values
             return values

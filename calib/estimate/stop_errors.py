@@ -133,13 +133,14 @@ class Stops:
         )
 
     def select(self, mask: Mask) -> Stops | None:
-        """Return the stops of some of the table's rows.
+        """Return the stops (standstills at which several targets are measured) of some of the table's rows.
 
         Args:
             mask: shape (N,), which rows of the table are kept.
 
         Returns:
-            The stops whose rows are numbered as in the table of the kept rows; None where no row of a stop is kept.
+            The stops; their rows have the indices, from 0, that they have in the table of the kept rows. None where no
+            row of a stop is kept.
         """
         kept = mask[self.rows]
         numbers = (np.cumsum(mask) - 1)[self.rows]
@@ -148,7 +149,7 @@ class Stops:
         return replace(self._some(kept), rows=numbers[kept])
 
     def drawn(self, count: Array) -> Stops:
-        """Return the stops of a bootstrap sample.
+        """Return the stops (standstills at which several targets are measured) of a bootstrap sample.
 
         The caller multiplies the rows' weights by ``count``. A row of twice the weight has half the variance, and so
         must the displacement that it shares.
@@ -165,9 +166,11 @@ class Stops:
         return replace(self, J=np.where(often > 0, shrunk, 0.0))
 
     def corrections(self, columns: Array, weights: Array, rho: Array) -> tuple[Array, Array]:
-        """Correct the normal equations of independent rows for what stops share; also the log determinants.
+        """Correct the normal equations of independent rows for what the targets of a stop share.
 
-        K is the covariance of the scalars over the noise squared, see the module's text.
+        The targets that are measured at one standstill of the robot (a stop) share the displacement of their body. With
+        the derivatives J_t and J_r of their scalars by its translation and rotation, the scalars have the covariance
+        noise^2 K, where K = kappa I + rho_t J_t J_t^T + rho_r J_r J_r^T and kappa = 1 - rho_t - rho_r.
 
         Args:
             columns: shape (q, D, N), q columns of the table's scalars, D of each of N rows, such as Jacobian and
@@ -194,7 +197,10 @@ class Stops:
     def _correction(
         self, X: Array, weights: Array, c: int, rho: Array
     ) -> tuple[Array, tuple[float, float]]:
-        """Correct the normal equations of one instrument in one fit.
+        """Correct the normal equations of one instrument in one fit for what the targets of a stop share.
+
+        K = kappa I + G G^T is the covariance of the scalars of a stop (a standstill at which several targets are
+        measured) over the noise squared, with G = [sqrt(rho_t) J_t, sqrt(rho_r) J_r].
 
         Args:
             X: shape (K, D, q), columns of the scalars of these K rows, in units of their sigma.
@@ -203,8 +209,7 @@ class Stops:
             rho: shape (2,), its shares of translations and of rotations.
 
         Returns:
-            X^T (K^-1 - I) X with the weighted columns, shape (q, q); two terms whose sum is log det K, with the
-            covariance K of the scalars over the noise squared.
+            X^T (K^-1 - I) X with the weighted columns, shape (q, q); two terms whose sum is log det K.
         """
         means = self._means(X, weights, c)
         kappa = unshared(rho)
@@ -221,7 +226,10 @@ class Stops:
     def independent(self, columns: Array, weights: Array, rho: Array) -> Array:
         """Multiply the columns of whitened scalars by the root of K^-1, so that these are independent of each other.
 
-        With G^T G / kappa = Q diag(s^2 - 1) Q^T,
+        The targets that are measured at one standstill of the robot (a stop) share the displacement of their body, so
+        that their scalars have the covariance noise^2 K, K = kappa I + G G^T, with the shares kappa of independent
+        errors and G = [sqrt(rho_t) J_t, sqrt(rho_r) J_r] of translation and rotation. With
+        G^T G / kappa = Q diag(s^2 - 1) Q^T,
 
             K^-1/2 = [I - G Q diag(1 / (s + s^2)) Q^T G^T / kappa] / sqrt(kappa)
 
@@ -251,8 +259,8 @@ class Stops:
     def _change_of_means(self, X: Array, weights: Array, c: int, rho: Array) -> Array:
         """Return what must be added to the cells' means so that those of a stop are independent: (K^-1/2 - I) means.
 
-        A cell is one target at one stop, with its repeats; K is the covariance of a stop's scalars over the noise
-        squared.
+        A cell is one target at one standstill of the robot (a stop), with its repeats; K is the covariance of a stop's
+        scalars over the noise squared, kappa I + G G^T.
 
         Args:
             X: shape (K, D, q), columns of the scalars of these K rows, in units of their noise.
@@ -340,10 +348,10 @@ class Stops:
         return _CellMeans(means[..., :-6], means[..., -6:], count)
 
     def _sums(self, values: Array) -> Array:
-        """Sum values over the cells of each stop.
+        """Sum values over the cells of each stop: over the targets that are measured at one standstill.
 
         Args:
-            values: shape (M, ...), of each of M cells, in their order.
+            values: shape (M, ...), of each of M cells (one target at one stop, with its repeats), in their order.
 
         Returns:
             shape (S, ...), of each of S stops.
@@ -351,18 +359,18 @@ class Stops:
         return np.asarray(np.add.reduceat(values, self._first_cell))
 
     def _rows_of(self, columns: Array) -> Array:
-        """Return the columns of these rows.
+        """Return the columns of the K rows of stops, which are some of the table's N rows.
 
         Args:
             columns: shape (q, D, N), q columns of the D scalars of each of the table's N rows.
 
         Returns:
-            shape (K, D, q), of these K rows.
+            shape (K, D, q), contiguous, in the order of `rows`.
         """
         return np.ascontiguousarray(columns[:, :, self.rows].transpose(2, 1, 0))
 
     def _parts(self) -> list[Stops]:
-        """Divide the stops into parts of about `_PART` rows, for memory; each stop stays whole.
+        """Divide the K rows into parts of about `_PART` rows, for memory; the rows of a stop stay together.
 
         Returns:
             The parts, in the order of the K rows; this object alone where it has few rows.
@@ -374,7 +382,7 @@ class Stops:
         return [self._some(part == k) for k in np.unique(part)]
 
     def _some(self, kept: Mask) -> Stops:
-        """Return the stops of some of these rows; their indices in the table stay.
+        """Return some of the K rows of stops; their indices in the table stay.
 
         Args:
             kept: shape (K,), which of these K rows to keep.
@@ -440,13 +448,14 @@ def _twists_of_bodies(points: Array, stops: Integers, counts: Array) -> Array:
     """Differentiate points by the displacements of their bodies, which turn about the centroids of their points.
 
     Args:
-        points: shape (K, 3), [m].
+        points: shape (K, 3), positions of K measured targets in their measurement frames [m].
         stops: shape (K,), points of one number are of one body, which is the body at one stop.
         counts: shape (K,), weight of each point in its body's centroid.
 
     Returns:
-        shape (K, 6, 6), twist of the target at each point, linear then angular along the rows, by a unit of each
-        direction of its body's displacement along the columns: three translations [m], three rotations [rad].
+        shape (K, 6, 6), twist of the target at each point along the frame's axes, linear then angular along the rows,
+        by a unit of each direction of its body's displacement along the columns: three translations [m], three
+        rotations [rad].
     """
     body = np.unique(stops, return_inverse=True)[1].reshape(-1)
     sums = np.stack([np.bincount(body, counts * column) for column in points.T], axis=1)

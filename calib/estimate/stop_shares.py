@@ -107,9 +107,10 @@ class Moments:
         return cls(M, R, total, count)
 
     def shares(self, rho: Array) -> Array:
-        """Estimate the shares of translations and rotations in the variance of a scalar, by iteration.
+        """Estimate which shares of a scalar's variance translations and rotations of a stop's body have, by iteration.
 
-        Uses the moments of the fit's residual: `M`, `R`, `total` and `count`.
+        All targets that are measured at one standstill of the robot (a stop) move with this body. Uses the moments of
+        the fit's residual over all stops: `M`, `R`, `total` and `count`.
 
         Args:
             rho: shape (2,), the shares rho_t of translations and rho_r of rotations to begin with.
@@ -150,10 +151,12 @@ class Moments:
     def _left_side(self, inverse: _InverseCovariance) -> Array:
         """The matrix of the equations for theta, the variances of independent errors, translations and rotations.
 
-        Uses `M`, J^T J of each of S stops, and the `count` of scalars; see the module's text.
+        The scalars of a stop have the covariance V = theta_0 I + theta_1 J_t J_t^T + theta_2 J_r J_r^T, where
+        J = [J_t, J_r] are their derivatives by translation and rotation of the body that all its targets are on. Uses
+        `M`, J^T J of each of S stops, and the `count` of scalars.
 
         Args:
-            inverse: K^-1 of the stops.
+            inverse: K^-1 of each of S stops, where K is V over the noise squared, at the shares as they are so far.
 
         Returns:
             tr(K^-1 K_i K^-1 K_j), shape (3, 3), where K_i is the derivative of the covariance V by theta_i.
@@ -175,10 +178,15 @@ class Moments:
     def _right_side(self, inverse: _InverseCovariance) -> Array:
         """The right side of the equations for theta, the variances of independent errors, translations and rotations.
 
-        Uses the moments `M`, `R` and `total` of the fit's residual r; see the module's text.
+        The scalars of a stop have the covariance V = theta_0 I + theta_1 J_t J_t^T + theta_2 J_r J_r^T, where
+        J = [J_t, J_r] are their derivatives by translation and rotation of the body that all its targets are on. Uses
+        the moments of the fit's residual r, whose prediction has the covariance A C A^T: of each of S stops M and R,
+        and the total of all stops,
+
+            M = J^T J,    R = J^T [r r^T + A C A^T] J,    total = tr(r r^T + A C A^T)
 
         Args:
-            inverse: K^-1 of the stops.
+            inverse: K^-1 of each of S stops, where K is V over the noise squared, at the shares as they are so far.
 
         Returns:
             tr(K^-1 K_i K^-1 [r r^T + A C A^T]), shape (3,), in the square of the residual's unit, where K_i is the

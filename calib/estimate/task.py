@@ -86,6 +86,9 @@ class Task:
     def _check_setup_is_whole(self, model: ErrorModel) -> None:
         """Raise `ModelError` where the cell freezes or ties a parameter of a frame or target.
 
+        Uses the names in ``cell.frozen``, and in ``cell.ties``, a mapping from a follower's name to its leader's name
+        and a factor.
+
         Args:
             model: The parameters of robot, frames and targets, none of them frozen or tied yet.
 
