@@ -21,22 +21,29 @@ _ROUNDS = 3
 
 
 def estimate_within_bounds(problem: Problem, task: Task, prior: PriorTerms) -> Estimate:
-    """Estimate the parameters within their bounds.
+    """Estimate the parameters within their bounds, by an active set.
+
+    A parameter that comes out beyond a bound is held at this bound, and all others are estimated again. When none is
+    beyond, those held parameters are released that the measurements pull inwards, each at most once.
 
     Args:
-        problem: The problem, rows of sole postures marked.
-        task: Its solver, and the treatment of repeats and outliers.
-        prior: Priors and bounds of the parameters.
+        problem: The least-squares problem: N rows of measurements, and the robot as a function of p parameters, which
+            are offsets from the nominal robot and the registered frames and targets [m, rad, ...]. Its rows of sole
+            postures, which no other row can check, are marked.
+        task: Robot, cell and options of the fit; used are the solver, and the treatment of repeats and outliers.
+        prior: Priors of the p parameters, none of them held, and their lowest and highest values (``prior.limits``).
 
     Returns:
-        The estimate; its `at_bound` names the parameters that are held at a bound.
+        The estimated parameters with covariance, noise, scores and weights of the rows. Its `at_bound` has the indices,
+        from 0, of the parameters that are held at a bound.
     """
     low, high = prior.limits.T
     fixed: dict[int, float] = {}
     released: set[int] = set()
     estimate = estimate_with_priors(problem, task, prior)
     for _ in range(_ROUNDS * problem.size):
-        beyond = np.flatnonzero((estimate.x < low) | (estimate.x > high)).tolist()
+        is_beyond = (estimate.x < low) | (estimate.x > high)
+        beyond = np.flatnonzero(is_beyond).tolist()
         to_release: set[int] = set()
         if fixed and not beyond:
             to_release = _pulled_inwards(estimate, prior, fixed) - released
@@ -52,19 +59,20 @@ def estimate_within_bounds(problem: Problem, task: Task, prior: PriorTerms) -> E
 
 
 def _pulled_inwards(estimate: Estimate, prior: PriorTerms, fixed: Mapping[int, float]) -> set[int]:
-    """Numbers of the parameters at a bound whose release would lower the sum of squares, within the bounds.
+    """Parameters at a bound whose release would lower the sum of squares, within the bounds.
+
+    A Gauss-Newton step of one parameter alone lowers the sum of squares by slope^2 / curvature.
 
     Args:
-        estimate: The estimate with these parameters held.
-        prior: Priors and bounds without any held.
-        fixed: Number of each parameter that is held, from 0, and its value.
+        estimate: The estimate of the p parameters with these ones held at their bounds.
+        prior: Priors and bounds of the p parameters, none of them held; ``prior.limits``, shape (p, 2), has the lowest
+            and highest value of each.
+        fixed: Index, from 0, of each parameter that is held, and the value that it is held at [m, rad, ...].
+
+    Returns:
+        Indices of those parameters, from 0.
     """
-    by_family = {} if prior.source == "off" else estimate.prior_std
-    families = zip(prior.names, prior.start, strict=True)
-    prior_std = np.array([by_family.get(name, start) for name, start in families])
-    precision = prior.precision + (1.0 / prior_std**2) @ prior.families
-    released = replace(estimate.problem, precision=precision, centre=prior.centre)
-    residual, jacobian = released.system(estimate.x)
+    residual, jacobian = _without_holds(estimate, prior).system(estimate.x)
     slope = jacobian.T @ residual  # gradient of half the sum of squares
     curvature = np.sum(jacobian**2, axis=0)
     result = set()
@@ -74,3 +82,23 @@ def _pulled_inwards(estimate: Estimate, prior: PriorTerms, fixed: Mapping[int, f
         if inwards > 0.0 and inwards**2 > _WORTH_RELEASING * curvature[k]:
             result.add(k)
     return result
+
+
+def _without_holds(estimate: Estimate, prior: PriorTerms) -> Problem:
+    """The problem in which parameters that an estimate holds at a bound have their usual priors again.
+
+    Args:
+        estimate: The estimate of the p parameters with some held; its problem has the weights and noise as estimated.
+        prior: Priors of the p parameters, none of them held.
+
+    Returns:
+        The estimate's problem. Families of parameters have the prior standard deviation that was estimated, or the one
+        as given where all parameters of a family were held.
+    """
+    estimated_std = {} if prior.source == "off" else estimate.prior_std
+    prior_std = []
+    for family, given_std in zip(prior.names, prior.start, strict=True):
+        prior_std.append(estimated_std.get(family, given_std))
+    family_precision = 1.0 / np.array(prior_std) ** 2
+    precision = prior.precision + family_precision @ prior.families
+    return replace(estimate.problem, precision=precision, centre=prior.centre)

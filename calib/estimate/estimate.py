@@ -33,7 +33,7 @@ class Estimate:
 
     #: (p,), offsets from the nominal robot and the registered setup [m, rad, ...]
     x: Array
-    # The problem in its last form: weights, scales and prior precision as estimated
+    #: The problem in its last form: weights, scales and prior precision as estimated
     problem: Problem
     #: The solver's: all stages one after the other
     solution: Solution
@@ -45,26 +45,42 @@ class Estimate:
     flag_limit: float
     #: Degrees of freedom left for the noise
     freedom: float
-    # (C,), estimated noise of each instrument, in units of the given sigma
+    #: (C,), estimated noise of each instrument, in units of the given sigma
     noise: tuple[float, ...]
-    # Prior standard deviation of each family, SI units; empty without priors
+    #: Prior standard deviation of each family, SI units; empty without priors
     prior_std: Mapping[str, float]
     #: (N,), robust weights, repeats not shared out
     weights: Array
     #: Restricted log-likelihood at these prior standard deviations and noise
     log_likelihood: float
-    #: Numbers of parameters that are at a bound
+    #: Indices of the parameters that are held at a bound, from 0
     at_bound: tuple[int, ...] = ()
 
     @property
     def outliers(self) -> Mask:
-        """Rows with a score beyond the limit, shape (N,)."""
+        """Rows that are flagged as outliers: those whose score is above `flag_limit`.
+
+        Returns:
+            Mask of the N fitted rows, shape (N,), in the order of ``problem.rows``.
+        """
         return self.scores > self.flag_limit
 
 
 def problem_at_stage(problem: Problem, stage: Stage) -> Problem:
-    """Return a problem with the weights, noise and priors of a stage of one fit (B = 1)."""
-    noise = np.append(stage.noise[0], 1.0)[problem.rows.instruments]
+    """Return a problem with the weights, noise and priors of a stage.
+
+    Args:
+        problem: The least-squares problem of N rows of measurements and p parameters.
+        stage: Row weights, noise and prior standard deviations of one fit to these rows (B = 1).
+
+    Returns:
+        The problem with the stage's row weights, factors for repeats included; with the standard deviation of each
+        scalar, which is the given one times the noise of its instrument; with the prior precision and mean of each
+        parameter, and the shares of variance that the targets of a stop have in common.
+    """
+    # An entry without a scalar has the instrument -1, the last one here.
+    noise_of_instrument = np.append(stage.noise[0], 1.0)
+    noise = noise_of_instrument[problem.rows.instruments]
     priors = stage.priors
     return replace(
         problem,
@@ -79,13 +95,17 @@ def problem_at_stage(problem: Problem, stage: Stage) -> Problem:
 def estimate_at_stage(
     problem: Problem, stage: Stage, solution: Solution, covariance_factor: float = 1.0
 ) -> Estimate:
-    """Make the estimate from the last stage and its solution.
+    """Make the estimate from the last stage of a fit and the solution of its problem.
 
     Args:
-        problem: The problem.
-        stage: Weights, noise and priors of the fit (B = 1).
-        solution: The solver's at this stage.
+        problem: The least-squares problem of N rows of measurements and p parameters.
+        stage: Row weights, noise and prior standard deviations of the fit (B = 1), as they settled.
+        solution: The solver's result at this stage: ``solution.x``, shape (p,), [m, rad, ...].
         covariance_factor: Covariance of the solver's estimator over that of least squares; 1 for least squares.
+
+    Returns:
+        The parameters with their covariance, and scores, weights, noise and priors. Its x differs from the solution's
+        where a parameter is a mere trace of its prior, which becomes 0, or is held at a bound, which it then meets.
     """
     linear, prior = problem.linear(solution.x), stage.prior
     has_priors = prior.source != "off"
@@ -95,7 +115,8 @@ def estimate_at_stage(
     x = solution.x.copy()
     if has_priors:  # without, nothing keeps small what the target can replace: there are no traces
         x = _without_traces(problem, linear, covariance)
-    x[list(prior.fixed)] = prior.centre[list(prior.fixed)]
+    held = list(prior.fixed)
+    x[held] = prior.centre[held]
     prior_std = dict(zip(prior.names, stage.prior_std[0].tolist(), strict=True))
     return Estimate(
         x=read_only(x),
@@ -116,7 +137,18 @@ def estimate_at_stage(
 def _covariance(
     problem: Problem, stage: Stage, linear: LinearProblem, covariance_factor: float
 ) -> Array:
-    """Covariance of the parameters, shape (p, p), with the uncertainty of the arm's size where that is held."""
+    """Covariance of the parameters, with the uncertainty of the arm's size where that is held.
+
+    Args:
+        problem: The least-squares problem; its `gauge` holds the arm's size where nothing measures a length, else it is
+            None.
+        stage: Row weights, noise and prior standard deviations of one fit (B = 1).
+        linear: The problem linearised at the solution.
+        covariance_factor: Covariance of the solver's estimator over that of least squares; 1 for least squares.
+
+    Returns:
+        shape (p, p), in the products of the parameters' units [m, rad, ...].
+    """
     equations = linear.normal_equations(stage.effective, stage.rho)
     priors = stage.priors
     _, covariance = equations.posterior(np.sqrt(covariance_factor) * stage.noise, priors)
@@ -129,7 +161,15 @@ def _covariance(
 
 
 def _log_likelihood(stage: Stage, linear: LinearProblem) -> float:
-    """Restricted log-likelihood of a stage's noise and prior standard deviations."""
+    """Restricted log-likelihood of the noise and prior standard deviations of one fit.
+
+    Args:
+        stage: Row weights, noise and prior standard deviations of the fit (B = 1).
+        linear: The least-squares problem linearised at the solution.
+
+    Returns:
+        The natural logarithm, but for a constant of frames and targets, whose weak priors do not count.
+    """
     equations = linear.normal_equations(stage.effective, stage.rho)
     priors = stage.priors
     family_precision = np.where(stage.prior.flat, 0.0, priors.precision)
@@ -137,14 +177,24 @@ def _log_likelihood(stage: Stage, linear: LinearProblem) -> float:
 
 
 def _without_traces(problem: Problem, linear: LinearProblem, covariance: Array) -> Array:
-    """The solution with changes of the robot that are mere traces of the priors set to zero, shape (p,).
+    """The solution with changes of the robot that are mere traces of the priors set to zero.
 
-    Frames and targets change so that the predictions stay.
+    A trace is an offset below 1e-8 m or rad (`_NOTHING`), or below 3e-4 (`_TRACE`) of its standard deviation. Frames
+    and targets change so that the predictions stay.
+
+    Args:
+        problem: The least-squares problem of p parameters.
+        linear: The same problem linearised at the solution ``linear.x``, shape (p,): N rows of D scalars.
+        covariance: shape (p, p), of the solution.
+
+    Returns:
+        shape (p,), the parameters in their units [m, rad, ...].
     """
     model, x = problem.kinematics.model, linear.x
     of_setup = model.family(FRAME, TARGET)
     of_placements = ~of_setup & np.isin(model.units, ("m", "rad"))
-    least = np.maximum(_NOTHING, _TRACE * np.sqrt(np.diagonal(covariance)))
+    std = np.sqrt(np.diagonal(covariance))
+    least = np.maximum(_NOTHING, _TRACE * std)
     traces = of_placements & (np.abs(x) < least)
     result = np.where(traces, 0.0, x)
     if np.any(traces):

@@ -42,15 +42,25 @@ class Fitted:
     estimate: Estimate
 
     def placed(self) -> Setup:
-        """Frames and targets at the solution."""
+        """Frames and targets at the solution.
+
+        Returns:
+            The setup whose `T_frame_base`, shape (F, 4, 4), pose of the base in each measurement frame, and
+            `T_tip_target`, shape (T, 4, 4), pose of each target in the tip [m], are the registered ones (`setup`)
+            displaced by the estimated parameters.
+        """
         displacement, _ = self.kinematics.model.displacements(self.estimate.x)
         return self.setup.displaced(displacement)
 
     def tip_poses(self, samples: Samples) -> Array:
-        """T_base_tip of the calibrated robot, non-geometric errors of its joints included, shape (N, 4, 4), [m].
+        """T_base_tip of the calibrated robot, non-geometric errors of its joints included.
 
         Args:
-            samples: N joint values; their frames and targets do not matter.
+            samples: Joint values of N poses [rad or m]; it does not matter which of the fit's frames and targets they
+                have.
+
+        Returns:
+            shape (N, 4, 4), pose of the tip in the base [m].
         """
         setup = self.placed()
         T_frame_target = self.kinematics.poses(self.estimate.x, samples)
@@ -61,9 +71,15 @@ class Fitted:
     def with_held_out(self, held_out: Setup, rows: Rows) -> Fitted:
         """Return the fit with frames and targets that only held-out rows see registered to these rows.
 
+        They are registered on the calibrated robot; its estimated parameters stay.
+
         Args:
-            held_out: The fit's frames and targets; those are unknown that no fitted row sees.
-            rows: The held-out rows.
+            held_out: The frames and targets of this fit, in the same order; marked as unknown are those that no fitted
+                row sees.
+            rows: The held-out rows: measurements that this fit did not use.
+
+        Returns:
+            The fit with a new `setup` and `kinematics`; itself where no frame or target is unknown.
 
         Raises:
             MeasurementError: Too few rows for a frame or target.
@@ -72,43 +88,55 @@ class Fitted:
             return self
         T_base_tip = self.tip_poses(rows.samples)
         registered = register_held_out(T_base_tip, self.placed(), held_out, rows)
-        new_frames = [bool(directions) for directions in held_out.unknown]
-        new_targets = held_out.target_unknown
-        T_frame_base = self.setup.T_frame_base.copy()
-        T_tip_target = self.setup.T_tip_target.copy()
-        T_frame_base[new_frames] = registered.T_frame_base[new_frames]
-        T_tip_target[new_targets] = registered.T_tip_target[new_targets]
-        pairs = zip(self.setup.unknown, held_out.unknown, strict=True)
-        setup = replace(
-            self.setup.placed(T_frame_base, T_tip_target),
-            unknown=tuple(fitted or new for fitted, new in pairs),
-            target_unknown=self.setup.target_unknown | new_targets,
+        setup = _with_new_places(self.setup, held_out, registered)
+        kinematics = Kinematics(
+            self.task.robot, self.kinematics.model, setup.T_frame_base, setup.T_tip_target
         )
-        model = self.kinematics.model
-        kinematics = Kinematics(self.task.robot, model, T_frame_base, T_tip_target)
         return replace(self, setup=setup, kinematics=kinematics)
 
     def residual(self, rows: Rows) -> Array:
-        """Measured minus predicted of any rows, shape (N, D), [m] and [rad]."""
-        return rows.residual(self.kinematics.poses(self.estimate.x, rows.samples))
+        """Measured minus predicted at the estimated parameters.
+
+        Args:
+            rows: Any N rows of measurements, fitted or not, that refer to frames and targets of this fit.
+
+        Returns:
+            shape (N, D): lengths in the first three columns [m], angles behind [rad]; 0 where nothing was measured.
+        """
+        T_frame_target = self.kinematics.poses(self.estimate.x, rows.samples)
+        return rows.residual(T_frame_target)
 
     def held_out_scores(self, rows: Rows) -> Array:
-        """Scores of rows that the fit did not use, shape (N,); see `calib.numerics.scores`."""
+        """Score rows that the fit did not use by their distance from what it predicts; see `calib.numerics.scores`.
+
+        Args:
+            rows: N rows of measurements that refer to frames and targets of this fit.
+
+        Returns:
+            shape (N,), >= 0, norm of each residual in standard deviations of what noise and estimated parameters make
+            expect; rows of other than three scalars are converted to what three of the same probability would have.
+        """
         if not len(rows):
             return np.zeros(0)
-        linear = Problem.initial(self.kinematics, rows).linear(self.estimate.x)
-        scores = linear.scores(
-            self.estimate.x[None],
-            self.estimate.covariance[None],
-            np.zeros((1, len(rows))),
-            self._noise_of(rows, len(linear.smallest_noise))[None],
-        )
+        estimate = self.estimate
+        linear = Problem.initial(self.kinematics, rows).linear(estimate.x)
+        not_fitted = np.zeros((1, len(rows)))
+        noise = self._noise_of(rows, len(linear.smallest_noise))
+        scores = linear.scores(estimate.x[None], estimate.covariance[None], not_fitted, noise[None])
         return read_only(scores[0])
 
     def _noise_of(self, rows: Rows, instruments: int) -> Array:
-        """Noise of each instrument of other rows, shape (C,), in units of the given sigma.
+        """Noise of each instrument of other rows, as the fit estimated it.
 
-        Of a kind of rows that was not fitted it is the noise of the first instrument.
+        Lengths of each kind of rows are one instrument, and angles of each kind another.
+
+        Args:
+            rows: Rows of measurements that the fit did not use.
+            instruments: Number C of their instruments.
+
+        Returns:
+            shape (C,), standard deviation as a multiple of the given sigma. Instruments of a kind of rows that was not
+            fitted have the noise of the fit's first instrument.
         """
         fitted_rows = self.estimate.problem.rows
         noise = np.full(instruments, self.estimate.noise[0])
@@ -124,6 +152,34 @@ class Fitted:
         return noise
 
 
+def _with_new_places(fitted: Setup, held_out: Setup, registered: Setup) -> Setup:
+    """The frames and targets of a fit, with those that it did not see where held-out rows put them.
+
+    Args:
+        fitted: F frames and T targets where the fit started.
+        held_out: The same frames and targets; marked as unknown are those that no fitted row sees.
+        registered: The same; those that are unknown in ``held_out`` are where they were registered to held-out rows.
+
+    Returns:
+        ``fitted`` with the poses of the unknown ones of ``held_out`` taken from ``registered``, and marked as unknown
+        too.
+    """
+    new_frames = [bool(directions) for directions in held_out.unknown]
+    new_targets = held_out.target_unknown
+    T_frame_base = fitted.T_frame_base.copy()
+    T_tip_target = fitted.T_tip_target.copy()
+    T_frame_base[new_frames] = registered.T_frame_base[new_frames]
+    T_tip_target[new_targets] = registered.T_tip_target[new_targets]
+    unknown = []
+    for fitted_directions, new_directions in zip(fitted.unknown, held_out.unknown, strict=True):
+        unknown.append(fitted_directions or new_directions)
+    return replace(
+        fitted.placed(T_frame_base, T_tip_target),
+        unknown=tuple(unknown),
+        target_unknown=fitted.target_unknown | new_targets,
+    )
+
+
 @one_blas_thread()
 def fit(
     task: Task, rows: Rows, *, registered: Setup | None = None, reference: Fitted | None = None
@@ -131,11 +187,17 @@ def fit(
     """Register frames and targets on the nominal robot, and estimate all parameters from there.
 
     Args:
-        task: Robot, cell, setup and model.
-        rows: N rows to fit.
-        registered: Frames and targets as another fit registered them on these rows; None to register.
+        task: The nominal robot, the cell (priors, bounds, frozen and tied parameters), frames and targets as given, the
+            error model, and the options: solver, treatment of repeats and outliers.
+        rows: N rows of measurements to fit: joint values, frame and target of each, and the measured scalars.
+        registered: Frames and targets as another fit registered them on these rows; None to register. Not used
+            where there is a reference.
         reference: Fit of another model to these rows, whose registration, weights, scores and limit are taken over;
             None to estimate the weights.
+
+    Returns:
+        The registered setup, the robot under its error model, and the estimated parameters: offsets from the nominal
+        robot and this setup, with covariance, noise and scores.
 
     Raises:
         ModelError: An unknown model, parameter or solver, or nothing to estimate.
@@ -158,7 +220,8 @@ def fit(
         estimate = paper_estimate(problem, task, registered)
     else:
         prior = PriorTerms.of(task, model, registered)
-        estimate = estimate_within_bounds(mark_sole_postures(problem, prior), task, prior)
+        marked = mark_sole_postures(problem, prior)
+        estimate = estimate_within_bounds(marked, task, prior)
     if reference is not None:
         estimate = replace(
             estimate,
@@ -170,7 +233,17 @@ def fit(
 
 
 def _check_counts(task: Task, model: ErrorModel, rows: Rows) -> None:
-    """Raise an error where there is nothing to estimate, or too little to estimate it from without priors."""
+    """Raise an error where there is nothing to estimate, or too little to estimate it from without priors.
+
+    Args:
+        task: The fit's task, of which ``cell.priors.source`` is "off" where there are no priors.
+        model: The p parameters to estimate.
+        rows: The measurements to fit.
+
+    Raises:
+        MeasurementError: Fewer measured scalars than parameters, and priors are off.
+        ModelError: No parameter.
+    """
     if task.cell.priors.source == "off" and rows.count < len(model):
         raise MeasurementError(
             f"{rows.count} numbers for {len(model)} parameters, and priors are off. Measure more poses, or choose a "
@@ -184,11 +257,22 @@ def _registered(task: Task, rows: Rows) -> Setup:
     """Frames and targets where registration on the nominal robot puts them.
 
     The paper's algorithm starts at the given targets, if all are given.
+
+    Args:
+        task: The fit's task: the nominal robot, frames and targets as given (``setup``), and the solver's name.
+        rows: N rows of measurements, to which they are registered.
+
+    Returns:
+        The task's setup with registered poses; the same directions and targets are to be estimated.
+
+    Raises:
+        MeasurementError: Fewer numbers than unknowns.
     """
     setup = task.setup
     targets_given = task.solver == PAPER and bool(np.all(setup.target_given))
-    frames = np.zeros(len(setup.groups), dtype=bool)
-    targets = np.full(len(setup.targets), targets_given)
-    to_register = setup.with_fixed(frames, targets)
-    registered = register(task.robot.poses(rows.joints), to_register, rows)
+    fixed_frames = np.zeros(len(setup.groups), dtype=bool)
+    fixed_targets = np.full(len(setup.targets), targets_given)
+    to_register = setup.with_fixed(fixed_frames, fixed_targets)
+    T_base_tip = task.robot.poses(rows.joints)
+    registered = register(T_base_tip, to_register, rows)
     return replace(registered, target_unknown=setup.target_unknown)

@@ -49,13 +49,21 @@ TOLERANCE = 1e-6
 class SizeGauge:
     """The growth of an arm that no row observes, and the combination g of parameters that is held at zero."""
 
-    #: Shape (p,), the change of x when all lengths of arm, frames and targets double
+    #: (p,), the change of x when all lengths of arm, frames and targets double
     growth: Array
-    #: Shape (p,), the gradient of g: g(x) = held @ x, and held @ growth = 1
+    #: (p,), the gradient of g: g(x) = held @ x, and held @ growth = 1
     held: Array
 
     def variance(self, precision: Array) -> float:
-        """The prior variance of g, from the prior precision (p,) of independent parameters."""
+        """The prior variance of the combination g(x) = held @ x that is held at zero.
+
+        Args:
+            precision: shape (p,), 1 / variance of the independent prior of each parameter; 0 for one without prior,
+                which does not count.
+
+        Returns:
+            The variance of g, which is a relative change of the arm's size, without unit.
+        """
         used = (self.held != 0.0) & (precision > 0.0)
         return float(np.sum(self.held[used] ** 2 / precision[used]))
 
@@ -64,8 +72,11 @@ def measures_length(rows: Rows, distances: tuple[KnownDistance, ...]) -> bool:
     """Return True where measurements compare the arm with a unit of length.
 
     Args:
-        rows: Rows of any kinds; points and distances do so, rows in sockets and on planes do not.
-        distances: Known distances between frames; one is enough.
+        rows: Rows of measurements of any kinds: points and distances compare it, rows in sockets and on planes do not.
+        distances: Known distances between the origins of measurement frames [m]; any of them compares it.
+
+    Returns:
+        False where only the shape of the arm can be found, not its size.
     """
     return bool(distances) or any(kind.measures_length for kind in rows.present)
 
@@ -79,27 +90,26 @@ def size_gauge(
     """Find the growth of the arm that rows without a measured length do not observe.
 
     Args:
-        kinematics: The robot under its error model, frames and targets as registered.
-        rows: N rows, none of which measures a length.
+        kinematics: The nominal robot under its error model of p parameters x, which are offsets [m, rad, ...], with
+            measurement frames and targets as registered.
+        rows: N rows of measurements, none of which measures a length.
         derivative: shape (N, D, p), Jacobian of the prediction at x = 0, in units of each scalar's sigma.
         residual: shape (N, D), measured minus predicted at x = 0, in the same units.
 
     Returns:
-        The gauge; None where the parameters cannot represent growth, or a known target or frame determines the size.
+        The change of all parameters when the lengths of arm, frames and targets double, and the combination of them
+        that must be held. None where the parameters cannot represent growth, or a known target or frame determines the
+        size.
     """
     model = kinematics.model
     lengths = ~model.family(FRAME, TARGET) & (np.array(model.units) == "m")
     chain_growth, reach = _growth_of_chain(kinematics, lengths)
     if chain_growth is None:
         return None
-    growth = np.zeros(len(model))
-    growth[lengths] = chain_growth
+    of_robot = np.zeros(len(model))
+    of_robot[lengths] = chain_growth
     used = rows.used
-    # Frames and targets grow with the arm, so that the predictions change as little as they can.
-    of_setup = model.family(FRAME, TARGET)
-    change = (derivative @ growth)[used]
-    of_setup_columns = derivative[used][:, of_setup]
-    growth[of_setup] = -np.linalg.lstsq(of_setup_columns, change, rcond=_RANK_TOLERANCE)[0]
+    growth = _with_setup_growth(of_robot, derivative, used, model.family(FRAME, TARGET))
     observed_change = rms((derivative @ growth)[used])
     negligible = _NEGLIGIBLE * reach / rms(rows.scales[used])
     if observed_change > _RESIDUALS * rms(residual[used]) + negligible:
@@ -108,18 +118,37 @@ def size_gauge(
     return SizeGauge(read_only(growth), read_only(held))
 
 
+def _with_setup_growth(growth: Array, derivative: Array, used: Mask, of_setup: Mask) -> Array:
+    """The growth of an arm, with frames and targets that grow so that predictions change as little as they can.
+
+    Args:
+        growth: shape (p,), change of each parameter when the lengths of the arm double; 0 for frames and targets.
+        derivative: shape (N, D, p), Jacobian of the prediction, in units of each scalar's sigma.
+        used: shape (N, D), which scalars are measured.
+        of_setup: shape (p,), which parameters are of frames and targets.
+
+    Returns:
+        shape (p,), the growth with the change of frames and targets by least squares.
+    """
+    change = (derivative @ growth)[used]
+    of_setup_columns = derivative[used][:, of_setup]
+    result: Array = growth.copy()
+    result[of_setup] = -np.linalg.lstsq(of_setup_columns, change, rcond=_RANK_TOLERANCE)[0]
+    return result
+
+
 def _growth_of_chain(kinematics: Kinematics, lengths: Mask) -> tuple[Array | None, float]:
     """Solve for the change of the robot's parameters that doubles the chain: p_tip(q) grows by p_tip(q).
 
     Translations of the base, and of the tip from the last joint, are left to frame and target.
 
     Args:
-        kinematics: The robot under its error model of p parameters.
+        kinematics: The nominal robot under its error model of p parameters.
         lengths: shape (p,), which parameters are lengths of the robot, in metres: K of them.
 
     Returns:
         The change of each of the K parameters in metres, shape (K,), None where they cannot represent this; and how
-        far the tip is from its mean, rms [m].
+        far the tip is from its mean over poses spread over the joint ranges, rms [m].
     """
     q = spread_poses(kinematics.robot, _POSES)
     tips = kinematics.robot.poses(q)
@@ -131,7 +160,8 @@ def _growth_of_chain(kinematics: Kinematics, lengths: Mask) -> tuple[Array | Non
     motion = _tip_motion(kinematics, lengths, q).reshape(len(ends), -1)
     between_ends = np.column_stack([position.ravel(), motion])
     between_ends -= ends @ np.linalg.lstsq(ends, between_ends, rcond=None)[0]
-    growth, columns = between_ends[:, 0], between_ends[:, 1:]
+    growth = between_ends[:, 0]
+    columns = between_ends[:, 1:]
     solution = np.linalg.lstsq(columns, growth, rcond=_RANK_TOLERANCE)[0]
     missing = (growth - columns @ solution).reshape(-1, 3)
     if rms(np.linalg.norm(missing, axis=1)) > _CAN_GROW * reach:
@@ -140,12 +170,21 @@ def _growth_of_chain(kinematics: Kinematics, lengths: Mask) -> tuple[Array | Non
 
 
 def _tip_motion(kinematics: Kinematics, lengths: Mask, q: Array) -> Array:
-    """Jacobian of the tip's position in the base, at joint values q (N, m), by the K lengths, shape (N, 3, K)."""
+    """Jacobian of the tip's position in the base by those parameters that are lengths of the robot.
+
+    Args:
+        kinematics: The nominal robot under its error model of p parameters.
+        lengths: shape (p,), which parameters are lengths of the robot: K of them.
+        q: shape (N, m), values of the m measured joints at N poses [rad or m].
+
+    Returns:
+        shape (N, 3, K), along the base's axes, metres per metre of each of these parameters, at the nominal ones.
+    """
     model = kinematics.model
     others = [name for name, is_length in zip(model.names, lengths, strict=True) if not is_length]
-    origins = [
-        np.broadcast_to(np.eye(4), stack.shape)
-        for stack in (kinematics.T_frame_base, kinematics.T_tip_target)
-    ]
-    chain = Kinematics(kinematics.robot, model.without(others), *origins)
-    return chain.twists(np.zeros(len(chain.model)), q, rotation=False)[1]
+    # Frames and targets at the identity: then the target in its frame is the tip in the base.
+    T_frame_base = np.broadcast_to(np.eye(4), kinematics.T_frame_base.shape)
+    T_tip_target = np.broadcast_to(np.eye(4), kinematics.T_tip_target.shape)
+    chain = Kinematics(kinematics.robot, model.without(others), T_frame_base, T_tip_target)
+    _, motion = chain.twists(np.zeros(len(chain.model)), q, rotation=False)
+    return motion

@@ -28,14 +28,24 @@ _KEPT = 3
 class _Kept(NamedTuple):
     """Normal equations that were computed, and for which weights and shares of stops."""
 
-    #: (B, N)
+    #: (B, N), of the rows in B fits
     weights: Array
-    #: (C, 2) or (B, C, 2)
+    #: (C, 2) or (B, C, 2), shares of each instrument's variance that the targets of a stop have in common
     rho: Array
+    #: What follows from them
     equations: NormalEquations
 
     def is_for(self, weights: Array, rho: Array) -> bool:
-        """True if they are those of weights (B, N) and shares rho."""
+        """True if these normal equations were computed for these weights and shares, equal to the last bit.
+
+        Args:
+            weights: shape (B, N), of N rows in B fits.
+            rho: shape (C, 2) or (B, C, 2), shares of each instrument's variance that the targets of a stop have in
+                common.
+
+        Returns:
+            False where any of them differs, or has another shape.
+        """
         return np.array_equal(self.weights, weights) and np.array_equal(self.rho, rho)
 
 
@@ -45,13 +55,13 @@ class LinearProblem:
 
     #: (p,), x0, where the problem is linearised
     x: Array
-    # (p + 1, D, N): the Jacobian A of the prediction, and behind it the residual r at x0
+    #: (p + 1, D, N): the Jacobian A of the prediction, and behind it the residual r at x0
     columns: Array
     #: (N, D), which scalars were measured
     used: Mask
-    # (N, D), which noise each scalar has, from 0; -1 where there is none
+    #: (N, D), index of the instrument, and so of the noise, of each scalar, from 0; -1 where there is no scalar
     instruments: NDArray[np.int8]
-    # (C,), lowest noise of each instrument, in units of the given sigma
+    #: (C,), lowest noise of each instrument, in units of the given sigma
     smallest_noise: tuple[float, ...]
     #: (K, p), rows of constraints C x = z, whitened: known distances, last what is held
     C: Array
@@ -65,34 +75,43 @@ class LinearProblem:
     _cache: list[_Kept] = field(init=False, repr=False, default_factory=list)
 
     def __len__(self) -> int:
-        """Number of rows N."""
+        """Number N of the rows of measurements."""
         return int(self.columns.shape[2])
 
     @property
     def A(self) -> Array:
-        """Jacobian of the prediction, shape (N, D, p), in units of each scalar's given sigma."""
+        """Jacobian of the prediction by the p parameters, where the problem is linearised.
+
+        Returns:
+            shape (N, D, p), of the D scalars of N rows, in units of each scalar's given sigma per unit of the
+            parameter; 0 for scalars that were not measured.
+        """
         return np.asarray(self.columns[:-1].transpose(2, 1, 0))
 
     def noise_by_scalar(self, noise: Array) -> Array:
-        """Return the noise of each scalar.
+        """Return the noise of each scalar, a measured component of a row's residual: that of its instrument.
 
         Args:
-            noise: shape (B, C), of each instrument, in units of the given sigma.
+            noise: shape (B, C), standard deviation of each of C instruments in B fits, as multiple of the given sigma.
 
         Returns:
-            shape (B, N, D); 1 where there is no scalar.
+            shape (B, N, D), of the D scalars of N rows, likewise; 1 where there is no scalar.
         """
+        # An entry without a scalar has the instrument -1, the last one here.
         without_instrument = np.ones((len(noise), 1))
         return np.hstack([noise, without_instrument])[:, self.instruments]
 
     def residual(self, x: Array) -> Array:
-        """Return the residual y - A x of the linear model.
+        """Return measured minus predicted by the linear model, r - A (x - x0).
+
+        With the residual r and the Jacobian A of the prediction at x0.
 
         Args:
-            x: shape (p,), or (B, p) for B fits.
+            x: shape (p,), or (B, p) for B fits: the parameters themselves [m, rad, ...], not their change from x0, the
+                `x` where the problem is linearised.
 
         Returns:
-            shape (N, D) or (B, N, D), in units of each scalar's given sigma.
+            shape (N, D) or (B, N, D), of the D scalars of N rows, in units of each scalar's given sigma.
         """
         count, D, N = self.columns.shape
         flat = self.columns.reshape(count, D * N)
@@ -100,7 +119,14 @@ class LinearProblem:
         return np.asarray(residual.reshape(*x.shape[:-1], D, N).swapaxes(-1, -2))
 
     def select(self, mask: Mask) -> LinearProblem:
-        """Return the problem of some of the rows, by a mask (N,); constraints stay."""
+        """Return the problem of some of the rows.
+
+        Args:
+            mask: shape (N,), True for the rows to keep, in their order.
+
+        Returns:
+            The linearised problem of these rows, with the same parameters and constraints.
+        """
         return replace(
             self,
             columns=self.columns[:, :, mask],
@@ -113,9 +139,12 @@ class LinearProblem:
         """Return the normal equations of B fits, the latest of which are kept.
 
         Args:
-            weights: shape (B, N), of the rows.
+            weights: shape (B, N), of the N rows in each fit.
             rho: shape (C, 2) or (B, C, 2), shares of each instrument's variance that the targets of a stop have in
-                common; see `calib.estimate.stop_errors`.
+                common, by translation and by rotation; see `calib.estimate.stop_errors`.
+
+        Returns:
+            A^T W A, A^T W y and y^T W y of each fit and instrument, in units of the given sigma.
         """
         for kept in self._cache:
             if kept.is_for(weights, rho):
@@ -126,40 +155,97 @@ class LinearProblem:
         return equations
 
     def _sum_normal_equations(self, weights: Array, rho: Array) -> NormalEquations:
-        """The normal equations; arguments as of `normal_equations`."""
-        p, B, C = len(self.x), len(weights), len(self.smallest_noise)
-        products = np.zeros((B, C, p + 1, p + 1))
-        count = np.zeros((B, C))
-        for c in range(C):
-            of_instrument = np.equal(self.instruments.T, c)
-            count[:, c] = weights @ of_instrument.sum(axis=0, dtype=np.float64)
-            products[:, c] = self._weighted_products(np.sqrt(weights), of_instrument)
+        """The normal equations of B fits, summed over the rows.
+
+        Args:
+            weights: shape (B, N), of the N rows in each fit.
+            rho: shape (C, 2) or (B, C, 2), shares of each of C instruments' variance that the targets of a stop have in
+                common, by translation and by rotation.
+
+        Returns:
+            A^T W A, A^T W y and y^T W y of each fit and instrument, in units of the given sigma.
+        """
+        products, count = self._sums_of_independent_rows(weights)
         log_det: Array | float = 0.0
         if self.stops is not None and np.any(rho):
-            shares = np.broadcast_to(rho, (B, C, 2))
+            shares = np.broadcast_to(rho, (*count.shape, 2))
             changes, log_det = self.stops.corrections(self.columns, weights, shares)
-            products += changes
-        # These are products of [A r]; those of [A y] with y = r + A x0 follow.
-        H, g, rr = products[..., :p, :p], products[..., :p, p], products[..., p, p]
+            products = products + changes
+        return self._equations_of(products, count, log_det)
+
+    def _sums_of_independent_rows(self, weights: Array) -> tuple[Array, Array]:
+        """The products [A r]^T W [A r] of each instrument's scalars, and their number, if rows are independent.
+
+        A is the Jacobian of the prediction, r the residual where the problem is linearised, both in units of sigma.
+
+        Args:
+            weights: shape (B, N), of the N rows in B fits.
+
+        Returns:
+            The products, shape (B, C, p + 1, p + 1), and the number of scalars by weight, shape (B, C).
+        """
+        fits_and_instruments = (len(weights), len(self.smallest_noise))
+        size = len(self.columns)
+        products = np.zeros((*fits_and_instruments, size, size))
+        count = np.zeros(fits_and_instruments)
+        for c in range(len(self.smallest_noise)):
+            of_instrument = np.equal(self.instruments.T, c)
+            scalars = of_instrument.sum(axis=0, dtype=np.float64)
+            count[:, c] = weights @ scalars
+            products[:, c] = self._weighted_products(np.sqrt(weights), of_instrument)
+        return products, count
+
+    def _equations_of(
+        self, products: Array, count: Array, log_det: Array | float
+    ) -> NormalEquations:
+        """The normal equations of A x = y, with y = r + A x0, from the products of [A r].
+
+        Args:
+            products: shape (B, C, p + 1, p + 1), [A r]^T W [A r] of each of C instruments in B fits, with the residual
+                r at `x`, which is x0.
+            count: shape (B, C), number of scalars, by weight.
+            log_det: shape (B,), log determinant of the weighted scalars' covariance over the noise; 0.0 where they are
+                independent.
+
+        Returns:
+            A^T W A, A^T W y and y^T W y of each fit and instrument, in units of the given sigma, and the constraints.
+        """
+        p = len(self.x)
+        H = products[..., :p, :p]
+        g = products[..., :p, p]
+        rr = products[..., p, p]
         Hx = H @ self.x
-        known = (self.C.T @ self.C, self.C.T @ self.z, float(self.z @ self.z))
         yy = rr + (2.0 * g + Hx) @ self.x
+        known = (self.C.T @ self.C, self.C.T @ self.z, float(self.z @ self.z))
         return NormalEquations(H, g + Hx, yy, count, known, self.held, log_det)
 
     def _weighted_products(self, root_weights: Array, of_instrument: Mask) -> Array:
-        """[A r]^T W [A r] over the scalars of one instrument, shape (B, p + 1, p + 1).
+        """The products [A r]^T W [A r] over the scalars of one instrument.
+
+        A is the Jacobian of the prediction, r the residual where the problem is linearised, both in units of sigma.
 
         Args:
-            root_weights: shape (B, N), square roots of the rows' weights.
-            of_instrument: shape (D, N), which scalars are of the instrument.
+            root_weights: shape (B, N), square roots of the weights of N rows in B fits.
+            of_instrument: shape (D, N), which of the D scalars of each row are of the instrument.
+
+        Returns:
+            shape (B, p + 1, p + 1).
         """
-        columns_with_any = np.flatnonzero(of_instrument.any(axis=1))
-        first = columns_with_any.min(initial=len(of_instrument))
-        last = columns_with_any.max(initial=-1)
+        with_any = np.flatnonzero(of_instrument.any(axis=1))
+        first = with_any.min(initial=len(of_instrument))
+        last = with_any.max(initial=-1)
         scalars = slice(first, last + 1)
         factor = root_weights[:, None] * of_instrument[scalars]
 
         def product(rows: slice) -> Array:
+            """The products [A r]^T W [A r] over some of the rows.
+
+            Args:
+                rows: Slice of the N rows.
+
+            Returns:
+                shape (B, p + 1, p + 1), of each of B fits.
+            """
             columns = self.columns[:, scalars, rows]
             of_fits = []
             for factor_of_fit in factor[:, :, rows]:
@@ -167,7 +253,8 @@ class LinearProblem:
                 of_fits.append(part @ part.T)
             return np.array(of_fits)
 
-        return np.asarray(np.sum(over_blocks(product, len(self)), axis=0))
+        of_blocks = over_blocks(product, len(self))
+        return np.asarray(np.sum(of_blocks, axis=0))
 
     def fit(
         self, weights: Array, rho: Array, noise: Array, priors: GaussianPriors
@@ -175,43 +262,52 @@ class LinearProblem:
         """Fit the parameters B times, at given weights, noise and priors.
 
         Args:
-            weights: shape (B, N), of the rows.
-            rho: shape (C, 2) or (B, C, 2), shares of stops.
-            noise: shape (B, C), of each instrument, in units of the given sigma.
-            priors: Of all p parameters.
+            weights: shape (B, N), of the N rows in each fit.
+            rho: shape (C, 2) or (B, C, 2), shares of each instrument's variance that the targets of a stop have in
+                common, by translation and by rotation.
+            noise: shape (B, C), standard deviation of each of C instruments, as a multiple of the given sigma.
+            priors: Independent normal priors of all p parameters: precision, shape (B, p) or (p,), and mean, (p,).
 
         Returns:
-            x, shape (B, p), its covariance, shape (B, p, p), and the degrees of freedom left for the noise, shape (B,).
+            x, shape (B, p), the parameters themselves, not their change [m, rad, ...]; its covariance, shape (B, p, p);
+            and the degrees of freedom left for the noise, shape (B,): scalars by weight, less those that the fit spent.
         """
         equations = self.normal_equations(weights, rho)
         x, covariance = equations.posterior(noise, priors)
         spent = np.sum(equations.H * covariance[:, None], axis=(2, 3)) / np.square(noise)
-        return x, covariance, np.sum(equations.count - spent, axis=1)
+        freedom = np.sum(equations.count - spent, axis=1)
+        return x, covariance, freedom
 
     def scores(self, x: Array, covariance: Array, weights: Array, noise: Array) -> Array:
         """Score the rows by their deleted residuals; see `calib.numerics.scores`.
 
         Args:
-            x: shape (B, p), of each fit.
+            x: shape (B, p), parameters of each of B fits [m, rad, ...].
             covariance: shape (B, p, p), of x.
-            weights: shape (B, N), of the rows in each fit; 0 for held-out rows.
-            noise: shape (B, C), of each instrument, in units of the given sigma.
+            weights: shape (B, N), of the N rows in each fit; 0 for rows that it did not use.
+            noise: shape (B, C), standard deviation of each of C instruments, as a multiple of the given sigma.
 
         Returns:
             shape (B, N), >= 0, in standard deviations. Rows of more or fewer scalars are scored by what three scalars
-                of the same probability would have.
+            of the same probability would have.
         """
-        norms = self.norms(x, covariance, weights, 1.0 / self.noise_by_scalar(noise))
-        return point_scores(norms, np.sum(self.used, axis=1))
+        factors = 1.0 / self.noise_by_scalar(noise)
+        norms = self.norms(x, covariance, weights, factors)
+        scalars = np.sum(self.used, axis=1)
+        return point_scores(norms, scalars)
 
     def norms(self, x: Array, covariance: Array, weights: Array, factors: Array) -> Array:
-        """Compute the norms of the rows' deleted residuals; arguments as of `calib.numerics.scores.deleted_norms`.
+        """Compute the norms of the rows' deleted residuals: measured minus predicted by a fit without the row.
 
         Args:
-            x: shape (B, p), of each fit.
+            x: shape (B, p), parameters of each of B fits [m, rad, ...].
             covariance: shape (B, p, p), of x.
-            weights: shape (B, N), of the rows in each fit.
-            factors: shape (B or 1, N, D), by which residuals in units of the given sigma are multiplied.
+            weights: shape (B, N), of the N rows in each fit; 0 for rows that it did not use.
+            factors: shape (B or 1, N, D), by which residuals in units of the given sigma are multiplied: 1 over the
+                noise of each scalar, or 0 for scalars that do not count.
+
+        Returns:
+            shape (B, N), >= 0, in standard deviations of such a residual, where ``factors`` are 1 over the noise.
         """
         return deleted_norms(self.residual(x), self.A, covariance, weights, factors)
 
@@ -219,18 +315,20 @@ class LinearProblem:
         """Estimate, from the residuals of B fits, the shares of variance that the targets of a stop have in common.
 
         Args:
-            x: shape (B, p), of each fit.
+            x: shape (B, p), parameters of each fit [m, rad, ...].
             covariance: shape (B, p, p), of x.
-            weights: shape (B, N), of the rows in each fit.
-            rho: shape (B, C, 2), shares to begin with, those of the fits.
+            weights: shape (B, N), of the N rows in each fit.
+            rho: shape (B, C, 2), shares of each of C instruments to begin with, those of the fits.
 
         Returns:
-            shape (B, C, 2), of translations and rotations; 0 without stops.
+            shape (B, C, 2), shares by translations and by rotations of the body that the targets are on; 0 where no
+            stop has several targets.
         """
         result = np.zeros(rho.shape)
         if self.stops is None:
             return result
         for b, c in np.ndindex(*rho.shape[:2]):
-            moments = self.stops.moments(self.columns, weights[b], c, x[b] - self.x, covariance[b])
+            change = x[b] - self.x
+            moments = self.stops.moments(self.columns, weights[b], c, change, covariance[b])
             result[b, c] = moments.shares(rho[b, c])
         return result

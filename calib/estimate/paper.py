@@ -20,7 +20,7 @@ from calib.estimate.problem import Problem
 from calib.estimate.stages import Stage
 from calib.estimate.task import Task
 from calib.model.parameters import ErrorModel
-from calib.numerics.solvers import paper_levenberg_marquardt
+from calib.numerics.solvers import Solution, paper_levenberg_marquardt
 from calib.registration.setup import Setup
 from calib.units import Array
 
@@ -35,37 +35,87 @@ def paper_estimate(problem: Problem, task: Task, registered: Setup) -> Estimate:
     """Estimate the parameters by the paper's algorithm.
 
     Args:
-        problem: The problem before any estimate.
-        task: The task; its priors, bounds and weights have no part in it.
-        registered: Frames and targets at the start.
+        problem: The least-squares problem before any estimate: N rows of measurements, and the robot as a function of p
+            parameters, which are offsets [m, rad] from the nominal robot and the registered target.
+        task: Robot, cell and options of the fit; its priors, bounds and weights have no part in it.
+        registered: Measurement frames and targets at the start of the fit.
+
+    Returns:
+        The estimated parameters as offsets, with covariance, noise and scores; every row has the weight 1.
 
     Raises:
         ModelError: Rows other than points of one target.
     """
-    only_points = all(kind.name == "point" for kind in problem.rows.present)
-    if not only_points or len(registered.targets) > 1:
-        raise ModelError("The solver 'paper' takes positions of one target. Choose --solver lm.")
+    _check_rows(problem, registered)
     model = problem.kinematics.model
-    unit = np.array([_MM if parameter.unit == "m" else 1.0 for parameter in model.parameters])
-    nominal = _nominal_values(model, registered)
-    system = partial(paper_system, problem, nominal, unit)
-    solution = paper_levenberg_marquardt(system, nominal * unit)
-    solution = replace(solution, x=solution.x / unit - nominal)
-    without_priors = replace(
-        task,
-        cell=replace(task.cell, priors=Priors("off"), bounds={}, parameter_priors={}),
-        allow_absent=True,
-    )
-    prior = PriorTerms.of(without_priors, model, registered)
-    every = np.ones((1, len(problem.rows)), dtype=bool)
-    stage = Stage.initial(prior, every, len(problem.smallest_noise))
+    solution = _solution(problem, _nominal_values(model, registered))
+    stage = _stage_without_priors(problem, task, registered)
     noise = _noise(problem.linear(solution.x), stage)
     stage = replace(stage, noise=np.array([[noise]]))
     return estimate_at_stage(problem, stage, solution, covariance_factor=_FOURTH_POWERS)
 
 
+def _check_rows(problem: Problem, registered: Setup) -> None:
+    """Raise `ModelError` where the paper's algorithm does not apply.
+
+    Args:
+        problem: Its rows must be measured positions (points) alone.
+        registered: The setup, which must have one target.
+
+    Raises:
+        ModelError: Rows other than points, or several targets.
+    """
+    only_points = all(kind.name == "point" for kind in problem.rows.present)
+    if not only_points or len(registered.targets) > 1:
+        raise ModelError("The solver 'paper' takes positions of one target. Choose --solver lm.")
+
+
+def _solution(problem: Problem, nominal: Array) -> Solution:
+    """Minimise the sum of |r_i|^4 over the residuals r_i of points, at absolute parameters in mm and rad.
+
+    Args:
+        problem: The least-squares problem of N points and p parameters, whose weights and priors do not count.
+        nominal: shape (p,), absolute values from which the parameters are offsets [m, rad].
+
+    Returns:
+        The solver's result; its x, shape (p,), are offsets [m, rad] again, its cost is in mm^4.
+    """
+    parameters = problem.kinematics.model.parameters
+    unit = np.array([_MM if parameter.unit == "m" else 1.0 for parameter in parameters])
+    system = partial(paper_system, problem, nominal, unit)
+    absolute = paper_levenberg_marquardt(system, nominal * unit)
+    return replace(absolute, x=absolute.x / unit - nominal)
+
+
+def _stage_without_priors(problem: Problem, task: Task, registered: Setup) -> Stage:
+    """The state of a fit in which each row has weight 1, the noise is as given, and no prior but a weak one counts.
+
+    Args:
+        problem: The least-squares problem of N rows and p parameters.
+        task: The fit's task; its cell's priors and bounds are left out.
+        registered: Measurement frames and targets at the start of the fit.
+
+    Returns:
+        Weights, noise and priors of one fit (B = 1), as later steps that know nothing of the paper expect them.
+    """
+    cell = replace(task.cell, priors=Priors("off"), bounds={}, parameter_priors={})
+    without_priors = replace(task, cell=cell, allow_absent=True)
+    prior = PriorTerms.of(without_priors, problem.kinematics.model, registered)
+    every_row = np.ones((1, len(problem.rows)), dtype=bool)
+    return Stage.initial(prior, every_row, len(problem.smallest_noise))
+
+
 def _nominal_values(model: ErrorModel, registered: Setup) -> Array:
-    """Absolute values from which the parameters are offsets, shape (p,), [m] and [rad]."""
+    """Absolute values from which the parameters are offsets.
+
+    Args:
+        model: The p parameters: of the robot, each with its nominal value (of the DH table), and of the target.
+        registered: Frames and targets at the start of the fit; the first target's position in the tip is the nominal
+            value of ``target_x``, ``target_y`` and ``target_z``.
+
+    Returns:
+        shape (p,), [m] and [rad].
+    """
     target = registered.T_tip_target[0, :3, 3]
     by_name = dict(zip(("target_x", "target_y", "target_z"), target, strict=True))
     values = [by_name.get(p.name, p.nominal) for p in model.parameters]
@@ -73,11 +123,24 @@ def _nominal_values(model: ErrorModel, registered: Setup) -> Array:
 
 
 def _noise(linear: LinearProblem, stage: Stage) -> float:
-    """Noise of the points from their residuals, in units of the given sigma."""
+    """Noise of the points from the residuals where the sum of their fourth powers is least.
+
+    The sum of squared residuals is expected to be sigma^2 (3 N - 3/5 rank), with the rank of the Jacobian.
+
+    Args:
+        linear: The problem of N points linearised at the solution; its residuals are in units of the given sigma.
+        stage: Weights of the points (B = 1), all 1.
+
+    Returns:
+        Standard deviation of one coordinate as a multiple of the given sigma; at least the smallest noise that is no
+        rounding.
+    """
     equations = linear.normal_equations(stage.effective, stage.rho)
     rank = np.linalg.matrix_rank(equations.H[0, 0], hermitian=True)
-    freedom = max(float(equations.count[0, 0]) - (2.0 - _FOURTH_POWERS) * rank, 1.0)
-    noise = np.sqrt(np.sum(np.square(linear.residual(linear.x))) / freedom)
+    scalars = float(equations.count[0, 0])
+    freedom = max(scalars - (2.0 - _FOURTH_POWERS) * rank, 1.0)
+    square = np.sum(np.square(linear.residual(linear.x)))
+    noise = np.sqrt(square / freedom)
     return float(max(noise, linear.smallest_noise[0]))
 
 
@@ -85,13 +148,14 @@ def paper_system(problem: Problem, nominal: Array, unit: Array, X: Array) -> tup
     """The paper's error e_i = |r_i|^2 of N points and its Jacobian, as a solver takes them.
 
     Args:
-        problem: Rows of points.
+        problem: The least-squares problem of N rows of points, measured minus predicted, and p parameters; its weights,
+            noise and priors do not count.
         nominal: shape (p,), absolute values from which the parameters x are offsets [m, rad].
         unit: shape (p,), 1000 for lengths, 1 for angles.
         X: shape (p,), absolute parameters (nominal + x) unit [mm, rad].
 
     Returns:
-        e, shape (N,), [mm^2], and de/dX, shape (N, p).
+        e, shape (N,), [mm^2], and de/dX, shape (N, p), [mm^2 per mm or rad].
     """
     x = X / unit - nominal
     residual = _MM * problem.linear(x).residual(x) * problem.rows.scales

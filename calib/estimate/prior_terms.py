@@ -6,13 +6,14 @@ gives one of their own. Frames and targets are flat: a weak prior only keeps the
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from itertools import chain
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from calib.data.priors import Priors
 from calib.errors import ModelError
 from calib.estimate.task import Task
 from calib.model.parameters import FRAME, TARGET, ErrorModel
@@ -36,9 +37,9 @@ class PriorTerms:
     names: tuple[str, ...]
     #: (K, p), which parameters belong to each
     families: Mask
-    # (K,), prior standard deviations as given or assumed before the fit, in SI units
+    #: (K,), prior standard deviations as given or assumed before the fit, in SI units
     start: tuple[float, ...]
-    # (p,), of parameters with a prior of their own, and of frames and targets; else 0
+    #: (p,), 1 / variance of parameters with a prior of their own, and of frames and targets; else 0
     precision: Array
     #: (p,), means of the priors: 0, but for parameters at a bound, and given targets and frames
     centre: Array
@@ -48,40 +49,39 @@ class PriorTerms:
     source: str
     #: (p, 2), lowest and highest value of each parameter; infinite without a bound
     limits: Array
-    #: Numbers of parameters that are held at a bound
+    #: Indices of the parameters that are held at a bound, from 0
     fixed: tuple[int, ...] = ()
 
     @classmethod
     def of(cls, task: Task, model: ErrorModel, registered: Setup) -> PriorTerms:
-        """Return the priors and bounds of a task's cell.
+        """Return the priors and bounds that a cell states.
 
         Args:
-            task: Its cell has priors and bounds, its setup the frames and targets as given.
-            model: The p parameters that are estimated.
-            registered: Frames and targets at the start of the fit, from where parameters count.
+            task: Robot, cell and options of a fit: its cell has priors and bounds by the parameters' names, its setup
+                the frames and targets as given.
+            model: The p parameters that are estimated: of the robot, frames and targets.
+            registered: Frames and targets at the start of the fit, from where their parameters count.
+
+        Returns:
+            Prior standard deviations of families of parameters, and precision, mean, lowest and highest value of each
+            of the p parameters; none is held at a bound.
 
         Raises:
             ModelError: A bound or prior on the change of a frame or target that was not given.
         """
         cell = task.cell
-        named = {**cell.bounds, **cell.parameter_priors}
-        if task.allow_absent:
-            named = {name: value for name, value in named.items() if name in model.names}
-        numbers = [model.index(name) for name in named]
-        origin = _origins(task.setup, registered, model, numbers)
-        of_setup = model.family(FRAME, TARGET)
+        origin = _origins(task.setup, registered, model, _constrained(task, model))
         std = np.array([cell.parameter_priors.get(name, np.nan) for name in model.names])
         has_own = np.isfinite(std)
-        weak = np.where(of_setup, 1.0 / _WEAK**2, 0.0)
+        of_setup = model.family(FRAME, TARGET)
+        weak_precision = np.where(of_setup, 1.0 / _WEAK**2, 0.0)
         bounds = np.array([cell.bounds.get(name, (-np.inf, np.inf)) for name in model.names])
-        members = {family: model.family(family) & ~has_own for family in model.families}
-        members = {family: mask for family, mask in members.items() if np.any(mask)}
-        off = cell.priors.source == "off"
+        members = _members(model, has_own)
         return cls(
             names=tuple(members),
             families=np.array([*members.values()], dtype=bool).reshape(-1, len(model)),
-            start=tuple(_WEAK if off else cell.priors.of(family) for family in members),
-            precision=np.where(has_own, 1.0 / std**2, weak),
+            start=_starts(cell.priors, members),
+            precision=np.where(has_own, 1.0 / std**2, weak_precision),
             centre=np.where(has_own, origin, 0.0),
             flat=of_setup & ~has_own,
             source=cell.priors.source,
@@ -91,8 +91,13 @@ class PriorTerms:
     def at_bounds(self, fixed: Mapping[int, float]) -> PriorTerms:
         """Return the priors with some parameters held; families without other parameters are dropped.
 
+        A parameter is held by a narrow prior about its value, in place of the one that it has.
+
         Args:
-            fixed: Number of each parameter that is held, from 0, and its value.
+            fixed: Index of each parameter that is held, from 0, and its value, in its unit [m, rad, ...].
+
+        Returns:
+            The priors and bounds of all p parameters, with these in `fixed`.
         """
         numbers = list(fixed)
         held = np.zeros(len(self.precision), dtype=bool)
@@ -113,16 +118,73 @@ class PriorTerms:
         )
 
 
+def _constrained(task: Task, model: ErrorModel) -> list[int]:
+    """Indices of the parameters for which a cell states a bound or a prior of their own, from 0.
+
+    Args:
+        task: Robot, cell and options of a fit; where ``allow_absent`` is True, its cell may name parameters that the
+            model lacks, which are left out.
+        model: The p parameters that are estimated.
+
+    Returns:
+        Indices in the parameter vector x, bounded ones first; one with both a bound and a prior occurs once.
+
+    Raises:
+        ModelError: A name that the model lacks, and must not.
+    """
+    named = [*{**task.cell.bounds, **task.cell.parameter_priors}]
+    if task.allow_absent:
+        named = [name for name in named if name in model.names]
+    return [model.index(name) for name in named]
+
+
+def _members(model: ErrorModel, has_own: Mask) -> dict[str, Mask]:
+    """The parameters whose prior standard deviation is that of their family.
+
+    Args:
+        model: The p parameters that are estimated.
+        has_own: shape (p,), those with a prior of their own, which belong to no family here.
+
+    Returns:
+        Mask of the members, shape (p,), by the family's name; families without members are left out.
+    """
+    members = {}
+    for family in model.families:
+        mask = model.family(family) & ~has_own
+        if np.any(mask):
+            members[family] = mask
+    return members
+
+
+def _starts(priors: Priors, families: Iterable[str]) -> tuple[float, ...]:
+    """Prior standard deviations before the fit, in the order of the families, in SI units.
+
+    Args:
+        priors: Prior standard deviation of each family as given, or by default; where its source is "off", a weak one
+            stands for all.
+        families: Names of the K families.
+
+    Returns:
+        K values.
+    """
+    if priors.source == "off":
+        return tuple(_WEAK for _ in families)
+    return tuple(priors.of(family) for family in families)
+
+
 def _origins(given: Setup, registered: Setup, model: ErrorModel, numbers: list[int]) -> Array:
-    """Values from which bounds and priors of parameters count, shape (p,): 0, but for frames and targets as given.
+    """Values from which bounds and priors of parameters count: 0, but for frames and targets as given.
 
     A parameter of a frame or target counts from the registered pose, its bound and prior from the given one.
 
     Args:
-        given: Frames and targets as given.
-        registered: The same as registered.
-        model: The p parameters.
-        numbers: Numbers of those with a bound or prior of their own.
+        given: Frames and targets as the user gave them.
+        registered: The same frames and targets, as registered at the start of the fit.
+        model: The p parameters that are estimated.
+        numbers: Indices, from 0, of those with a bound or prior of their own.
+
+    Returns:
+        shape (p,), [m] and [rad]: the given pose in the registered one, along the direction of each parameter.
 
     Raises:
         ModelError: One of them belongs to a frame or target that was not given.
@@ -140,7 +202,7 @@ def _origins(given: Setup, registered: Setup, model: ErrorModel, numbers: list[i
             raise ModelError(
                 f"'{parameter.name}' has a bound or a prior on its change, but the cell does not say from where."
             )
-        T = rigid_inverse(T_registered) @ T_given
-        angles = Rotation.from_matrix(T[:3, :3]).as_euler("XYZ")
-        result[k] = parameter.direction @ np.concatenate([T[:3, 3], angles])
+        T_registered_given = rigid_inverse(T_registered) @ T_given
+        angles = Rotation.from_matrix(T_registered_given[:3, :3]).as_euler("XYZ")
+        result[k] = parameter.direction @ np.concatenate([T_registered_given[:3, 3], angles])
     return result

@@ -53,7 +53,7 @@ _SHORTEST = 1e-12
 class Problem:
     """A calibration as numbers: N rows, p parameters."""
 
-    # The nominal robot under its error model, frames and targets as registered
+    #: The nominal robot under its error model, frames and targets as registered
     kinematics: Kinematics
     #: The measurements
     rows: Rows
@@ -67,7 +67,7 @@ class Problem:
     centre: Array
     #: Known distances between frames
     distances: tuple[KnownDistance, ...]
-    # (C,), lowest noise of each instrument, in units of its sigma
+    #: (C,), lowest noise of each instrument, in units of its sigma
     smallest_noise: tuple[float, ...]
     #: (C, 2), share of each instrument's variance that targets of a stop have in common
     rho: Array
@@ -75,7 +75,7 @@ class Problem:
     gauge: SizeGauge | None = None
     #: Where the robot stood while several targets were measured
     stops: Stops | None = None
-    # Cache of the last linearisation
+    #: Cache of the last linearisation
     _last: list[LinearProblem] = field(default_factory=list, repr=False)
 
     @classmethod
@@ -85,15 +85,17 @@ class Problem:
         """Make the problem before any estimate: weights of one, noise as given, no priors.
 
         Args:
-            kinematics: The nominal robot under its error model, frames and targets as registered.
-            rows: N rows.
-            distances: Known distances; those between frames that the rows see count.
+            kinematics: The nominal robot under its error model of p parameters, frames and targets as registered.
+            rows: N rows of measurements: joint values, frame and target of each, and the measured scalars.
+            distances: Known distances between the origins of measurement frames; those between frames that the rows see
+                count.
+
+        Returns:
+            The least-squares problem of these rows: p parameters, which are offsets from the nominal robot and the
+            registered frames and targets. The arm's size is not held.
         """
         scales = rows.scales
-        smallest_noise = []
-        for c in range(int(rows.instruments.max()) + 1):
-            typical = float(np.median(scales[rows.instruments == c]))
-            smallest_noise.append(_SMALLEST_SIGMA / typical)
+        smallest_noise = _smallest_noise(rows)
         observed = set(rows.samples.frame.tolist())
         p = len(kinematics.model)
         return cls(
@@ -104,13 +106,17 @@ class Problem:
             precision=np.zeros(p),
             centre=np.zeros(p),
             distances=tuple(d for d in distances if {d.first, d.second} <= observed),
-            smallest_noise=tuple(smallest_noise),
+            smallest_noise=smallest_noise,
             rho=np.zeros((len(smallest_noise), 2)),
             stops=Stops.of(kinematics, rows),
         )
 
     def with_size_held(self) -> Problem:
-        """Return the problem with the arm's size held at the nominal one, where nothing measures a length."""
+        """Return the problem with the arm's size held at the nominal one, where nothing measures a length.
+
+        Returns:
+            The problem with a `gauge`; itself where rows or known distances measure a length.
+        """
         if measures_length(self.rows, self.distances):
             return self
         linear = self.linear(np.zeros(self.size))
@@ -120,21 +126,45 @@ class Problem:
 
     @property
     def size(self) -> int:
-        """Number of parameters p."""
+        """Number p of parameters: of the robot, then of frames and targets."""
         return len(self.kinematics.model)
 
     def residual(self, x: Array) -> Array:
-        """Measured minus predicted at x, (p,): shape (N, D), [m] and [rad], not whitened."""
-        return self.rows.residual(self.kinematics.poses(x, self.rows.samples))
+        """Measured minus predicted.
+
+        Args:
+            x: shape (p,), offsets from the nominal robot and the registered frames and targets [m, rad, ...].
+
+        Returns:
+            shape (N, D), of the D scalars of N rows, [m] and [rad], not divided by their standard deviations; 0 where
+            nothing was measured.
+        """
+        T_frame_target = self.kinematics.poses(x, self.rows.samples)
+        return self.rows.residual(T_frame_target)
 
     def jacobian(self, x: Array) -> Array:
-        """Jacobian of the prediction (minus that of the residual) at x, (p,): shape (N, D, p), not whitened."""
+        """Jacobian of the prediction, which is minus that of the residual.
+
+        Args:
+            x: shape (p,), offsets from the nominal robot and the registered frames and targets [m, rad, ...].
+
+        Returns:
+            shape (N, D, p), of the D scalars of N rows, [m] and [rad] per unit of each parameter; not divided by their
+            standard deviations.
+        """
         return np.asarray(self.linear(x).A * self.rows.scales[:, :, None])
 
     def linear(self, x: Array) -> LinearProblem:
-        """Linearise the problem at x, (p,), in units of each scalar's sigma.
+        """Linearise the problem.
 
         Weights, noise and priors have no part in it: copies of the problem that differ in these share the last one.
+
+        Args:
+            x: shape (p,), offsets from the nominal robot and the registered frames and targets [m, rad, ...].
+
+        Returns:
+            Residual at x and Jacobian of the prediction, of N rows of D scalars, in units of each scalar's given sigma;
+            and the constraints: known distances, and the arm's size if that is held.
         """
         if self._last and np.array_equal(x, self._last[0].x):
             return self._last[0]
@@ -156,7 +186,15 @@ class Problem:
         return linear
 
     def _columns(self, x: Array) -> Array:
-        """Jacobian of the prediction and behind it the residual, in units of sigma, shape (p + 1, D, N)."""
+        """Jacobian of the prediction and, behind it, the residual, measured minus predicted.
+
+        Args:
+            x: shape (p,), offsets from the nominal robot and the registered frames and targets [m, rad, ...].
+
+        Returns:
+            shape (p + 1, D, N), of the D scalars of N rows, in units of each scalar's given sigma; 0 where nothing was
+            measured.
+        """
         rows = self.rows
         scales = rows.scales.T
         columns = np.empty((self.size + 1, rows.width, len(rows)))
@@ -174,9 +212,16 @@ class Problem:
         return columns
 
     def observability(self, x: Array) -> Observability:
-        """Analyse which combinations of parameters the rows and known distances determine at x, (p,).
+        """Analyse which combinations of parameters the rows and known distances determine.
 
         Rows without weight do not count. Angles count as lengths, by the ratio of their sigmas.
+
+        Args:
+            x: shape (p,), offsets from the nominal robot and the registered frames and targets [m, rad, ...].
+
+        Returns:
+            Rank, condition and singular values of the Jacobian [m per step of the parameter, such as 1 mm or 1 mrad],
+            and the combinations of parameters that are not determined.
         """
         model, rows = self.kinematics.model, self.rows
         has_weight = (self.weights > 0.0) | ~rows.checked
@@ -189,18 +234,21 @@ class Problem:
             along = np.outer(jacobian @ growth, growth) / (growth @ growth)
             jacobian = jacobian - along
         sigma = np.array([distance.sigma for distance in self.distances])
-        of_distances = self._distance_residuals(x)[1] * sigma[:, None]
+        _, whitened = self._distance_residuals(x)
+        of_distances = whitened * sigma[:, None]
         return analyse(np.concatenate([jacobian, of_distances]), model.names, model.units)
 
     def constraints(self, x: Array) -> tuple[Array, Array]:
-        """Residuals of what is known besides the rows: of the known distances, and last of the arm's size if held.
+        """Residuals of what is known besides the measured rows: of the known distances between frames (`distances`).
+
+        Last, where nothing measures a length, comes the combination of parameters that keeps the arm's size (`gauge`).
 
         Args:
-            x: shape (p,).
+            x: shape (p,), offsets from the nominal robot and the registered frames and targets [m, rad, ...].
 
         Returns:
-            Known minus predicted, over its sigma, shape (K,), and the Jacobian of the prediction, shape (K, p), over
-            sigma too.
+            Known minus predicted of K constraints, over its sigma, shape (K,), and the Jacobian of the prediction,
+            shape (K, p), over sigma too.
         """
         residual, jacobian = self._distance_residuals(x)
         if self.gauge is None:
@@ -209,9 +257,14 @@ class Problem:
         return np.append(residual, -held @ x), np.vstack([jacobian, held])
 
     def _distance_residuals(self, x: Array) -> tuple[Array, Array]:
-        """Known minus predicted distances over their sigma, (K,), and the Jacobian of the prediction, (K, p).
+        """Known minus predicted distances between the origins of measurement frames.
 
-        The origin of frame f stands at c_f = -R^T t in the base, with T_frame_base = (R, t).
+        Args:
+            x: shape (p,), offsets from the nominal robot and the registered frames and targets [m, rad, ...].
+
+        Returns:
+            Known minus predicted of K distances (`distances`), over its sigma, shape (K,), and the Jacobian of the
+            prediction, shape (K, p), over sigma too.
         """
         residual = np.empty(len(self.distances))
         jacobian = np.empty((len(self.distances), self.size))
@@ -228,7 +281,14 @@ class Problem:
         return residual, jacobian
 
     def _frame_origins(self, x: Array) -> tuple[Array, Array]:
-        """Origins of the F frames in the base, shape (F, 3) [m], and their derivative by x, shape (F, 3, p)."""
+        """Origins of the measurement frames in the base: c = -R^T t with T_frame_base = (R, t).
+
+        Args:
+            x: shape (p,), offsets from the nominal robot and the registered frames and targets [m, rad, ...].
+
+        Returns:
+            Origins of the F frames, shape (F, 3), along the base's axes [m]; their derivative by x, shape (F, 3, p).
+        """
         displacement, directions = self.kinematics.model.displacements(x)
         frames = len(self.kinematics.T_frame_base)
         T = self.kinematics.T_frame_base @ displacement[:frames]
@@ -238,11 +298,17 @@ class Problem:
         return origins, -(twists[:, :3] + turned)
 
     def system(self, x: Array) -> tuple[Array, Array]:
-        """The whitened residual at x, (p,), and its own derivative, as a solver takes them.
+        """The whitened residual and its derivative, as a solver takes them.
+
+        Whitened is divided by sigma times noise, and times the root of the row's weight.
+
+        Args:
+            x: shape (p,), offsets from the nominal robot and the registered frames and targets [m, rad, ...].
 
         Returns:
-            shapes (m,) and (m, p): of the measured scalars (or a triangle with the same squares), then of each
-            parameter with a prior, then of each constraint.
+            Residual r, shape (m,), and dr/dx, shape (m, p): of the measured scalars, measured minus predicted (or a
+            triangle with the same squares), then of each parameter with a prior, its mean minus the parameter, then of
+            each constraint, known minus predicted.
         """
         with_prior = np.flatnonzero(self.precision)
         root = np.sqrt(self.precision[with_prior])
@@ -261,10 +327,16 @@ class Problem:
         return both[-1], both[:-1].T
 
     def _whitened(self, columns: Array) -> Array:
-        """[A r] of the M measured scalars by columns, whitened, shape (p + 1, M); of many rows R of [A r] = Q R.
+        """The whitened Jacobian A and residual r of the M measured scalars, by columns.
+
+        Of many rows it is the triangle R of [A r] = Q R, which has the same products.
 
         Args:
-            columns: shape (p + 1, D, N), in units of sigma.
+            columns: shape (p + 1, D, N), Jacobian of the prediction and behind it the residual of the D scalars of N
+                rows, in units of each scalar's given sigma.
+
+        Returns:
+            shape (p + 1, M), or (p + 1, p + 1) of a triangle.
         """
         whiten = (np.sqrt(self.weights)[:, None] * (self.rows.scales / self.scales)).T
         if self.stops is not None and np.any(self.rho):
@@ -276,11 +348,20 @@ class Problem:
         factor = whiten * used
 
         def block_triangle(rows: slice) -> Array:
+            """The triangle R of [A r] = Q R, whitened, over some of the rows.
+
+            Args:
+                rows: Slice of the N rows.
+
+            Returns:
+                shape (p + 1, p + 1), or fewer rows where there are fewer scalars.
+            """
             block = (columns[:, :, rows] * factor[:, rows]).reshape(len(columns), -1)
             return triangle(block.T)
 
         triangles = over_blocks(block_triangle, len(self.weights))
-        return np.asarray(triangle(np.asfortranarray(np.concatenate(triangles))).T)
+        stacked = np.asfortranarray(np.concatenate(triangles))
+        return np.asarray(triangle(stacked).T)
 
     def independent(self, values: Array, weights: Array) -> Array:
         """Transform whitened values so that the errors which targets of a stop share are independent.
@@ -299,3 +380,20 @@ class Problem:
             return values
         columns = self.stops.independent(values.transpose(2, 1, 0), weights, self.rho)
         return np.asarray(columns.transpose(2, 1, 0))
+
+
+def _smallest_noise(rows: Rows) -> tuple[float, ...]:
+    """The lowest noise of each instrument that is not rounding.
+
+    Args:
+        rows: Rows of measurements. Their instruments are lengths of each kind of rows, and angles of each kind.
+
+    Returns:
+        As a multiple of the instrument's given sigma (the median over its scalars), in the order of the instruments.
+    """
+    scales = rows.scales
+    result = []
+    for c in range(int(rows.instruments.max()) + 1):
+        typical = float(np.median(scales[rows.instruments == c]))
+        result.append(_SMALLEST_SIGMA / typical)
+    return tuple(result)

@@ -74,14 +74,17 @@ def sole_postures(linear: LinearProblem, rows: Rows, first: Stage) -> Mask:
     """Find the rows of sole postures: poses that alone determine a direction of the parameters.
 
     Args:
-        linear: The problem linearised at the registered start.
-        rows: Its N rows.
-        first: The first stage (B = 1): every row with weight one, noise and priors as given.
+        linear: The least-squares problem linearised at the registered start: N rows of D scalars by p parameters, in
+            units of each scalar's given sigma.
+        rows: The same N rows of measurements; rows of one number in ``rows.blocks`` are of one pose of the robot.
+        first: Row weights, noise and priors of the first stage of one fit (B = 1): every row has weight one, noise and
+            prior standard deviations are as given.
 
     Returns:
-        Mask of these rows, shape (N,).
+        Mask of the rows of sole postures, shape (N,).
     """
-    covariance = first.fit(linear)[1][0]
+    _, covariances, _ = first.fit(linear)
+    covariance = covariances[0]
     block = np.unique(rows.blocks, return_inverse=True)[1].reshape(-1)
     # Bounds first: the largest eigenvalue is at most the trace.
     leverage = np.bincount(block, _traces(linear, covariance))
@@ -97,9 +100,27 @@ def sole_postures(linear: LinearProblem, rows: Rows, first: Stage) -> Mask:
 
 
 def _traces(linear: LinearProblem, covariance: Array) -> Array:
-    """The trace of A_i C A_i^T of each row i, shape (N,), with the covariance C, shape (p, p)."""
+    """The trace of A_i C A_i^T of each row i, where A_i is the Jacobian of its prediction.
+
+    It is the sum of the variances of a row's predicted scalars.
+
+    Args:
+        linear: The linearised problem: N rows of D scalars by p parameters, in units of each scalar's given sigma.
+        covariance: shape (p, p), C, of the parameters.
+
+    Returns:
+        shape (N,), in units of the given sigma squared.
+    """
 
     def work(rows: slice) -> Array:
+        """The traces of some of the rows.
+
+        Args:
+            rows: Slice of the N rows.
+
+        Returns:
+            shape (n,), of the n rows of this slice.
+        """
         A = linear.A[rows]
         return np.asarray(np.einsum("ndp,ndp->n", A @ covariance, A))
 
@@ -107,11 +128,15 @@ def _traces(linear: LinearProblem, covariance: Array) -> Array:
 
 
 def _seen_by_others(rows: Rows, block: Integers) -> Mask:
-    """Rows whose frame and target rows of other poses determine, shape (N,).
+    """Rows whose measurement frame and target are determined by rows of other poses.
 
     Args:
-        rows: N rows.
-        block: shape (N,), pose of each row, from 0.
+        rows: N rows of measurements, each of one target from one frame.
+        block: shape (N,), index of each row's pose of the robot, from 0.
+
+    Returns:
+        Mask of these rows, shape (N,): rows of other poses have enough scalars of the same frame, and of the same
+        target.
     """
     scalars = np.sum(rows.used, axis=1)
     result = np.ones(len(rows), dtype=bool)
@@ -124,24 +149,48 @@ def _seen_by_others(rows: Rows, block: Integers) -> Mask:
 
 
 def with_wide_priors(stage: Stage) -> Stage:
-    """Return a stage with priors `_WIDE` times as wide as given, but where the estimated ones are wider still."""
+    """Return a stage with priors three times (`_WIDE`) as wide as given, but where the estimated ones are wider still.
+
+    Args:
+        stage: Row weights, noise and prior standard deviations of B fits.
+
+    Returns:
+        The same weights and noise with the wider prior standard deviations.
+    """
     start = np.array(stage.prior.start, dtype=np.float64)
     return replace(stage, prior_std=np.maximum(stage.prior_std, _WIDE * start))
+
+
+def _wide_covariance(linear: LinearProblem, stage: Stage) -> Array:
+    """Covariance of the parameters by one fit with wide priors.
+
+    Args:
+        linear: The linearised problem of p parameters.
+        stage: Row weights, noise and prior standard deviations of the fit (B = 1); its priors are widened.
+
+    Returns:
+        shape (p, p).
+    """
+    _, covariances, _ = with_wide_priors(stage).fit(linear)
+    covariance: Array = covariances[0]
+    return covariance
 
 
 def open_directions(linear: LinearProblem, stage: Stage, sole: Mask) -> Array:
     """Find the directions of their scalars in which the other rows do not predict sole postures.
 
     Args:
-        linear: The problem linearised at the estimate by all other rows.
-        stage: Noise and priors of that fit (B = 1), in which sole postures have no weight.
-        sole: shape (N,), which rows are of sole postures.
+        linear: The problem linearised at the estimate by all other rows: N rows of D scalars by p parameters, in units
+            of each scalar's given sigma.
+        stage: Row weights, noise and prior standard deviations of that fit (B = 1), in which sole postures have no
+            weight.
+        sole: shape (N,), which rows are of sole postures: poses that alone determine a direction of the parameters.
 
     Returns:
         shape (N, D, D): of rows of sole postures the orthogonal projection of their scalars, in units of the noise, on
         these directions; of all other rows the identity.
     """
-    covariance = with_wide_priors(stage).fit(linear)[1][0]
+    covariance = _wide_covariance(linear, stage)
     noise = linear.noise_by_scalar(stage.noise)[0]
     result = np.tile(np.eye(noise.shape[1]), (len(linear), 1, 1))
     for i in np.flatnonzero(sole).tolist():
@@ -156,20 +205,24 @@ def open_scores(linear: LinearProblem, x: Array, stage: Stage, projections: Arra
     """Score how far rows of sole postures lie from what wide priors predict, along the open directions.
 
     Args:
-        linear: The problem linearised at x.
-        x: shape (p,), the estimate by all other rows.
-        stage: Noise and priors of that fit (B = 1), in which sole postures have no weight.
-        projections: shape (N, D, D), see `open_directions`.
+        linear: The problem linearised at x: N rows of D scalars by p parameters, in units of each scalar's given sigma.
+        x: shape (p,), the estimate by all other rows [m, rad, ...].
+        stage: Row weights, noise and prior standard deviations of that fit (B = 1), in which sole postures have no
+            weight.
+        projections: shape (N, D, D), of each row's scalars, in units of the noise, on the directions in which the other
+            rows do not predict it; see `open_directions`.
 
     Returns:
-        shape (N,), comparable with scores of three scalars; see `calib.numerics.scores`.
+        shape (N,), >= 0, in standard deviations; comparable with scores of three scalars, see `calib.numerics.scores`.
+        Only those of rows of sole postures have a meaning.
     """
-    covariance = with_wide_priors(stage).fit(linear)[1][0]
+    covariance = _wide_covariance(linear, stage)
     noise = linear.noise_by_scalar(stage.noise)[0]
     residual = projections @ (linear.residual(x) / noise)[:, :, None]
     A = projections @ (linear.A / noise[:, :, None])
     predicted = np.eye(noise.shape[1]) + A @ covariance @ A.swapaxes(1, 2)
-    squares = np.sum(residual * np.linalg.solve(predicted, residual), axis=(1, 2))
+    weighted = np.linalg.solve(predicted, residual)
+    squares = np.sum(residual * weighted, axis=(1, 2))
     directions = np.rint(np.trace(projections, axis1=1, axis2=2)).astype(np.int_)
     return point_scores(np.sqrt(squares), directions)
 
@@ -190,20 +243,79 @@ class _Update:
     #: (p,), 1 / tau of wide priors
     prior: Array
 
+    @classmethod
+    def of(cls, start: LinearProblem, stage: Stage, weights: Array, projections: Array) -> _Update:
+        """Set up the update of an estimate x_o by all other rows.
+
+        Args:
+            start: The problem linearised at x_o: N rows of D scalars by p parameters, in units of the given sigma.
+            stage: Row weights, noise and prior standard deviations of the fit to the other rows (B = 1).
+            weights: shape (N,), > 0 for rows of sole postures; 0 for all others, which have the stage's weights.
+            projections: shape (N, D, D), of each row's scalars, in units of the noise, on the directions in which the
+                other rows do not predict it; see `open_directions`.
+
+        Returns:
+            The least-squares problem whose minimum is the updated estimate.
+        """
+        is_sole = weights > 0.0
+        factor = np.where(is_sole, 1.0, _NOISE_OF_OTHERS)
+        noise = factor[:, None] * start.noise_by_scalar(stage.noise)[0]
+        root_weights = np.sqrt(np.where(is_sole, weights, stage.effective[0]))
+        wide_precision = with_wide_priors(stage).priors.precision[0]
+        return cls(
+            start=start,
+            whiten=root_weights[:, None, None] * projections / noise[:, None],
+            reference=np.where(is_sole[:, None], 0.0, start.residual(start.x)),
+            prior=np.sqrt(wide_precision),
+        )
+
     def residual(self, linear: LinearProblem) -> Array:
-        """The residual where a problem is linearised, shape (N D + K + p,)."""
+        """The residual at the parameters x where a problem is linearised.
+
+        Uses `start`, the problem at the estimate x_o by all other rows; `whiten`, shape (N, D, D), a map from units of
+        the given sigma to whitened ones; `reference`, shape (N, D), residuals at x_o; and `prior`, shape (p,), 1 / tau
+        of wide priors.
+
+        Args:
+            linear: The problem linearised at x, shape (p,): N rows of D scalars, K constraints.
+
+        Returns:
+            shape (N D + K + p,), whitened: the rows' residuals less `reference`, then the change of the constraints,
+            then x_o - x over wide priors.
+        """
         change = self.start.x - linear.x
         rows = (linear.residual(linear.x) - self.reference)[:, :, None]
+        whitened = (self.whiten @ rows).ravel()
         constraints = linear.C @ change / _NOISE_OF_OTHERS
-        return np.concatenate([(self.whiten @ rows).ravel(), constraints, self.prior * change])
+        return np.concatenate([whitened, constraints, self.prior * change])
 
     def derivative(self, linear: LinearProblem) -> Array:
-        """Minus the derivative of `residual`, shape (N D + K + p, p)."""
+        """Minus the derivative of `residual` by the parameters.
+
+        Uses `whiten`, shape (N, D, D), a map from units of the given sigma to whitened ones, and `prior`, shape (p,),
+        1 / tau of wide priors.
+
+        Args:
+            linear: The problem linearised at the parameters x, shape (p,): N rows of D scalars, K constraints.
+
+        Returns:
+            shape (N D + K + p, p), whitened: Jacobian of the rows' predictions, the constraints, and 1 / tau of wide
+            priors on the diagonal.
+        """
         rows = (self.whiten @ linear.A).reshape(-1, len(linear.x))
         return np.vstack([rows, linear.C / _NOISE_OF_OTHERS, np.diag(self.prior)])
 
     def solved(self, linear_at: Callable[[Array], LinearProblem]) -> LinearProblem:
-        """The problem linearised at the minimum: Gauss-Newton steps, halved until the sum of squares falls."""
+        """The problem linearised at the minimum: Gauss-Newton steps, halved until the sum of squares falls.
+
+        Begins at `start`, the problem linearised at the estimate by all other rows.
+
+        Args:
+            linear_at: Maps parameters x, shape (p,), to the problem linearised there.
+
+        Returns:
+            The problem linearised where a step is negligible, or after the most steps (`_UPDATES`).
+        """
         linear = self.start
         for _ in range(_UPDATES):
             residual = self.residual(linear)
@@ -227,33 +339,40 @@ def update_by_sole_postures(
     weights: Array,
     projections: Array,
 ) -> tuple[Array, Array]:
-    """Update an estimate by the rows of sole postures.
+    """Update an estimate by the rows of sole postures: poses that alone determine a direction of the parameters.
 
     Args:
-        estimate: x, shape (p,), by all other rows, and its covariance, shape (p, p).
-        stage: Noise and priors of that fit (B = 1), in which sole postures have no weight.
-        linear_at: Maps x to the problem linearised there.
+        estimate: x, shape (p,), by all other rows [m, rad, ...], and its covariance, shape (p, p).
+        stage: Row weights, noise and prior standard deviations of that fit (B = 1), in which sole postures have no
+            weight.
+        linear_at: Maps x to the problem linearised there: N rows of D scalars, in units of each scalar's given sigma.
         weights: shape (N,), of the rows of sole postures; 0 for all others.
-        projections: shape (N, D, D), see `open_directions`.
+        projections: shape (N, D, D), of each row's scalars, in units of the noise, on the directions in which the other
+            rows do not predict it; see `open_directions`.
 
     Returns:
-        x and its covariance, updated.
+        x, shape (p,), and its covariance, shape (p, p), updated.
     """
     x, covariance = estimate
-    start = linear_at(x)
-    sole = (weights > 0.0)[:, None]
-    factor = np.where(sole, 1.0, _NOISE_OF_OTHERS)
-    noise = factor * start.noise_by_scalar(stage.noise)[0]
-    root = np.sqrt(np.where(sole[:, 0], weights, stage.effective[0]))
-    update = _Update(
-        start=start,
-        whiten=root[:, None, None] * projections / noise[:, None],
-        reference=np.where(sole, 0.0, start.residual(x)),
-        prior=np.sqrt(with_wide_priors(stage).priors.precision[0]),
-    )
+    update = _Update.of(linear_at(x), stage, weights, projections)
     linear = update.solved(linear_at)
     A = update.derivative(linear)
-    scalars = np.flatnonzero(np.broadcast_to(sole, noise.shape))
-    gain = np.linalg.pinv(A)[:, scalars]
-    kept = np.eye(len(x)) - gain @ A[scalars]
-    return linear.x, kept @ covariance @ kept.T + gain @ gain.T
+    scalars_of_a_row = update.reference.shape[1]
+    of_sole = np.flatnonzero(np.repeat(weights > 0.0, scalars_of_a_row))
+    gain = np.asarray(np.linalg.pinv(A)[:, of_sole])
+    return linear.x, _joseph_update(covariance, gain, A[of_sole])
+
+
+def _joseph_update(covariance: Array, gain: Array, A: Array) -> Array:
+    """Covariance of an estimate that M further scalars move: (I - G A) C (I - G A)^T + G G^T, the Joseph form.
+
+    Args:
+        covariance: shape (p, p), C, before.
+        gain: shape (p, M), G, the derivative of the estimate by the scalars.
+        A: shape (M, p), Jacobian of the scalars' prediction. The scalars are whitened: their variance is 1.
+
+    Returns:
+        shape (p, p).
+    """
+    kept = np.eye(len(covariance)) - gain @ A
+    return np.asarray(kept @ covariance @ kept.T + gain @ gain.T)

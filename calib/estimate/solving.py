@@ -45,9 +45,10 @@ class StageSolver:
         """Begin at some parameters.
 
         Args:
-            problem: The problem, whose weights, noise and priors each stage sets.
-            task: Its solver is used.
-            start: shape (p,).
+            problem: The least-squares problem of N rows and p parameters, whose weights, noise and priors each stage
+                sets.
+            task: Robot, cell and options of the fit; its solver is used.
+            start: shape (p,), parameters where the first solve begins [m, rad, ...].
         """
         self._problem = problem
         self._solver = task.solver if callable(task.solver) else SOLVERS[str(task.solver)]
@@ -57,14 +58,17 @@ class StageSolver:
         self._linear: LinearProblem | None = None  # At the solution of the last stage
 
     def solve(self, stage: Stage, tolerance: float) -> Solution:
-        """Solve the problem with the weights, noise and priors of a stage (B = 1).
+        """Solve the problem with the weights, noise and priors of a stage, from where the last solve stopped.
 
         Args:
-            stage: The stage.
-            tolerance: Length of the last step, in steps of 1 mm and 1 mrad.
+            stage: Row weights, noise and prior standard deviations of one fit (B = 1).
+            tolerance: A step shorter than this has converged, in steps of 1 mm and 1 mrad.
 
         Returns:
             The solution, with the history and evaluations of all solves so far.
+
+        Raises:
+            SolverError: The residual is not finite at the start.
         """
         system = problem_at_stage(self._problem, stage).system
         solution = self._solver(system, self._x, self._step_size, tolerance)
@@ -79,7 +83,14 @@ class StageSolver:
         return solution
 
     def linear_at(self, stage: Stage) -> LinearProblem:
-        """Return the problem linearised at the solution of a stage (B = 1), or where it hardly differs."""
+        """Return the problem linearised at the solution of a stage, or where it hardly differs.
+
+        Args:
+            stage: Row weights, noise and prior standard deviations of one fit (B = 1).
+
+        Returns:
+            N rows of D scalars by p parameters, in units of each scalar's given sigma.
+        """
         near = self._near_last(stage)
         if near is None:
             self.solve(stage, _ROUGH)
@@ -88,49 +99,97 @@ class StageSolver:
         return near
 
     def _near_last(self, stage: Stage) -> LinearProblem | None:
-        """The linearised problem where it gives the stage's solution without a solve; None where it does not."""
+        """The linearised problem that gives a stage's solution without a solve; None where a solve is needed.
+
+        It is that of the last stage where the solution has hardly moved, or one at a solution that is close, if a
+        second linear fit confirms it.
+
+        Uses the problem linearised for the last stage (`_linear`, None before the first one), and the parameters where
+        the last solve stopped (`_x`, shape (p,)), which it moves to a solution that is confirmed.
+
+        Args:
+            stage: Row weights, noise and prior standard deviations of one fit (B = 1).
+
+        Returns:
+            N rows of D scalars by p parameters, in units of each scalar's given sigma; or None.
+        """
         if self._linear is None:
             return None
-        x = stage.fit(self._linear)[0][0]
+        x = _solution_of(stage, self._linear)
         moved = self._length(x - self._x)
         if moved <= _ROUGH:  # the difference is of the order of 1e-8 m and rad
             return self._linear
         if moved <= _CLOSE:
             # A step as short as this needs no damping, if the next one confirms it.
             linear = self._problem.linear(x)
-            if self._length(stage.fit(linear)[0][0] - x) <= _ROUGH:
+            confirmed = _solution_of(stage, linear)
+            if self._length(confirmed - x) <= _ROUGH:
                 self._x = x
                 return linear
         return None
 
     def _length(self, change: Array) -> float:
-        """Length of a change of parameters, (p,), in steps of 1 mm and 1 mrad."""
+        """Length of a change of parameters, in steps of 1 mm and 1 mrad (`_step_size`).
+
+        Args:
+            change: shape (p,), in the parameters' units [m, rad, ...].
+
+        Returns:
+            The Euclidean norm over all parameters, without unit.
+        """
         return float(np.linalg.norm(change / self._step_size))
+
+
+def _solution_of(stage: Stage, linear: LinearProblem) -> Array:
+    """The parameters that fit a linearised problem best.
+
+    Args:
+        stage: Row weights, noise and prior standard deviations of one fit (B = 1).
+        linear: The problem linearised: N rows of D scalars by p parameters.
+
+    Returns:
+        shape (p,), the parameters themselves, not their change [m, rad, ...].
+    """
+    x, _, _ = stage.fit(linear)
+    of_fit: Array = x[0]
+    return of_fit
 
 
 def mark_sole_postures(problem: Problem, prior: PriorTerms) -> Problem:
     """Return the problem with the rows of sole postures marked, unless they are already.
 
     Args:
-        problem: The problem at the registered start.
-        prior: Priors of its parameters.
+        problem: The least-squares problem at the registered start: N rows of measurements, p parameters.
+        prior: Priors of its parameters: standard deviations as given, and means, where the problem is linearised.
+
+    Returns:
+        The problem whose ``rows.sole`` is the mask, shape (N,), of poses that alone determine a direction of the
+        parameters, so that no other row can check them.
     """
     rows = problem.rows
     if rows.sole is not None:
         return problem
     linear = problem.linear(prior.centre)
-    every = np.ones((1, len(rows)), dtype=bool)
-    stage = Stage.initial(prior, every, len(problem.smallest_noise))
-    return replace(problem, rows=replace(rows, sole=sole_postures(linear, rows, stage)))
+    every_row = np.ones((1, len(rows)), dtype=bool)
+    first = Stage.initial(prior, every_row, len(problem.smallest_noise))
+    marked = replace(rows, sole=sole_postures(linear, rows, first))
+    return replace(problem, rows=marked)
 
 
 def estimate_with_priors(problem: Problem, task: Task, prior: PriorTerms) -> Estimate:
     """Estimate the parameters, weights, noise and prior standard deviations, without bounds.
 
     Args:
-        problem: The problem, rows of sole postures marked.
-        task: Its solver, and the treatment of repeats and outliers.
-        prior: Priors; parameters that are held at a bound have a narrow one.
+        problem: The least-squares problem of N rows and p parameters. Its rows of sole postures, which no other row can
+            check, are marked; they have no part in noise and prior standard deviations.
+        task: Robot, cell and options of the fit; used are the solver, and the treatment of repeats and outliers.
+        prior: Priors of the p parameters; those that are held at a bound have a narrow one.
+
+    Returns:
+        The parameters by all rows, with covariance, scores, weights, noise and prior standard deviations.
+
+    Raises:
+        SolverError: The residual is not finite at the start.
     """
     rows = problem.rows
     weighting = Weighting.of(task.cell.repeats, task.robust, rows)
@@ -144,7 +203,18 @@ def estimate_with_priors(problem: Problem, task: Task, prior: PriorTerms) -> Est
 
 
 def _updated_by_sole_postures(estimate: Estimate, problem: Problem, stage: Stage) -> Estimate:
-    """The estimate by all other rows, updated by those of sole postures; see `calib.estimate.sole_postures`."""
+    """Update an estimate by the rows of sole postures, which had no part in it; see `calib.estimate.sole_postures`.
+
+    Args:
+        estimate: The estimate by all other rows.
+        problem: The least-squares problem of N rows and p parameters; ``problem.rows.checked`` is False for rows of
+            sole postures.
+        stage: Row weights, noise and prior standard deviations of the estimate's fit (B = 1).
+
+    Returns:
+        The estimate with parameters, covariance, and the scores and weights of these rows by all rows; itself where
+        there are none.
+    """
     sole = ~problem.rows.checked
     if not np.any(sole):
         return estimate
@@ -153,12 +223,10 @@ def _updated_by_sole_postures(estimate: Estimate, problem: Problem, stage: Stage
     scores_of_sole = open_scores(linear, estimate.x, stage, projections)
     scores = np.where(sole, scores_of_sole, estimate.scores)
     by_scores = Limits.of(len(sole), estimate.freedom).weights(scores)
+    weights_of_sole = np.where(sole, by_scores, 0.0)
+    by_others = (estimate.x, estimate.covariance)
     x, covariance = update_by_sole_postures(
-        (estimate.x, estimate.covariance),
-        stage,
-        problem.linear,
-        np.where(sole, by_scores, 0.0),
-        projections,
+        by_others, stage, problem.linear, weights_of_sole, projections
     )
     x = read_only(x)
     return replace(

@@ -58,7 +58,7 @@ _ROUNDS = 12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Weighting:
-    """Treatment of the rows' weights in a fit."""
+    """Treatment of the rows' weights in a fit to N rows."""
 
     #: Repeats of a pose: "independent", "average" (as one row), or "weighted" by their correlation
     repeats: str
@@ -72,9 +72,14 @@ class Weighting:
         """Return the treatment that a cell and task ask for, or, if the rows come with weights, to keep these.
 
         Args:
-            repeats: See the field.
-            robust: See the field.
-            rows: N rows. In their weights, if any, repeats are already shared out.
+            repeats: How repeats of a pose count: "independent", "average" (as one row), or "weighted" by their
+                correlation.
+            robust: True if outliers lose their weight.
+            rows: N rows of measurements. In their weights, if any, repeats are already shared out; None for rows whose
+                weights the fit estimates.
+
+        Returns:
+            The treatment as asked for; of rows with weights "independent" and not robust, to begin with these weights.
         """
         if rows.weights is None:
             return cls(repeats, robust, 1.0)
@@ -107,10 +112,14 @@ class Stage:
         """Return the first stage: noise and priors as given.
 
         Args:
-            prior: Priors of the parameters.
-            kept: shape (B, N), the rows that each fit has.
-            instruments: Their number C.
-            weights: Weights to begin with, shape (N,), or one for all rows.
+            prior: Priors of the p parameters, the same for all B fits: K families with a prior standard deviation each.
+            kept: shape (B, N), which of the N rows each fit has.
+            instruments: Number C of instruments: lengths of each kind of rows, and angles of each kind.
+            weights: Weights of the rows to begin with, shape (N,), or one number for all rows.
+
+        Returns:
+            The stage with noise 1 (the given sigma), repeats that count as independent rows, and nothing that targets
+            of a stop have in common.
         """
         B = len(kept)
         return cls(
@@ -125,25 +134,45 @@ class Stage:
 
     @property
     def effective(self) -> Array:
-        """Weights of the rows, times the factor for repeats, shape (B, N)."""
+        """Weights with which the rows count in the fits: the robust ones, times the factor for repeats.
+
+        Returns:
+            shape (B, N), of the N rows in each of B fits, >= 0; 0 for rows that a fit does not have.
+        """
         return self.weights * self.share
 
     @property
     def priors(self) -> GaussianPriors:
-        """Priors of all parameters, with the prior standard deviations of this stage: precision (B, p)."""
+        """Priors of all p parameters, with the prior standard deviations of this stage.
+
+        Returns:
+            1 / variance of each parameter in each of B fits, shape (B, p), and the means, shape (p,).
+        """
         of_families = (1.0 / self.prior_std**2) @ self.prior.families
         return GaussianPriors(of_families + self.prior.precision, self.prior.centre)
 
     def fit(self, linear: LinearProblem) -> tuple[Array, Array, Array]:
-        """Fit the linearised problem at this stage's weights, noise and priors.
+        """Fit the linearised problem at this stage's weights, noise and priors, for each of B fits.
+
+        Args:
+            linear: The least-squares problem linearised: N rows of D scalars by p parameters.
 
         Returns:
-            x, shape (B, p), its covariance, shape (B, p, p), and degrees of freedom, shape (B,).
+            x, shape (B, p), the parameters themselves [m, rad, ...]; its covariance, shape (B, p, p); and the degrees
+            of freedom left for the noise, shape (B,).
         """
         return linear.fit(self.effective, self.rho, self.noise, self.priors)
 
     def scoring_fit(self, linear: LinearProblem) -> tuple[Array, Array, Array]:
-        """Fit for the scores of single rows: `fit`, with covariance and freedom as if all rows were independent."""
+        """Fit for the scores of single rows: `fit`, with covariance and freedom as if all rows were independent.
+
+        Args:
+            linear: The least-squares problem linearised: N rows of D scalars by p parameters.
+
+        Returns:
+            x, shape (B, p), which takes into account what the targets of a stop have in common (`rho`); and, without
+            it, the covariance, shape (B, p, p), and the degrees of freedom, shape (B,).
+        """
         x, covariance, freedom = self.fit(linear)
         if np.any(self.rho):
             independent = replace(self, rho=np.zeros(self.rho.shape))
@@ -151,7 +180,16 @@ class Stage:
         return x, covariance, freedom
 
     def by_median(self, linear: LinearProblem) -> Stage:
-        """Return the stage with the noise of medians, which outliers hardly move, and Cauchy's robust weights."""
+        """Return the stage with the noise of medians, which outliers hardly move, and Cauchy's robust weights.
+
+        Weights and noise are computed in turn, some rounds, from where this stage is.
+
+        Args:
+            linear: The least-squares problem linearised: N rows of D scalars by p parameters.
+
+        Returns:
+            The stage with new `weights` and `noise`; prior standard deviations stay.
+        """
         stage = self
         for _ in range(_MEDIAN_ROUNDS):
             stage = replace(stage, noise=stage._median_noise(linear))
@@ -159,12 +197,20 @@ class Stage:
             x, covariance, _ = stage.fit(linear)
             scores = linear.scores(x, covariance, stage.effective, stage.noise)
             # Cauchy's weights are never quite 0, while the fit may still be wrong for all rows.
-            weights = 1.0 / (1.0 + (scores / _CAUCHY) ** 2) * stage.kept
-            stage = replace(stage, weights=weights)
+            cauchy = 1.0 / (1.0 + (scores / _CAUCHY) ** 2)
+            stage = replace(stage, weights=cauchy * stage.kept)
         return stage
 
     def _median_noise(self, linear: LinearProblem) -> Array:
-        """Noise of each instrument by the median of its rows' deleted residuals, shape (B, C)."""
+        """Noise of each instrument by the median of its rows' deleted residuals, which outliers hardly move.
+
+        Args:
+            linear: The least-squares problem linearised: N rows of D scalars by p parameters, C instruments.
+
+        Returns:
+            shape (B, C), standard deviation as a multiple of the given sigma; at least the smallest that is no
+            rounding.
+        """
         x, covariance, _ = self.fit(linear)
         noise = np.empty_like(self.noise)
         for c, smallest in enumerate(linear.smallest_noise):
@@ -173,53 +219,85 @@ class Stage:
             of_instrument = linear.instruments == c
             factors = of_instrument[None].astype(np.float64)
             norms = linear.norms(x, unit_covariance, self.effective, factors)
-            noise[:, c] = np.maximum(median_noise(norms, of_instrument, self.kept), smallest)
+            by_median = median_noise(norms, of_instrument, self.kept)
+            noise[:, c] = np.maximum(by_median, smallest)
         return noise
 
     def by_likelihood(self, linear: LinearProblem, robust: bool) -> Stage:
         """Return the stage with noise and prior standard deviations by restricted likelihood.
 
+        Prior standard deviations are estimated where the priors' source is "data"; else they stay.
+
         Args:
-            linear: The linearised problem.
+            linear: The least-squares problem linearised: N rows of D scalars by p parameters.
             robust: Whether to give the rows the weights that follow from their scores first.
+
+        Returns:
+            The stage with new `noise`, and new `prior_std` and `weights` where these are estimated.
         """
-        stage, prior = self, self.prior
-        from_data = prior.source == "data"
-        families = slice(None) if from_data else slice(0)
-        limits = VarianceLimits(
-            smallest_noise=linear.smallest_noise,
-            prior_std=tuple(FAMILIES[name].bounds for name in prior.names[families]),
-            noise_spread=_NOISE_SPREAD,
-        )
+        stage = self
         for _ in range(_LIKELIHOOD_ROUNDS if robust else 1):
             if robust:
                 stage = replace(stage, weights=stage._row_weights(linear))
-            priors = self.priors
-            if from_data:
-                priors = GaussianPriors(prior.precision, prior.centre)
-            noise, prior_std = prior_std_by_reml(
-                linear.normal_equations(stage.effective, stage.rho),
-                prior.families[families],
-                (stage.noise, stage.prior_std[:, families]),
-                priors,
-                limits,
-            )
-            stage = replace(stage, noise=noise)
-            if from_data:
-                stage = replace(stage, prior_std=prior_std)
+            if self.prior.source == "data":
+                stage = stage._with_noise_and_priors_by_likelihood(linear)
+            else:
+                stage = stage._with_noise_by_likelihood(linear)
         return stage
 
+    def _with_noise_and_priors_by_likelihood(self, linear: LinearProblem) -> Stage:
+        """The stage with the noise and the prior standard deviations of the highest restricted likelihood.
+
+        Args:
+            linear: The least-squares problem linearised: N rows of D scalars by p parameters.
+
+        Returns:
+            The stage with a new `noise`, shape (B, C), of C instruments in B fits, as a multiple of the given sigma,
+            and a new `prior_std`, shape (B, K), of K families, in their parameters' unit.
+        """
+        prior = self.prior
+        limits = VarianceLimits(
+            smallest_noise=linear.smallest_noise,
+            prior_std=tuple(FAMILIES[name].bounds for name in prior.names),
+            noise_spread=_NOISE_SPREAD,
+        )
+        equations = linear.normal_equations(self.effective, self.rho)
+        besides_families = GaussianPriors(prior.precision, prior.centre)
+        start = (self.noise, self.prior_std)
+        noise, prior_std = prior_std_by_reml(
+            equations, prior.families, start, besides_families, limits
+        )
+        return replace(self, noise=noise, prior_std=prior_std)
+
+    def _with_noise_by_likelihood(self, linear: LinearProblem) -> Stage:
+        """The stage with the noise of the highest restricted likelihood, at the priors of this stage.
+
+        Args:
+            linear: The least-squares problem linearised: N rows of D scalars by p parameters.
+
+        Returns:
+            The stage with a new `noise`, shape (B, C), of C instruments in B fits, as a multiple of the given sigma.
+        """
+        limits = VarianceLimits(
+            smallest_noise=linear.smallest_noise, prior_std=(), noise_spread=_NOISE_SPREAD
+        )
+        equations = linear.normal_equations(self.effective, self.rho)
+        no_families = self.prior.families[:0]
+        start = (self.noise, self.prior_std[:, :0])
+        noise, _ = prior_std_by_reml(equations, no_families, start, self.priors, limits)
+        return replace(self, noise=noise)
+
     def _row_weights(self, linear: LinearProblem) -> Array:
-        """Weight the rows of each fit by their scores under the linear fit.
+        """Weight the rows of each of B fits by their scores under the linear fit.
 
         Where few degrees of freedom are left, or the weights would reject more than `_MOST_OUTLIERS` of a fit's rows,
         every row that the fit has keeps the weight 1.
 
         Args:
-            linear: The linearised problem.
+            linear: The least-squares problem linearised: N rows of D scalars by p parameters.
 
         Returns:
-            shape (B, N), from 0 to 1; 0 for rows that a fit does not have.
+            shape (B, N), robust weights from 0 to 1; 0 for rows that a fit does not have.
         """
         x, covariance, freedom = self.scoring_fit(linear)
         count = np.sum(self.kept, axis=1)
@@ -234,9 +312,12 @@ class Stage:
         """Return the stage with each of n repeats weighted by 1 / (1 + (n - 1) rho), with their correlation rho.
 
         Args:
-            linear: The linearised problem.
-            poses: shape (N,), rows of one number are repeats.
+            linear: The least-squares problem linearised: N rows of D scalars by p parameters.
+            poses: shape (N,), rows of one number >= 0 are repeats.
             mode: ``"independent"``: rho = 0; ``"average"``: 1; ``"weighted"``: estimated.
+
+        Returns:
+            The stage with a new `share`, of rows with a weight above 0; itself where no pose has repeats.
         """
         number = int(poses.max()) + 1
         alive = self.weights > 0.0
@@ -250,7 +331,15 @@ class Stage:
         return replace(self, share=1.0 / (1.0 + others * rho[:, None]))
 
     def _correlation_of_repeats(self, linear: LinearProblem, poses: Integers) -> Array:
-        """Estimate the correlation of repeats in each fit, shape (B,); 1 where there are too few of them."""
+        """Estimate the correlation of repeats in each of B fits, from their residuals.
+
+        Args:
+            linear: The least-squares problem linearised: N rows of D scalars by p parameters.
+            poses: shape (N,), rows of one number are repeats.
+
+        Returns:
+            shape (B,), intraclass correlation from 0 to 1; 1 where there are too few repeats.
+        """
         x, _, freedom = self.fit(linear)
         residual = linear.residual(x) / linear.noise_by_scalar(self.noise)
         scalars = np.sum(self.effective @ linear.used, axis=1)
@@ -265,9 +354,15 @@ class Stage:
         return rho
 
     def by_stops(self, linear: LinearProblem) -> Stage:
-        """Return the stage with the shares of stops estimated, see `calib.estimate.stop_errors`.
+        """Return the stage with the shares of variance that the targets of a stop have in common estimated.
 
-        They are zero where the noise is rounding.
+        A stop is a standstill of the robot at which several targets are measured; see `calib.estimate.stop_errors`.
+
+        Args:
+            linear: The least-squares problem linearised: N rows of D scalars by p parameters.
+
+        Returns:
+            The stage with a new `rho`, zero where the noise is rounding; itself where there are no stops.
         """
         if linear.stops is None:
             return self
@@ -277,7 +372,14 @@ class Stage:
         return replace(self, rho=np.where(rounding[:, :, None], 0.0, rho))
 
     def select(self, fits: Integers) -> Stage:
-        """Return the stage of some of the B fits, by their numbers."""
+        """Return the stage of some of the B fits.
+
+        Args:
+            fits: shape (n,), indices of the fits to keep, from 0.
+
+        Returns:
+            The stage of these n fits, in the order of ``fits``.
+        """
         return replace(
             self,
             kept=self.kept[fits],
@@ -292,11 +394,23 @@ class Stage:
         """Return the stage with some of the B fits replaced.
 
         Args:
-            fits: Numbers of the fits to replace, from 0, shape (n,).
+            fits: Indices of the fits to replace, from 0, shape (n,).
             new: A stage of these n fits alone, in the order of ``fits``.
+
+        Returns:
+            The stage of all B fits.
         """
 
         def joined(old_values: Array, new_values: Array) -> Array:
+            """A copy of an array of all fits, with the rows of the fits to replace exchanged.
+
+            Args:
+                old_values: shape (B, ...), of all B fits.
+                new_values: shape (n, ...), of the n fits to replace, in the order of ``fits``.
+
+            Returns:
+                shape (B, ...).
+            """
             values: Array = old_values.copy()
             values[fits] = new_values
             return values
@@ -320,19 +434,21 @@ def run_stages(
     """Estimate weights, noise and prior standard deviations of B fits, until they settle.
 
     Args:
-        stage: The first stage.
-        linear_at: Maps a stage to the problem linearised at its solution.
+        stage: The first stage: row weights, noise and prior standard deviations to begin with.
+        linear_at: Maps a stage to the least-squares problem linearised at its solution (N rows of D scalars by p
+            parameters); B fits share one linearisation.
         poses: shape (N,), rows of one number are repeats.
-        weighting: Treatment of the rows' weights.
+        weighting: Treatment of the rows' weights: of repeats, and of outliers.
 
     Returns:
         The last stage, and the degrees of freedom of the first fit, shape (B,): where they are few no row loses weight.
     """
     linear = linear_at(stage)
     stage = stage.sharing(linear, poses, weighting.repeats)
-    freedom = stage.fit(linear)[2]
+    _, _, freedom = stage.fit(linear)
     robust = weighting.robust and bool(np.any(freedom > FEWEST_FREEDOM))
-    for by_likelihood in (False, True) if robust else (True,):
+    by_likelihood_in_turn = (False, True) if robust else (True,)
+    for by_likelihood in by_likelihood_in_turn:
         moving = np.arange(len(stage.kept))  # the fits that have not settled
         for _ in range(_ROUNDS):
             before = stage.select(moving)
@@ -352,7 +468,17 @@ def run_stages(
 
 
 def _has_settled(before: Stage, after: Stage, *, weights_only: bool) -> Mask:
-    """Mask of the fits that no longer change from one stage to the next, shape (B,)."""
+    """Mask of the fits that no longer change from one stage to the next.
+
+    Args:
+        before: Row weights, noise and prior standard deviations of B fits.
+        after: The next stage of the same fits.
+        weights_only: True to compare the weights of the rows alone; False for noise, prior standard deviations and the
+            shares of stops too.
+
+    Returns:
+        shape (B,).
+    """
     change = np.abs(after.effective - before.effective).max(axis=1)
     settled: Mask = change < _SETTLED_WEIGHT
     if weights_only:

@@ -40,13 +40,23 @@ class Task:
     allow_absent: bool = False
 
     def check_solver(self) -> None:
-        """Raise `ModelError` where the solver's name is unknown."""
+        """Raise `ModelError` where `solver` is a name that is unknown; a solver itself, a callable, is any.
+
+        Raises:
+            ModelError: No such solver.
+        """
         names = (*SOLVERS, PAPER)
         if not callable(self.solver) and self.solver not in names:
             raise ModelError(f"There is no solver '{self.solver}'. Choose one of {choices(names)}.")
 
     def error_model(self) -> ErrorModel:
         """Return the parameters that are estimated: of the robot, frames and targets, without frozen and tied ones.
+
+        Uses the task's `robot`, `model`, `setup` and `cell` (gravity, frozen and tied parameters), and `allow_absent`.
+
+        Returns:
+            The p parameters, in the order of the parameter vector x: of the robot's model, then of the frames and
+            targets that are estimated; and the terms tied to them.
 
         Raises:
             ModelError: An unknown model or parameter, or a frame or target that is frozen or tied.
@@ -61,17 +71,9 @@ class Task:
             rotation=setup.rotation,
             gravity=self.cell.gravity,
         )
-        frozen, ties = self.cell.frozen, self.cell.ties
-        leaders = [leader for leader, _ in ties.values()]
-        named = {*frozen, *ties, *leaders}
-        of_setup = [
-            parameter for parameter in model.parameters if parameter.family in (FRAME, TARGET)
-        ]
-        refused = [parameter.name for parameter in of_setup if parameter.name in named]
-        if refused:
-            raise ModelError(
-                f"{choices(refused)} cannot be frozen or tied: a frame or target is whole."
-            )
+        self._check_setup_is_whole(model)
+        frozen = self.cell.frozen
+        ties = self.cell.ties
         if self.allow_absent:
             frozen = tuple(name for name in frozen if name in model.names and name not in ties)
             ties = {
@@ -80,3 +82,27 @@ class Task:
                 if name in model.names and tie[0] in model.names
             }
         return model.tied(ties).without(frozen)
+
+    def _check_setup_is_whole(self, model: ErrorModel) -> None:
+        """Raise `ModelError` where the cell freezes or ties a parameter of a frame or target.
+
+        Uses the names in ``cell.frozen``, and in ``cell.ties``, a mapping from a follower's name to its leader's name
+        and a factor.
+
+        Args:
+            model: The parameters of robot, frames and targets, none of them frozen or tied yet.
+
+        Raises:
+            ModelError: Such a parameter is frozen, is tied to another one, or another one to it.
+        """
+        ties = self.cell.ties
+        leaders = [leader for leader, _ in ties.values()]
+        named = {*self.cell.frozen, *ties, *leaders}
+        of_setup = [
+            parameter.name for parameter in model.parameters if parameter.family in (FRAME, TARGET)
+        ]
+        refused = [name for name in of_setup if name in named]
+        if refused:
+            raise ModelError(
+                f"{choices(refused)} cannot be frozen or tied: a frame or target is whole."
+            )

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib.data.cell import Cell, Priors
-from calib.estimate.bounds import _pulled_inwards
+from calib.estimate.bounds import _pulled_inwards, _without_holds
 from calib.estimate.prior_terms import PriorTerms
 from tests.estimate.scene_fits import fitted
 
@@ -63,3 +63,20 @@ def test_bounds_hold_and_let_go_of_what_they_no_longer_hold(make_scene):
         for k in e.at_bound:
             assert slope[k] * np.sign(e.x[k]) < 1e-3 * np.sqrt(bend[k])
     assert stopped > 20
+
+
+def test_without_holds_each_parameter_has_its_usual_prior(make_scene):
+    """That of its family as estimated, or as given where all of its family were held."""
+    scene = make_scene(0, frames=[np.eye(4)], noise=1e-4)
+    found, _ = fitted(scene, scene.points(25), Cell(), robust=False)
+    estimate, model = found.estimate, found.kinematics.model
+    prior = PriorTerms.of(found.task, model, found.setup)
+    k = model.index("d1")
+    held = prior.at_bounds({k: 1e-3})
+    problem = replace(estimate.problem, precision=held.precision, centre=held.centre)
+    released = _without_holds(replace(estimate, problem=problem), prior)
+    np.testing.assert_allclose(released.precision, estimate.problem.precision)
+    assert released.centre[k] == 0.0
+    without_length = {name: std for name, std in estimate.prior_std.items() if name != "length"}
+    released = _without_holds(replace(estimate, prior_std=without_length), prior)
+    assert released.precision[k] == pytest.approx(prior.start[prior.names.index("length")] ** -2)

@@ -11,7 +11,7 @@ from scipy.special import stdtrit
 from calib.calibration import calibrate
 from calib.data.cell import Cell, GroupDistance
 from calib.errors import MeasurementError, ModelError
-from calib.estimate.fitting import fit
+from calib.estimate.fitting import _with_new_places, fit
 from calib.model.error_model import MODELS, error_model
 from calib.model.kinematics import Kinematics
 from calib.model.parameters import Parameter
@@ -211,3 +211,22 @@ def test_what_an_estimated_frame_takes_leaves_no_trace_on_the_first_joint(
     assert any(1e-8 < abs(p.delta) < 1e-7 for p in traced.parameters if p.name in own)
     apart = np.abs(traced.residual_calibrated - result.residual_calibrated).max()
     assert apart < 1e-9
+
+
+def test_places_that_a_fit_did_not_see_are_those_of_the_held_out_rows(make_scene, join):
+    scene = make_scene(1, frames=3, targets=2)
+    task, _ = task_of(scene, join(scene.points(5), scene.points(5, 1, 1), scene.points(5, 2)), FREE)
+    nothing = np.zeros(2, dtype=bool)
+    fitted_setup = task.setup.with_fixed(np.array([False, True, True]), nothing)
+    held_out = task.setup.with_fixed(np.array([True, True, False]), np.array([True, False]))
+    fitted_setup = replace(fitted_setup, target_unknown=np.array([True, False]))
+    T_frame_base = np.tile(2.0 * np.eye(4), (3, 1, 1))
+    T_tip_target = np.tile(np.eye(4), (2, 1, 1))
+    T_tip_target[:, 0, 3] = 0.7
+    both = _with_new_places(fitted_setup, held_out, held_out.placed(T_frame_base, T_tip_target))
+    np.testing.assert_array_equal(both.T_frame_base[:2], fitted_setup.T_frame_base[:2])
+    np.testing.assert_array_equal(both.T_frame_base[2], T_frame_base[2])
+    np.testing.assert_array_equal(both.T_tip_target[0], fitted_setup.T_tip_target[0])
+    np.testing.assert_array_equal(both.T_tip_target[1], T_tip_target[1])
+    assert [bool(directions) for directions in both.unknown] == [True, False, True]
+    assert both.target_unknown.tolist() == [True, True]

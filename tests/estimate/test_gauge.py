@@ -10,7 +10,7 @@ import pytest
 from calib.calibration import calibrate
 from calib.data.cell import Cell, GroupDistance
 from calib.estimate.fitting import fit
-from calib.estimate.gauge import size_gauge
+from calib.estimate.gauge import _with_setup_growth, size_gauge
 from calib.estimate.problem import Problem
 from calib.estimate.task import Task
 from calib.model.dh_table import dh_table
@@ -225,3 +225,17 @@ def test_without_a_known_distance_as_good_as_with_one(make_scene, join, arm, see
     assert alone < 1.1 * known
     assert abs(size) < 1e-3
     assert result.verdict.use == "use"
+
+
+def test_frames_and_targets_grow_so_that_predictions_stay():
+    rng = np.random.default_rng(5)
+    derivative = rng.normal(size=(6, 3, 4))
+    used = rng.uniform(size=(6, 3)) < 0.8
+    of_setup = np.array([False, False, True, True])
+    # What the robot's parameters change, the setup's can undo where it is measured.
+    derivative[:, :, 0] = derivative[:, :, 2] - 2.0 * derivative[:, :, 3]
+    derivative[~used, 0] += 5.0
+    growth = np.array([0.3, 0.0, 0.0, 0.0])
+    grown = _with_setup_growth(growth, derivative, used, of_setup)
+    np.testing.assert_allclose(grown, [0.3, 0.0, -0.3, 0.6])
+    assert growth.tolist() == [0.3, 0.0, 0.0, 0.0]

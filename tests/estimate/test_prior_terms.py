@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from calib.data.cell import Priors
 from calib.model.error_model import error_model
 from calib.model.families import ZERO
 from calib.model.parameters import FRAME, TARGET
@@ -44,3 +45,9 @@ def test_a_parameter_at_its_bound_stays_there(virtual, model):
     assert holds.centre[k] == 2e-3
     assert holds.precision[k] > 1e15
     assert not any(members[k] for members in holds.families)
+
+
+def test_where_priors_are_off_all_families_have_a_weak_one(virtual, model):
+    holds = prior_terms(virtual, model, priors=Priors("off"))
+    assert holds.start == (1.0, 1.0, 1.0, 1.0)
+    assert holds.source == "off"

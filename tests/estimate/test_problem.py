@@ -94,3 +94,10 @@ def test_a_known_distance_is_that_between_the_frames_origins_in_the_base(make_sc
     assert not np.any(J[:, ~model.family("(frame)")])
     numeric = differences(lambda v: problem.constraints(v)[0], np.zeros(problem.size), 1e-3)
     np.testing.assert_allclose(-J * 1e-4, numeric * 1e-4, atol=1e-7)
+
+
+def test_the_smallest_noise_is_rounding_of_what_is_measured(virtual):
+    """Ten nanometres, in units of the sigma of the typical row."""
+    rows = virtual.rows(np.random.default_rng(4), np.zeros(27), 3, 0.0)
+    rows = replace(rows, sigma=np.array([1e-5, 1e-4, 1e-3]))
+    assert Problem.initial(virtual.kinematics, rows).smallest_noise == pytest.approx((1e-4,))

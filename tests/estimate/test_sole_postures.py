@@ -11,7 +11,7 @@ from calib.calibration import calibrate
 from calib.data.cell import Cell, Priors
 from calib.data.measurements import Measurements
 from calib.estimate.fitting import Fitted, fit
-from calib.estimate.sole_postures import _Update
+from calib.estimate.sole_postures import _joseph_update, _Update
 from calib.estimate.task import Task
 from calib.registration.table_rows import rows_and_setup
 from calib.robot.ranges import random_joint_values
@@ -208,3 +208,18 @@ def test_the_update_s_derivative_is_minus_that_of_its_residual(ur3, truth):
         np.testing.assert_allclose(-derivative[:, k] / scale, slope / scale, atol=1e-5)
         assert np.any(slope[-p - 2 : -p])
         assert np.any(slope[-p:])
+
+
+def test_the_gain_of_least_variance_adds_up_information():
+    """With Kalman's gain the Joseph form is the inverse of the sum of both informations."""
+    rng = np.random.default_rng(4)
+    root = rng.normal(size=(5, 5))
+    covariance = root @ root.T
+    A = rng.normal(size=(2, 5))
+    gain = covariance @ A.T @ np.linalg.inv(A @ covariance @ A.T + np.eye(2))
+    expected = np.linalg.inv(np.linalg.inv(covariance) + A.T @ A)
+    np.testing.assert_allclose(_joseph_update(covariance, gain, A), expected, rtol=1e-9)
+    # Another gain leaves a larger variance.
+    worse = _joseph_update(covariance, 0.5 * gain, A) - expected
+    assert np.min(np.linalg.eigvalsh(worse)) > -1e-9
+    assert np.max(np.linalg.eigvalsh(worse)) > 1e-3

@@ -1,0 +1,91 @@
+"""Bodies of stops: which rows are of one stop, and how their scalars change with the displacement of its body.
+
+A stop is one standstill of the robot at which several targets are measured, which are parts of one rigid body; see
+`calib.estimate.stop_errors`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.estimate.stop_shares import ROTATION, TRANSLATION, transposed
+from calib.registration.rows import Rows
+from calib.registration.same_poses import same_poses
+from calib.units import Array, Integers
+
+
+def stop_of_rows(rows: Rows) -> Integers | None:
+    """Number the stop of each row: one standstill of the robot at which several targets are measured.
+
+    Args:
+        rows: N rows of measurements: joint values, frame and target of each.
+
+    Returns:
+        shape (N,), number of each row's stop, >= 0, the same for all rows of a stop; -1 for rows of a stop with one
+        target, or of a kind that measures no position. None where all are such.
+    """
+    target = rows.samples.target
+    if not len(rows) or target.min() == target.max():
+        return None
+    # The two poses of a pair are one block.
+    pose = same_poses(rows.joints) if np.any(rows.partner >= 0) else rows.blocks
+    labels = np.column_stack([pose, rows.samples.frame, rows.kinds])
+    stop = np.unique(labels, axis=0, return_inverse=True)[1].reshape(-1)
+    stop_and_target = np.unique(np.column_stack([stop, target]), axis=0)
+    targets_of_stop = np.bincount(stop_and_target[:, 0])
+    several = targets_of_stop[stop] > 1
+    chosen = several & rows.where(lambda kind: kind.position)
+    if not np.any(chosen):
+        return None
+    return np.where(chosen, stop, -1)
+
+
+def twists_of_bodies(points: Array, stops: Integers, counts: Array) -> Array:
+    """Differentiate points by the displacements of their bodies, which turn about the centroids of their points.
+
+    Args:
+        points: shape (K, 3), positions of K measured targets in their measurement frames [m].
+        stops: shape (K,), points of one number are of one body, which is the body at one stop.
+        counts: shape (K,), weight of each point in its body's centroid.
+
+    Returns:
+        shape (K, 6, 6), twist of the target at each point along the frame's axes, linear then angular along the rows,
+        by a unit of each direction of its body's displacement along the columns: three translations [m], three
+        rotations [rad].
+    """
+    body = np.unique(stops, return_inverse=True)[1].reshape(-1)
+    sums = np.stack([np.bincount(body, counts * column) for column in points.T], axis=1)
+    centroids = sums / np.bincount(body, counts)[:, None]
+    lever = points - centroids[body]
+    twists = np.zeros((len(points), 6, 6))
+    twists[:] = np.eye(6)
+    # Column k is e_k x lever.
+    twists[:, :3, 3:] = transposed(np.cross(np.eye(3), lever[:, None]))
+    return twists
+
+
+def of_unit_size(J: Array, instruments: NDArray[np.int8], counts: Array) -> Array:
+    """Scale Jacobians by displacements of bodies so that their effect has mean square 1.
+
+    Each instrument's Jacobians by translations, and those by rotations, have a scale of their own.
+
+    Args:
+        J: shape (K, D, 6), derivative of the D scalars of each of K rows by its body's displacement: three
+            translations, three rotations.
+        instruments: shape (K, D), index of each scalar's instrument, from 0; -1 for no scalar.
+        counts: shape (K,), weight of each row in the mean.
+
+    Returns:
+        shape (K, D, 6), scaled; 0 where there is no scalar.
+    """
+    result = np.zeros(J.shape)
+    for c in range(int(instruments.max()) + 1):
+        of_instrument = instruments == c
+        weight = counts[:, None] * of_instrument
+        for part in (TRANSLATION, ROTATION):
+            square = float(np.sum(weight[:, :, None] * J[:, :, part] ** 2))
+            if square > 0.0:
+                scale = np.sqrt(np.sum(weight) / square)
+                result[:, :, part] += scale * of_instrument[:, :, None] * J[:, :, part]
+    return result

@@ -1,0 +1,262 @@
+"""The shares of a scalar's variance that the targets of a stop have in common, estimated from a fit's residuals.
+
+See `calib.estimate.stop_errors` for stops and their covariance V = noise^2 K, with K = kappa I + G G^T and the shares
+rho_t of translations and rho_r of rotations.
+
+The shares are estimated from the residual r of generalised least squares, E[r r^T] = V - A C A^T, by equations that
+end where the restricted likelihood is highest (R. D. Anderson, 1973; S. R. Searle, G. Casella, C. E. McCulloch,
+Variance Components, 1992): with the derivatives V_i of V by theta, which are noise^2 times kappa, rho_t and rho_r,
+
+    sum_j tr(V^-1 V_i V^-1 V_j) theta_j = tr(V^-1 V_i V^-1 [r r^T + A C A^T])
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.units import Array
+
+#: Columns of a body's translation.
+TRANSLATION = slice(0, 3)
+
+#: Columns of a body's rotation.
+ROTATION = slice(3, 6)
+
+#: The least kappa: no instrument's noise is less than a thousandth of what the targets of a stop share.
+_LEAST_UNSHARED = 1e-6
+
+#: With fewer degrees of freedom, of the bodies or of the targets within them, the shares are zero.
+_FEWEST_FREEDOM = 12
+
+#: The most iterations for the shares.
+_STEPS = 20
+
+#: Shares that change by less than this, relative to kappa, have settled.
+_SETTLED = 1e-4
+
+#: Divisor in place of zero.
+TINY = 1e-300
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _InverseCovariance:
+    """K^-1 of S stops by matrices of six rows: K^-1 = (I - J H J^T) / kappa, and K^-1 J = J T.
+
+    J has the derivatives of a stop's scalars by its body's displacement. With M = J^T J and the shares
+    D = diag(rho_t, rho_t, rho_t, rho_r, rho_r, rho_r), G G^T is J D J^T.
+    """
+
+    #: The share of a scalar's variance that is independent of the other targets of its stop
+    kappa: float
+    #: (S, 6, 6), (kappa I + D M)^-1
+    T: Array
+    #: (S, 6, 6), T D
+    H: Array
+
+    @classmethod
+    def of(cls, M: Array, rho: Array) -> _InverseCovariance:
+        """Invert the covariance of each stop.
+
+        Args:
+            M: shape (S, 6, 6), J^T J of each of S stops.
+            rho: shape (2,), the shares rho_t and rho_r of translations and rotations in the variance of a scalar.
+
+        Returns:
+            K^-1 of each stop, where K is the covariance of its scalars over the noise squared.
+        """
+        kappa = unshared(rho)
+        shares = root_shares(rho) ** 2
+        T: Array = np.asarray(np.linalg.inv(kappa * np.eye(6) + shares[:, None] * M))
+        return cls(kappa, T, T * shares)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Moments:
+    """The moments of an instrument's residual r at S stops, from which its shares are estimated, in any unit."""
+
+    #: (S, 6, 6), J^T J
+    M: Array
+    #: (S, 6, 6), J^T [r r^T + A C A^T] J
+    R: Array
+    #: The trace of r r^T + A C A^T, of all stops
+    total: float
+    #: The number of scalars
+    count: float
+
+    @classmethod
+    def joined(cls, parts: Sequence[Moments]) -> Moments:
+        """Join the moments of several parts of the stops.
+
+        Args:
+            parts: Moments of the parts, in the order of the stops, of the same fit and instrument; at least one.
+
+        Returns:
+            The moments of all stops: matrices of each stop in this order, and the sums over all.
+        """
+        total = 0.0
+        count = 0.0
+        for part in parts:
+            total += part.total
+            count += part.count
+        M = np.concatenate([part.M for part in parts])
+        R = np.concatenate([part.R for part in parts])
+        return cls(M, R, total, count)
+
+    def shares(self, rho: Array) -> Array:
+        """Estimate which shares of a scalar's variance translations and rotations of a stop's body have, by iteration.
+
+        All targets that are measured at one standstill of the robot (a stop) move with this body. Uses the moments of
+        the fit's residual over all stops: `M`, `R`, `total` and `count`.
+
+        Args:
+            rho: shape (2,), the shares rho_t of translations and rho_r of rotations to begin with.
+
+        Returns:
+            shape (2,), each from 0 to 1; zero where the degrees of freedom are few.
+        """
+        bodies = int(np.sum(np.linalg.matrix_rank(self.M, hermitian=True)))
+        if min(bodies, self.count - bodies) < _FEWEST_FREEDOM:
+            return np.zeros(2)
+        for _ in range(_STEPS):
+            before = rho
+            rho = _shares_of(self._components(rho))
+            if np.max(np.abs(rho - before)) < _SETTLED * unshared(rho):
+                break
+        return rho
+
+    def _components(self, rho: Array) -> Array:
+        """Estimate the variances theta of independent errors, translations and rotations, the last two >= 0.
+
+        Args:
+            rho: shape (2,), the shares of translations and rotations at which the equations for theta are set up.
+
+        Returns:
+            theta, shape (3,), in the square of the residual's unit.
+        """
+        inverse = _InverseCovariance.of(self.M, rho)
+        left = self._left_side(inverse)
+        right = self._right_side(inverse)
+        free = np.diagonal(left) > 0.0  # no translation moves angles
+        while True:
+            theta = np.zeros(3)
+            theta[free] = np.linalg.solve(left[np.ix_(free, free)], right[free])
+            if not np.any(theta[1:] < 0.0):
+                return theta
+            free[1 + int(np.argmin(theta[1:]))] = False
+
+    def _left_side(self, inverse: _InverseCovariance) -> Array:
+        """The matrix of the equations for theta, the variances of independent errors, translations and rotations.
+
+        The scalars of a stop have the covariance V = theta_0 I + theta_1 J_t J_t^T + theta_2 J_r J_r^T, where
+        J = [J_t, J_r] are their derivatives by translation and rotation of the body that all its targets are on. Uses
+        `M`, J^T J of each of S stops, and the `count` of scalars.
+
+        Args:
+            inverse: K^-1 of each of S stops, where K is V over the noise squared, at the shares as they are so far.
+
+        Returns:
+            tr(K^-1 K_i K^-1 K_j), shape (3, 3), where K_i is the derivative of the covariance V by theta_i.
+        """
+        HM = inverse.H @ self.M
+        MT = self.M @ inverse.T
+        TMT = transposed(inverse.T) @ self.M @ inverse.T
+        result = np.zeros((3, 3))
+        of_independent = self.count - 2.0 * _trace(HM) + _trace(HM @ HM)
+        result[0, 0] = of_independent / inverse.kappa**2
+        parts = (TRANSLATION, ROTATION)
+        for k, i in enumerate(parts, 1):
+            of_part = _trace(TMT[:, i, i])
+            result[0, k] = of_part
+            result[k, 0] = of_part
+            result[k, 1:] = [np.sum(MT[:, i, j] ** 2) for j in parts]
+        return result
+
+    def _right_side(self, inverse: _InverseCovariance) -> Array:
+        """The right side of the equations for theta, the variances of independent errors, translations and rotations.
+
+        The scalars of a stop have the covariance V = theta_0 I + theta_1 J_t J_t^T + theta_2 J_r J_r^T, where
+        J = [J_t, J_r] are their derivatives by translation and rotation of the body that all its targets are on. Uses
+        the moments of the fit's residual r, whose prediction has the covariance A C A^T: of each of S stops M and R,
+        and the total of all stops,
+
+            M = J^T J,    R = J^T [r r^T + A C A^T] J,    total = tr(r r^T + A C A^T)
+
+        Args:
+            inverse: K^-1 of each of S stops, where K is V over the noise squared, at the shares as they are so far.
+
+        Returns:
+            tr(K^-1 K_i K^-1 [r r^T + A C A^T]), shape (3,), in the square of the residual's unit, where K_i is the
+            derivative of the covariance V by theta_i.
+        """
+        HM = inverse.H @ self.M
+        HR = inverse.H @ self.R
+        TRT = transposed(inverse.T) @ self.R @ inverse.T
+        result = np.zeros(3)
+        of_independent = self.total - 2.0 * _trace(HR) + _trace(HM @ HR)
+        result[0] = of_independent / inverse.kappa**2
+        for k, part in enumerate((TRANSLATION, ROTATION), 1):
+            result[k] = _trace(TRT[:, part, part])
+        return result
+
+
+def _shares_of(theta: Array) -> Array:
+    """Return the shares of translations and rotations in the variance of a scalar, from the variances of its parts.
+
+    Args:
+        theta: shape (3,), variances of independent errors, of translations and of rotations; the last two >= 0.
+
+    Returns:
+        rho, shape (2,), of translations and rotations; their sum is at most 1 - 1e-6 (`_LEAST_UNSHARED`).
+    """
+    shares = theta[1:] / max(float(np.sum(theta)), TINY)
+    excess = float(np.sum(shares)) / (1.0 - _LEAST_UNSHARED)
+    return np.asarray(shares / max(excess, 1.0))
+
+
+def unshared(rho: Array) -> float:
+    """Return the share kappa of a scalar's variance that is independent of the other targets of its stop.
+
+    Args:
+        rho: shape (2,), the shares of its variance that the stop's translation and rotation have.
+
+    Returns:
+        kappa = 1 - rho_t - rho_r, but never below 1e-6 (`_LEAST_UNSHARED`).
+    """
+    return float(max(1.0 - np.sum(rho), _LEAST_UNSHARED))
+
+
+def root_shares(rho: Array) -> Array:
+    """Return the square root of the share of each direction of a body's displacement.
+
+    Args:
+        rho: shape (2,), the shares of translations and of rotations in the variance of a scalar.
+
+    Returns:
+        shape (6,): of the three translations, then of the three rotations.
+    """
+    return np.repeat(np.sqrt(rho), 3)
+
+
+def transposed(M: NDArray[np.floating]) -> Array:
+    """Return the transpose of each matrix of a stack.
+
+    Args:
+        M: shape (..., m, n).
+
+    Returns:
+        shape (..., n, m).
+    """
+    return np.asarray(M.swapaxes(-1, -2))
+
+
+def _trace(M: Array) -> float:
+    """Return the sum of the traces of a stack of matrices.
+
+    Args:
+        M: shape (S, n, n).
+    """
+    return float(np.einsum("sii->", M))

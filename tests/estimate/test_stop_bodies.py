@@ -1,0 +1,45 @@
+"""Bodies of stops: their displacement by hand, and the scale of its effect."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calib.estimate.stop_bodies import of_unit_size, twists_of_bodies
+
+
+def test_points_of_a_body_turn_about_their_weighted_centroid():
+    points = np.array([[1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [4.0, 0.0, 0.0], [5.0, 5.0, 5.0]])
+    stops = np.array([3, 3, 3, 8])
+    twists = twists_of_bodies(points, stops, np.array([1.0, 1.0, 2.0, 1.0]))
+    centroid = np.array([2.25, 0.5, 0.0])
+    np.testing.assert_array_equal(twists[:, :3, :3], np.tile(np.eye(3), (4, 1, 1)))
+    np.testing.assert_array_equal(twists[:, 3:, :3], 0.0)
+    np.testing.assert_array_equal(twists[:, 3:, 3:], np.tile(np.eye(3), (4, 1, 1)))
+    turn = np.array([0.1, -0.2, 0.3])
+    for k in range(3):
+        moved = twists[k, :3, 3:] @ turn
+        np.testing.assert_allclose(moved, np.cross(turn, points[k] - centroid))
+    # The only point of its body stays where it is.
+    np.testing.assert_array_equal(twists[3, :3, 3:], 0.0)
+
+
+def test_each_instrument_has_a_scale_of_its_own():
+    rng = np.random.default_rng(1)
+    J = rng.normal(size=(40, 2, 6))
+    instruments = np.tile(np.array([0, 1], dtype=np.int8), (40, 1))
+    instruments[30:, 1] = -1
+    J[:, 1, :3] = 0.0  # no translation moves an angle
+    counts = rng.uniform(0.5, 1.0, 40)
+    scaled = of_unit_size(J, instruments, counts)
+    np.testing.assert_array_equal(scaled[30:, 1], 0.0)
+    for column, part, expected in (
+        (0, slice(0, 3), 1.0),
+        (0, slice(3, 6), 1.0),
+        (1, slice(0, 3), 0.0),
+        (1, slice(3, 6), 1.0),
+    ):
+        measured = instruments[:, column] >= 0
+        squares = np.sum(scaled[measured, column, part] ** 2, axis=1)
+        assert np.average(squares, weights=counts[measured]) == pytest.approx(expected)
+    np.testing.assert_allclose(scaled[0, 0, :3] / scaled[5, 0, :3], J[0, 0, :3] / J[5, 0, :3])
