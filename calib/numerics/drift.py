@@ -71,7 +71,7 @@ class DriftTest:
 
     @property
     def drifted(self) -> bool:
-        """Whether the difference is more than chance."""
+        """True if the difference is more than chance."""
         return self.p < LEVEL
 
 
