@@ -109,7 +109,8 @@ class Circle(Plane):
     def arc(self) -> float:
         """Angle that the points cover: a full turn less the largest gap between neighbours [rad]."""
         ordered = np.sort(self.angles[self.used])
-        return float(2.0 * np.pi - np.diff(ordered, append=ordered[0] + 2.0 * np.pi).max())
+        gaps = np.diff(ordered, append=ordered[0] + 2.0 * np.pi)
+        return float(2.0 * np.pi - gaps.max())
 
     def turned(self) -> Circle:
         """Return the circle with the opposite normal."""
@@ -225,11 +226,12 @@ def _fit_robustly(
     Args:
         figure: Fits it to points (N, 3) [m] with weights (N,) of which some are used, (N,).
         points: shape (N, 3), [m].
-        sigma: See `fit_plane`.
-        robust: See `fit_plane`.
+        sigma: Standard deviation of a coordinate of each point, shape (N,) [m]; None: all alike, estimated from the
+            residuals.
+        robust: Whether outliers are rejected.
 
     Returns:
-        The figure with its covariance, and its radius [m].
+        The figure with its covariance, and its radius [m], infinite for a plane.
     """
     if len(points) < FEWEST:
         raise CalibError(
@@ -242,31 +244,89 @@ def _fit_robustly(
     if robust:
         used = _without_outliers(fit, weights)
     fitted = fit(used)
-    J = fitted.jacobian[used].reshape(-1, fitted.jacobian.shape[-1])
-    w = np.repeat(weights[used], fitted.residuals.shape[1])
-    e = fitted.residuals[used].ravel()
-    freedom = len(e) - J.shape[1]
-    noise = float(np.sqrt(w @ e**2 / freedom))
-    given = None if sigma is None else float(np.sqrt(np.mean(sigma**2)))
-    # The noise as given, if it was and the residuals are not larger than it makes them.
-    believed = given is not None and chdtrc(freedom, freedom * (noise / given) ** 2) >= LEVEL
-    std = given if given is not None and believed else noise
-    variance = max(std, FLOOR_M) ** 2
-    # Lengths beside angles: scaled before the inversion.
-    norm = np.sqrt(w @ J**2)
-    inverse = np.linalg.inv((J / norm).T @ (w[:, None] * (J / norm))) / np.outer(norm, norm)
+    noise = _Noise.of(fitted, used, weights, sigma)
+    inverse = _inverse_normal_matrix(fitted, used, weights)
     used.setflags(write=False)
     plane = Plane(
         point=read_only(fitted.point),
         basis=read_only(fitted.basis),
-        covariance=read_only(variance * inverse),
+        covariance=read_only(noise.variance * inverse),
         residuals=read_only(fitted.residuals),
         used=used,
-        noise=noise,
-        given=given,
-        dof=np.inf if believed else float(freedom),
+        noise=noise.estimated,
+        given=noise.given,
+        dof=noise.dof,
     )
     return plane, fitted.radius
+
+
+@dataclass(frozen=True, slots=True)
+class _Noise:
+    """Standard deviation of one coordinate of the points, as given and as the residuals have it."""
+
+    #: From the residuals [m]
+    estimated: float
+    #: Degrees of freedom of the residuals
+    freedom: int
+    #: As given, root of the mean square over the points [m]; None where none was
+    given: float | None
+
+    @classmethod
+    def of(cls, fitted: _Fit, used: Mask, weights: Array, sigma: Array | None) -> _Noise:
+        """Estimate the noise of a fit.
+
+        Args:
+            fitted: The figure, with the residuals of all N points.
+            used: shape (N,), points that it was fitted to.
+            weights: shape (N,), of the points.
+            sigma: Standard deviation of a coordinate of each point as given, shape (N,) [m]; None: not given.
+        """
+        count, k, p = fitted.jacobian[used].shape
+        freedom = count * k - p
+        w = np.repeat(weights[used], k)
+        e = fitted.residuals[used].ravel()
+        estimated = float(np.sqrt(w @ e**2 / freedom))
+        given = None if sigma is None else float(np.sqrt(np.mean(sigma**2)))
+        return cls(estimated, freedom, given)
+
+    @property
+    def believed(self) -> bool:
+        """True if the noise was given and the residuals are not larger than it makes them."""
+        if self.given is None:
+            return False
+        chi_square = self.freedom * (self.estimated / self.given) ** 2
+        return bool(chdtrc(self.freedom, chi_square) >= LEVEL)
+
+    @property
+    def variance(self) -> float:
+        """Variance of one coordinate [m^2]: the given one if it is believed, else that of the residuals."""
+        std = self.estimated
+        if self.given is not None and self.believed:
+            std = self.given
+        return max(std, FLOOR_M) ** 2
+
+    @property
+    def dof(self) -> float:
+        """Degrees of freedom of `variance`; infinite for the given one."""
+        return np.inf if self.believed else float(self.freedom)
+
+
+def _inverse_normal_matrix(fitted: _Fit, used: Mask, weights: Array) -> Array:
+    """Compute (J^T W J)^-1, shape (p, p): the covariance of a figure's displacements for noise of variance 1.
+
+    Args:
+        fitted: The figure, with the Jacobian J of the residuals of all N points.
+        used: shape (N,), points that it was fitted to.
+        weights: shape (N,), of the points.
+    """
+    _, k, p = fitted.jacobian.shape
+    J = fitted.jacobian[used].reshape(-1, p)
+    w = np.repeat(weights[used], k)
+    # Lengths beside angles: scaled before the inversion.
+    norm = np.sqrt(w @ J**2)
+    scaled = J / norm
+    normal_matrix = scaled.T @ (w[:, None] * scaled)
+    return np.asarray(np.linalg.inv(normal_matrix) / np.outer(norm, norm))
 
 
 def _without_outliers(fit: Callable[[Mask], _Fit], weights: Array) -> Mask:
@@ -279,23 +339,38 @@ def _without_outliers(fit: Callable[[Mask], _Fit], weights: Array) -> Mask:
     used = np.ones(len(weights), dtype=np.bool_)
     for _ in range(max(1, int(_SHARE * len(weights)))):
         residuals, jacobian, *_ = fit(used)
-        count, k, p = jacobian[used].shape
-        freedom = count * k - p - k
-        if freedom < k + 1:
-            break
         root = np.sqrt(weights[used])
         whitened = root[:, None] * residuals[used]
-        drop = _drop_by_point(whitened, root[:, None, None] * jacobian[used])
-        worst = int(np.argmax(drop))
-        if drop[worst] <= 0.0:
+        outlier = _outlier(whitened, root[:, None, None] * jacobian[used])
+        if outlier is None:
             break
-        total = float(np.sum(whitened**2))
-        remaining = max(total - drop[worst], np.finfo(np.float64).eps * total)
-        F = drop[worst] / k / (remaining / freedom)
-        if count * fdtrc(k, freedom, F) >= LEVEL:
-            break
-        used[np.flatnonzero(used)[worst]] = False
+        used[np.flatnonzero(used)[outlier]] = False
     return used
+
+
+def _outlier(residuals: Array, jacobian: Array) -> int | None:
+    """Return the number of the point that is an outlier more than all others, from 0; None where none is one.
+
+    Args:
+        residuals: Whitened, of the N points that a figure was fitted to, shape (N, k).
+        jacobian: Of these by the figure's p displacements, shape (N, k, p).
+    """
+    count, k, p = jacobian.shape
+    freedom = count * k - p - k
+    if freedom < k + 1:
+        return None
+    drops = _drop_by_point(residuals, jacobian)
+    worst = int(np.argmax(drops))
+    drop = drops[worst]
+    if drop <= 0.0:
+        return None
+    total = float(np.sum(residuals**2))
+    remaining = max(total - drop, np.finfo(np.float64).eps * total)
+    F = drop / k / (remaining / freedom)
+    # The largest of N points counts where N times its tail is small.
+    if count * fdtrc(k, freedom, F) >= LEVEL:
+        return None
+    return worst
 
 
 def _drop_by_point(residuals: Array, jacobian: Array) -> Array:
@@ -312,59 +387,125 @@ def _drop_by_point(residuals: Array, jacobian: Array) -> Array:
         shape (N,).
     """
     count, k, p = jacobian.shape
-    Q = np.linalg.qr(jacobian.reshape(-1, p))[0].reshape(count, k, p)
+    orthonormal, _ = np.linalg.qr(jacobian.reshape(-1, p))
+    Q = orthonormal.reshape(count, k, p)
     free = np.eye(k) - Q @ np.swapaxes(Q, 1, 2)
-    testable = np.linalg.eigvalsh(free)[:, 0] > _TESTABLE
-    deleted = np.linalg.solve(free[testable], residuals[testable][..., None])[..., 0]
+    least = np.linalg.eigvalsh(free)[:, 0]
+    testable = least > _TESTABLE
+    e = residuals[testable]
+    deleted = np.linalg.solve(free[testable], e[..., None])[..., 0]
     drop = np.zeros(count)
-    drop[testable] = np.einsum("ni,ni->n", residuals[testable], deleted)
+    drop[testable] = np.einsum("ni,ni->n", e, deleted)
     return drop
 
 
 def _plane_fit(points: Array, weights: Array, used: Mask) -> _Fit:
-    """Fit the plane of the points used."""
+    """Fit the plane of least weighted squared distances.
+
+    Args:
+        points: shape (N, 3), [m].
+        weights: shape (N,), of the points.
+        used: shape (N,), points that the plane is fitted to.
+    """
     point, basis = _principal_axes(points[used], weights[used])
     local = (points - point) @ basis
-    J = np.concatenate([-np.ones((len(points), 1)), local[:, :2]], axis=1)[:, None, :]
-    return _Fit(local[:, 2:], J, point, basis)
+    by_shift = -np.ones((len(points), 1))
+    J = np.concatenate([by_shift, local[:, :2]], axis=1)
+    return _Fit(local[:, 2:], J[:, None, :], point, basis)
 
 
 def _circle_fit(points: Array, weights: Array, used: Mask) -> _Fit:
-    """Fit the circle of the points used: Levenberg-Marquardt from the algebraic circle in their plane."""
-    fitted, w = points[used], weights[used]
-    mean, axes = _principal_axes(fitted, w)
-    # x^2 + y^2 = 2 a x + 2 b y + c
-    xy = (fitted - mean) @ axes[:, :2]
-    design = np.column_stack([2.0 * xy, np.ones(len(xy))])
-    a, b, c = np.linalg.lstsq(design, (xy**2).sum(axis=1), rcond=None)[0]
-    start = mean + axes @ [a, b, 0.0]
-    start_radius = float(np.sqrt(a * a + b * b + c))
-    B = _frame(axes[:, 2], fitted[0] - start)
-    root = np.sqrt(w / w.mean())[:, None]
+    """Fit the circle of least weighted squared distances: Levenberg-Marquardt from the algebraic circle.
 
-    def displaced(x: Array) -> tuple[Array, Array, float]:
-        """Return centre, basis and radius of the circle displaced by x, shape (6,)."""
-        n = B @ np.array([x[3], x[4], 1.0])
-        basis = _frame(n / np.linalg.norm(n), B[:, 0])
-        return start + B @ x[:3], basis, start_radius + float(x[5])
+    Args:
+        points: shape (N, 3), [m].
+        weights: shape (N,), of the points.
+        used: shape (N,), points that the circle is fitted to.
+    """
+    start = _algebraic_circle(points[used], weights[used])
+    circle = _nearest_circle(start, points[used], weights[used])
+    return _Fit(*circle_residuals(points, *circle), *circle)
+
+
+class _PlacedCircle(NamedTuple):
+    """A circle in space."""
+
+    #: (3,), [m]
+    center: Array
+    #: (3, 3), columns u, v, normal
+    basis: Array
+    #: [m]
+    radius: float
+
+    def displaced(self, x: Array) -> _PlacedCircle:
+        """Return the circle displaced.
+
+        Args:
+            x: shape (6,), displacement of the centre along u, v, normal [m], tilt of the normal towards u and v as the
+                tangent of its angle, and growth of the radius [m].
+        """
+        normal = self.basis @ np.array([x[3], x[4], 1.0])
+        basis = _frame(normal / np.linalg.norm(normal), self.basis[:, 0])
+        center = self.center + self.basis @ x[:3]
+        return _PlacedCircle(center, basis, self.radius + float(x[5]))
+
+
+def _algebraic_circle(points: Array, weights: Array) -> _PlacedCircle:
+    """Fit a circle in the plane of the points, by the linear equation x^2 + y^2 = 2 a x + 2 b y + c.
+
+    Args:
+        points: shape (N, 3), [m].
+        weights: shape (N,), of the points.
+    """
+    mean, axes = _principal_axes(points, weights)
+    xy = (points - mean) @ axes[:, :2]
+    design = np.column_stack([2.0 * xy, np.ones(len(xy))])
+    squares = (xy**2).sum(axis=1)
+    a, b, c = np.linalg.lstsq(design, squares, rcond=None)[0]
+    center = mean + axes @ [a, b, 0.0]
+    radius = float(np.sqrt(a * a + b * b + c))
+    return _PlacedCircle(center, _frame(axes[:, 2], points[0] - center), radius)
+
+
+def _nearest_circle(start: _PlacedCircle, points: Array, weights: Array) -> _PlacedCircle:
+    """Refine a circle to least weighted squared radial and axial distances, by Levenberg-Marquardt.
+
+    Args:
+        start: A circle near to the points.
+        points: shape (N, 3), [m].
+        weights: shape (N,), of the points.
+
+    Raises:
+        CalibError: It does not converge.
+    """
+    root = np.sqrt(weights / weights.mean())[:, None]
 
     def residuals(x: Array) -> Array:
-        return np.ravel(root * circle_residuals(fitted, *displaced(x))[0])
+        """Return the weighted distances of the points from the circle displaced by x, shape (2 N,)."""
+        distances, _ = circle_residuals(points, *start.displaced(x))
+        return np.ravel(root * distances)
 
     def jacobian(x: Array) -> Array:
         """Differentiate by displacements of the circle at x, which span what those of x do: the minimum is the same."""
-        return np.reshape(root[..., None] * circle_residuals(fitted, *displaced(x))[1], (-1, 6))
+        _, J = circle_residuals(points, *start.displaced(x))
+        return np.reshape(root[..., None] * J, (-1, 6))
 
     tight = dict.fromkeys(("xtol", "ftol", "gtol"), float(np.finfo(np.float64).eps))
     solution = least_squares(residuals, np.zeros(6), jacobian, method="lm", **tight)
     if solution.status <= 0:
         raise CalibError(_TOO_SHORT)
-    center, basis, radius = displaced(solution.x)
-    return _Fit(*circle_residuals(points, center, basis, radius), center, basis, radius)
+    return start.displaced(solution.x)
 
 
 def _principal_axes(points: Array, weights: Array) -> tuple[Array, Array]:
-    """Return weighted mean (3,) [m] and principal axes (3, 3), the longest first, of points (N, 3).
+    """Return weighted mean and principal axes of points.
+
+    Args:
+        points: shape (N, 3), [m].
+        weights: shape (N,), of the points.
+
+    Returns:
+        The mean, shape (3,) [m], and the axes, columns of a right-handed basis of shape (3, 3), the longest first.
 
     Raises:
         CalibError: The points are on a spot or a line.
@@ -384,7 +525,12 @@ def _principal_axes(points: Array, weights: Array) -> tuple[Array, Array]:
 
 
 def _frame(normal: Array, near: Array) -> Array:
-    """Return a right-handed basis, columns u, v, normal, shape (3, 3), with u as near as possible to a direction."""
+    """Return a right-handed basis, columns u, v, normal, shape (3, 3), with u as near as possible to a direction.
+
+    Args:
+        normal: shape (3,), unit vector.
+        near: shape (3,), direction, of any length but not along the normal.
+    """
     u = near - normal * (normal @ near)
     u = u / np.linalg.norm(u)
     return np.column_stack([u, np.cross(normal, u), normal])
