@@ -53,22 +53,6 @@ class Estimate:
     #: (p,), change of the estimate by the change of priors, x_q - x
     shift: Array
 
-    def variance_of(self, effect: Array) -> Array:
-        """Return the covariance of predictions by the data, shape (r, r).
-
-        Args:
-            effect: shape (r, p), derivative of r predictions by the parameters.
-        """
-        return np.asarray(effect @ self.covariance @ effect.T)
-
-    def prior_variance_of(self, effect: Array) -> Array:
-        """Return the covariance of predictions by the prior alone, shape (r, r).
-
-        Args:
-            effect: shape (r, p), derivative of r predictions by the parameters.
-        """
-        return np.asarray((effect * self.prior) @ effect.T)
-
 
 @dataclass(frozen=True, slots=True)
 class DriftTest:
@@ -160,18 +144,49 @@ def drift_test(
     """
     if not len(difference):
         return _NOT_TESTED
-    a, b = estimates
-    effect_a, effect_b = effects
-    by_data = (a.variance_of(effect_a), b.variance_of(effect_b))
-    by_prior = (a.prior_variance_of(effect_a) + b.prior_variance_of(effect_b)) / 2.0
+    by_data = _covariances_by_data(effects, estimates)
+    by_prior = _covariance_by_prior(effects, estimates)
     rounding = floor**2 * np.eye(len(difference))
     kept = _known_combinations(by_data[0] + by_data[1] + rounding, by_prior)
     if kept.shape[1] == 0:
         return _NOT_TESTED
     covariance = _covariance_of_difference(effects, joint) + rounding
     whitening = _whitening(kept, covariance)
+    a, b = estimates
     freedom = _welch_freedom(whitening, by_data, (a.freedom, b.freedom))
     return _f_test(whitening @ difference, freedom)
+
+
+def _covariances_by_data(
+    effects: tuple[Array, Array], estimates: tuple[Estimate, Estimate]
+) -> tuple[Array, Array]:
+    """Return the covariance of the predictions of each estimate, C of the parameters, shapes (r, r).
+
+    Args:
+        effects: Derivatives of r predictions by the parameters of a and of b, shapes (r, p_a) and (r, p_b).
+        estimates: The estimates a and b.
+    """
+    effect_a, effect_b = effects
+    a, b = estimates
+    by_a = effect_a @ a.covariance @ effect_a.T
+    by_b = effect_b @ b.covariance @ effect_b.T
+    return by_a, by_b
+
+
+def _covariance_by_prior(
+    effects: tuple[Array, Array], estimates: tuple[Estimate, Estimate]
+) -> Array:
+    """Return the covariance of the predictions by the prior alone, the mean of both, shape (r, r).
+
+    Args:
+        effects: Derivatives of r predictions by the parameters of a and of b, shapes (r, p_a) and (r, p_b).
+        estimates: The estimates a and b.
+    """
+    effect_a, effect_b = effects
+    a, b = estimates
+    by_a = (effect_a * a.prior) @ effect_a.T
+    by_b = (effect_b * b.prior) @ effect_b.T
+    return np.asarray((by_a + by_b) / 2.0)
 
 
 def _covariance_of_difference(effects: tuple[Array, Array], joint: Array) -> Array:

@@ -143,9 +143,9 @@ class NormalEquations:
         log_det_priors = np.sum(log_precision, axis=1)
         log_det_noise = 2.0 * np.sum(self.count * np.log(noise), axis=1)
         held_variance = np.sum(self.held_variance(family_precision), axis=1)
-        held = np.log1p(held_variance)
         square = self._posterior_square(noise, priors)
-        twice = log_det_noise + self.log_det - log_det_priors + log_det_M + square - held
+        twice = log_det_noise + self.log_det - log_det_priors + log_det_M + square
+        twice -= np.log1p(held_variance)
         return np.asarray(-0.5 * twice)
 
     def _posterior_square(self, noise: Array, priors: GaussianPriors) -> Array:

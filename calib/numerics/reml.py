@@ -82,7 +82,24 @@ def prior_std_by_reml(
     start_noise, _ = start
     bounds = _LogBounds.of(start_noise, limits)
     posterior = _LogPosterior.of(data, families, priors, limits.noise_spread)
-    logs = bounds.clipped(np.log(np.hstack(start)))
+    logs = _maximum(posterior, bounds, np.log(np.hstack(start)))
+    instruments = start_noise.shape[1]
+    values = np.exp(logs)
+    return values[:, :instruments], values[:, instruments:]
+
+
+def _maximum(posterior: _LogPosterior, bounds: _LogBounds, start: Array) -> Array:
+    """Maximise a function of the logarithms of noise and prior standard deviations, by damped Fisher scoring.
+
+    Args:
+        posterior: The function of the logarithms that is maximised, of B fits.
+        bounds: Bounds of the logarithms of the same fits.
+        start: shape (B, C + K), log noise and log prior standard deviations to begin with.
+
+    Returns:
+        shape (B, C + K), the logarithms of each fit where it converged, or after the last step.
+    """
+    logs = bounds.clipped(start)
     last_step = np.zeros_like(logs)
     moving = np.arange(len(logs))  # the fits that have not converged
     for _ in range(_ITERATIONS):
@@ -98,9 +115,7 @@ def prior_std_by_reml(
         moving = moving[change >= _CONVERGED]
         if not len(moving):
             break
-    instruments = start_noise.shape[1]
-    values = np.exp(logs)
-    return values[:, :instruments], values[:, instruments:]
+    return logs
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -270,8 +285,7 @@ def score_and_information(
     score[:, :C] = data.residual_square(mean) / np.square(noise) + _traces(HC) - data.count
     information[:, :C, :C] = _information_of_noise(HC, data.count)
     if len(members):
-        second_moment = mean**2 + diagonals(covariance)
-        score[:, C:] = _score_of_families(second_moment, prior_std, members)
+        score[:, C:] = _score_of_families(mean, covariance, prior_std, members)
         score[:, C:] += _score_of_held(data.held_variance(family_precision), members)
         mixed = _mixed_information(HC, covariance, members) / prior_std[:, None] ** 2
         information[:, :C, C:] = mixed
@@ -302,15 +316,16 @@ def _information_of_noise(HC: Array, count: Array) -> Array:
     return np.asarray(result)
 
 
-def _score_of_families(second_moment: Array, prior_std: Array, members: Array) -> Array:
+def _score_of_families(mean: Array, covariance: Array, prior_std: Array, members: Array) -> Array:
     """Gradient by log prior standard deviation, sum_k (m_k^2 + C_kk) / tau_f^2 - n_f, shape (B, K).
 
     Args:
-        second_moment: shape (B, p), posterior mean of the square of each parameter, m_k^2 + C_kk.
+        mean: shape (B, p), posterior mean m of the parameters.
+        covariance: shape (B, p, p), posterior covariance C of the parameters.
         prior_std: shape (B, K), tau_f of each family.
         members: shape (K, p), 1 for the parameters of each family, else 0.
     """
-    squares = second_moment @ members.T
+    squares = (mean**2 + diagonals(covariance)) @ members.T
     return np.asarray(squares / prior_std**2 - members.sum(axis=1))
 
 

@@ -282,9 +282,14 @@ def paper_levenberg_marquardt(
         length = float(np.linalg.norm(dx))
         trial = _Evaluation.of(system, at.x + dx)
         if length <= epsilon * (float(np.linalg.norm(at.x)) + epsilon):
-            message = "The step is shorter than epsilon (|X| + epsilon)."
-            calls = len(history) + 2
-            return Solution(trial.x, trial.cost, "converged", message, calls, tuple(history))
+            return Solution(
+                x=trial.x,
+                cost=trial.cost,
+                status="converged",
+                message="The step is shorter than epsilon (|X| + epsilon).",
+                evaluations=len(history) + 2,
+                history=tuple(history),
+            )
         predicted = float(dx @ (at.J.T @ at.r - mu * dx))
         gain = 2.0 * (trial.cost - at.cost) / predicted
         history.append(Iteration(at.cost, mu, gain, length, gain > 0))
