@@ -424,7 +424,8 @@ def _circle_fit(points: Array, weights: Array, used: Mask) -> _Fit:
     """
     start = _algebraic_circle(points[used], weights[used])
     circle = _nearest_circle(start, points[used], weights[used])
-    return _Fit(*circle_residuals(points, *circle), *circle)
+    residuals, J = circle_residuals(points, *circle)
+    return _Fit(residuals, J, circle.center, circle.basis, circle.radius)
 
 
 class _PlacedCircle(NamedTuple):

@@ -36,9 +36,9 @@ _ALONG = 1e-6
 class Rule:
     """The convention of rows, and the angle below which it takes axes as parallel."""
 
-    #: One of `CONVENTIONS`.
+    #: One of `calib.model.dh.CONVENTIONS`
     convention: str
-    #: Of the standard and modified conventions [rad].
+    #: Axes at a smaller angle are parallel, in the standard and modified conventions [rad]
     limit: float
 
     @property
@@ -66,21 +66,26 @@ class Rule:
 class Reference:
     """A row of the robot whose open choices are kept."""
 
-    #: The row.
+    #: The row
     row: DHRow
-    #: Shape (3,), x axis of its frame, in the base at q = 0.
+    #: Shape (3,), x axis of its frame, in the base at q = 0
     x: Array
-    #: Shape (4, 4), [m], pose of that robot's tip in frame n.
+    #: Shape (4, 4), [m], pose of that robot's tip in frame n
     T_n_tip: Array
 
 
 class RowNumbers(NamedTuple):
-    """The numbers of one row, [rad] and [m]."""
+    """The numbers of one row, from a frame on a joint's axis to the next axis."""
 
+    #: Angle about the axis, from x of the frame to the common normal [rad]
     theta: float
+    #: Distance along the axis, from the frame's origin to the foot of the common normal [m]
     d: float
+    #: Distance along the common normal, to the next axis [m]
     a: float
+    #: Angle about the common normal, from the axis to the next [rad]
     alpha: float
+    #: Tilt of the next axis along the normal, of Hayati's rows between nearly parallel axes; else 0 [rad]
     beta: float
 
 
@@ -109,9 +114,24 @@ def row_to(
         normal = -normal
     # Feet of the common normal: origin + d z + a normal = point + s axis.
     d, a, _ = np.linalg.solve(np.stack([z, normal, -axis], axis=1), between)
-    alpha = np.arctan2(cross(z, axis) @ normal, z @ axis)
-    theta = np.arctan2(cross(x, normal) @ z, x @ normal)
-    return RowNumbers(float(theta), float(d), float(a), float(alpha), 0.0)
+    return RowNumbers(
+        theta=_turn(x, normal, about=z),
+        d=float(d),
+        a=float(a),
+        alpha=_turn(z, axis, about=normal),
+        beta=0.0,
+    )
+
+
+def _turn(start: Array, end: Array, *, about: Array) -> float:
+    """Return the angle in (-pi, pi] by which a turn about an axis takes one vector to another [rad].
+
+    Args:
+        start: Shape (3,), unit vector across the axis.
+        end: Shape (3,), likewise.
+        about: Shape (3,), unit vector along the axis; the turn is positive by the right-hand rule.
+    """
+    return float(np.arctan2(cross(start, end) @ about, start @ end))
 
 
 def _offset(between: Array, z: Array, axis: Array) -> Array:
@@ -168,9 +188,8 @@ def _parallel_row(T: Array, axis: Array, offset: Array, near: Array, *, tilted: 
     beta = 0.0
     if tilted:
         beta = float(np.arcsin(np.clip(axis @ normal, -1.0, 1.0)))
-    alpha = np.arctan2(-(axis @ cross(z, normal)), axis @ z)
-    theta = np.arctan2(cross(x, normal) @ z, x @ normal)
-    return RowNumbers(float(theta), 0.0, a, float(alpha), beta)
+    alpha = float(np.arctan2(-(axis @ cross(z, normal)), axis @ z))
+    return RowNumbers(_turn(x, normal, about=z), 0.0, a, alpha, beta)
 
 
 def last_row(T: Array, T_base_tip: Array, reference: Reference | None, rule: Rule) -> RowNumbers:

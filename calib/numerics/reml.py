@@ -256,7 +256,7 @@ def _scoring_step(posterior: _LogPosterior, bounds: _LogBounds, logs: Array) -> 
     # A prior standard deviation that vanishes may be arbitrarily small: its steps do not raise the likelihood.
     rise = np.sum(step * score, axis=1)
     step[np.abs(rise) < _NO_RISE] = 0.0
-    return step
+    return np.asarray(step)
 
 
 def score_and_information(

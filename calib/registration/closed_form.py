@@ -41,14 +41,11 @@ def linear_setup(setup: Setup, T_base_tip: Array, rows: Rows) -> Setup | None:
         The setup with estimated translations, and targets turned as they were measured; None where a rotation of a
         frame is estimated, or a row measures other than three coordinates.
     """
-    unknown = {direction for directions in setup.unknown for direction in directions}
-    only_translations = unknown.issubset(_TRANSLATIONS)
-    if not only_translations or not all(kind.coordinates for kind in rows.present):
+    if not _is_linear(setup, rows):
         return None
     A, rhs = _linear_equations(setup, T_base_tip, rows)
     x, *_ = np.linalg.lstsq(A, rhs, rcond=_RANK_TOLERANCE)
-    targets = len(setup.targets)
-    positions, changes = np.split(x.reshape(-1, 3), [targets])
+    positions, changes = np.split(x.reshape(-1, 3), [len(setup.targets)])
     T_frame_base = setup.T_frame_base.copy()
     T_frame_base[:, :3, 3] += changes
     T_tip_target = setup.T_tip_target.copy()
@@ -59,6 +56,13 @@ def linear_setup(setup: Setup, T_base_tip: Array, rows: Rows) -> Setup | None:
     if setup.rotation:
         return with_measured_target_rotations(result, T_base_tip, rows)
     return result
+
+
+def _is_linear(setup: Setup, rows: Rows) -> bool:
+    """True if no rotation of a frame is estimated, and all rows measure three coordinates."""
+    unknown = {direction for directions in setup.unknown for direction in directions}
+    only_translations = unknown.issubset(_TRANSLATIONS)
+    return only_translations and all(kind.coordinates for kind in rows.present)
 
 
 def _linear_equations(setup: Setup, T_base_tip: Array, rows: Rows) -> tuple[Array, Array]:
@@ -231,7 +235,7 @@ def _frame_fitted(
         assert kind.locate is not None
         readings = measured[of_kind, : kind.size]
         return kind.locate(points[of_kind], readings, T_frame_base)
-    result = T_frame_base.copy()
+    result: Array = T_frame_base.copy()
     if np.any(has_position):
         measured_points = measured[has_position, :3]
         shift = _mean_shift(T_frame_base, directions, measured_points, points[has_position])

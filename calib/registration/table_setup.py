@@ -54,8 +54,7 @@ def measurement_setup(cell: Cell, measurements: Measurements, kinds: Integers) -
     group_of_row = np.array([groups.index(group) for group in measurements.groups])
     frames = []
     for g, group in enumerate(groups):
-        kinds_of_group = _kinds_in(kinds[group_of_row == g])
-        frames.append(_frame(cell, group, kinds_of_group))
+        frames.append(_frame(cell, group, kinds[group_of_row == g]))
     positions = [cell.targets.get(name, cell.target) for name in targets]
     rotation = any(kind.angles for kind in _kinds_in(kinds))
     return Setup(
@@ -73,15 +72,15 @@ def measurement_setup(cell: Cell, measurements: Measurements, kinds: Integers) -
     )
 
 
-def _frame(cell: Cell, group: str, kinds: list[Kind]) -> _Frame:
+def _frame(cell: Cell, group: str, kinds: Integers) -> _Frame:
     """The frame of a group: its pose as given, and its directions that are estimated.
 
     Args:
         cell: Frames that are given, and whether they are estimated.
         group: Name of the group.
-        kinds: Kinds of rows that the group has.
+        kinds: shape (n,), number of the kind of each row of the group.
     """
-    locating = [kind for kind in kinds if kind.directions]
+    locating = [kind for kind in _kinds_in(kinds) if kind.directions]
     given = cell.frames.get(group, cell.T_frame_base)
     # Frames of sockets, planes and anchors are estimated unless the cell gives this group's.
     part_of_scene = group not in cell.frames and all(kind.own_frame for kind in locating)
