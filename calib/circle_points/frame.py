@@ -68,16 +68,19 @@ def nominal_axes(robot: Robot) -> tuple[Line, ...]:
         UrdfError: A joint slides, is held or follows another, or the base moves.
     """
     n = len(robot.joints)
-    all_turn = all(j.type != "prismatic" and j.name in robot.joint_names for j in robot.joints)
-    independent = robot.coupling.shape == (n, n) and np.array_equal(robot.coupling, np.eye(n))
+    none_slides = all(joint.type != "prismatic" for joint in robot.joints)
+    none_held = all(joint.name in robot.joint_names for joint in robot.joints)
+    all_turn = none_slides and none_held
+    independent = np.array_equal(robot.coupling, np.eye(n))
     if not all_turn or not independent or robot.base_moves:
         raise UrdfError(
             f"'{robot.name}' from '{robot.base}' to '{robot.tip}': a base frame needs a chain of joints that turn one "
             "by one, none of them sliding, held or following another. Choose --base and --tip so that only such joints "
             "lie between them."
         )
+    T_base_joint, _ = zero_poses(robot)
     axes = []
-    for T, joint in zip(zero_poses(robot)[0], robot.joints, strict=True):
+    for T, joint in zip(T_base_joint, robot.joints, strict=True):
         axes.append(Line(T[:3, 3], T[:3, :3] @ np.asarray(joint.axis)))
     return tuple(axes)
 
@@ -167,8 +170,9 @@ def _degrees_of_freedom(parts: Array, dof_of_parts: Sequence[float]) -> Array:
     """
     variances = np.diagonal(parts, axis1=1, axis2=2)
     share = variances / np.diag(parts.sum(axis=0))
+    dof = np.array(dof_of_parts)[:, None]
     with np.errstate(divide="ignore"):
-        return np.asarray(1.0 / np.sum(share**2 / np.array(dof_of_parts)[:, None], axis=0))
+        return np.asarray(1.0 / np.sum(share**2 / dof, axis=0))
 
 
 def lines_of(plane: Plane, *circles: Circle, plane_offset: float) -> list[Line]:
@@ -189,7 +193,8 @@ def lines_of(plane: Plane, *circles: Circle, plane_offset: float) -> list[Line]:
             f"on which side the robot stands, as an offset of {1e3 * plane_offset:.6g} mm needs it. Fix the target "
             "higher up"
         )
-    mounting = Line(plane.point - np.sign(height) * plane_offset * plane.normal, plane.normal)
+    up = np.sign(height)
+    mounting = Line(plane.point - up * plane_offset * plane.normal, plane.normal)
     return [mounting, *(Line(circle.point, circle.normal) for circle in circles)]
 
 

@@ -59,7 +59,7 @@ class JointAxis:
 
     #: Name of the joint
     name: str
-    #: In the tracker's frame, its normal in the joint's positive sense: centre and normal are the axis
+    #: Of its sweep, in the tracker's frame, its normal in the joint's positive sense: centre and normal are the axis
     circle: Circle
     #: The points' numbers in the file
     rows: tuple[int, ...]

@@ -108,7 +108,8 @@ def row_to(
     between = point - T[:3, 3]
     if rule.parallel(sine, reference):
         near = x if reference is None else reference.x
-        return _parallel_row(T, axis, _offset(between, z, axis), near, tilted=rule.hayati)
+        offset = _offset(between, z, axis)
+        return _parallel_row(T, axis, offset, near, tilted=rule.hayati)
     normal /= sine
     if _points_backwards(normal, x, between, reference):
         normal = -normal
@@ -231,7 +232,8 @@ def _last_row_like(T: Array, T_base_tip: Array, reference: Reference) -> RowNumb
     """
     row = reference.row
     fixed = replace(row, theta=0.0, d=0.0).matrix()
-    turn = rigid_inverse(T) @ T_base_tip @ rigid_inverse(fixed @ reference.T_n_tip)
+    T_tip_row = rigid_inverse(fixed @ reference.T_n_tip)
+    turn = rigid_inverse(T) @ T_base_tip @ T_tip_row
     theta = np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])
     return RowNumbers(float(theta), float(turn[2, 3]), row.a, row.alpha, row.beta)
 

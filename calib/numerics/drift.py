@@ -248,6 +248,8 @@ def _welch_freedom(
         by_data: Covariance of the predictions of each of two results by its data, shapes (r, r).
         freedoms: Degrees of freedom of each result's noise; at least one is assumed.
     """
-    a, b = (float(np.trace(whitening @ covariance @ whitening.T)) for covariance in by_data)
+    of_a, of_b = by_data
+    a = float(np.trace(whitening @ of_a @ whitening.T))
+    b = float(np.trace(whitening @ of_b @ whitening.T))
     freedom_a, freedom_b = (max(freedom, 1.0) for freedom in freedoms)
     return (a + b) ** 2 / (a**2 / freedom_a + b**2 / freedom_b)
