@@ -118,7 +118,7 @@ def fit_plane(points: Array, sigma: Array | None = None, *, robust: bool = True)
         points: shape (N, 3), [m].
         sigma: Standard deviation of a coordinate of each point, shape (N,) [m]; None: all alike, estimated from the
             residuals.
-        robust: Whether outliers are rejected.
+        robust: True to reject outliers.
 
     Returns:
         The plane.
@@ -134,9 +134,10 @@ def fit_circle(points: Array, sigma: Array | None = None, *, robust: bool = True
     """Fit the circle of least orthogonal distances.
 
     Args:
-        points: See `fit_plane`.
-        sigma: See `fit_plane`.
-        robust: See `fit_plane`.
+        points: shape (N, 3), [m].
+        sigma: Standard deviation of a coordinate of each point, shape (N,) [m]; None: all alike, estimated from the
+            residuals.
+        robust: True to reject outliers.
 
     Returns:
         The circle.
@@ -169,7 +170,7 @@ def _fit_robustly(
         points: shape (N, 3), [m].
         sigma: Standard deviation of a coordinate of each point, shape (N,) [m]; None: all alike, estimated from the
             residuals.
-        robust: Whether outliers are rejected.
+        robust: True to reject outliers.
 
     Returns:
         The figure with its covariance, and its radius [m], infinite for a plane.

@@ -38,15 +38,16 @@ TOO_SHORT = (
 class FittedFigure(NamedTuple):
     """Plane or circle fitted to some of N points; residuals and Jacobian are those of all of them."""
 
-    #: (N, k) [m]
+    #: (N, k), signed distances of the points: k = 1 from a plane, radial and axial from a circle [m]
     residuals: Array
-    #: (N, k, p), of the residuals by the displacements of the figure
+    #: (N, k, p), derivative of the residuals by small displacements of the figure: along the normal [m] and the
+    #: normal's tilt towards u and v [rad] for a plane, p = 3; as in `circle_residuals` for a circle, p = 6
     jacobian: Array
     #: (3,), on the plane, or the centre [m]
     point: Array
     #: (3, 3), columns u, v, normal
     basis: Array
-    #: [m]
+    #: Of a circle [m]; infinite for a plane
     radius: float = np.inf
 
 
@@ -57,6 +58,12 @@ def nearest_plane(points: Array, weights: Array, used: Mask) -> FittedFigure:
         points: shape (N, 3), [m].
         weights: shape (N,), of the points.
         used: shape (N,), points that the plane is fitted to.
+
+    Returns:
+        The plane, with the residuals of all N points.
+
+    Raises:
+        CalibError: The points used are on a spot or a line.
     """
     point, basis = _principal_axes(points[used], weights[used])
     local = (points - point) @ basis
@@ -72,6 +79,13 @@ def nearest_circle(points: Array, weights: Array, used: Mask) -> FittedFigure:
         points: shape (N, 3), [m].
         weights: shape (N,), of the points.
         used: shape (N,), points that the circle is fitted to.
+
+    Returns:
+        The circle, u towards the first point used, with the residuals of all N points.
+
+    Raises:
+        CalibError: The points used are on a spot or a line, or the refinement does not converge.
+        ValueError: No circle is determined: its size is not finite.
     """
     start = _algebraic_circle(points[used], weights[used])
     circle = _refined_circle(start, points[used], weights[used])

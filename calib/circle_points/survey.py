@@ -120,7 +120,7 @@ def base_frame(
         sweeps: Of the plane, of the joints 1 and 2, and of others if they were swept.
         robot: Its URDF places the base frame on the axes; None: z is axis 1, y axis 2.
         plane_offset: Distance of the plane's points from it, towards the robot: the radius of the ball [m].
-        robust: Whether outliers are rejected, and named.
+        robust: True to reject outliers, and to name them in the findings.
 
     Returns:
         The base frame, the axes, and what is wrong with the sweeps.
@@ -165,7 +165,7 @@ def _fitted_figures(sweeps: Sweeps, *, robust: bool) -> tuple[Plane, list[Circle
 
     Args:
         sweeps: Of the plane, then of the joints from the first on.
-        robust: Whether outliers are rejected.
+        robust: True to reject outliers.
 
     Returns:
         The plane, and the circles, each with its normal in the joint's positive sense.
