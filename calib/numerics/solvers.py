@@ -89,7 +89,12 @@ class _Evaluation:
 
     @classmethod
     def of(cls, system: System, x: Array) -> _Evaluation:
-        """Evaluate a system at x, shape (p,)."""
+        """Evaluate a system.
+
+        Args:
+            system: Maps x to the residual r, shape (m,), and its Jacobian dr/dx, shape (m, p).
+            x: shape (p,).
+        """
         return cls(x, *system(x))
 
     @property
@@ -110,7 +115,15 @@ class _Step:
     length: float
 
     def gain(self, cost_before: float, cost_after: float) -> float:
-        """Actual over predicted decrease of E(x); minus infinity where E is not finite after the step."""
+        """Return the actual over the predicted decrease of E by the step.
+
+        Args:
+            cost_before: E before the step.
+            cost_after: E after it.
+
+        Returns:
+            > 0 where E falls; minus infinity where E is not finite after the step.
+        """
         if not np.isfinite(cost_after):
             return -np.inf
         return (cost_before - cost_after) / self.predicted
