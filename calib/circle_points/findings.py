@@ -40,11 +40,11 @@ class SweepFinding:
     """Something wrong with a sweep."""
 
     #: ``gross`` (an outlier), ``radial`` and ``axial`` (residuals of neighbours are correlated), ``scatter`` (the noise
-    #: is larger than sigma).
+    #: is larger than sigma)
     code: str
-    #: File, and row or sweep.
+    #: File, and row or sweep
     where: str
-    #: Distance of the outlier [m], the correlation, or the factor.
+    #: Distance of the outlier [m], the correlation, or the factor
     value: float
 
 
@@ -68,36 +68,80 @@ def with_positive_sense(
     """
     angles = circle.angles[circle.used]
     if values is None:
-        steps = np.angle(np.exp(1j * np.diff(angles)))
-        turn = float(steps.sum())
-        if abs(turn) < _ONE_WAY * float(np.abs(steps).sum()):
-            raise CalibError(
-                f"the points go round both ways, and their order must tell the sense of turning. {ORDER}"
-            )
-        return circle if turn > 0.0 else circle.turned()
-    ranges = np.ptp(values, axis=0)
-    if ranges[joint] < TURNED_RAD or np.any(np.delete(ranges, joint) > STILL_RAD):
-        turns = [
-            f"'{name}' {angle:.3g} deg"
-            for name, angle in zip(joint_names, np.degrees(ranges), strict=True)
-        ]
+        forward = _turns_forward_by_order(angles)
+    else:
+        _check_one_joint_turns(values, joint, joint_names)
+        forward = _turns_forward_by_values(angles, values[circle.used, joint])
+    return circle if forward else circle.turned()
+
+
+def _turns_forward_by_order(angles: Array) -> bool:
+    """Return True if points go round in the positive sense of their angles, from each to the next.
+
+    Args:
+        angles: shape (N,), of the points on the circle, in the order in which they were measured [rad].
+
+    Raises:
+        CalibError: They go round both ways.
+    """
+    steps = np.angle(np.exp(1j * np.diff(angles)))
+    turn = float(steps.sum())
+    if abs(turn) < _ONE_WAY * float(np.abs(steps).sum()):
         raise CalibError(
-            f"by their columns the joints turn by {', '.join(turns)}. In a sweep one "
-            "joint turns, as far as it can, and all others "
-            "do not move; name the joint that turns, or measure it again"
+            f"the points go round both ways, and their order must tell the sense of turning. {ORDER}"
         )
-    of_joint = values[circle.used, joint]
-    disagreement = []
-    for sign in (1.0, -1.0):
-        difference = np.exp(1j * (angles - sign * of_joint))
-        disagreement.append(float(np.angle(difference / difference.mean()).std()))
-    least = float(np.degrees(min(disagreement)))
-    if min(disagreement) > _DISAGREE_RAD:
+    return turn > 0.0
+
+
+def _check_one_joint_turns(values: Array, joint: int, joint_names: tuple[str, ...]) -> None:
+    """Raise `CalibError` unless one joint turns in a sweep and all others do not move.
+
+    Args:
+        values: shape (N, n), the joints' values at all points [rad].
+        joint: The joint that should turn, from 0.
+        joint_names: Names of the n joints, for messages.
+    """
+    ranges = np.ptp(values, axis=0)
+    turns_too_little = ranges[joint] < TURNED_RAD
+    others_turn = np.any(np.delete(ranges, joint) > STILL_RAD)
+    if not turns_too_little and not others_turn:
+        return
+    turns = [
+        f"'{name}' {angle:.3g} deg"
+        for name, angle in zip(joint_names, np.degrees(ranges), strict=True)
+    ]
+    raise CalibError(
+        f"by their columns the joints turn by {', '.join(turns)}. In a sweep one "
+        "joint turns, as far as it can, and all others "
+        "do not move; name the joint that turns, or measure it again"
+    )
+
+
+def _turns_forward_by_values(angles: Array, values: Array) -> bool:
+    """Return True if points go round in the positive sense of their angles as the joint's value rises.
+
+    Args:
+        angles: shape (N,), of the points on the circle [rad].
+        values: shape (N,), of the joint that turns [rad].
+
+    Raises:
+        CalibError: The points go round otherwise than the joint's values say.
+    """
+    forward = _disagreement(angles - values)
+    backward = _disagreement(angles + values)
+    least = min(forward, backward)
+    if least > _DISAGREE_RAD:
         raise CalibError(
-            f"the points turn otherwise than the joint's column says, by {least:.3g} deg rms. Check "
+            f"the points turn otherwise than the joint's column says, by {np.degrees(least):.3g} deg rms. Check "
             "that joint values and points are of the same rows, and the column's unit"
         )
-    return circle if disagreement[0] <= disagreement[1] else circle.turned()
+    return forward <= backward
+
+
+def _disagreement(differences: Array) -> float:
+    """Return the standard deviation of angles, shape (N,) [rad], about their circular mean."""
+    directions = np.exp(1j * differences)
+    return float(np.angle(directions / directions.mean()).std())
 
 
 def findings(sweep: Sweep, figure: Plane) -> Iterator[SweepFinding]:
@@ -113,9 +157,16 @@ def findings(sweep: Sweep, figure: Plane) -> Iterator[SweepFinding]:
     if isinstance(figure, Circle) and figure.used.sum() >= _FEWEST_TESTED:
         residuals = figure.residuals[figure.used]
         for e, code in zip(residuals.T, ("radial", "axial"), strict=True):
-            correlation = float(e[1:] @ e[:-1] / (e @ e)) if np.any(e) else 0.0
+            correlation = _correlation_of_neighbours(e)
             p_value = ndtr(-correlation * np.sqrt(len(e)))
             if p_value < 0.5 * LEVEL:
                 yield SweepFinding(code, sweep.where, correlation)
     if figure.given is not None and np.isfinite(figure.dof):
         yield SweepFinding("scatter", sweep.where, figure.noise / figure.given)
+
+
+def _correlation_of_neighbours(e: Array) -> float:
+    """Return the correlation of residuals (N,), in the order of measurement, with the next; 0 where all are zero."""
+    if not np.any(e):
+        return 0.0
+    return float(e[1:] @ e[:-1] / (e @ e))

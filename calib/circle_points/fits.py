@@ -1,13 +1,7 @@
-"""Planes and circles through points in space by least squares of the orthogonal distances, with their uncertainty.
+"""Planes and circles through points in space, robust against outliers, with their uncertainty.
 
-A point p lies off a circle (centre c, unit normal n, radius r) by two distances, in the circle's plane and across it:
-
-    radial = |p - c - axial n| - r          axial = n . (p - c)
-
-and the fit is the minimum of the weighted sum of their squares. Under equal noise in x, y, z that is the
-maximum-likelihood fit, and its centre has no essential bias on short arcs either (A. Al-Sharadqah and N. Chernov,
-Electronic Journal of Statistics 3, 2009). A plane is the total least-squares one. Uncertainties are covariances of
-small displacements along the columns (u, v, normal) of the figure's own basis, sigma^2 (J^T W J)^-1.
+The fits are those of `calib.circle_points.orthogonal_distances`. Uncertainties are covariances of small displacements
+along the columns (u, v, normal) of the figure's basis, sigma^2 (J^T W J)^-1.
 
 An outlier is a point whose own displacement explains more than chance does: with the point's k residuals e and
 their block H of the hat matrix, giving the point its own displacement lowers the sum of squares by e^T (I - H)^-1 e,
@@ -20,21 +14,23 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares
 from scipy.special import chdtrc, fdtrc
 
+from calib.circle_points.orthogonal_distances import (
+    TOO_SHORT,
+    FittedFigure,
+    nearest_circle,
+    nearest_plane,
+)
 from calib.errors import CalibError
 from calib.robot.robot import read_only
 from calib.units import Array, Mask
 
 #: Fewest points: those that determine the figure and one more, or there is nothing to tell the noise from.
 FEWEST = 4
-
-#: Points that stay within this do not move, rms about their mean [m].
-STILL_M = 1e-3
 
 #: No instrument is better than this, and without noise there is no covariance [m].
 FLOOR_M = 1e-9
@@ -45,22 +41,11 @@ LEVEL = 1e-3
 #: At most this share of the points are outliers.
 _SHARE = 0.1
 
-#: Points are on a line if they spread along the second axis by less than this share of the first one ...
-_THIN = 1e-9
-
-#: ... or by less than this many times their spread along the third.
-_IN_NOISE = 1.5
-
 #: A point is tested as an outlier if the least eigenvalue of its block of I - H is above this.
 _TESTABLE = 1e-6
 
 #: Where the radius is not known to this share of itself, the centre is not known either.
 _VAGUE = 0.25
-
-_TOO_SHORT = (
-    "the arc is too short for its noise: no circle can be told from others. Let the joint turn further, or fix the "
-    "target further from its axis"
-)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,7 +94,8 @@ class Circle(Plane):
     def arc(self) -> float:
         """Angle that the points cover: a full turn less the largest gap between neighbours [rad]."""
         ordered = np.sort(self.angles[self.used])
-        return float(2.0 * np.pi - np.diff(ordered, append=ordered[0] + 2.0 * np.pi).max())
+        gaps = np.diff(ordered, append=ordered[0] + 2.0 * np.pi)
+        return float(2.0 * np.pi - gaps.max())
 
     def turned(self) -> Circle:
         """Return the circle with the opposite normal."""
@@ -125,21 +111,6 @@ class Circle(Plane):
         )
 
 
-class _Fit(NamedTuple):
-    """Plane or circle fitted to some of N points; residuals and Jacobian are those of all of them."""
-
-    #: (N, k) [m]
-    residuals: Array
-    #: (N, k, p), of the residuals by the displacements of the figure
-    jacobian: Array
-    #: (3,), on the plane, or the centre [m]
-    point: Array
-    #: (3, 3), columns u, v, normal
-    basis: Array
-    #: [m]
-    radius: float = np.inf
-
-
 def fit_plane(points: Array, sigma: Array | None = None, *, robust: bool = True) -> Plane:
     """Fit the total least-squares plane.
 
@@ -147,7 +118,7 @@ def fit_plane(points: Array, sigma: Array | None = None, *, robust: bool = True)
         points: shape (N, 3), [m].
         sigma: Standard deviation of a coordinate of each point, shape (N,) [m]; None: all alike, estimated from the
             residuals.
-        robust: Whether outliers are rejected.
+        robust: True to reject outliers.
 
     Returns:
         The plane.
@@ -155,7 +126,7 @@ def fit_plane(points: Array, sigma: Array | None = None, *, robust: bool = True)
     Raises:
         CalibError: Fewer than four points, or points on a line.
     """
-    plane, _ = _fit_robustly(_plane_fit, points, sigma, robust=robust)
+    plane, _ = _fit_robustly(nearest_plane, points, sigma, robust=robust)
     return plane
 
 
@@ -163,9 +134,10 @@ def fit_circle(points: Array, sigma: Array | None = None, *, robust: bool = True
     """Fit the circle of least orthogonal distances.
 
     Args:
-        points: See `fit_plane`.
-        sigma: See `fit_plane`.
-        robust: See `fit_plane`.
+        points: shape (N, 3), [m].
+        sigma: Standard deviation of a coordinate of each point, shape (N,) [m]; None: all alike, estimated from the
+            residuals.
+        robust: True to reject outliers.
 
     Returns:
         The circle.
@@ -174,47 +146,18 @@ def fit_circle(points: Array, sigma: Array | None = None, *, robust: bool = True
         CalibError: Fewer than four points, points on a line, or an arc too short for its noise.
     """
     try:
-        plane, radius = _fit_robustly(_circle_fit, points, sigma, robust=robust)
+        plane, radius = _fit_robustly(nearest_circle, points, sigma, robust=robust)
     except ValueError as error:  # no size, or the radius has no effect that the centre has not
-        raise CalibError(_TOO_SHORT) from error
+        raise CalibError(TOO_SHORT) from error
     if not 0.0 <= plane.covariance[5, 5] <= (_VAGUE * radius) ** 2:
-        raise CalibError(_TOO_SHORT)
+        raise CalibError(TOO_SHORT)
     common: dict[str, Any] = {f.name: getattr(plane, f.name) for f in fields(plane)}
     u, v, _ = ((points - plane.point) @ plane.basis).T
     return Circle(**common, radius=radius, angles=read_only(np.arctan2(v, u)))
 
 
-def circle_residuals(
-    points: Array, center: Array, basis: Array, radius: float
-) -> tuple[Array, Array]:
-    """Compute radial and axial distances of points from a circle, and their derivatives.
-
-    Args:
-        points: shape (N, 3), [m].
-        center: shape (3,), [m].
-        basis: Columns u, v, normal, shape (3, 3).
-        radius: [m].
-
-    Returns:
-        Distances, shape (N, 2) [m], and their Jacobian, shape (N, 2, 6): by the centre's displacement along u, v,
-        normal [m], the normal's tilt towards u and v [rad], and the radius [m].
-    """
-    local = (points - center) @ basis
-    axial = local[:, 2]
-    across = np.hypot(local[:, 0], local[:, 1])
-    # A point on the axis has no direction in the plane; any will do.
-    e = local[:, :2] / np.where(across > 0.0, across, 1.0)[:, None]
-    J = np.zeros((len(points), 2, 6))
-    J[:, 0, :2] = -e
-    J[:, 0, 3:5] = -axial[:, None] * e
-    J[:, 0, 5] = -1.0
-    J[:, 1, 2] = -1.0
-    J[:, 1, 3:5] = local[:, :2]
-    return np.stack([across - radius, axial], axis=1), J
-
-
 def _fit_robustly(
-    figure: Callable[[Array, Array, Mask], _Fit],
+    figure: Callable[[Array, Array, Mask], FittedFigure],
     points: Array,
     sigma: Array | None,
     *,
@@ -225,11 +168,12 @@ def _fit_robustly(
     Args:
         figure: Fits it to points (N, 3) [m] with weights (N,) of which some are used, (N,).
         points: shape (N, 3), [m].
-        sigma: See `fit_plane`.
-        robust: See `fit_plane`.
+        sigma: Standard deviation of a coordinate of each point, shape (N,) [m]; None: all alike, estimated from the
+            residuals.
+        robust: True to reject outliers.
 
     Returns:
-        The figure with its covariance, and its radius [m].
+        The figure with its covariance, and its radius [m], infinite for a plane.
     """
     if len(points) < FEWEST:
         raise CalibError(
@@ -242,34 +186,92 @@ def _fit_robustly(
     if robust:
         used = _without_outliers(fit, weights)
     fitted = fit(used)
-    J = fitted.jacobian[used].reshape(-1, fitted.jacobian.shape[-1])
-    w = np.repeat(weights[used], fitted.residuals.shape[1])
-    e = fitted.residuals[used].ravel()
-    freedom = len(e) - J.shape[1]
-    noise = float(np.sqrt(w @ e**2 / freedom))
-    given = None if sigma is None else float(np.sqrt(np.mean(sigma**2)))
-    # The noise as given, if it was and the residuals are not larger than it makes them.
-    believed = given is not None and chdtrc(freedom, freedom * (noise / given) ** 2) >= LEVEL
-    std = given if given is not None and believed else noise
-    variance = max(std, FLOOR_M) ** 2
-    # Lengths beside angles: scaled before the inversion.
-    norm = np.sqrt(w @ J**2)
-    inverse = np.linalg.inv((J / norm).T @ (w[:, None] * (J / norm))) / np.outer(norm, norm)
+    noise = _Noise.of(fitted, used, weights, sigma)
+    inverse = _inverse_normal_matrix(fitted, used, weights)
     used.setflags(write=False)
     plane = Plane(
         point=read_only(fitted.point),
         basis=read_only(fitted.basis),
-        covariance=read_only(variance * inverse),
+        covariance=read_only(noise.variance * inverse),
         residuals=read_only(fitted.residuals),
         used=used,
-        noise=noise,
-        given=given,
-        dof=np.inf if believed else float(freedom),
+        noise=noise.estimated,
+        given=noise.given,
+        dof=noise.dof,
     )
     return plane, fitted.radius
 
 
-def _without_outliers(fit: Callable[[Mask], _Fit], weights: Array) -> Mask:
+@dataclass(frozen=True, slots=True)
+class _Noise:
+    """Standard deviation of one coordinate of the points, as given and as the residuals have it."""
+
+    #: From the residuals [m]
+    estimated: float
+    #: Degrees of freedom of the residuals
+    freedom: int
+    #: As given, root of the mean square over the points [m]; None where none was
+    given: float | None
+
+    @classmethod
+    def of(cls, fitted: FittedFigure, used: Mask, weights: Array, sigma: Array | None) -> _Noise:
+        """Estimate the noise of a fit.
+
+        Args:
+            fitted: The figure, with the residuals of all N points.
+            used: shape (N,), points that it was fitted to.
+            weights: shape (N,), of the points.
+            sigma: Standard deviation of a coordinate of each point as given, shape (N,) [m]; None: not given.
+        """
+        count, k, p = fitted.jacobian[used].shape
+        freedom = count * k - p
+        w = np.repeat(weights[used], k)
+        e = fitted.residuals[used].ravel()
+        estimated = float(np.sqrt(w @ e**2 / freedom))
+        given = None if sigma is None else float(np.sqrt(np.mean(sigma**2)))
+        return cls(estimated, freedom, given)
+
+    @property
+    def believed(self) -> bool:
+        """True if the noise was given and the residuals are not larger than it makes them."""
+        if self.given is None:
+            return False
+        chi_square = self.freedom * (self.estimated / self.given) ** 2
+        return bool(chdtrc(self.freedom, chi_square) >= LEVEL)
+
+    @property
+    def variance(self) -> float:
+        """Variance of one coordinate [m^2]: the given one if it is believed, else that of the residuals."""
+        std = self.estimated
+        if self.given is not None and self.believed:
+            std = self.given
+        return max(std, FLOOR_M) ** 2
+
+    @property
+    def dof(self) -> float:
+        """Degrees of freedom of `variance`; infinite for the given one."""
+        return np.inf if self.believed else float(self.freedom)
+
+
+def _inverse_normal_matrix(fitted: FittedFigure, used: Mask, weights: Array) -> Array:
+    """Compute (J^T W J)^-1, shape (p, p): the covariance of a figure's displacements for noise of variance 1.
+
+    Args:
+        fitted: The figure, with the Jacobian J of the residuals of all N points.
+        used: shape (N,), points that it was fitted to.
+        weights: shape (N,), of the points.
+    """
+    _, k, p = fitted.jacobian.shape
+    J = fitted.jacobian[used].reshape(-1, p)
+    w = np.repeat(weights[used], k)
+    # Lengths beside angles: scaled before the inversion.
+    norm = np.sqrt(w @ J**2)
+    scaled = J / norm
+    normal_matrix = scaled.T @ (w[:, None] * scaled)
+    return np.asarray(np.linalg.inv(normal_matrix) / np.outer(norm, norm))
+
+
+def _without_outliers(fit: Callable[[Mask], FittedFigure], weights: Array) -> Mask:
     """Return the points that are no outliers, shape (N,); see the module's text.
 
     Args:
@@ -279,23 +281,38 @@ def _without_outliers(fit: Callable[[Mask], _Fit], weights: Array) -> Mask:
     used = np.ones(len(weights), dtype=np.bool_)
     for _ in range(max(1, int(_SHARE * len(weights)))):
         residuals, jacobian, *_ = fit(used)
-        count, k, p = jacobian[used].shape
-        freedom = count * k - p - k
-        if freedom < k + 1:
-            break
         root = np.sqrt(weights[used])
         whitened = root[:, None] * residuals[used]
-        drop = _drop_by_point(whitened, root[:, None, None] * jacobian[used])
-        worst = int(np.argmax(drop))
-        if drop[worst] <= 0.0:
+        outlier = _outlier(whitened, root[:, None, None] * jacobian[used])
+        if outlier is None:
             break
-        total = float(np.sum(whitened**2))
-        remaining = max(total - drop[worst], np.finfo(np.float64).eps * total)
-        F = drop[worst] / k / (remaining / freedom)
-        if count * fdtrc(k, freedom, F) >= LEVEL:
-            break
-        used[np.flatnonzero(used)[worst]] = False
+        used[np.flatnonzero(used)[outlier]] = False
     return used
+
+
+def _outlier(residuals: Array, jacobian: Array) -> int | None:
+    """Return the number of the point that is an outlier more than all others, from 0; None where none is one.
+
+    Args:
+        residuals: Whitened, of the N points that a figure was fitted to, shape (N, k).
+        jacobian: Of these by the figure's p displacements, shape (N, k, p).
+    """
+    count, k, p = jacobian.shape
+    freedom = count * k - p - k
+    if freedom < k + 1:
+        return None
+    drops = _drop_by_point(residuals, jacobian)
+    worst = int(np.argmax(drops))
+    drop = drops[worst]
+    if drop <= 0.0:
+        return None
+    total = float(np.sum(residuals**2))
+    remaining = max(total - drop, np.finfo(np.float64).eps * total)
+    F = drop / k / (remaining / freedom)
+    # The largest of N points counts where N times its tail is small.
+    if count * fdtrc(k, freedom, F) >= LEVEL:
+        return None
+    return worst
 
 
 def _drop_by_point(residuals: Array, jacobian: Array) -> Array:
@@ -312,79 +329,13 @@ def _drop_by_point(residuals: Array, jacobian: Array) -> Array:
         shape (N,).
     """
     count, k, p = jacobian.shape
-    Q = np.linalg.qr(jacobian.reshape(-1, p))[0].reshape(count, k, p)
+    orthonormal, _ = np.linalg.qr(jacobian.reshape(-1, p))
+    Q = orthonormal.reshape(count, k, p)
     free = np.eye(k) - Q @ np.swapaxes(Q, 1, 2)
-    testable = np.linalg.eigvalsh(free)[:, 0] > _TESTABLE
-    deleted = np.linalg.solve(free[testable], residuals[testable][..., None])[..., 0]
+    least = np.linalg.eigvalsh(free)[:, 0]
+    testable = least > _TESTABLE
+    e = residuals[testable]
+    deleted = np.linalg.solve(free[testable], e[..., None])[..., 0]
     drop = np.zeros(count)
-    drop[testable] = np.einsum("ni,ni->n", residuals[testable], deleted)
+    drop[testable] = np.einsum("ni,ni->n", e, deleted)
     return drop
-
-
-def _plane_fit(points: Array, weights: Array, used: Mask) -> _Fit:
-    """Fit the plane of the points used."""
-    point, basis = _principal_axes(points[used], weights[used])
-    local = (points - point) @ basis
-    J = np.concatenate([-np.ones((len(points), 1)), local[:, :2]], axis=1)[:, None, :]
-    return _Fit(local[:, 2:], J, point, basis)
-
-
-def _circle_fit(points: Array, weights: Array, used: Mask) -> _Fit:
-    """Fit the circle of the points used: Levenberg-Marquardt from the algebraic circle in their plane."""
-    fitted, w = points[used], weights[used]
-    mean, axes = _principal_axes(fitted, w)
-    # x^2 + y^2 = 2 a x + 2 b y + c
-    xy = (fitted - mean) @ axes[:, :2]
-    design = np.column_stack([2.0 * xy, np.ones(len(xy))])
-    a, b, c = np.linalg.lstsq(design, (xy**2).sum(axis=1), rcond=None)[0]
-    start = mean + axes @ [a, b, 0.0]
-    start_radius = float(np.sqrt(a * a + b * b + c))
-    B = _frame(axes[:, 2], fitted[0] - start)
-    root = np.sqrt(w / w.mean())[:, None]
-
-    def displaced(x: Array) -> tuple[Array, Array, float]:
-        """Return centre, basis and radius of the circle displaced by x, shape (6,)."""
-        n = B @ np.array([x[3], x[4], 1.0])
-        basis = _frame(n / np.linalg.norm(n), B[:, 0])
-        return start + B @ x[:3], basis, start_radius + float(x[5])
-
-    def residuals(x: Array) -> Array:
-        return np.ravel(root * circle_residuals(fitted, *displaced(x))[0])
-
-    def jacobian(x: Array) -> Array:
-        """Differentiate by displacements of the circle at x, which span what those of x do: the minimum is the same."""
-        return np.reshape(root[..., None] * circle_residuals(fitted, *displaced(x))[1], (-1, 6))
-
-    tight = dict.fromkeys(("xtol", "ftol", "gtol"), float(np.finfo(np.float64).eps))
-    solution = least_squares(residuals, np.zeros(6), jacobian, method="lm", **tight)
-    if solution.status <= 0:
-        raise CalibError(_TOO_SHORT)
-    center, basis, radius = displaced(solution.x)
-    return _Fit(*circle_residuals(points, center, basis, radius), center, basis, radius)
-
-
-def _principal_axes(points: Array, weights: Array) -> tuple[Array, Array]:
-    """Return weighted mean (3,) [m] and principal axes (3, 3), the longest first, of points (N, 3).
-
-    Raises:
-        CalibError: The points are on a spot or a line.
-    """
-    mean: Array = weights @ points / weights.sum()
-    share = np.sqrt(weights / weights.sum())
-    _, spread, rows = np.linalg.svd(share[:, None] * (points - mean), full_matrices=False)
-    is_spot = np.linalg.norm(spread) < STILL_M
-    if is_spot or spread[1] <= max(_THIN * spread[0], _IN_NOISE * spread[2]):
-        raise CalibError(
-            f"the points are on a spot or a line (they spread over {1e3 * spread[0]:.3g} mm along it and "
-            f"{1e3 * spread[1]:.3g} mm across). Touch a plane at places well apart, and let a joint turn further"
-        )
-    basis = rows.T.copy()
-    basis[:, 2] *= np.sign(np.linalg.det(basis))
-    return mean, basis
-
-
-def _frame(normal: Array, near: Array) -> Array:
-    """Return a right-handed basis, columns u, v, normal, shape (3, 3), with u as near as possible to a direction."""
-    u = near - normal * (normal @ near)
-    u = u / np.linalg.norm(u)
-    return np.column_stack([u, np.cross(normal, u), normal])

@@ -44,14 +44,15 @@ _STEP = 3e-6
 class Line(NamedTuple):
     """Axis, or plane with its normal."""
 
-    #: Shape (3,), on it [m].
+    #: Shape (3,), on it [m]
     point: Array
-    #: Shape (3,), unit vector.
+    #: Shape (3,), unit vector
     direction: Array
 
     def seen_from(self, T: Array) -> Line:
         """Return the line in another frame, by the pose T (4, 4) of its own frame there [m]."""
-        return Line(T[:3, :3] @ self.point + T[:3, 3], T[:3, :3] @ self.direction)
+        R = T[:3, :3]
+        return Line(R @ self.point + T[:3, 3], R @ self.direction)
 
 
 def nominal_axes(robot: Robot) -> tuple[Line, ...]:
@@ -67,16 +68,19 @@ def nominal_axes(robot: Robot) -> tuple[Line, ...]:
         UrdfError: A joint slides, is held or follows another, or the base moves.
     """
     n = len(robot.joints)
-    all_turn = all(j.type != "prismatic" and j.name in robot.joint_names for j in robot.joints)
-    independent = robot.coupling.shape == (n, n) and np.array_equal(robot.coupling, np.eye(n))
+    none_slides = all(joint.type != "prismatic" for joint in robot.joints)
+    none_held = all(joint.name in robot.joint_names for joint in robot.joints)
+    all_turn = none_slides and none_held
+    independent = np.array_equal(robot.coupling, np.eye(n))
     if not all_turn or not independent or robot.base_moves:
         raise UrdfError(
             f"'{robot.name}' from '{robot.base}' to '{robot.tip}': a base frame needs a chain of joints that turn one "
             "by one, none of them sliding, held or following another. Choose --base and --tip so that only such joints "
             "lie between them."
         )
+    T_base_joint, _ = zero_poses(robot)
     axes = []
-    for T, joint in zip(zero_poses(robot)[0], robot.joints, strict=True):
+    for T, joint in zip(T_base_joint, robot.joints, strict=True):
         axes.append(Line(T[:3, 3], T[:3, :3] @ np.asarray(joint.axis)))
     return tuple(axes)
 
@@ -108,7 +112,9 @@ class BaseFrame:
         Args:
             share: Probability that it lies inside.
         """
-        return np.asarray(stdtrit(np.minimum(self.dof, 1e9), 0.5 + 0.5 * share) * self.std)
+        dof = np.minimum(self.dof, 1e9)
+        quantile = stdtrit(dof, 0.5 + 0.5 * share)
+        return np.asarray(quantile * self.std)
 
 
 def frame_of(
@@ -143,14 +149,30 @@ def frame_of(
     def twist(displaced: Sequence[Line]) -> Array:
         """Return the frame's displacement with that of the figures, as a twist in its own axes."""
         M = rigid_inverse(T) @ axes_frame(*displaced) @ X
-        return np.concatenate([M[:3, 3], 0.5 * (M - M.T)[[2, 0, 1], [1, 2, 0]]])
+        rotation = 0.5 * (M - M.T)[[2, 0, 1], [1, 2, 0]]
+        return np.concatenate([M[:3, 3], rotation])
 
     parts = np.array(propagated(twist, lines, figures))
     covariance = parts.sum(axis=0)
-    share = np.diagonal(parts, axis1=1, axis2=2) / np.diag(covariance)
-    with np.errstate(divide="ignore"):
-        dof = 1.0 / np.sum(share**2 / np.array([[figure.dof] for figure in figures]), axis=0)
+    dof = _degrees_of_freedom(parts, [figure.dof for figure in figures])
     return BaseFrame(read_only(T), read_only(covariance), read_only(dof))
+
+
+def _degrees_of_freedom(parts: Array, dof_of_parts: Sequence[float]) -> Array:
+    """Compute Welch's degrees of freedom of each variance of a sum; see the module's text.
+
+    Args:
+        parts: shape (K, n, n), contributions of K figures to the covariance of n numbers.
+        dof_of_parts: Degrees of freedom of each figure's noise; infinite where it was given.
+
+    Returns:
+        shape (n,).
+    """
+    variances = np.diagonal(parts, axis1=1, axis2=2)
+    share = variances / np.diag(parts.sum(axis=0))
+    dof = np.array(dof_of_parts)[:, None]
+    with np.errstate(divide="ignore"):
+        return np.asarray(1.0 / np.sum(share**2 / dof, axis=0))
 
 
 def lines_of(plane: Plane, *circles: Circle, plane_offset: float) -> list[Line]:
@@ -171,7 +193,8 @@ def lines_of(plane: Plane, *circles: Circle, plane_offset: float) -> list[Line]:
             f"on which side the robot stands, as an offset of {1e3 * plane_offset:.6g} mm needs it. Fix the target "
             "higher up"
         )
-    mounting = Line(plane.point - np.sign(height) * plane_offset * plane.normal, plane.normal)
+    up = np.sign(height)
+    mounting = Line(plane.point - up * plane_offset * plane.normal, plane.normal)
     return [mounting, *(Line(circle.point, circle.normal) for circle in circles)]
 
 
@@ -190,19 +213,29 @@ def propagated(
     """
     parts = []
     for i, figure in enumerate(figures):
-        # Columns of the basis along which the point moves, then two towards which the direction tilts.
-        along = figure.basis if isinstance(figure, Circle) else figure.basis[:, 2:]
-        moves = [(column, np.zeros(3)) for column in along.T]
-        moves += [(np.zeros(3), column) for column in figure.basis[:, :2].T]
-
         columns = []
-        for shift, tilt in moves:
+        for shift, tilt in _unit_displacements(figure):
             ahead = result(_displaced(lines, i, _STEP * shift, _STEP * tilt))
             behind = result(_displaced(lines, i, -_STEP * shift, -_STEP * tilt))
             columns.append((ahead - behind) / (2.0 * _STEP))
         D = np.column_stack(columns)
-        parts.append(D @ figure.covariance[: len(moves), : len(moves)] @ D.T)
+        # Without a circle's radius, which is last.
+        covariance = figure.covariance[: len(columns), : len(columns)]
+        parts.append(D @ covariance @ D.T)
     return parts
+
+
+def _unit_displacements(figure: Plane) -> list[tuple[Array, Array]]:
+    """Return the displacements of a plane or a circle's axis that its covariance is of, in that order.
+
+    Returns:
+        Shifts of the point, shape (3,) [m], with tilts of the direction, shape (3,) [rad], one of both zero: a shift
+        along the normal of a plane, along u, v, normal of a circle; then tilts towards u and v.
+    """
+    along = figure.basis if isinstance(figure, Circle) else figure.basis[:, 2:]
+    moves = [(column, np.zeros(3)) for column in along.T]
+    moves += [(np.zeros(3), column) for column in figure.basis[:, :2].T]
+    return moves
 
 
 def _displaced(lines: Sequence[Line], i: int, shift: Array, tilt: Array) -> list[Line]:

@@ -34,7 +34,7 @@ from calib.circle_points.frame import (
     nominal_axes_frame,
     propagated,
 )
-from calib.circle_points.sweeps import Sweep, Sweeps
+from calib.circle_points.sweeps import Sweeps
 from calib.errors import CalibError, MeasurementError, choices
 from calib.json_files import JsonLayout
 from calib.robot.robot import Robot, read_only, rigid_inverse
@@ -59,7 +59,7 @@ class JointAxis:
 
     #: Name of the joint
     name: str
-    #: In the tracker's frame, its normal in the joint's positive sense: centre and normal are the axis
+    #: Of its sweep, in the tracker's frame, its normal in the joint's positive sense: centre and normal are the axis
     circle: Circle
     #: The points' numbers in the file
     rows: tuple[int, ...]
@@ -120,7 +120,7 @@ def base_frame(
         sweeps: Of the plane, of the joints 1 and 2, and of others if they were swept.
         robot: Its URDF places the base frame on the axes; None: z is axis 1, y axis 2.
         plane_offset: Distance of the plane's points from it, towards the robot: the radius of the ball [m].
-        robust: Whether outliers are rejected, and named.
+        robust: True to reject outliers, and to name them in the findings.
 
     Returns:
         The base frame, the axes, and what is wrong with the sweeps.
@@ -130,12 +130,9 @@ def base_frame(
         UrdfError: The robot's chain is not one of turning joints.
     """
     _check_sweeps(sweeps)
-    touched, *swept = sweeps.sweeps
-    with _at(touched.where):
-        plane = fit_plane(touched.points, touched.sigma, robust=robust)
-    circles = [_circle(sweeps, joint, sweep, robust=robust) for joint, sweep in enumerate(swept)]
+    plane, circles = _fitted_figures(sweeps, robust=robust)
     nominal = None if robot is None else nominal_axes(robot)
-    values = [sweep.joints.mean(axis=0) for sweep in swept if sweep.joints is not None]
+    values = _mean_joint_values(sweeps)
     T_axes_base = _pose_of_base(nominal, values)
     with _at(f"{sweeps.source}, plane and sweeps of the joints 1 and 2"):
         frame = frame_of(plane, *circles[:2], plane_offset=plane_offset, T_axes_base=T_axes_base)
@@ -143,13 +140,11 @@ def base_frame(
         if not values:
             _check_upright(frame, circles[0], plane)
     geometry = _geometry_of_axes(lines, [plane, *circles], values, T_axes_base)
-    joints = _joint_axes(sweeps, swept, circles, geometry)
+    joints = _joint_axes(sweeps, circles, geometry)
     pairs = _axis_pairs(joints, geometry, nominal)
     if robot is not None:
         _check_pairs(pairs, robot)
-    figures = zip(sweeps.sweeps, [plane, *circles], strict=True)
-    about_sweeps = [finding for sweep, figure in figures for finding in findings(sweep, figure)]
-    return Survey(frame, plane, joints, pairs, tuple(about_sweeps))
+    return Survey(frame, plane, joints, pairs, _all_findings(sweeps, [plane, *circles]))
 
 
 def _check_sweeps(sweeps: Sweeps) -> None:
@@ -165,11 +160,44 @@ def _check_sweeps(sweeps: Sweeps) -> None:
         )
 
 
-def _circle(sweeps: Sweeps, joint: int, sweep: Sweep, *, robust: bool) -> Circle:
-    """Fit the circle of a sweep, its normal in the joint's positive sense."""
-    with _at(sweep.where):
-        circle = fit_circle(sweep.points, sweep.sigma, robust=robust)
-        return with_positive_sense(circle, sweep.joints, joint, sweeps.joint_names)
+def _fitted_figures(sweeps: Sweeps, *, robust: bool) -> tuple[Plane, list[Circle]]:
+    """Fit the mounting plane and the circle of each swept joint, in the tracker's frame.
+
+    Args:
+        sweeps: Of the plane, then of the joints from the first on.
+        robust: True to reject outliers.
+
+    Returns:
+        The plane, and the circles, each with its normal in the joint's positive sense.
+    """
+    touched, *swept = sweeps.sweeps
+    with _at(touched.where):
+        plane = fit_plane(touched.points, touched.sigma, robust=robust)
+    circles = []
+    for joint, sweep in enumerate(swept):
+        with _at(sweep.where):
+            circle = fit_circle(sweep.points, sweep.sigma, robust=robust)
+            circles.append(with_positive_sense(circle, sweep.joints, joint, sweeps.joint_names))
+    return plane, circles
+
+
+def _mean_joint_values(sweeps: Sweeps) -> list[Array]:
+    """Mean values of the n joints during each joint's sweep, each of shape (n,) [rad]; empty: none are known."""
+    swept = sweeps.sweeps[1:]
+    return [sweep.joints.mean(axis=0) for sweep in swept if sweep.joints is not None]
+
+
+def _all_findings(sweeps: Sweeps, figures: Sequence[Plane]) -> tuple[SweepFinding, ...]:
+    """Collect what is wrong with the sweeps.
+
+    Args:
+        sweeps: Of the plane, then of the joints.
+        figures: The plane and the circles through their points, in the same order.
+    """
+    result: list[SweepFinding] = []
+    for sweep, figure in zip(sweeps.sweeps, figures, strict=True):
+        result += findings(sweep, figure)
+    return tuple(result)
 
 
 def _pose_of_base(nominal: Sequence[Line] | None, values: Sequence[Array]) -> Array:
@@ -227,14 +255,17 @@ def _geometry_of_axes(
 
     def numbers(displaced: Sequence[Line]) -> Array:
         """Return points and directions of all axes in the base, then angles and distances, as one vector."""
-        T_base_tracker = rigid_inverse(axes_frame(*displaced[:3]) @ T_axes_base)
+        T_tracker_base = axes_frame(*displaced[:3]) @ T_axes_base
+        T_base_tracker = rigid_inverse(T_tracker_base)
         axes = [axis.seen_from(T_base_tracker) for axis in displaced[1:]]
-        neighbours = pairwise(_at_zero(displaced[1:], values))
-        return np.concatenate([np.ravel(axes), *(between(*pair) for pair in neighbours)])
+        axes_at_zero = _at_zero(displaced[1:], values)
+        neighbours = [between(first, second) for first, second in pairwise(axes_at_zero)]
+        return np.concatenate([np.ravel(axes), *neighbours])
 
     count = len(lines) - 1
     vector = read_only(numbers(lines))
-    covariance = read_only(np.sum(propagated(numbers, lines, figures), axis=0))
+    parts = propagated(numbers, lines, figures)
+    covariance = read_only(np.sum(parts, axis=0))
     std = np.sqrt(np.diag(covariance))
     blocks = [covariance[k : k + 6, k : k + 6] for k in range(0, 6 * count, 6)]
     return _Geometry(
@@ -246,9 +277,16 @@ def _geometry_of_axes(
 
 
 def _joint_axes(
-    sweeps: Sweeps, swept: Sequence[Sweep], circles: Sequence[Circle], geometry: _Geometry
+    sweeps: Sweeps, circles: Sequence[Circle], geometry: _Geometry
 ) -> tuple[JointAxis, ...]:
-    """Return the axis of each swept joint."""
+    """Return the axis of each swept joint, in the order of the chain.
+
+    Args:
+        sweeps: Of the plane, then of the joints.
+        circles: The circle of each joint, its normal in the joint's positive sense.
+        geometry: The axes in the base, with their covariance.
+    """
+    swept = sweeps.sweeps[1:]
     axes = []
     for k, (sweep, circle) in enumerate(zip(swept, circles, strict=True)):
         point, direction = read_only(geometry.axes[k])
@@ -353,7 +391,9 @@ def _at_zero(axes: Sequence[Line], values: Sequence[Array]) -> list[Line]:
     """
     at_zero: list[Line] = []
     for k, (point, direction) in enumerate(axes):
-        for axis, q in zip(at_zero, values[k] if values else (), strict=False):
+        joint_values = values[k] if values else ()
+        # The joints before this one, which are at zero already, in their order.
+        for axis, q in zip(at_zero, joint_values, strict=False):
             R = Rotation.from_rotvec(-q * axis.direction).as_matrix()
             point = axis.point + R @ (point - axis.point)
             direction = R @ direction

@@ -147,7 +147,9 @@ def _split(rows: _Rows, joint_names: tuple[str, ...]) -> Sweeps:
     for i, word in enumerate(rows.words):
         number = _number(word, joint_names)
         if number is None:
-            names = f"a joint's name ({choices(joint_names)}), or " if joint_names else ""
+            names = ""
+            if joint_names:
+                names = f"a joint's name ({choices(joint_names)}), or "
             raise MeasurementError(
                 f"{rows.source}, {rows.counted} {rows.numbers[i]}: '{word}' is not a sweep; "
                 f"allowed are '{PLANE}', {names}a joint's number, 'joint 1'."
@@ -158,9 +160,17 @@ def _split(rows: _Rows, joint_names: tuple[str, ...]) -> Sweeps:
 
 
 def _sweep(rows: _Rows, number: int, members: list[int]) -> Sweep:
-    """Return the sweep of some points of a file, by the number of its joint."""
+    """Return the sweep of some points of a file.
+
+    Args:
+        rows: All points of the file.
+        number: The joint that turns, from 0; -1 for the plane.
+        members: Indices of the sweep's points in ``rows``, from 0.
+    """
     is_plane = number == _PLANE
-    joints = None if rows.joints is None or is_plane else read_only(rows.joints[members])
+    joints = None
+    if rows.joints is not None and not is_plane:
+        joints = read_only(rows.joints[members])
     return Sweep(
         joint=None if is_plane else number,
         name=rows.words[members[0]],
@@ -188,8 +198,10 @@ def _from_points(points: Points, joint_names: tuple[str, ...]) -> Sweeps:
 def _sweep_word(name: str, joint_names: tuple[str, ...]) -> str:
     """Return the word of a point's name that tells its sweep: its last part without number, else the part before."""
     parts = [part.strip() for part in name.split(PARTS)]
-    match = _POINT_NAME.fullmatch(parts[-1])
-    candidates = [match[1] if match else parts[-1], *parts[-2:-1]]
+    last = parts[-1]
+    numbered = _POINT_NAME.fullmatch(last)
+    without_number = numbered[1] if numbered else last
+    candidates = [without_number, *parts[-2:-1]]
     for word in candidates:
         if _number(word, joint_names) is not None:
             return word
@@ -218,13 +230,17 @@ def _from_table(
     names = _angle_columns(named) if joint_names is None else tuple(joint_names)
     has_joints = any(name in named for name in names)
     measured_joints = names if has_joints else ()
-    types = dict.fromkeys(measured_joints, "revolute")
     layout = Layout.find(
-        table, measured_joints, types, columns, "point", points_elsewhere=points is not None
+        table,
+        measured_joints,
+        dict.fromkeys(measured_joints, "revolute"),
+        columns,
+        "point",
+        points_elsewhere=points is not None,
     )
     layout = replace(layout, groups=(sweep_column,))
-    filled = replace(table, cells=_filled_cells(table, layout, sweep_column, names))
-    values = Measurements(**read_values(filled, layout, points))
+    cells = _filled_cells(table, layout, sweep_column, names)
+    values = Measurements(**read_values(replace(table, cells=cells), layout, points))
     rows = _Rows(
         words=values.groups,
         points=values.points,
@@ -267,6 +283,8 @@ def _filled_cells(
     for row in table.cells:
         cells = list(row)
         if _number(row[sweep_column.index], joint_names) == _PLANE:
-            cells = [cell or "0" if k in joint_columns else cell for k, cell in enumerate(row)]
+            for k, cell in enumerate(row):
+                if k in joint_columns and not cell:
+                    cells[k] = "0"
         rows.append(cells)
     return tuple(rows)

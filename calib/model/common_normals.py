@@ -36,9 +36,9 @@ _ALONG = 1e-6
 class Rule:
     """The convention of rows, and the angle below which it takes axes as parallel."""
 
-    #: One of `CONVENTIONS`.
+    #: One of `calib.model.dh.CONVENTIONS`
     convention: str
-    #: Of the standard and modified conventions [rad].
+    #: Axes at a smaller angle are parallel, in the standard and modified conventions [rad]
     limit: float
 
     @property
@@ -66,21 +66,26 @@ class Rule:
 class Reference:
     """A row of the robot whose open choices are kept."""
 
-    #: The row.
+    #: The row
     row: DHRow
-    #: Shape (3,), x axis of its frame, in the base at q = 0.
+    #: Shape (3,), x axis of its frame, in the base at q = 0
     x: Array
-    #: Shape (4, 4), [m], pose of that robot's tip in frame n.
+    #: Shape (4, 4), [m], pose of that robot's tip in frame n
     T_n_tip: Array
 
 
 class RowNumbers(NamedTuple):
-    """The numbers of one row, [rad] and [m]."""
+    """The numbers of one row, from a frame on a joint's axis to the next axis."""
 
+    #: Angle about the axis, from x of the frame to the common normal [rad]
     theta: float
+    #: Distance along the axis, from the frame's origin to the foot of the common normal [m]
     d: float
+    #: Distance along the common normal, to the next axis [m]
     a: float
+    #: Angle about the common normal, from the axis to the next [rad]
     alpha: float
+    #: Tilt of the next axis along the normal, of Hayati's rows between nearly parallel axes; else 0 [rad]
     beta: float
 
 
@@ -103,15 +108,31 @@ def row_to(
     between = point - T[:3, 3]
     if rule.parallel(sine, reference):
         near = x if reference is None else reference.x
-        return _parallel_row(T, axis, _offset(between, z, axis), near, tilted=rule.hayati)
+        offset = _offset(between, z, axis)
+        return _parallel_row(T, axis, offset, near, tilted=rule.hayati)
     normal /= sine
     if _points_backwards(normal, x, between, reference):
         normal = -normal
     # Feet of the common normal: origin + d z + a normal = point + s axis.
     d, a, _ = np.linalg.solve(np.stack([z, normal, -axis], axis=1), between)
-    alpha = np.arctan2(cross(z, axis) @ normal, z @ axis)
-    theta = np.arctan2(cross(x, normal) @ z, x @ normal)
-    return RowNumbers(float(theta), float(d), float(a), float(alpha), 0.0)
+    return RowNumbers(
+        theta=_turn(x, normal, about=z),
+        d=float(d),
+        a=float(a),
+        alpha=_turn(z, axis, about=normal),
+        beta=0.0,
+    )
+
+
+def _turn(start: Array, end: Array, *, about: Array) -> float:
+    """Return the angle in (-pi, pi] by which a turn about an axis takes one vector to another [rad].
+
+    Args:
+        start: Shape (3,), unit vector across the axis.
+        end: Shape (3,), likewise.
+        about: Shape (3,), unit vector along the axis; the turn is positive by the right-hand rule.
+    """
+    return float(np.arctan2(cross(start, end) @ about, start @ end))
 
 
 def _offset(between: Array, z: Array, axis: Array) -> Array:
@@ -168,9 +189,8 @@ def _parallel_row(T: Array, axis: Array, offset: Array, near: Array, *, tilted: 
     beta = 0.0
     if tilted:
         beta = float(np.arcsin(np.clip(axis @ normal, -1.0, 1.0)))
-    alpha = np.arctan2(-(axis @ cross(z, normal)), axis @ z)
-    theta = np.arctan2(cross(x, normal) @ z, x @ normal)
-    return RowNumbers(float(theta), 0.0, a, float(alpha), beta)
+    alpha = float(np.arctan2(-(axis @ cross(z, normal)), axis @ z))
+    return RowNumbers(_turn(x, normal, about=z), 0.0, a, alpha, beta)
 
 
 def last_row(T: Array, T_base_tip: Array, reference: Reference | None, rule: Rule) -> RowNumbers:
@@ -212,7 +232,8 @@ def _last_row_like(T: Array, T_base_tip: Array, reference: Reference) -> RowNumb
     """
     row = reference.row
     fixed = replace(row, theta=0.0, d=0.0).matrix()
-    turn = rigid_inverse(T) @ T_base_tip @ rigid_inverse(fixed @ reference.T_n_tip)
+    T_tip_row = rigid_inverse(fixed @ reference.T_n_tip)
+    turn = rigid_inverse(T) @ T_base_tip @ T_tip_row
     theta = np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])
     return RowNumbers(float(theta), float(turn[2, 3]), row.a, row.alpha, row.beta)
 

@@ -107,7 +107,8 @@ def _parallel_limit(robot: Robot) -> float:
     If none holds, that with the smallest error.
     """
     sines = _sines(robot)
-    q = np.random.default_rng(_SEED).uniform(-np.pi, np.pi, (_POSES, len(robot.joint_names)))
+    random = np.random.default_rng(_SEED)
+    q = random.uniform(-np.pi, np.pi, (_POSES, len(robot.joint_names)))
     values = robot.chain_values(q)
     poses = robot.poses(q)
     reach = 1.0 + float(np.linalg.norm(robot.placements[:, :3, 3], axis=1).sum())

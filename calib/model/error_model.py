@@ -143,7 +143,9 @@ def frame_and_target_model(
     target_directions = DIRECTIONS if rotation else DIRECTIONS[:3]
     for name in estimated:
         parameters += _placed_parameters("target", TARGET, name, target_directions)
-    places = (*(FRAME + name for name in frames), TIP, *(TARGET + name for name in targets))
+    frame_places = [FRAME + name for name in frames]
+    target_places = [TARGET + name for name in targets]
+    places = (*frame_places, TIP, *target_places)
     return ErrorModel("frames", places, tuple(parameters))
 
 
@@ -308,7 +310,8 @@ def _before_joint(
     place = robot.joints[i].name
     if robot.carriers[i] is None:
         place = robot.joints[i + 1].name if i + 1 < len(robot.joints) else TIP
-        twist = read_only(pin.SE3(robot.placements[i + 1]).toActionMatrixInverse() @ twist)
+        T_joint_next = pin.SE3(robot.placements[i + 1])
+        twist = read_only(T_joint_next.toActionMatrixInverse() @ twist)
     return Parameter(name, unit, place, twist, family, nominal)
 
 

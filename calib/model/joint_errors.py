@@ -43,7 +43,8 @@ def joint_parameters(robot: Robot, family: str, gravity: ArrayLike = GRAVITY) ->
     joints = robot.joints if row.every_joint else robot.inputs
     points: dict[str, list[str]] = {}
     if any(factor.later for factor in row.factors):
-        points = _distinct_points(robot, tuple(np.asarray(gravity, dtype=np.float64).tolist()))
+        acceleration = np.asarray(gravity, dtype=np.float64)
+        points = _distinct_points(robot, tuple(acceleration.tolist()))
     parameters = []
     for joint in joints:
         unit = _unit_at(row, joint)
@@ -67,7 +68,8 @@ def _factors_at(family: Family, points: list[str] | None) -> list[Factor]:
     """Return a family's factors at one joint: as they are if ``points`` is None, else one for each of the points."""
     if points is None:
         return list(family.factors)
-    return [factor_of(f"{factor.name}[{point}]") for factor in family.factors for point in points]
+    names = [f"{factor.name}[{point}]" for factor in family.factors for point in points]
+    return [factor_of(name) for name in names]
 
 
 @lru_cache(maxsize=16)
@@ -136,5 +138,6 @@ def joint_displacements(
         else:
             driven = robot.coupling[:, robot.joint_names.index(term.place)]
         state = JointState(term.place, robot.joint_names, q, chain, load, term.factor.point)
-        moved[:, :, k] = term.factor.value(state)[:, None] * driven
+        of_joint = term.factor.value(state)
+        moved[:, :, k] = of_joint[:, None] * driven
     return moved

@@ -39,11 +39,11 @@ _LEAST_PIVOT = 0.05
 class Combination:
     """Parameters that can change together without changing what was measured."""
 
-    #: The parameters, in the model's order.
+    #: The parameters, in the model's order
     names: tuple[str, ...]
-    #: Change of each, in its own unit, for the leading one, as a rule the first, changing by its declared step.
+    #: Change of each, in its own unit, for the leading one, as a rule the first, changing by its declared step
     steps: tuple[float, ...]
-    #: Symbol of the unit of each, see `calib.model.families.unit_of`.
+    #: Symbol of the unit of each, see `calib.model.families.unit_of`
     units: tuple[str, ...]
 
 
@@ -51,19 +51,19 @@ class Combination:
 class Observability:
     """The result of `analyse`."""
 
-    #: Number of parameters.
+    #: Number of parameters
     columns: int
-    #: Number of combinations that the measurements determine.
+    #: Number of combinations that the measurements determine
     rank: int
-    #: Largest over smallest singular value of the determined part.
+    #: Largest over smallest singular value of the determined part
     condition: float
-    #: Shape (columns,), of the scaled Jacobian, descending, [m per step].
+    #: Shape (columns,), of the scaled Jacobian, descending, [m per step]
     singular_values: Array
-    #: O1 to O5 of the determined part.
+    #: O1 to O5 of the determined part
     indices: dict[str, float]
-    #: One combination for each missing rank.
+    #: One combination for each missing rank
     unidentifiable: tuple[Combination, ...]
-    #: Shape (columns,), True for a parameter that takes part in none of them.
+    #: Shape (columns,), True for a parameter that takes part in none of them
     identifiable: NDArray[np.bool_]
 
 
@@ -81,16 +81,16 @@ def analyse(jacobian: Array, names: Sequence[str], units: Sequence[str]) -> Obse
 
     Args:
         jacobian: Shape (rows, p), [m per unit of the parameter], derivative of the predicted coordinates.
-        names: Of the p parameters.
-        units: Symbols of their units.
+        names: Names of the p parameters.
+        units: Symbols of their units, "m" or "rad" for most, see `calib.model.families.unit_of`.
+
+    Returns:
+        Rank, unobservable combinations and indices; of rank 0 without parameters.
     """
-    p = len(names)
-    if p == 0:
+    if not len(names):
         return Observability(0, 0, 1.0, read_only([]), {}, (), np.zeros(0, dtype=bool))
     step = steps(units)
-    # Rows of zeros, so that there are p singular values and the whole null space; they change nothing.
-    zeros = np.zeros((max(p - len(jacobian), 0), p))
-    scaled = np.concatenate([jacobian * step, zeros])
+    scaled = _with_all_singular_values(jacobian * step)
     _, values, V = np.linalg.svd(scaled, full_matrices=False)
     rank = rank_by_gap(values)
     null = V[rank:]
@@ -103,14 +103,31 @@ def analyse(jacobian: Array, names: Sequence[str], units: Sequence[str]) -> Obse
         combinations.append(_combination(members, direction * step, names, units))
     identifiable.setflags(write=False)
     return Observability(
-        columns=p,
+        columns=len(names),
         rank=rank,
-        condition=float(values[0] / values[rank - 1]) if rank else np.inf,
+        condition=_condition(values[:rank]),
         singular_values=read_only(values),
         indices=_indices(values[:rank], len(jacobian)),
         unidentifiable=tuple(combinations),
         identifiable=identifiable,
     )
+
+
+def _with_all_singular_values(jacobian: Array) -> Array:
+    """Append rows of zeros to a Jacobian (rows, p) of fewer than p rows, so that it has p singular values.
+
+    Its right singular vectors then span the whole null space; nothing else changes.
+    """
+    rows, p = jacobian.shape
+    zeros = np.zeros((max(p - rows, 0), p))
+    return np.concatenate([jacobian, zeros])
+
+
+def _condition(values: Array) -> float:
+    """Return the largest over the smallest of singular values, shape (r,), descending; infinite without any."""
+    if not len(values):
+        return np.inf
+    return float(values[0] / values[-1])
 
 
 def _combination(
@@ -119,9 +136,9 @@ def _combination(
     """Return the combination of some of p parameters.
 
     Args:
-        members: Indices of the parameters.
-        changes: Shape (p,), change of each parameter in its unit.
-        names: Of the p parameters.
+        members: Indices of the parameters that take part, from 0.
+        changes: Shape (p,), change of each parameter in its unit [m] or [rad].
+        names: Names of the p parameters.
         units: Symbols of their units.
     """
     return Combination(

@@ -30,7 +30,7 @@ class Errors:
     mean: float
     #: Root mean square of the norms [m]
     rms: float
-    # (3,), mean residual along x, y, z [m]; NaN unless all rows have three coordinates
+    #: (3,), mean residual along x, y, z [m]; NaN unless all rows have three coordinates
     mean_axis: Array
     #: (3,), root mean square of the residual along x, y, z [m]; NaN likewise
     rms_axis: Array

@@ -59,49 +59,61 @@ class NormalEquations:
     known: tuple[Array, Array, float]
     #: (p,), row of C of a combination held at zero by choice, not by measurement; else zeros
     held: Array
-    #: (B,), log determinant of the weighted scalars' covariance over
+    #: (B,), log determinant of the weighted scalars' covariance over the noise; 0 where scalars are independent of each
+    #: other
     log_det: Array | float = 0.0
-    # the noise; 0 where scalars are independent of each other
 
     def posterior(self, noise: Array, priors: GaussianPriors) -> tuple[Array, Array]:
         """Compute the posterior of the parameters.
 
         Args:
             noise: shape (B, C), standard deviation of each instrument, in units of the given sigma.
-            priors: Of all p parameters.
+            priors: Normal priors of all p parameters.
 
         Returns:
             The mean x, shape (B, p), and its covariance, shape (B, p, p); both zero along unobservable directions.
         """
         M, scale = self._scaled_precision(noise, priors)
-        measured = (1.0 / np.square(noise)[:, None] @ self.g)[:, 0]
-        right = measured + self.known[1]
+        inverses = np.array([pseudo_inverse(of_fit) for of_fit in M])
+        covariance = inverses * _outer(scale)
+        _, Cz, _ = self.known
+        weight = 1.0 / np.square(noise)[:, None]
+        right = (weight @ self.g)[:, 0] + Cz
         right = right + priors.precision * priors.centre
-        inverses = np.array([pseudo_inverse(one_fit) for one_fit in M])
-        covariance = inverses * (scale[:, :, None] * scale[:, None])
-        return (covariance @ right[:, :, None])[:, :, 0], covariance
+        mean = covariance @ right[:, :, None]
+        return mean[:, :, 0], covariance
 
     def _scaled_precision(self, noise: Array, priors: GaussianPriors) -> tuple[Array, Array]:
-        """The posterior's precision scaled to a unit diagonal, and the scale.
+        """The posterior's precision M of all p parameters, scaled to a unit diagonal, and the scale S.
+
+        Args:
+            noise: shape (B, C), standard deviation of each instrument, in units of the given sigma.
+            priors: Normal priors of all p parameters.
 
         Returns:
             S M S, shape (B, p, p), and the diagonal of S, shape (B, p), which is 1 / sqrt(diag M).
         """
         B, C, p, _ = self.H.shape
+        CC, _, _ = self.known
         weight = 1.0 / np.square(noise)[:, None]
-        M = (weight @ self.H.reshape(B, C, p * p)).reshape(B, p, p) + self.known[0]
+        of_rows = weight @ self.H.reshape(B, C, p * p)
+        M = of_rows.reshape(B, p, p) + CC
         diagonals(M)[...] += priors.precision
         scale = 1.0 / np.sqrt(diagonals(M) + _TINY)
-        return M * (scale[:, :, None] * scale[:, None]), scale
+        return M * _outer(scale), scale
 
     def residual_square(self, x: Array) -> Array:
-        """Weighted sum of squared residuals |y - A x|^2 of each instrument at x, (B, p).
+        """Weighted sum of squared residuals of each instrument, |y - A x|^2 = y^T W y + (H x - 2 g)^T x.
+
+        Args:
+            x: shape (B, p), parameters of each fit.
 
         Returns:
             shape (B, C), in units of the given sigma squared, never below 0.
         """
-        x = x[:, None, :, None]
-        change = ((self.H @ x - 2.0 * self.g[..., None]) * x)[..., 0].sum(axis=2)
+        column = x[:, None, :, None]
+        terms = (self.H @ column - 2.0 * self.g[..., None]) * column
+        change = terms[..., 0].sum(axis=2)
         return np.asarray(np.maximum(self.yy + change, 0.0))
 
     def log_likelihood(
@@ -117,7 +129,7 @@ class NormalEquations:
 
         Args:
             noise: shape (B, C), standard deviation of each instrument, in units of the given sigma.
-            priors: Of all p parameters.
+            priors: Normal priors of all p parameters.
             family_precision: shape (B, p), prior precision of the parameters that are not flat; 0 for flat ones.
 
         Returns:
@@ -130,13 +142,22 @@ class NormalEquations:
         log_precision = np.log(np.where(proper, family_precision, 1.0))
         log_det_priors = np.sum(log_precision, axis=1)
         log_det_noise = 2.0 * np.sum(self.count * np.log(noise), axis=1)
-        held = np.log1p(np.sum(self.held_variance(family_precision), axis=1))
+        held_variance = np.sum(self.held_variance(family_precision), axis=1)
         square = self._posterior_square(noise, priors)
-        twice = log_det_noise + self.log_det - log_det_priors + log_det_M + square - held
+        twice = log_det_noise + self.log_det - log_det_priors + log_det_M + square
+        twice -= np.log1p(held_variance)
         return np.asarray(-0.5 * twice)
 
     def _posterior_square(self, noise: Array, priors: GaussianPriors) -> Array:
-        """y^T P y: the weighted squares of measurements, constraints and priors at the posterior mean, shape (B,)."""
+        """y^T P y: the weighted squares of measurements, constraints and priors at the posterior mean.
+
+        Args:
+            noise: shape (B, C), standard deviation of each instrument, in units of the given sigma.
+            priors: Normal priors of all p parameters.
+
+        Returns:
+            shape (B,).
+        """
         x, _ = self.posterior(noise, priors)
         CC, Cz, zz = self.known
         # Of the priors term by term: a parameter held at its bound would drown the others in its rounding.
@@ -156,20 +177,36 @@ class NormalEquations:
             shape (B, p), 0 for parameters without prior; the sum over p is the combination's variance.
         """
         proper = family_precision > 0.0
-        return np.where(proper, self.held**2 / np.where(proper, family_precision, 1.0), 0.0)
+        divisor = np.where(proper, family_precision, 1.0)
+        return np.where(proper, self.held**2 / divisor, 0.0)
 
 
 def pseudo_inverse(M: Array) -> Array:
-    """Invert a positive semidefinite matrix of unit diagonal; its pseudo-inverse where it is singular, (p, p)."""
+    """Return the inverse of a positive semidefinite matrix, its pseudo-inverse where it is singular.
+
+    Args:
+        M: shape (p, p), of unit diagonal.
+
+    Returns:
+        shape (p, p).
+    """
     if not len(M):  # LAPACK refuses it
         return M
     root, failed = dpotrf(M, lower=1, clean=1)
     if not failed and root.diagonal().min(initial=1.0) > _SINGULAR:
         inverse, _ = dtrtri(root, lower=1)
         return np.asarray(inverse.T @ inverse)
-    values, vectors = eigh(M, driver="ev")  # divide and conquer does not converge for some of them
-    kept = np.abs(values) > _ZERO_EIGENVALUE * np.max(np.abs(values), initial=0.0)
-    return np.asarray((vectors[:, kept] / values[kept]) @ vectors[:, kept].T)
+    # Not by divide and conquer, which does not converge for some of them.
+    values, vectors = eigh(M, driver="ev")
+    size = np.abs(values)
+    kept = size > _ZERO_EIGENVALUE * np.max(size, initial=0.0)
+    scaled = vectors[:, kept] / values[kept]
+    return np.asarray(scaled @ vectors[:, kept].T)
+
+
+def _outer(scale: Array) -> Array:
+    """Products s_i s_j of vectors s, shape (B, p), as matrices of shape (B, p, p)."""
+    return scale[:, :, None] * scale[:, None]
 
 
 def diagonals(M: Array) -> Array:

@@ -95,31 +95,66 @@ def scatter_of_repeats(
     """Estimate the scatter within repeats, which does not depend on the model, and the correlation of repeats.
 
     Args:
-        residual: shape (N, D), measured minus predicted; lengths in the first three columns, angles behind.
+        residual: shape (N, D), measured minus predicted of each row; lengths [m] in the first three columns, angles
+            [rad] behind.
         used: shape (N, D), which entries were measured.
         poses: shape (N,), rows of one number are repeats.
         weights: shape (N,), robust weights, 0 for outliers.
         fitted: Number of parameters that the fit took from all scalars.
+
+    Returns:
+        Scatter of lengths, and of angles where there are any, and the intraclass correlation rho.
     """
     _, pose = np.unique(poses, return_inverse=True)
     w = np.where(used, weights[:, None], 0.0)
     e = np.where(w > 0.0, residual, 0.0)
-    by_component = _moments(e, w, pose)
-    groups = [slice(0, LENGTHS)]
-    if e.shape[1] > LENGTHS:
-        groups.append(slice(LENGTHS, None))
-    unit = np.ones(e.shape[1])
+    groups = _groups(e.shape[1])
+    within, freedoms = _scatter_of_groups(_moments(e, w, pose), groups)
+    # rho is one number for lengths and angles: each group counts in units of its own rms.
+    relative = e / _rms_of_groups(e, w, groups)
+    together = _Moments(*_moments(relative, w, pose).sum(axis=1).tolist())
+    return Repeats(within, freedoms, together.correlation(fitted))
+
+
+def _groups(width: int) -> list[slice]:
+    """The columns of lengths, and those of angles where a residual of ``width`` columns has any."""
+    if width > LENGTHS:
+        return [slice(0, LENGTHS), slice(LENGTHS, None)]
+    return [slice(0, LENGTHS)]
+
+
+def _scatter_of_groups(moments: Array, groups: list[slice]) -> tuple[Array, Array]:
+    """Estimate the scatter within repeats for each group of columns.
+
+    Args:
+        moments: shape (8, D), the fields of `_Moments` for each column of the residual.
+        groups: G groups of columns.
+
+    Returns:
+        The standard deviation of a component, NaN without repeats, and its degrees of freedom, both of shape (G,).
+    """
     scatter = []
     for group in groups:
-        moments = _Moments(*by_component[:, group].sum(axis=1).tolist())
-        scatter.append(moments.scatter())
-        # rho is one number for lengths and angles: each group counts in units of its own rms.
+        of_group = _Moments(*moments[:, group].sum(axis=1).tolist())
+        scatter.append(of_group.scatter())
+    std, freedoms = np.array(scatter).T
+    return read_only(std), read_only(freedoms)
+
+
+def _rms_of_groups(e: Array, w: Array, groups: list[slice]) -> Array:
+    """Weighted rms residual of its group for each column, shape (D,); 1 where all are zero.
+
+    Args:
+        e: shape (N, D), residuals, 0 where nothing was measured.
+        w: shape (N, D), weights; 0 where nothing was measured.
+        groups: Groups of columns, which cover all of them.
+    """
+    rms = np.ones(e.shape[1])
+    for group in groups:
         square = float(np.sum(w[:, group] * e[:, group] ** 2))
         if square > 0.0:
-            unit[group] = np.sqrt(square / float(np.sum(w[:, group])))
-    within, freedoms = (read_only(column) for column in np.array(scatter).T)
-    together = _Moments(*_moments(e / unit, w, pose).sum(axis=1).tolist())
-    return Repeats(within, freedoms, together.correlation(fitted))
+            rms[group] = np.sqrt(square / float(np.sum(w[:, group])))
+    return rms
 
 
 def pose_means(values: Array, weights: Array, poses: Integers) -> tuple[Array, Integers]:

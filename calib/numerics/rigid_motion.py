@@ -25,17 +25,30 @@ def best_motion(points: Array, displacements: Array) -> Array:
         displacements: shape (N, 3, k), k displacements of each point, in a unit of any kind.
 
     Returns:
-        Motions, shape (6, k): the velocity of the origin, then the turn, in that unit [.] and [./m].
+        Motions, shape (6, k), that make these displacements: rows 0 to 2 are the velocity of the origin, in that unit;
+        rows 3 to 5 the turn, in that unit per metre.
     """
     middle = points.mean(axis=0)
-    columns = np.zeros((len(points), 3, 6))
-    columns[:, :, :3] = np.eye(3)
-    columns[:, :, 3:] = np.cross(np.eye(3), (points - middle)[:, None, :]).transpose(0, 2, 1)
+    columns = _displacements_of_unit_motions(points - middle).reshape(-1, 6)
     flat = displacements.reshape(-1, displacements.shape[2])
-    motion = np.linalg.lstsq(columns.reshape(-1, 6), flat, rcond=_SHORT_LEVER)[0]
+    motion, *_ = np.linalg.lstsq(columns, flat, rcond=_SHORT_LEVER)
     # From the middle of the points to the origin.
     motion[:3] -= np.cross(motion[3:], middle, axisa=0).T
     return np.asarray(motion)
+
+
+def _displacements_of_unit_motions(points: Array) -> Array:
+    """Displacements of points by unit velocities along x, y, z, then by unit turns about them, shape (N, 3, 6).
+
+    Args:
+        points: shape (N, 3), [m].
+    """
+    axes = np.eye(3)
+    result = np.zeros((len(points), 3, 6))
+    result[:, :, :3] = axes
+    by_turns = np.cross(axes, points[:, None, :])  # one row for each axis
+    result[:, :, 3:] = by_turns.transpose(0, 2, 1)
+    return result
 
 
 def displacements_by(motion: Array, points: Array) -> Array:
@@ -48,8 +61,10 @@ def displacements_by(motion: Array, points: Array) -> Array:
     Returns:
         shape (N, 3, k), [m].
     """
-    turns = np.cross(motion[3:].T, points[:, None])
-    return np.asarray(motion[:3] + turns.transpose(0, 2, 1))
+    velocity = motion[:3]
+    turn = motion[3:]
+    by_turns = np.cross(turn.T, points[:, None])  # one row for each motion
+    return np.asarray(velocity + by_turns.transpose(0, 2, 1))
 
 
 def without_rigid_motion(
@@ -65,6 +80,7 @@ def without_rigid_motion(
     Returns:
         Displacements less those by the motion, shape (N, 3, k), [m].
     """
-    fitted_points, fitted_displacements = reference or (points, displacements)
-    motion = best_motion(fitted_points, fitted_displacements)
+    if reference is None:
+        reference = (points, displacements)
+    motion = best_motion(*reference)
     return np.asarray(displacements - displacements_by(motion, points))

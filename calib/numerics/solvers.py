@@ -21,6 +21,9 @@ _CONVERGED = "Relative change of cost and parameters below tolerance."
 #: Message of a solver that did not.
 _LIMIT = "The limit of {} iterations was reached before the steps became negligible."
 
+#: Message of a solver whose damping rose beyond its limit: it converged, by rounding.
+_NO_STEP_HELPS = "No step, however short, lowers the cost any further."
+
 #: Gain ratio from which on the damping falls ten times.
 _GOOD_GAIN = 0.9
 
@@ -74,6 +77,59 @@ class Solution:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class _Evaluation:
+    """The system evaluated at one x."""
+
+    #: (p,)
+    x: Array
+    #: (m,), residual at x
+    r: Array
+    #: (m, p), its Jacobian dr/dx
+    J: Array
+
+    @classmethod
+    def of(cls, system: System, x: Array) -> _Evaluation:
+        """Evaluate a system.
+
+        Args:
+            system: Maps x to the residual r, shape (m,), and its Jacobian dr/dx, shape (m, p).
+            x: shape (p,).
+        """
+        return cls(x, *system(x))
+
+    @property
+    def cost(self) -> float:
+        """E(x) = 1/2 r^T r."""
+        return 0.5 * float(self.r @ self.r)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Step:
+    """A step of Levenberg-Marquardt that is to be tried."""
+
+    #: (p,), change of x
+    dx: Array
+    #: Decrease of E by the linear model of r
+    predicted: float
+    #: Norm of dx in units of each parameter's step size
+    length: float
+
+    def gain(self, cost_before: float, cost_after: float) -> float:
+        """Return the actual over the predicted decrease of E by the step.
+
+        Args:
+            cost_before: E before the step.
+            cost_after: E after it.
+
+        Returns:
+            > 0 where E falls; minus infinity where E is not finite after the step.
+        """
+        if not np.isfinite(cost_after):
+            return -np.inf
+        return (cost_before - cost_after) / self.predicted
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class _Reduced:
     """The system at one x, reduced to a triangle: |r + J dx|^2 = |R dx - rhs|^2 + constant."""
 
@@ -85,22 +141,33 @@ class _Reduced:
     R: Array
     #: (p,)
     rhs: Array
-    #: (p,), norm of each column of J; 1 where a column is zero
-    norms: Array
+    #: (p,), the largest norm of each column of J so far, by which the damping of each parameter is scaled
+    scale: Array
 
     @classmethod
-    def of(cls, x: Array, r: Array, J: Array) -> _Reduced:
+    def of(cls, system: _Evaluation, smallest_scale: Array | float = 0.0) -> _Reduced:
         """Reduce a system to its triangle, which carries all that r and J say: each damping costs p^3, not m p^2.
 
         Args:
-            x: shape (p,).
-            r: shape (m,), residual at x.
-            J: shape (m, p), its Jacobian dr/dx.
+            system: Residual and Jacobian at one x.
+            smallest_scale: shape (p,), largest norms of the columns of J before; 0 at the start.
         """
-        R, rhs = _triangle(J, r)
-        return cls(x, 0.5 * float(r @ r), R, rhs, _column_norms(J))
+        R, rhs = _triangle(system.J, system.r)
+        scale = np.maximum(smallest_scale, _column_norms(system.J))
+        return cls(system.x, system.cost, R, rhs, scale)
 
-    def predicted_fall(self, dx: Array) -> float:
+    def damped_step(self, mu: float, step_size: Array) -> _Step:
+        """Return the step that minimises |r + J dx|^2 + mu |D dx|^2, where D is the scale.
+
+        Args:
+            mu: Damping.
+            step_size: shape (p,), change of each parameter that is one unit of a step's length.
+        """
+        dx = _damped_step(self.R, self.rhs, np.sqrt(mu) * self.scale)
+        length = float(np.linalg.norm(dx / step_size))
+        return _Step(dx, self._predicted_decrease(dx), length)
+
+    def _predicted_decrease(self, dx: Array) -> float:
         """By how much the linear model of r lowers E after a step dx, (p,)."""
         after = float(np.sum((self.rhs - self.R @ dx) ** 2))
         return 0.5 * (float(self.rhs @ self.rhs) - after)
@@ -110,12 +177,17 @@ class _Reduced:
 class _Damping:
     """Damping by the gain ratio, actual over predicted decrease of E (H. B. Nielsen, 1999)."""
 
+    #: Damping of the next step
     mu: float = 1e-8
     #: Factor at the next step that fails
     raise_by: float = 2.0
 
     def after_success(self, gain: float) -> _Damping:
-        """Lower the damping by up to ten times: the closer the gain is to 1, the more."""
+        """Lower the damping by up to ten times: the closer the gain is to 1, the more.
+
+        Args:
+            gain: Actual over predicted decrease of E, > 0.
+        """
         factor = 0.1
         if gain < _GOOD_GAIN:
             factor = max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3)
@@ -151,34 +223,39 @@ def levenberg_marquardt(
     Raises:
         SolverError: The system is not finite at the start.
     """
-    x = np.array(x0, dtype=np.float64)
-    at = _Reduced.of(x, *_checked_start(system, x))
-    largest_norms = at.norms
+    at = _Reduced.of(_checked_start(system, x0))
     damping = _Damping()
     history: list[Iteration] = []
-    status, message = "converged", _CONVERGED
     while True:
-        dx = _damped_step(at.R, at.rhs, np.sqrt(damping.mu) * largest_norms)
-        predicted = at.predicted_fall(dx)
-        length = float(np.linalg.norm(dx / step_size))
-        if predicted <= tolerance * at.cost or length <= step_tolerance:
-            break
-        r, J = system(at.x + dx)
-        cost = 0.5 * float(r @ r)
-        gain = (at.cost - cost) / predicted if np.isfinite(cost) else -np.inf
-        history.append(Iteration(at.cost, damping.mu, gain, length, gain > 0))
+        step = at.damped_step(damping.mu, step_size)
+        if step.predicted <= tolerance * at.cost or step.length <= step_tolerance:
+            return _solution(at, history, _CONVERGED)
+        trial = _Evaluation.of(system, at.x + step.dx)
+        gain = step.gain(at.cost, trial.cost)
+        history.append(Iteration(at.cost, damping.mu, gain, step.length, gain > 0))
         if gain > 0:
-            at = _Reduced.of(at.x + dx, r, J)
-            largest_norms = np.maximum(largest_norms, at.norms)
+            at = _Reduced.of(trial, at.scale)
             damping = damping.after_success(gain)
         else:
             damping = damping.after_failure()
             if damping.mu > _HIGHEST_DAMPING:
-                message = "No step, however short, lowers the cost any further."
-                break
+                return _solution(at, history, _NO_STEP_HELPS)
         if len(history) == iterations:
-            status, message = "stopped", _LIMIT.format(iterations)
-            break
+            message = _LIMIT.format(iterations)
+            return _solution(at, history, message, status="stopped")
+
+
+def _solution(
+    at: _Reduced, history: list[Iteration], message: str, status: str = "converged"
+) -> Solution:
+    """The result of `levenberg_marquardt`, which calls the system at the start and once for each trial step.
+
+    Args:
+        at: The system at the solution.
+        history: One entry a trial step.
+        message: Why the steps ended.
+        status: ``"converged"`` or ``"stopped"``.
+    """
     return Solution(at.x, at.cost, status, message, len(history) + 1, tuple(history))
 
 
@@ -210,28 +287,32 @@ def paper_levenberg_marquardt(
     Raises:
         SolverError: The system is not finite at the start.
     """
-    x = np.array(x0, dtype=np.float64)
-    e, J = _checked_start(system, x)
-    cost = 0.5 * float(e @ e)
+    at = _checked_start(system, x0)
     history: list[Iteration] = []
     while len(history) < iterations:
-        dx = _damped_step(*_triangle(J, e), np.full(len(x), np.sqrt(mu)))
+        damping = np.full(len(at.x), np.sqrt(mu))
+        dx = _damped_step(*_triangle(at.J, at.r), damping)
         length = float(np.linalg.norm(dx))
-        e_trial, J_trial = system(x + dx)
-        cost_trial = 0.5 * float(e_trial @ e_trial)
-        if length <= epsilon * (float(np.linalg.norm(x)) + epsilon):
-            message = "The step is shorter than epsilon (|X| + epsilon)."
-            calls = len(history) + 2
-            return Solution(x + dx, cost_trial, "converged", message, calls, tuple(history))
-        gain = 2.0 * (cost_trial - cost) / float(dx @ (J.T @ e - mu * dx))
-        history.append(Iteration(cost, mu, gain, length, gain > 0))
+        trial = _Evaluation.of(system, at.x + dx)
+        if length <= epsilon * (float(np.linalg.norm(at.x)) + epsilon):
+            return Solution(
+                x=trial.x,
+                cost=trial.cost,
+                status="converged",
+                message="The step is shorter than epsilon (|X| + epsilon).",
+                evaluations=len(history) + 2,
+                history=tuple(history),
+            )
+        predicted = float(dx @ (at.J.T @ at.r - mu * dx))
+        gain = 2.0 * (trial.cost - at.cost) / predicted
+        history.append(Iteration(at.cost, mu, gain, length, gain > 0))
         if gain > 0:
-            x, e, J, cost = x + dx, e_trial, J_trial, cost_trial
+            at = trial
             mu = mu / nu
         else:
             mu = mu * nu
     message = _LIMIT.format(iterations)
-    return Solution(x, cost, "stopped", message, len(history) + 1, tuple(history))
+    return Solution(at.x, at.cost, "stopped", message, len(history) + 1, tuple(history))
 
 
 def scipy_least_squares(
@@ -253,9 +334,9 @@ def scipy_least_squares(
     """
     from scipy.optimize import least_squares
 
-    r, _ = _checked_start(system, x0)
-    best_cost = 0.5 * float(r @ r)
-    best_x = np.array(x0, dtype=np.float64)
+    start = _checked_start(system, x0)
+    best_cost = start.cost
+    best_x = start.x
     history: list[Iteration] = []
 
     def residual(x: Array) -> Array:
@@ -298,12 +379,12 @@ Solver = Callable[[System, Array, Array, float], Solution]
 SOLVERS: dict[str, Solver] = {"lm": levenberg_marquardt, "scipy": scipy_least_squares}
 
 
-def _checked_start(system: System, x: Array) -> tuple[Array, Array]:
-    """The system at the start; `SolverError` where it is not finite."""
-    r, J = system(x)
-    if not (np.all(np.isfinite(r)) and np.all(np.isfinite(J))):
+def _checked_start(system: System, x0: Array) -> _Evaluation:
+    """Evaluate a system at the start x0, shape (p,), of which a copy is taken; `SolverError` where it is not finite."""
+    start = _Evaluation.of(system, np.array(x0, dtype=np.float64))
+    if not (np.all(np.isfinite(start.r)) and np.all(np.isfinite(start.J))):
         raise SolverError("The residual is not finite at the start: a number is far out.")
-    return r, J
+    return start
 
 
 def _column_norms(J: Array) -> Array:
@@ -332,17 +413,27 @@ def triangle(A: Array) -> Array:
     Returns:
         shape (min(m, n), n).
     """
+    height = min(A.shape)
     if not A.size:  # LAPACK refuses it
-        return np.zeros((min(A.shape), A.shape[1]))
-    return np.triu(dgeqrf(A, overwrite_a=1)[0][: min(A.shape)])
+        return np.zeros((height, A.shape[1]))
+    factored, *_ = dgeqrf(A, overwrite_a=1)
+    return np.triu(factored[:height])
 
 
 def _damped_step(R: Array, rhs: Array, damping: Array) -> Array:
-    """The dx, (p,), that minimises |R dx - rhs|^2 + |diag(damping) dx|^2, by QR; R (p, p), rhs and damping (p,)."""
+    """The dx, shape (p,), that minimises |R dx - rhs|^2 + |diag(damping) dx|^2, by QR.
+
+    Args:
+        R: shape (p, p), upper triangle.
+        rhs: shape (p,).
+        damping: shape (p,), factor of each component of dx, >= 0.
+    """
     p = len(rhs)
     stacked = np.zeros((2 * p, p + 1), order="F")
     stacked[:p, :p] = R
     stacked[:p, p] = rhs
-    stacked[p + np.arange(p), np.arange(p)] = damping
+    column = np.arange(p)
+    stacked[p + column, column] = damping
     reduced = triangle(stacked)
-    return np.asarray(dtrtrs(reduced[:p, :p], reduced[:p, p])[0])
+    dx, _ = dtrtrs(reduced[:p, :p], reduced[:p, p])
+    return np.asarray(dx)

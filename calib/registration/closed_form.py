@@ -14,6 +14,7 @@ import numpy as np
 
 from calib.data.kinds import Kind
 from calib.model.error_model import DIRECTIONS
+from calib.model.kinematics import Samples
 from calib.registration.rows import Rows
 from calib.registration.setup import Setup
 from calib.units import Array, Integers, Mask
@@ -40,54 +41,77 @@ def linear_setup(setup: Setup, T_base_tip: Array, rows: Rows) -> Setup | None:
         The setup with estimated translations, and targets turned as they were measured; None where a rotation of a
         frame is estimated, or a row measures other than three coordinates.
     """
-    rotations = {
-        direction
-        for directions in setup.unknown
-        for direction in directions
-        if direction not in _TRANSLATIONS
-    }
-    if rotations or not all(kind.coordinates for kind in rows.present):
+    if not _is_linear(setup, rows):
         return None
     A, rhs = _linear_equations(setup, T_base_tip, rows)
-    x = np.linalg.lstsq(A, rhs, rcond=_RANK_TOLERANCE)[0]
-    count = 3 * len(setup.targets)
+    x, *_ = np.linalg.lstsq(A, rhs, rcond=_RANK_TOLERANCE)
+    positions, changes = np.split(x.reshape(-1, 3), [len(setup.targets)])
     T_frame_base = setup.T_frame_base.copy()
-    T_frame_base[:, :3, 3] += x[count:].reshape(-1, 3)
+    T_frame_base[:, :3, 3] += changes
     T_tip_target = setup.T_tip_target.copy()
-    observed = setup.seen_by(rows.samples)[1] & setup.target_unknown
-    T_tip_target[observed, :3, 3] = x[:count].reshape(-1, 3)[observed]
+    _, seen_targets = setup.seen_by(rows.samples)
+    observed = seen_targets & setup.target_unknown
+    T_tip_target[observed, :3, 3] = positions[observed]
     result = setup.placed(T_frame_base, T_tip_target)
     if setup.rotation:
         return with_measured_target_rotations(result, T_base_tip, rows)
     return result
 
 
+def _is_linear(setup: Setup, rows: Rows) -> bool:
+    """True if no rotation of a frame is estimated, and all rows measure three coordinates."""
+    unknown = {direction for directions in setup.unknown for direction in directions}
+    only_translations = unknown.issubset(_TRANSLATIONS)
+    return only_translations and all(kind.coordinates for kind in rows.present)
+
+
 def _linear_equations(setup: Setup, T_base_tip: Array, rows: Rows) -> tuple[Array, Array]:
     """The equations R_f R_i t + ds_f = m_i - R_f p_i - s_f, for changes ds_f of the translations of frames.
+
+    Args:
+        setup: Its rotations of frames are known, and so are the poses that are not estimated.
+        T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
+        rows: N rows of three coordinates.
 
     Returns:
         The matrix, shape (3 N, 3 T + 3 F), of targets' positions and frames' changes, and the right side, shape (3 N,).
     """
-    frame, target = rows.samples.frame, rows.samples.target
-    T_frame_tip = setup.T_frame_base[frame] @ T_base_tip
+    T_frame_tip = setup.T_frame_base[rows.samples.frame] @ T_base_tip
     R_frame_tip = T_frame_tip[:, :3, :3]
+    A = _linear_matrix(setup, R_frame_tip, rows.samples)
     measured = np.zeros((len(rows), 3))
     positions = rows.where(lambda kind: kind.position)
     if np.any(positions):
         measured[positions] = rows.measured[positions, :3]
+    target = rows.samples.target
+    lever = np.einsum("nij,nj->ni", R_frame_tip, setup.T_tip_target[target, :3, 3])
+    known_lever = np.where(setup.target_unknown[target, None], 0.0, lever)
+    rhs = measured - T_frame_tip[:, :3, 3]
+    rhs = rhs - known_lever
+    return A.reshape(-1, A.shape[2]), rhs.ravel()
+
+
+def _linear_matrix(setup: Setup, R_frame_tip: Array, samples: Samples) -> Array:
+    """The matrix of R_f R_i t + ds_f, by the positions t of targets and the changes ds_f of frames' translations.
+
+    Args:
+        setup: Targets and translations that are estimated; columns of others are zero.
+        R_frame_tip: shape (N, 3, 3), R_f R_i of each row.
+        samples: Frame and target of each row.
+
+    Returns:
+        shape (N, 3, 3 T + 3 F).
+    """
     targets = len(setup.targets)
-    A = np.zeros((len(rows), 3, 3 * (targets + len(setup.groups))))
-    estimated = setup.target_unknown[target]
-    index = np.flatnonzero(estimated)
+    A = np.zeros((len(samples), 3, 3 * (targets + len(setup.groups))))
+    to_unknown = np.flatnonzero(setup.target_unknown[samples.target])  # rows
+    first_column = 3 * samples.target[to_unknown]
     for k, axis in enumerate(_TRANSLATIONS):
-        A[index, :, 3 * target[index] + k] = R_frame_tip[index, :, k]
+        A[to_unknown, :, first_column + k] = R_frame_tip[to_unknown, :, k]
         for f, directions in enumerate(setup.unknown):
             if axis in directions:
-                A[frame == f, k, 3 * (targets + f) + k] = 1.0
-    known = np.einsum("nij,nj->ni", R_frame_tip, setup.T_tip_target[target, :3, 3])
-    rhs = measured - T_frame_tip[:, :3, 3]
-    rhs = rhs - np.where(estimated[:, None], 0.0, known)
-    return A.reshape(-1, A.shape[2]), rhs.ravel()
+                A[samples.frame == f, k, 3 * (targets + f) + k] = 1.0
+    return A
 
 
 def orientation_setup(setup: Setup, T_base_tip: Array, rows: Rows) -> Setup | None:
@@ -102,32 +126,45 @@ def orientation_setup(setup: Setup, T_base_tip: Array, rows: Rows) -> Setup | No
         The setup; None where no frame is wholly unknown, no target is estimated, or a row has no orientation.
     """
     oriented = rows.where(lambda kind: kind.orientation)
-    unknown = [f for f, directions in enumerate(setup.unknown) if _all(directions)]
-    if not unknown or not setup.estimate_target or not np.all(oriented):
+    wholly_unknown = [f for f, directions in enumerate(setup.unknown) if _all(directions)]
+    if not wholly_unknown or not setup.estimate_target or not np.all(oriented):
         return None
     T_frame_base = setup.T_frame_base.copy()
-    frame, target = rows.samples.frame, rows.samples.target
-    for f in unknown:
-        of_frame = np.flatnonzero(frame == f)
-        if not len(of_frame):
-            continue
-        # The target measured most often determines the frame; all targets follow from the frames.
-        most_often = np.bincount(target[of_frame]).argmax()
-        of_frame = of_frame[target[of_frame] == most_often]
-        R_tip = T_base_tip[of_frame, :3, :3]
-        R_measured = rows.measured[of_frame, 3:12].reshape(-1, 3, 3)
-        T_frame_base[f, :3, :3] = _frame_rotation(R_tip, R_measured)
+    for f in wholly_unknown:
+        if np.any(rows.samples.frame == f):
+            T_frame_base[f, :3, :3] = _rotation_by_orientations(f, T_base_tip, rows)
     turned = setup.placed(T_frame_base, setup.T_tip_target)
     turned = with_measured_target_rotations(turned, T_base_tip, rows)
-    translations = tuple(
-        tuple(direction for direction in directions if direction in _TRANSLATIONS)
-        for directions in setup.unknown
-    )
-    without_rotations = replace(turned, unknown=translations, rotation=False)
-    result = linear_setup(without_rotations, T_base_tip, rows)
+    result = linear_setup(_with_rotations_known(turned), T_base_tip, rows)
     if result is None:
         return None
     return setup.placed(result.T_frame_base, result.T_tip_target)
+
+
+def _rotation_by_orientations(f: int, T_base_tip: Array, rows: Rows) -> Array:
+    """R_frame_base of a frame, shape (3, 3), by the measured orientations of the target that it sees most often.
+
+    Args:
+        f: Number of the frame, from 0, of which there are rows.
+        T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
+        rows: N rows with an orientation.
+    """
+    of_frame = np.flatnonzero(rows.samples.frame == f)
+    target = rows.samples.target[of_frame]
+    # One target determines the frame; all targets follow from the frames.
+    most_often = np.bincount(target).argmax()
+    of_target = of_frame[target == most_often]
+    R_measured = rows.measured[of_target, 3:12].reshape(-1, 3, 3)
+    return _frame_rotation(T_base_tip[of_target, :3, :3], R_measured)
+
+
+def _with_rotations_known(setup: Setup) -> Setup:
+    """The setup with translations of frames and positions of targets alone to be estimated."""
+    translations = []
+    for directions in setup.unknown:
+        of_frame = [direction for direction in directions if direction in _TRANSLATIONS]
+        translations.append(tuple(of_frame))
+    return replace(setup, unknown=tuple(translations), rotation=False)
 
 
 def _frame_rotation(R_tip: Array, R_measured: Array) -> Array:
@@ -142,7 +179,7 @@ def _frame_rotation(R_tip: Array, R_measured: Array) -> Array:
         # Entry (a, b) of the equation; the unknowns are R_f, then R_t^T, each row by row.
         A[:, 3 * a + b, 9 + b : 18 : 3] = R_measured[:, a]
         A[:, 3 * a + b, 3 * a : 3 * a + 3] = -R_tip[:, :, b]
-    eigenvectors = np.linalg.eigh(np.einsum("nij,nik->jk", A, A))[1]
+    _, eigenvectors = np.linalg.eigh(np.einsum("nij,nik->jk", A, A))
     R, _ = eigenvectors[:, 0].reshape(2, 3, 3)
     return nearest_rotation(R if np.linalg.det(R) > 0.0 else -R)
 
@@ -159,28 +196,51 @@ def with_frames_fitted(setup: Setup, T_base_tip: Array, rows: Rows) -> Setup:
         rows: N rows.
     """
     T_base_target = T_base_tip @ setup.T_tip_target[rows.samples.target]
+    points = T_base_target[:, :3, 3]
     T_frame_base: Array = setup.T_frame_base.copy()
-    positions = rows.where(lambda kind: kind.position)
     for f, directions in enumerate(setup.unknown):
         of_frame = np.flatnonzero(rows.samples.frame == f)
-        if not directions or not len(of_frame):
-            continue
-        points = T_base_target[of_frame, :3, 3]
-        measured = rows.measured[of_frame]
-        has_position = positions[of_frame]
-        locating = _kind_that_locates(rows, of_frame)
-        if _all(directions) and np.sum(has_position) >= _FEWEST_POINTS:
-            T_frame_base[f] = _frame_by_points(measured[has_position, :3], points[has_position])
-        elif locating is not None:
-            kind, of_kind = locating
-            assert kind.locate is not None
-            readings = measured[of_kind, : kind.size]
-            T_frame_base[f] = kind.locate(points[of_kind], readings, T_frame_base[f])
-        elif np.any(has_position):
-            T_frame_base[f, :3, 3] += _mean_shift(
-                T_frame_base[f], directions, measured[has_position, :3], points[has_position]
-            )
+        if directions and len(of_frame):
+            T_frame_base[f] = _frame_fitted(T_frame_base[f], directions, points, rows, of_frame)
     return setup.placed(T_frame_base, setup.T_tip_target)
+
+
+def _frame_fitted(
+    T_frame_base: Array,
+    directions: tuple[str, ...],
+    points: Array,
+    rows: Rows,
+    of_frame: Integers,
+) -> Array:
+    """Fit one frame to its rows; see `with_frames_fitted`.
+
+    Args:
+        T_frame_base: shape (4, 4), pose of the base in the frame before [m].
+        directions: Directions of the frame that are estimated.
+        points: shape (N, 3), predicted position of each row's target in the base [m].
+        rows: N rows of all frames.
+        of_frame: Numbers of the n rows of this frame.
+
+    Returns:
+        T_frame_base, shape (4, 4) [m].
+    """
+    points = points[of_frame]
+    measured = rows.measured[of_frame]
+    has_position = rows.where(lambda kind: kind.position)[of_frame]
+    if _all(directions) and np.sum(has_position) >= _FEWEST_POINTS:
+        return _frame_by_points(measured[has_position, :3], points[has_position])
+    locating = _kind_that_locates(rows, of_frame)
+    if locating is not None:
+        kind, of_kind = locating
+        assert kind.locate is not None
+        readings = measured[of_kind, : kind.size]
+        return kind.locate(points[of_kind], readings, T_frame_base)
+    result: Array = T_frame_base.copy()
+    if np.any(has_position):
+        measured_points = measured[has_position, :3]
+        shift = _mean_shift(T_frame_base, directions, measured_points, points[has_position])
+        result[:3, 3] += shift
+    return result
 
 
 def _mean_shift(
@@ -189,10 +249,10 @@ def _mean_shift(
     """Mean of measured minus predicted points, zero along directions that are not estimated, shape (3,) [m].
 
     Args:
-        T_frame_base: shape (4, 4), of the frame.
+        T_frame_base: shape (4, 4), pose of the base in the frame [m].
         directions: Directions of the frame that are estimated.
-        measured: shape (n, 3), points in the frame.
-        points: shape (n, 3), the same points in the base, predicted.
+        measured: shape (n, 3), points in the frame [m].
+        points: shape (n, 3), the same points in the base, predicted [m].
     """
     predicted = points @ T_frame_base[:3, :3].T + T_frame_base[:3, 3]
     shift = measured - predicted
@@ -201,8 +261,14 @@ def _mean_shift(
 
 
 def _frame_by_points(measured: Array, points: Array) -> Array:
-    """T_frame_base, shape (4, 4), that maps points (n, 3) in the base to measured ones, best (W. Kabsch, 1976)."""
-    centre, measured_centre = points.mean(axis=0), measured.mean(axis=0)
+    """T_frame_base, shape (4, 4) [m], that maps points in the base to measured ones, best (W. Kabsch, 1976).
+
+    Args:
+        measured: shape (n, 3), points in the frame [m].
+        points: shape (n, 3), the same points in the base [m].
+    """
+    centre = points.mean(axis=0)
+    measured_centre = measured.mean(axis=0)
     R = nearest_rotation((measured - measured_centre).T @ (points - centre))
     T = np.eye(4)
     T[:3, :3] = R
@@ -227,7 +293,13 @@ def _kind_that_locates(rows: Rows, of_frame: Integers) -> tuple[Kind, Mask] | No
             candidates.append((kind, of_kind))
     if not candidates:
         return None
-    return max(candidates, key=lambda candidate: len(candidate[0].units))
+
+    def scalars(candidate: tuple[Kind, Mask]) -> int:
+        """Number of scalars of a row."""
+        kind, _ = candidate
+        return len(kind.units)
+
+    return max(candidates, key=scalars)
 
 
 def with_measured_target_rotations(setup: Setup, T_base_tip: Array, rows: Rows) -> Setup:
@@ -239,8 +311,8 @@ def with_measured_target_rotations(setup: Setup, T_base_tip: Array, rows: Rows) 
         rows: N rows.
     """
     T_tip_target: Array = setup.T_tip_target.copy()
-    R_frame_base = setup.T_frame_base[rows.samples.frame][:, :3, :3]
-    R_frame_tip = R_frame_base @ T_base_tip[:, :3, :3]
+    T_frame_base = setup.T_frame_base[rows.samples.frame]
+    R_frame_tip = T_frame_base[:, :3, :3] @ T_base_tip[:, :3, :3]
     oriented = rows.where(lambda kind: kind.orientation)
     for t in np.flatnonzero(setup.target_unknown):
         of_target = (rows.samples.target == t) & oriented

@@ -12,7 +12,18 @@ from calib.units import Integers
 
 
 def numbered(words: Sequence[str], names: Sequence[str]) -> Integers:
-    """Return the index of each of N words in ``names``, from 0, shape (N,); `KeyError` for one that it lacks."""
+    """Return the index of words in a list of names.
+
+    Args:
+        words: N words.
+        names: Different names, which all words are among.
+
+    Returns:
+        shape (N,), index of each word in ``names``, from 0.
+
+    Raises:
+        KeyError: A word is none of the names.
+    """
     number = {name: i for i, name in enumerate(names)}
     return np.array([number[word] for word in words], dtype=np.int_)
 
@@ -30,8 +41,10 @@ def joined_labels(labels: Integers, pairs: Sequence[tuple[int, int]]) -> Integer
     if len(pairs):
         count = int(labels.max()) + 1
         first, second = labels[np.array(pairs)].T
-        graph = coo_matrix((np.ones(len(first)), (first, second)), shape=(count, count))
+        entries = np.ones(len(first))
+        graph = coo_matrix((entries, (first, second)), shape=(count, count))
         # Components are numbered in the order of their smallest labels.
-        component = connected_components(graph, directed=False)[1]
+        _, component = connected_components(graph, directed=False)
         labels = component[labels]
-    return np.unique(labels, return_inverse=True)[1].reshape(-1)
+    _, number = np.unique(labels, return_inverse=True)
+    return number.reshape(-1)

@@ -85,42 +85,80 @@ def register_all_rows(
     only_points = np.all(rows.where(lambda kind: kind.position and kind.size == 3))
     if linear is not None and only_points:
         return linear  # it is the least-squares solution itself
-    starts = starts_of(setup, T_base_tip, rows) if linear is None else [linear]
-    starts = [with_measured_target_rotations(start, T_base_tip, rows) for start in starts]
-    lowest_first = sorted(starts, key=lambda start: _sum_of_squares(start, T_base_tip, rows))
-    refined = [_refined(start, T_base_tip, rows, tolerance) for start in lowest_first[:_REFINED]]
-    _, best = min(refined, key=lambda solution: solution[0])
+    starts = [linear] if linear is not None else starts_of(setup, T_base_tip, rows)
+    best = _best_refined(starts, T_base_tip, rows, tolerance)
     return _settled(best, rows)
 
 
+def _best_refined(starts: list[Setup], T_base_tip: Array, rows: Rows, tolerance: float) -> Setup:
+    """The setup of lowest cost among the refinements of the most promising starts.
+
+    Args:
+        starts: Setups of the same frames and targets at different poses.
+        T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
+        rows: N rows.
+        tolerance: Relative fall of the sum of squares at which a refinement ends.
+    """
+    starts = [with_measured_target_rotations(start, T_base_tip, rows) for start in starts]
+    lowest_first = sorted(starts, key=lambda start: _sum_of_squares(start, T_base_tip, rows))
+    promising = lowest_first[:_REFINED]
+    refined = [_refined(start, T_base_tip, rows, tolerance) for start in promising]
+    _, best = min(refined, key=lambda solution: solution[0])
+    return best
+
+
 def _sum_of_squares(setup: Setup, T_base_tip: Array, rows: Rows) -> float:
-    """Sum of squared residuals of a setup, in units of each scalar's sigma."""
+    """Sum of squared residuals of a setup, in units of each scalar's sigma.
+
+    Args:
+        setup: Frames and targets.
+        T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
+        rows: N rows.
+    """
     T_frame_target = setup.target_poses(T_base_tip, rows.samples)
     residual = rows.residual(T_frame_target) / rows.scales
     return float(np.sum(residual[rows.used] ** 2))
 
 
 def _refined(start: Setup, T_base_tip: Array, rows: Rows, tolerance: float) -> tuple[float, Setup]:
-    """The cost and the setup at the minimum near a start, by Levenberg-Marquardt."""
+    """Minimise the sum of squares from a start, by Levenberg-Marquardt.
+
+    Args:
+        start: Frames and targets, with what is estimated of them.
+        T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
+        rows: N rows.
+        tolerance: Relative fall of the sum of squares at which the refinement ends.
+
+    Returns:
+        Half the sum of squared residuals, in units of each scalar's sigma, and the setup, at the minimum.
+    """
     model = frame_and_target_model(
         start.frame_unknowns, start.unknown_targets, start.target_names, rotation=start.rotation
     )
-    step_size = steps(model.units)
     aligned = start.aligned(model)
     system = partial(_system, aligned, T_base_tip, rows, start)
-    solution = levenberg_marquardt(system, np.zeros(len(model)), step_size, tolerance=tolerance)
+    x0 = np.zeros(len(model))
+    solution = levenberg_marquardt(system, x0, steps(model.units), tolerance=tolerance)
     displacement, _ = aligned.displacements(solution.x)
     return solution.cost, start.displaced(displacement)
 
 
 def _settled(setup: Setup, rows: Rows) -> Setup:
-    """The setup with directions that no row observes, such as a plane's turn about its normal, at a definite value."""
+    """The setup with directions that no row observes, such as a plane's turn about its normal, at a definite value.
+
+    Args:
+        setup: Frames and targets after their estimation.
+        rows: Rows by which they were estimated.
+    """
     T_frame_base = setup.T_frame_base.copy()
     for f, directions in enumerate(setup.unknown):
+        if not setup.own_axes[f]:
+            continue
+        of_frame = rows.samples.frame == f
         for kind in rows.present:
-            if kind.settle is None or not setup.own_axes[f] or directions != kind.directions:
+            if kind.settle is None or directions != kind.directions:
                 continue
-            if np.any(rows.where(kind.__eq__) & (rows.samples.frame == f)):
+            if np.any(rows.where(kind.__eq__) & of_frame):
                 T_frame_base[f] = kind.settle(T_frame_base[f])
     return setup.placed(T_frame_base, setup.T_tip_target)
 
@@ -161,52 +199,81 @@ def register_held_out(T_base_tip: Array, fitted: Setup, held_out: Setup, rows: R
 
 
 def _register_without_outliers(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
-    """`register`, repeated without the rows whose residual is far above the median."""
+    """`register`, repeated without the rows whose residual is far above the median.
+
+    Args:
+        T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
+        setup: Frames and targets, with what is estimated of them.
+        rows: N rows.
+
+    Returns:
+        The setup with the estimated poses; the same one where nothing is estimated.
+    """
     if not setup.count:
         return setup
     sample = rows.evenly(ENOUGH)
-    T_base_tip, rows = T_base_tip[sample], rows.select(sample)
-    measuring = np.any(rows.used, axis=1)
+    T_base_tip = T_base_tip[sample]
+    rows = rows.select(sample)
     kept = np.ones(len(rows), dtype=bool)
     for _ in range(_OUTLIER_ROUNDS + 1):
         registered = register(T_base_tip[kept], setup, rows.select(kept))
-        residual = rows.residual(registered.target_poses(T_base_tip, rows.samples))
-        distance = np.sqrt(np.sum((residual / rows.scales) ** 2, axis=1))
-        near = (distance <= _OUTLIER * np.median(distance[measuring])) | ~measuring
-        too_few = np.sum(near & measuring) < _FEWEST_KEPT * np.sum(measuring)
-        too_few = too_few or not rows.keeps_frames(near)
-        near = rows.with_partners(near)
-        if too_few or np.array_equal(near, kept):
+        near = _near_rows(registered, T_base_tip, rows)
+        if near is None or np.array_equal(near, kept):
             break
         kept = near
     return registered
+
+
+def _near_rows(setup: Setup, T_base_tip: Array, rows: Rows) -> Mask | None:
+    """Rows whose residual is not far above the median, with the partners of pairs.
+
+    Args:
+        setup: Frames and targets as registered.
+        T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
+        rows: N rows.
+
+    Returns:
+        shape (N,); None where too few are left, of all rows or of a frame's.
+    """
+    measuring = np.any(rows.used, axis=1)
+    residual = rows.residual(setup.target_poses(T_base_tip, rows.samples))
+    distance = np.sqrt(np.sum((residual / rows.scales) ** 2, axis=1))
+    limit = _OUTLIER * np.median(distance[measuring])
+    near = (distance <= limit) | ~measuring
+    too_few = np.sum(near & measuring) < _FEWEST_KEPT * np.sum(measuring)
+    if too_few or not rows.keeps_frames(near):
+        return None
+    return rows.with_partners(near)
 
 
 def _check_enough(setup: Setup, rows: Rows) -> None:
     """Raise `MeasurementError` where rows have fewer numbers than unknowns, of the table or of one frame."""
     frames, targets = setup.seen_by(rows.samples)
     observed = setup.with_fixed(~frames, ~targets)
-    every = np.ones(len(rows), dtype=bool)
     wholly_unknown = [len(directions) == len(DIRECTIONS) for directions in observed.unknown]
+    every = np.ones(len(rows), dtype=bool)
     _check_part("The table", rows, every, observed.count, points_needed=any(wholly_unknown))
     for f, name in enumerate(setup.groups):
         of_frame = rows.samples.frame == f
-        if np.any(of_frame):
-            _check_part(
-                f"Station '{name}'",
-                rows,
-                of_frame,
-                len(observed.unknown[f]),
-                points_needed=wholly_unknown[f],
-            )
+        if not np.any(of_frame):
+            continue
+        unknowns = len(observed.unknown[f])
+        points_needed = wholly_unknown[f]
+        _check_part(f"Station '{name}'", rows, of_frame, unknowns, points_needed=points_needed)
 
 
 def _check_part(name: str, rows: Rows, part: Mask, unknowns: int, *, points_needed: bool) -> None:
-    """Raise `MeasurementError` where a part of the rows, (N,), has fewer numbers than unknowns.
+    """Raise `MeasurementError` where a part of the rows has fewer numbers than unknowns.
 
-    ``points_needed`` says that a frame is wholly unknown: two points leave the rotation about the line through them.
+    Args:
+        name: The part, at the start of the message.
+        rows: N rows.
+        part: shape (N,), rows of the part.
+        unknowns: Number of its unknowns.
+        points_needed: True if a frame is wholly unknown: two points leave the rotation about the line through them.
     """
-    numbers, count = int(np.sum(rows.used[part])), int(np.sum(part))
+    numbers = int(np.sum(rows.used[part]))
+    count = int(np.sum(part))
     points = rows.where(lambda kind: kind.coordinates and not kind.orientation)
     too_few_points = points_needed and np.all(points[part]) and count < _FEWEST_POINTS
     if numbers < unknowns or too_few_points:
@@ -221,8 +288,10 @@ def _subsample(rows: Rows) -> Mask:
     if len(rows) <= _FEWEST_ROWS:
         return np.ones(len(rows), dtype=bool)
     measuring = np.flatnonzero(rows.kinds != NONE)
-    targets = int(rows.samples.target.max()) + 1
-    view = (rows.samples.frame * targets + rows.samples.target)[measuring]
+    samples = rows.samples
+    # Each pair of a frame and a target has a number.
+    targets = int(samples.target.max()) + 1
+    view = (samples.frame * targets + samples.target)[measuring]
     views = np.unique(view)
     most = max(_ROWS // len(views), _FEWEST_ROWS)
     mask = np.zeros(len(rows), dtype=bool)
@@ -236,7 +305,7 @@ def _subsample(rows: Rows) -> Mask:
 def _system(
     model: ErrorModel, T_base_tip: Array, rows: Rows, setup: Setup, x: Array
 ) -> tuple[Array, Array]:
-    """The residual of a registration and its own Jacobian, in units of each scalar's sigma.
+    """The residual of a registration and its Jacobian, in units of each scalar's sigma.
 
     Args:
         model: Parameters of frames and targets alone, p of them.
@@ -252,10 +321,11 @@ def _system(
     displaced = setup.displaced(displacement)
     T_frame_target = displaced.target_poses(T_base_tip, rows.samples)
     twists = _twists(model, directions, displaced, T_frame_target, rows)
-    used, scales = rows.used, rows.scales
-    residual = (rows.residual(T_frame_target) / scales)[used]
+    scales = rows.scales
+    residual = rows.residual(T_frame_target) / scales
     derivative = rows.derivative(T_frame_target, twists.transpose(2, 1, 0))
-    return residual, (derivative / -scales[:, :, None])[used]
+    jacobian = derivative / -scales[:, :, None]
+    return residual[rows.used], jacobian[rows.used]
 
 
 def _twists(
@@ -270,18 +340,23 @@ def _twists(
         T_frame_target: shape (N, 4, 4), pose of each row's target [m].
         rows: N rows.
     """
-    frames = len(setup.groups)
-    local = directions.reshape(-1, 6, len(model))
     T_frame_base = setup.T_frame_base[rows.samples.frame]
-    axes = np.array([T[:, :3].transpose(2, 1, 0) for T in (T_frame_base, T_frame_target)])
-    velocities = kernel.regressor(axes, axes[1, 3])
+    axes = np.array([_axes_first(T_frame_base), _axes_first(T_frame_target)])
+    by_frame, by_target = kernel.regressor(axes, axes[1, 3])
+    twists = directions.reshape(-1, 6, len(model))
+    frames = len(setup.groups)
+    at_frames = twists[:frames]
+    at_targets = twists[frames + 1 :]  # the tip is between them
     columns = np.zeros((len(model), 6, len(rows)))
-    places = (
-        (local[:frames], rows.samples.frame),
-        (local[frames + 1 :], rows.samples.target),
-    )
-    for k, (of_places, place) in enumerate(places):
-        kernel.add_columns(columns[:, :3], velocities[k], of_places, place)
-        if rows.width > LENGTHS:
-            kernel.add_columns(columns[:, 3:], axes[k, :3], of_places[:, 3:], place)
+    kernel.add_columns(columns[:, :3], by_frame, at_frames, rows.samples.frame)
+    kernel.add_columns(columns[:, :3], by_target, at_targets, rows.samples.target)
+    if rows.width > LENGTHS:
+        turns = columns[:, 3:]
+        kernel.add_columns(turns, axes[0, :3], at_frames[:, 3:], rows.samples.frame)
+        kernel.add_columns(turns, axes[1, :3], at_targets[:, 3:], rows.samples.target)
     return columns
+
+
+def _axes_first(T: Array) -> Array:
+    """Axes and origin of poses, shape (N, 4, 4), in the order that `kernel.regressor` takes, shape (4, 3, N)."""
+    return np.asarray(T[:, :3].transpose(2, 1, 0))

@@ -28,6 +28,7 @@ _FEWEST_OF_EACH = 100
 class _KindRows:
     """The rows of one kind."""
 
+    #: What these rows measure
     kind: Kind
     #: Their numbers; a slice where all rows are of this kind
     rows: Integers | slice
@@ -58,20 +59,18 @@ class Rows:
     poses: Integers
     #: (N,), rows of one number are held out together: one pose, and both rows of a pair
     blocks: Integers
-    #: (N,), weights that a fit takes as they are, with repeats already
+    #: (N,), weights that a fit takes as they are, with repeats already shared out; None: the fit estimates them
     weights: Array | None = None
-    # shared out; None: the fit estimates them
-    # (N,), rows of sole postures, see `calib.estimate.sole_postures`; None:
+    #: (N,), rows of sole postures, see `calib.estimate.sole_postures`; None: the fit finds them
     sole: Mask | None = None
-    # the fit finds them
-    # D, columns of a residual: 6 with angles, 3 with positions, else 1
+    #: D, columns of a residual: 6 with angles, 3 with positions, else 1
     width: int = field(init=False)
     #: (N, D), which entries of the residual are measured
     used: Mask = field(init=False, repr=False)
-    # (N, D), which instrument, and so which noise, each scalar has, from 0; -1 for no scalar. Lengths of each kind are
-    # an instrument, in the order of the kinds' numbers, then angles of each kind.
+    #: (N, D), which instrument, and so which noise, each scalar has, from 0; -1 for no scalar. Lengths of each kind are
+    #: an instrument, in the order of the kinds' numbers, then angles of each kind
     instruments: NDArray[np.int8] = field(init=False, repr=False)
-    # In the order of kinds' numbers
+    #: The rows of each kind that occurs, in the order of kinds' numbers
     _by_kind: tuple[_KindRows, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -262,13 +261,9 @@ class Rows:
         group = group.reshape(-1)
         fewest = min(_FEWEST_OF_EACH, max(most // len(count), 1))
         quota = np.minimum(count, np.maximum(most * count // max(len(self), 1), fewest))
-        # Sorted by group, and at random within it, the first rows of each group are drawn.
-        random = np.random.default_rng(0).random(len(measuring))
-        order = np.lexsort((random, group))
-        first_of_group = np.concatenate([[0], np.cumsum(count)[:-1]])
-        rank = np.arange(len(measuring)) - first_of_group[group[order]]
+        drawn = _drawn_of_groups(group, count, quota)
         result = np.zeros(len(self), dtype=bool)
-        result[measuring[order[rank < quota[group[order]]]]] = True
+        result[measuring[drawn]] = True
         return self.with_partners(result)
 
     def parts(self, size: int) -> list[slice]:
@@ -303,3 +298,23 @@ def _instruments(by_kind: tuple[_KindRows, ...], count: int, width: int) -> NDAr
                 result[rows[part.rows], columns] = number
                 number += 1
     return result
+
+
+def _drawn_of_groups(group: Integers, count: Integers, quota: Integers) -> Integers:
+    """Draw entries of each group at random, with a fixed seed.
+
+    Args:
+        group: shape (n,), number of each entry's group, from 0.
+        count: shape (G,), number of entries of each group.
+        quota: shape (G,), how many of them are drawn.
+
+    Returns:
+        Indices of the entries drawn, from 0.
+    """
+    random = np.random.default_rng(0).random(len(group))
+    # Sorted by group, and at random within it, the first entries of each group are drawn.
+    order = np.lexsort((random, group))
+    ordered_group = group[order]
+    first_of_group = np.concatenate([[0], np.cumsum(count)[:-1]])
+    rank = np.arange(len(group)) - first_of_group[ordered_group]
+    return np.asarray(order[rank < quota[ordered_group]])

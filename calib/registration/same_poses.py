@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from calib.units import Array, Integers
+from calib.units import Array, Integers, Mask
 
 #: Rows whose joint values differ by no more than this are repeats of a pose [rad or m].
 _SAME_POSE = 1e-3
@@ -25,11 +25,10 @@ def same_poses(joints: Array) -> Integers:
     unique, first, copy = np.unique(joints, axis=0, return_index=True, return_inverse=True)
     tree = cKDTree(unique)
     leader = first.copy()
-    reach = 1.01 * _SAME_POSE
-    nearest = tree.query(unique, k=[2], p=np.inf, distance_upper_bound=reach)[0][:, 0]
-    near = nearest < reach
+    near = _has_neighbour(tree)
     free = np.ones(len(unique), dtype=bool)
-    for i in np.flatnonzero(near)[np.argsort(first[near])].tolist():
+    order_of_rows = np.argsort(first[near])
+    for i in np.flatnonzero(near)[order_of_rows].tolist():
         if not free[i]:
             continue
         # A leader takes its free neighbours.
@@ -37,5 +36,14 @@ def same_poses(joints: Array) -> Integers:
         taken = taken[free[taken]]
         leader[taken] = first[i]
         free[taken] = False
-    of_row = leader[copy.reshape(-1)]
-    return np.unique(of_row, return_inverse=True)[1].reshape(-1)
+    leader_of_row = leader[copy.reshape(-1)]
+    _, pose = np.unique(leader_of_row, return_inverse=True)
+    return pose.reshape(-1)
+
+
+def _has_neighbour(tree: cKDTree) -> Mask:
+    """Mark the different points of a tree, n of them, that have another about as near as repeats are, shape (n,)."""
+    reach = 1.01 * _SAME_POSE
+    # To the second nearest, as a point is nearest to itself; infinite where none is within reach.
+    distances, _ = tree.query(tree.data, k=[2], p=np.inf, distance_upper_bound=reach)
+    return np.asarray(distances[:, 0] < reach)

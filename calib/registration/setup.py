@@ -30,7 +30,7 @@ class Setup:
     T_frame_base: Array
     #: (T, 4, 4), pose of each target in the tip [m]
     T_tip_target: Array
-    # For each frame the directions that are estimated: "x" ... "rz"
+    #: For each frame the directions that are estimated: "x" ... "rz"
     unknown: tuple[tuple[str, ...], ...]
     #: (F,), frames whose pose the user gave; of others it is registered
     frame_given: Mask
@@ -75,9 +75,10 @@ class Setup:
     @property
     def count(self) -> int:
         """Number of unknowns of all frames and targets."""
-        of_a_target = 6 if self.rotation else 3
         of_frames = sum(len(directions) for directions in self.unknown)
-        return of_a_target * int(np.sum(self.target_unknown)) + of_frames
+        of_each_target = 6 if self.rotation else 3
+        of_targets = of_each_target * int(np.sum(self.target_unknown))
+        return of_targets + of_frames
 
     def placed(self, T_frame_base: Array, T_tip_target: Array) -> Setup:
         """Return a copy with other poses of the frames and targets.
@@ -86,8 +87,11 @@ class Setup:
             T_frame_base: shape (F, 4, 4), pose of the base in each frame [m].
             T_tip_target: shape (T, 4, 4), pose of each target in the tip [m].
         """
-        frames, targets = read_only(T_frame_base), read_only(T_tip_target)
-        return replace(self, T_frame_base=frames, T_tip_target=targets)
+        return replace(
+            self,
+            T_frame_base=read_only(T_frame_base),
+            T_tip_target=read_only(T_tip_target),
+        )
 
     def displaced(self, displacement: Array) -> Setup:
         """Return a copy displaced by the parameters of an error model.
@@ -98,7 +102,9 @@ class Setup:
         """
         of_frames = displacement[: len(self.groups)]
         of_targets = displacement[-len(self.targets) :]
-        return self.placed(self.T_frame_base @ of_frames, self.T_tip_target @ of_targets)
+        T_frame_base = self.T_frame_base @ of_frames
+        T_tip_target = self.T_tip_target @ of_targets
+        return self.placed(T_frame_base, T_tip_target)
 
     def target_poses(self, T_base_tip: Array, samples: Samples) -> Array:
         """Predict T_frame_target of samples.
@@ -121,8 +127,10 @@ class Setup:
 
     def unknown_at(self, samples: Samples) -> Mask:
         """Return the samples whose frame or target is estimated, shape (N,)."""
-        frames = np.array([bool(directions) for directions in self.unknown])
-        return np.asarray(frames[samples.frame] | self.target_unknown[samples.target])
+        frame_unknown = np.array([bool(directions) for directions in self.unknown])
+        by_frame = frame_unknown[samples.frame]
+        by_target = self.target_unknown[samples.target]
+        return np.asarray(by_frame | by_target)
 
     def with_given_fixed(self, observed: Samples | None = None) -> Setup:
         """Return a copy in which given frames and targets are fixed, not estimated.
@@ -142,9 +150,11 @@ class Setup:
             frames: shape (F,), which frames.
             targets: shape (T,), which targets.
         """
-        pairs = zip(frames, self.unknown, strict=True)
-        unknown = tuple(() if fixed else directions for fixed, directions in pairs)
-        return replace(self, unknown=unknown, target_unknown=self.target_unknown & ~targets)
+        unknown: list[tuple[str, ...]] = []
+        for fixed, directions in zip(frames, self.unknown, strict=True):
+            unknown.append(() if fixed else directions)
+        target_unknown = self.target_unknown & ~targets
+        return replace(self, unknown=tuple(unknown), target_unknown=target_unknown)
 
     def aligned(self, model: ErrorModel) -> ErrorModel:
         """Turn the directions of frame and target parameters: a plane's to its own axes, positions to the tip's axes.
@@ -152,26 +162,43 @@ class Setup:
         An error model has the directions of a frame along the base's axes and those of a target along its own. With the
         rotation R of T_frame_base a unit along one of the plane's axes e is the twist R^T e.
 
+        Args:
+            model: Parameters of the robot, the frames and the targets, as `calib.model.error_model` makes them.
+
         Returns:
             The model with parameters of the same names, each still of one metre or radian a unit.
         """
-        frames, targets = self.places
-        planes = zip(compress(frames, self.own_axes), self.T_frame_base[self.own_axes], strict=True)
-        R_by_plane = {place: T[:3, :3].T for place, T in planes}
-        R_tip_target = self.T_tip_target[:, :3, :3]
-        R_by_target = dict(zip(targets, R_tip_target.swapaxes(1, 2), strict=True))
+        R_of_planes, R_of_targets = self._new_axes()
 
         def turned(parameter: Parameter) -> Parameter:
-            R = R_by_plane.get(parameter.place)
+            """Return a parameter with its direction turned; those of the robot as they are."""
+            R = R_of_planes.get(parameter.place)
             if R is None and parameter.unit == "m":
-                R = R_by_target.get(parameter.place)
+                R = R_of_targets.get(parameter.place)
             if R is None or parameter.unit not in ("m", "rad") or np.array_equal(R, np.eye(3)):
                 return parameter
-            direction = (R @ parameter.direction.reshape(2, 3).T).T.ravel()
-            return replace(parameter, direction=read_only(direction))
+            linear_and_angular = parameter.direction.reshape(2, 3)
+            direction = (R @ linear_and_angular.T).T
+            return replace(parameter, direction=read_only(direction.ravel()))
 
         parameters = tuple(map(turned, model.parameters))
         terms = tuple(map(turned, model.terms))
         if parameters == model.parameters and terms == model.terms:
             return model
         return replace(model, parameters=parameters, terms=terms)
+
+    def _new_axes(self) -> tuple[dict[str, Array], dict[str, Array]]:
+        """Rotations by which `aligned` turns directions, by `Parameter.place`.
+
+        Returns:
+            R_base_frame of the frames with axes of their own, and R_target_tip of all targets, of shape (3, 3).
+        """
+        frames, targets = self.places
+        R_frame_base = self.T_frame_base[:, :3, :3]
+        R_of_planes = {}
+        for place, own_axes, R in zip(frames, self.own_axes, R_frame_base, strict=True):
+            if own_axes:
+                R_of_planes[place] = R.T
+        R_tip_target = self.T_tip_target[:, :3, :3]
+        R_of_targets = dict(zip(targets, R_tip_target.swapaxes(1, 2), strict=True))
+        return R_of_planes, R_of_targets

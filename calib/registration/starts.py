@@ -31,11 +31,11 @@ def starts_of(setup: Setup, T_base_tip: Array, rows: Rows) -> list[Setup]:
     by_orientation = orientation_setup(setup, T_base_tip, rows)
     if by_orientation is not None:
         return [by_orientation]
-    pairs = itertools.product(_turned_frames(setup), _target_poses(setup))
-    return [
-        with_frames_fitted(turned.placed(turned.T_frame_base, targets), T_base_tip, rows)
-        for turned, targets in pairs
-    ]
+    result = []
+    for turned, T_tip_target in itertools.product(_turned_frames(setup), _target_poses(setup)):
+        start = turned.placed(turned.T_frame_base, T_tip_target)
+        result.append(with_frames_fitted(start, T_base_tip, rows))
+    return result
 
 
 def _target_poses(setup: Setup) -> list[Array]:

@@ -54,13 +54,14 @@ def rows_and_setup(robot: Robot, measurements: Measurements, cell: Cell) -> tupl
     pose = same_poses(q)
     first_rows = np.flatnonzero(partner >= 0)
     pairs = [(int(i), int(partner[i])) for i in first_rows]
+    sigma_angle = measurements.sigma_angle
     rows = Rows(
         samples=samples,
         kinds=kinds,
         measured=_measured(measurements, kinds),
         partner=partner,
         sigma=_sigma(len(q), measurements.sigma, cell.sigma, FIRST_SIGMA),
-        sigma_angle=_sigma(len(q), measurements.sigma_angle, cell.sigma_angle, FIRST_SIGMA_ANGLE),
+        sigma_angle=_sigma(len(q), sigma_angle, cell.sigma_angle, FIRST_SIGMA_ANGLE),
         poses=_repeats(pose, samples, kinds, partner),
         blocks=joined_labels(pose, pairs),
     )
@@ -88,7 +89,14 @@ def _needs_loads(cell: Cell) -> bool:
 
 
 def _sigma(count: int, by_row: Array | None, by_cell: float | None, assumed: float) -> Array:
-    """Standard deviation of each row, shape (count,): the row's, else the cell's, else the assumed one."""
+    """Standard deviation of each row, shape (count,): the row's, else the cell's, else the assumed one.
+
+    Args:
+        count: Number of rows.
+        by_row: shape (count,), as the table gives it, NaN where it does not [m] or [rad]; None without such a column.
+        by_cell: As the cell gives it for all rows, in the same unit; None where it does not.
+        assumed: In the same unit.
+    """
     general = np.full(count, assumed if by_cell is None else by_cell)
     if by_row is None:
         return general
@@ -104,17 +112,20 @@ def _repeats(pose: Integers, samples: Samples, kinds: Integers, partner: Integer
         kinds: shape (N,), as `Rows` has them.
         partner: shape (N,), likewise; repeats of a pair repeat both its rows.
     """
-    if int(pose.max(initial=-1)) + 1 == len(pose):
+    poses = int(pose.max(initial=-1)) + 1
+    if poses == len(pose):
         return pose  # no pose is repeated
     labels = np.column_stack([pose, samples.frame, samples.target, kinds])
     labels_of_partner = np.where((partner >= 0)[:, None], labels[partner], -1)
     both = np.hstack([labels, labels_of_partner])
-    return np.unique(both, axis=0, return_inverse=True)[1].reshape(-1)
+    _, number = np.unique(both, axis=0, return_inverse=True)
+    return number.reshape(-1)
 
 
 def _measured(measurements: Measurements, kinds: Integers) -> Array:
     """Measured values of each row, shape (N, K), as `Rows.measured`: point, rotation matrix by rows, readings."""
-    present = {k: registry.at(k) for k in np.unique(kinds).tolist() if k != NONE}
+    numbers = [k for k in np.unique(kinds).tolist() if k != NONE]
+    present = {k: registry.at(k) for k in numbers}
     size = max((kind.size for kind in present.values()), default=0)
     result = np.zeros((len(measurements), size))
     for number, kind in present.items():
@@ -124,8 +135,9 @@ def _measured(measurements: Measurements, kinds: Integers) -> Array:
             parts.append(measurements.points[rows])
         if kind.orientation and measurements.rotations is not None:
             parts.append(measurements.rotations[rows].reshape(-1, 9))
-        readings = [measurements.reading(reading.name) for reading in kind.readings]
-        parts += [values[rows, None] for values in readings]
+        for reading in kind.readings:
+            values = measurements.reading(reading.name)
+            parts.append(values[rows, None])
         if parts:
             result[rows, : kind.size] = np.hstack(parts)
     return result

@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.diagnosis.reasons import NO
 from calib.errors import ModelError
-from calib.numerics.drift_test import DriftTest
+from calib.numerics.drift import DriftTest
 from calib.result.calibration import CalibrationValues
 from calib.result.calibration_file import read_result
 from calib.result.difference import Differences, Displacement, differences_of

@@ -4,7 +4,7 @@ The difference of two results' predictions of one target in the base is delta(q)
 Where a fit estimated the base's place or the target from its own data, the motion of them that explains delta best, by
 least squares over the joint values that both data cover, is subtracted, there and everywhere: frame and target are the
 gauge of the comparison. Measured orientations count as their effect at the end of a lever of 100 mm. The difference is
-tested by `calib.numerics.drift_test`.
+tested by `calib.numerics.drift`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from calib.model.error_model import DIRECTIONS
 from calib.model.kinematics import Kinematics
 from calib.model.observability import steps
 from calib.model.parameters import FRAME, TARGET
-from calib.numerics.drift_test import (
+from calib.numerics.drift import (
     DriftTest,
     Estimate,
     covariance_under,

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from calib.errors import choices
-from calib.numerics.drift_test import LEVEL
+from calib.numerics.drift import LEVEL
 from calib.result.calibration import CalibrationValues
 from calib.result.calibration_file import versions
 from calib.result.comparison import ComparisonValues

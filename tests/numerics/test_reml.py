@@ -63,9 +63,30 @@ def test_score_and_information_against_the_likelihood(count, more):
     np.testing.assert_allclose(information, information.T)
 
 
+@pytest.mark.parametrize("count", [1, 2])
+def test_information_is_half_the_trace_of_the_projected_derivatives(count):
+    """By the covariance V of all scalars: 1/2 tr(P V_i P V_j), where P is V^-1 less what the flat parameters take."""
+    A, y = data_of(np.random.default_rng(4), 8, 0.1, (0.3, 0.1))
+    noise, prior_std = np.array([0.1, 0.25])[:count], np.array([0.3, 0.1])
+    logs = np.log([*noise, *prior_std])
+    data = linearised(A, y, count)
+    _, information = score_and_information(data, MEMBERS, FLAT, logs[None])
+
+    columns = A.reshape(-1, A.shape[2])
+    instrument = np.tile([0, 0, count - 1], len(A))
+    derivatives = [np.diag(2.0 * noise[c] ** 2 * (instrument == c)) for c in range(count)]
+    for family, std in zip(FAMILIES, prior_std, strict=True):
+        derivatives.append(2.0 * std**2 * columns[:, family] @ columns[:, family].T)
+    W = np.linalg.inv(sum(derivatives) / 2.0)
+    flat = columns[:, ~FAMILIES.any(axis=0)]
+    P = W - W @ flat @ np.linalg.solve(flat.T @ W @ flat, flat.T @ W)
+    expected = [[0.5 * np.trace(P @ Vi @ P @ Vj) for Vj in derivatives] for Vi in derivatives]
+    np.testing.assert_allclose(information[0], expected, rtol=1e-8)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 2])
-def test_the_information_is_the_covariance_of_thescore_and_information(count):
+def test_the_information_is_the_covariance_of_the_score(count):
     rng = np.random.default_rng(3)
     A, _ = data_of(rng, 10, 0.1, (0.3, 0.1))
     noise = (0.1, 0.25)[:count]
@@ -127,3 +148,16 @@ def test_noise_has_a_normal_prior_on_its_logarithm(spread):
     # The errors are four times the given noise; a narrow prior keeps it near that all the same.
     expected = 0.0 if spread == 0.1 else np.log(4.0)
     assert found[0] == pytest.approx(expected, abs=0.5)
+
+
+def test_estimates_stay_at_bounds_beyond_which_the_likelihood_rises():
+    data = linearised(*data_of(np.random.default_rng(12), 20, 0.02, (0.05, 0.02)))
+    start = np.array([[0.1]]), np.array([[0.01, 0.01]])
+    limits = VarianceLimits((0.1,), ((1e-7, 0.02), (1e-7, 0.1)))
+    noise, prior_std = prior_std_by_reml(data, FAMILIES, start, FLAT, limits)
+    assert noise[0, 0] == pytest.approx(0.1)
+    assert prior_std[0, 0] == pytest.approx(0.02)
+    logs = np.log(np.hstack([noise, prior_std]))
+    score, _ = score_and_information(data, MEMBERS, FLAT, logs)
+    assert score[0, 0] < 0.0 < score[0, 1]
+    assert score[0, 2] == pytest.approx(0.0, abs=1e-6)

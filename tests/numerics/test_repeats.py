@@ -65,3 +65,21 @@ def test_parameters_of_the_fit_are_allowed_for():
         right.append(scatter_of_repeats(*arguments, fitted=36).rho)
     assert np.mean(naive) < 0.5
     assert np.mean(right) == pytest.approx(0.6, abs=0.02)
+
+
+def test_correlation_does_not_depend_on_the_units_of_lengths_and_angles():
+    rng = np.random.default_rng(5)
+    e, poses = measured(rng, [3] * 20, shared=1.0, noise=0.5, columns=6)
+    units = np.array([1e-3, 1e-3, 1e-3, 20.0, 20.0, 20.0])
+    used, weights = everything(e)
+    one_unit = scatter_of_repeats(e / np.sqrt(_mean_squares(e)), used, poses, weights)
+    two_units = scatter_of_repeats(e * units, used, poses, weights)
+    assert two_units.rho == pytest.approx(one_unit.rho)
+    np.testing.assert_allclose(
+        two_units.within, scatter_of_repeats(e, used, poses, weights).within * units[[0, 3]]
+    )
+
+
+def _mean_squares(e):
+    """Of lengths in the first three columns, and of angles in the others."""
+    return np.repeat([np.mean(e[:, :3] ** 2), np.mean(e[:, 3:] ** 2)], 3)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -142,3 +142,26 @@ def test_derivatives_against_differences(make_scene, join, kind):
         e[k] = 1e-3
         near, far = (at(x + e) - at(x - e)) / 2e-3, (at(x + 2 * e) - at(x - 2 * e)) / 4e-3
         np.testing.assert_allclose(-derivative[:, :, k], (4 * near - far) / 3, atol=1e-7)
+
+
+def test_an_even_sample_has_the_same_share_of_each_target_and_the_fewest_of_small_ones():
+    """Of 3000, 900 and 100 rows of three targets a quarter is drawn, but of the last not less than 100."""
+    rng = np.random.default_rng(6)
+    rows = some_rows(rng, [POINT] * 4000)
+    target = rng.permutation(np.repeat([0, 1, 2], [3000, 900, 100]))
+    samples = replace(rows.samples, target=target)
+    rows = replace(rows, samples=samples)
+    drawn = rows.evenly(1000)
+    assert np.bincount(target[drawn]).tolist() == [750, 225, 100]
+    np.testing.assert_array_equal(drawn, rows.evenly(1000))
+    # From the whole table, not from its beginning.
+    assert np.mean(np.flatnonzero(drawn)) == pytest.approx(2000, abs=150)
+
+
+def test_an_even_sample_keeps_pairs_whole():
+    partner = np.full(600, -1)
+    partner[::2] = np.arange(1, 600, 2)
+    rows = some_rows(np.random.default_rng(7), [PAIR, NONE] * 300, partner)
+    drawn = rows.evenly(200)
+    np.testing.assert_array_equal(drawn[::2], drawn[1::2])
+    assert np.sum(drawn) == 200

@@ -23,7 +23,7 @@ from calib.example.__init__ import PAPER_TARGET
 from calib.json_files import plain
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
-from calib.numerics.drift_test import LEVEL
+from calib.numerics.drift import LEVEL
 from calib.robot.ranges import spread_between
 from calib.robot.robot import Robot
 from calib.text.comparison import notes

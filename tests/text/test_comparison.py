@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calib.calibration import Calibration
-from calib.numerics.drift_test import LEVEL, DriftTest
+from calib.numerics.drift import LEVEL, DriftTest
 from calib.result.comparison import ComparisonValues, Displacement, Why, compare
 from calib.result.difference import Where
 from calib.text.comparison import comparison_table, comparison_text, notes, sentence

@@ -60,7 +60,7 @@ class DriftTest:
 
     #: Number k of combinations of parameters that both data know
     combinations: int
-    #: D^T V^-1 d over them
+    #: d^T V^-1 d over them
     chi_square: float
     #: Degrees of freedom nu of the noise
     freedom: float
@@ -71,7 +71,7 @@ class DriftTest:
 
     @property
     def drifted(self) -> bool:
-        """Whether the difference is more than chance."""
+        """True if the difference is more than chance."""
         return self.p < LEVEL
 
 
@@ -98,9 +98,9 @@ def covariance_under(covariance: Array, change: Array, free: Mask) -> Array:
     M += np.diag(change[free] * scale**2)
     # Scaled anew, so that what had been held tightly does not drown the others.
     size = 1.0 / np.sqrt(np.maximum(np.diag(M), 1e-12))
+    inverse = np.linalg.pinv(M * np.outer(size, size), rcond=1e-13, hermitian=True)
     result = np.zeros_like(covariance)
-    result[block] = np.linalg.pinv(M * np.outer(size, size), rcond=1e-13, hermitian=True)
-    result[block] *= np.outer(size * scale, size * scale)
+    result[block] = inverse * np.outer(size * scale, size * scale)
     return result
 
 
@@ -135,27 +135,84 @@ def drift_test(
     Args:
         difference: Predictions of b less those of a, shape (r,), in any coordinates.
         effects: Derivatives of the predictions of a and of b by their own parameters, shapes (r, p_a) and (r, p_b).
-        estimates: Both estimates.
-        joint: Their `joint_covariance`.
+        estimates: The estimates a and b, under common priors.
+        joint: Covariance of both about the truth, shape (p_a + p_b, p_a + p_b), see `joint_covariance`.
         floor: Rounding of each coordinate, standard deviation, in the unit of the difference.
+
+    Returns:
+        The test; of no combinations, with p = 1, where there is no difference or the data know nothing.
     """
     if not len(difference):
         return _NOT_TESTED
-    a, b = estimates
-    effect_a, effect_b = effects
-    spreads = (effect_a @ a.covariance @ effect_a.T, effect_b @ b.covariance @ effect_b.T)
+    by_data = _covariances_by_data(effects, estimates)
+    by_prior = _covariance_by_prior(effects, estimates)
     rounding = floor**2 * np.eye(len(difference))
-    prior = ((effect_a * a.prior) @ effect_a.T + (effect_b * b.prior) @ effect_b.T) / 2.0
-    kept = _known_combinations(spreads[0] + spreads[1] + rounding, prior)
-    k = kept.shape[1]
-    if k == 0:
+    kept = _known_combinations(by_data[0] + by_data[1] + rounding, by_prior)
+    if kept.shape[1] == 0:
         return _NOT_TESTED
+    covariance = _covariance_of_difference(effects, joint) + rounding
+    whitening = _whitening(kept, covariance)
+    a, b = estimates
+    freedom = _welch_freedom(whitening, by_data, (a.freedom, b.freedom))
+    return _f_test(whitening @ difference, freedom)
+
+
+def _covariances_by_data(
+    effects: tuple[Array, Array], estimates: tuple[Estimate, Estimate]
+) -> tuple[Array, Array]:
+    """Return the covariance of the predictions of each estimate, C of the parameters, shapes (r, r).
+
+    Args:
+        effects: Derivatives of r predictions by the parameters of a and of b, shapes (r, p_a) and (r, p_b).
+        estimates: The estimates a and b.
+    """
+    effect_a, effect_b = effects
+    a, b = estimates
+    by_a = effect_a @ a.covariance @ effect_a.T
+    by_b = effect_b @ b.covariance @ effect_b.T
+    return by_a, by_b
+
+
+def _covariance_by_prior(
+    effects: tuple[Array, Array], estimates: tuple[Estimate, Estimate]
+) -> Array:
+    """Return the covariance of the predictions by the prior alone, the mean of both, shape (r, r).
+
+    Args:
+        effects: Derivatives of r predictions by the parameters of a and of b, shapes (r, p_a) and (r, p_b).
+        estimates: The estimates a and b.
+    """
+    effect_a, effect_b = effects
+    a, b = estimates
+    by_a = (effect_a * a.prior) @ effect_a.T
+    by_b = (effect_b * b.prior) @ effect_b.T
+    return np.asarray((by_a + by_b) / 2.0)
+
+
+def _covariance_of_difference(effects: tuple[Array, Array], joint: Array) -> Array:
+    """Return the covariance of the predictions of b less those of a, shape (r, r).
+
+    Args:
+        effects: Derivatives of the predictions by the parameters of a and of b, shapes (r, p_a) and (r, p_b).
+        joint: Covariance of both estimates, shape (p_a + p_b, p_a + p_b).
+    """
+    effect_a, effect_b = effects
     signed = np.hstack([-effect_a, effect_b])
-    whitening = _whitening(kept, signed @ joint @ signed.T + rounding)
-    chi_square = float(np.sum((whitening @ difference) ** 2))
-    freedom = _welch_freedom(whitening, spreads, (a.freedom, b.freedom))
+    return np.asarray(signed @ joint @ signed.T)
+
+
+def _f_test(whitened: Array, freedom: float) -> DriftTest:
+    """Test that k independent numbers of mean zero have the variance 1, known with some degrees of freedom.
+
+    Args:
+        whitened: shape (k,), combinations of the difference in their standard deviations.
+        freedom: Degrees of freedom of the noise from which these were estimated.
+    """
+    k = len(whitened)
+    chi_square = float(np.sum(whitened**2))
     p = max(float(fdtrc(k, freedom, chi_square / k)), _SMALLEST_P)
-    return DriftTest(k, chi_square, freedom, p, sigma=max(-float(ndtri(p)), 0.0))
+    sigma = max(-float(ndtri(p)), 0.0)
+    return DriftTest(k, chi_square, freedom, p, sigma)
 
 
 def _known_combinations(posterior: Array, prior: Array) -> Array:
@@ -170,22 +227,29 @@ def _known_combinations(posterior: Array, prior: Array) -> Array:
 
 
 def _whitening(kept: Array, covariance: Array) -> Array:
-    """Return the matrix W, shape (k, r), with W V W^T = 1 for the covariance V, (r, r), on combinations (r, k)."""
+    """Return the matrix W, shape (k, r), with W V W^T = 1, by which kept combinations become independent.
+
+    Args:
+        kept: shape (r, k), combinations of coordinates, as columns.
+        covariance: shape (r, r), V, of the coordinates.
+    """
     values, axes = eigh(kept.T @ covariance @ kept)
     root = np.sqrt(np.maximum(values, 1e-12 * values[-1]))
     return np.asarray(((kept @ axes) / root).T)
 
 
 def _welch_freedom(
-    whitening: Array, spreads: tuple[Array, Array], freedoms: tuple[float, float]
+    whitening: Array, by_data: tuple[Array, Array], freedoms: tuple[float, float]
 ) -> float:
     """Return Welch's degrees of freedom of the sum of two variances.
 
     Args:
-        whitening: shape (k, r).
-        spreads: The covariance by each result, shape (r, r).
+        whitening: shape (k, r), turns r predictions into k independent ones of variance 1.
+        by_data: Covariance of the predictions of each of two results by its data, shapes (r, r).
         freedoms: Degrees of freedom of each result's noise; at least one is assumed.
     """
-    a, b = (float(np.trace(whitening @ spread @ whitening.T)) for spread in spreads)
+    of_a, of_b = by_data
+    a = float(np.trace(whitening @ of_a @ whitening.T))
+    b = float(np.trace(whitening @ of_b @ whitening.T))
     freedom_a, freedom_b = (max(freedom, 1.0) for freedom in freedoms)
     return (a + b) ** 2 / (a**2 / freedom_a + b**2 / freedom_b)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from calib.numerics.drift_test import (
+from calib.numerics.drift import (
     LEVEL,
     DriftTest,
     Estimate,
