@@ -428,6 +428,9 @@ def _judged_name(judge: str | None, evaluations: Mapping[str, Evaluation]) -> st
             taken as none.
         evaluations: Residuals of each robot, by the names to choose from.
 
+    Returns:
+        A key of ``evaluations``.
+
     Raises:
         CalibError: There is no such robot.
     """

@@ -359,7 +359,14 @@ def _of_pose(evaluation: Evaluation, residual: Array, repeats: NDArray[np.intp])
 
 
 def _largest_norm(vectors: Array) -> float:
-    """Return the largest norm of n vectors, shape (n, d), in their unit."""
+    """Return the largest norm of vectors, such as the largest error of a single repeat.
+
+    Args:
+        vectors: shape (n, d) with n >= 1, residuals [m] or rotation vectors [rad].
+
+    Returns:
+        In their unit.
+    """
     return float(np.linalg.norm(vectors, axis=1).max())
 
 
@@ -461,11 +468,21 @@ class _LengthResiduals:
                 in those behind.
             corrected: The same by the corrected robot.
             used: True for the scalars that were measured, shape (N, D).
+
+        Returns:
+            The residuals in length; two rows are alike where these are.
         """
         return cls(nominal[:, :LENGTHS], corrected[:, :LENGTHS], used[:, :LENGTHS])
 
     def rows_with(self, lengths: int) -> NDArray[np.intp]:
-        """Return the indices, from 0, of the rows that measure this number of lengths, shape (n,)."""
+        """Return the rows that measure a number of lengths, by the mask ``used``.
+
+        Args:
+            lengths: 1 for a distance, up to 3 for a position.
+
+        Returns:
+            Indices of the rows, from 0, shape (n,).
+        """
         return np.flatnonzero(self.used.sum(axis=1) == lengths)
 
     def side_by_side(self, rows: Integers) -> Array:

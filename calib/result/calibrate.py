@@ -241,6 +241,9 @@ def _with_non_geometric(fits: Fits, non_geometric: Fitted | None) -> Fits:
     Args:
         fits: The fits: of the geometry, of a non-geometric model, and the candidates that these were chosen from.
         non_geometric: Fit of the model to take; None: the fits are left without any.
+
+    Returns:
+        The fits with that model; the candidate of its name, and that of the geometry, are marked as chosen.
     """
     geometry = str(fits.geometry.task.model)
     name = "" if non_geometric is None else str(non_geometric.task.model)
@@ -254,6 +257,9 @@ def _judged(result: CalibrationValues, rows: Rows) -> CalibrationValues:
     Args:
         result: The result without verdicts, its fits in memory.
         rows: The rows that were fitted, as arrays, those of sole postures marked.
+
+    Returns:
+        The same result, its field ``verdict`` set, and that of its non-geometric model if it has one.
     """
     doubts = doubts_of(result, rows)
     if result.non_geometric is not None:
@@ -437,6 +443,9 @@ def _non_geometric(fits: Fits, validation: CrossValidation | None) -> NonGeometr
     Args:
         fits: The fits of a table: that of the non-geometric model, or None, and all rows.
         validation: Cross-validation of the non-geometric fit; None: it was not run.
+
+    Returns:
+        The fitted model with its residuals of all rows, and the payload and gravity that loaded the joints.
     """
     fitted = fits.non_geometric
     if fitted is None:
@@ -477,6 +486,10 @@ def _scored(measurements: Measurements, fits: Fits) -> _Scored:
     Args:
         measurements: All N rows of the table: which are for estimation, which for validation.
         fits: The fits of the table: that of the geometry, and the N rows as arrays.
+
+    Returns:
+        Residuals of the N rows, measured minus predicted; their scores, those of validation rows by the fit without
+        them; and their weights, 0 for validation rows.
     """
     geometry, estimate = fits.geometry, fits.geometry.estimate
     estimation, validation = measurements.estimation, measurements.validation
@@ -538,6 +551,9 @@ def _without_rows(candidates: Iterable[Candidate]) -> tuple[Candidate, ...]:
 
     Args:
         candidates: Models that were fitted when the model was chosen, each with its cross-validation.
+
+    Returns:
+        The same candidates; residuals and pose numbers of their cross-validations are empty.
     """
     result = []
     for candidate in candidates:
@@ -551,7 +567,11 @@ def _without_rows(candidates: Iterable[Candidate]) -> tuple[Candidate, ...]:
 
 
 def _solver_name(solver: str | Solver) -> str:
-    """Return the name of a solver: a name as it is, such as ``"lm"``, or that of a function."""
+    """Return the name of a solver for the result.
+
+    Args:
+        solver: Its name, such as ``"lm"``, which is returned as it is; or the solver itself, a function.
+    """
     return solver if isinstance(solver, str) else solver.__name__
 
 
@@ -579,6 +599,9 @@ def _stated(by_row: Array | None, by_cell: float | None, fitted: Mask) -> float:
             None: the table has no such column.
         by_cell: The cell's for all rows, in the same unit; None: it states none.
         fitted: True for the rows that were fitted, shape (N,).
+
+    Returns:
+        Standard deviation of one measured length [m] or angle [rad], as stated.
     """
     if by_row is None:
         return np.nan if by_cell is None else by_cell

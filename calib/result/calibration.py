@@ -58,7 +58,7 @@ class RowNames:
     targets: tuple[str, ...]
 
     def __len__(self) -> int:
-        """The number of rows."""
+        """The number N of rows of the table, estimation and validation rows."""
         return len(self.numbers)
 
     @property

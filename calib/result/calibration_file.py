@@ -77,6 +77,9 @@ def _prior_std_key(family: str) -> str:
 
     Args:
         family: Name of a family of parameters, of `calib.model.families.FAMILIES`.
+
+    Returns:
+        The family's name and the unit, such as ``"length_m"``.
     """
     return f"{family}_{FAMILIES[family].unit.key}"
 
@@ -173,12 +176,23 @@ def _read_ranges(table: Any) -> Array:  # noqa: ANN401
 
 
 def _read_condition(value: float | None) -> float:
-    """Return a condition number from the file: the value, or infinity where the file has null, here None."""
+    """Return the condition number of an identification Jacobian from its value in the file.
+
+    Args:
+        value: Largest over smallest singular value; None, null in the file, where it is infinite.
+    """
     return np.inf if value is None else float(value)
 
 
 def _read_square(rows: Any) -> Array:  # noqa: ANN401
-    """Return a square matrix from its p rows in the file, shape (p, p), read-only; p may be 0."""
+    """Return a square matrix, such as a covariance, from its rows in the file.
+
+    Args:
+        rows: p rows of p numbers each; p may be 0. None stands for a missing number.
+
+    Returns:
+        shape (p, p), read-only; NaN for a missing number.
+    """
     return read_only(np.array(rows, dtype=float).reshape(len(rows), -1))
 
 
@@ -421,6 +435,9 @@ def _calibration(table: Json, folder: Path) -> CalibrationValues:
         table: The tables of a result file, see docs/result-json.md.
         folder: The file's folder; meshes lie beside the URDF, where that is in the folder.
 
+    Returns:
+        The result, without measurements and fits in memory.
+
     Raises:
         ValueError: The tables contradict each other, or a number is missing. A damaged table raises other errors too.
     """
@@ -448,6 +465,9 @@ def _nominal(table: Json, folder: Path) -> Robot:
     Args:
         table: All tables of the file; they hold the text of the nominal URDF, base, tip and held joint values.
         folder: The folder where the URDF is looked for, if only for the meshes beside it.
+
+    Returns:
+        The robot, its base, tip and held joint values as stored.
     """
     robot, stored = table["robot"], table["inputs"]["urdf"]
     data = stored["text"].encode("utf-8", "surrogateescape")
@@ -509,6 +529,9 @@ def _kinematics(nominal: Robot, model: ErrorModel, setup: Setup, x: Array) -> Ki
         model: Its error model of p parameters, those of frames and targets included.
         setup: Frames and targets at the solution: T_frame_base and T_tip_target at x.
         x: The parameters at the solution, shape (p,), offsets from the start of the fit [m, rad, ...].
+
+    Returns:
+        The nominal robot with T_frame_base and T_tip_target at parameters of zero.
     """
     displacements, _ = model.displacements(x)
     back = np.linalg.inv(displacements)
@@ -539,6 +562,9 @@ def _model_of(table: Json, names: Sequence[str]) -> ErrorModel:
     Args:
         table: The table, as `_model_table` makes it.
         names: Names of the p parameters in the order of the parameter vector x; the other terms are tied to these.
+
+    Returns:
+        The model: its p parameters, its terms, and how these follow the parameters.
 
     Raises:
         KeyError: A parameter that is no term of the table.

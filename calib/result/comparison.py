@@ -160,6 +160,9 @@ def _robot_to_show(given: Robot | str | Path | None, nominal: Robot) -> Robot:
         given: The robot, or the path of its URDF; None: the nominal robot is shown.
         nominal: The nominal robot of the first result, with its base, tip and held joint values.
 
+    Returns:
+        The robot with the nominal one's base and tip; its joint origins are its own.
+
     Raises:
         UrdfError: The URDF cannot be read, or lacks a joint.
     """

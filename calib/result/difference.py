@@ -453,6 +453,9 @@ class _Compensation:
             inside: Predictions of both results at N joint values that both data cover, D coordinates each [m].
             estimates: Results a and b under common priors.
             joint: Joint covariance of their own parameters, shape (p_a + p_b, p_a + p_b).
+
+        Returns:
+            The motion along the directions that either result had to estimate.
         """
         to_motion = np.asarray(np.linalg.pinv(inside.gauge, rcond=1e-9), dtype=np.float64)
         motion = to_motion @ inside.moved(estimates)
@@ -525,7 +528,14 @@ class _Compensation:
 
 
 def _rms_norm(vectors: Array) -> float:
-    """Return the root mean square of the norms of N vectors, shape (N, d), in their unit."""
+    """Return the root mean square of the norms of vectors.
+
+    Args:
+        vectors: shape (N, d), such as rotation vectors [rad].
+
+    Returns:
+        In their unit.
+    """
     return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))
 
 
@@ -538,6 +548,9 @@ def _compensation(
         first: Result a.
         second: Result b.
         same_start: Whether both count from the same nominal robot.
+
+    Returns:
+        The motion, with the predictions that it was fitted to and both results under common priors.
     """
     estimates = (_estimate(first, second), _estimate(second, first))
     alike = same_start and _same_parameters(first, second)
@@ -571,6 +584,9 @@ class _OwnEffects:
             effect: Displacements of the target by a unit of each, at the joint values that both data cover, shape
                 (N D, p), [m].
             compensation: The motion, which was fitted at these joint values.
+
+        Returns:
+            The effects that remain, and of which parameters enough remains.
         """
         remaining = compensation.remaining(effect)
         return cls(

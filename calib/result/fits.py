@@ -89,6 +89,9 @@ class _SplitTable:
             measurements: All N rows, of the sets ``estimate`` and ``validate``.
             cell: Frames, targets and noise as given.
 
+        Returns:
+            The rows of both sets, and the frames and targets that each sees.
+
         Raises:
             MeasurementError: A pair has one row only, or columns that the robot needs are missing.
             ModelError: The cell names a station or target that the table lacks.

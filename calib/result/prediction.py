@@ -126,8 +126,10 @@ class FittedModel:
     def new_point(self) -> tuple[float, float]:
         """Expected error at a new point, rms [m]: at poses like those measured, and over the joint limits.
 
-        The first is that of held-out rows, outliers aside, and knows what the model lacks; for the second the
-        variances of the predictions are exchanged. By the covariance alone without cross-validation, or lengths.
+        The first is the rms error of held-out rows of ``cross_validation``, outliers aside, and knows what the model
+        lacks. For the second the variance of the prediction at the measured poses, ``expected_measured``^2, is
+        exchanged for that over the limits, ``expected_elsewhere``^2. Without cross-validation, or where no length was
+        measured, these two are returned, by the covariance alone.
         """
         at_measured, elsewhere = self.expected_measured, self.expected_elsewhere
         if self.cross_validation is None or not self.cross_validation.errors_without_outliers.n:

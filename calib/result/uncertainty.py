@@ -325,7 +325,11 @@ def profile_interval(calibration: CalibrationValues, name: str, level: float = 0
     x = float(estimate.x[k])
 
     def cost_at(offset: float) -> float:
-        """Return the least cost with the parameter held at an offset from the registered start, in its unit."""
+        """Return the least cost, the sum of squares over their variance, with the parameter held.
+
+        Args:
+            offset: Where it is held, counted from the registered start, in its unit.
+        """
         return _least_cost(fitted, k, offset)
 
     low, high = profile(cost_at, x, parameter.std, level, estimate.freedom)
@@ -363,7 +367,14 @@ def profile(
     least = cost_at(value)
 
     def above(x: float) -> float:
-        """Return the cost at a value of the parameter less the highest one allowed; finite, for the root finder."""
+        """Return the cost at a value of the parameter, less the highest one allowed within the interval.
+
+        Args:
+            x: The value, in the parameter's unit.
+
+        Returns:
+            Negative within the interval; finite, for the root finder.
+        """
         over = cost_at(x) - least - rise
         if not np.isfinite(over):
             return 1e6 * rise
@@ -401,6 +412,9 @@ def _allowed_rise(level: float, freedom: float) -> float:
         level: Probability of the interval, between 0 and 1.
         freedom: Degrees of freedom of the noise, at least one of which is assumed; infinite where the noise is known:
             then it is the quantile of chi^2(1).
+
+    Returns:
+        The rise of the sum of squares over their variance [1].
     """
     if np.isfinite(freedom):
         return float(fdtri(1.0, max(freedom, 1.0), level))
@@ -414,6 +428,9 @@ def _least_cost(fitted: Fitted, k: int, value: float) -> float:
         fitted: A fit of p parameters: its problem, the estimate, and the covariance of that.
         k: Index of the parameter that is held, from 0.
         value: The offset from the registered start at which it is held, in its unit; the others are fitted.
+
+    Returns:
+        The least cost [1], twice the objective of the fit.
     """
     estimate = fitted.estimate
     problem, C = estimate.problem, estimate.covariance
@@ -429,6 +446,9 @@ def _least_cost(fitted: Fitted, k: int, value: float) -> float:
 
         Args:
             free: Offsets of these parameters, shape (p - 1,).
+
+        Returns:
+            Residual, shape (n,), in standard deviations, priors included; and its derivative, shape (n, p - 1).
         """
         x = start.copy()
         x[others] = free
@@ -457,6 +477,9 @@ def _evenly(samples: Samples) -> Samples:
 
     Args:
         samples: Joint values, with the frame, the target and the loads of each.
+
+    Returns:
+        These samples, in their order; all where there are no more.
     """
     count = min(len(samples), _POSES)
     return samples.select(np.linspace(0, len(samples) - 1, count).astype(int))
