@@ -63,7 +63,11 @@ class Check:
 
     @property
     def outcome(self) -> Outcome:
-        """One of `OUTCOMES`."""
+        """``"fail"`` if A - U > T, ``"pass"`` if f A + U <= T and the judged rows are unseen, else ``"undecided"``.
+
+        Of this check's fields, A is ``figure``, U ``uncertainty`` and T ``tolerance``, all in m or all in rad, and
+        f >= 1 is ``factor``. ``seen`` rows are those that a calibration was fitted to: they can fail, but not pass.
+        """
         if self.figure - self.uncertainty > self.tolerance:
             return "fail"
         if self.held <= self.tolerance and not self.seen:
@@ -72,7 +76,11 @@ class Check:
 
     @property
     def held(self) -> float:
-        """The sum f A + U, which must be within the tolerance for a pass."""
+        """The sum f A + U [m] or [rad], which must be within the tolerance for a pass.
+
+        A is the judged error ``figure``, U its expanded measuring ``uncertainty``, and f >= 1 the ``factor`` by which
+        errors were larger before frames or targets were registered to the same rows.
+        """
         return self.figure * self.factor + self.uncertainty
 
 
@@ -93,20 +101,26 @@ class Acceptance:
 
     @property
     def checks(self) -> tuple[tuple[Check, bool], ...]:
-        """The checks that were made, each with True if it is of angles."""
+        """The comparisons of errors with tolerances that were made, one or two, each with True if it is of angles.
+
+        First ``length``, of positions or lengths [m], with False; then ``angle``, of orientations [rad], with True. One
+        for which no tolerance was stated is left out.
+        """
         both = ((self.length, False), (self.angle, True))
         return tuple((check, angle) for check, angle in both if check is not None)
 
     @property
     def outcome(self) -> Outcome:
-        """``"pass"``, ``"undecided"`` or ``"fail"``: the worst of the checks."""
-        return max((check.outcome for check, _ in self.checks), key=OUTCOMES.index)
+        """``"pass"``, ``"undecided"`` or ``"fail"``: the worst outcome of ``checks``, of positions and orientations."""
+        outcomes = [check.outcome for check, _ in self.checks]
+        return max(outcomes, key=OUTCOMES.index)
 
     @property
     def share(self) -> float:
-        """Least share of poses, chosen as these were, that is within the tolerances, with 95 % confidence.
+        """Least share of poses, chosen as these were, that is within the tolerances, with 95 % confidence; 0 to 1.
 
-        Clopper and Pearson's lower limit; it holds for poses chosen at random and independently of each other.
+        Clopper and Pearson's lower limit of a binomial share, where ``within`` of the ``accuracy.poses`` are within the
+        tolerances; it holds for poses chosen at random and independently of each other.
         """
         count = len(self.accuracy.poses)
         if not self.within:
@@ -114,30 +128,52 @@ class Acceptance:
         return float(betaincinv(self.within, count - self.within + 1, 0.05))
 
     def size(self, pose: PoseAccuracy, *, angle: bool) -> float:
-        """Return the error of a pose that the criterion looks at; NaN if it has none.
+        """Return the error of a pose that this acceptance test's ``criterion`` looks at.
 
         Args:
-            pose: One of the judged poses.
-            angle: Of orientations [rad], and not of positions [m].
+            pose: Accuracy and repeatability at one of the judged poses.
+            angle: True for the error of the orientation [rad], False for that of the position [m].
+
+        Returns:
+            The largest error of a single repeat where the criterion is ``"single"``, else the pose accuracy AP, the
+            norm of the mean error over the repeats; [m] or [rad], 0 or more. NaN if it was not measured.
         """
         return error_of(pose, self.criterion, angle=angle)
 
     def used(self, pose: PoseAccuracy) -> float:
-        """Return the share of its tolerance that a pose uses, the larger of both; 0 if it has no error."""
-        shares = (self.size(pose, angle=angle) / c.tolerance for c, angle in self.checks)
-        return max((share for share in shares if np.isfinite(share)), default=0.0)
+        """Return the share of its tolerance that a pose uses: error over tolerance.
+
+        Args:
+            pose: Accuracy and repeatability at one of the judged poses.
+
+        Returns:
+            The larger share of position and orientation, as far as ``checks`` has a tolerance of them: 0 or more, above
+            1 out of tolerance; 0 if no such error was measured at the pose.
+        """
+        largest = 0.0
+        for check, angle in self.checks:
+            share = self.size(pose, angle=angle) / check.tolerance
+            if np.isfinite(share):
+                largest = max(largest, share)
+        return largest
 
 
 def error_of(pose: PoseAccuracy, criterion: str, *, angle: bool) -> float:
-    """Return the error of a pose that a criterion looks at; NaN if it has none.
+    """Return the error of a pose that a criterion of acceptance looks at.
 
     Args:
-        pose: The pose.
-        criterion: One of `CRITERIA`: ``"single"`` looks at the largest error of a repeat, the others at AP.
-        angle: Of orientations [rad], and not of positions [m].
+        pose: Accuracy and repeatability at one pose, over its repeats.
+        criterion: One of `CRITERIA`: ``"single"`` looks at the largest error of a single repeat; ``"max"`` and
+            ``"mean"`` at the pose accuracy AP, the norm of the mean error over the repeats.
+        angle: True for the error of the orientation [rad], False for that of the position [m].
+
+    Returns:
+        The error [m] or [rad], 0 or more; NaN if it was not measured at the pose.
     """
     name = "single" if criterion == "single" else "ap"
-    return float(getattr(pose, f"{name}_angle" if angle else name))
+    if angle:
+        name += "_angle"
+    return float(getattr(pose, name))
 
 
 def acceptance(
@@ -153,14 +189,19 @@ def acceptance(
     """Compare a robot's pose accuracy with a tolerance.
 
     Args:
-        evaluation: The errors of the robot that is judged.
+        evaluation: Residuals of the robot that is judged at the N rows of a table, with frames and targets as given or
+            registered.
         tolerance: Of positions and lengths [m]; None: they are not judged.
-        tolerance_angle: Of orientations [rad]; likewise.
+        tolerance_angle: Of orientations [rad]; None: they are not judged.
         uncertainty: Expanded uncertainty (k = 2) of a measured position or length [m]; 0: it is not taken account of.
         uncertainty_angle: The same of a measured orientation [rad].
         criterion: What must be within: ``"max"``, the AP of every pose; ``"mean"``, the mean AP; ``"single"``, every
             single repeat.
-        seen: Whether a calibration of this robot was fitted to the estimation rows; or to which rows, shape (N,).
+        seen: True for the rows that a calibration of this robot was fitted to, shape (N,); or one bool: whether it was
+            fitted to the estimation rows.
+
+    Returns:
+        The checks of positions and of orientations, the accuracy at each pose, and the number of poses within.
 
     Raises:
         CalibError: No tolerance, one that is not positive, an uncertainty below 0, or no such criterion.
@@ -187,16 +228,24 @@ def acceptance(
     if tolerance_angle is not None:
         sizes = _sizes(judged, criterion, angle=True)
         angle = _check(judged, criterion, sizes, tolerance_angle, uncertainty_angle)
-        within &= ~(
-            sizes > tolerance_angle
-        )  # a pose without an orientation is judged by its position
+        # A pose without an orientation, NaN here, is judged by its position.
+        within &= ~(sizes > tolerance_angle)
     return Acceptance(judged, criterion, length, angle, int(np.sum(within)))
 
 
 def _check_limits(tolerance: float | None, uncertainty: float, unit: str) -> None:
-    """Refuse a tolerance that is not positive, and an uncertainty below 0, both in the unit."""
-    stated = tolerance is None or 0.0 < tolerance < np.inf
-    if not stated or not 0.0 <= uncertainty < np.inf:
+    """Refuse a tolerance that is not positive and finite, and an uncertainty that is negative or infinite.
+
+    Args:
+        tolerance: The stated tolerance, in the unit; None: none was stated.
+        uncertainty: Expanded measuring uncertainty, in the unit; 0 where none was stated.
+        unit: ``"m"`` or ``"rad"``, for the error message.
+
+    Raises:
+        CalibError: One of them is out of range.
+    """
+    tolerance_is_valid = tolerance is None or 0.0 < tolerance < np.inf
+    if not tolerance_is_valid or not 0.0 <= uncertainty < np.inf:
         raise CalibError(
             f"The tolerance is {tolerance} {unit} with an uncertainty of {uncertainty} {unit}; the first must be above "
             "0, the second 0 or larger."
@@ -204,14 +253,35 @@ def _check_limits(tolerance: float | None, uncertainty: float, unit: str) -> Non
 
 
 def _sizes(judged: Accuracy, criterion: str, *, angle: bool) -> Array:
-    """Return the error of each pose that the criterion looks at [m] or [rad], shape (poses,); NaN without one."""
+    """Return the error of each judged pose that the criterion looks at.
+
+    Args:
+        judged: Accuracy of the robot at k poses.
+        criterion: One of `CRITERIA`, see `error_of`.
+        angle: True for errors of orientations [rad], False for those of positions or lengths [m].
+
+    Returns:
+        shape (k,), in the order of the poses, 0 or more; NaN for a pose where it was not measured.
+    """
     return np.array([error_of(pose, criterion, angle=angle) for pose in judged.poses])
 
 
 def _check(
     judged: Accuracy, criterion: str, sizes: Array, tolerance: float, uncertainty: float
 ) -> Check:
-    """Compare the errors of poses, shape (poses,), with a tolerance, all in [m] or in [rad]."""
+    """Compare the errors of poses with a tolerance, all in m or all in rad.
+
+    Args:
+        judged: Accuracy of the robot at k poses: whether a calibration was fitted to them, and the factor of what was
+            registered to them.
+        criterion: One of `CRITERIA`: ``"mean"`` compares the mean of the errors, the others compare the largest.
+        sizes: Error of each pose, shape (k,), 0 or more; NaN where it was not measured, but not everywhere.
+        tolerance: The tolerance T > 0.
+        uncertainty: Expanded measuring uncertainty U; 0: it is not taken account of.
+
+    Returns:
+        The judged figure with its tolerance, which has the outcome.
+    """
     figure = np.nanmean(sizes) if criterion == "mean" else np.nanmax(sizes)
     return Check(float(figure), tolerance, uncertainty, judged.factor, judged.seen)
 
@@ -249,35 +319,33 @@ def assess(
 
     Args:
         robot: The robot as its URDF is, nominal or corrected.
-        table: The rows.
+        table: The N measurement rows that the robots are compared with.
         cell: What is known of frames, targets and loads.
         calibration: A result of this robot; None: only the URDF is evaluated.
-        which: What is taken from the result: ``"frame"``, ``"target"``, both or none.
-        judge: Name of the robot that is judged; None: the calibrated one, or the URDF's without a result.
-        limits: Arguments of `acceptance`; None: nothing is accepted or refused.
+        which: What is taken from the result and not registered to these rows: ``"frame"``, ``"target"``, both or none.
+        judge: Name of the robot that is judged, a key of `Assessment.evaluations`; None: the calibrated one, or the
+            URDF's without a result.
+        limits: Arguments of `acceptance` by name, such as ``{"tolerance": 5e-4}``; None: nothing is accepted or
+            refused.
+
+    Returns:
+        Residuals and pose accuracy of each robot by its name, and the acceptance of the judged one if there are limits.
 
     Raises:
         CalibError: There is no such robot to be judged, or what `evaluate` and `acceptance` raise.
         MeasurementError: The table holds commands, and nothing was measured.
     """
-    nominal = robot if calibration is None else calibration.uncorrected(robot)
-    _check_measured(nominal, table)
-    if calibration is None:
-        evaluations = {"urdf": evaluate(robot, table, cell)}
-        seen = np.zeros(len(table), dtype=bool)
-        hint = find_usual_mistake(robot, cell, table.select(registration_rows(table)))
-    else:
-        evaluations = _evaluations(robot, table, cell, calibration, which)
+    _refuse_commands(robot, table, calibration)
+    evaluations = _evaluations(robot, table, cell, calibration, which)
+    seen = np.zeros(len(table), dtype=bool)
+    if calibration is not None:
         seen = fitted_rows(calibration, robot, table, cell)
-        corrected = evaluations["calibration"].robot
-        hint = moved_place(corrected, table, cell, calibration.setup, which)
-    judged = judge or ("urdf" if calibration is None else "calibration")
-    if judged not in evaluations:
-        raise CalibError(
-            f"--judge {judged}: there is no such robot; choose one of {choices(evaluations)}."
-        )
-    accuracies = {name: accuracy(one, seen=seen) for name, one in evaluations.items()}
-    accepted = acceptance(evaluations[judged], **limits, seen=seen) if limits else None
+    hint = _explanation(evaluations, cell, calibration, which)
+    judged = _judged_name(judge, evaluations)
+    accuracies = {name: accuracy(evaluation, seen=seen) for name, evaluation in evaluations.items()}
+    accepted = None
+    if limits:
+        accepted = acceptance(evaluations[judged], **limits, seen=seen)
     return Assessment(
         evaluations=evaluations,
         accuracies=accuracies,
@@ -292,14 +360,25 @@ def _evaluations(
     robot: Robot,
     table: Measurements,
     cell: Cell,
-    calibration: CalibrationValues,
+    calibration: CalibrationValues | None,
     which: tuple[str, ...],
 ) -> dict[str, Evaluation]:
-    """Evaluate the robots of a result; the arguments are those of `assess`.
+    """Evaluate each robot that a URDF and a result hold against one table.
+
+    Args:
+        robot: The robot as its URDF is, nominal or corrected.
+        table: The measurement rows.
+        cell: What is known of frames, targets and loads.
+        calibration: A result of this robot; None: only the URDF is evaluated.
+        which: What is taken from the result and not registered to these rows: ``"frame"``, ``"target"``, both or none.
 
     Returns:
-        By the names of `Assessment.evaluations`.
+        Residuals of each robot by its name: ``"urdf"``, the robot as it is; and with a result ``"nominal"``, its
+        nominal robot, ``"calibration"``, the robot with calibrated joint origins, and ``"non_geometric"``, the nominal
+        robot with the non-geometric model, if there is one.
     """
+    if calibration is None:
+        return {"urdf": evaluate(robot, table, cell)}
     nominal, corrected = calibration.uncorrected(robot), calibration.corrected(robot)
     setup = calibration.setup
     evaluations = {
@@ -315,19 +394,70 @@ def _evaluations(
     return evaluations
 
 
+def _explanation(
+    evaluations: Mapping[str, Evaluation],
+    cell: Cell,
+    calibration: CalibrationValues | None,
+    which: tuple[str, ...],
+) -> Reason | None:
+    """Explain large errors of the robot by something other than the robot itself.
+
+    Args:
+        evaluations: Residuals of each robot at the rows of one table, by the names of `Assessment.evaluations`.
+        cell: What is known of frames, targets and loads.
+        calibration: The result that was evaluated; None: there is none.
+        which: What was taken from the result: ``"frame"``, ``"target"``, both or none.
+
+    Returns:
+        Without a result a usual mistake of the table that would explain the URDF's errors far better; with one the
+        frame or target that has moved since. None where nothing of this kind explains the errors.
+    """
+    if calibration is None:
+        urdf = evaluations["urdf"]
+        table = urdf.measurements
+        return find_usual_mistake(urdf.robot, cell, table.select(registration_rows(table)))
+    corrected = evaluations["calibration"]
+    return moved_place(corrected.robot, corrected.measurements, cell, calibration.setup, which)
+
+
+def _judged_name(judge: str | None, evaluations: Mapping[str, Evaluation]) -> str:
+    """Return the name of the robot that is judged.
+
+    Args:
+        judge: The name that the user chose; None: ``"calibration"`` if there is one, else ``"urdf"``. An empty name is
+            taken as none.
+        evaluations: Residuals of each robot, by the names to choose from.
+
+    Returns:
+        A key of ``evaluations``.
+
+    Raises:
+        CalibError: There is no such robot.
+    """
+    default = "calibration" if "calibration" in evaluations else "urdf"
+    judged = judge or default
+    if judged not in evaluations:
+        raise CalibError(
+            f"--judge {judged}: there is no such robot; choose one of {choices(evaluations)}."
+        )
+    return judged
+
+
 def _outside(
     table: Measurements, calibration: CalibrationValues | None, figures: Accuracy, judged: str
 ) -> tuple[tuple[OutsideRow, ...], tuple[int, ...]]:
-    """List judged rows outside of the fitted ranges.
+    """List judged rows whose joint values lie outside of the ranges that the calibration was fitted to.
 
     Args:
         table: All rows.
         calibration: The result; None: there are no fitted ranges.
-        figures: Accuracy of the robot that is judged.
-        judged: Its name; only the calibrated one and the non-geometric model depend on fitted ranges.
+        figures: Accuracy of the robot that is judged, at each judged pose.
+        judged: Its name, of `Assessment.evaluations`; only ``"calibration"`` and ``"non_geometric"`` depend on fitted
+            ranges.
 
     Returns:
-        The rows outside, and the numbers of the first rows of all judged poses.
+        The rows outside, which name a row by its index, from 0, in what follows; and the numbers in the table, from 1,
+        of the first rows of all judged poses.
     """
     numbers = tuple(pose.rows[0] for pose in figures.poses)
     if calibration is None or judged not in ("calibration", "non_geometric"):
@@ -338,17 +468,34 @@ def _outside(
     return calibration.outside_of_measured(q), numbers
 
 
-def _check_measured(nominal: Robot, m: Measurements) -> None:
-    """Refuse a table of commands, whose poses the nominal robot predicts: any tolerance would seem to be kept."""
-    if _COMMANDS not in {split_header(label)[0] for label in m.ignored}:
+def _refuse_commands(
+    robot: Robot, table: Measurements, calibration: CalibrationValues | None
+) -> None:
+    """Refuse a table of commands, whose poses the nominal robot predicts: any tolerance would seem to be kept.
+
+    Commands are recognised by a column that 'calib compensate' writes, and by errors of the nominal robot below
+    `_EXACT` in more scalars than the registration of frame and target has unknowns.
+
+    Args:
+        robot: The robot as its URDF is, nominal or corrected.
+        table: The rows, measured or commanded.
+        calibration: The result with the nominal joint origins of this robot; None: the robot is taken to be nominal.
+
+    Raises:
+        MeasurementError: The table holds commands, and nothing was measured.
+        UrdfError: The robot lacks one of the result's joints.
+    """
+    nominal = robot if calibration is None else calibration.uncorrected(robot)
+    columns = {split_header(label)[0] for label in table.ignored}
+    if _COMMANDS not in columns:
         return
     try:
-        evaluation = evaluate(nominal, m, Cell(estimate_frame=True))
+        evaluation = evaluate(nominal, table, Cell(estimate_frame=True))
     except CalibError:
         return  # too few rows to tell
     enough = evaluation.used.sum() > evaluation.setup.count
     if enough and evaluation.errors["all"].max < _EXACT:
         raise MeasurementError(
-            f"{m.source}: these are commands that 'calib compensate' wrote, and nothing was measured. Put what was "
+            f"{table.source}: these are commands that 'calib compensate' wrote, and nothing was measured. Put what was "
             "measured in the place of x, y, z, or give it as a list of its own with --points."
         )

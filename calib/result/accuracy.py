@@ -78,7 +78,10 @@ class PoseAccuracy:
 
     @property
     def rp_angle(self) -> float:
-        """The largest of the repeatabilities about axes [rad]."""
+        """The largest repeatability about one of the base's three axes, the largest of ``rp_abc`` [rad].
+
+        NaN where no orientation was measured, or the pose has fewer than three repeats.
+        """
         return float(np.max(self.rp_abc))
 
 
@@ -108,53 +111,55 @@ class Accuracy:
 
     @property
     def factor(self) -> float:
-        """Random errors before something was registered to the same rows, over those after it.
+        """Random errors before something was registered to the same rows, over those after it; 1 or more.
 
-        With n numbers and u unknowns sqrt(n / (n - u)); infinite where no degree of freedom remains.
+        With n scalars (``numbers``) and u unknowns of frames and targets (``unknowns``) it is sqrt(n / (n - u));
+        infinite where no degree of freedom remains, and 1 where nothing is ``registered`` to the judged rows.
         """
         if not self.registered:
             return 1.0
         freedom = self.numbers - self.unknowns
-        return float(np.sqrt(self.numbers / freedom)) if freedom > 0 else np.inf
+        if freedom <= 0:
+            return np.inf
+        return float(np.sqrt(self.numbers / freedom))
 
     def of(self, name: str) -> Array:
-        """Return one figure of all poses that have it.
+        """Return one figure of all judged poses that have it.
 
         Args:
-            name: ``"ap"``, ``"rp"``, ``"single"`` [m], or ``"ap_angle"``, ``"rp_angle"``, ``"single_angle"`` [rad].
+            name: Of positions [m] ``"ap"``, pose accuracy, ``"rp"``, pose repeatability, or ``"single"``, the largest
+                error of a single repeat; of orientations [rad] ``"ap_angle"``, ``"rp_angle"`` or ``"single_angle"``.
 
         Returns:
-            shape (k,), in the order of the poses.
+            shape (k,), in the order of ``poses``, 0 or more; poses where the figure is NaN, not measured, are left out.
         """
         values = np.array([getattr(pose, name) for pose in self.poses])
         return np.asarray(values[np.isfinite(values)])
 
     def figures(self, *, angle: bool = False) -> dict[str, float]:
-        """Return the largest and mean AP and RP and the largest single error; NaN where there are none.
+        """Return the largest and the mean AP and RP over the judged poses, and the largest single error.
+
+        AP is pose accuracy, the norm of the mean error over a pose's repeats; RP is pose repeatability.
 
         Args:
-            angle: Of orientations [rad], and not of positions [m].
+            angle: True for figures of orientations [rad], False for those of positions [m].
 
         Returns:
-            By ``"ap_max"``, ``"ap_mean"``, ``"rp_max"``, ``"rp_mean"`` and ``"single_max"``.
+            By ``"ap_max"``, ``"ap_mean"``, ``"rp_max"``, ``"rp_mean"`` and ``"single_max"``; NaN where no pose has one.
         """
         suffix = "_angle" if angle else ""
         figures = {}
-        for name, statistic in (
-            ("ap", "max"),
-            ("ap", "mean"),
-            ("rp", "max"),
-            ("rp", "mean"),
-            ("single", "max"),
-        ):
+        for name in ("ap", "rp"):
             values = self.of(name + suffix)
-            value = getattr(values, statistic)() if len(values) else np.nan
-            figures[f"{name}_{statistic}"] = float(value)
+            figures[f"{name}_max"] = float(values.max()) if len(values) else np.nan
+            figures[f"{name}_mean"] = float(values.mean()) if len(values) else np.nan
+        singles = self.of("single" + suffix)
+        figures["single_max"] = float(singles.max()) if len(singles) else np.nan
         return figures
 
     @property
     def repeats(self) -> tuple[int, int]:
-        """The smallest and the largest number of repeats of a pose."""
+        """The smallest and the largest number of repeats, measured rows, of one of the judged ``poses``."""
         counts = [len(pose.rows) for pose in self.poses]
         return min(counts), max(counts)
 
@@ -166,21 +171,26 @@ def accuracy(evaluation: Evaluation, *, seen: bool | Mask = False) -> Accuracy:
     any; where a calibration was fitted to some rows, the others, see `judged_rows`.
 
     Args:
-        evaluation: The errors of the robot at N rows.
-        seen: The rows that a calibration of this robot was fitted to, shape (N,); or whether it was fitted to the
-            estimation rows.
+        evaluation: Residuals, measured minus predicted, of the robot at the N rows of a table, and the frames and
+            targets as given or registered.
+        seen: True for the rows that a calibration of this robot was fitted to, shape (N,); or one bool: whether it was
+            fitted to the rows that frames and targets are registered to, the estimation rows.
+
+    Returns:
+        Accuracy and repeatability at each judged pose, and how these rows were chosen.
 
     Raises:
         MeasurementError: No row measures anything.
     """
-    m, setup, used = evaluation.measurements, evaluation.setup, evaluation.used
-    measured = np.any(used, axis=1)
+    m, setup = evaluation.measurements, evaluation.setup
+    measured = np.any(evaluation.used, axis=1)
     if not np.any(measured):
         raise MeasurementError(f"{m.source or 'Measurements'}: no row measures anything.")
     # Repeats have the same joint values: frames, targets and loads of a cell have no part in it.
     rows, _ = rows_and_setup(evaluation.robot, m, Cell())
     registration = _registered_to(m, setup, rows)
-    fitted = measured & (seen if isinstance(seen, np.ndarray) else registration & seen)
+    of_calibration = seen if isinstance(seen, np.ndarray) else registration & seen
+    fitted = measured & of_calibration
     judged = judged_rows(m, measured, fitted, rows.poses, registered=bool(evaluation.registered))
 
     apart = not np.any(judged & registration)
@@ -189,8 +199,6 @@ def accuracy(evaluation: Evaluation, *, seen: bool | Mask = False) -> Accuracy:
         others += ("calibration",)
     if apart:
         others += evaluation.registered
-    _, first = np.unique(rows.poses[measured & registration], return_index=True)
-    one_per_pose = np.flatnonzero(measured & registration)[first]
     return Accuracy(
         poses=_poses(evaluation, rows, judged),
         rows=_name_of(judged, measured, m.validation),
@@ -200,27 +208,67 @@ def accuracy(evaluation: Evaluation, *, seen: bool | Mask = False) -> Accuracy:
         seen=bool(np.any(fitted & judged)),
         registered=() if apart else evaluation.registered,
         unknowns=_unknowns(setup),
-        numbers=int(np.sum(rows.used[one_per_pose])),
+        numbers=_scalars_without_repeats(rows, measured & registration),
     )
 
 
+def _scalars_without_repeats(rows: Rows, chosen: Mask) -> int:
+    """Return the number of scalars that some rows measure, those of repeats of a pose counted once.
+
+    Args:
+        rows: The N rows of a table; those of one number ``poses`` are repeats.
+        chosen: True for the rows that count, shape (N,).
+    """
+    _, first_of_pose = np.unique(rows.poses[chosen], return_index=True)
+    one_per_pose = np.flatnonzero(chosen)[first_of_pose]
+    return int(np.sum(rows.used[one_per_pose]))
+
+
 def _registered_to(measurements: Measurements, setup: Setup, rows: Rows) -> Mask:
-    """Return the rows that frames and targets were registered to, if they were, shape (N,)."""
+    """Return the rows that frames and targets were registered to, if they were.
+
+    Args:
+        measurements: The N rows of the table.
+        setup: Frames and targets of these rows, and which of them are unknown and given.
+        rows: The same N rows as arrays.
+
+    Returns:
+        True for these rows, shape (N,): the estimation rows, or all if there are none; and other rows whose frame or
+        target none of these sees.
+    """
     usual = registration_rows(measurements)
-    seen_by_others = setup.with_given_fixed(rows.samples.select(usual))
-    return usual | seen_by_others.unknown_at(rows.samples)
+    unseen_by_usual = setup.with_given_fixed(rows.samples.select(usual))
+    return usual | unseen_by_usual.unknown_at(rows.samples)
 
 
 def _unknowns(setup: Setup) -> int:
-    """Return the number of unknowns of targets and frames that were not given."""
+    """Return the number of unknowns of the targets and frames that were not given, and so were registered.
+
+    Args:
+        setup: Frames and targets of a table. A target counts 3 unknowns, or 6 where orientations were measured; a frame
+            as many as its unknown directions.
+    """
     targets = int(np.sum(setup.target_unknown & ~setup.target_given))
-    frames = zip(setup.unknown, setup.frame_given, strict=True)
-    of_frames = sum(len(directions) for directions, given in frames if not given)
-    return (6 if setup.rotation else 3) * targets + of_frames
+    of_target = 6 if setup.rotation else 3
+    of_frames = 0
+    for directions, given in zip(setup.unknown, setup.frame_given, strict=True):
+        if not given:
+            of_frames += len(directions)
+    return of_target * targets + of_frames
 
 
 def _name_of(judged: Mask, measured: Mask, validation: Mask) -> JudgedRows:
-    """Return the name of the judged rows; all arguments have the shape (N,)."""
+    """Return the name of the judged rows among the N rows of a table.
+
+    Args:
+        judged: True for the rows that the robot is judged by, shape (N,).
+        measured: True for rows that hold a measurement, shape (N,).
+        validation: True for the rows of the table's set ``validate``, shape (N,).
+
+    Returns:
+        ``"all"`` if all measured rows are judged, ``"validation"`` if the measured validation rows are, else
+        ``"fresh"``.
+    """
     if np.array_equal(judged, measured):
         return "all"
     if np.array_equal(judged, measured & validation):
@@ -229,36 +277,60 @@ def _name_of(judged: Mask, measured: Mask, validation: Mask) -> JudgedRows:
 
 
 def _poses(evaluation: Evaluation, rows: Rows, judged: Mask) -> tuple[PoseAccuracy, ...]:
-    """Return the accuracy at each pose of the judged rows, in the order of their first rows."""
+    """Return accuracy and repeatability at each pose of the judged rows.
+
+    Args:
+        evaluation: Residuals of the robot at the N rows of a table.
+        rows: The same N rows as arrays; those of one number ``poses`` are repeats.
+        judged: True for the rows that the robot is judged by, shape (N,).
+
+    Returns:
+        One entry a pose, in the order of their first rows.
+    """
     residual = _in_base_axes(evaluation, rows)
     chosen = np.flatnonzero(judged)
     order = chosen[np.argsort(rows.poses[chosen], kind="stable")]
-    repeats = np.split(order, np.flatnonzero(np.diff(rows.poses[order])) + 1)
+    first_of_pose = np.flatnonzero(np.diff(rows.poses[order])) + 1
+    repeats = np.split(order, first_of_pose)
     repeats.sort(key=lambda indices: int(indices[0]))
     return tuple(_of_pose(evaluation, residual, indices) for indices in repeats)
 
 
 def _in_base_axes(evaluation: Evaluation, rows: Rows) -> Array:
-    """Return the residual with three components turned from the frame's axes into the base's, shape (N, D).
+    """Return residuals along the axes of the robot's base: e_base = R^T e_frame, with the rotation R of T_frame_base.
 
-    The frame's axes are those that R of T_frame_base turns the base's into, so that this is R^T e.
+    Args:
+        evaluation: Residuals, measured minus predicted, of the robot at N rows along the axes of each row's measurement
+            frame, shape (N, D), [m] and [rad]; and T_frame_base, the pose of the base in each frame.
+        rows: The same N rows as arrays: the index of each row's frame, and which scalars it measures.
+
+    Returns:
+        shape (N, D), [m] and [rad]: vectors of three components, of positions or of orientations, are turned; what has
+        fewer, such as one length, stays as it is.
     """
     residual = evaluation.residual.copy()
     R = evaluation.setup.T_frame_base[rows.samples.frame, :3, :3]
-    for first in range(0, residual.shape[1] // 3 * 3, 3):
-        columns = slice(first, first + 3)
-        vector = np.all(rows.used[:, columns], axis=1)
-        residual[vector, columns] = np.einsum("nji,nj->ni", R[vector], residual[vector, columns])
+    vectors = residual.shape[1] // 3
+    for k in range(vectors):
+        columns = slice(3 * k, 3 * k + 3)
+        complete = np.all(rows.used[:, columns], axis=1)
+        in_frame = residual[complete, columns]
+        residual[complete, columns] = np.einsum("nji,nj->ni", R[complete], in_frame)
     return np.asarray(residual)
 
 
 def _of_pose(evaluation: Evaluation, residual: Array, repeats: NDArray[np.intp]) -> PoseAccuracy:
-    """Return the accuracy at one pose.
+    """Return accuracy and repeatability at one pose, as ISO 9283 defines them.
 
     Args:
-        evaluation: The errors.
-        residual: Of all rows, three components along the base's axes, shape (N, D), [m] and [rad].
-        repeats: Indices of the pose's rows, from 0, shape (n,).
+        evaluation: The robot's errors at the N rows of a table: which scalars each row measures, and the table itself,
+            for kind, station and target of the pose.
+        residual: Measured minus predicted of all N rows, shape (N, D): lengths [m] in the first three columns, rotation
+            vectors [rad] behind; three components are along the base's axes.
+        repeats: Indices of the pose's rows in the table, from 0, shape (n,).
+
+    Returns:
+        The figures of the pose, NaN for what was not measured: repeatability needs `FEWEST_REPEATS` rows.
     """
     m, first = evaluation.measurements, repeats[0]
     used = evaluation.used[first]
@@ -278,16 +350,36 @@ def _of_pose(evaluation: Evaluation, residual: Array, repeats: NDArray[np.intp])
         ap=float(np.linalg.norm(mean_e)),
         ap_xyz=read_only(mean_e if len(mean_e) == LENGTHS else nothing),
         rp=_repeatability(e) if enough else np.nan,
-        single=float(np.linalg.norm(e, axis=1).max()),
+        single=_largest_norm(e),
         ap_angle=float(np.linalg.norm(mean_w)),
         ap_abc=read_only(mean_w),
         rp_abc=read_only(rp_abc),
-        single_angle=float(np.linalg.norm(w, axis=1).max()) if turned else np.nan,
+        single_angle=_largest_norm(w) if turned else np.nan,
     )
 
 
+def _largest_norm(vectors: Array) -> float:
+    """Return the largest norm of vectors, such as the largest error of a single repeat.
+
+    Args:
+        vectors: shape (n, d) with n >= 1, residuals [m] or rotation vectors [rad].
+
+    Returns:
+        In their unit.
+    """
+    return float(np.linalg.norm(vectors, axis=1).max())
+
+
 def _repeatability(e: Array) -> float:
-    """Return the repeatability RP [m] of errors of n repeats, shape (n, 3), or (n, 1) of one length."""
+    """Return the pose repeatability RP = mean l + 3 S_l, where l_j = |e_j - mean e|; of one length RP = 3 S_e.
+
+    Args:
+        e: Residuals of n >= 2 repeats of one pose, measured minus predicted, shape (n, 3) [m]; or (n, 1) where one
+            length was measured.
+
+    Returns:
+        RP [m]; the standard deviations S are over n - 1.
+    """
     if e.shape[1] == 1:
         return float(3.0 * e[:, 0].std(ddof=1))
     distances = np.linalg.norm(e - e.mean(axis=0), axis=1)
@@ -308,7 +400,7 @@ def judged_rows(
     these the validation rows, if there are any and something was registered to the others. Otherwise all.
 
     Args:
-        measurements: The N rows.
+        measurements: The N rows, of the sets ``estimate`` and ``validate``.
         measured: True for rows that hold a measurement, shape (N,).
         fitted: True for rows that the calibration was fitted to, shape (N,).
         poses: Number of the pose of each row; repeats have the same, shape (N,).
@@ -322,7 +414,9 @@ def judged_rows(
     enough = np.any(aside) or len(np.unique(poses[fresh])) >= FEWEST_APART
     if np.any(fitted) and not enough:
         return measured
-    return np.asarray(aside if registered and np.any(aside) else fresh)
+    if registered and np.any(aside):
+        return np.asarray(aside)
+    return np.asarray(fresh)
 
 
 def fitted_rows(
@@ -334,10 +428,10 @@ def fitted_rows(
     its joint values and of what was measured. In the very file these are the estimation rows where none is recognised.
 
     Args:
-        calibration: The result.
+        calibration: The result, which holds the residuals of the rows that it was fitted to.
         robot: The robot with which the table is evaluated, nominal or corrected.
-        measurements: The N rows.
-        cell: As of `evaluate`.
+        measurements: The table, N rows.
+        cell: What is known of frames, targets and loads of the table.
 
     Returns:
         True for these rows, shape (N,).
@@ -353,40 +447,101 @@ def fitted_rows(
     return fitted
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _LengthResiduals:
+    """Residuals in length of N rows by two robots, by which a row is recognised in another table."""
+
+    #: Shape (N, 3), or less than 3 columns where no row measures three lengths: measured minus predicted by the nominal
+    #: robot [m]
+    nominal: Array
+    #: The same by the corrected robot [m]
+    corrected: Array
+    #: True for the lengths that were measured, of the same shape
+    used: Mask
+
+    @classmethod
+    def of(cls, nominal: Array, corrected: Array, used: Mask) -> _LengthResiduals:
+        """Return the lengths of residuals, without their angles.
+
+        Args:
+            nominal: Measured minus predicted by the nominal robot, shape (N, D), [m] in the first three columns, [rad]
+                in those behind.
+            corrected: The same by the corrected robot.
+            used: True for the scalars that were measured, shape (N, D).
+
+        Returns:
+            The residuals in length; two rows are alike where these are.
+        """
+        return cls(nominal[:, :LENGTHS], corrected[:, :LENGTHS], used[:, :LENGTHS])
+
+    def rows_with(self, lengths: int) -> NDArray[np.intp]:
+        """Return the rows that measure a number of lengths, by the mask ``used``.
+
+        Args:
+            lengths: 1 for a distance, up to 3 for a position.
+
+        Returns:
+            Indices of the rows, from 0, shape (n,).
+        """
+        return np.flatnonzero(self.used.sum(axis=1) == lengths)
+
+    def side_by_side(self, rows: Integers) -> Array:
+        """Return the measured lengths' residuals of some rows by both robots, side by side.
+
+        Args:
+            rows: Indices, from 0, of n rows that measure the same number k of lengths.
+
+        Returns:
+            shape (n, 2 k), measured minus predicted [m]: the k by the nominal robot, then those by the corrected one.
+        """
+        both = []
+        for residual in (self.nominal, self.corrected):
+            lengths = residual[rows][self.used[rows]]
+            both.append(lengths.reshape(len(rows), -1))
+        return np.hstack(both)
+
+
 def _recognised(c: CalibrationValues, robot: Robot, measurements: Measurements, cell: Cell) -> Mask:
-    """Find the rows whose residuals are those of a row that the result was fitted to, shape (N,).
-
-    The arguments are those of `fitted_rows`.
-    """
-    nominal = evaluate(c.uncorrected(robot), measurements, cell, known=c.nominal_setup)
-    calibrated = evaluate(c.corrected(robot), measurements, cell, known=c.setup)
-    used = calibrated.used[:, :LENGTHS]
-    stored_used = c.used[:, :LENGTHS]
-    fitted = np.zeros(len(measurements), dtype=bool)
-    for lengths in range(1, LENGTHS + 1):  # by the number of lengths that a row measures
-        rows = np.flatnonzero(used.sum(axis=1) == lengths)
-        stored_rows = np.flatnonzero(c.rows.estimation & (stored_used.sum(axis=1) == lengths))
-        if not len(rows) or not len(stored_rows):
-            continue
-        measured = _lengths_of(used, rows, nominal.residual, calibrated.residual)
-        stored = _lengths_of(stored_used, stored_rows, c.residual_nominal, c.residual_calibrated)
-        tree = KDTree(stored)
-        distance, _ = tree.query(measured, p=np.inf, distance_upper_bound=_SAME)
-        fitted[rows] = distance <= _SAME
-    return fitted
-
-
-def _lengths_of(used: Mask, rows: Integers, nominal: Array, calibrated: Array) -> Array:
-    """Return the signed residuals in length of some rows by both robots, side by side, shape (n, 2 k), [m].
+    """Find the rows whose residuals are those of a row that a result was fitted to.
 
     Args:
-        used: True for the k lengths that each row measures, shape (N, 3).
-        rows: Indices of n rows with the same k, from 0.
-        nominal: Residual of the nominal robot, shape (N, D), [m].
-        calibrated: Residual of the corrected robot, shape (N, D), [m].
+        c: The result, which holds the residuals of its own rows by its nominal and by its corrected robot.
+        robot: The robot with which the table is evaluated, nominal or corrected.
+        measurements: The table, N rows.
+        cell: What is known of frames, targets and loads of the table.
+
+    Returns:
+        True for these rows, shape (N,).
+
+    Raises:
+        CalibError: The table cannot be evaluated, such as with a station that the result does not know.
     """
-    both = []
-    for residual in (nominal, calibrated):
-        lengths = residual[rows, :LENGTHS][used[rows]]
-        both.append(lengths.reshape(len(rows), -1))
-    return np.hstack(both)
+    nominal = evaluate(c.uncorrected(robot), measurements, cell, known=c.nominal_setup)
+    corrected = evaluate(c.corrected(robot), measurements, cell, known=c.setup)
+    of_table = _LengthResiduals.of(nominal.residual, corrected.residual, corrected.used)
+    fitted = c.rows.estimation
+    stored = _LengthResiduals.of(
+        c.residual_nominal[fitted], c.residual_calibrated[fitted], c.used[fitted]
+    )
+    recognised = np.zeros(len(measurements), dtype=bool)
+    for lengths in range(1, LENGTHS + 1):
+        rows, stored_rows = of_table.rows_with(lengths), stored.rows_with(lengths)
+        if len(rows) and len(stored_rows):
+            residuals = of_table.side_by_side(rows)
+            recognised[rows] = _are_among(residuals, stored.side_by_side(stored_rows))
+    return recognised
+
+
+def _are_among(residuals: Array, stored: Array) -> Mask:
+    """Find the rows of residuals that are, to rounding, one of the stored rows.
+
+    Args:
+        residuals: shape (n, k), [m].
+        stored: shape (s, k) with s >= 1, [m].
+
+    Returns:
+        True where no component differs from those of some stored row by more than `_SAME`, shape (n,).
+    """
+    tree = KDTree(stored)
+    distance, _ = tree.query(residuals, p=np.inf, distance_upper_bound=_SAME)
+    return np.asarray(distance <= _SAME)

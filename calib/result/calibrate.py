@@ -6,7 +6,7 @@ model, assemble the result, and judge it (`doubts_of`, `evidence_of`, `verdict`)
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,7 +15,7 @@ import numpy as np
 from calib.blas import one_blas_thread
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.diagnosis.coverage import outside
+from calib.diagnosis.coverage import OutsideRow, outside
 from calib.diagnosis.extrapolation import extrapolation
 from calib.diagnosis.reasons import NO, Verdict
 from calib.diagnosis.verdict import verdict
@@ -49,7 +49,7 @@ from calib.robot.ranges import spread_poses
 from calib.robot.robot import Robot, read_only
 from calib.selection.candidates import Candidate, alternative_models, mark_chosen
 from calib.selection.cross_validation import cross_validation, nominal_cross_validation
-from calib.selection.robustness import compare_weights
+from calib.selection.robustness import Robustness, compare_weights
 from calib.units import Array, Mask
 
 
@@ -116,12 +116,16 @@ class _Validations:
 def _validated(
     measurements: Measurements, fits: Fits, progress: Progress | None
 ) -> CalibrationValues:
-    """Cross-validate, and assemble the result with its verdict.
+    """Cross-validate the fits of a table, and assemble the result with its verdict.
 
     Args:
-        measurements: All rows.
-        fits: With the non-geometric model that was chosen or named; it is replaced where refits reject it.
-        progress: Called after each fold with the number of folds done and of all.
+        measurements: All rows of the table.
+        fits: The fits of its estimation rows: of the geometry, and of the non-geometric model that was chosen or named,
+            which is replaced where refits reject it.
+        progress: Called after each fold with the number of folds done and of all; None: nothing is called.
+
+    Returns:
+        The result with cross-validations and verdicts.
     """
     outliers = fits.geometry.estimate.outliers
     parts = 1 if fits.non_geometric is None else 2
@@ -133,17 +137,26 @@ def _validated(
 
 
 def _part_of(progress: Progress | None, part: int, parts: int) -> Progress | None:
-    """Return the progress of one cross-validation out of several.
+    """Return a progress callback for one cross-validation out of several, as if all were one.
 
     Args:
-        progress: Called with the folds done and all folds, of all parts.
-        part: Number of the cross-validation, from 0.
-        parts: Number of cross-validations as far as it is known.
+        progress: Called with the number of folds done and of all folds, over all parts; None: nothing is called.
+        part: Number of this cross-validation, from 0.
+        parts: Number of cross-validations as far as it is known; each counts as many folds as this one.
+
+    Returns:
+        To be called with the folds done and all folds of this part; None where ``progress`` is.
     """
     if progress is None:
         return None
 
     def report(done: int, folds: int) -> None:
+        """Report the folds of this part, behind those of the parts before it.
+
+        Args:
+            done: Number of folds of this part that are done.
+            folds: Number of all folds of this part.
+        """
         progress(part * folds + done, parts * folds)
 
     return report
@@ -161,10 +174,11 @@ def _confirmed(
     leave smaller squares than the geometry; else the next by evidence is tried. One that was given by name stays.
 
     Args:
-        measurements: All rows.
-        fits: With the non-geometric model that was chosen, or None.
-        of_geometry: Cross-validation of the geometry.
-        progress: Called after each fold.
+        measurements: All rows of the table.
+        fits: The fits of its estimation rows: of the geometry, of the non-geometric model that was chosen, or None, and
+            the candidates that it was chosen from, or none where it was named.
+        of_geometry: Cross-validation of the fit of the geometry.
+        progress: Called after each fold with the number of folds done and of all; None: nothing is called.
 
     Returns:
         The fits with the confirmed model, and its cross-validation; None for both where none is confirmed.
@@ -178,21 +192,42 @@ def _confirmed(
     limit = _squares(fits, of_geometry)
     contenders = _contenders(measurements, fits, fits.non_geometric)
     for part, contender in enumerate(contenders, start=1):
-        validation = cross_validation(contender, outliers, _part_of(progress, part, part + 1))
+        progress_of_part = _part_of(progress, part, part + 1)
+        validation = cross_validation(contender, outliers, progress_of_part)
         if _squares(fits, validation) < limit:
             return _with_non_geometric(fits, contender), validation
     return _with_non_geometric(fits, None), None
 
 
 def _squares(fits: Fits, validation: CrossValidation) -> float:
-    """Return the sum of squared held-out residuals in units of the geometry's noise, outliers aside."""
+    """Return the sum of squared held-out residuals in standard deviations of the geometry's noise, outliers aside.
+
+    Args:
+        fits: The fits of a table; that of the geometry says the noise of each scalar of its N rows, and which rows are
+            outliers.
+        validation: Cross-validation of any model on these N rows: residuals, measured minus predicted, by fits without
+            the row, shape (N, D), [m] and [rad].
+
+    Returns:
+        The sum over all scalars of rows that are no outliers [1].
+    """
     estimate = fits.geometry.estimate
     whitened = validation.residual / estimate.problem.scales
     return float(np.sum(whitened[~estimate.outliers] ** 2))
 
 
 def _contenders(measurements: Measurements, fits: Fits, chosen: Fitted) -> Iterator[Fitted]:
-    """Yield the non-geometric model that was chosen, then the alternatives, each fitted when it is its turn."""
+    """Yield fits of non-geometric models: the one that was chosen, then the alternatives.
+
+    Args:
+        measurements: All rows of the table.
+        fits: The fits of its estimation rows, with the candidates that the model was chosen from.
+        chosen: Fit of the non-geometric model that was chosen.
+
+    Yields:
+        Each fit to the estimation rows, made when it is its turn; frames and targets that only validation rows see are
+        registered to these.
+    """
     yield chosen
     validation_rows = fits.all_rows.select(measurements.validation)
     for name in alternative_models(fits.candidates):
@@ -201,7 +236,15 @@ def _contenders(measurements: Measurements, fits: Fits, chosen: Fitted) -> Itera
 
 
 def _with_non_geometric(fits: Fits, non_geometric: Fitted | None) -> Fits:
-    """Return the fits with another non-geometric model, or none, and the candidates marked accordingly."""
+    """Return the fits of a table with another non-geometric model, and the candidates marked accordingly.
+
+    Args:
+        fits: The fits: of the geometry, of a non-geometric model, and the candidates that these were chosen from.
+        non_geometric: Fit of the model to take; None: the fits are left without any.
+
+    Returns:
+        The fits with that model; the candidate of its name, and that of the geometry, are marked as chosen.
+    """
     geometry = str(fits.geometry.task.model)
     name = "" if non_geometric is None else str(non_geometric.task.model)
     candidates = mark_chosen(fits.candidates, geometry, name)
@@ -212,15 +255,19 @@ def _judged(result: CalibrationValues, rows: Rows) -> CalibrationValues:
     """Return a cross-validated result with the verdicts on its geometry and on its non-geometric model.
 
     Args:
-        result: The result without verdicts.
-        rows: The rows that were fitted.
+        result: The result without verdicts, its fits in memory.
+        rows: The rows that were fitted, as arrays, those of sole postures marked.
+
+    Returns:
+        The same result, its field ``verdict`` set, and that of its non-geometric model if it has one.
     """
     doubts = doubts_of(result, rows)
     if result.non_geometric is not None:
         evidence = evidence_of(result, result.non_geometric, rows, doubts)
         non_geometric = replace(result.non_geometric, verdict=verdict(evidence))
         result = replace(result, non_geometric=non_geometric)
-    return replace(result, verdict=verdict(evidence_of(result, result, rows, doubts)))
+    evidence = evidence_of(result, result, rows, doubts)
+    return replace(result, verdict=verdict(evidence))
 
 
 # The result
@@ -232,7 +279,7 @@ class _Scored:
 
     #: (N, D), measured minus predicted [m], [rad]
     residual: Array
-    #: (N,), in standard deviations
+    #: (N,), distance of each row from what the others predict, in standard deviations
     scores: Array
     #: (N,), robust weights; 0 for validation rows
     weights: Array
@@ -251,10 +298,13 @@ def _assembled(
     """Assemble the result of fits as one value.
 
     Args:
-        measurements: All rows.
-        fits: Fits to the estimation rows.
+        measurements: All N rows of the table.
+        fits: Fits of its estimation rows: of the geometry, and of the non-geometric model if there is one.
         validations: Cross-validations of these fits; None: there are none.
-        verdict: The verdict, where it is known already.
+        verdict: The verdict on the geometry, where it is known already; None: it is not.
+
+    Returns:
+        The result, with residuals and scores of all rows, fitted or not.
     """
     validations = _Validations() if validations is None else validations
     m, geometry, all_rows = measurements, fits.geometry, fits.all_rows
@@ -291,25 +341,46 @@ def _assembled(
         flag_limit=scored.flag_limit,
         outliers=_flagged(m, fits, scored, m.estimation, scored.flag_limit),
         suspects=_flagged(m, fits, scored, m.validation, scored.suspect_limit),
-        robustness=(
-            compare_weights(geometry)
-            if np.any(estimate.outliers) and geometry.task.solver != PAPER
-            else None
-        ),
+        robustness=_robustness(geometry),
         repeats=_repeats(geometry),
-        outside=outside(
-            all_rows.joints[m.estimation],
-            all_rows.joints[m.validation],
-            robot.joint_names,
-            [joint.type for joint in robot.inputs],
-        ),
+        outside=_outside(m, fits),
         nominal_cross_validation=validations.nominal,
         observability=observability,
-        candidates=tuple(_without_rows(candidate) for candidate in fits.candidates),
+        candidates=_without_rows(fits.candidates),
         non_geometric=_non_geometric(fits, validations.non_geometric),
         verdict=verdict,
         fit=Fit(m, cell, geometry, fits.non_geometric),
     )
+
+
+def _robustness(geometry: Fitted) -> Robustness | None:
+    """Fit once more without robust weights if the fit has them, else with them, and compare the two.
+
+    Args:
+        geometry: Fit of the geometry, with the scores of its rows, and its options.
+
+    Returns:
+        None where no row is an outlier, and for the paper's solver, which has no robust weights.
+    """
+    has_outliers = np.any(geometry.estimate.outliers)
+    if not has_outliers or geometry.task.solver == PAPER:
+        return None
+    return compare_weights(geometry)
+
+
+def _outside(measurements: Measurements, fits: Fits) -> tuple[OutsideRow, ...]:
+    """List the validation rows with joint values outside of those of the estimation rows.
+
+    Args:
+        measurements: All N rows of the table.
+        fits: The fits of the table, with the robot and the joint values of these N rows.
+
+    Returns:
+        These rows in their order, each by its index among the validation rows, from 0.
+    """
+    robot, q = fits.geometry.task.robot, fits.all_rows.joints
+    types = [joint.type for joint in robot.inputs]
+    return outside(q[measurements.estimation], q[measurements.validation], robot.joint_names, types)
 
 
 def _model_values(
@@ -318,9 +389,12 @@ def _model_values(
     """Return the attributes of `calib.result.prediction.FittedModel` by their names.
 
     Args:
-        fitted: The fit of the model.
-        observability: That of the rows that were fitted.
-        validation: Cross-validation of the fit.
+        fitted: The fit of the model, geometric or not.
+        observability: Rank and undetermined combinations of the fit's parameters at the rows that were fitted.
+        validation: Cross-validation of the fit; None: there was none.
+
+    Returns:
+        Such as ``"x"``, the parameters, shape (p,), and ``"covariance"``, theirs, shape (p, p).
     """
     kinematics, x = fitted.kinematics, fitted.estimate.x
     covariance = fitted.estimate.covariance
@@ -345,12 +419,21 @@ def _model_values(
 
 
 def _spread_samples(fitted: Fitted) -> Samples:
-    """Return joint values spread over the limits, with the loads there if a parameter follows them."""
+    """Return joint values spread over the joint limits, over which expected errors are averaged.
+
+    Args:
+        fitted: A fit: its robot, its cell with payload and gravity, and its error model.
+
+    Returns:
+        Samples of the first frame and target, always the same ones; with the loads of gravity on the joints if a
+        parameter of the model is multiplied by them, else without loads.
+    """
     robot, cell = fitted.task.robot, fitted.task.cell
     q = spread_poses(robot)
     terms = fitted.kinematics.model.terms
     if any(term.factor and term.factor.loaded for term in terms):
-        return Samples.at(q, gravity_loads(robot, q, cell.payload, cell.gravity))
+        loads = gravity_loads(robot, q, cell.payload, cell.gravity)
+        return Samples.at(q, loads)
     return Samples.at(q)
 
 
@@ -358,8 +441,11 @@ def _non_geometric(fits: Fits, validation: CrossValidation | None) -> NonGeometr
     """Return the non-geometric model of the result; None if none was fitted.
 
     Args:
-        fits: The fits of the result.
+        fits: The fits of a table: that of the non-geometric model, or None, and all rows.
         validation: Cross-validation of the non-geometric fit; None: it was not run.
+
+    Returns:
+        The fitted model with its residuals of all rows, and the payload and gravity that loaded the joints.
     """
     fitted = fits.non_geometric
     if fitted is None:
@@ -375,9 +461,16 @@ def _non_geometric(fits: Fits, validation: CrossValidation | None) -> NonGeometr
 
 
 def _nominal_places(measurements: Measurements, fits: Fits) -> Setup:
-    """Return frames and targets of the nominal robot: as given, or registered to the estimation rows.
+    """Place frames and targets for the nominal robot: as given, or registered to the estimation rows.
 
     Those that only validation rows see are registered to these.
+
+    Args:
+        measurements: All N rows of the table: which are for estimation, which for validation.
+        fits: The fits of the table: the nominal robot, frames and targets as given, and the N rows as arrays.
+
+    Returns:
+        T_frame_base of each frame and T_tip_target of each target, with which the nominal robot predicts.
     """
     task, rows = fits.geometry.task, fits.all_rows
     T_base_tip = task.robot.poses(rows.joints)
@@ -388,7 +481,16 @@ def _nominal_places(measurements: Measurements, fits: Fits) -> Setup:
 
 
 def _scored(measurements: Measurements, fits: Fits) -> _Scored:
-    """Return residuals, scores and weights of all rows by the fit of the geometry."""
+    """Return residuals, scores and weights of all rows by the fit of the geometry.
+
+    Args:
+        measurements: All N rows of the table: which are for estimation, which for validation.
+        fits: The fits of the table: that of the geometry, and the N rows as arrays.
+
+    Returns:
+        Residuals of the N rows, measured minus predicted; their scores, those of validation rows by the fit without
+        them; and their weights, 0 for validation rows.
+    """
     geometry, estimate = fits.geometry, fits.geometry.estimate
     estimation, validation = measurements.estimation, measurements.validation
     scores, weights = np.empty(len(estimation)), np.zeros(len(estimation))
@@ -412,11 +514,14 @@ def _flagged(
     """List the rows of a set whose score is beyond its limit.
 
     Args:
-        measurements: All N rows.
-        fits: The fits.
-        scored: Figures of all rows.
-        chosen: The rows of the set, shape (N,).
-        limit: Score above which one is flagged.
+        measurements: All N rows of the table, with their numbers.
+        fits: The fits of the table, with the N rows as arrays: which scalars each measures.
+        scored: Residuals and scores of the N rows by the fit of the geometry.
+        chosen: True for the rows of the set, estimation or validation, shape (N,).
+        limit: Score, in standard deviations, above which one is flagged.
+
+    Returns:
+        Number in the table, error in length [m] and score of each flagged row, in the table's order.
     """
     lengths = np.linalg.norm(scored.residual[:, :LENGTHS], axis=1)
     measured = np.any(fits.all_rows.used[:, :LENGTHS], axis=1)
@@ -428,33 +533,57 @@ def _flagged(
 
 
 def _fitted_ranges(joints: Array) -> Array:
-    """Return the smallest and largest value of each joint, shape (m, 2); infinite and reversed of no rows."""
+    """Return the smallest and the largest value of each joint.
+
+    Args:
+        joints: Joint values of the rows with weight in the fit, shape (n, m), [rad] or [m].
+
+    Returns:
+        shape (m, 2), [rad] or [m], read-only; of no rows from infinity down to minus infinity.
+    """
     low = joints.min(axis=0, initial=np.inf)
     high = joints.max(axis=0, initial=-np.inf)
     return read_only(np.stack([low, high], axis=1))
 
 
-def _without_rows(candidate: Candidate) -> Candidate:
-    """Return a candidate with its errors, but without those of each row."""
-    validation = replace(
-        candidate.cross_validation,
-        poses=np.zeros(0, dtype=int),
-        residual=read_only(np.zeros(0)),
-    )
-    return replace(candidate, cross_validation=validation)
+def _without_rows(candidates: Iterable[Candidate]) -> tuple[Candidate, ...]:
+    """Return candidates with the figures of their cross-validations, but without the residuals of each row.
+
+    Args:
+        candidates: Models that were fitted when the model was chosen, each with its cross-validation.
+
+    Returns:
+        The same candidates; residuals and pose numbers of their cross-validations are empty.
+    """
+    result = []
+    for candidate in candidates:
+        validation = replace(
+            candidate.cross_validation,
+            poses=np.zeros(0, dtype=int),
+            residual=read_only(np.zeros(0)),
+        )
+        result.append(replace(candidate, cross_validation=validation))
+    return tuple(result)
 
 
 def _solver_name(solver: str | Solver) -> str:
-    """Return the name of a solver."""
+    """Return the name of a solver for the result.
+
+    Args:
+        solver: Its name, such as ``"lm"``, which is returned as it is; or the solver itself, a function.
+    """
     return solver if isinstance(solver, str) else solver.__name__
 
 
 def _noise_std(fitted: Fitted, columns: slice) -> float:
-    """Return the estimated standard deviation of one measured scalar, median over rows; NaN of none.
+    """Return the estimated standard deviation of one measured scalar, median over all that were fitted.
 
     Args:
-        fitted: A fit.
-        columns: Columns of the residual: those of lengths [m] or of angles [rad].
+        fitted: A fit, with the estimated standard deviation of each scalar of its N rows, shape (N, D).
+        columns: Columns of the residual: the first three, of lengths [m], or those behind, of angles [rad].
+
+    Returns:
+        [m] or [rad]; NaN where none was measured.
     """
     problem = fitted.estimate.problem
     scales = np.where(problem.rows.used, problem.scales, np.nan)[:, columns]
@@ -466,9 +595,13 @@ def _stated(by_row: Array | None, by_cell: float | None, fitted: Mask) -> float:
     """Return the noise of fitted rows as their table states it, rms, else as the cell does; NaN where neither does.
 
     Args:
-        by_row: Standard deviation of each row in the table, shape (N,); NaN where a row states none.
-        by_cell: The cell's.
-        fitted: Rows that were fitted, shape (N,).
+        by_row: Standard deviation of each row in the table, shape (N,), [m] or [rad]; NaN where a row states none;
+            None: the table has no such column.
+        by_cell: The cell's for all rows, in the same unit; None: it states none.
+        fitted: True for the rows that were fitted, shape (N,).
+
+    Returns:
+        Standard deviation of one measured length [m] or angle [rad], as stated.
     """
     if by_row is None:
         return np.nan if by_cell is None else by_cell
@@ -477,7 +610,14 @@ def _stated(by_row: Array | None, by_cell: float | None, fitted: Mask) -> float:
 
 
 def _repeats(fitted: Fitted) -> Repeats | None:
-    """Return the scatter of rows that repeat a pose, in SI units; None where none does."""
+    """Return the scatter of rows that repeat a pose, in SI units.
+
+    Args:
+        fitted: A fit: residuals of its rows, their weights, and which rows repeat a pose.
+
+    Returns:
+        Scatter within the poses; None where no pose is repeated, or only by rows without weight.
+    """
     estimate = fitted.estimate
     rows = estimate.problem.rows
     if len(np.unique(rows.poses)) == len(rows):

@@ -58,17 +58,17 @@ class RowNames:
     targets: tuple[str, ...]
 
     def __len__(self) -> int:
-        """The number of rows."""
+        """The number N of rows of the table, estimation and validation rows."""
         return len(self.numbers)
 
     @property
     def estimation(self) -> Mask:
-        """True for the rows that were fitted, shape (N,)."""
+        """True for the rows that were fitted, those of the set ``estimate`` in ``sets``, shape (N,)."""
         return np.array([name == SETS[0] for name in self.sets], dtype=bool)
 
     @property
     def validation(self) -> Mask:
-        """True for the rows that were only predicted, shape (N,)."""
+        """True for the rows that were only predicted, those not of the set ``estimate`` in ``sets``, shape (N,)."""
         return ~self.estimation
 
 
@@ -174,28 +174,34 @@ class CalibrationValues(FittedModel):
     fit: Fit | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:
-        """In one line."""
+        """One line with the nominal robot, the number of rows, and the verdict's use, if there is a verdict."""
         verdict = "no verdict" if self.verdict is None else self.verdict.use
         return f"Calibration({self.nominal!r}, {len(self.rows)} rows, {verdict})"
 
     @property
     def measurements(self) -> Measurements:
-        """All rows; `ModelError` where the result was read from a file."""
+        """All rows of the table that was calibrated from; `ModelError` where the result was read from a file."""
         return self.fit_in_memory.measurements
 
     @property
     def cell(self) -> Cell:
-        """The cell as given; `ModelError` where the result was read from a file."""
+        """What was given of targets, frames, noise and priors; `ModelError` where the result was read from a file."""
         return self.fit_in_memory.cell
 
     @property
     def fitted(self) -> Fitted:
-        """The fit of the geometry; `ModelError` where the result was read from a file."""
+        """The fit of the geometry: task, registered frames and targets, kinematics, and estimate.
+
+        `ModelError` where the result was read from a file, which holds no fit.
+        """
         return self.fit_in_memory.geometry
 
     @property
     def fit_in_memory(self) -> Fit:
-        """Measurements and solved problem; `ModelError` where the result was read from a file."""
+        """Measurements, cell, and the fits of the geometry and of the non-geometric model, if there is one.
+
+        They are held by ``fit``. `ModelError` where it is None, because the result was read from a file.
+        """
         if self.fit is None:
             raise ModelError(
                 "This result was read from a file, which holds neither the measurements nor the solved problem. "
@@ -205,17 +211,21 @@ class CalibrationValues(FittedModel):
 
     @property
     def T_frame_base(self) -> Array:
-        """Pose of the base in the (first) measurement frame, as estimated or given, shape (4, 4), [m]."""
+        """Pose of the base in the (first) measurement frame of ``setup``, estimated or given, shape (4, 4), [m]."""
         return np.asarray(self.setup.T_frame_base[0])
 
     @property
     def target(self) -> Array:
-        """The (first) target in the tip, as estimated or given, shape (3,), [m]."""
+        """Position of the (first) target of ``setup`` in the tip, estimated or given, shape (3,), [m]."""
         return np.asarray(self.setup.T_tip_target[0, :3, 3])
 
     @property
     def errors(self) -> dict[str, dict[str, Errors]]:
-        """``errors["nominal" | "calibrated" | "non_geometric"]["estimation" | "validation"]``."""
+        """``errors["nominal" | "calibrated" | "non_geometric"]["estimation" | "validation"]``.
+
+        Largest, mean and rms error of the residuals of the nominal robot, of the calibrated one, and of the
+        non-geometric model if there is one, over the rows that were fitted and over those that were only predicted.
+        """
         residuals = {"nominal": self.residual_nominal, "calibrated": self.residual_calibrated}
         if self.non_geometric is not None:
             residuals["non_geometric"] = self.non_geometric.residual
@@ -228,6 +238,12 @@ class CalibrationValues(FittedModel):
     def parameter(self, name: str) -> ParameterEstimate:
         """Return one parameter by its exact name: of the geometry, else of the non-geometric model.
 
+        Args:
+            name: Such as ``"d1"`` or ``"elbow_joint.rx"``.
+
+        Returns:
+            Its nominal and its calibrated value, standard deviation and interval, in its unit.
+
         Raises:
             ModelError: Neither has it.
         """
@@ -238,7 +254,10 @@ class CalibrationValues(FittedModel):
 
     @property
     def tells_place(self) -> bool:
-        """True if some row determines where the base stands; if not, predictions are in the base."""
+        """True if some row, by its kind in ``rows``, determines where the base stands, such as a measured point.
+
+        If none does, as where only sockets, planes, anchors or pairs were measured, predictions are in the base.
+        """
         return tells_place(self.rows.kinds)
 
     def verdict_on(self, *, non_geometric: bool) -> Verdict | None:
@@ -259,7 +278,10 @@ class CalibrationValues(FittedModel):
         """Return the model to predict with.
 
         Args:
-            non_geometric: Whether to take the non-geometric model, if there is one; else the geometry.
+            non_geometric: Whether to take the non-geometric model, if there is one.
+
+        Returns:
+            The non-geometric model, or this result itself, which is the model of the geometry that the URDF holds.
         """
         if non_geometric and self.non_geometric is not None:
             return self.non_geometric
@@ -277,9 +299,13 @@ class CalibrationValues(FittedModel):
 
         Args:
             q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
-            target: Name of the target; the first where None.
-            group: Name of the station; the first where None.
+            target: Name of the target; None: the first.
+            group: Name of the station, which has one measurement frame; None: the first.
             payload: Carried by the tip; None: that of the measurements. It counts for a non-geometric model only.
+
+        Returns:
+            N samples: the joint values, the index of the frame and of the target of each, from 0, and the loads of
+            gravity on the joints; without loads where the result has no non-geometric model.
 
         Raises:
             ModelError: There is no such target or station.
@@ -307,13 +333,16 @@ class CalibrationValues(FittedModel):
 
         Args:
             q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
-            target: Name of the target; the first where None.
-            group: Name of the station whose frame is meant; where None the first, or the base where no row determines
-                where it stands.
+            target: Name of the target; None: the first.
+            group: Name of the station whose frame is meant; None: the first, or the base where no row determines where
+                it stands.
             non_geometric: Whether to use the non-geometric model, if there is one; else the geometry of the URDF.
 
         Returns:
             shape (N, 4, 4), [m].
+
+        Raises:
+            ModelError: There is no such target or station.
         """
         part = self.part(non_geometric=non_geometric)
         poses = part.kinematics.poses(part.x, self.samples(q, target=target, group=group))
@@ -322,10 +351,19 @@ class CalibrationValues(FittedModel):
         return poses
 
     def predict(self, q: ArrayLike, **where: Any) -> Array:  # noqa: ANN401  as of predict_poses
-        """Predict positions of the target in the measurement frame; the arguments are those of `predict_poses`.
+        """Predict positions of the target in the measurement frame.
+
+        Args:
+            q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
+            **where: Arguments of `predict_poses`: ``target`` and ``group``, names of the target and of the station,
+                each the first where it is not given; and ``non_geometric``, False to use the geometry of the URDF
+                alone.
 
         Returns:
-            shape (N, 3), [m].
+            shape (N, 3), [m]; in the base where no row determines where it stands and no station is named.
+
+        Raises:
+            ModelError: There is no such target or station.
         """
         return self.predict_poses(q, **where)[:, :3, 3]
 
@@ -339,17 +377,22 @@ class CalibrationValues(FittedModel):
     ) -> Array:
         """Return the standard deviation of positions by `predict`, sqrt(trace(J C J^T)).
 
-        Where only sockets, planes, anchors or pairs were measured, and no group is named, it leaves out what moves all
-        positions as one body. It knows nothing of errors that the model lacks.
+        C is the covariance of the parameters and J the derivative of the position by them. Where only sockets, planes,
+        anchors or pairs were measured, and no group is named, it leaves out what moves all positions as one body. It
+        knows nothing of errors that the model lacks.
 
         Args:
-            q: As of `predict_poses`, and so the others.
-            target: Name of the target.
-            group: Name of the station.
-            non_geometric: Whether to use the non-geometric model, if there is one.
+            q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
+            target: Name of the target; None: the first.
+            group: Name of the station whose frame is meant; None: the first, or the base where no row determines where
+                it stands.
+            non_geometric: Whether to use the non-geometric model, if there is one; else the geometry of the URDF.
 
         Returns:
             shape (N,), [m].
+
+        Raises:
+            ModelError: There is no such target or station.
         """
         part = self.part(non_geometric=non_geometric)
         samples = self.samples(q, target=target, group=group)
@@ -357,21 +400,29 @@ class CalibrationValues(FittedModel):
         return part.pose_std(samples, in_base=in_base)[:, 0]
 
     def tip_poses(self, q: ArrayLike, *, payload: Payload | None = None) -> Array:
-        """Return T_base_tip by the non-geometric model if there is one, or by the corrected origins.
+        """Return T_base_tip by the non-geometric model if there is one, or by the corrected joint origins.
 
         Args:
             q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
-            payload: Carried by the tip; None: that of the measurements.
+            payload: Carried by the tip; None: that of the measurements. It counts for a non-geometric model only.
 
         Returns:
-            shape (N, 4, 4), [m].
+            shape (N, 4, 4), pose of the tip in the base, [m].
         """
         if self.non_geometric is None:
             return self.robot.poses(np.atleast_2d(np.asarray(q, dtype=np.float64)))
         return self.non_geometric.tips(self.samples(q, payload=payload))
 
     def outside_of_measured(self, q: ArrayLike) -> tuple[OutsideRow, ...]:
-        """List the joint values, shape (N, m), [rad] or [m], that lie outside of the fitted ranges."""
+        """List the joint values that lie outside of the ranges that were fitted, ``ranges``.
+
+        Args:
+            q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
+
+        Returns:
+            The rows of ``q`` with a joint outside, each by its index, from 0, with the joints and by how much; empty
+            where the fitted ranges are not known.
+        """
         if not np.isfinite(self.ranges).all():
             return ()
         seen = np.linspace(self.ranges[:, 0], self.ranges[:, 1], _BETWEEN)
@@ -380,10 +431,13 @@ class CalibrationValues(FittedModel):
         return outside(seen, values, self.nominal.joint_names, types)
 
     def corrected(self, robot: Robot) -> Robot:
-        """Return a robot with the calibrated joint origins.
+        """Return a robot with the calibrated joint origins, base and tip of this result.
 
         Args:
             robot: A URDF of this robot, nominal or corrected, such as one with meshes.
+
+        Returns:
+            The same URDF with the origins, base and tip of the calibrated robot.
 
         Raises:
             UrdfError: It lacks one of the joints.
@@ -391,10 +445,13 @@ class CalibrationValues(FittedModel):
         return _with_origins_of(self.robot, robot)
 
     def uncorrected(self, robot: Robot) -> Robot:
-        """Return a robot with the nominal joint origins, those that the calibration began with.
+        """Return a robot with the nominal joint origins, those that this calibration began with.
 
         Args:
             robot: A URDF of this robot, nominal or corrected.
+
+        Returns:
+            The same URDF with the origins, base and tip of the nominal robot.
 
         Raises:
             UrdfError: It lacks one of the joints.
@@ -403,7 +460,15 @@ class CalibrationValues(FittedModel):
 
 
 def _with_origins_of(source: Robot, robot: Robot) -> Robot:
-    """Return a robot with the joint origins, base and tip of another one."""
+    """Return a robot with the joint origins, base and tip of another one.
+
+    Args:
+        source: The robot whose joint origins, base link and tip link are taken.
+        robot: A URDF of the same robot, which gives all else, such as meshes.
+
+    Raises:
+        UrdfError: It lacks one of the joints.
+    """
     urdf = robot.urdf.with_origins(source.origins())
     return robot.rebuilt(urdf, source.base, source.tip)
 
@@ -411,16 +476,19 @@ def _with_origins_of(source: Robot, robot: Robot) -> Robot:
 def _repeated_index(
     what: str, name: str | None, names: tuple[str, ...], count: int
 ) -> NDArray[np.int_]:
-    """Return the index of a name, ``count`` times; the first where it is None.
+    """Return the index of a name among names, once for each sample.
 
     Args:
-        what: What is named, for the error message.
-        name: One of the names, or None.
+        what: What is named, for the error message: ``"station"`` or ``"target"``.
+        name: One of the names; None: the first.
         names: All names.
-        count: Length of the result.
+        count: Number N of samples.
+
+    Returns:
+        The index, from 0, in all elements, shape (N,).
 
     Raises:
-        ModelError: It is none of them.
+        ModelError: It is none of the names.
     """
     if name is not None and name not in names:
         raise ModelError(f"There is no {what} '{name}'; there is {choices(names)}.")

@@ -27,6 +27,7 @@ from calib.model.observability import Observability
 from calib.model.parameters import ErrorModel, Parameter
 from calib.numerics.errors import CrossValidation, Errors
 from calib.numerics.repeats import Repeats
+from calib.registration.setup import Setup
 from calib.result.calibration import CalibrationValues, Source
 from calib.result.prediction import FittedModel, NonGeometric, Outlier
 from calib.robot.payload import Payload
@@ -42,7 +43,15 @@ SCHEMA = 6
 
 
 def error_table(errors: Errors) -> dict[str, Any]:
-    """Return the table of errors of one set of rows, see docs/result-json.md: angles only where there are any."""
+    """Return the table of errors of one set of rows, see docs/result-json.md.
+
+    Args:
+        errors: Largest, mean and rms errors of lengths [m], and of angles [rad] where there are any.
+
+    Returns:
+        The figures by keys with the unit, such as ``"rms_m"``; those of angles, ``"..._rad"``, only where there are
+        any.
+    """
     table = _LAYOUT.table(errors)
     if errors.n_angle:
         return table
@@ -53,68 +62,150 @@ def pose_table(T: Array, prefix: str = "") -> dict[str, Any]:
     """Return a pose as position and roll, pitch, yaw.
 
     Args:
-        T: The pose, shape (4, 4), [m].
+        T: The pose as a homogeneous matrix, shape (4, 4), [m].
         prefix: Begins the keys, such as ``"frame_base_"``.
+
+    Returns:
+        ``"xyz_m"``, shape (3,), and ``"rpy_rad"``, shape (3,), with R = Rz(yaw) Ry(pitch) Rx(roll); both behind the
+        prefix.
     """
     return {f"{prefix}xyz_m": T[:3, 3], f"{prefix}rpy_rad": pin.rpy.matrixToRpy(T[:3, :3])}
 
 
 def _prior_std_key(family: str) -> str:
-    """Return the key of a family's prior standard deviation, with its unit."""
+    """Return the key of a family's prior standard deviation in the file, with its unit.
+
+    Args:
+        family: Name of a family of parameters, of `calib.model.families.FAMILIES`.
+
+    Returns:
+        The family's name and the unit, such as ``"length_m"``.
+    """
     return f"{family}_{FAMILIES[family].unit.key}"
 
 
 def _prior_std_table(prior_std: Mapping[str, float]) -> dict[str, float]:
-    """Return the table of prior standard deviations, by family, in SI units."""
+    """Return the table of prior standard deviations for the file.
+
+    Args:
+        prior_std: Standard deviation of the prior of each family's errors, by the family's name, in its SI unit.
+
+    Returns:
+        The same values by the family's name with the unit behind it.
+    """
     return {_prior_std_key(family): std for family, std in prior_std.items()}
 
 
 def _read_prior_std(table: Json) -> dict[str, float]:
-    """Return the prior standard deviation of each family that a table has."""
+    """Return prior standard deviations from their table in the file.
+
+    Args:
+        table: Values in SI units, by the family's name with the unit behind it; families may be missing.
+
+    Returns:
+        Standard deviation of the prior of each family that the table has, by the family's name, in its SI unit.
+    """
     keys = {family: _prior_std_key(family) for family in FAMILIES}
     return {family: float(table[key]) for family, key in keys.items() if key in table}
 
 
 def _values_table(values: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the values of a reason as a list, in their order."""
+    """Return the values of a verdict's reason as a list for the file, in their order.
+
+    Args:
+        values: Numbers, in SI units, and names by their own names, see `calib.diagnosis.reasons.Reason`.
+
+    Returns:
+        One table ``{"name": ..., "value": ...}`` for each.
+    """
     return [{"name": name, "value": value} for name, value in values.items()]
 
 
 def _read_values(table: Any) -> dict[str, Any]:  # noqa: ANN401
-    """Return the values of a reason from their list."""
+    """Return the values of a verdict's reason from their list in the file.
+
+    Args:
+        table: Tables ``{"name": ..., "value": ...}``.
+
+    Returns:
+        Each value by its name, in the order of the list.
+    """
     return {row["name"]: row["value"] for row in table}
 
 
 def _ties_table(ties: Mapping[str, tuple[str, float]]) -> list[dict[str, Any]]:
-    """Return tied parameters as a list."""
-    return [
-        {"name": name, "other": other, "factor": factor} for name, (other, factor) in ties.items()
-    ]
+    """Return tied parameters as a list for the file.
+
+    Args:
+        ties: Of each parameter that follows another one, by its name, the other's name and the factor:
+            x_name = factor x_other.
+
+    Returns:
+        One table ``{"name": ..., "other": ..., "factor": ...}`` for each.
+    """
+    table = []
+    for name, (other, factor) in ties.items():
+        table.append({"name": name, "other": other, "factor": factor})
+    return table
 
 
 def _read_ties(table: Any) -> dict[str, tuple[str, float]]:  # noqa: ANN401
-    """Return tied parameters from their list."""
+    """Return tied parameters from their list in the file.
+
+    Args:
+        table: Tables ``{"name": ..., "other": ..., "factor": ...}``.
+
+    Returns:
+        By the name of each parameter that follows another one, the other's name and the factor:
+        x_name = factor x_other.
+    """
     return {row["name"]: (row["other"], float(row["factor"])) for row in table}
 
 
 def _read_ranges(table: Any) -> Array:  # noqa: ANN401
-    """Return the ends of the joints' ranges, from infinity down to minus infinity where no row was fitted."""
+    """Return the ends of the joints' fitted ranges from their rows in the file.
+
+    Args:
+        table: Smallest and largest value of each of m joints, [rad] or [m]; NaN or None where no row was fitted.
+
+    Returns:
+        shape (m, 2), read-only; from infinity down to minus infinity where no row was fitted.
+    """
     ends = np.array(table, dtype=np.float64)
     return read_only(np.where(np.isnan(ends), [np.inf, -np.inf], ends))
 
 
 def _read_condition(value: float | None) -> float:
-    """Return a condition number, which is infinite where the file has null."""
+    """Return the condition number of an identification Jacobian from its value in the file.
+
+    Args:
+        value: Largest over smallest singular value; None, null in the file, where it is infinite.
+    """
     return np.inf if value is None else float(value)
 
 
 def _read_square(rows: Any) -> Array:  # noqa: ANN401
-    """Return a matrix from its rows, also of none, shape (p, p)."""
+    """Return a square matrix, such as a covariance, from its rows in the file.
+
+    Args:
+        rows: p rows of p numbers each; p may be 0. None stands for a missing number.
+
+    Returns:
+        shape (p, p), read-only; NaN for a missing number.
+    """
     return read_only(np.array(rows, dtype=float).reshape(len(rows), -1))
 
 
 def _read_base_motion(rows: Any) -> Array | None:  # noqa: ANN401
-    """Return a compensating motion, shape (6, p), from its rows."""
+    """Return a compensating motion of the base from its rows in the file.
+
+    Args:
+        rows: Six rows of p numbers; None or empty where there is no such motion.
+
+    Returns:
+        shape (6, p), for a unit of each of p parameters the motion of the base, linear [m] then angular [rad]; None
+        where there is none. See `calib.result.prediction.FittedModel.base_motion`.
+    """
     return np.reshape(rows, (6, -1)) if rows else None
 
 
@@ -193,16 +284,26 @@ _LAYOUT: JsonLayout = JsonLayout(
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of calib and of the packages that computed the result."""
+    """Return the versions of calib, of Python, and of the packages that computed the result, by their names."""
     packages = {name: importlib.metadata.version(name) for name in ("pin", "numpy", "scipy")}
     return {"calib": __version__, "python": platform.python_version(), **packages}
 
 
 def result_table(c: CalibrationValues) -> dict[str, Any]:
-    """Return a result as nested tables of plain values, before missing numbers become null."""
+    """Return a result as nested tables of plain values, before missing numbers become null.
+
+    Args:
+        c: The calibration result; its measurements and fits in memory are no part of the tables.
+
+    Returns:
+        The tables of docs/result-json.md, in SI units, the unit in the suffix of each key.
+    """
     table = nested(_derived_values(c))
     for key, value in _LAYOUT.table(c).items():
-        table[key] = table.get(key, {}) | value if isinstance(value, dict) else value
+        if isinstance(value, dict):
+            table[key] = table.get(key, {}) | value
+        else:
+            table[key] = value
     table["solver"]["iterations"] = c.solution.iterations
     if c.non_geometric is not None:
         table["non_geometric"] |= {
@@ -213,7 +314,14 @@ def result_table(c: CalibrationValues) -> dict[str, Any]:
 
 
 def _derived_values(c: CalibrationValues) -> dict[str, Any]:
-    """Return what the file has besides the attributes of a result, by its path in the file."""
+    """Return what the file has besides the attributes of a calibration result, such as joint origins and versions.
+
+    Args:
+        c: The result.
+
+    Returns:
+        Values in SI units by their path in the file, such as ``"robot.origins"``.
+    """
     robot, urdf = c.nominal, c.nominal.urdf
     target_given = c.setup.target_given[0]
     errors = {}
@@ -244,7 +352,15 @@ def _derived_values(c: CalibrationValues) -> dict[str, Any]:
 
 
 def _origins_table(robot: Robot) -> list[dict[str, Any]]:
-    """Return the joint origins of a robot, as in its URDF."""
+    """Return the joint origins of a robot as a list for the file.
+
+    Args:
+        robot: The robot, nominal or corrected.
+
+    Returns:
+        For each joint its name and its pose in the link before it at joint value 0, as in the URDF's <origin>:
+        ``{"joint": ..., "xyz_m": ..., "rpy_rad": ...}``.
+    """
     return [{"joint": name, **pose_table(T)} for name, T in robot.origins().items()]
 
 
@@ -254,10 +370,10 @@ def write_result(
     """Write a calibration as JSON.
 
     Args:
-        c: The result.
+        c: The calibration result; its measurements and fits in memory are not written.
         path: The file.
         overwrite: Whether a file that exists is replaced.
-        extra: Further keys at the top.
+        extra: Further keys at the top, which win over the result's; None: no further ones.
 
     Returns:
         The path.
@@ -288,6 +404,12 @@ def write_table(table: Json, path: str | Path, *, overwrite: bool = False) -> Pa
 def read_result(path: str | Path) -> CalibrationValues:
     """Read a calibration that `write_result` wrote.
 
+    Args:
+        path: The JSON file. Meshes that its URDF names are looked for beside the URDF, if that is in the file's folder.
+
+    Returns:
+        The result, equal to the one written but for its measurements and fits in memory.
+
     Raises:
         FileError: It cannot be read, is no result, of another schema, or damaged.
     """
@@ -307,7 +429,18 @@ def read_result(path: str | Path) -> CalibrationValues:
 
 
 def _calibration(table: Json, folder: Path) -> CalibrationValues:
-    """Return a result from its tables; meshes lie beside the URDF, where that is in the folder."""
+    """Return a calibration result from its tables.
+
+    Args:
+        table: The tables of a result file, see docs/result-json.md.
+        folder: The file's folder; meshes lie beside the URDF, where that is in the folder.
+
+    Returns:
+        The result, without measurements and fits in memory.
+
+    Raises:
+        ValueError: The tables contradict each other, or a number is missing. A damaged table raises other errors too.
+    """
     nominal, inputs = _nominal(table, folder), table["inputs"]
     values = _model_values(CalibrationValues, table, nominal)
     lengths = len(values["ranges"]), len(values["rows"])
@@ -327,7 +460,15 @@ def _calibration(table: Json, folder: Path) -> CalibrationValues:
 
 
 def _nominal(table: Json, folder: Path) -> Robot:
-    """Return the nominal robot from the tables of a result."""
+    """Return the nominal robot from the tables of a result file.
+
+    Args:
+        table: All tables of the file; they hold the text of the nominal URDF, base, tip and held joint values.
+        folder: The folder where the URDF is looked for, if only for the meshes beside it.
+
+    Returns:
+        The robot, its base, tip and held joint values as stored.
+    """
     robot, stored = table["robot"], table["inputs"]["urdf"]
     data = stored["text"].encode("utf-8", "surrogateescape")
     urdf = Urdf.from_bytes(data, stored["name"], folder / stored["name"])
@@ -336,39 +477,99 @@ def _nominal(table: Json, folder: Path) -> Robot:
 
 
 def _model_values(kind: type[FittedModel], table: Json, nominal: Robot) -> dict[str, Any]:
-    """Return the attributes of a fitted model, by their names.
+    """Return the attributes of a fitted model, by their names, from its table in a result file.
 
     Args:
-        kind: `CalibrationValues`, or `NonGeometric`.
-        table: Its table: the whole one, or that of the non-geometric model.
+        kind: The class whose attributes they are: `CalibrationValues`, or `NonGeometric`.
+        table: Its table: the whole file for the first, that of the non-geometric model for the second.
         nominal: The nominal robot.
+
+    Returns:
+        Values that the table holds, and ``"kinematics"``, which follows from them.
+
+    Raises:
+        ValueError: A number that a fitted model has is missing.
     """
     values = _LAYOUT.values(kind, table, excluded=("non_geometric",))
-    x, covariance, setup = values["x"], values["covariance"], values["setup"]
-    parameters = values["parameters"]
-    model = _model_of(table["model"], [parameter.name for parameter in parameters])
-    arrays = (x, covariance, setup.T_frame_base, setup.T_tip_target)
-    gradients = [parameter.data_gradient for parameter in parameters]
-    numbers = np.concatenate([gradients, *(np.ravel(array) for array in arrays)])
-    if covariance.shape != x.shape * 2 or not np.isfinite(numbers).all():
-        raise ValueError("a number is missing")
-    # The offsets x count from frames and targets before the estimated displacements.
-    back = np.linalg.inv(model.displacements(x)[0])
-    frames = setup.T_frame_base @ back[: len(setup.groups)]
-    targets = setup.T_tip_target @ back[-len(setup.targets) :]
-    values["kinematics"] = Kinematics(nominal, model, frames, targets)
+    names = [parameter.name for parameter in values["parameters"]]
+    model = _model_of(table["model"], names)
+    _check_numbers(values)
+    values["kinematics"] = _kinematics(nominal, model, values["setup"], values["x"])
     return values
 
 
+def _check_numbers(values: Mapping[str, Any]) -> None:
+    """Refuse a fitted model of whose parameters, covariance, frames or targets a number is missing.
+
+    Args:
+        values: Attributes of the model by their names: parameters ``"x"``, shape (p,), ``"covariance"``, which must
+            have the shape (p, p), ``"setup"``, and ``"parameters"``, one `ParameterEstimate` each. A missing number is
+            NaN.
+
+    Raises:
+        ValueError: One is missing or infinite, or the shapes do not fit.
+    """
+    x, covariance, setup = values["x"], values["covariance"], values["setup"]
+    arrays = (x, covariance, setup.T_frame_base, setup.T_tip_target)
+    gradients = [parameter.data_gradient for parameter in values["parameters"]]
+    numbers = np.concatenate([gradients, *(np.ravel(array) for array in arrays)])
+    if covariance.shape != x.shape * 2 or not np.isfinite(numbers).all():
+        raise ValueError("a number is missing")
+
+
+def _kinematics(nominal: Robot, model: ErrorModel, setup: Setup, x: Array) -> Kinematics:
+    """Return the nominal robot under an error model, with frames and targets from where the parameters count.
+
+        T_frame_base(0) = T_frame_base(x) D_frame(x)^-1,    T_tip_target(0) = T_tip_target(x) D_target(x)^-1
+
+    with the displacements D that the parameters x make.
+
+    Args:
+        nominal: The nominal robot.
+        model: Its error model of p parameters, those of frames and targets included.
+        setup: Frames and targets at the solution: T_frame_base and T_tip_target at x.
+        x: The parameters at the solution, shape (p,), offsets from the start of the fit [m, rad, ...].
+
+    Returns:
+        The nominal robot with T_frame_base and T_tip_target at parameters of zero.
+    """
+    displacements, _ = model.displacements(x)
+    back = np.linalg.inv(displacements)
+    frames = setup.T_frame_base @ back[: len(setup.groups)]
+    targets = setup.T_tip_target @ back[-len(setup.targets) :]
+    return Kinematics(nominal, model, frames, targets)
+
+
 def _model_table(model: ErrorModel) -> dict[str, Any]:
-    """Return the places of an error model's terms, and the parameters that the terms follow."""
+    """Return an error model as a table for the file.
+
+    Args:
+        model: The model: its places, such as joints and frames, and its terms, each an error at a place.
+
+    Returns:
+        The name of its set, ``"set"``, its places and terms, and ``"mixing"``, shape (terms, p): the values of the
+        terms are mixing @ x with the p parameters x; None where no parameter is tied, so that the terms are the
+        parameters.
+    """
     mixing = None if model.terms is model.parameters else model.mixing
     terms = [_LAYOUT.table(term) for term in model.terms]
     return {"set": model.name, "places": model.places, "terms": terms, "mixing": mixing}
 
 
 def _model_of(table: Json, names: Sequence[str]) -> ErrorModel:
-    """Return an error model from its table, with the parameters of these names."""
+    """Return an error model from its table in the file.
+
+    Args:
+        table: The table, as `_model_table` makes it.
+        names: Names of the p parameters in the order of the parameter vector x; the other terms are tied to these.
+
+    Returns:
+        The model: its p parameters, its terms, and how these follow the parameters.
+
+    Raises:
+        KeyError: A parameter that is no term of the table.
+        ValueError: No parameter is tied, and the terms are not the parameters.
+    """
     terms = tuple(_LAYOUT.read(Parameter, term) for term in table["terms"])
     by_name = {term.name: term for term in terms}
     parameters = tuple(by_name[name] for name in names)

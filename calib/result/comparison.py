@@ -58,7 +58,7 @@ class ComparisonValues:
     only_b: tuple[str, ...]
 
     def __repr__(self) -> str:
-        """In one line."""
+        """One line with the names of both results, the outcome, and the p-value of the difference."""
         first, second = self.names
         return f"Comparison({first!r}, {second!r}, {self.outcome}, p = {self.test.p:.2g})"
 
@@ -74,6 +74,9 @@ def compare(
         a: The first: a `Calibration`, or the path of a result file.
         b: The second, made of other measurements.
         robot: The robot, or its URDF, nominal or corrected, to show with its meshes; None: that of the first result.
+
+    Returns:
+        The outcome, the test of the difference, and the displacement of the target from a to b.
 
     Raises:
         FileError: A file cannot be read or is no result.
@@ -109,7 +112,18 @@ def compare(
 def _result_and_name(
     given: CalibrationValues | str | Path, letter: str
 ) -> tuple[CalibrationValues, str]:
-    """Return a result, read if it is a path, and the name of its file, or the letter."""
+    """Return a calibration result and its name.
+
+    Args:
+        given: The result, or the path of its file, which is read.
+        letter: ``"a"`` or ``"b"``: the name of a result that was not given as a file.
+
+    Returns:
+        The result; and the name of its file without the folder, or the letter.
+
+    Raises:
+        FileError: The file cannot be read or is no result.
+    """
     if isinstance(given, CalibrationValues):
         return given, letter
     return read_result(given), Path(given).name
@@ -118,7 +132,16 @@ def _result_and_name(
 def _check_same_chain(
     first: CalibrationValues, second: CalibrationValues, names: tuple[str, str]
 ) -> None:
-    """Refuse results of different chains; ``names`` are those of their files."""
+    """Refuse calibration results of different chains: of other links, joints, or held joint values.
+
+    Args:
+        first: The first result.
+        second: The second.
+        names: Names of their files, for the error message.
+
+    Raises:
+        ModelError: Base, tip, joints or held values of their nominal robots differ.
+    """
     chains = []
     for robot in (first.nominal, second.nominal):
         joints = (robot.joint_names, set(robot.origins()), dict(robot.held))
@@ -131,7 +154,18 @@ def _check_same_chain(
 
 
 def _robot_to_show(given: Robot | str | Path | None, nominal: Robot) -> Robot:
-    """Return the robot to show, with base and tip of the results' nominal one, which is the default."""
+    """Return the robot to show, with base and tip of the results' nominal one.
+
+    Args:
+        given: The robot, or the path of its URDF; None: the nominal robot is shown.
+        nominal: The nominal robot of the first result, with its base, tip and held joint values.
+
+    Returns:
+        The robot with the nominal one's base and tip; its joint origins are its own.
+
+    Raises:
+        UrdfError: The URDF cannot be read, or lacks a joint.
+    """
     if given is None:
         return nominal
     if isinstance(given, Robot):
@@ -140,7 +174,15 @@ def _robot_to_show(given: Robot | str | Path | None, nominal: Robot) -> Robot:
 
 
 def _same_origins(first: CalibrationValues, second: CalibrationValues) -> bool:
-    """Tell if both results count from the same nominal joint origins."""
+    """Tell if two calibration results count from the same nominal joint origins.
+
+    Args:
+        first: The first result.
+        second: The second, of the same chain.
+
+    Returns:
+        True if no element of the nominal robots' joint origins, 4x4 matrices [m], differs by `_SAME` or more.
+    """
     of_second = second.nominal.origins()
     origins = first.nominal.origins().items()
     return all(np.abs(T - of_second[name]).max() < _SAME for name, T in origins)
@@ -149,18 +191,31 @@ def _same_origins(first: CalibrationValues, second: CalibrationValues) -> bool:
 def _why_not_told(
     first: CalibrationValues, second: CalibrationValues, differences: Differences
 ) -> Why:
-    """Return the reason why nothing can be told; empty if there is none."""
+    """Return the reason why nothing can be told of a drift; empty if there is none.
+
+    Args:
+        first: Result a.
+        second: Result b.
+        differences: The difference of their predictions: its test, the displacement of the target, and parameters whose
+            effects only one of the results can have.
+
+    Returns:
+        ``"same data"`` if both are of one file; ``"bad verdict"`` if either should not be used; ``"nothing known"`` if
+        no combination of parameters could be tested; ``"other errors"`` if they differ, but either has parameters that
+        the other lacks, and the target moved no further than what the residuals show these to lack.
+    """
     if first is second:
         return "same data"
     if first.source.sha256 and first.source.sha256 == second.source.sha256:
         return "same data"
-    if any(one.verdict is not None and one.verdict.use == NO for one in (first, second)):
+    results = (first, second)
+    if any(result.verdict is not None and result.verdict.use == NO for result in results):
         return "bad verdict"
     if differences.test.combinations == 0:
         return "nothing known"
-    other_models = bool(differences.only_a or differences.only_b)
-    residual = max(one.errors["calibrated"]["estimation"].rms for one in (first, second))
+    has_other_errors = bool(differences.only_a or differences.only_b)
+    residual = max(result.errors["calibrated"]["estimation"].rms for result in results)
     far = differences.moves[0].moved > _FAR * residual
-    if other_models and differences.test.drifted and not far:
+    if has_other_errors and differences.test.drifted and not far:
         return "other errors"
     return ""

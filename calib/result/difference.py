@@ -29,7 +29,7 @@ from calib.numerics.drift import (
 )
 from calib.result.calibration import CalibrationValues
 from calib.robot.ranges import spread_between, spread_poses
-from calib.units import Array
+from calib.units import Array, Mask
 
 #: Joint values over which a displacement is averaged.
 Where = Literal["measured ranges", "joint limits"]
@@ -82,7 +82,10 @@ class Displacement:
 
     @property
     def moved(self) -> float:
-        """The rms without the part of the noise [m]."""
+        """The rms displacement without the part that the noise of both results would show [m], 0 or more.
+
+        sqrt(rms^2 - noise^2) of the fields ``rms`` and ``noise`` [m].
+        """
         return float(np.sqrt(max(self.rms**2 - self.noise**2, 0.0)))
 
 
@@ -103,22 +106,48 @@ class Differences:
 
 
 def own_names(result: CalibrationValues) -> tuple[str, ...]:
-    """Return the names of the robot's own parameters: those of frames and targets left out."""
+    """Return the names of the robot's own parameters, in their order: those of frames and targets left out.
+
+    Args:
+        result: A calibration result, with the parameters of its geometry.
+    """
     return tuple(result.model.names[k] for k in _own_indices(result))
 
 
 def _own_indices(result: CalibrationValues) -> NDArray[np.int_]:
-    """Return the indices of the robot's own parameters, from 0, shape (k,)."""
+    """Return the indices of the robot's own parameters among all: those of frames and targets left out.
+
+    Args:
+        result: A calibration result, with the p parameters of its geometry.
+
+    Returns:
+        shape (k,), from 0, ascending.
+    """
     return np.flatnonzero(~result.model.family(FRAME, TARGET))
 
 
 def _own_steps(result: CalibrationValues) -> Array:
-    """Return typical errors of arms in each of their own parameters, shape (k,), in its unit."""
+    """Return typical errors of arms in each of the robot's own parameters, such as 1 mm of a length.
+
+    Args:
+        result: A calibration result, with the parameters of its geometry.
+
+    Returns:
+        shape (k,) for the k parameters that are not of frames and targets, each in its unit, [m], [rad], ...
+    """
     return steps([result.model.units[k] for k in _own_indices(result)])
 
 
 def unknown_frame(result: CalibrationValues) -> tuple[str, ...]:
-    """Return the directions in which a result's measurements did not know where the base stands."""
+    """Return the directions in which a result's measurements did not know where the base stands.
+
+    Args:
+        result: A calibration result: its kinds of measurements, and which directions of the frames it estimated.
+
+    Returns:
+        Some of ``"x"``, ``"y"``, ``"z"``, ``"rx"``, ``"ry"`` and ``"rz"``, along and about the base's axes; all where
+        no row determines where the base stands, none where all frames were given.
+    """
     if not result.tells_place:
         return DIRECTIONS  # sockets, planes, anchors and pairs never do
     if not result.frame_estimated:
@@ -131,8 +160,12 @@ def _common_ranges(a: Array, b: Array) -> Array:
     """Return the range of each joint that both data cover, or that either does where there is none.
 
     Args:
-        a: Smallest and largest fitted joint values of the first result, shape (m, 2), [rad], [m].
+        a: Smallest and largest fitted joint values of the first result, shape (m, 2), [rad], [m]; infinite or NaN where
+            no row was fitted.
         b: Those of the second.
+
+    Returns:
+        shape (m, 2), [rad], [m], finite.
     """
     low = np.fmax(a[:, 0], b[:, 0])
     high = np.fmin(a[:, 1], b[:, 1])
@@ -147,21 +180,23 @@ def _common_ranges(a: Array, b: Array) -> Array:
 
 
 def _estimate(result: CalibrationValues, other: CalibrationValues) -> Estimate:
-    """Return a result under priors that both share and that leave room for a drift.
+    """Return a result under priors that both results share and that leave room for a drift, to first order.
 
+        C_q = (C^-1 + Q - P)^-1,    x_q = x + C_q (s - Q x)
+
+    with the priors' precision P of the fit and Q in common, and s, minus the gradient of half the data's squares.
     Parameters at a bound stay there.
 
     Args:
-        result: The result.
-        other: The one with which it is compared.
+        result: The calibration result: parameters x, their covariance C, priors and data gradients s.
+        other: The one with which it is compared; only its priors count.
+
+    Returns:
+        Covariance and change of the k parameters of the result's robot, those of frames and targets left out.
     """
-    precision, of_other = _prior_precision(result), _prior_precision(other)
-    by_name = dict(zip(other.model.names, of_other, strict=True))
-    indices, step = _own_indices(result), _own_steps(result)
-    shared = [min(precision[k], by_name.get(result.model.names[k], np.inf)) for k in indices]
-    # Never wider than anything an arm may err by either: with priors off there is none.
-    shared = np.clip(shared, 1.0 / (_WIDEST * step) ** 2, 1.0 / (_ROOM * step) ** 2)
-    bounded = np.array([p.at_bound for p in result.parameters], dtype=bool)
+    precision, indices = _prior_precision(result), _own_indices(result)
+    shared = _shared_precision(result, other)
+    bounded = np.array([parameter.at_bound for parameter in result.parameters], dtype=bool)
     common = precision.copy()
     common[indices] = shared
     common[bounded] = 0.0
@@ -170,18 +205,51 @@ def _estimate(result: CalibrationValues, other: CalibrationValues) -> Estimate:
     of_own = C[np.ix_(indices, indices)]
     noise = C - (C * common) @ C
     data_gradient = np.array([result.parameters[k].data_gradient for k in indices])
+    pull_to_data = data_gradient - common[indices] * result.x[indices]
     return Estimate(
         covariance=of_own,
         noise=noise[np.ix_(indices, indices)],
         pull=of_own * common[indices],
         prior=1.0 / shared,
         freedom=result.freedom,
-        shift=of_own @ (data_gradient - common[indices] * result.x[indices]),
+        shift=of_own @ pull_to_data,
     )
 
 
+def _shared_precision(result: CalibrationValues, other: CalibrationValues) -> Array:
+    """Return the precision of priors under which two results are compared, for a result's own parameters.
+
+    It is the lower of both results' precisions; but the prior's standard deviation is at least `_ROOM`, to leave room
+    for a drift, and at most `_WIDEST`, both in the typical errors of arms.
+
+    Args:
+        result: The calibration result.
+        other: The one with which it is compared; its parameters are matched by name.
+
+    Returns:
+        1 / variance of the k parameters of the result's robot, shape (k,), [1/unit^2].
+    """
+    precision, of_other = _prior_precision(result), _prior_precision(other)
+    by_name = dict(zip(other.model.names, of_other, strict=True))
+    step = _own_steps(result)
+    shared = []
+    for k in _own_indices(result):
+        of_same_name = by_name.get(result.model.names[k], np.inf)
+        shared.append(min(precision[k], of_same_name))
+    # Never wider than anything an arm may err by either: with priors off there is none.
+    lowest, highest = 1.0 / (_WIDEST * step) ** 2, 1.0 / (_ROOM * step) ** 2
+    return np.asarray(np.clip(shared, lowest, highest))
+
+
 def _prior_precision(result: CalibrationValues) -> Array:
-    """Return the precision of each parameter's prior, 0 where there was none, shape (p,)."""
+    """Return the precision of each parameter's prior, 1 / variance.
+
+    Args:
+        result: A calibration result with p parameters, those of frames and targets included.
+
+    Returns:
+        shape (p,), [1/unit^2]; 0 where there was no prior.
+    """
     prior_std = np.array([p.prior_std for p in result.parameters])
     return np.nan_to_num(prior_std**-2.0)
 
@@ -209,59 +277,89 @@ class _Predictions:
 
     @property
     def signed(self) -> Array:
-        """Derivative of b's prediction less a's by both results' parameters, shape (N D, p_a + p_b)."""
-        return np.hstack([-self.effects[0], self.effects[1]])
+        """Derivative of b's prediction less a's by both results' parameters: minus ``effects`` of a, then those of b.
+
+        Shape (N D, p_a + p_b), [m] a unit of each parameter.
+        """
+        effect_a, effect_b = self.effects
+        return np.hstack([-effect_a, effect_b])
 
     @property
     def coordinates(self) -> int:
-        """Number D of coordinates of a joint value."""
+        """Number D of coordinates of a prediction: 3 of the position, and 3 of the orientation if that counts too."""
         return 6 if self.turns else 3
 
     def moved(self, estimates: tuple[Estimate, Estimate]) -> Array:
-        """Return the difference under common priors, shape (N D,)."""
+        """Return the difference of the predictions, b less a, if both results had the same priors.
+
+        To ``difference`` is added what the change of each result's parameters does, by ``slopes``.
+
+        Args:
+            estimates: Results a and b under common priors: ``shift`` is the change of their parameters.
+
+        Returns:
+            shape (N D,), [m]: D coordinates at each of N joint values; angles count at the end of a lever.
+        """
         slope_a, slope_b = self.slopes
         a, b = estimates
         return np.asarray(self.difference + slope_b @ b.shift - slope_a @ a.shift)
 
 
 def _predictions(a: CalibrationValues, b: CalibrationValues, q: Array) -> _Predictions:
-    """Predict one target in the base by both results.
+    """Predict one target in the base by two calibration results.
 
     Args:
-        a: The first result, whose target is predicted.
+        a: The first result, whose first target is predicted by both.
         b: The second.
         q: Joint values, shape (N, m), [rad] or [m].
+
+    Returns:
+        The difference of the predictions, b less a, and their derivatives by the parameters of either result.
     """
     turns = a.setup.rotation and b.setup.rotation
-    T_nominal, T_a, effect_a, slope_a = _prediction(a, a, q)
-    _, T_b, effect_b, slope_b = _prediction(b, a, q)
-    difference = T_b[:, :3, 3] - T_a[:, :3, 3]
+    by_a, by_b = _prediction(a, a, q), _prediction(b, a, q)
+    difference = by_b.calibrated[:, :3, 3] - by_a.calibrated[:, :3, 3]
     if turns:
-        R_ab = Rotation.from_matrix(T_b[:, :3, :3] @ T_a[:, :3, :3].transpose(0, 2, 1))
+        R_a, R_b = by_a.calibrated[:, :3, :3], by_b.calibrated[:, :3, :3]
+        R_ab = Rotation.from_matrix(R_b @ R_a.transpose(0, 2, 1))
         difference = np.hstack([difference, _LEVER * R_ab.as_rotvec()])
-    gauge = _place_twists(T_nominal)[:, :, _unknown_places(a, b, turns=turns)]
+    gauge = _place_twists(by_a.nominal)[:, :, _unknown_places(a, b, turns=turns)]
+    effects = [_as_lengths(prediction.effect, turns=turns) for prediction in (by_a, by_b)]
+    slopes = [_as_lengths(prediction.slope, turns=turns) for prediction in (by_a, by_b)]
     return _Predictions(
         turns=turns,
         difference=difference.ravel(),
-        effects=(_as_lengths(effect_a, turns=turns), _as_lengths(effect_b, turns=turns)),
-        slopes=(_as_lengths(slope_a, turns=turns), _as_lengths(slope_b, turns=turns)),
+        effects=(effects[0], effects[1]),
+        slopes=(slopes[0], slopes[1]),
         gauge=_as_lengths(gauge, turns=turns),
     )
 
 
-def _prediction(
-    result: CalibrationValues, first: CalibrationValues, q: Array
-) -> tuple[Array, Array, Array, Array]:
-    """Predict the first result's target in the base by one result's own parameters.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Prediction:
+    """Poses of one target in the base at N joint values by one result, with p parameters of its robot."""
+
+    #: Shape (N, 4, 4), T_base_target by the nominal robot [m]
+    nominal: Array
+    #: Shape (N, 4, 4), T_base_target by the calibrated robot [m]
+    calibrated: Array
+    #: Shape (N, 6, p), the target's velocity in a unit of each parameter at the nominal robot, linear [m] then angular
+    #: [rad], along the base's axes
+    effect: Array
+    #: The same at the calibrated robot
+    slope: Array
+
+
+def _prediction(result: CalibrationValues, first: CalibrationValues, q: Array) -> _Prediction:
+    """Predict a target in the base by the parameters of one result's robot, those of frames and targets left out.
 
     Args:
-        result: The result.
-        first: The result whose first target is predicted.
+        result: The calibration result that predicts.
+        first: The result whose first target, as it estimated it or was given it, is predicted.
         q: Joint values, shape (N, m), [rad] or [m].
 
     Returns:
-        Poses by the nominal and by the calibrated robot, shape (N, 4, 4), [m], and the twists of a unit of each own
-        parameter at the nominal and at the calibrated robot, shape (N, 6, p).
+        Poses and derivatives, by the nominal and by the calibrated robot.
     """
     indices = _own_indices(result)
     others = np.delete(np.array(result.model.names), indices)
@@ -272,17 +370,18 @@ def _prediction(
     # that would look like combinations of their own.
     nominal, effect = kinematics.twists(np.zeros(len(indices)), q)
     calibrated, slope = kinematics.twists(result.x[indices], q)
-    return nominal, calibrated, effect, slope
+    return _Prediction(nominal, calibrated, effect, slope)
 
 
 def _place_twists(T_base_target: Array) -> Array:
-    """Return the twists of the target by motions of the base and of the target.
+    """Return the twists of the target by small motions of the base and of the target itself.
 
     Args:
-        T_base_target: Poses of the target, shape (N, 4, 4), [m].
+        T_base_target: Poses of the target in the base, shape (N, 4, 4), [m].
 
     Returns:
-        shape (N, 6, 12): columns are x, y, z, rx, ry, rz of the base, then of the target, in its own axes.
+        shape (N, 6, 12), the target's velocity along the base's axes, linear [m] then angular [rad]: columns are a unit
+        of x, y, z, rx, ry, rz of the base, then of the target, in the target's own axes.
     """
     twists = np.zeros((len(T_base_target), 6, 12))
     points, R = T_base_target[:, None, :3, 3], T_base_target[:, :3, :3]
@@ -294,7 +393,16 @@ def _place_twists(T_base_target: Array) -> Array:
 
 
 def _unknown_places(a: CalibrationValues, b: CalibrationValues, *, turns: bool) -> list[bool]:
-    """Return True for each column of `_place_twists` that either result had to estimate, 12 in all."""
+    """Tell of each motion of base and target if either result had to estimate it.
+
+    Args:
+        a: The first calibration result.
+        b: The second.
+        turns: Whether orientations count, so that the target's orientation is a motion that could be estimated.
+
+    Returns:
+        12 values: x, y, z, rx, ry, rz of the base, then of the target, as the columns of `_place_twists`.
+    """
     unknown = {*unknown_frame(a), *unknown_frame(b)}
     target = a.setup.estimate_target or b.setup.estimate_target
     of_base = [direction in unknown for direction in DIRECTIONS]
@@ -302,7 +410,16 @@ def _unknown_places(a: CalibrationValues, b: CalibrationValues, *, turns: bool) 
 
 
 def _as_lengths(twists: Array, *, turns: bool) -> Array:
-    """Return twists (N, 6, k) as lengths [m], shape (N D, k); D is 6 where orientations count, else 3."""
+    """Return twists as displacements in length: angles count at the end of a lever of `_LEVER`.
+
+    Args:
+        twists: shape (N, 6, k), linear [m] then angular [rad], of k motions at N joint values.
+        turns: Whether orientations count; if not, the angular part is left out.
+
+    Returns:
+        shape (N D, k), [m], with D = 6 coordinates where orientations count, else 3; those of one joint value follow
+        each other.
+    """
     scaled = twists * np.repeat([1.0, _LEVER], 3)[:, None]
     coordinates = 6 if turns else 3
     return np.asarray(scaled[:, :coordinates].reshape(-1, twists.shape[2]))
@@ -315,134 +432,276 @@ def _as_lengths(twists: Array, *, turns: bool) -> Array:
 class _Compensation:
     """The motion of base and target that explains the difference best, over the joint values that both data cover."""
 
-    #: There
+    #: Predictions of both results at the joint values that both data cover
     inside: _Predictions
+    #: Results a and b under common priors
     estimates: tuple[Estimate, Estimate]
-    #: (p_a + p_b, p_a + p_b), their joint covariance
+    #: Shape (p_a + p_b, p_a + p_b), joint covariance of both results' own parameters
     joint: Array
-    #: (g, N D), takes displacements there to the motion
+    #: Shape (g, N D), takes displacements at the joint values inside to the motion
     to_motion: Array
-    #: (g,), that of the difference
+    #: Shape (g,), the motion for the difference: the directions of base and target that are not known [m], [rad]
     motion: Array
 
     @classmethod
     def of(
         cls, inside: _Predictions, estimates: tuple[Estimate, Estimate], joint: Array
     ) -> _Compensation:
-        """Fit the motion to the difference, by least squares."""
+        """Fit the motion of base and target to the difference of two results' predictions, by least squares.
+
+        Args:
+            inside: Predictions of both results at N joint values that both data cover, D coordinates each [m].
+            estimates: Results a and b under common priors.
+            joint: Joint covariance of their own parameters, shape (p_a + p_b, p_a + p_b).
+
+        Returns:
+            The motion along the directions that either result had to estimate.
+        """
         to_motion = np.asarray(np.linalg.pinv(inside.gauge, rcond=1e-9), dtype=np.float64)
         motion = to_motion @ inside.moved(estimates)
         return cls(inside, estimates, joint, to_motion, motion)
 
     def remaining(self, effect: Array) -> Array:
-        """Return effects (N D, p) there without what a motion explains of each."""
+        """Return effects of parameters without what a motion of base and target explains of each.
+
+        The motion is fitted by ``to_motion`` and displaces the target by ``inside.gauge``.
+
+        Args:
+            effect: Displacements by a unit of each of p parameters, at the joint values of ``inside``, shape (N D, p),
+                [m].
+
+        Returns:
+            Likewise, shape (N D, p), [m].
+        """
         return np.asarray(effect - self.inside.gauge @ (self.to_motion @ effect))
 
     def difference(self, at: _Predictions) -> Array:
-        """Return the difference under common priors at any joint values without the motion, shape (N D,)."""
-        return np.asarray(at.moved(self.estimates) - at.gauge @ self.motion)
-
-    def displacement(self, where: Where, at: _Predictions) -> Displacement:
-        """Return the displacement of the target without the motion.
+        """Return the difference of two results under common priors, without the ``motion`` of base and target.
 
         Args:
-            where: Name of the joint values.
-            at: Predictions there.
+            at: Predictions of both results at any N joint values, D coordinates each.
+
+        Returns:
+            b less a, shape (N D,), [m]; angles count at the end of a lever.
+        """
+        return np.asarray(at.moved(self.estimates) - at.gauge @ self.motion)
+
+    def jacobian(self, at: _Predictions) -> Array:
+        """Return the derivative of `difference` by both results' own parameters.
+
+        Args:
+            at: Predictions of both results at any N joint values, D coordinates each.
+
+        Returns:
+            shape (N, D, p_a + p_b), [m] a unit of each parameter; the motion follows the parameters.
+        """
+        J = at.signed - at.gauge @ (self.to_motion @ self.inside.signed)
+        return np.asarray(J.reshape(-1, at.coordinates, J.shape[1]))
+
+    def displacement(self, where: Where, at: _Predictions) -> Displacement:
+        """Return the displacement of the target from a to b, without the motion of base and target.
+
+        Args:
+            where: Name of the joint values: ``"measured ranges"`` or ``"joint limits"``.
+            at: Predictions of both results at these N joint values.
+
+        Returns:
+            Its rms and largest length, what of it the ``joint`` covariance of both results makes, and its angle.
         """
         moved = self.difference(at).reshape(-1, at.coordinates)
-        J = at.signed - at.gauge @ (self.to_motion @ self.inside.signed)
-        J = J.reshape(-1, at.coordinates, J.shape[1])[:, :3]
         points, angles = moved[:, :3], moved[:, 3:] / _LEVER
+        J = self.jacobian(at)[:, :3]
         count = len(points)
         noise = float(np.einsum("ndp,pq,ndq->", J, self.joint, J)) / count
         square = np.sum(points**2, axis=1)
         rms = float(np.sqrt(np.mean(square)))
         slope = np.einsum("nd,ndp->p", points, J)  # of half the sum of squares
         std = float(np.sqrt(max(slope @ self.joint @ slope, 0.0)))
-        rms_angle = float(np.sqrt(np.mean(np.sum(angles**2, axis=1)))) if at.turns else np.nan
         return Displacement(
             where=where,
             rms=rms,
             max=float(np.sqrt(square.max())),
             noise=float(np.sqrt(max(noise, 0.0))),
             std=std / (count * rms) if rms > 0.0 else 0.0,
-            rms_angle=rms_angle,
+            rms_angle=_rms_norm(angles) if at.turns else np.nan,
         )
 
 
-def differences_of(
+def _rms_norm(vectors: Array) -> float:
+    """Return the root mean square of the norms of vectors.
+
+    Args:
+        vectors: shape (N, d), such as rotation vectors [rad].
+
+    Returns:
+        In their unit.
+    """
+    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))
+
+
+def _compensation(
     first: CalibrationValues, second: CalibrationValues, *, same_start: bool
-) -> Differences:
-    """Test the difference of two results, and average it.
+) -> _Compensation:
+    """Bring two results to common priors, and fit a motion of base and target to the difference of their predictions.
 
     Args:
         first: Result a.
         second: Result b.
         same_start: Whether both count from the same nominal robot.
+
+    Returns:
+        The motion, with the predictions that it was fitted to and both results under common priors.
     """
     estimates = (_estimate(first, second), _estimate(second, first))
     alike = same_start and _same_parameters(first, second)
     joint = joint_covariance(*estimates, alike=alike)
     ranges = _common_ranges(first.ranges, second.ranges)
     inside = _predictions(first, second, spread_between(ranges, _POSES))
-    everywhere = _predictions(first, second, spread_poses(first.nominal, _POSES))
-    compensation = _Compensation.of(inside, estimates, joint)
+    return _Compensation.of(inside, estimates, joint)
 
-    remaining = [compensation.remaining(effect) for effect in inside.effects]
-    known = [_is_known(*effects) for effects in zip(remaining, inside.effects, strict=True)]
-    own_steps = (_own_steps(first), _own_steps(second))
-    basis = _basis(remaining, own_steps, _NOTHING if same_start else _NOTHING_APART)
-    effect_a = basis.T @ np.where(known[0], remaining[0], 0.0)
-    effect_b = basis.T @ np.where(known[1], remaining[1], 0.0)
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _OwnEffects:
+    """What the p own parameters of one result's robot do to the target that no motion of base and target does."""
+
+    #: Shape (p,), their names
+    names: NDArray[Any]
+    #: Shape (p,), typical errors of arms in each, in its unit
+    steps: Array
+    #: Shape (N D, p), displacements of the target by a unit of each, without what a motion explains of them [m]
+    remaining: Array
+    #: Shape (p,), False for parameters that a motion of base and target compensates
+    known: Mask
+
+    @classmethod
+    def of(
+        cls, result: CalibrationValues, effect: Array, compensation: _Compensation
+    ) -> _OwnEffects:
+        """Take from effects what a motion of base and target explains.
+
+        Args:
+            result: The calibration result with p parameters of its robot.
+            effect: Displacements of the target by a unit of each, at the joint values that both data cover, shape
+                (N D, p), [m].
+            compensation: The motion, which was fitted at these joint values.
+
+        Returns:
+            The effects that remain, and of which parameters enough remains.
+        """
+        remaining = compensation.remaining(effect)
+        return cls(
+            names=np.array(own_names(result)),
+            steps=_own_steps(result),
+            remaining=remaining,
+            known=_is_known(remaining, effect),
+        )
+
+    @property
+    def in_steps(self) -> Array:
+        """Displacements by the typical error of each parameter: ``remaining`` times ``steps``, shape (N D, p), [m]."""
+        return self.remaining * self.steps
+
+    @property
+    def compensated(self) -> list[str]:
+        """Names of the parameters that a motion of base and target compensates, those not ``known``."""
+        return list(self.names[~self.known].tolist())
+
+    def along(self, basis: Array) -> Array:
+        """Return the effects of a unit of each parameter along an orthonormal basis of displacements.
+
+        Args:
+            basis: shape (N D, r), its vectors as columns.
+
+        Returns:
+            shape (r, p), [m]; zero for parameters that a motion of base and target compensates.
+        """
+        return np.asarray(basis.T @ np.where(self.known, self.remaining, 0.0))
+
+
+def differences_of(
+    first: CalibrationValues, second: CalibrationValues, *, same_start: bool
+) -> Differences:
+    """Test the difference of two results' predictions of a target, and average it over joint values.
+
+    Args:
+        first: Result a.
+        second: Result b.
+        same_start: Whether both count from the same nominal robot.
+
+    Returns:
+        The test; the displacement of the target from a to b over the joint values that both data cover, and over the
+        joint limits; and names of parameters whose drift does not show, or that only one of the results can explain.
+    """
+    compensation = _compensation(first, second, same_start=same_start)
+    inside = compensation.inside
+    everywhere = _predictions(first, second, spread_poses(first.nominal, _POSES))
+    own_a = _OwnEffects.of(first, inside.effects[0], compensation)
+    own_b = _OwnEffects.of(second, inside.effects[1], compensation)
+    basis = _basis(own_a, own_b, _NOTHING if same_start else _NOTHING_APART)
+    effect_a, effect_b = own_a.along(basis), own_b.along(basis)
     test = drift_test(
         basis.T @ compensation.difference(inside),
         (effect_a, effect_b),
-        estimates,
-        joint,
+        compensation.estimates,
+        compensation.joint,
         _ROUNDING * np.sqrt(_POSES),
     )
-    names = (np.array(own_names(first)), np.array(own_names(second)))
-    unknown = [*names[0][~known[0]].tolist(), *names[1][~known[1]].tolist()]
-    in_steps = (effect_a * own_steps[0], effect_b * own_steps[1])
+    compensated = own_a.compensated + own_b.compensated
+    in_steps_a, in_steps_b = effect_a * own_a.steps, effect_b * own_b.steps
     return Differences(
         test=test,
         moves=(
             compensation.displacement("measured ranges", inside),
             compensation.displacement("joint limits", everywhere),
         ),
-        compensated=tuple(dict.fromkeys(unknown)),
-        only_a=_not_spanned(in_steps[0], in_steps[1], names[0]),
-        only_b=_not_spanned(in_steps[1], in_steps[0], names[1]),
+        compensated=tuple(dict.fromkeys(compensated)),
+        only_a=_not_spanned(in_steps_a, in_steps_b, own_a.names),
+        only_b=_not_spanned(in_steps_b, in_steps_a, own_b.names),
     )
 
 
 def _same_parameters(first: CalibrationValues, second: CalibrationValues) -> bool:
-    """Tell if both results have the same parameters of the robot, tied alike."""
+    """Tell if two calibration results have the same parameters of the robot, tied alike.
+
+    Args:
+        first: The first result.
+        second: The second.
+
+    Returns:
+        True if names, parameter set and ties are equal; those of frames and targets do not count.
+    """
     same_names = own_names(first) == own_names(second)
     same_ties = dict(first.ties) == dict(second.ties)
     return same_names and same_ties and first.model.name == second.model.name
 
 
-def _is_known(remaining: Array, effect: Array) -> NDArray[np.bool_]:
-    """Tell for each parameter if frame and target do not compensate it, shape (p,).
+def _is_known(remaining: Array, effect: Array) -> Mask:
+    """Tell of each parameter if a motion of base and target does not compensate it.
 
     Args:
-        remaining: Effects (N D, p) without what a motion of frame and target explains.
-        effect: The whole effects, shape (N D, p).
+        remaining: Displacements by a unit of each of p parameters, without what the motion explains, shape (N D, p),
+            [m].
+        effect: The whole displacements, shape (N D, p), [m].
+
+    Returns:
+        shape (p,), True where at least the share `_OWN` of the effect remains, by the norm over all displacements.
     """
     size = np.linalg.norm(effect, axis=0)
     return np.asarray(np.linalg.norm(remaining, axis=0) >= _OWN * size)
 
 
-def _basis(effects: list[Array], own_steps: tuple[Array, Array], smallest: float) -> Array:
-    """Return an orthonormal basis of all displacements that both results' parameters can make, shape (N D, r).
+def _basis(a: _OwnEffects, b: _OwnEffects, smallest: float) -> Array:
+    """Return an orthonormal basis of all displacements that both results' own parameters can make.
 
     Args:
-        effects: Of a and of b, shapes (N D, p_a) and (N D, p_b).
-        own_steps: Typical errors of their parameters, shapes (p_a,) and (p_b,).
+        a: Effects of the p_a own parameters of result a, without what a motion of base and target explains.
+        b: Those of result b.
         smallest: Singular values below this share of the largest are none.
+
+    Returns:
+        shape (N D, r), its vectors as columns.
     """
-    in_steps = np.hstack([effect * step for effect, step in zip(effects, own_steps, strict=True)])
+    in_steps = np.hstack([a.in_steps, b.in_steps])
     U, values, _ = np.linalg.svd(in_steps, full_matrices=False)
     least = max(values.max(initial=0.0), 1e-300) * smallest
     return np.asarray(U[:, values > least])
@@ -452,13 +711,17 @@ def _not_spanned(effect: Array, other: Array, names: NDArray[Any]) -> tuple[str,
     """List the parameters of one result whose effects those of the other result cannot have.
 
     Args:
-        effect: Effects of the result's parameters, in steps, shape (r, p).
-        other: Those of the other result's, shape (r, p_other).
+        effect: Displacements by the typical errors of the result's p parameters, in r coordinates, shape (r, p), [m].
+        other: Those of the other result's parameters, in the same coordinates, shape (r, p_other), [m].
         names: Names of the result's parameters, shape (p,).
+
+    Returns:
+        Names of parameters of whose effect more than the share `_OWN` lies outside of what the other's effects span.
     """
     U, values, _ = np.linalg.svd(other, full_matrices=False)
-    U = U[:, values > _SPANS_NOTHING * max(float(values.max(initial=0.0)), 1e-300)]
-    outside = np.linalg.norm(effect - U @ (U.T @ effect), axis=0)
+    largest = max(float(values.max(initial=0.0)), 1e-300)
+    span = U[:, values > _SPANS_NOTHING * largest]
+    outside = np.linalg.norm(effect - span @ (span.T @ effect), axis=0)
     size = np.linalg.norm(effect, axis=0)
     least = _OWN * np.maximum(size, _OWN * size.max(initial=0.0))
     return tuple(names[(outside > least) & (least > 0.0)].tolist())

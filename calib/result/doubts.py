@@ -94,7 +94,13 @@ def doubts_of(result: CalibrationValues, rows: Rows) -> tuple[Reason, ...]:
 
 
 def _doubts(result: CalibrationValues, fitted: Fitted, rows: Rows) -> Iterator[Reason]:
-    """Yield the reasons of `doubts_of`; ``fitted`` is the fit of the result's best model."""
+    """Yield the reasons for doubt about a result besides its errors, in the order of the report.
+
+    Args:
+        result: A result in memory, with its measurements and fits.
+        fitted: The fit of the result's best model: the non-geometric one if there is one, else the geometry.
+        rows: The rows that were fitted, as arrays, those of sole postures marked.
+    """
     few, chosen = thin(fitted)
     yield from _given_targets(result)
     if priors_from_data(few):
@@ -115,12 +121,23 @@ def _doubts(result: CalibrationValues, fitted: Fitted, rows: Rows) -> Iterator[R
 
 
 def _named_model(result: CalibrationValues) -> bool:
-    """Tell if the model was named, so that no larger one was tried."""
+    """Tell if the user named the model, so that no larger one was tried.
+
+    Args:
+        result: The result: it has no candidates of a choice then, and the paper's solver did not make it.
+    """
     return not result.candidates and result.solver != PAPER
 
 
 def _given_targets(result: CalibrationValues) -> Iterator[Reason]:
-    """Doubt given targets that were estimated far from there."""
+    """Doubt targets that the user gave and that were estimated far from there.
+
+    Args:
+        result: The result: T_tip_target of each target as given, and as estimated.
+
+    Yields:
+        A reason with the distance [m] for each target that is more than `_ELSEWHERE` away.
+    """
     given, estimated = result.nominal_setup, result.setup
     for t, name in enumerate(estimated.targets):
         if not (estimated.target_given[t] and estimated.target_unknown[t]):
@@ -132,7 +149,15 @@ def _given_targets(result: CalibrationValues) -> Iterator[Reason]:
 
 
 def _given_frame(fitted: Fitted) -> Iterator[Reason]:
-    """Doubt a known frame in which the base seems to stand elsewhere."""
+    """Doubt a frame that was given as known, where the base seems to stand elsewhere in it.
+
+    Args:
+        fitted: A fit with prior standard deviations from the data.
+
+    Yields:
+        One reason, with the base's motion [m], [rad] and its effect on the rows [m], beside that of the arm's
+        corrections; none where no frame is known, or the base has not moved by far.
+    """
     base = motion_of_base(fitted)
     if base is None or not base.p < UNLIKELY:
         return
@@ -147,7 +172,16 @@ def _given_frame(fitted: Fitted) -> Iterator[Reason]:
 
 
 def _scale(fitted: Fitted, *, certified: bool) -> Iterator[Reason]:
-    """Doubt the scale of the instrument, or say that it cannot be seen unless it is certified."""
+    """Doubt the scale of the instrument, or say that it cannot be seen unless it is certified.
+
+    Args:
+        fitted: A fit with prior standard deviations from the data.
+        certified: Whether the user states that the scale was certified or checked.
+
+    Yields:
+        One reason: measured lengths are too long by a share that no arm is off by; or the largest share that lengths of
+        the arm may hide, and its effect [m] at the rms distance of the target from the base [m].
+    """
     scale = instrument_scale(fitted)
     if scale is None:
         return
@@ -163,20 +197,47 @@ def _scale(fitted: Fitted, *, certified: bool) -> Iterator[Reason]:
 
 
 def _still(robot: Robot, rows: Rows) -> Iterator[Reason]:
-    """Name joints that hardly moved."""
+    """Name joints that hardly moved, so that the rows hardly determine their errors.
+
+    Args:
+        robot: The robot, with m measured joints.
+        rows: The rows that were fitted, as arrays, with their joint values.
+
+    Yields:
+        One reason with the joints' names; none where all moved.
+    """
     still = np.flatnonzero(_hardly_moved(robot, rows))
     if len(still):
         yield Reason.of(Why.JOINTS_STILL, joints=", ".join(robot.joint_names[j] for j in still))
 
 
 def _hardly_moved(robot: Robot, rows: Rows) -> Mask:
-    """Find the joints that hardly moved over the rows, shape (m,)."""
+    """Find the joints that hardly moved over the rows.
+
+    Args:
+        robot: The robot, with m measured joints.
+        rows: N rows as arrays, with their joint values, [rad] or [m].
+
+    Returns:
+        True for a joint whose values span less than `_STILL_RAD`, or `_STILL_M` if it slides, shape (m,).
+    """
     least = np.array([_STILL_M if j.type == "prismatic" else _STILL_RAD for j in robot.inputs])
     return np.asarray(np.ptp(rows.joints, axis=0) < least)
 
 
 def _sole_postures(result: CalibrationValues, rows: Rows) -> Iterator[Reason]:
-    """Name the first row of each sole posture, and the joint whose value there is furthest from all other rows'."""
+    """Name the first row of each sole posture, and the joint whose value there is furthest from all other rows'.
+
+    A sole posture is one that no other row can check.
+
+    Args:
+        result: The result with its nominal robot and its table, for the numbers of the rows.
+        rows: The N rows that were fitted, as arrays: those of sole postures marked, and the block of each, rows of one
+            posture.
+
+    Yields:
+        One reason with the rows' numbers in the table and the joints' names; none without sole postures.
+    """
     robot, m = result.nominal, result.measurements
     numbers = np.array(m.rows)[m.estimation]
     low, high = column_ranges(robot).T
@@ -186,13 +247,21 @@ def _sole_postures(result: CalibrationValues, rows: Rows) -> Iterator[Reason]:
         first = int(np.flatnonzero(of_block)[0])
         distances = np.abs(rows.joints[~of_block] - rows.joints[first])
         nearest = distances.min(axis=0) / (high - low)
-        joints[int(numbers[first])] = robot.joint_names[int(np.argmax(nearest))]
+        furthest_joint = int(np.argmax(nearest))
+        joints[int(numbers[first])] = robot.joint_names[furthest_joint]
     if joints:
         yield Reason.of(Why.SOLE_POSTURE, rows=list(joints), joints=list(joints.values()))
 
 
 def _negative_compliances(result: CalibrationValues) -> Iterator[Reason]:
-    """Name joints that would move against their load."""
+    """Name joints that would move against their load: their estimated compliance is negative beyond its interval.
+
+    Args:
+        result: The result, with the parameters of its non-geometric model, if it has one.
+
+    Yields:
+        One reason for each such joint, with its name.
+    """
     if result.non_geometric is None:
         return
     for parameter in result.non_geometric.parameters:
@@ -205,7 +274,15 @@ def _negative_compliances(result: CalibrationValues) -> Iterator[Reason]:
 
 
 def _agreeing_repeats(result: CalibrationValues, fitted: Fitted) -> Iterator[Reason]:
-    """Say if repeats agree far better with each other than with the model."""
+    """Say if repeats of a pose agree far better with each other than with the model, which then lacks something.
+
+    Args:
+        result: The result, with the scatter of repeats in length [m], if there were any.
+        fitted: The fit of its best model, with the estimated noise of a length over the one stated or assumed.
+
+    Yields:
+        One reason with the scatter and the noise [m]; none where they are alike, or the repeats are too few.
+    """
     repeats = result.repeats
     sigma = float(np.median(fitted.estimate.problem.rows.sigma))
     noise = float(fitted.estimate.noise[0]) * sigma
@@ -217,13 +294,13 @@ def _agreeing_repeats(result: CalibrationValues, fitted: Fitted) -> Iterator[Rea
 
 
 def thin(fitted: Fitted) -> tuple[Fitted, Mask]:
-    """Reduce a fit to about `ENOUGH` of its rows, evenly over frames and targets.
+    """Reduce a fit to about `ENOUGH` of its rows, evenly over frames and targets, without fitting again.
 
     Args:
         fitted: Fit to N rows.
 
     Returns:
-        The same fit with fewer rows, and True for these rows, shape (N,).
+        The same fit, with equal parameters and noise, of fewer rows; and True for these rows, shape (N,).
     """
     problem, estimate = fitted.estimate.problem, fitted.estimate
     chosen = problem.rows.evenly(ENOUGH)
@@ -252,8 +329,12 @@ def _order(result: CalibrationValues, chosen: Mask) -> Order:
     """Return the order in which some fitted rows were measured, with the joints' moves to them in the whole table.
 
     Args:
-        result: The result with its table.
+        result: The result with its table, whose rows stand in the order in which they were measured.
         chosen: True for these rows among those that were fitted, shape (N,).
+
+    Returns:
+        Numbers of the n chosen rows in the table, shape (n,), and each joint's value less that in the table's row
+        before, shape (n, m), [rad] or [m]; 0 in the table's first row.
     """
     m = result.measurements
     q = m.joints_for(result.nominal.joint_names)
@@ -263,12 +344,21 @@ def _order(result: CalibrationValues, chosen: Mask) -> Order:
 
 
 def _missing_model(fitted: Fitted) -> Iterator[Reason]:
-    """Say if full placements, or these with non-geometric errors, would lower the noise far below that of this fit."""
+    """Say if full placements, or these with non-geometric errors, would lower the noise far below that of a fit.
+
+    Args:
+        fitted: The fit of the model that was named: its model, its rows, and its noise over the one stated or assumed.
+
+    Yields:
+        One reason with the model that leaves the least noise, and the noise of a length of both [m]; none where no
+        larger model lowers it to `_FAR_LESS`.
+    """
     rows, name = fitted.estimate.problem.rows, fitted.kinematics.model.name
     noise = least = fitted.estimate.noise[0]
     lacking = ""
     not_loaded = [family for family in joint_families() if not FAMILIES[family].loaded]
-    for model in ("placement", "+".join(("placement", *not_loaded))):
+    with_families = "+".join(("placement", *not_loaded))
+    for model in ("placement", with_families):
         if name.startswith(model):
             continue
         of_model = _noise_of(fitted, model)
@@ -284,11 +374,11 @@ def _noise_of(fitted: Fitted, model: str) -> float | None:
     """Return the noise that another model leaves on the rows of a fit, of the first instrument, over its sigma.
 
     Args:
-        fitted: The fit.
+        fitted: The fit: its task, its rows, and its registered frames and targets, from which the other one starts.
         model: Name of the other model, which is fitted without frozen or tied parameters, bounds, and own priors.
 
     Returns:
-        None where the rows have less than two scalars for each parameter.
+        Estimated over given standard deviation [1]; None where the rows have less than two scalars for each parameter.
     """
     task, rows = fitted.task, fitted.estimate.problem.rows
     free = replace(task.cell, frozen=(), ties={}, bounds={}, parameter_priors={})
@@ -304,9 +394,12 @@ def noise_doubts(
     """Yield a reason for each instrument whose noise exceeds the stated or, without one, a usual one.
 
     Args:
-        result: The result with its table and cell.
+        result: The result with its table and cell in memory, which may state the noise.
         fitted: The fit. Its noise is the ratio of the estimated to the given standard deviation, for each instrument.
         doubts: Doubts so far; where a model lacks something, residuals are no noise, and nothing is yielded.
+
+    Yields:
+        The noise before and after the fit, [m] of lengths and [rad] of angles, and their ratio.
     """
     codes = {doubt.why for doubt in doubts}
     if Why.MODEL_LACKS in codes:
@@ -329,15 +422,18 @@ def _length_noise(
     """Doubt the noise of an instrument for lengths.
 
     Args:
-        result: The result with its table and cell.
-        rows: The rows that were fitted.
-        of_instrument: Indices of those that the instrument measured, from 0.
+        result: The result with its table and cell in memory, which may state the noise of a length [m].
+        rows: The rows that were fitted, as arrays, with the standard deviation of a length as stated or assumed [m].
+        of_instrument: Indices of those that the instrument measured, from 0; of a row once for each of its lengths.
         ratio: Estimated noise over the one stated or assumed.
+
+    Yields:
+        One reason with the noise [m], where it is far above the stated one, or above `_LARGE_NOISE` where none is
+        stated.
     """
     m, sigma = result.measurements, float(np.median(rows.sigma[of_instrument]))
     noise = ratio * sigma
-    by_row = m.sigma is not None and _all_stated(m.sigma[m.estimation][of_instrument])
-    if result.cell.sigma is None and not by_row:
+    if result.cell.sigma is None and not _all_stated(m.sigma, m.estimation, of_instrument):
         if noise > _LARGE_NOISE:
             yield Reason.of(Why.NOISE_LARGE, noise_m=noise)
     elif noise > _ABOVE * np.hypot(sigma, _REPEATABILITY):
@@ -347,10 +443,20 @@ def _length_noise(
 def _angle_noise(
     result: CalibrationValues, rows: Rows, of_instrument: Integers, ratio: float
 ) -> Iterator[Reason]:
-    """Doubt the noise of an instrument for angles; the arguments are those of `_length_noise`."""
+    """Doubt the noise of an instrument for angles.
+
+    Args:
+        result: The result with its table and cell in memory, which may state the noise of an angle [rad].
+        rows: The rows that were fitted, as arrays, with the standard deviation of an angle as stated or assumed [rad].
+        of_instrument: Indices of those that the instrument measured, from 0; of a row once for each of its angles.
+        ratio: Estimated noise over the one stated or assumed.
+
+    Yields:
+        One reason with the noise [rad], where it is far above the stated one; none where none is stated.
+    """
     m, sigma = result.measurements, float(np.median(rows.sigma_angle[of_instrument]))
     noise = ratio * sigma
-    by_row = m.sigma_angle is not None and _all_stated(m.sigma_angle[m.estimation][of_instrument])
+    by_row = _all_stated(m.sigma_angle, m.estimation, of_instrument)
     if result.cell.sigma_angle is None and not by_row:
         return
     if noise > _ABOVE * np.hypot(sigma, _REPEATABILITY_ANGLE):
@@ -359,15 +465,34 @@ def _angle_noise(
         )
 
 
-def _all_stated(sigma: Array) -> bool:
-    """Tell if each of some rows states its noise."""
-    return bool(np.all(np.isfinite(sigma)))
+def _all_stated(sigma: Array | None, estimation: Mask, chosen: Integers) -> bool:
+    """Tell if a table states the noise of each of some fitted rows.
+
+    Args:
+        sigma: Standard deviation of each row of the table, shape (N,), [m] or [rad]; NaN where a row states none; None:
+            the table has no such column.
+        estimation: True for the rows that were fitted, shape (N,).
+        chosen: Indices, from 0, of some of the fitted rows among these.
+
+    Returns:
+        False where any of these rows states none.
+    """
+    if sigma is None:
+        return False
+    return bool(np.all(np.isfinite(sigma[estimation][chosen])))
 
 
 def _corner(fitted: Fitted) -> Iterator[Reason]:
     """Say if the poses cover only part of the joints' ranges, or a corner of the workspace, and which.
 
     Joints that hardly moved are named by themselves.
+
+    Args:
+        fitted: A fit: its robot, and the joint values and weights of its rows; those without weight do not count.
+
+    Yields:
+        One reason with the spread of the tips over that of the whole workspace, and the narrow joints: their names, the
+        share of its range that each used, its lowest and highest value, [rad] or [m], and whether it slides.
     """
     robot, rows = fitted.task.robot, fitted.estimate.problem.rows
     q = rows.joints[fitted.estimate.weights > 0.0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,6 +26,9 @@ from calib.units import Array, Mask
 
 #: What may be taken from an earlier result.
 PLACES = ("frame", "target")
+
+#: The reason that names a place which has moved, by the place; of two that explain the errors alike the last counts.
+_MOVED = {"frame": Why.FRAME_MOVED, "target": Why.TARGET_MOVED}
 
 #: A frame or target has moved if registering it anew makes the rms error this many times smaller.
 _FAR_SMALLER = 3.0
@@ -55,7 +59,10 @@ class Evaluation:
 
     @property
     def errors(self) -> dict[str, Errors]:
-        """``errors["estimation" | "validation" | "all"]``."""
+        """``errors["estimation" | "validation" | "all"]``: largest, mean and rms error of the rows of one set.
+
+        Of ``residual``, measured minus predicted; lengths in [m], angles in [rad].
+        """
         m = self.measurements
         every_row = np.ones(len(m), dtype=bool)
         sets = {"estimation": m.estimation, "validation": m.validation, "all": every_row}
@@ -81,13 +88,18 @@ def evaluate(
 
     Args:
         robot: The robot, nominal or corrected.
-        measurements: The rows.
-        cell: Target and frame, where they are known.
+        measurements: The N rows.
+        cell: What is known of target and frame, payload and gravity; None: nothing, and the measurements are in the
+            base frame.
         known: Frames and targets of an earlier result, which win over the cell's: `Calibration.setup`, or its
-            ``nominal_setup`` for the nominal robot.
-        which: Whether its ``"frame"``, its ``"target"`` or both are meant.
-        non_geometric: The non-geometric model of a result, to predict with on the nominal robot. Its frames and
-            targets are the known ones, and a payload of the cell wins over its own.
+            ``nominal_setup`` for the nominal robot; None: there are none.
+        which: What of ``known`` is taken: its ``"frame"``, its ``"target"`` or both.
+        non_geometric: The non-geometric model of a result, to predict with on the nominal robot; None: the robot
+            predicts by its joint origins. Its frames and targets are the known ones, and a payload of the cell wins
+            over its own.
+
+    Returns:
+        Residuals of the N rows, measured minus predicted, with the frames and targets that were used.
 
     Raises:
         MeasurementError: Too few rows to register what was not given, or a joint's column is missing.
@@ -103,18 +115,22 @@ def evaluate(
         setup = _with_known(setup, known, which)
     T_base_tip = _tip_poses(robot, rows, non_geometric)
     placed = _registered(T_base_tip, rows, setup, registration_rows(measurements))
+    T_frame_target = placed.target_poses(T_base_tip, rows.samples)
     return Evaluation(
         robot=robot,
         measurements=measurements,
         setup=placed,
         registered=_not_given(setup),
-        residual=read_only(rows.residual(placed.target_poses(T_base_tip, rows.samples))),
+        residual=read_only(rows.residual(T_frame_target)),
         used=rows.used,
     )
 
 
 def registration_rows(measurements: Measurements) -> Mask:
     """Return the rows to which frames and targets are registered: the estimation rows, or all if there are none.
+
+    Args:
+        measurements: The N rows of a table, of the sets ``estimate`` and ``validate``.
 
     Returns:
         True for these rows, shape (N,).
@@ -125,7 +141,16 @@ def registration_rows(measurements: Measurements) -> Mask:
 
 
 def _tip_poses(robot: Robot, rows: Rows, non_geometric: NonGeometric | None) -> Array:
-    """Return T_base_tip of N rows, by the robot or by a non-geometric model of it, shape (N, 4, 4), [m]."""
+    """Return T_base_tip, the pose of the tip in the base, at each row.
+
+    Args:
+        robot: The robot: nominal or corrected, but nominal under a non-geometric model.
+        rows: The N rows as arrays: joint values, [rad] or [m], and the loads of gravity on the joints.
+        non_geometric: The model whose errors displace the robot; None: the robot is taken as it is.
+
+    Returns:
+        shape (N, 4, 4), [m].
+    """
     if non_geometric is None:
         return robot.poses(rows.joints)
     kinematics = replace(non_geometric.kinematics, robot=robot)
@@ -134,13 +159,19 @@ def _tip_poses(robot: Robot, rows: Rows, non_geometric: NonGeometric | None) -> 
 
 
 def _registered(T_base_tip: Array, rows: Rows, setup: Setup, chosen: Mask) -> Setup:
-    """Register what was not given to the chosen rows, and what only the others see to these.
+    """Register the frames and targets that were not given to the chosen rows, and what only the others see to these.
 
     Args:
-        T_base_tip: Predicted poses of the tip, shape (N, 4, 4), [m].
-        rows: The N rows.
+        T_base_tip: Predicted poses of the tip in the base, shape (N, 4, 4), [m].
+        rows: The N rows as arrays: what was measured, and the frame and target of each.
         setup: Frames and targets as far as they are given.
         chosen: True for the rows to register to, shape (N,).
+
+    Returns:
+        The frames and targets, all placed: T_frame_base and T_tip_target, [m].
+
+    Raises:
+        MeasurementError: Too few rows for a frame or target.
     """
     placed = nominal_setup(T_base_tip[chosen], setup, rows.select(chosen))
     unseen = setup.with_given_fixed(rows.samples.select(chosen))
@@ -148,7 +179,14 @@ def _registered(T_base_tip: Array, rows: Rows, setup: Setup, chosen: Mask) -> Se
 
 
 def _not_given(setup: Setup) -> tuple[str, ...]:
-    """List what has to be registered: some of ``"target"`` and ``"frame"``."""
+    """List what has to be registered.
+
+    Args:
+        setup: Frames and targets of a table: which of them are unknown, and which of these are given all the same.
+
+    Returns:
+        ``"target"`` if a target is unknown and not given, and ``"frame"`` if a frame is; neither, one or both.
+    """
     places = []
     if np.any(setup.target_unknown & ~setup.target_given):
         places.append("target")
@@ -165,42 +203,77 @@ def _with_known(setup: Setup, known: Setup, which: tuple[str, ...]) -> Setup:
     they are called; but a single target that the table names, so that it is not the default one, is matched by name.
 
     Args:
-        setup: Of the table.
-        known: Of the result.
+        setup: Frames and targets of the table, as far as they are given.
+        known: Those of the result, as it estimated them or was given them.
         which: What to take from the result: ``"frame"``, ``"target"``, or both.
+
+    Returns:
+        The table's setup; frames and targets that were taken are given, and no longer unknown. Where orientations were
+        measured and the result knows none of its targets, their orientation stays unknown.
 
     Raises:
         ModelError: Frames are to be taken, and the table has a station that the result lacks.
     """
-    frame_index = target_index = dict[int, int]()
+    frame_index: dict[int, int] = {}
+    target_index: dict[int, int] = {}
     if "frame" in which:
         frame_index = _matches(setup.groups, known.groups)
     if "target" in which:
         other_target = setup.targets[0] != DEFAULT_TARGET
         target_index = _matches(setup.targets, known.targets, by_name=other_target)
-    frames, targets = setup.T_frame_base.copy(), setup.T_tip_target.copy()
-    for k, index in frame_index.items():
-        frames[k] = known.T_frame_base[index]
-    for k, index in target_index.items():
-        targets[k] = known.T_tip_target[index]
+    frames = _replaced(setup.T_frame_base, known.T_frame_base, frame_index)
+    targets = _replaced(setup.T_tip_target, known.T_tip_target, target_index)
     frame_known = np.isin(np.arange(len(frames)), list(frame_index))
     target_known = np.isin(np.arange(len(targets)), list(target_index))
-
-    missing = [
-        group for k, group in enumerate(setup.groups) if not frame_known[k] and not setup.unknown[k]
-    ]
-    if missing and "frame" in which:
-        raise ModelError(
-            f"The result has the set-ups {choices(known.groups)}; the table's {choices(missing)} are none of them. Let "
-            "the measurement frames be found (--frame estimate), or give them in a cell file."
-        )
+    if "frame" in which:
+        _check_stations(setup, frame_known, known.groups)
     # Where orientations were measured, a position alone is only where registration of the target begins.
-    fixed = target_known if known.oriented or not setup.rotation else np.zeros_like(target_known)
+    whole = known.oriented or not setup.rotation
+    fixed = target_known if whole else np.zeros_like(target_known)
     return replace(
         setup.with_fixed(frame_known, fixed).placed(frames, targets),
         frame_given=setup.frame_given | frame_known,
         target_given=np.where(target_known, fixed, setup.target_given),
     )
+
+
+def _replaced(poses: Array, known: Array, index: Mapping[int, int]) -> Array:
+    """Return poses of a table's frames or targets, some of them replaced by those of a result.
+
+    Args:
+        poses: Of the table, shape (n, 4, 4), [m].
+        known: Of the result, shape (k, 4, 4), [m].
+        index: Index in the result, by the index in the table, of those to replace; from 0.
+
+    Returns:
+        A copy, shape (n, 4, 4), [m].
+    """
+    result = poses.copy()
+    for k, known_index in index.items():
+        result[k] = known[known_index]
+    return result
+
+
+def _check_stations(setup: Setup, frame_known: Mask, known_groups: tuple[str, ...]) -> None:
+    """Refuse a station whose frame neither the result nor the cell knows, and that is not to be registered.
+
+    Args:
+        setup: Frames and targets of the table: the F stations' names, and the unknown directions of each frame.
+        frame_known: True for frames that were taken from the result, shape (F,).
+        known_groups: Names of the result's stations.
+
+    Raises:
+        ModelError: There is one.
+    """
+    missing = []
+    for k, group in enumerate(setup.groups):
+        if not frame_known[k] and not setup.unknown[k]:
+            missing.append(group)
+    if missing:
+        raise ModelError(
+            f"The result has the set-ups {choices(known_groups)}; the table's {choices(missing)} are none of them. Let "
+            "the measurement frames be found (--frame estimate), or give them in a cell file."
+        )
 
 
 def _matches(
@@ -214,7 +287,7 @@ def _matches(
         by_name: Match by name also where there is only one of each.
 
     Returns:
-        Index in the result, by the index in the table; without those that the result lacks.
+        Index in the result, by the index in the table, both from 0; without those that the result lacks.
     """
     if len(names) == len(known) == 1 and not by_name:
         return {0: 0}
@@ -235,39 +308,55 @@ def moved_place(
     Args:
         robot: The calibrated robot.
         measurements: Rows that were measured later.
-        cell: As of `evaluate`.
-        known: Frames and targets of the result.
-        which: What is taken from them: some of `PLACES`.
+        cell: What is known of frames, targets and loads of these rows.
+        known: Frames and targets of the result, as it estimated them or was given them.
+        which: What is taken from them: some of `PLACES`, ``"frame"`` and ``"target"``.
 
     Returns:
-        The reason, with the rms errors before and after; None where nothing has moved.
+        The reason, with the rms errors before and after [m]; None where nothing has moved.
     """
-    before = evaluate(robot, measurements, cell, known=known, which=which)
-    rms, best = before.errors["all"].rms, None
+    as_known = evaluate(robot, measurements, cell, known=known, which=which)
+    rms, best = as_known.errors["all"].rms, None
     if not rms > _SMALL:
         return None
     least = rms / _FAR_SMALLER
-    open_frame = replace(cell, estimate_frame=True, frame_directions=DIRECTIONS)
-    open_target = replace(cell, estimate_target=True)
-    for why, place, open_cell in (
-        (Why.FRAME_MOVED, "frame", open_frame),
-        (Why.TARGET_MOVED, "target", open_target),
-    ):
-        if place in before.registered:
+    for place, why in _MOVED.items():
+        if place in as_known.registered:
             continue
         others = tuple(name for name in which if name != place)
+        open_cell = _with_open(cell, place)
         error = _registered_error(robot, measurements, open_cell, known, others)
         if error is not None and error <= least:
             least, best = error, Reason.of(why, given_m=rms, error_m=error)
     return best
 
 
+def _with_open(cell: Cell, place: str) -> Cell:
+    """Return a cell that leaves its frames or its targets to be registered.
+
+    Args:
+        cell: What is known of frames, targets and loads.
+        place: ``"frame"``, all six directions of which are then unknown, or ``"target"``.
+    """
+    if place == "frame":
+        return replace(cell, estimate_frame=True, frame_directions=DIRECTIONS)
+    return replace(cell, estimate_target=True)
+
+
 def _registered_error(
     robot: Robot, measurements: Measurements, cell: Cell, known: Setup, which: tuple[str, ...]
 ) -> float | None:
-    """Return the rms error after a registration [m]; None where the rows are too few for it to be believed.
+    """Return the rms error of a robot after frames or targets were registered to the rows.
 
-    The arguments are those of `moved_place`.
+    Args:
+        robot: The calibrated robot.
+        measurements: The rows.
+        cell: What is known of frames, targets and loads; what it leaves open is registered.
+        known: Frames and targets of an earlier result.
+        which: What is taken from them: ``"frame"``, ``"target"``, both or none.
+
+    Returns:
+        [m], over all rows; None where the rows are too few for the registration to be believed, or nothing is open.
     """
     try:
         after = evaluate(robot, measurements, cell, known=known, which=which)

@@ -35,10 +35,13 @@ def evidence_of(
     """Collect the evidence for the verdict on a part of a result.
 
     Args:
-        result: A cross-validated result, in memory.
+        result: A cross-validated result, its fits in memory.
         part: The result itself, for the verdict on its geometry, or its non-geometric model.
-        rows: The N rows that were fitted, those of sole postures marked.
-        doubts: See `doubts_of`.
+        rows: The N rows that were fitted, as arrays, those of sole postures marked.
+        doubts: Reasons for doubt besides the errors, as of `doubts_of`.
+
+    Returns:
+        Held-out errors of the nominal and the calibrated robot, and all else that `verdict` weighs.
     """
     assert result.nominal_cross_validation is not None
     assert part.cross_validation is not None
@@ -46,6 +49,7 @@ def evidence_of(
     fitted = _fit_of(result, part)
     of_robot = ~part.model.family(FRAME, TARGET)
     lengths_and_angles = of_robot & np.isin(part.model.units, ("m", "rad"))
+    changes = np.abs(part.x[lengths_and_angles])
     expected, expected_of_nominal = _over_joint_limits(result, part)
     return Evidence(
         nominal=result.nominal_cross_validation,
@@ -62,7 +66,7 @@ def evidence_of(
         parameters=len(part.model),
         full_model_parameters=_full_model_parameters(result, fitted),
         changes=bool(np.any(part.x[of_robot])),
-        largest=float(np.max(np.abs(part.x[lengths_and_angles]), initial=0.0)),
+        largest=float(np.max(changes, initial=0.0)),
         noise=result.sigma,
         expected=expected,
         expected_of_nominal=expected_of_nominal,
@@ -71,7 +75,12 @@ def evidence_of(
 
 
 def _fit_of(result: CalibrationValues, part: FittedModel) -> Fitted:
-    """Return the fit of a part of a result: of its non-geometric model, or of its geometry."""
+    """Return the fit of a part of a result.
+
+    Args:
+        result: A result with its fits in memory.
+        part: The result itself, for the fit of its geometry, or its non-geometric model, for the fit of that.
+    """
     fits = result.fit_in_memory
     if isinstance(part, NonGeometric) and fits.non_geometric is not None:
         return fits.non_geometric
@@ -79,14 +88,30 @@ def _fit_of(result: CalibrationValues, part: FittedModel) -> Fitted:
 
 
 def _full_model_parameters(result: CalibrationValues, fitted: Fitted) -> int:
-    """Return the number of parameters of a full geometry; 0 where the model was named and not chosen."""
+    """Return the number of parameters of a full geometry, with those of the frames and targets that are estimated.
+
+    Args:
+        result: The result, with the candidates that its model was chosen from.
+        fitted: A fit of it, with its robot, frames and targets.
+
+    Returns:
+        `_PER_JOINT` for each joint, and those of frames and targets; 0 where the model was named and not chosen.
+    """
     if not result.candidates:
         return 0
     return _PER_JOINT * len(fitted.task.robot.inputs) + fitted.setup.count
 
 
 def _usable_non_geometric(result: CalibrationValues) -> tuple[str, Errors] | None:
-    """Return name and held-out errors of the non-geometric model, unless its verdict is not to use it."""
+    """Return the non-geometric model of a result if it may be used.
+
+    Args:
+        result: A cross-validated result, with the verdict on its non-geometric model, if it has one.
+
+    Returns:
+        The model's name, such as ``"dh+compliance"``, and its errors on held-out rows without outliers; None without
+        such a model, its cross-validation or verdict, or where the verdict is not to use it.
+    """
     model = result.non_geometric
     if model is None or model.cross_validation is None or model.verdict is None:
         return None
@@ -96,15 +121,16 @@ def _usable_non_geometric(result: CalibrationValues) -> tuple[str, Errors] | Non
 
 
 def _noise_floor(result: CalibrationValues, fitted: Fitted, doubts: tuple[Reason, ...]) -> Array:
-    """Return the least noise by any model tried over that of a fit, at most 1, for each scalar.
+    """Return the least noise by any model tried over that of a fit, for each scalar.
 
     Args:
-        result: The result with its fits.
-        fitted: The fit whose noise is compared.
-        doubts: Among them may be that a full geometry, or one with non-geometric errors, would leave less.
+        result: The result with its fits in memory, of the geometry and of the non-geometric model if there is one.
+        fitted: The fit to N rows whose noise is compared.
+        doubts: Reasons for doubt: among them may be that a full geometry, or one with non-geometric errors, would leave
+            less noise.
 
     Returns:
-        shape (N, D).
+        shape (N, D), above 0 and at most 1; 1 for scalars that were not measured.
     """
     fits = (result.fit_in_memory.geometry, result.fit_in_memory.non_geometric)
     noise = np.array(fitted.estimate.noise)
@@ -112,13 +138,22 @@ def _noise_floor(result: CalibrationValues, fitted: Fitted, doubts: tuple[Reason
     share = np.minimum(least / noise, 1.0)
     for doubt in doubts:
         if doubt.why == Why.MODEL_LACKS:
-            share[0] = min(share[0], doubt.values["less_m"] / doubt.values["noise_m"])
+            share_of_larger_model = doubt.values["less_m"] / doubt.values["noise_m"]
+            share[0] = min(share[0], share_of_larger_model)
     # Scalars that were not measured have the instrument -1, the last one.
-    return np.append(share, 1.0)[fitted.estimate.problem.rows.instruments]
+    by_instrument = np.append(share, 1.0)
+    return np.asarray(by_instrument[fitted.estimate.problem.rows.instruments])
 
 
 def _notes(result: CalibrationValues) -> Iterator[Reason]:
-    """Yield informational reasons; they do not affect the verdict."""
+    """Yield reasons that only inform; they do not affect the verdict.
+
+    Args:
+        result: A result with its measurements in memory.
+
+    Yields:
+        Whether there is a non-geometric model, copied rows, and validation rows outside of the fitted joint ranges.
+    """
     yield from _note_on_non_geometric(result)
     m = result.measurements
     if m.copies:
@@ -134,7 +169,15 @@ def _notes(result: CalibrationValues) -> Iterator[Reason]:
 
 
 def _note_on_non_geometric(result: CalibrationValues) -> Iterator[Reason]:
-    """Say if there is a non-geometric model, and if it predicts better than the geometry."""
+    """Say if there is a non-geometric model, and if it predicts better than the geometry.
+
+    Args:
+        result: A result with the cross-validations of its geometry and of its non-geometric model, if it has one.
+
+    Yields:
+        One reason, with the model's errors on held-out rows; none without such a model, its cross-validation or
+        verdict.
+    """
     model = result.non_geometric
     if model is None or model.cross_validation is None or model.verdict is None:
         return
@@ -154,6 +197,13 @@ def _over_joint_limits(result: CalibrationValues, part: FittedModel) -> tuple[fl
     exceed their variance, the part is off by e^2 = v_0 + f (v - v_0). It is d away from the nominal robot, of which
     (f - 1) (v - v_0) is error of its own: the nominal robot is off by d^2 - (f - 1) (v - v_0) + v. Where the frame is
     registered anew for each table, motions of the base do not count.
+
+    Args:
+        result: The result: its nominal robot, frames and targets, and whether the frames were estimated.
+        part: The result itself, for its geometry, or its non-geometric model: parameters, covariance, f and v_0.
+
+    Returns:
+        Expected errors of predicted positions of the first target, by the part and by the nominal robot.
     """
     samples = result.samples(spread_poses(result.nominal))
     poses, columns = part.kinematics.twists(part.x, samples, rotation=False)
@@ -165,7 +215,7 @@ def _over_joint_limits(result: CalibrationValues, part: FittedModel) -> tuple[fl
         away = without_rigid_motion(points, away)
         columns = without_rigid_motion(points, columns)
     d_square = float(np.mean(np.sum(away**2, axis=(1, 2))))
-    v = float(np.mean(np.einsum("nip,pq,niq->n", columns, part.covariance, columns, optimize=True)))
+    v = _mean_variance(columns, part.covariance)
     v_0 = min(part.expected_measured**2, v)
     added = v - v_0
     of_part = v_0 + part.extrapolation * added
@@ -173,8 +223,28 @@ def _over_joint_limits(result: CalibrationValues, part: FittedModel) -> tuple[fl
     return float(np.sqrt(of_part)), float(np.sqrt(of_nominal))
 
 
+def _mean_variance(J: Array, covariance: Array) -> float:
+    """Return the variance of a predicted position, trace(J C J^T), mean over N positions [m^2].
+
+    Args:
+        J: Derivatives of the positions by p parameters, shape (N, 3, p), [m] a unit of each.
+        covariance: Covariance C of the parameters, shape (p, p).
+    """
+    variances = np.einsum("nip,pq,niq->n", J, covariance, J, optimize=True)
+    return float(np.mean(variances))
+
+
 def _validation_errors(result: CalibrationValues, part: FittedModel) -> tuple[Errors, Errors, int]:
-    """Return the figures of `validation_errors` for a part of a result."""
+    """Compare errors of the nominal robot and of a part of a result on the validation rows.
+
+    Args:
+        result: The result with its measurements in memory, the residuals of all N rows, and its suspects.
+        part: The result itself, for its geometry, or its non-geometric model.
+
+    Returns:
+        Errors of the nominal robot and by the part; and the number of suspects that were set aside, see
+        `validation_errors`.
+    """
     m = result.measurements
     suspects = [suspect.row for suspect in result.suspects]
     residual = part.residual if isinstance(part, NonGeometric) else result.residual_calibrated
@@ -194,7 +264,7 @@ def validation_errors(
         validation: True for validation rows, shape (N,).
         suspects: True for rows whose score is beyond the limit, shape (N,).
         nominal: Measured minus predicted by the nominal robot, shape (N, D), [m] and [rad].
-        calibrated: By the calibrated one, likewise.
+        calibrated: By the calibrated robot, shape (N, D), [m] and [rad].
         used: True for the scalars that were measured, shape (N, D).
 
     Returns:

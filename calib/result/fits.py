@@ -65,6 +65,64 @@ class Fits:
     seconds: float
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _SplitTable:
+    """A table as rows to fit and rows to predict, with the frames and targets that each see."""
+
+    #: All N rows, as arrays
+    all_rows: Rows
+    #: The estimation rows, which are fitted
+    rows: Rows
+    #: The validation rows, which are only predicted
+    validation_rows: Rows
+    #: The measurement setup as given; unknown are only frames and targets that estimation rows see
+    seen: Setup
+    #: Likewise; unknown are only those that no estimation row sees
+    unseen: Setup
+
+    @classmethod
+    def of(cls, robot: Robot, measurements: Measurements, cell: Cell) -> _SplitTable:
+        """Convert a table to the arrays of a fit, and split it by its sets.
+
+        Args:
+            robot: The nominal robot, whose joints the table's columns are.
+            measurements: All N rows, of the sets ``estimate`` and ``validate``.
+            cell: Frames, targets and noise as given.
+
+        Returns:
+            The rows of both sets, and the frames and targets that each sees.
+
+        Raises:
+            MeasurementError: A pair has one row only, or columns that the robot needs are missing.
+            ModelError: The cell names a station or target that the table lacks.
+        """
+        all_rows, setup = rows_and_setup(robot, measurements, cell)
+        rows = all_rows.select(measurements.estimation)
+        frames_seen, targets_seen = setup.seen_by(rows.samples)
+        return cls(
+            all_rows=all_rows,
+            rows=rows,
+            validation_rows=all_rows.select(measurements.validation),
+            seen=setup.with_fixed(~frames_seen, ~targets_seen),
+            unseen=setup.with_fixed(frames_seen, targets_seen),
+        )
+
+    def with_unseen_placed(self, fitted: Fitted) -> Fitted:
+        """Return a fit with frames and targets that only validation rows see registered to these rows.
+
+        Args:
+            fitted: A fit to ``rows``.
+
+        Returns:
+            The fit with the frames and targets of ``unseen`` placed by ``validation_rows``; its parameters are the
+            same.
+
+        Raises:
+            MeasurementError: Too few rows for such a frame or target.
+        """
+        return fitted.with_held_out(self.unseen, self.validation_rows)
+
+
 @one_blas_thread()
 def fit_table(
     robot: Robot,
@@ -81,8 +139,10 @@ def fit_table(
         robot: The nominal robot.
         measurements: Rows of the set ``estimate`` are fitted; the others place frames and targets that only they see.
         cell: What is known of targets, frames, noise and priors.
-        model: As of `calib.calibrate`; None: the cell's.
-        solver: Likewise.
+        model: Name of the parameter set, with families behind it, such as ``"dh+compliance"``; ``"auto"``: the data
+            choose; or the robot's parameters themselves; None: the cell's.
+        solver: ``"lm"``, ``"scipy"``, ``"paper"`` (the paper's algorithm, without priors and robust weights), or a
+            function like those of `calib.numerics.solvers.SOLVERS`.
         robust: Whether outliers lose their weight.
 
     Returns:
@@ -94,36 +154,31 @@ def fit_table(
         MeasurementError: Too few rows, or columns that the robot needs are missing.
         SolverError: No finite result.
     """
-    all_rows, setup = rows_and_setup(robot, measurements, cell)
-    rows = all_rows.select(measurements.estimation)
-    validation_rows = all_rows.select(measurements.validation)
-    check_positions(robot, rows, measurements.source)
-    frames_seen, targets_seen = setup.seen_by(rows.samples)
-    unseen = setup.with_fixed(frames_seen, targets_seen)
+    table = _SplitTable.of(robot, measurements, cell)
+    check_positions(robot, table.rows, measurements.source)
 
     began = time.perf_counter()
     model = cell.model if model is None else model
     mistake = find_usual_mistake(robot, cell, measurements.select(measurements.estimation))
-    seen = setup.with_fixed(~frames_seen, ~targets_seen)
-    distances = known_distances(cell, setup)
-    task = Task(robot, cell, seen, model, distances, solver, robust)
+    distances = known_distances(cell, table.seen)
+    task = Task(robot, cell, table.seen, model, distances, solver, robust)
     if mistake and model == AUTO:  # no model of such measurements means anything
         check_parameter_names(task)
         task = replace(task, model="zeros", allow_absent=True)
 
-    geometry, non_geometric, candidates = _fit_models(task, rows)
+    geometry, non_geometric, candidates = _fit_models(task, table.rows)
     if isinstance(model, str) and not (mistake or non_geometric or candidates):
         geometry = _with_outliers_confirmed(geometry, measurements)
-    geometry = geometry.with_held_out(unseen, validation_rows)
+    geometry = table.with_unseen_placed(geometry)
     if non_geometric is not None:
-        non_geometric = non_geometric.with_held_out(unseen, validation_rows)
+        non_geometric = table.with_unseen_placed(non_geometric)
     return Fits(
         geometry=geometry,
         non_geometric=non_geometric,
         candidates=candidates,
-        all_rows=all_rows,
-        fitted_rows=replace(rows, sole=geometry.estimate.problem.rows.sole),
-        unseen=unseen,
+        all_rows=table.all_rows,
+        fitted_rows=replace(table.rows, sole=geometry.estimate.problem.rows.sole),
+        unseen=table.unseen,
         mistake=mistake,
         seconds=time.perf_counter() - began,
     )
@@ -133,22 +188,21 @@ def _fit_models(task: Task, rows: Rows) -> tuple[Fitted, Fitted | None, tuple[Ca
     """Choose models if the task leaves it open, and fit them.
 
     Args:
-        task: The fit; its model may be ``"auto"``, a name, or parameters.
-        rows: Rows to fit.
+        task: The fit: robot, cell, frames and targets as given, and solver. Its model may be ``"auto"``, a name, or
+            parameters.
+        rows: The rows to fit, as arrays.
 
     Returns:
-        The fit of the geometry, that of the non-geometric model if there is one, and the candidates of the choice.
+        The fit of the geometry; that of the non-geometric model, None if there is none; and the candidates of the
+        choice, empty where the model was named.
     """
-    candidates: tuple[Candidate, ...] = ()
     if task.model == AUTO and task.solver == PAPER:
-        return fit(replace(task, model="dh", allow_absent=True), rows), None, candidates
+        return fit(replace(task, model="dh", allow_absent=True), rows), None, ()
+    candidates: tuple[Candidate, ...] = ()
     if task.model == AUTO:
         selection = select(task, rows)
-        name, candidates, reference = (
-            selection.geometry,
-            selection.candidates,
-            selection.reference,
-        )
+        name, reference = selection.geometry, selection.reference
+        candidates = selection.candidates
     else:
         name = split_name(task.model)[0] if isinstance(task.model, str) else OWN
         reference = fit(task, rows)
@@ -163,8 +217,12 @@ def _with_outliers_confirmed(geometry: Fitted, measurements: Measurements) -> Fi
     """Fit a named geometry again with the weights of a non-geometric model, if that explains some of its outliers.
 
     Args:
-        geometry: Fit of the geometry.
+        geometry: Fit of the geometry to the estimation rows: its task, rows, weights and outliers.
         measurements: All rows; they say what loads the joints, which a non-geometric model needs.
+
+    Returns:
+        The fit with the weights that predict held-out rows better: its own, or those of the fit with all non-geometric
+        errors that the rows determine.
     """
     task, flagged = geometry.task, geometry.estimate.outliers
     if task.solver == PAPER or task.cell.priors.source == "off":
@@ -186,8 +244,11 @@ def _outliers_of_a_part_too(geometry: Fitted, estimation: Measurements) -> bool:
     """Tell if a non-geometric model that is fitted to a part of the rows calls every outlier one too.
 
     Args:
-        geometry: Fit of the geometry to N rows.
+        geometry: Fit of the geometry to N rows: its rows, and which of them are outliers.
         estimation: These N rows of the table.
+
+    Returns:
+        True if the scores of all outliers of ``geometry``, held out, are beyond the limit of the non-geometric model.
     """
     rows, flagged = geometry.estimate.problem.rows, geometry.estimate.outliers
     part = _with_loads(geometry, estimation, rows.evenly(_MANY_ROWS))
@@ -199,12 +260,15 @@ def _outliers_of_a_part_too(geometry: Fitted, estimation: Measurements) -> bool:
 
 
 def _with_loads(geometry: Fitted, estimation: Measurements, chosen: Mask) -> Rows:
-    """Return some rows of a fit with the loads of the joints.
+    """Return some rows of a fit with the loads of gravity and payload on the joints.
 
     Args:
-        geometry: Fit to N rows.
+        geometry: Fit to N rows: its rows as arrays, its robot, and its cell with payload and gravity.
         estimation: These N rows of the table.
-        chosen: The rows to return, shape (N,).
+        chosen: True for the rows to return, shape (N,).
+
+    Returns:
+        These rows in their order; the loads are those of `calib.robot.gravity.gravity_loads`.
     """
     task, rows = geometry.task, geometry.estimate.problem.rows.select(chosen)
     load = joint_loads(task.robot, estimation.select(chosen), task.cell, rows.joints)

@@ -115,7 +115,7 @@ class FittedModel:
         """Standard deviation of the predicted point over the joint limits, rms [m], with what the model lacks.
 
         Errors that the model lacks do not average out over rows: beyond the measured poses the variance that the
-        covariance adds is ``extrapolation`` times as large.
+        covariance adds, ``expected_everywhere``^2 - ``expected_measured``^2, is ``extrapolation`` times as large.
         """
         at_measured = self.expected_measured**2
         added = self.expected_everywhere**2 - at_measured
@@ -126,8 +126,10 @@ class FittedModel:
     def new_point(self) -> tuple[float, float]:
         """Expected error at a new point, rms [m]: at poses like those measured, and over the joint limits.
 
-        The first is that of held-out rows, outliers aside, and knows what the model lacks; for the second the
-        variances of the predictions are exchanged. By the covariance alone without cross-validation, or lengths.
+        The first is the rms error of held-out rows of ``cross_validation``, outliers aside, and knows what the model
+        lacks. For the second the variance of the prediction at the measured poses, ``expected_measured``^2, is
+        exchanged for that over the limits, ``expected_elsewhere``^2. Without cross-validation, or where no length was
+        measured, these two are returned, by the covariance alone.
         """
         at_measured, elsewhere = self.expected_measured, self.expected_elsewhere
         if self.cross_validation is None or not self.cross_validation.errors_without_outliers.n:
@@ -138,18 +140,22 @@ class FittedModel:
 
     @property
     def model(self) -> ErrorModel:
-        """Its error model."""
+        """The error model of ``kinematics``: the p parameters, the places where they act, and their directions."""
         return self.kinematics.model
 
     def pose_std(self, samples: Samples, *, in_base: bool = False) -> Array:
-        """Return standard deviations of predicted poses.
+        """Return standard deviations of predicted poses of the target, by the covariance of the parameters.
+
+        They know nothing of errors that the model lacks.
 
         Args:
-            samples: N joint values, with frames, targets and loads.
-            in_base: Predict in the base, less ``base_motion``, and not in each sample's own frame.
+            samples: N joint values, with the frame, the target and the loads of each.
+            in_base: True to predict in the base, less ``base_motion``, which moves all poses as one body; False to
+                predict in each sample's own frame.
 
         Returns:
-            Of the position [m] and of the orientation [rad], shape (N, 2).
+            Of the position [m] and of the orientation [rad], shape (N, 2): the root of the sum of the variances along
+            three axes.
         """
         return pose_std(
             self.kinematics,
@@ -161,10 +167,10 @@ class FittedModel:
         )
 
     def tips(self, samples: Samples) -> Array:
-        """Return T_base_tip by the parameters, the joints' own errors included.
+        """Return T_base_tip, the pose of the tip in the base, by the parameters ``x``, the joints' own errors included.
 
         Args:
-            samples: N joint values, with frames, targets and loads.
+            samples: N joint values, with frames, targets and loads; frames and targets do not matter.
 
         Returns:
             shape (N, 4, 4), [m].
@@ -190,19 +196,20 @@ class NonGeometric(FittedModel):
 
     @property
     def name(self) -> str:
-        """Its geometry and families, such as ``"dh+compliance"``."""
+        """Name of the model: its geometry and families of non-geometric errors, such as ``"dh+compliance"``."""
         return self.model.name
 
     def load(self, nominal: Robot, q: Array, payload: Payload | None = None) -> Array:
-        """Return the load of gravity on the joints, see `gravity_loads`.
+        """Return the load of gravity on the joints, with the ``gravity`` of the calibration, see `gravity_loads`.
 
         Args:
-            nominal: The nominal robot.
+            nominal: The nominal robot, n joints in its chain.
             q: Joint values, shape (N, m), [rad] or [m].
-            payload: Carried by the tip; None: that of the measurements.
+            payload: Carried by the tip; None: that of the measurements, the field ``payload``.
 
         Returns:
-            shape (N, m), [Nm] or [N].
+            shape (N, n, n + 3). Of each joint first its load, [Nm] or [N] where it slides; then lever arms of masses
+            along the chain. Positive where gravity drives the joint towards larger values.
         """
         return gravity_loads(nominal, q, payload or self.payload, self.gravity)
 
@@ -216,19 +223,21 @@ def pose_std(
     base_motion: Array | None,
     in_base: bool,
 ) -> Array:
-    """Return standard deviations of predicted poses, sqrt(trace(J C J^T)).
+    """Return standard deviations of predicted poses of the target, sqrt(trace(J C J^T)).
+
+    C is the covariance of the parameters, and J the derivative of the position, or of the orientation, by them.
 
     Args:
-        kinematics: The robot under its error model.
-        x: Parameters, shape (p,).
+        kinematics: The nominal robot under its error model of p parameters, with frames and targets at x = 0.
+        x: Parameters, shape (p,), in their units.
         covariance: Of the parameters, shape (p, p).
-        samples: N joint values, with frames, targets and loads.
+        samples: N joint values, with the frame, the target and the loads of each.
         base_motion: Compensating motion of the base, shape (6, p), see `compensating_base_motion`; None: no motion.
             It counts in the base only.
-        in_base: Predict in the base, and not in each sample's own frame.
+        in_base: True to predict in the base, False in each sample's own frame.
 
     Returns:
-        Of the position [m] and of the orientation [rad], shape (N, 2).
+        Of the position [m] and of the orientation [rad], shape (N, 2), read-only.
     """
     if in_base:
         poses, twists = twists_in_base(kinematics, x, samples)
@@ -253,12 +262,12 @@ def expected_error(
     """Return the standard deviation of the predicted position over samples, rms [m].
 
     Args:
-        kinematics: The robot under its error model.
-        x: Parameters, shape (p,).
+        kinematics: The nominal robot under its error model of p parameters, with frames and targets at x = 0.
+        x: Parameters, shape (p,), in their units.
         covariance: Of the parameters, shape (p, p).
-        samples: Joint values, of which the first `_MOST_EXPECTED` count.
-        base_motion: Compensating motion of the base, shape (6, p): the error in the base less it; None: the error in
-            each sample's frame.
+        samples: Joint values with frames, targets and loads, of which the first `_MOST_EXPECTED` count.
+        base_motion: Motion of the base that compensates a unit of each parameter, shape (6, p): the error in the base
+            less it; None: the error in each sample's frame.
     """
     std = pose_std(
         kinematics,
@@ -274,22 +283,23 @@ def expected_error(
 def parameter_estimates(
     fitted: Fitted, observability: Observability
 ) -> tuple[ParameterEstimate, ...]:
-    """Return nominal value, value and interval of each parameter.
+    """Return nominal value, value and interval of each parameter of a fit.
 
     Args:
-        fitted: A fit with p parameters.
-        observability: That of the rows that were fitted.
+        fitted: A fit with p parameters: its task, error model and estimate.
+        observability: Which of the p parameters the rows that were fitted determine.
+
+    Returns:
+        One entry for each parameter, in the order of the parameter vector x.
     """
-    estimate, model = fitted.estimate, fitted.kinematics.model
-    at_bound = np.isin(np.arange(len(model)), list(estimate.at_bound))
-    std = np.where(at_bound, np.nan, np.sqrt(np.diag(estimate.covariance)))
-    half = interval_factor(estimate.freedom) * std
-    precision = estimate.problem.precision
-    prior_std = 1.0 / np.sqrt(np.where(precision > 0.0, precision, np.nan))
+    estimate = fitted.estimate
+    std = _std(fitted)
+    half_width = interval_factor(estimate.freedom) * std
+    prior_std = _prior_std(estimate.problem.precision)
     data_gradient = _data_gradient(fitted)
     placed = fitted.placed()
     result = []
-    for k, parameter in enumerate(model.parameters):
+    for k, parameter in enumerate(fitted.kinematics.model.parameters):
         nominal, value, delta = _values(fitted, placed, k)
         result.append(
             ParameterEstimate(
@@ -299,10 +309,10 @@ def parameter_estimates(
                 value=float(value),
                 delta=float(delta),
                 std=float(std[k]),
-                low=float(value - half[k]),
-                high=float(value + half[k]),
+                low=float(value - half_width[k]),
+                high=float(value + half_width[k]),
                 identifiable=bool(observability.identifiable[k]),
-                at_bound=bool(at_bound[k]),
+                at_bound=k in estimate.at_bound,
                 prior_std=float(prior_std[k]),
                 data_gradient=float(data_gradient[k]),
             )
@@ -310,20 +320,54 @@ def parameter_estimates(
     return tuple(result)
 
 
+def _std(fitted: Fitted) -> Array:
+    """Return the standard deviation of each parameter of a fit.
+
+    Args:
+        fitted: A fit with p parameters: their covariance, and which are at a bound.
+
+    Returns:
+        shape (p,), in the parameters' units; NaN at a bound.
+    """
+    estimate = fitted.estimate
+    std = np.sqrt(np.diag(estimate.covariance))
+    std[list(estimate.at_bound)] = np.nan
+    return np.asarray(std)
+
+
+def _prior_std(precision: Array) -> Array:
+    """Return the standard deviation of each parameter's prior, 1 / sqrt(precision).
+
+    Args:
+        precision: 1 / variance, shape (p,); 0 for a parameter without prior.
+
+    Returns:
+        shape (p,), in the parameters' units; NaN without prior.
+    """
+    known = np.where(precision > 0.0, precision, np.nan)
+    return np.asarray(1.0 / np.sqrt(known))
+
+
 def _values(fitted: Fitted, placed: Setup, k: int) -> tuple[float | None, float, float]:
     """Return nominal value, value and change of one parameter, in its unit.
 
+    The position of a target is stated along the tip's axes, from where it was given, whatever the axes of its
+    parameter.
+
     Args:
-        fitted: A fit.
+        fitted: A fit: its error model, its parameters x, and frames and targets as given and as registered.
         placed: Its frames and targets at the solution.
-        k: Index of the parameter.
+        k: Index of the parameter, from 0.
+
+    Returns:
+        The value before the fit, None for the position of a target that was not given; the value after it; and the
+        difference, for such a target from where registration put it.
     """
     model, given = fitted.kinematics.model, fitted.task.setup
     parameter = model.parameters[k]
     delta = fitted.estimate.x[k]
     if parameter.family != TARGET or parameter.unit != "m":
         return parameter.nominal, parameter.nominal + delta, delta
-    # A target's position is stated along the tip's axes, whatever the target's own are.
     target = model.places.index(parameter.place) - len(model.places) + len(given.targets)
     R_tip_target = fitted.kinematics.T_tip_target[target, :3, :3]
     axis = int(np.argmax(np.abs(R_tip_target @ parameter.direction[:3])))
@@ -335,7 +379,17 @@ def _values(fitted: Fitted, placed: Setup, k: int) -> tuple[float | None, float,
 
 
 def _data_gradient(fitted: Fitted) -> Array:
-    """Return minus the derivative of half the sum of the data's weighted squares by each parameter, shape (p,)."""
+    """Return minus the derivative of half the sum of the data's weighted squares by each parameter, at the solution.
+
+    At the least of squares with priors it equals their pull, precision (x - centre), which is returned for the paper's
+    solver.
+
+    Args:
+        fitted: A fit with p parameters: its problem, with residuals and priors, and its solution x.
+
+    Returns:
+        shape (p,), [1/unit]; positive where the data ask for a larger value.
+    """
     x, problem = fitted.estimate.x, fitted.estimate.problem
     if fitted.task.solver == PAPER:  # not at the least of squares, and without priors
         return np.asarray(problem.precision * (x - problem.centre))
@@ -348,12 +402,13 @@ def compensating_base_motion(kinematics: Kinematics, x: Array, samples: Samples)
     """Return the motion of the base that compensates a unit of each parameter best over some poses: their gauge.
 
     Args:
-        kinematics: The robot under its error model.
-        x: Parameters, shape (p,).
-        samples: The measured poses.
+        kinematics: The nominal robot under its error model of p parameters, with frames and targets at x = 0.
+        x: Parameters, shape (p,), in their units.
+        samples: The measured poses: joint values with frames, targets and loads; of many only `_MOST_MEASURED` count.
 
     Returns:
-        shape (6, p): velocity of the base's origin [m], then turn [rad], along the base's axes.
+        shape (6, p), read-only: velocity of the base's origin [m], then turn [rad], along the base's axes. It is the
+        rigid motion nearest to what the parameter does to the target's positions, and is subtracted from that.
     """
     count = min(len(samples), _MOST_MEASURED)
     spread = np.linspace(0, len(samples) - 1, count).astype(int)
@@ -365,9 +420,9 @@ def twists_in_base(kinematics: Kinematics, x: Array, samples: Samples) -> tuple[
     """Return poses of the target in the base, and their derivatives by the parameters.
 
     Args:
-        kinematics: The robot under its error model.
-        x: Parameters, shape (p,).
-        samples: N samples; their frames do not count.
+        kinematics: The nominal robot under its error model of p parameters, with frames and targets at x = 0.
+        x: Parameters, shape (p,), in their units.
+        samples: N joint values, with the target and the loads of each; their frames do not count.
 
     Returns:
         T_base_target, shape (N, 4, 4) [m], and the target's velocity in a unit of each parameter along the base's
@@ -384,6 +439,9 @@ def tells_place(kinds: Iterable[str]) -> bool:
     """Tell if rows of some kinds determine where the base stands; if not, predictions are in the base.
 
     Args:
-        kinds: Names of registered kinds.
+        kinds: Names of registered kinds of measurement, such as ``"point"`` or ``"pair"``.
+
+    Returns:
+        True if any of them measures a position in a known frame; False for sockets, planes, anchors and pairs.
     """
     return any(registry.get(kind).position for kind in kinds)

@@ -11,7 +11,7 @@ quantile of F(1, dof): D. M. Bates, D. G. Watts, Nonlinear Regression Analysis, 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
@@ -22,6 +22,7 @@ from scipy.special import fdtri, gammaincinv
 from calib.blas import one_blas_thread
 from calib.errors import CalibError, ModelError
 from calib.estimate.fitting import Fitted
+from calib.estimate.problem import Problem
 from calib.estimate.task import PAPER
 from calib.jobs import Progress, batch_size, run
 from calib.model.kinematics import Samples, SamplesOrValues
@@ -74,28 +75,35 @@ class Bootstrap:
 
     @property
     def measured_rms(self) -> float:
-        """Standard deviation over the samples of the predicted position, rms over the measured poses [m]."""
+        """Standard deviation over the samples of the predicted position, rms over the measured poses [m].
+
+        Over at most `_POSES` of the rows that ``fitted`` was fitted to.
+        """
         measured = self.fitted.estimate.problem.rows.samples
         return rms(self.position_std(_evenly(measured)))
 
     @property
     def everywhere_rms(self) -> float:
-        """Standard deviation of the predicted position over joint values spread over the limits, rms [m]."""
-        return rms(self.position_std(Samples.at(spread_poses(self.fitted.task.robot, _POSES))))
+        """Standard deviation over the samples of the predicted position, rms over the joint limits of the robot [m].
+
+        Over `_POSES` joint values spread evenly between the limits, of the first frame and target.
+        """
+        spread = spread_poses(self.fitted.task.robot, _POSES)
+        return rms(self.position_std(Samples.at(spread)))
 
     @property
     def std(self) -> Array:
-        """Standard deviation of each parameter over the samples, shape (p,)."""
+        """Standard deviation of each parameter over the samples ``x``, shape (p,), in the parameters' units."""
         return np.asarray(np.std(self.x, axis=0, ddof=1))
 
     def intervals(self, level: float = 0.95) -> Array:
-        """Return the percentile interval of each parameter's value.
+        """Return the percentile interval of each parameter's value over the samples.
 
         Args:
             level: Its probability, between 0 and 1.
 
         Returns:
-            Lower and upper ends, shape (p, 2), in the parameters' units.
+            Lower and upper ends of the values, not of their changes, shape (p, 2), in the parameters' units.
         """
         tail = 0.5 * (1.0 - level)
         ends = np.quantile(self.x, (tail, 1.0 - tail), axis=0).T
@@ -110,7 +118,7 @@ class Bootstrap:
                 for the first frame and target.
 
         Returns:
-            shape (count, N, 3), [m].
+            shape (count, N, 3), [m]: by the parameters of each of the ``count`` samples.
         """
         return np.array([self.fitted.kinematics.points(x, where) for x in self.x])
 
@@ -137,7 +145,14 @@ class Bootstrap:
         return np.asarray(np.sqrt(np.sum(np.var(scatter, axis=2, ddof=1), axis=1)))
 
     def _scatter(self, samples: Samples) -> tuple[Array, Array]:
-        """Return mean positions and the samples' differences from them, shapes (N, 3) and (N, 3, count), [m]."""
+        """Return the target's mean positions over the samples of the bootstrap, and each sample's difference from them.
+
+        Args:
+            samples: N joint values, with the frame and target of each.
+
+        Returns:
+            Mean positions in the measurement frames, shape (N, 3), and the differences, shape (N, 3, count), [m].
+        """
         points = self.positions(samples)
         mean = points.mean(axis=0)
         return mean, (points - mean).transpose(1, 2, 0)
@@ -157,14 +172,18 @@ def bootstrap(
     for intervals.
 
     Args:
-        calibration: A result in memory.
+        calibration: A result in memory, with the fit of its geometry.
         count: Number of samples.
         seed: Seed of the draws, 0 or more.
-        progress: Called after each fit with the number of fits done and of all.
+        progress: Called after each fit with the number of fits done and of all; None: nothing is called.
         executor: Where the fits run; None: in this process.
 
+    Returns:
+        The parameters of each sample's fit.
+
     Raises:
-        CalibError: Too few or too many samples, a seed below 0, or the paper's solver made the calibration.
+        CalibError: Too few or too many samples, or a seed below 0.
+        ModelError: The paper's solver made the calibration, or the result was read from a file.
     """
     if not FEWEST_SAMPLES <= count <= MOST_SAMPLES or seed < 0:
         raise CalibError(
@@ -173,21 +192,35 @@ def bootstrap(
         )
     fitted = calibration.fitted
     _check_solver(fitted)
-    problem, parameters = fitted.estimate.problem, len(fitted.estimate.x)
-    rows = problem.rows
-    draws = bootstrap_counts(rows.blocks, count, seed, rows.samples.frame)
-    # Not the generator that draws the rows: priors would follow them.
-    rng = np.random.default_rng([seed, 1])
-    normal = rng.normal(size=(count, parameters + len(problem.distances)))
-    x, stopped = np.empty((count, parameters)), 0
-    samples = zip(draws, normal, strict=True)
-    fits = run(_fit_sample, fitted, samples, executor, batch=batch_size(count))
+    draws = _draws(fitted.estimate.problem, count, seed)
+    x, stopped = np.empty((count, len(fitted.estimate.x))), 0
+    fits = run(_fit_sample, fitted, draws, executor, batch=batch_size(count))
     for done, (k, (x_of_sample, converged)) in enumerate(fits, start=1):
         x[k] = x_of_sample
         stopped += not converged
         if progress is not None:
             progress(done, count)
     return Bootstrap(fitted, calibration.parameters, read_only(x), seed, stopped)
+
+
+def _draws(problem: Problem, count: int, seed: int) -> Iterator[tuple[Array, Array]]:
+    """Draw the rows and the priors' means of each sample of a bootstrap.
+
+    Args:
+        problem: The problem that is fitted again: N rows, p parameters, and known distances between stations.
+        count: Number of samples.
+        seed: Seed of the draws, 0 or more.
+
+    Returns:
+        For each sample the number of times that each row is drawn, shape (N,), and standard normal numbers, one for the
+        prior of each parameter, then one for each known distance.
+    """
+    rows = problem.rows
+    times_drawn = bootstrap_counts(rows.blocks, count, seed, rows.samples.frame)
+    # Not the generator that draws the rows: priors would follow them.
+    rng = np.random.default_rng([seed, 1])
+    normal = rng.normal(size=(count, problem.size + len(problem.distances)))
+    return zip(times_drawn, normal, strict=True)
 
 
 def bootstrap_counts(
@@ -198,7 +231,7 @@ def bootstrap_counts(
     Args:
         blocks: Label of each row's block, shape (N,): rows of one block, such as repeats of a pose, are drawn together.
         count: Number of samples.
-        seed: Seed of the draws.
+        seed: Seed of the draws, 0 or more.
         strata: Label of each row's stratum, shape (N,). Within each, such as a station, blocks are drawn apart, so that
             it stays in every sample.
 
@@ -216,20 +249,21 @@ def bootstrap_counts(
 
 
 def _fit_sample(fitted: Fitted, drawn: tuple[Array, Array]) -> tuple[Array, bool]:
-    """Fit one sample of a bootstrap.
+    """Fit one sample of a bootstrap, with noise, priors and robust weights as they were estimated.
 
     Args:
-        fitted: The fit to all N rows.
+        fitted: The fit to all N rows, of p parameters.
         drawn: Number of times that each row is drawn, shape (N,), and standard normal numbers, one for the prior of
             each parameter and one for each known distance between stations.
 
     Returns:
-        Its parameters, shape (p,), and whether the fit converged.
+        Its parameters, shape (p,), offsets like those of ``fitted``, and whether the fit converged.
     """
     problem, start = fitted.estimate.problem, fitted.estimate.x
     counts, normal = drawn
     is_drawn = problem.precision > 1.0 / _WIDEST_DRAWN**2
-    std = np.where(is_drawn, 1.0 / np.sqrt(np.where(is_drawn, problem.precision, 1.0)), 0.0)
+    precision = np.where(is_drawn, problem.precision, 1.0)
+    prior_std = np.where(is_drawn, 1.0 / np.sqrt(precision), 0.0)
     distances = []
     for known, by in zip(problem.distances, normal[len(start) :].tolist(), strict=True):
         distances.append(known._replace(length=known.length + known.sigma * by))
@@ -237,7 +271,7 @@ def _fit_sample(fitted: Fitted, drawn: tuple[Array, Array]) -> tuple[Array, bool
         problem,
         weights=problem.weights * counts,
         stops=None if problem.stops is None else problem.stops.drawn(counts),
-        centre=problem.centre + std * normal[: len(start)],
+        centre=problem.centre + prior_std * normal[: len(start)],
         distances=tuple(distances),
     )
     size = steps(fitted.kinematics.model.units)
@@ -249,8 +283,9 @@ def _fit_sample(fitted: Fitted, drawn: tuple[Array, Array]) -> tuple[Array, bool
 class Profile:
     """An interval from the profile of the cost; an end is infinite where the cost does not rise enough."""
 
-    #: In the parameter's unit
+    #: Lower end of the parameter's value, in its unit
     low: float
+    #: Upper end, likewise
     high: float
     #: Probability that the interval holds the true value
     level: float
@@ -263,9 +298,12 @@ def profile_interval(calibration: CalibrationValues, name: str, level: float = 0
     An end is infinite where the measurements set no limit.
 
     Args:
-        calibration: A result in memory.
+        calibration: A result in memory, with the fits of its geometry and of its non-geometric model, if it has one.
         name: Name of the parameter; one that the geometry lacks is that of the non-geometric model.
         level: Probability that the interval holds the true value, between 0 and 1.
+
+    Returns:
+        Both ends of the parameter's value, not of its change.
 
     Raises:
         ModelError: No such parameter, it stands at a bound, or the paper's solver made the calibration.
@@ -285,9 +323,16 @@ def profile_interval(calibration: CalibrationValues, name: str, level: float = 0
             "in the cell file's table [bounds]."
         )
     x = float(estimate.x[k])
-    low, high = profile(
-        lambda value: _least_cost(fitted, k, value), x, parameter.std, level, estimate.freedom
-    )
+
+    def cost_at(offset: float) -> float:
+        """Return the least cost, the sum of squares over their variance, with the parameter held.
+
+        Args:
+            offset: Where it is held, counted from the registered start, in its unit.
+        """
+        return _least_cost(fitted, k, offset)
+
+    low, high = profile(cost_at, x, parameter.std, level, estimate.freedom)
     # Offsets from the registered start become values.
     return Profile(low + parameter.value - x, high + parameter.value - x, level)
 
@@ -305,13 +350,13 @@ def profile(
 
     Args:
         cost_at: Least sum of squares over their variance with the parameter held at a value.
-        value: The estimate, where the cost is least.
-        std: Its standard deviation, the first step of the search.
+        value: The estimate, where the cost is least, in the parameter's unit.
+        std: Its standard deviation, the first step of the search, in the same unit.
         level: Probability of the interval, between 0 and 1.
         freedom: Degrees of freedom of the noise; infinite where the noise is known.
 
     Returns:
-        Lower and upper end; infinite where the cost does not rise enough.
+        Lower and upper end, in the parameter's unit; infinite where the cost does not rise enough.
 
     Raises:
         CalibError: The level is not between 0 and 1.
@@ -322,7 +367,14 @@ def profile(
     least = cost_at(value)
 
     def above(x: float) -> float:
-        """Return the cost over the limit; finite, for the root finder."""
+        """Return the cost at a value of the parameter, less the highest one allowed within the interval.
+
+        Args:
+            x: The value, in the parameter's unit.
+
+        Returns:
+            Negative within the interval; finite, for the root finder.
+        """
         over = cost_at(x) - least - rise
         if not np.isfinite(over):
             return 1e6 * rise
@@ -332,7 +384,14 @@ def profile(
     from scipy.optimize import brentq
 
     def end(step: float) -> float:
-        """Find where the cost crosses the limit, on one side."""
+        """Find where the cost crosses the limit, on one side of the estimate.
+
+        Args:
+            step: Standard deviation of the parameter, negative for the lower end.
+
+        Returns:
+            The value of the parameter there; infinite, with the sign of the step, where the cost stays below.
+        """
         inner = value
         reach = step * float(np.sqrt(rise))
         for _ in range(_DOUBLINGS + 1):
@@ -347,7 +406,16 @@ def profile(
 
 
 def _allowed_rise(level: float, freedom: float) -> float:
-    """Return the quantile of F(1, freedom), or of chi^2(1) where the freedom is infinite."""
+    """Return how far the cost of one parameter may rise within an interval: a quantile of F(1, freedom).
+
+    Args:
+        level: Probability of the interval, between 0 and 1.
+        freedom: Degrees of freedom of the noise, at least one of which is assumed; infinite where the noise is known:
+            then it is the quantile of chi^2(1).
+
+    Returns:
+        The rise of the sum of squares over their variance [1].
+    """
     if np.isfinite(freedom):
         return float(fdtri(1.0, max(freedom, 1.0), level))
     return float(2.0 * gammaincinv(0.5, level))
@@ -357,9 +425,12 @@ def _least_cost(fitted: Fitted, k: int, value: float) -> float:
     """Return the least sum of squares over their variance, the priors' included, with one parameter held.
 
     Args:
-        fitted: A fit.
-        k: Index of the parameter, from 0.
-        value: The offset at which it is held; the others are fitted.
+        fitted: A fit of p parameters: its problem, the estimate, and the covariance of that.
+        k: Index of the parameter that is held, from 0.
+        value: The offset from the registered start at which it is held, in its unit; the others are fitted.
+
+    Returns:
+        The least cost [1], twice the objective of the fit.
     """
     estimate = fitted.estimate
     problem, C = estimate.problem, estimate.covariance
@@ -371,7 +442,14 @@ def _least_cost(fitted: Fitted, k: int, value: float) -> float:
         return float(residual @ residual)
 
     def system(free: Array) -> tuple[Array, Array]:
-        """Return the residual and its derivative by the other parameters."""
+        """Return the weighted residual and its derivative by the p - 1 parameters that are not held.
+
+        Args:
+            free: Offsets of these parameters, shape (p - 1,).
+
+        Returns:
+            Residual, shape (n,), in standard deviations, priors included; and its derivative, shape (n, p - 1).
+        """
         x = start.copy()
         x[others] = free
         residual, jacobian = problem.system(x)
@@ -382,17 +460,38 @@ def _least_cost(fitted: Fitted, k: int, value: float) -> float:
 
 
 def _check_solver(fitted: Fitted) -> None:
-    """Refuse the paper's solver: its fit is not the least cost of its own problem."""
+    """Refuse a fit by the paper's solver: it is not the least cost of its own problem.
+
+    Args:
+        fitted: The fit, whose task names its solver.
+
+    Raises:
+        ModelError: It is the paper's.
+    """
     if fitted.task.solver == PAPER:
         raise ModelError("The solver 'paper' has neither bootstrap nor profile. Choose 'lm'.")
 
 
 def _evenly(samples: Samples) -> Samples:
-    """Return at most `_POSES` of the samples, evenly spread over their order."""
+    """Return at most `_POSES` of N samples, evenly spread over their order.
+
+    Args:
+        samples: Joint values, with the frame, the target and the loads of each.
+
+    Returns:
+        These samples, in their order; all where there are no more.
+    """
     count = min(len(samples), _POSES)
     return samples.select(np.linspace(0, len(samples) - 1, count).astype(int))
 
 
 def _in_first_frame(samples: Samples) -> Samples:
-    """Return the samples as seen from the first frame."""
+    """Return samples as seen from the first measurement frame.
+
+    Args:
+        samples: N joint values, with the frame, the target and the loads of each.
+
+    Returns:
+        The same with frame 0 for all.
+    """
     return replace(samples, frame=np.zeros_like(samples.frame))

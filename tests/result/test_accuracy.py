@@ -13,7 +13,14 @@ from scipy.spatial.transform import Rotation
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.result.accuracy import Accuracy, accuracy, fitted_rows, judged_rows
+from calib.result.accuracy import (
+    Accuracy,
+    _are_among,
+    _LengthResiduals,
+    accuracy,
+    fitted_rows,
+    judged_rows,
+)
 from calib.result.calibration import CalibrationValues
 from calib.result.calibration_file import read_result, write_result
 from calib.result.evaluation import evaluate
@@ -213,3 +220,20 @@ def test_which_rows_are_judged(validate: str, fitted: str, registered: bool, jud
     told = np.ones(10, dtype=bool)
     found = judged_rows(m, told, mask(fitted), np.arange(10), registered=registered)
     assert np.array_equal(found, mask(judged))
+
+
+def test_residuals_of_both_robots_stand_side_by_side_without_what_was_not_measured():
+    nominal = np.arange(12.0).reshape(3, 4)
+    used = np.array(
+        [[True, True, True, True], [False, True, False, True], [True, False, False, False]]
+    )
+    residuals = _LengthResiduals.of(nominal, 100.0 + nominal, used)
+    np.testing.assert_array_equal(residuals.rows_with(1), [1, 2])
+    np.testing.assert_array_equal(residuals.side_by_side([1, 2]), [[5.0, 105.0], [8.0, 108.0]])
+    np.testing.assert_array_equal(residuals.side_by_side([0]), [[0, 1, 2, 100, 101, 102]])
+
+
+def test_rows_are_the_same_to_rounding():
+    stored = np.array([[1e-3, 2e-3], [3e-3, 4e-3]])
+    shifted = stored[1] + np.array([[0.0, 0.9e-7], [0.0, 1.1e-7]])
+    np.testing.assert_array_equal(_are_among(shifted, stored), [True, False])

@@ -9,8 +9,13 @@ import pytest
 
 from calib.model.error_model import DIRECTIONS
 from calib.result.difference import (
+    _ROOM,
+    _WIDEST,
     Displacement,
     _estimate,
+    _own_steps,
+    _OwnEffects,
+    _shared_precision,
     differences_of,
     own_names,
     unknown_frame,
@@ -93,3 +98,27 @@ def test_an_estimate_under_common_priors_is_that_of_a_fit_with_them(calibrated):
     np.testing.assert_allclose(correlation, expected / np.outer(std, std), atol=1e-3)
     # Nine times the variance, or more where that leaves too little room for a drift.
     assert np.all(found.prior >= 0.99 * 9.0 * prior_std[own] ** 2)
+
+
+@pytest.mark.parametrize(("factor", "steps_wide"), [(1e9, _WIDEST), (1e-9, _ROOM)])
+def test_common_priors_are_neither_wider_than_an_arm_errs_nor_too_sharp_for_a_drift(
+    calibrated, factor, steps_wide
+):
+    _, c = calibrated("points")
+    parameters = tuple(replace(p, prior_std=factor * p.prior_std) for p in c.parameters)
+    other = replace(c, parameters=parameters)
+    std = _shared_precision(other, other) ** -0.5
+    np.testing.assert_allclose(std, steps_wide * _own_steps(c))
+
+
+def test_effects_along_a_basis_are_those_of_parameters_that_no_motion_compensates():
+    remaining = np.array([[1.0, 3.0], [2.0, 4.0]])
+    own = _OwnEffects(
+        names=np.array(["a", "b"]),
+        steps=np.array([1e-3, 2e-3]),
+        remaining=remaining,
+        known=np.array([True, False]),
+    )
+    np.testing.assert_allclose(own.along(np.array([[0.0], [1.0]])), [[2.0, 0.0]])
+    np.testing.assert_allclose(own.in_steps, remaining * [1e-3, 2e-3])
+    assert own.compensated == ["b"]

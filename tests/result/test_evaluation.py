@@ -14,7 +14,7 @@ from calib.registration.setup import Setup
 from calib.result.acceptance import assess
 from calib.result.accuracy import accuracy
 from calib.result.calibrate import calibrate
-from calib.result.evaluation import evaluate, moved_place
+from calib.result.evaluation import _replaced, evaluate, moved_place
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from tests.fits import FREE, TARGETS, TRACKERS
@@ -162,3 +162,10 @@ def test_nothing_moved_where_nothing_is_known(ur3: Robot, shift: float, count: i
     off = noise * np.random.default_rng(4).normal(size=(count, 3))
     table = Measurements(m.joint_names, m.joints, m.points + off)
     assert moved_place(ur3, table, Cell(), known) is None
+
+
+def test_poses_of_a_result_take_the_place_of_those_of_a_table():
+    poses, known = np.zeros((3, 4, 4)), np.stack([np.full((4, 4), 1.0), np.full((4, 4), 2.0)])
+    replaced = _replaced(poses, known, {0: 1, 2: 0})
+    np.testing.assert_array_equal(replaced[:, 0, 0], [2.0, 0.0, 1.0])
+    assert not np.any(poses)

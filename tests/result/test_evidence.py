@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.result.evidence import validation_errors
+from calib.result.evidence import _mean_variance, validation_errors
 
 ALL = np.ones((10, 3), dtype=bool)
 
@@ -26,3 +26,10 @@ def test_many_rows_that_do_not_fit_are_no_accidents():
     residual = np.full((10, 3), 1e-3)
     before, _, aside = validation_errors(validation, np.arange(10) >= 7, residual, residual, ALL)
     assert (before.n, aside) == (6, 0)
+
+
+def test_the_variance_of_a_position_is_the_sum_over_its_axes_and_the_mean_over_positions():
+    J = np.zeros((2, 3, 2))
+    J[0, 0, 0], J[0, 2, 1] = 2.0, 3.0
+    covariance = np.array([[1.0, 0.5], [0.5, 4.0]])
+    assert _mean_variance(J, covariance) == pytest.approx((4.0 + 36.0) / 2.0)

@@ -66,6 +66,7 @@ def test_frames_that_only_validation_rows_see_are_registered_to_them(make_scene,
     table = replace(table, sets=sets)
     fits = fit_table(scene.robot, table, Cell(estimate_frame=True, model="frames"))
     assert [bool(directions) for directions in fits.unseen.unknown] == [False, True]
+    assert [bool(directions) for directions in fits.geometry.task.setup.unknown] == [True, False]
     assert not any("[1]" in name for name in fits.geometry.kinematics.model.names)
     assert np.any(fits.geometry.kinematics.model.family(FRAME))
     residual = fits.geometry.residual(fits.all_rows)

@@ -13,6 +13,7 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.model.error_model import error_model
 from calib.result.calibration import CalibrationValues
+from calib.result.prediction import _prior_std
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 
@@ -106,3 +107,7 @@ def test_a_turned_target_has_its_interval_and_prior_along_the_tips_axes(make_sce
     assert found.parameter("target_x").std == pytest.approx(1e-7, rel=0.01)
     assert abs(found.parameter("target_y").delta) > 5e-4
     assert found.parameter("target_y").std > 1e-5
+
+
+def test_without_a_prior_it_has_no_standard_deviation():
+    np.testing.assert_array_equal(_prior_std(np.array([4.0, 0.0])), [0.5, np.nan])

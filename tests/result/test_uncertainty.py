@@ -19,6 +19,7 @@ from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
 from calib.result.uncertainty import (
     Bootstrap,
+    _draws,
     bootstrap,
     bootstrap_counts,
     profile,
@@ -296,3 +297,18 @@ def test_ends_where_the_cost_does_not_rise_are_open():
     found = profile(lambda x: x**2 if x < 0 else 1.0 - np.exp(-x), 0.0, 1.0)
     assert found == pytest.approx((-1.96, np.inf), abs=1e-2)
     assert profile(lambda _: 5.0, 0.0, 1.0) == (-np.inf, np.inf)
+
+
+def test_rows_and_priors_are_drawn_independently(calibrated):
+    """Rows as `bootstrap_counts` draws them, and a normal number for each prior and each known distance."""
+    _, c = calibrated("sockets")
+    problem = c.fitted.estimate.problem
+    rows = problem.rows
+    counts, normal = (np.array(drawn) for drawn in zip(*_draws(problem, 40, 3), strict=True))
+    expected = bootstrap_counts(rows.blocks, 40, 3, rows.samples.frame)
+    np.testing.assert_array_equal(counts, expected)
+    assert len(problem.distances) > 0
+    assert normal.shape == (40, len(c.x) + len(problem.distances))
+    assert abs(normal.mean()) < 0.1
+    assert normal.std() == pytest.approx(1.0, abs=0.1)
+    assert normal[0, 0] != np.random.default_rng(3).normal()
