@@ -7,7 +7,7 @@ wanted.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -43,9 +43,9 @@ class Condition(NamedTuple):
     That of the region says where accuracy is wanted, the others what can be measured.
     """
 
-    #: Why a pose is refused that does not pass.
+    #: Word for why a pose is refused that does not pass.
     reason: Reason
-    #: Of poses (n, m) [rad] or [m], whether each passes, (n,).
+    #: Function of joint values, shape (n, m), [rad] or [m], that returns whether each pose passes, shape (n,).
     passes: Callable[[Array], NDArray[np.bool_]]
 
 
@@ -54,12 +54,40 @@ class Pool(NamedTuple):
 
     #: Shape (n, m), the poses that passed all conditions, all different, [rad] or [m].
     q: Array
-    #: Shape (k, m), those in the region, among the first drawn.
+    #: Shape (k, m), poses in the region, whatever else refused them, among the first drawn, [rad] or [m].
     workspace: Array
     #: Number of poses that were drawn.
     drawn: int
     #: Number that each condition refused, of those that had passed the ones before it.
     refused: dict[str, int]
+
+
+class _Sifted(NamedTuple):
+    """Poses that were drawn, sifted by the conditions."""
+
+    #: Number of poses that were drawn.
+    drawn: int
+    #: Shape (k, m), those in the region, [rad] or [m].
+    in_region: Array
+    #: Shape (n, m), those that passed all conditions, [rad] or [m].
+    measurable: Array
+    #: Number that each condition refused, by its reason.
+    refused: dict[str, int]
+
+    def joined(self, other: _Sifted) -> _Sifted:
+        """Return these poses with others behind them, and the sums of both numbers drawn and refused.
+
+        Args:
+            other: Poses of the same robot, sifted by the same conditions.
+        """
+        return _Sifted(
+            drawn=self.drawn + other.drawn,
+            in_region=np.concatenate([self.in_region, other.in_region]),
+            measurable=np.concatenate([self.measurable, other.measurable]),
+            refused={
+                reason: number + other.refused[reason] for reason, number in self.refused.items()
+            },
+        )
 
 
 def draw(
@@ -70,75 +98,110 @@ def draw(
     seed: int,
     progress: Progress | None = None,
 ) -> Pool:
-    """Draw candidates until enough have passed all conditions, or far more than that have been tried.
+    """Draw joint values evenly over their ranges until enough have passed all conditions, or too many are drawn.
+
+    Too many are 40 times as many as are wanted (but no fewer than 163,840), or 40,960 of which none has passed. Values
+    are rounded to what a table writes, see `rounded`.
 
     Args:
-        robot: The robot.
-        ranges: Lowest and highest value of each joint, shape (m, 2), [rad] or [m], see `planning_ranges`.
-        conditions: Tested in this order, that of the region first.
-        count: Number of candidates that is enough.
-        seed: Of the Sobol sequence.
-        progress: Called with the candidates there are and the number wanted.
+        robot: The robot, with m measured joints.
+        ranges: Lowest and highest value of each joint, shape (m, 2), [rad] or for sliding joints [m], in the order of
+            ``robot.joint_names``, see `planning_ranges`.
+        conditions: Tests that a pose must pass: each has a ``reason``, and a function ``passes`` of joint values
+            (n, m) that returns a mask (n,). Applied in this order, that of the region first.
+        count: Number of candidates that is enough, 1 or more.
+        seed: Seed of the Sobol sequence: the same one draws the same poses.
+        progress: Called after each batch with the number of candidates so far and ``count``; None: nothing is called.
 
     Returns:
-        The candidates, in the order drawn.
+        The candidates: ``q`` (at most ``count`` poses that passed, each once, in the order drawn), ``workspace`` (at
+        most ``count`` poses in the region, measurable or not), and the numbers of poses drawn and of those that each
+        reason refused.
 
     Raises:
         ModelError: No pose passed.
+    """
+    batches = _batches(robot, ranges, seed)
+    sifted = _sift(np.empty((0, len(ranges))), conditions)
+    while len(sifted.measurable) < count and sifted.drawn < _most_draws(sifted, count):
+        batch = next(batches)[: _MOST * count]
+        sifted = sifted.joined(_sift(batch, conditions))
+        if progress is not None:
+            progress(min(len(sifted.measurable), count), count)
+    if not len(sifted.measurable):
+        _refuse_all(sifted.drawn, sifted.refused)
+    q = _without_repeats(sifted.measurable)
+    workspace = sifted.in_region[:count]
+    return Pool(read_only(q[:count]), read_only(workspace), sifted.drawn, sifted.refused)
+
+
+def _batches(robot: Robot, ranges: Array, seed: int) -> Iterator[Array]:
+    """Yield batches of joint values from a scrambled Sobol sequence over their ranges, without end.
+
+    Args:
+        robot: The robot, with m measured joints.
+        ranges: Lowest and highest value of each joint, shape (m, 2), [rad] or for sliding joints [m].
+        seed: Seed of the scrambling.
+
+    Yields:
+        Joint values, shape (4096, m), [rad] or [m], rounded to what a table writes, within the ranges.
     """
     # Not above: SciPy's distributions take as long to import as the rest of calib.
     from scipy.stats import qmc
 
     sequence = qmc.Sobol(len(ranges), scramble=True, seed=seed)
     low, high = ranges.T
-    measurable, in_region = np.empty((0, len(ranges))), np.empty((0, len(ranges)))
-    refused: dict[str, int] = dict.fromkeys((condition.reason for condition in conditions), 0)
-    drawn = 0
-    while len(measurable) < count and drawn < _most(len(measurable), count):
+    while True:
         unit = sequence.random(_BATCH)
-        batch = rounded(robot, low + unit * (high - low), ranges)[: _MOST * count]
-        drawn += len(batch)
-        batch_in_region, batch_measurable = _sift(batch, conditions, refused)
-        in_region = np.concatenate([in_region, batch_in_region])
-        measurable = np.concatenate([measurable, batch_measurable])
-        if progress is not None:
-            progress(min(len(measurable), count), count)
-    if not len(measurable):
-        _refuse_all(drawn, refused)
-    q = _without_repeats(measurable)
-    return Pool(read_only(q[:count]), read_only(in_region[:count]), drawn, refused)
+        yield rounded(robot, low + unit * (high - low), ranges)
 
 
-def _most(measurable: int, count: int) -> int:
-    """Return how many poses are drawn at most, by the number that can be measured so far."""
-    return _MOST * max(count, _BATCH) if measurable else _NONE_YET
-
-
-def _sift(
-    q: Array, conditions: Sequence[Condition], refused: dict[str, int]
-) -> tuple[Array, Array]:
-    """Test poses by each condition in turn.
+def _most_draws(sifted: _Sifted, count: int) -> int:
+    """Return the number of poses at which drawing ends, however few can be measured.
 
     Args:
-        q: shape (n, m), [rad] or [m].
-        conditions: In order.
-        refused: Number refused by reason; those of these poses are added to it.
+        sifted: The poses drawn so far; as long as none of them can be measured, drawing ends early.
+        count: Number of candidates that are wanted.
+    """
+    if not len(sifted.measurable):
+        return _NONE_YET
+    return _MOST * max(count, _BATCH)
+
+
+def _sift(q: Array, conditions: Sequence[Condition]) -> _Sifted:
+    """Test poses by each condition in turn; what one refuses, the later ones do not see.
+
+    Args:
+        q: Joint values of n poses, shape (n, m), [rad] or for sliding joints [m].
+        conditions: Tests, each with a ``reason`` and a function ``passes`` of joint values; in the order to apply.
 
     Returns:
-        The poses in the region, and those that pass all conditions.
+        The poses that pass all conditions, those that pass up to that of the region (without one all of them), and how
+        many each reason refused.
     """
-    in_region = q
+    in_region = measurable = q
+    refused: dict[str, int] = dict.fromkeys((condition.reason for condition in conditions), 0)
     for condition in conditions:
-        passes = condition.passes(q) if len(q) else np.zeros(0, dtype=np.bool_)
+        passes = np.zeros(0, dtype=np.bool_)
+        if len(measurable):
+            passes = condition.passes(measurable)
         refused[condition.reason] += int(np.sum(~passes))
-        q = q[passes]
+        measurable = measurable[passes]
         if condition.reason == "region":
-            in_region = q
-    return in_region, q
+            in_region = measurable
+    return _Sifted(len(q), in_region, measurable, refused)
 
 
 def _refuse_all(drawn: int, refused: Mapping[str, int]) -> None:
-    """Raise the error that no pose can be measured, with the reasons."""
+    """Raise the error that no pose can be measured, with the reasons.
+
+    Args:
+        drawn: Number of poses that were drawn.
+        refused: Number of poses that were refused, by reason; reasons with 0 are left out of the message.
+
+    Raises:
+        ModelError: Always.
+    """
     parts = ", ".join(f"{number} by {reason}" for reason, number in refused.items() if number)
     raise ModelError(
         f"None of {drawn} poses drawn can be measured; refused: {parts}. Widen the region or the "
@@ -147,17 +210,28 @@ def _refuse_all(drawn: int, refused: Mapping[str, int]) -> None:
 
 
 def _without_repeats(q: Array) -> Array:
-    """Return each pose once, in the order drawn: narrow ranges have few values of whole steps."""
+    """Return each pose once, where it was drawn first: narrow ranges have few values of whole steps.
+
+    Args:
+        q: Joint values of n poses in the order drawn, shape (n, m), [rad] or [m].
+
+    Returns:
+        The different rows of ``q`` in the same order, shape (n or fewer, m).
+    """
     _, first = np.unique(q, axis=0, return_index=True)
     return q[np.sort(first)]
 
 
 def margins_by_joint(robot: Robot, margin: float) -> Array:
-    """Return the margin to the limits of each of the robot's joints, shape (m,), [rad] or [m].
+    """Return the distance that planned values keep to both limits of each measured joint.
 
     Args:
-        robot: The robot.
-        margin: Margin of joints that turn [rad]; that of sliding joints is 5 mm, unless this is 0.
+        robot: The robot, with m measured joints.
+        margin: Distance of joints that turn [rad]; 0: sliding joints keep none either.
+
+    Returns:
+        Shape (m,), in the order of ``robot.joint_names``: ``margin`` [rad] of joints that turn, 5 mm (or 0) [m] of
+        sliding ones.
     """
     slides = [joint.type == "prismatic" for joint in robot.inputs]
     return np.where(slides, _SLIDING_MARGIN * bool(margin), margin)
@@ -170,19 +244,22 @@ def planning_ranges(
     *,
     turns: bool = False,
 ) -> Array:
-    """Return the lowest and highest joint values to plan with.
+    """Return the lowest and highest joint values to plan with, which keep a margin to the URDF's limits.
 
     Args:
-        robot: The robot.
-        narrowed: Ranges of single joints by name [rad] or [m].
-        margin: Distance to the URDF's limits of joints that turn [rad]; see `margins_by_joint` for those that slide.
-        turns: Whether joints that turn, and are not narrowed, go to their limits where these allow more than a turn.
+        robot: The robot, with m measured joints.
+        narrowed: Lowest and highest value by the joint's name [rad] or for sliding joints [m]; joints that are not
+            named go everywhere they can, those that turn through one whole turn at most.
+        margin: Distance to the URDF's limits of joints that turn [rad]; sliding joints keep 5 mm, unless it is 0.
+        turns: True: joints that turn, and are not narrowed, go from limit to limit, also where these are more than a
+            turn apart.
 
     Returns:
-        shape (m, 2), [rad] or [m], read-only.
+        Shape (m, 2), lowest and highest value, [rad] or [m], in the order of ``robot.joint_names``, read-only.
 
     Raises:
         ModelError: The margin leaves nothing of a range.
+        CalibError: A narrowed joint that the robot does not have, or a range that its limits do not allow.
     """
     limits = column_limits(robot)
     gap = margins_by_joint(robot, margin)
@@ -202,15 +279,16 @@ def planning_ranges(
 
 
 def rounded(robot: Robot, q: Array, ranges: Array | None = None) -> Array:
-    """Round joint values to what a table writes: 0.001 deg and 0.001 mm.
+    """Round joint values to what a table writes: whole steps of 0.001 deg or, of sliding joints, 0.001 mm.
 
     Args:
-        robot: The robot.
-        q: shape (n, m), [rad] or [m].
-        ranges: shape (m, 2), between which the rounded values stay; None: anywhere.
+        robot: The robot, with m measured joints.
+        q: Joint values of n poses, shape (n, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.
+        ranges: Lowest and highest value of each joint, shape (m, 2), [rad] or [m], between which the rounded values
+            stay; None: they may be anywhere.
 
     Returns:
-        shape (n, m), [rad] or [m].
+        The rounded values, still in [rad] or [m], shape (n, m).
     """
     slides = [joint.type == "prismatic" for joint in robot.inputs]
     unit = np.where(slides, UNITS["mm"].to_si, UNITS["deg"].to_si)

@@ -61,13 +61,16 @@ class PlanRequest:
     seed: int = 0
 
     def check(self, candidates: int) -> None:
-        """Refuse an unknown criterion, and numbers of poses that cannot be.
+        """Refuse an unknown criterion, and numbers of poses that cannot be had.
+
+        At least one pose must be wanted to fit, none or more to validate, and together no more than there are
+        candidates, or 300. Uses ``criterion``, ``count`` and ``validation``.
 
         Args:
-            candidates: Number of poses that can be measured.
+            candidates: Number of poses that can be measured, to choose from.
 
         Raises:
-            ModelError: It cannot be met.
+            ModelError: The request cannot be met.
         """
         if self.criterion not in ("V", "D", "A"):
             raise ModelError(f"There is no criterion '{self.criterion}'. Choose V, D or A.")
@@ -84,17 +87,17 @@ class PlanRequest:
 class Choice(NamedTuple):
     """Poses that were chosen out of a pool, as `calib.design.plan.Plan` has them."""
 
-    #: Shape (count, m), to fit.
+    #: Shape (count, m), poses to fit, [rad] or [m].
     planned: Array
-    #: Shape (validation, m).
+    #: Shape (validation, m), poses to validate with, [rad] or [m].
     validation: Array
-    #: Of poses taken and planned.
+    #: Forecast of a fit of the poses taken and planned.
     forecast: Forecast
-    #: Of the poses taken alone; None without.
+    #: Forecast of a fit of the poses taken alone; None where none are taken.
     before: Forecast | None
-    #: Of as many random poses: the median of several draws.
+    #: Forecast of the poses taken and as many random ones as are planned: the median of several draws.
     at_random: Forecast
-    #: Of other numbers of poses.
+    #: Numbers of planned poses in rising order, and the forecast for each.
     ladder: tuple[tuple[int, Forecast], ...]
 
 
@@ -107,18 +110,22 @@ def choose_poses(
     restarts: int = RESTARTS,
     progress: Progress | None = None,
 ) -> Choice:
-    """Choose poses from a pool of candidates.
+    """Choose the poses of a plan from candidates, and forecast what a fit of them will reach.
 
     Args:
-        sensitivity: The robot in its cell.
-        pool: The candidates.
-        request: Poses that are wanted.
-        taken: shape (T, m), poses measured already; they count, and are not planned again.
-        restarts: Random starts of the exchange; one in place of several is a few percent worse.
-        progress: Called with the forecasts of the ladder done and all.
+        sensitivity: The nominal robot in its cell under the error model of the fit: differentiates what is measured at
+            joint values by the parameters.
+        pool: The candidates: ``q``, joint values that can be measured, shape (n, m), [rad] or for sliding joints [m];
+            and ``workspace``, shape (k, m), those over which accuracy counts.
+        request: Numbers of poses to fit and to validate with, the criterion of the choice, and the seed.
+        taken: Poses that are measured already, shape (T, m), [rad] or [m]: they count in the information, and are not
+            planned again; None: none are.
+        restarts: Number of random starts of the exchange, for up to 100 poses; of more, there is one start.
+        progress: Called with the number of forecasts of the ladder that are done, and of all; None: nothing is called.
 
     Returns:
-        The choice.
+        The poses to fit and to validate with (candidates that were not chosen, at random), the forecast of the plan,
+        and for comparison those of the poses taken alone, of random poses and of other numbers of poses.
 
     Raises:
         ModelError: Too few poses for the model, or a request that cannot be met.
@@ -128,32 +135,35 @@ def choose_poses(
     q = _not_taken(pool.q, taken)
     request.check(len(q))
     search = _Search.of(sensitivity, pool, q, taken, request.criterion)
-    fewest = search.fewest_poses
-    if request.count < fewest:
-        _refuse_too_few(search, request.count, fewest)
-    restarts = restarts if request.count <= _MANY else 1
-    chosen = choose(search.blocks, search.basis, request.count, request.seed, restarts, search.rank)
+    if request.count < search.fewest_poses:
+        _refuse_too_few(search, request.count)
+    chosen = search.best(request, restarts)
+    planned = search.forecast(chosen)
+    ladder = _ladder(search, request, planned, progress)
     rng = np.random.default_rng([request.seed, 1])
     others = rng.permutation(np.setdiff1d(np.arange(len(q)), chosen))
-    plan = search.forecast(chosen)
-    rungs = _rungs(request, fewest, len(q))
-    ladder = _ladder(search, rungs, request.count, plan, progress)
-    draws = [
-        search.forecast(rng.choice(len(q), request.count, replace=False)) for _ in range(_RANDOM)
-    ]
-    draws.sort(key=lambda forecast: forecast.rms)
     return Choice(
         planned=read_only(q[chosen]),
         validation=read_only(q[others[: request.validation]]),
-        forecast=plan,
+        forecast=planned,
         before=search.forecast(chosen[:0]) if len(taken) else None,
-        at_random=draws[_RANDOM // 2],
+        at_random=_median_at_random(search, request.count, rng),
         ladder=ladder,
     )
 
 
 def _not_taken(q: Array, taken: Array) -> Array:
-    """Return the candidates that are none of the poses measured already, whole turns of joints aside."""
+    """Return the candidates that are none of the poses measured already, whole turns of joints aside.
+
+    A candidate within 1e-3 rad or m of a pose in every joint is that pose.
+
+    Args:
+        q: Joint values of the candidates, shape (n, m), [rad] or for sliding joints [m].
+        taken: Joint values of the poses measured already, shape (T, m), [rad] or [m].
+
+    Returns:
+        The other candidates, shape (n or fewer, m), in the same order.
+    """
     repeated = np.zeros(len(q), dtype=np.bool_)
     for pose in taken:
         gap = np.remainder(q - pose + np.pi, 2.0 * np.pi) - np.pi
@@ -161,28 +171,59 @@ def _not_taken(q: Array, taken: Array) -> Array:
     return q[~repeated]
 
 
+def _median_at_random(search: _Search, count: int, rng: np.random.Generator) -> Forecast:
+    """Forecast fits of the poses taken and random candidates, and return the one whose rms is the median of nine.
+
+    Args:
+        search: The candidates and the poses taken.
+        count: Number of candidates of each draw.
+        rng: Draws the candidates; its state advances.
+    """
+    forecasts = []
+    for _ in range(_RANDOM):
+        drawn = rng.choice(len(search.q), count, replace=False)
+        forecasts.append(search.forecast(drawn))
+    forecasts.sort(key=lambda forecast: forecast.rms)
+    return forecasts[_RANDOM // 2]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Search:
     """Candidates, differentiated and along a basis, ready to be chosen from."""
 
+    #: The nominal robot in its cell under the error model of the fit.
     sensitivity: Sensitivity
-    #: Where accuracy counts
+    #: Poses over which accuracy counts.
     workspace: Workspace
-    #: (n, m), the candidates [rad] or [m]
+    #: Shape (n, m), the candidates [rad] or [m].
     q: Array
-    #: (T, m), poses measured already
+    #: Shape (T, m), poses measured already [rad] or [m].
     taken: Array
-    #: (n, d, r), their whitened derivatives along the basis
+    #: Shape (n, d, r), whitened derivatives at the candidates of the d scalars measured, along the basis.
     blocks: Array
+    #: Directions of the parameters that the candidates can tell apart, r of them.
     basis: Basis
-    #: (n,), `ranking` of the candidates
+    #: Shape (n,), `ranking` of the candidates.
     rank: Array
 
     @classmethod
     def of(
-        cls, sensitivity: Sensitivity, pool: Pool, q: Array, taken: Array, criterion: str
+        cls,
+        sensitivity: Sensitivity,
+        pool: Pool,
+        q: Array,
+        taken: Array,
+        criterion: str,
     ) -> _Search:
-        """Differentiate candidates and find the basis of a criterion."""
+        """Differentiate what is measured at candidates, and find the basis of a criterion.
+
+        Args:
+            sensitivity: The nominal robot in its cell under the error model of the fit.
+            pool: Gives the poses over which accuracy counts, ``pool.workspace``.
+            q: Joint values of the candidates, shape (n, m), [rad] or for sliding joints [m].
+            taken: Joint values of poses measured already, shape (T, m), [rad] or [m]; T may be 0.
+            criterion: ``"V"``, ``"D"`` or ``"A"``, see `PlanRequest.criterion`.
+        """
         measured = sensitivity.measured(q)
         workspace = Workspace.of(sensitivity, pool.workspace)
         known = np.diag(sensitivity.precision)
@@ -196,19 +237,50 @@ class _Search:
 
     @property
     def fewest_poses(self) -> int:
-        """Number of poses that is needed for the rank of the workspace, besides those taken; at least 1."""
+        """Number of poses needed besides those taken, so that there are as many scalars as identifiable parameters.
+
+        At least 1. By the rank of the workspace, and the scalars measured at one pose.
+        """
         scalars: int = self.blocks.shape[1]
         needed = -(-self.workspace.rank // scalars)
         return max(1, needed - len(self.taken))
 
+    def best(self, request: PlanRequest, restarts: int) -> Indices:
+        """Choose the best candidates that are found, by the criterion of the basis.
+
+        Args:
+            request: Gives the number of poses to fit, ``count``, and the ``seed`` of the random starts.
+            restarts: Number of random starts, for up to 100 poses; of more, there is one start.
+
+        Returns:
+            Shape (count,), indices of the candidates in ``q``, from 0.
+        """
+        if request.count > _MANY:
+            restarts = 1
+        return choose(self.blocks, self.basis, request.count, request.seed, restarts, self.rank)
+
     def forecast(self, indices: Indices) -> Forecast:
-        """Forecast a fit of the poses taken and some candidates."""
+        """Forecast a fit of measurements at the poses taken and at some candidates.
+
+        Args:
+            indices: Shape (K,), of candidates in ``q``, from 0; empty: the poses taken alone.
+        """
         q = np.concatenate([self.taken, self.q[indices]])
         return Forecast.of(self.sensitivity, self.workspace, q)
 
 
 def _weight(criterion: str, sensitivity: Sensitivity, workspace: Workspace) -> Array | None:
-    """Return W or B of a criterion, shape (p, p); None for ``D``."""
+    """Return the matrix T of a criterion tr(T C), with the covariance C of the p parameters.
+
+    Args:
+        criterion: ``"A"``: the mean variance of the parameters, in their declared steps; ``"V"``: that of a predicted
+            position over the workspace; ``"D"``: the determinant, which has no such matrix.
+        sensitivity: Gives the units of the parameters.
+        workspace: Derivatives of positions by the parameters, over which ``"V"`` takes the mean of J^T J.
+
+    Returns:
+        Shape (p, p): W = 1 / step^2 on the diagonal for ``A``, B = mean J^T J for ``V``; None for ``D``.
+    """
     if criterion == "D":
         return None
     if criterion == "A":
@@ -218,21 +290,38 @@ def _weight(criterion: str, sensitivity: Sensitivity, workspace: Workspace) -> A
     return information(workspace.located) / positions
 
 
-def _refuse_too_few(search: _Search, count: int, fewest: int) -> None:
-    """Raise the error that the model has more parameters than the poses give numbers."""
+def _refuse_too_few(search: _Search, count: int) -> None:
+    """Raise the error that the model has more identifiable parameters than the poses give numbers.
+
+    Args:
+        search: The candidates, the model, and the poses taken.
+        count: Number of poses that were wanted besides those taken.
+
+    Raises:
+        ModelError: Always.
+    """
     taken = len(search.taken)
     numbers = search.blocks.shape[1] * (count + taken)
     before = f" with the {taken} measured already" if taken else ""
     raise ModelError(
         f"{count} poses give {numbers} numbers{before}, and the model "
         f"'{search.sensitivity.kinematics.model.name}' has {search.workspace.rank} identifiable "
-        f"parameters: at least {fewest} poses are needed, twice as many are better. Ask for more "
+        f"parameters: at least {search.fewest_poses} poses are needed, twice as many are better. Ask for more "
         "poses, or choose a smaller --model."
     )
 
 
 def _rungs(request: PlanRequest, fewest: int, candidates: int) -> list[int]:
-    """Return the numbers of poses that are forecast, in rising order, that of the plan among them."""
+    """Return the numbers of poses that are forecast, in rising order, that of the plan among them.
+
+    Args:
+        request: Gives the number of poses of the plan, and whether others are forecast at all.
+        fewest: Least number that determines the parameters; smaller ones are left out.
+        candidates: Number of poses to choose from; larger numbers are left out, and those above 300.
+
+    Returns:
+        From half to three times the plan's number; nothing where ``request.ladder`` is False.
+    """
     if not request.ladder:
         return []
     numbers = {request.count, *(round(share * request.count) for share in _RUNGS)}
@@ -241,24 +330,28 @@ def _rungs(request: PlanRequest, fewest: int, candidates: int) -> list[int]:
 
 
 def _ladder(
-    search: _Search, rungs: list[int], count: int, plan: Forecast, progress: Progress | None
+    search: _Search, request: PlanRequest, planned: Forecast, progress: Progress | None
 ) -> tuple[tuple[int, Forecast], ...]:
-    """Forecast other numbers of poses; each design starts from the one before it.
+    """Forecast other numbers of poses than the plan's; each design starts from the one before it.
 
     Args:
-        search: The candidates.
-        rungs: The numbers, in rising order.
-        count: That of the plan.
-        plan: Its forecast.
-        progress: Called with the forecasts done and all.
+        search: The candidates and the poses taken.
+        request: Gives the number of poses of the plan, and whether others are forecast at all.
+        planned: Forecast of the plan itself.
+        progress: Called with the number of forecasts done and of all; None: nothing is called.
+
+    Returns:
+        Numbers of poses besides those taken, in rising order, that of the plan among them, and the forecast for each;
+        empty where ``request.ladder`` is False.
     """
+    rungs = _rungs(request, search.fewest_poses, len(search.q))
     short = short_list(search.rank, max(_LADDER_POOL, *rungs, 0))
     few = search.blocks[short]
     design = np.zeros(0, dtype=np.int_)
     ladder: list[tuple[int, Forecast]] = []
     for number in rungs:
-        if number == count:
-            ladder.append((number, plan))
+        if number == request.count:
+            ladder.append((number, planned))
         else:
             design, _ = exchange(few, search.basis, design, number)
             ladder.append((number, search.forecast(short[design])))

@@ -72,15 +72,15 @@ class Route(NamedTuple):
 class _Move(NamedTuple):
     """Change of a path: a piece of it is put elsewhere, or turned where it is."""
 
-    #: Change of the path's cost; negative: it gets shorter
+    #: Change of the path's cost [rad or m]; negative: it gets shorter.
     gain: float
-    #: First place of the piece
+    #: First place of the piece, from 0, the begin of the path.
     first: int
-    #: Number of its places
+    #: Number of its places.
     length: int
-    #: Its first place afterwards
+    #: Its first place afterwards.
     place: int
-    #: Whether it is reversed
+    #: Whether it is reversed.
     turned: bool
 
 
@@ -90,27 +90,26 @@ def order(q: Array, start: Array | None = None, free_path: FreePath | None = Non
     A joint that can turn without end does not take the short way round, for controllers do not.
 
     Args:
-        q: The poses, shape (N, m), [rad] or [m].
-        start: The robot's pose before the first move, shape (m,); None: the path begins at any pose.
-        free_path: Tests a straight move; None: all are free.
+        q: Joint values of the poses, shape (N, m), [rad] or for sliding joints [m].
+        start: The robot's joint values before the first move, shape (m,), [rad] or [m]; None: the path begins at any
+            pose.
+        free_path: Function of the joint values of two poses, shape (m,) each, that returns whether the straight move
+            between them is free, the same there and back; None: all moves are free.
 
     Returns:
-        The path; of its blocked moves ``by`` is None.
+        The poses in the order to drive, the index in ``q`` of each (from 0), the sum over all moves of the largest move
+        of a joint [rad or m], and the moves that are blocked, by their places in the order (from 1; 0: ``start``), each
+        with ``by`` None.
     """
     count = len(q)
     if count == 0:
         return Route(q, np.arange(0), 0.0, ())
     poses = q if start is None else np.vstack([q, start])
     costs = _costs(poses, count)
-    first_poses = {*np.linspace(0, count - 1, _BEGINNINGS).astype(int).tolist()}
-    if costs[count, :count].any():
-        first_poses = {count}
-    paths = [_improved(_nearest(costs, first), costs) for first in sorted(first_poses)]
-    shortest = min(paths, key=lambda path: _length(path, costs))
-    path = _kicked(shortest, costs)
+    path = _kicked(_best_beginning(costs), costs)
     tested: dict[tuple[int, int], bool] = {}
     if free_path is not None:
-        path = _around_blocked_moves(path, costs, poses, free_path, tested)
+        path, tested = _around_blocked_moves(path, costs, poses, free_path)
     blocked = []
     for k, move in enumerate(pairwise(path[:-1].tolist())):
         if not tested.get(move, True):
@@ -119,17 +118,38 @@ def order(q: Array, start: Array | None = None, free_path: FreePath | None = Non
     return Route(read_only(q[indices]), indices, _length(path, costs), tuple(blocked))
 
 
+def _best_beginning(costs: Array) -> Indices:
+    """Return the shortest of several nearest neighbour paths that are improved.
+
+    They begin at poses spread over all; where the move from the start costs something, at the one nearest to the start.
+
+    Args:
+        costs: Costs of moves [rad or m], shape (count + 2, count + 2), those of begin and finish last, see `_costs`.
+
+    Returns:
+        The path, shape (count + 2,): ``count`` (begin), the poses 0 to count - 1 in order, ``count + 1`` (finish).
+    """
+    count = len(costs) - 2
+    first_poses = {*np.linspace(0, count - 1, _BEGINNINGS).astype(int).tolist()}
+    if costs[count, :count].any():
+        first_poses = {count}
+    paths = [_improved(_nearest(costs, first), costs) for first in sorted(first_poses)]
+    return min(paths, key=lambda path: _length(path, costs))
+
+
 def _costs(poses: Array, count: int) -> Array:
     """Return the costs of moves between poses, and between them and the ends of a path.
 
-    The two ends come last, begin and finish: beginning costs the move from the start, and nothing without one.
+    A move costs the largest move of a joint, max_k |q_bk - q_ak|. The two ends come last, begin and finish: beginning
+    costs the move from the start, and nothing without one; finishing costs nothing.
 
     Args:
-        poses: shape (count, m), or (count + 1, m) with the start.
+        poses: Joint values, shape (count, m), or (count + 1, m) with the robot's start as the last row, [rad] or for
+            sliding joints [m].
         count: Number of poses to order.
 
     Returns:
-        shape (count + 2, count + 2).
+        Costs [rad or m], shape (count + 2, count + 2), symmetric; index ``count`` is begin, ``count + 1`` finish.
     """
     # Not above: it takes long to import.
     from scipy.spatial.distance import cdist
@@ -140,21 +160,23 @@ def _costs(poses: Array, count: int) -> Array:
 
 
 def _around_blocked_moves(
-    path: Indices,
-    costs: Array,
-    poses: Array,
-    free_path: FreePath,
-    tested: dict[tuple[int, int], bool],
-) -> Indices:
+    path: Indices, costs: Array, poses: Array, free_path: FreePath
+) -> tuple[Indices, dict[tuple[int, int], bool]]:
     """Improve a path with a penalty on the moves of it that are blocked, until it has no untested ones.
 
     Args:
-        path: With its ends.
-        costs: Of moves.
-        poses: The poses, and the start if there is one.
-        free_path: Tests a straight move.
-        tested: Whether a move is free, by its poses; what is tested is added to it.
+        path: Path with both ends, shape (count + 2,): ``count`` (begin), the poses 0 to count - 1 in order,
+            ``count + 1`` (finish).
+        costs: Costs of moves [rad or m], shape (count + 2, count + 2), see `_costs`.
+        poses: Joint values, shape (count, m), or (count + 1, m) with the robot's start as the last row, [rad] or [m].
+        free_path: Function of the joint values of two poses, shape (m,) each, that returns whether the straight move
+            between them is free.
+
+    Returns:
+        The improved path with both ends; and whether each move that was tested is free, by the indices of its two
+        poses, there and back.
     """
+    tested: dict[tuple[int, int], bool] = {}
     # More than any path costs: one blocked move less is worth every detour.
     penalty = float(costs.max()) * len(costs) + 1.0
     penalised = costs.copy()
@@ -171,7 +193,7 @@ def _around_blocked_moves(
                 penalised[[a, b], [b, a]] += penalty
                 found_blocked = True
         if is_kicked and not found_blocked:
-            return path
+            return path, tested
         # Kicks take longest: only once no further move of the path is blocked.
         if found_blocked:
             path, is_kicked = _improved(path, penalised), False
@@ -183,11 +205,11 @@ def _nearest(costs: Array, first: int) -> Indices:
     """Return the path that always goes on to the nearest pose that is left.
 
     Args:
-        costs: shape (count + 2, count + 2).
-        first: The pose that it begins at; ``count``: the nearest one to the begin.
+        costs: Costs of moves [rad or m], shape (count + 2, count + 2), those of begin and finish last, see `_costs`.
+        first: Index of the first pose, from 0; ``count``: the pose nearest to the begin comes first.
 
     Returns:
-        shape (count + 2,), with both ends.
+        The path with both ends, shape (count + 2,): ``count`` (begin), the poses in order, ``count + 1`` (finish).
     """
     count = len(costs) - 2
     remaining = np.arange(count) != first
@@ -201,12 +223,27 @@ def _nearest(costs: Array, first: int) -> Indices:
 
 
 def _length(path: Indices, costs: Array) -> float:
-    """Return the cost of a path with its ends."""
+    """Return the length of a path, the sum of the costs of its moves [rad or m].
+
+    Args:
+        path: Indices of poses and both ends in order, shape (count + 2,).
+        costs: Costs of moves [rad or m], shape (count + 2, count + 2), see `_costs`.
+    """
     return float(costs[path[:-1], path[1:]].sum())
 
 
 def _improved(path: Indices, costs: Array) -> Indices:
-    """Improve a path by 2-opt and or-opt, the best move first, until none gains; its ends stay where they are."""
+    """Improve a path by 2-opt and or-opt, the best change first, until none makes it shorter; its ends stay.
+
+    2-opt reverses a piece of the path, or-opt puts a piece of up to 3 poses elsewhere.
+
+    Args:
+        path: Indices of poses and both ends in order, shape (count + 2,).
+        costs: Costs of moves [rad or m], shape (count + 2, count + 2), symmetric, see `_costs`.
+
+    Returns:
+        The improved path, of the same shape.
+    """
     least_gain = _ROUNDING * max(float(costs.max()), 1e-300)
     barred = _barred(len(path))
     while True:
@@ -224,14 +261,17 @@ def _improved(path: Indices, costs: Array) -> Indices:
 
 @lru_cache(maxsize=64)
 def _barred(size: int) -> tuple[Array, ...]:
-    """Return the moves that a path cannot make, as infinite costs.
+    """Return the changes that a path cannot make, as infinite costs, to be added to those of all changes.
 
     Args:
         size: Number of places of the path, its ends included.
 
     Returns:
-        First turns of pieces that end before they begin, (size - 2, size - 2); then, for pieces of one place, two
-        places, ..., putting them inside of themselves, (first place of the piece, gap between places).
+        Arrays of 0 and infinity. First for the reversal of pieces, by first and last place, each from 1, shape
+        (size - 2, size - 2): infinite where a piece would end before it begins or have one place. Then for pieces of
+        one, two and three places that are put elsewhere, by the first place of the piece, from 1, and the place before
+        the gap where it is put, from 0, shape (size - length - 1, size - 1): infinite where the gap is inside of the
+        piece or beside it.
     """
     forbidden = [np.tri(size - 2, dtype=np.bool_)]
     for length in range(1, min(_PIECE, size - 3) + 1):
@@ -245,32 +285,81 @@ def _best_moves(costs: Array, barred: tuple[Array, ...]) -> Iterator[_Move]:
     """Yield the best 2-opt move, and the best or-opt moves of each length of a piece.
 
     Args:
-        costs: shape (size, size), symmetric, the costs between the places of the path.
-        barred: See `_barred`.
+        costs: Costs of moves between the places of the path [rad or m], shape (size, size), symmetric; the first place
+            and the last are its ends.
+        barred: Infinite for moves that the path cannot make, else 0, see `_barred`.
 
     Yields:
-        Moves. Their gain is what they add to the length of the path, so that of a move which shortens it is negative.
+        Changes of the path. The gain of each is what it adds to the length of the path [rad or m], so that of a change
+        which shortens it is negative. Places count from 0, the begin of the path.
+    """
+    yield _best_turn(costs, barred[0])
+    for length, of_this_length in enumerate(barred[1:], start=1):
+        yield from _best_shifts(costs, of_this_length, length)
+
+
+def _best_turn(costs: Array, barred: Array) -> _Move:
+    """Find the piece of a path whose reversal shortens it most: the best 2-opt move.
+
+    Reversing the places i to j replaces the steps (i - 1, i) and (j, j + 1) by (i - 1, j) and (i, j + 1).
+
+    Args:
+        costs: Costs of moves between the places of the path [rad or m], shape (size, size), symmetric.
+        barred: Infinite for pieces that end before they begin, else 0, shape (size - 2, size - 2), by first and last
+            place, each from 1.
+    """
+    step = np.diagonal(costs, 1)  # from place i to i + 1
+    gain = costs[:-2, 1:-1] + costs[1:-1, 2:] - step[:-1, None] - step[1:] + barred
+    i, j = divmod(int(np.argmin(gain)), len(gain))
+    return _Move(float(gain[i, j]), i + 1, j - i + 1, i + 1, turned=True)
+
+
+def _best_shifts(costs: Array, barred: Array, length: int) -> Iterator[_Move]:
+    """Yield the best or-opt moves of pieces of one length: put elsewhere as they are, then put elsewhere reversed.
+
+    Args:
+        costs: Costs of moves between the places of the path [rad or m], shape (size, size), symmetric.
+        barred: Infinite for gaps that touch the piece or are inside of it, else 0, shape (size - length - 1, size - 1),
+            by the first place of the piece, from 1, and the place before the gap, from 0.
+        length: Number of places of a piece.
     """
     size = len(costs)
     step = np.diagonal(costs, 1)  # from place i to i + 1
-    gain = costs[:-2, 1:-1] + costs[1:-1, 2:] - step[:-1, None] - step[1:] + barred[0]
-    i, j = divmod(int(np.argmin(gain)), len(gain))
-    yield _Move(float(gain[i, j]), i + 1, j - i + 1, i + 1, turned=True)
-    for length, inside in enumerate(barred[1:], start=1):
-        # Rows of the pieces' first and last places; the gap that the piece leaves is closed by one step.
-        first = costs[1 : size - length]
-        last = costs[length : size - 1]
-        left = np.diagonal(costs, length + 1) - step[: size - length - 1] - step[length:]
-        fixed = left[:, None] - step + inside
-        for turned, head, tail in ((False, first, last), (True, last, first)):
-            gain = head[:, :-1] + tail[:, 1:] + fixed
-            a, b = divmod(int(np.argmin(gain)), gain.shape[1])
-            place = b + 1 if b <= a else b + 1 - length
-            yield _Move(float(gain[a, b]), a + 1, length, place, turned)
+    # Rows of the pieces' first and last places; the gap that the piece leaves is closed by one step.
+    first = costs[1 : size - length]
+    last = costs[length : size - 1]
+    closing = np.diagonal(costs, length + 1) - step[: size - length - 1] - step[length:]
+    fixed = closing[:, None] - step + barred
+    for head, tail, turned in ((first, last, False), (last, first, True)):
+        gain = head[:, :-1] + tail[:, 1:] + fixed
+        yield _best_insertion(gain, length, turned=turned)
+
+
+def _best_insertion(gain: Array, length: int, *, turned: bool) -> _Move:
+    """Return the or-opt move with the least gain.
+
+    Args:
+        gain: What each move adds to the length of the path [rad or m], by the first place of the piece, from 1, and the
+            place before the gap where it is put, from 0.
+        length: Number of places of the piece.
+        turned: Whether the piece is reversed.
+    """
+    row, gap = divmod(int(np.argmin(gain)), gain.shape[1])
+    # Places behind the piece move up when it is taken out.
+    place = gap + 1 if gap <= row else gap + 1 - length
+    return _Move(float(gain[row, gap]), row + 1, length, place, turned)
 
 
 def _kicked(path: Indices, costs: Array) -> Indices:
-    """Improve a path by iterated local search: perturb it, improve that, and keep it if it is no longer."""
+    """Improve a path by iterated local search: perturb it, improve that, and keep it unless it is longer.
+
+    Args:
+        path: Indices of poses and both ends in order, shape (count + 2,).
+        costs: Costs of moves [rad or m], shape (count + 2, count + 2), see `_costs`.
+
+    Returns:
+        The path, of the same shape; the same one for the same path and costs, for the seed is fixed.
+    """
     random = np.random.default_rng(0)
     length = _length(path, costs)
     for k in range(_number_of_kicks(len(path))):
@@ -283,18 +372,22 @@ def _kicked(path: Indices, costs: Array) -> Indices:
 
 
 def _number_of_kicks(size: int) -> int:
-    """Return the number of kicks for a path of so many places, its ends included."""
+    """Return the number of perturbations that are tried on a path: 200 of a short one, at least 4, none below 5 places.
+
+    Args:
+        size: Number of places of the path, its ends included.
+    """
     if size < 5:
         return 0
     return max(min(_KICKS, int(_KICK_WORK / size**2)), 4)
 
 
 def _perturbed(path: Indices, random: np.random.Generator, *, swap: bool) -> Indices:
-    """Return a path in which stretches are swapped, or a few poses shuffled.
+    """Return a path in which two neighbouring stretches are swapped, or a few poses in a row shuffled, at random.
 
     Args:
-        path: With its ends, which stay.
-        random: Draws the places.
+        path: Indices of poses and both ends in order, shape (count + 2,); the ends stay.
+        random: Draws the places; its state advances.
         swap: Whether two neighbouring stretches change places, which neither 2-opt nor or-opt can undo; of few poses a
             stretch is shuffled always.
     """

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from calib import example
 from calib.data.cell import Box
-from calib.design.collision import CollisionCheck, CollisionModel
+from calib.design.collision import CollisionCheck, CollisionModel, _check_of_owners, _is_always
 from calib.robot.ranges import spread_poses
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
@@ -159,6 +159,42 @@ def test_a_path_is_checked_between_its_ends():
     assert model.free(blocked).tolist() == [False]
     assert model.path_free(blocked, blocked) is False
     assert model.path_free([0.0, 0.0, 0.0], blocked) is False
+
+
+@pytest.mark.parametrize(("touching", "always"), [(19, True), (18, False)])
+def test_owners_always_touch_where_some_pair_does_at_95_percent_of_the_samples(touching, always):
+    touched = np.zeros((20, 2), dtype=bool)
+    touched[:touching:2, 0] = touched[1:touching:2, 1] = True
+    assert _is_always(touched) is always
+
+
+class Gaps:
+    """Samples at which the gaps of pairs are known, shape (N, pairs) [m]."""
+
+    def __init__(self, *gaps_by_sample):
+        self.gaps = np.array(gaps_by_sample)
+
+    def touched(self, pairs, margin):
+        assert len(pairs) == self.gaps.shape[1]
+        return self.gaps < margin
+
+
+@pytest.mark.parametrize(
+    ("gaps_by_sample", "is_box", "expected"),
+    [
+        # Closer than the clearance now and then: counted at the clearance.
+        ([(0.02, 0.2), (0.2, 0.2)], False, ([(0.05, 1), (0.05, 0)], None)),
+        # Some pair is always closer than it: counted where they touch.
+        ([(0.02, 0.2), (0.2, -0.1)], False, ([(0.0, 0), (0.0, 1)], "always_close")),
+        ([(-0.02, 0.2), (0.2, -0.1)], False, ([], "always_touching")),
+        # A box must not be touched all the same.
+        ([(-0.02, 0.2), (0.2, -0.1)], True, ([(0.05, 1), (0.05, 1)], None)),
+    ],
+)
+def test_how_owners_are_checked_depends_on_how_often_they_touch(gaps_by_sample, is_box, expected):
+    owners_check = _check_of_owners(Gaps(*gaps_by_sample), [(0, 2), (1, 2)], 0.05, is_box=is_box)
+    kept = [(pair.margin, pair.times) for pair in owners_check.kept]
+    assert (kept, owners_check.remark) == expected
 
 
 # --- Targets and what holds them, and the mounting plane ------------------------------------------------------------

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.sparse.csgraph import minimum_spanning_tree
 
-from calib.design.ordering import order
+from calib.design.ordering import _barred, _best_shifts, _best_turn, order
 
 
 def moves(q):
@@ -96,3 +96,62 @@ def test_blocked_moves_are_avoided_and_few_are_asked_for():
     assert len(asked) < 200  # of 435
     assert is_order(tour, 30)
     assert tour.length == pytest.approx(cost_of(tour, q, start=np.array([-3.0, 0.0])), rel=1e-12)
+
+
+# Changes of a path
+
+
+def symmetric_costs(size):
+    costs = np.random.default_rng(size).uniform(0.1, 1.0, (size, size))
+    return costs + costs.T
+
+
+def along(path, costs):
+    return costs[path[:-1], path[1:]].sum()
+
+
+def turns(size):
+    """Every path that differs from 0, 1, ... by one reversed piece, the ends apart."""
+    for first, last in itertools.combinations(range(1, size - 1), 2):
+        path = list(range(size))
+        path[first : last + 1] = path[first : last + 1][::-1]
+        yield path
+
+
+def shifts(size, length, turned):
+    """Every path that differs from 0, 1, ... by one piece that was put elsewhere, the ends apart."""
+    for first in range(1, size - length):
+        piece = list(range(first, first + length))
+        remaining = [place for place in range(size) if place not in piece]
+        for place in range(1, len(remaining)):
+            if place != first:
+                yield remaining[:place] + piece[:: -1 if turned else 1] + remaining[place:]
+
+
+def changed(move, size):
+    """The path 0, 1, ... after a move."""
+    piece = list(range(move.first, move.first + move.length))
+    remaining = [place for place in range(size) if place not in piece]
+    return remaining[: move.place] + piece[:: -1 if move.turned else 1] + remaining[move.place :]
+
+
+def is_best(move, paths, costs):
+    """Whether a move has the gain that it says, and none of the paths is shorter than it makes this one."""
+    size = len(costs)
+    shortest = min(along(path, costs) for path in map(np.array, paths))
+    length = along(np.array(changed(move, size)), costs)
+    said = along(np.arange(size), costs) + move.gain
+    return length == pytest.approx(shortest, rel=1e-12) == said
+
+
+@pytest.mark.parametrize("size", [5, 9])
+def test_the_best_changes_of_a_path_are_the_best_of_all(size):
+    costs = symmetric_costs(size)
+    of_turns, *of_lengths = _barred(size)
+    assert is_best(_best_turn(costs, of_turns), turns(size), costs)
+    for length, barred in enumerate(of_lengths, start=1):
+        as_it_is, turned = _best_shifts(costs, barred, length)
+        assert (as_it_is.turned, turned.turned) == (False, True)
+        for move in (as_it_is, turned):
+            assert move.length == length
+            assert is_best(move, shifts(size, length, move.turned), costs)
