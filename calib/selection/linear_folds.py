@@ -227,12 +227,12 @@ def _fold_estimates(
         Offsets from the registered start like ``fitted.estimate.x``, shape (F, p), and degrees of freedom that each
         fold leaves for the noise, shape (F,); infinite where they were not counted.
     """
-    task, rows = fitted.task, fitted.estimate.problem.rows
+    rows = fitted.estimate.problem.rows
     largest_share = masks.mean(axis=1).max()
     if len(rows) >= _MANY and largest_share < _SMALL_SHARE:
         not_counted = np.full(len(masks), np.inf)
         return fold_posterior_means(fitted, linear, masks), not_counted
-    weighting = Weighting.of(task.cell.repeats, task.robust, rows)
+    weighting = Weighting.of(fitted.task.cell.repeats, fitted.task.robust, rows)
     size = max(_AT_A_TIME // len(rows), 1)
     x, freedom = [], []
     for first in range(0, len(masks), size):
