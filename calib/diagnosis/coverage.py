@@ -75,7 +75,17 @@ def outside(
 
 
 def _distances(q: Array, low: float, span: float, kind: str) -> Array:
-    """Distance of values q (K,) of a joint from its range, which begins at ``low`` and is ``span`` long; 0 inside."""
+    """Distance of values of a joint from its measured range; 0 inside.
+
+    Args:
+        q: The values, shape (K,), [rad] or [m].
+        low: Where the range begins, [rad] or [m]; on the circle for a continuous joint.
+        span: Its length, [rad] or [m].
+        kind: The joint's URDF type.
+
+    Returns:
+        Distances from the nearer end, >= 0, shape (K,), [rad] or [m].
+    """
     if kind != "continuous":
         return np.asarray(np.maximum(0.0, np.maximum(low - q, q - low - span)))
     after = np.mod(q - low, 2.0 * np.pi) - span
@@ -94,13 +104,16 @@ def spread_of(tips: Array, everywhere: Array) -> float:
         The root mean square distance of the measured tips from their mean, over that of the others.
     """
     possible = _variance(everywhere)
-    # An arm whose tip cannot move at all has been measured everywhere.
-    return float(np.sqrt(_variance(tips) / possible)) if possible > 0.0 else 1.0
+    if not possible > 0.0:
+        # An arm whose tip cannot move at all has been measured everywhere.
+        return 1.0
+    return float(np.sqrt(_variance(tips) / possible))
 
 
 def _variance(points: Array) -> float:
-    """Mean squared distance of points (N, 3) from their mean [m^2]."""
-    return float(np.sum((points - points.mean(axis=0)) ** 2)) / max(len(points) - 1, 1)
+    """Variance of points (N, 3): their mean squared distance from their mean, over N - 1 [m^2]."""
+    from_mean = points - points.mean(axis=0)
+    return float(np.sum(from_mean**2)) / max(len(points) - 1, 1)
 
 
 def shares_of_ranges(joints: Array, ranges: Array, types: Sequence[str]) -> Array:
@@ -116,16 +129,28 @@ def shares_of_ranges(joints: Array, ranges: Array, types: Sequence[str]) -> Arra
     """
     spans = np.array([_range(q, kind)[1] for q, kind in zip(joints.T, types, strict=True)])
     turning = np.array([kind != "prismatic" for kind in types])
-    room = np.minimum(ranges[:, 1] - ranges[:, 0], np.where(turning, 2.0 * np.pi, np.inf))
+    most = np.where(turning, 2.0 * np.pi, np.inf)
+    room = np.minimum(ranges[:, 1] - ranges[:, 0], most)
     limited = (room > 0.0) & np.isfinite(room)
-    return np.where(limited, np.minimum(spans / np.where(limited, room, 1.0), 1.0), 1.0)
+    shares = spans / np.where(limited, room, 1.0)
+    return np.where(limited, np.minimum(shares, 1.0), 1.0)
 
 
 def _range(q: Array, kind: str) -> tuple[float, float]:
-    """Beginning and length of the range of a joint's measured values (N,) [rad or m]; on the circle if continuous."""
+    """Find the range of a joint's measured values.
+
+    Args:
+        q: The values, shape (N,), [rad] or [m].
+        kind: The joint's URDF type.
+
+    Returns:
+        Where the range begins and its length, [rad] or [m]. Of a continuous joint it is the circle without the largest
+        gap between values, and begins between 0 and 2 pi.
+    """
     if kind != "continuous":
         return float(q.min()), float(np.ptp(q))
     turned = np.sort(np.mod(q, 2.0 * np.pi))
     gaps = np.diff(turned, append=turned[0] + 2.0 * np.pi)
     widest = int(np.argmax(gaps))
-    return float(turned[(widest + 1) % len(turned)]), float(2.0 * np.pi - gaps[widest])
+    behind_gap = (widest + 1) % len(turned)
+    return float(turned[behind_gap]), float(2.0 * np.pi - gaps[widest])

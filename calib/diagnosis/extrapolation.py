@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
 from calib.estimate.fitting import Fitted
+from calib.estimate.linear import LinearProblem
 from calib.numerics.likelihood import GaussianPriors
 from calib.registration.rows import Rows
 from calib.units import Array, Mask
@@ -29,27 +33,68 @@ def extrapolation(fitted: Fitted) -> float:
     Returns:
         The ratio of squared errors, 1 or more; 1 where no end has enough rows.
     """
-    problem, estimate = fitted.estimate.problem, fitted.estimate
+    estimate = fitted.estimate
+    problem = estimate.problem
     masks = _outer_rows(problem.rows, estimate.weights > 0.0)
     if not masks:
         return 1.0
     linear = problem.linear(estimate.x)
-    noise = np.tile(estimate.noise, (len(masks), 1))
+    noise_by_scalar = linear.noise_by_scalar(np.array([estimate.noise]))[0]
+    A = linear.A / noise_by_scalar[:, :, None]
+    beyond, expected = 0.0, 0.0
+    for mask, inner in zip(masks, _fits_to_others(fitted, linear, masks), strict=True):
+        counts = linear.used[mask] * problem.weights[mask][:, None]
+        excess = inner.residual[mask] ** 2 - 1.0
+        variances = _variances(A[mask], inner.covariance)
+        beyond += float(np.sum(counts * excess))
+        expected += float(np.sum(counts * variances))
+    if not expected > 0.0:
+        return 1.0
+    return max(beyond / expected, 1.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _FitToOthers:
+    """A fit to the rows that are not at one end of a joint's values; N rows of up to D scalars, p parameters."""
+
+    #: (N, D), residual of all rows, measured minus predicted, over the noise of each scalar
+    residual: Array
+    #: (p, p), covariance of the parameters
+    covariance: Array
+
+
+def _fits_to_others(
+    fitted: Fitted, linear: LinearProblem, masks: Sequence[Mask]
+) -> list[_FitToOthers]:
+    """Fit the linearised problem without the rows of each mask, at noise and priors of the fit to all rows.
+
+    Args:
+        fitted: The fit to all N rows.
+        linear: Its problem, linearised at its solution.
+        masks: True for the rows that a fit leaves out, each of shape (N,).
+
+    Returns:
+        A fit for each mask, in their order.
+    """
+    problem = fitted.estimate.problem
+    noise = np.tile(fitted.estimate.noise, (len(masks), 1))
     weights = np.where(np.array(masks), 0.0, problem.weights)
     priors = GaussianPriors(problem.precision, problem.centre)
     x, covariance, _ = linear.fit(weights, problem.rho, noise, priors)
-    whitened = linear.residual(x) / linear.noise_by_scalar(noise)
-    A = linear.A / linear.noise_by_scalar(noise[:1])[0][:, :, None]
-    beyond, expected = 0.0, 0.0
-    for mask, r, C in zip(masks, whitened, covariance, strict=True):
-        counts = linear.used[mask] * problem.weights[mask][:, None]
-        beyond += float(np.sum(counts * (r[mask] ** 2 - 1.0)))
-        expected += float(np.sum(counts * _variances(A[mask], C)))
-    return max(beyond / expected, 1.0) if expected > 0.0 else 1.0
+    residual = linear.residual(x) / linear.noise_by_scalar(noise)
+    return [_FitToOthers(r, C) for r, C in zip(residual, covariance, strict=True)]
 
 
 def _variances(A: Array, C: Array) -> Array:
-    """Variance of each predicted scalar, (n, D), by parameters of covariance C (p, p) and derivative A (n, D, p)."""
+    """Variance of each predicted scalar, diag(A C A^T).
+
+    Args:
+        A: Derivative of n rows of D scalars by p parameters, shape (n, D, p), in units of each scalar's noise.
+        C: Covariance of the parameters, shape (p, p).
+
+    Returns:
+        Variances, shape (n, D), in units of each scalar's noise squared.
+    """
     return np.asarray(np.einsum("ndp,pq,ndq->nd", A, C, A, optimize=True))
 
 
@@ -61,13 +106,15 @@ def _outer_rows(rows: Rows, weighted: Mask) -> list[Mask]:
         weighted: Rows with a weight in the fit, shape (N,); the ends are those of their values.
 
     Returns:
-        A mask of shape (N,) for each end.
+        A mask of shape (N,), True at the rows of the end, for each end that is used.
     """
     masks = []
     for q in rows.joints.T:
         low, high = np.quantile(q[weighted], [_OUTER, 1.0 - _OUTER])
+        if not low < high:
+            continue
         for outer in (q <= low, q >= high):
             mask = rows.with_partners(outer)
-            if low < high and _FEWEST_OUTER <= np.sum(mask) < 0.5 * len(rows):
+            if _FEWEST_OUTER <= np.sum(mask) < 0.5 * len(rows):
                 masks.append(mask)
     return masks

@@ -49,7 +49,7 @@ class FurtherUnknowns:
     covariance: Array
     #: Shape (p,), the parameters of the fit, estimated jointly with ``b``
     x: Array
-    #: shape (p,), to which share the measurements, and not the prior, determine each parameter, 0 to 1
+    #: Shape (p,), to which share the measurements, and not the prior, determine each parameter, 0 to 1
     determined: Array
     #: Prior standard deviation of each family, estimated anew
     prior_std: Mapping[str, float]
@@ -64,7 +64,8 @@ class FurtherUnknowns:
         Returns:
             The p-value.
         """
-        directions = np.eye(len(self.b)) if directions is None else directions
+        if directions is None:
+            directions = np.eye(len(self.b))
         b = directions @ self.b
         C = directions @ self.covariance @ directions.T
         square = float(b @ np.linalg.solve(C, b))
@@ -85,44 +86,60 @@ def estimate_jointly(
     """Estimate further unknowns jointly with the parameters of a fit, whose linearisation and row weights stay.
 
     Args:
-        fitted: A fit with priors, not by the paper's solver.
-        columns: shape (N, D, k), derivative of the predicted scalars [m], [rad] by each unknown.
-        of_distances: shape (K, k), derivative of the predicted known distances between frames [m]; None for zero.
-        held: shape (p,), parameters that b replaces, which are held at zero; None for none.
+        fitted: A fit with priors of p parameters to N rows of D scalars, not by the paper's solver.
+        columns: Derivative of the predicted scalars [m], [rad] by each of k unknowns, shape (N, D, k).
+        of_distances: Derivative of the K predicted known distances between frames [m], shape (K, k); None for zero.
+        held: True for the parameters that b replaces, which are held at zero, shape (p,); None for none.
 
     Returns:
         The unknowns, and the parameters estimated with them.
     """
-    estimate = fitted.estimate
     wider = _with_unknowns(fitted, columns, of_distances)
     prior = _prior_with_unknowns(fitted, columns.shape[2], held)
-    prior_std = [estimate.prior_std.get(name, 1.0) for name in prior.names]
-    weights = estimate.problem.weights[None]
-    stage = Stage(
-        prior,
-        weights > 0.0,
-        weights,
-        np.ones(weights.shape),
-        np.array([estimate.noise]),
-        np.array([prior_std]),
-        estimate.problem.rho[None],
-    )
-    stage = stage.by_likelihood(wider, robust=False)
+    stage = _stage_at(fitted, prior).by_likelihood(wider, robust=False)
     fits = stage.fit(wider)
     values, covariance = fits[0][0], fits[1][0]
-    p = len(estimate.x)
+    p = len(fitted.estimate.x)
+    shares_of_prior = np.diag(covariance)[:p] * stage.priors.precision[0, :p]
     estimated_std = stage.prior_std[0].tolist()
     return FurtherUnknowns(
         b=values[p:],
         covariance=covariance[p:, p:],
         x=values[:p],
-        determined=1.0 - np.diag(covariance)[:p] * stage.priors.precision[0, :p],
+        determined=1.0 - shares_of_prior,
         prior_std=dict(zip(prior.names, estimated_std, strict=True)),
     )
 
 
+def _stage_at(fitted: Fitted, prior: PriorTerms) -> Stage:
+    """Make the stage of an estimation that begins at the weights, noise and prior standard deviations of a fit.
+
+    Args:
+        fitted: A fit to N rows.
+        prior: Its priors, perhaps with those of further unknowns.
+    """
+    estimate = fitted.estimate
+    weights = estimate.problem.weights[None]
+    prior_std = [estimate.prior_std.get(name, 1.0) for name in prior.names]
+    return Stage(
+        prior=prior,
+        kept=weights > 0.0,
+        weights=weights,
+        share=np.ones(weights.shape),
+        noise=np.array([estimate.noise]),
+        prior_std=np.array([prior_std]),
+        rho=estimate.problem.rho[None],
+    )
+
+
 def _with_unknowns(fitted: Fitted, columns: Array, of_distances: Array | None) -> LinearProblem:
-    """Linearise a fit's problem and append the columns of k further unknowns; see `estimate_jointly`."""
+    """Linearise the problem of a fit at its solution and append the columns of k further unknowns.
+
+    Args:
+        fitted: A fit to N rows of D scalars.
+        columns: Derivative of the predicted scalars [m], [rad] by each unknown, shape (N, D, k).
+        of_distances: Derivative of the K predicted known distances between frames [m], shape (K, k); None for zero.
+    """
     problem = fitted.estimate.problem
     linear = problem.linear(fitted.estimate.x)
     further = np.zeros((len(linear.C), columns.shape[2]))
@@ -133,9 +150,12 @@ def _with_unknowns(fitted: Fitted, columns: Array, of_distances: Array | None) -
 
 
 def _prior_with_unknowns(fitted: Fitted, count: int, held: Mask | None) -> PriorTerms:
-    """Make the priors of a fit with ``count`` further unknowns without prior.
+    """Make the priors of a fit with further unknowns, which have none. Parameters at their bounds stay there.
 
-    Parameters at their bounds stay there; those of the mask ``held``, shape (p,), are held at zero.
+    Args:
+        fitted: A fit of p parameters.
+        count: Number of further unknowns.
+        held: True for the parameters that are held at zero, shape (p,); None for none.
     """
     estimate = fitted.estimate
     prior = PriorTerms.of(fitted.task, fitted.kinematics.model, fitted.setup)
@@ -158,6 +178,9 @@ def _with_columns(linear: LinearProblem, columns: Array, of_known: Array) -> Lin
         linear: A linearised problem of N rows and K known distances.
         columns: Derivative of the predictions, in units of each scalar's sigma, shape (N, D, k).
         of_known: Derivative of the known distances, in units of their sigma, shape (K, k).
+
+    Returns:
+        The problem of p + k parameters, the further unknowns last.
     """
     count = columns.shape[2]
     before, residual = linear.columns[:-1], linear.columns[-1:]
@@ -177,58 +200,92 @@ def gain_on_blocks(fitted: Fitted, columns: Array, weights: Array) -> float:
     see too.
 
     Args:
-        fitted: A fit.
-        columns: shape (N, D, k), derivative of the predicted scalars [m], [rad] by each unknown.
-        weights: shape (N,), of the rows.
+        fitted: A fit to N rows of D scalars.
+        columns: Derivative of the predicted scalars [m], [rad] by each of k unknowns, shape (N, D, k).
+        weights: Weights of the rows, shape (N,).
 
     Returns:
         The share by which the error of held-out blocks falls with the unknowns; negative if it rises.
     """
-    problem = fitted.estimate.problem
-    linear = problem.linear(fitted.estimate.x)
-    nothing = np.zeros((len(linear.C), columns.shape[2]))
-    wider = _with_columns(linear, columns / problem.rows.scales[:, :, None], nothing)
+    linear = fitted.estimate.problem.linear(fitted.estimate.x)
+    wider = _with_unknowns(fitted, columns, None)
     before = _error_of_blocks(fitted, linear, weights)
     after = _error_of_blocks(fitted, wider, weights)
-    return 1.0 - after / before if before > 0.0 else 0.0
+    if not before > 0.0:
+        return 0.0
+    return 1.0 - after / before
 
 
 def _error_of_blocks(fitted: Fitted, linear: LinearProblem, weights: Array) -> float:
     """Root mean square error of blocks of rows, each predicted by a fit to the others, in units of the noise.
 
     Args:
-        fitted: A fit.
-        linear: Its problem, linearised, perhaps with further unknowns, which have no prior.
-        weights: shape (N,), of the rows.
+        fitted: A fit to N rows.
+        linear: Its problem, linearised at its solution, perhaps with further unknowns, which have no prior.
+        weights: Weights of the rows, shape (N,).
     """
-    problem = fitted.estimate.problem
-    rows, further = problem.rows, len(linear.x) - problem.size
+    rows = fitted.estimate.problem.rows
     block = np.arange(len(rows)) * _BLOCKS // len(rows)
     masks = block == np.unique(block)[:, None]
-    noise = np.tile(fitted.estimate.noise, (len(masks), 1))
-    priors = GaussianPriors(
-        np.pad(problem.precision, (0, further)), np.pad(problem.centre, (0, further))
-    )
-    x = linear.fit(np.where(masks, 0.0, weights), problem.rho, noise, priors)[0]
-    residual = linear.residual(x) / linear.noise_by_scalar(noise)
+    residuals = _residuals_without_blocks(fitted, linear, weights, masks)
     squares = []
-    for mask, of_block in zip(masks, residual, strict=True):
-        chosen = _predictable(fitted, mask, weights)[:, None] & rows.used
-        squares.append(of_block[chosen] ** 2)
+    for mask, residual in zip(masks, residuals, strict=True):
+        predictable = _predictable(fitted, mask, weights)
+        chosen = predictable[:, None] & rows.used
+        squares.append(residual[chosen] ** 2)
     every = np.concatenate(squares)
     return float(np.sqrt(np.mean(every))) if len(every) else 0.0
 
 
+def _residuals_without_blocks(
+    fitted: Fitted, linear: LinearProblem, weights: Array, masks: Mask
+) -> Array:
+    """Return the residuals of fits without one block of rows each, at noise and priors of the fit to all rows.
+
+    Args:
+        fitted: A fit to N rows of D scalars.
+        linear: Its problem, linearised at its solution, perhaps with further unknowns, which have no prior.
+        weights: Weights of the rows, shape (N,).
+        masks: For each of B blocks, True for its rows, shape (B, N).
+
+    Returns:
+        Measured minus predicted of all rows, over the noise of each scalar, shape (B, N, D).
+    """
+    problem = fitted.estimate.problem
+    further = len(linear.x) - problem.size
+    precision = np.pad(problem.precision, (0, further))
+    centre = np.pad(problem.centre, (0, further))
+    noise = np.tile(fitted.estimate.noise, (len(masks), 1))
+    without_block = np.where(masks, 0.0, weights)
+    fits = linear.fit(without_block, problem.rho, noise, GaussianPriors(precision, centre))
+    return np.asarray(linear.residual(fits[0]) / linear.noise_by_scalar(noise))
+
+
 def _predictable(fitted: Fitted, block: Mask, weights: Array) -> Mask:
-    """Rows of a block, (N,), with a weight, and whose frame and target rows of other blocks see too."""
+    """Find the rows of a block with a weight whose frame and target rows of other blocks see too.
+
+    Args:
+        fitted: A fit to N rows.
+        block: True for the rows of the block, shape (N,).
+        weights: Weights of the rows, shape (N,).
+
+    Returns:
+        True for these rows, shape (N,).
+    """
     samples = fitted.estimate.problem.rows.samples
     weighted = weights > 0.0
-    frames, targets = fitted.setup.seen_by(samples.select(~block & weighted))
-    return np.asarray(block & weighted & frames[samples.frame] & targets[samples.target])
+    elsewhere = samples.select(~block & weighted)
+    frames, targets = fitted.setup.seen_by(elsewhere)
+    seen_elsewhere = frames[samples.frame] & targets[samples.target]
+    return np.asarray(block & weighted & seen_elsewhere)
 
 
 def priors_from_data(fitted: Fitted) -> bool:
-    """Tell whether the prior standard deviations are estimated from the data, so that they can be estimated anew."""
+    """Tell whether the prior standard deviations are estimated from the data, so that they can be estimated anew.
+
+    Args:
+        fitted: A fit; the solver of its task and the priors of its cell decide.
+    """
     return fitted.task.solver != PAPER and fitted.task.cell.priors.source == "data"
 
 
@@ -264,18 +321,20 @@ def instrument_scale(fitted: Fitted) -> Scale | None:
     Returns:
         The scale error; None where no length of the arm is estimated, or nothing measures a length.
     """
-    model, rows = fitted.kinematics.model, fitted.estimate.problem.rows
+    model = fitted.kinematics.model
+    problem = fitted.estimate.problem
+    rows = problem.rows
     lengths = ~model.family(FRAME, TARGET) & (np.array(model.units) == "m")
     if not np.any(lengths):
         return None
     T_frame_target = fitted.kinematics.poses(fitted.estimate.x, rows.samples)
-    placed = fitted.placed()
-    from_base = T_frame_target[:, :3, 3] - placed.T_frame_base[rows.samples.frame, :3, 3]
+    T_frame_base = fitted.placed().T_frame_base[rows.samples.frame]
+    from_base = T_frame_target[:, :3, 3] - T_frame_base[:, :3, 3]
     growth = np.zeros((len(rows), 6, 1))
     growth[:, :3, 0] = from_base
     columns = rows.derivative(T_frame_target, growth)
     columns[~rows.where(lambda kind: kind.measures_length)] = 0.0
-    known = np.array([[d.length] for d in fitted.estimate.problem.distances]).reshape(-1, 1)
+    known = np.array([[d.length] for d in problem.distances]).reshape(-1, 1)
     measured = bool(np.any(columns))
     if not measured and not np.any(known):
         return None
@@ -320,29 +379,39 @@ def motion_of_base(fitted: Fitted) -> BaseMotion | None:
     Returns:
         The motion along the directions that are significant; None where no position was measured in a known frame.
     """
-    rows, model = fitted.estimate.problem.rows, fitted.kinematics.model
+    problem, x = fitted.estimate.problem, fitted.estimate.x
+    rows = problem.rows
     seen = _in_known_frame(fitted, rows)
     if not np.any(seen):
         return None
-    T_frame_target = fitted.kinematics.poses(fitted.estimate.x, rows.samples)
-    columns = rows.derivative(T_frame_target, _twists_of_base(fitted, T_frame_target))
+    T_frame_target = fitted.kinematics.poses(x, rows.samples)
+    twists = _twists_of_base(fitted, T_frame_target)
+    columns = rows.derivative(T_frame_target, twists)
     columns[~seen] = 0.0
     of_first = _of_first_joint(fitted)
     joint = estimate_jointly(fitted, columns, held=of_first)
     motion, p = _significant_motion(fitted, joint, of_first)
-    of_robot = ~model.family(FRAME, TARGET)
-    derivative = fitted.estimate.problem.jacobian(fitted.estimate.x)[seen][:, :3, of_robot]
+    by_base = columns[seen][:, :3] @ motion
+    of_robot = ~fitted.kinematics.model.family(FRAME, TARGET)
+    by_arm = problem.jacobian(x)[seen][:, :3, of_robot] @ joint.x[of_robot]
     return BaseMotion(
         moved=float(np.linalg.norm(motion[:3])),
         turned=float(np.linalg.norm(motion[3:])),
         p=p,
-        effect=rms(np.linalg.norm(columns[seen][:, :3] @ motion, axis=1)),
-        effect_of_arm=rms(np.linalg.norm(derivative @ joint.x[of_robot], axis=1)),
+        effect=rms(np.linalg.norm(by_base, axis=1)),
+        effect_of_arm=rms(np.linalg.norm(by_arm, axis=1)),
     )
 
 
 def _of_first_joint(fitted: Fitted) -> Mask:
-    """Parameters of the first joint's placement and zero, which a motion of the base replaces, shape (p,)."""
+    """Mark the parameters of the first joint's placement and zero, which a motion of the base replaces.
+
+    Args:
+        fitted: A fit of p parameters.
+
+    Returns:
+        True for these parameters, shape (p,).
+    """
     first = fitted.task.robot.joints[0].name
     parameters = fitted.kinematics.model.parameters
     return np.array([p.place == first and p.factor is None for p in parameters])
@@ -354,30 +423,52 @@ def _significant_motion(
     """Find the part of the base's estimated motion that is not chance.
 
     Args:
-        fitted: The fit.
-        joint: The motion b of the base, shape (6,), linear part first, estimated jointly with the fit.
-        of_first: Parameters of the first joint, shape (p,).
+        fitted: The fit, of p parameters.
+        joint: The motion b of the base, shape (6,), linear part first, in the base's frame, estimated jointly with
+            the parameters of the fit.
+        of_first: True for the parameters of the first joint, shape (p,).
 
     Returns:
         The motion [m], [rad], shape (6,), along the significant ones of three sets of directions: across the first
         joint's axis, along it, about it; and the smallest p-value of the three.
     """
+    directions = _directions_at_first_joint(fitted)
+    p_values = _p_values_of_motion(fitted, joint, of_first, directions)
+    significant = [
+        projection
+        for projection, p in zip(directions.projections, p_values, strict=True)
+        if p < UNLIKELY
+    ]
+    motion = np.zeros(6)
+    if significant:
+        motion = np.sum(significant, axis=0) @ joint.b
+    return motion, min(p_values)
+
+
+def _p_values_of_motion(
+    fitted: Fitted, joint: FurtherUnknowns, of_first: Mask, directions: _FirstJointDirections
+) -> tuple[float, float, float]:
+    """Test for no motion of the base across the first joint's axis, along it, and about it.
+
+    Args:
+        fitted: The fit, of p parameters.
+        joint: The motion b of the base, shape (6,), estimated jointly with the parameters of the fit.
+        of_first: True for the parameters of the first joint, shape (p,).
+        directions: The three sets of directions.
+
+    Returns:
+        The three p-values, in this order.
+    """
     model = fitted.kinematics.model
     of_robot = ~model.family(FRAME, TARGET)
     freedom = float(np.sum(joint.determined[of_robot & ~of_first]))
-    across, along, about = _directions_at_first_joint(fitted)
-    shift, turn = float(along @ joint.b), float(about @ joint.b)
-    p_values = [
-        joint.p_value(freedom, across),
+    shift = float(directions.along @ joint.b)
+    turn = float(directions.about @ joint.b)
+    return (
+        joint.p_value(freedom, directions.across),
         _p_of_offset(shift, joint, model.family(LENGTH), (LENGTH,)),
         _p_of_offset(turn, joint, model.family(ANGLE, ZERO), (ZERO, ANGLE)),
-    ]
-    projections = (across.T @ across, np.outer(along, along), np.outer(about, about))
-    significant = [
-        projection for projection, p in zip(projections, p_values, strict=True) if p < UNLIKELY
-    ]
-    motion = np.sum(significant, axis=0) @ joint.b if significant else np.zeros(6)
-    return motion, min(p_values)
+    )
 
 
 def _p_of_offset(
@@ -387,40 +478,73 @@ def _p_of_offset(
 
     Args:
         offset: The offset [m] or [rad].
-        joint: The estimate, with the prior standard deviation of each family.
-        family: Parameters of the other joints' offsets, shape (p,).
+        joint: The motion of the base, with the prior standard deviation of each family estimated beside it.
+        family: True for the parameters that are the other joints' offsets, shape (p,).
         names: Families, of which the first with a prior standard deviation gives that of the offsets.
 
     Returns:
         The p-value of an offset that is drawn like the others; 1 if no family has a prior standard deviation.
     """
-    std = next((joint.prior_std[name] for name in names if name in joint.prior_std), 0.0)
-    if not std:
+    stds = [joint.prior_std[name] for name in names if name in joint.prior_std]
+    if not stds or not stds[0]:
         return 1.0
+    std = stds[0]
     freedom = max(float(np.sum(joint.determined[family])), 1.0)
     return 2.0 * float(stdtr(freedom, -abs(offset) / std))
 
 
-def _directions_at_first_joint(fitted: Fitted) -> tuple[Array, Array, Array]:
-    """Unit motions of the base, in its frame: across the first joint's axis, (4, 6), along it and about it, (6,)."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _FirstJointDirections:
+    """Unit motions of the base along its axes, linear part first, by where they go at the first joint."""
+
+    #: (4, 6), orthonormal rows: two shifts across the joint's axis, and two turns about directions across it
+    across: Array
+    #: (6,), the shift along the axis
+    along: Array
+    #: (6,), the turn about the axis
+    about: Array
+
+    @property
+    def projections(self) -> tuple[Array, Array, Array]:
+        """Projections of a motion to ``across``, ``along`` and ``about``, each of shape (6, 6)."""
+        return (
+            self.across.T @ self.across,
+            np.outer(self.along, self.along),
+            np.outer(self.about, self.about),
+        )
+
+
+def _directions_at_first_joint(fitted: Fitted) -> _FirstJointDirections:
+    """Work out the unit motions of the base at the first joint of a fit's robot, in the base's frame."""
     robot = fitted.task.robot
-    axis = zero_poses(robot)[0][0][:3, :3] @ np.asarray(robot.joints[0].axis)
+    T_base_first = zero_poses(robot)[0][0]
+    axis = T_base_first[:3, :3] @ np.asarray(robot.joints[0].axis)
     normals = np.linalg.svd(axis[None])[2][1:]
     nothing = np.zeros((2, 3))
-    across = np.block([[normals, nothing], [nothing, normals]])
-    along = np.concatenate([axis, np.zeros(3)])
-    about = np.concatenate([np.zeros(3), axis])
-    return across, along, about
+    return _FirstJointDirections(
+        across=np.block([[normals, nothing], [nothing, normals]]),
+        along=np.concatenate([axis, np.zeros(3)]),
+        about=np.concatenate([np.zeros(3), axis]),
+    )
 
 
 def _twists_of_base(fitted: Fitted, T_frame_target: Array) -> Array:
-    """Differentiate N poses T_frame_target by motions of the base along and about its axes, shape (N, 6, 6).
+    """Differentiate poses of the target by motions of the base along and about its axes.
 
-    The base turns about the first joint's origin; twists have the linear part first, along the frame's axes.
+    The base turns about the first joint's origin.
+
+    Args:
+        fitted: A fit to N rows.
+        T_frame_target: Predicted pose of each row's target in its frame, shape (N, 4, 4), [m].
+
+    Returns:
+        Twists of the target by each of the six motions, linear part first, along the frame's axes, shape (N, 6, 6).
     """
     T_frame_base = fitted.placed().T_frame_base[fitted.estimate.problem.rows.samples.frame]
-    origin = (T_frame_base @ zero_poses(fitted.task.robot)[0][0])[:, :3, 3]
-    R, arm = T_frame_base[:, :3, :3], T_frame_target[:, :3, 3] - origin
+    T_base_first = zero_poses(fitted.task.robot)[0][0]
+    origin = (T_frame_base @ T_base_first)[:, :3, 3]
+    R = T_frame_base[:, :3, :3]
+    arm = T_frame_target[:, :3, 3] - origin
     twists = np.zeros((len(R), 6, 6))
     twists[:, :3, :3] = R
     twists[:, 3:, 3:] = R
@@ -429,7 +553,15 @@ def _twists_of_base(fitted: Fitted, T_frame_target: Array) -> Array:
 
 
 def _in_known_frame(fitted: Fitted, rows: Rows) -> Mask:
-    """Rows that measure a position in an instrument's frame that was taken as known, shape (N,)."""
+    """Find the rows that measure a position in an instrument's frame that was taken as known.
+
+    Args:
+        fitted: A fit; frames of which its task estimates no direction are known.
+        rows: Its N rows.
+
+    Returns:
+        True for these rows, shape (N,).
+    """
     known = np.array([not directions for directions in fitted.task.setup.unknown])
     positions = rows.where(lambda kind: kind.position and not kind.own_frame)
     return np.asarray(positions & known[rows.samples.frame])

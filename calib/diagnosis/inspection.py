@@ -84,10 +84,20 @@ def inspect(robot: Robot, cell: Cell, measurements: Measurements | None = None) 
 
 
 def _rows_over_joint_limits(robot: Robot, cell: Cell) -> tuple[Rows, Setup, tuple[str, ...]]:
-    """Rows of perfect measurements at poses over the joint limits, their setup, and what was put at a generic place."""
+    """Make rows of perfect measurements at poses over the joint limits.
+
+    Args:
+        robot: The nominal robot.
+        cell: It says the kind of the rows, points by default, and which frames and targets are known.
+
+    Returns:
+        The rows; their frames and targets, at which the measurements are perfect; and what was put at a generic place:
+        ``"target"``, ``"anchor"``, both or nothing.
+    """
     table = table_of_poses(robot, cell.kind or "point", spread_poses(robot))
     rows, setup = rows_and_setup(robot, table, cell)
-    T_frame_base, T_tip_target = setup.T_frame_base.copy(), setup.T_tip_target.copy()
+    T_frame_base = setup.T_frame_base.copy()
+    T_tip_target = setup.T_tip_target.copy()
     assumed = []
     if not np.all(setup.target_given):
         T_tip_target[:, :3, 3] = GENERIC_TARGET
@@ -107,7 +117,10 @@ def table_of_poses(robot: Robot, name: str, joints: Array) -> Measurements:
     Args:
         robot: The nominal robot.
         name: Kind of the rows, such as ``"point"``.
-        joints: shape (N, m), joint values [rad] or [m].
+        joints: Joint values, shape (N, m), [rad] or [m].
+
+    Returns:
+        A table of N rows of this kind.
 
     Raises:
         ModelError: A kind of pairs, or one that needs the target at a certain place, such as a socket.

@@ -92,7 +92,8 @@ class Stack:
     def cells(self) -> Integers:
         """A number for each pair of pose and component, shape (M,)."""
         pairs = np.column_stack([self.poses[self.row_of], self.component_of])
-        return np.asarray(np.unique(pairs, axis=0, return_inverse=True)[1]).reshape(-1)
+        _, cell_of = np.unique(pairs, axis=0, return_inverse=True)
+        return np.asarray(cell_of).reshape(-1)
 
     def beyond(self, *Z: Array) -> Stack:
         """Copy with further whitened regressors Z, (M, k) each, of the fit."""
@@ -113,7 +114,10 @@ class Stack:
 
 
 def joint_patterns(
-    stack: Stack, joints: Array, prismatic: Sequence[bool], directions: Sequence[Array]
+    stack: Stack,
+    joints: Array,
+    prismatic: Sequence[bool],
+    directions: Sequence[Array],
 ) -> list[tuple[int, Explained, Array]]:
     """Find the joints on whose values the residuals depend, beyond a constant of each component.
 
@@ -132,9 +136,11 @@ def joint_patterns(
     if not len(stack.r):
         return []
     test = _between(stack)
+    of_joints = zip(joints.T, prismatic, directions, strict=True)
     patterns = []
-    for i, (q, slides, along) in enumerate(zip(joints.T, prismatic, directions, strict=True)):
-        Z = stack.times(functions_of_joint(q, slides=slides), along)
+    for i, (q, slides, along) in enumerate(of_joints):
+        functions = functions_of_joint(q, slides=slides)
+        Z = stack.times(functions, along)
         explained = test(Z)
         if explained.p < FALSE_ALARM / len(prismatic):
             patterns.append((i, explained, Z))
@@ -152,9 +158,12 @@ def functions_of_joint(q: Array, *, slides: bool) -> Array:
         sin q, cos q and q, shape (N, 3), or q and q^2, shape (N, 2); q is centred and scaled to 1.
     """
     # Centred and of size 1, so that q and q^2 do not look alike.
-    middle = q - np.mean(q)
-    middle = middle / max(float(np.max(np.abs(middle), initial=0.0)), np.finfo(float).tiny)
-    return np.column_stack([middle, middle**2] if slides else [np.sin(q), np.cos(q), middle])
+    centred = q - np.mean(q)
+    largest = float(np.max(np.abs(centred), initial=0.0))
+    scaled = centred / max(largest, np.finfo(float).tiny)
+    if slides:
+        return np.column_stack([scaled, scaled**2])
+    return np.column_stack([np.sin(q), np.cos(q), scaled])
 
 
 def drift(stack: Stack, order: Array) -> Explained | None:
@@ -171,7 +180,9 @@ def drift(stack: Stack, order: Array) -> Explained | None:
         return None
     Z = stack.times(order[:, None] - np.mean(order), stack.ones)
     explained = _combined(stack)(Z)
-    return explained if explained.p < FALSE_ALARM else None
+    if explained.p < FALSE_ALARM:
+        return explained
+    return None
 
 
 def lag(stack: Stack, moves: Array) -> tuple[Array, Explained] | None:
@@ -189,8 +200,22 @@ def lag(stack: Stack, moves: Array) -> tuple[Array, Explained] | None:
     explained = _combined(stack)(moves)
     if explained.p >= FALSE_ALARM:
         return None
-    fitted = np.linalg.lstsq(np.column_stack([stack.A, moves]), stack.r, rcond=None)[0]
-    return np.asarray(-fitted[-moves.shape[1] :]), explained
+    shares = -_fitted_beside(stack, moves)
+    return shares, explained
+
+
+def _fitted_beside(stack: Stack, Z: Array) -> Array:
+    """Fit the residual by the fit's regressors and further ones together, by least squares.
+
+    Args:
+        stack: The M whitened scalars.
+        Z: Further whitened regressors, shape (M, k).
+
+    Returns:
+        The coefficients of the further regressors, shape (k,).
+    """
+    coefficients, *_ = np.linalg.lstsq(np.column_stack([stack.A, Z]), stack.r, rcond=None)
+    return np.asarray(coefficients[-Z.shape[1] :])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -212,7 +237,7 @@ def step(stack: Stack, rows: Integers, along: Array) -> Step | None:
 
     Args:
         stack: The whitened scalars.
-        rows: Numbers of the rows among which to look, in their order, shape (K,).
+        rows: Numbers, from 0, of the rows among which to look, in their order, shape (K,).
         along: Whitened derivatives of the scalars by the displacement, shape (M, k).
 
     Returns:
@@ -221,26 +246,35 @@ def step(stack: Stack, rows: Integers, along: Array) -> Step | None:
     most = len(rows) - _SIDE
     if most < _SIDE:
         return None
-    test, number = _combined(stack), np.arange(len(stack.poses))[:, None]
+    test = _combined(stack)
+    number = np.arange(len(stack.poses))[:, None]
     tried: dict[int, Explained] = {}
 
     def regressors(k: int) -> Array:
-        return stack.times(1.0 * (number >= rows[k]), along)
+        """Regressors (M, k) of a step from row ``rows[k]`` on."""
+        is_later = 1.0 * (number >= rows[k])
+        return stack.times(is_later, along)
 
     def best_of(places: Iterable[int]) -> int:
-        tried.update({k: test(regressors(k)) for k in places})
+        """Try these places in ``rows`` too, and return the best of all that were tried."""
+        for k in places:
+            tried[k] = test(regressors(k))
         return min(tried, key=lambda k: (tried[k].p, -tried[k].F))
 
     stride = max((most - _SIDE) // _TRIED, 1)
     best = best_of(range(_SIDE, most + 1, stride))
-    best = best_of(range(max(best - stride + 1, _SIDE), min(best + stride, most + 1)))
+    first, last = max(best - stride + 1, _SIDE), min(best + stride - 1, most)
+    best = best_of(range(first, last + 1))
     corrected = min(tried[best].p * (most - _SIDE + 1), 1.0)
     if corrected >= FALSE_ALARM:
         return None
     Z = regressors(best)
-    fitted = np.linalg.lstsq(np.column_stack([stack.A, Z]), stack.r, rcond=None)[0]
-    size = float(np.linalg.norm(fitted[-Z.shape[1] :]))
-    return Step(int(rows[best]), size, replace(tried[best], p=corrected), Z)
+    return Step(
+        row=int(rows[best]),
+        size=float(np.linalg.norm(_fitted_beside(stack, Z))),
+        test=replace(tried[best], p=corrected),
+        Z=Z,
+    )
 
 
 def _combined(stack: Stack) -> Callable[[Array], Explained]:
@@ -249,12 +283,15 @@ def _combined(stack: Stack) -> Callable[[Array], Explained]:
 
     def test(Z: Array) -> Explained:
         tests = between(Z), within(Z)
-        valid = [explained for explained in tests if explained.columns] or [tests[0]]
+        valid = [explained for explained in tests if explained.columns]
+        if not valid:
+            return tests[0]
         surest = min(valid, key=lambda explained: explained.p)
         if len(valid) == 1:
             return surest
         logs = [np.log(max(explained.p, np.finfo(float).tiny)) for explained in valid]
-        return replace(surest, p=float(chdtrc(4.0, -2.0 * sum(logs))))
+        chi_square = -2.0 * sum(logs)
+        return replace(surest, p=float(chdtrc(4.0, chi_square)))
 
     return test
 
@@ -262,8 +299,10 @@ def _combined(stack: Stack) -> Callable[[Array], Explained]:
 def _between(stack: Stack) -> Callable[[Array], Explained]:
     """Make the test of any further regressors (M, k) on the means of repeats."""
     cells = stack.cells
-    A, r = _means(cells, np.column_stack([stack.A, stack.ones])), _means(cells, stack.r)
-    even = even_factors(A, r, stack.component_of[np.unique(cells, return_index=True)[1]])
+    A = _means(cells, np.column_stack([stack.A, stack.ones]))
+    r = _means(cells, stack.r)
+    _, first_of_cell = np.unique(cells, return_index=True)
+    even = even_factors(A, r, stack.component_of[first_of_cell])
     base = range_of(A * even[:, None])
 
     def test(Z: Array) -> Explained:
@@ -282,6 +321,7 @@ def _within(stack: Stack) -> Callable[[Array], Explained]:
         return lambda _: Explained(0.0, 1.0, 0.0, 0.0, 0, 0)
 
     def centred(values: Array) -> Array:
+        """Values (M,) or (M, k) less the mean of their cell."""
         means = (_means(cells, values).T / np.sqrt(counts)).T
         return np.asarray(values - means[cells])
 
@@ -317,15 +357,30 @@ def f_test(base: Array, r: Array, Z: Array, sizes: Array, used: int = 0) -> Expl
     # Twice is enough to be orthogonal to rounding, where Z almost lies in the range of the base.
     Z = Z - base @ (base.T @ Z)
     further = range_of(Z - base @ (base.T @ Z), sizes)
-    square, before = float(remaining @ remaining), len(r) - base.shape[1] - used
-    columns, freedom = further.shape[1], before - further.shape[1]
+    square = float(remaining @ remaining)
+    before = len(r) - base.shape[1] - used
+    columns = further.shape[1]
+    freedom = before - columns
     if columns == 0 or freedom < 1 or square <= _ROUNDING**2 * float(r @ r):
         return Explained(0.0, 1.0, 0.0, 0.0, 0, max(before, 0))
-    share = min(float(np.sum((further.T @ remaining) ** 2)) / square, 1.0)
-    # An exact fit leaves nothing to compare with.
-    F = share / columns / max((1.0 - share) / freedom, np.finfo(float).tiny)
+    square_explained = float(np.sum((further.T @ remaining) ** 2))
+    share = min(square_explained / square, 1.0)
+    F = _f_statistic(share, columns, freedom)
     p = float(fdtrc(columns, freedom, F))
     return Explained(F, p, share, columns / before, columns, freedom)
+
+
+def _f_statistic(share: float, columns: int, freedom: int) -> float:
+    """F of regressors that explain a share of a sum of squares.
+
+    Args:
+        share: The share, 0 to 1.
+        columns: Number of independent regressors.
+        freedom: Degrees of freedom that remain.
+    """
+    # An exact fit leaves nothing to compare with.
+    unexplained = max((1.0 - share) / freedom, np.finfo(float).tiny)
+    return share / columns / unexplained
 
 
 def even_factors(A: Array, r: Array, component_of: Integers) -> Array:
@@ -384,8 +439,9 @@ def range_of(A: Array, sizes: Array | None = None, cut: float = _CUT) -> Array:
     """
     if 0 in A.shape:
         return np.zeros((len(A), 0))
-    scaled = A / (norms_of(A) if sizes is None else sizes)
-    vectors, values, _ = np.linalg.svd(scaled, full_matrices=False)
+    if sizes is None:
+        sizes = norms_of(A)
+    vectors, values, _ = np.linalg.svd(A / sizes, full_matrices=False)
     return np.asarray(vectors[:, values > cut])
 
 

@@ -102,6 +102,11 @@ class _Comparison:
             counts=np.any(linear.used, axis=1) & (estimate.weights > 0.0),
         )
 
+    @property
+    def noise_by_scalar(self) -> Array:
+        """Noise of each scalar, in units of its given sigma, shape (N, D)."""
+        return np.asarray(self.linear.noise_by_scalar(self.noise)[0])
+
     def test(self, station: int) -> tuple[float, float, float, float]:
         """Predict a station from the others.
 
@@ -113,42 +118,77 @@ class _Comparison:
             degrees of freedom of this sum, the variance of a whitened scalar in the fit to the others, and its
             degrees of freedom.
         """
-        problem = self.fitted.estimate.problem
         inside = self.station == station
+        others = self._fit_to_others(inside)
+        square, degrees = self._square(inside & self.counts, others)
+        return square, degrees, others.variance, max(others.freedom, 0.0)
+
+    def _fit_to_others(self, inside: Mask) -> _FitToOthers:
+        """Fit the linearised problem without a station, at noise and priors of the fit to all rows.
+
+        Args:
+            inside: True for the rows of the station, shape (N,).
+        """
+        estimate = self.fitted.estimate
+        problem = estimate.problem
         weights = np.where(inside, 0.0, problem.weights)
         priors = GaussianPriors(problem.precision, problem.centre)
         fits = self.linear.fit(weights[None], problem.rho, self.noise, priors)
         x, covariance, freedom = (values[0] for values in fits)
         station_only = seen_only_by(self.fitted, inside)
-        x = np.where(station_only, self.fitted.estimate.x, x)
-        scale = self.linear.noise_by_scalar(self.noise)[0]
-        residual = np.where(self.linear.used, self.linear.residual(x) / scale, 0.0)
-        square, degrees = self._square(inside & self.counts, residual, covariance, station_only)
-        variance = float(weights @ np.sum(residual**2, axis=1)) / max(freedom, 1.0)
-        return square, degrees, variance, max(freedom, 0.0)
+        x = np.where(station_only, estimate.x, x)
+        whitened = self.linear.residual(x) / self.noise_by_scalar
+        return _FitToOthers(
+            weights=weights,
+            residual=np.where(self.linear.used, whitened, 0.0),
+            covariance=covariance,
+            freedom=freedom,
+            station_only=station_only,
+        )
 
-    def _square(
-        self, rows: Mask, residual: Array, covariance: Array, station_only: Mask
-    ) -> tuple[float, int]:
-        """Sum of squares of a station's residual over its own uncertainty, and its degrees of freedom.
+    def _square(self, rows: Mask, others: _FitToOthers) -> tuple[float, int]:
+        """Sum the squares of a station's residual over its uncertainty, and count its degrees of freedom.
 
         Args:
-            rows: Its rows that count, shape (N,).
-            residual: Whitened residual of all rows with the parameters of the fit to the others, shape (N, D).
-            covariance: Of these parameters, shape (p, p), for scalars of variance 1.
-            station_only: Parameters of frames and targets that no other station sees, shape (p,).
+            rows: True for the rows of the station that count, shape (N,).
+            others: The fit to the other stations.
+
+        Returns:
+            The sum of squares, in units of the uncertainty of the prediction, and its degrees of freedom.
         """
         problem = self.fitted.estimate.problem
-        scale = self.linear.noise_by_scalar(self.noise)[0]
-        derivative = (self.linear.A / scale[:, :, None])[rows]
+        derivative = (self.linear.A / self.noise_by_scalar[:, :, None])[rows]
         # Repeats count for one measurement where they share what the model lacks.
         weights, poses = problem.weights[rows], problem.rows.poses[rows]
-        r, first = pose_means(residual[rows], weights, poses)
+        r, first = pose_means(others.residual[rows], weights, poses)
         A, _ = pose_means(derivative, weights, poses)
         used = self.linear.used[rows][first]
         A = A[used]
-        C = covariance[np.ix_(~station_only, ~station_only)]
-        return prediction_square(r[used], A[:, ~station_only], C, A[:, station_only])
+        shared = ~others.station_only
+        C = others.covariance[np.ix_(shared, shared)]
+        return prediction_square(r[used], A[:, shared], C, A[:, others.station_only])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _FitToOthers:
+    """A fit to the N rows without those of one station; up to D scalars a row, p parameters."""
+
+    #: (N,), weights of the rows; 0 at the station
+    weights: Array
+    #: (N, D), whitened residual of all rows, measured minus predicted; 0 where nothing was measured
+    residual: Array
+    #: (p, p), covariance of the parameters, for scalars of variance 1
+    covariance: Array
+    #: Degrees of freedom that it leaves for the noise
+    freedom: float
+    #: (p,), True for the parameters of frames and targets that only the station sees: those of the fit to all rows
+    station_only: Mask
+
+    @property
+    def variance(self) -> float:
+        """Variance of a whitened scalar about this fit: about 1 where the model is complete."""
+        square_by_row = np.sum(self.residual**2, axis=1)
+        return float(self.weights @ square_by_row) / max(self.freedom, 1.0)
 
 
 def unpredicted(
@@ -165,7 +205,8 @@ def unpredicted(
     Returns:
         Number, from 0, and ratio of errors to noise of each such station, the surest first.
     """
-    testable = np.flatnonzero((freedoms > 0.0) & (noise_freedoms > 0.0) & (noises > 0.0))
+    is_testable = (freedoms > 0.0) & (noise_freedoms > 0.0) & (noises > 0.0)
+    testable = np.flatnonzero(is_testable)
     F = squares[testable] / freedoms[testable] / noises[testable]
     p = fdtrc(freedoms[testable], noise_freedoms[testable], F)
     sure = (p < _FALSE_ALARM / max(len(testable), 1)) & (F > _MATTERS**2)
@@ -186,15 +227,31 @@ def prediction_square(r: Array, A: Array, covariance: Array, nuisance: Array) ->
         r^T W r with W the inverse of I + A C A^T, after projection on what is orthogonal to the nuisance; and its
         degrees of freedom, M minus the rank of the nuisance.
     """
-    # A symmetric root of W: with A C^(1/2) = U S V^T it is I + U ((1 + S^2)^(-1/2) - 1) U^T, never made as a matrix.
-    sizes, vectors = np.linalg.eigh(covariance)
-    moved = A @ (vectors * np.sqrt(np.maximum(sizes, 0.0)))
-    U, S, _ = np.linalg.svd(moved, full_matrices=False)
-    values = np.column_stack([r, nuisance])
-    values = values + U @ ((1.0 / np.sqrt(1.0 + S**2) - 1.0)[:, None] * (U.T @ values))
+    values = _over_uncertainty(np.column_stack([r, nuisance]), A, covariance)
+    residual = values[:, 0]
     base = range_of(values[:, 1:])
-    remaining = values[:, 0] - base @ (base.T @ values[:, 0])
+    remaining = residual - base @ (base.T @ residual)
     return float(remaining @ remaining), len(r) - base.shape[1]
+
+
+def _over_uncertainty(values: Array, A: Array, covariance: Array) -> Array:
+    """Multiply by the symmetric root of W, the inverse of I + A C A^T.
+
+    With A C^(1/2) = U S V^T this root is I + U ((1 + S^2)^(-1/2) - 1) U^T, never made as a matrix.
+
+    Args:
+        values: Columns to multiply, shape (M, k).
+        A: Shape (M, p).
+        covariance: C, shape (p, p), symmetric and positive semidefinite.
+
+    Returns:
+        The products, shape (M, k).
+    """
+    sizes, vectors = np.linalg.eigh(covariance)
+    root_of_C = vectors * np.sqrt(np.maximum(sizes, 0.0))
+    U, S, _ = np.linalg.svd(A @ root_of_C, full_matrices=False)
+    change = 1.0 / np.sqrt(1.0 + S**2) - 1.0
+    return np.asarray(values + U @ (change[:, None] * (U.T @ values)))
 
 
 def flagged_station(fitted: Fitted) -> Iterator[Reason]:
@@ -213,14 +270,22 @@ def flagged_station(fitted: Fitted) -> Iterator[Reason]:
     for station in np.unique(stations):
         inside = stations == station
         count, share = int(flagged[inside].sum()), flagged[inside].mean()
-        limit = max(_SHARE_FLAGGED, _MORE_THAN_ELSEWHERE * flagged[~inside].mean())
+        share_elsewhere = flagged[~inside].mean()
+        limit = max(_SHARE_FLAGGED, _MORE_THAN_ELSEWHERE * share_elsewhere)
         if count >= SOME_FLAGGED and share > limit:
-            name, rows = _station_name(fitted, inside), int(np.sum(inside))
+            name = _station_name(fitted, inside)
+            rows = int(np.sum(inside))
             yield Reason.of(Why.SETUP_FLAGGED, flagged=count, rows=rows, setup=name)
             return
 
 
 def _station_name(fitted: Fitted, rows: Mask) -> str:
-    """Name a station by the groups of its rows, a mask of shape (N,)."""
+    """Name a station by the groups of its rows, in their order, such as ``"1 and 2"``.
+
+    Args:
+        fitted: The fit to N rows.
+        rows: True for the rows of the station, shape (N,).
+    """
     frames = fitted.estimate.problem.rows.samples.frame[rows]
-    return " and ".join(dict.fromkeys(fitted.setup.groups[frame] for frame in frames))
+    names = [fitted.setup.groups[frame] for frame in frames]
+    return " and ".join(dict.fromkeys(names))

@@ -6,7 +6,7 @@ In each trial the target is registered anew. Explanations that the rows cannot t
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -99,17 +99,17 @@ _FREE_FRAME = 2.0
 class Trial:
     """An input in which a mistake is undone."""
 
-    #: On the trial's error when trials are ranked; the freer the trial, the larger
+    #: Factor on the trial's error when trials are ranked; the freer the trial, the larger
     factor: float
-    #: The robot
+    #: The nominal robot, perhaps with another base or tip
     robot: Robot
     #: Frames and targets, with what is registered anew
     setup: Setup
-    #: The rows
+    #: The rows, as points
     rows: Rows
     #: Code of the mistake
     why: Why
-    #: Of its reason
+    #: Numbers and names of its reason, errors aside
     values: dict[str, Any] = field(default_factory=dict)
 
 
@@ -127,7 +127,8 @@ def check_positions(robot: Robot, rows: Rows, source: str) -> None:
     chosen = rows.where(lambda kind: kind.position)
     if np.sum(chosen) < 2:
         return
-    points, tips = rows.measured[chosen, :LENGTHS], robot.poses(rows.joints[chosen])[:, :3, 3]
+    points = rows.measured[chosen, :LENGTHS]
+    tips = robot.poses(rows.joints[chosen])[:, :3, 3]
     apart = float(np.max(np.ptp(tips, axis=0)))
     if np.max(np.ptp(points, axis=0)) > _ONE_PLACE or apart < _FAR_APART:
         return
@@ -155,9 +156,7 @@ def find_usual_mistake(robot: Robot, cell: Cell, table: Measurements) -> Reason 
     """
     if not np.all(table.of_kind("point", "pose")):
         return None
-    chosen = np.zeros(len(table), dtype=bool)
-    chosen[np.linspace(0, len(table) - 1, min(len(table), _ROWS)).astype(int)] = True
-    table = table.select(chosen)
+    table = _some_rows(table)
     cell = _naming_only(cell, table)
     poses, setup = rows_and_setup(robot, table, cell)
     rows = _as_points(poses)
@@ -170,15 +169,39 @@ def find_usual_mistake(robot: Robot, cell: Cell, table: Measurements) -> Reason 
         _constant_joints(robot, setup, rows),
         _inverted(robot, setup, poses),
     )
-    # An unknown frame makes a trial a hundred times as expensive: then two joints at most, and last.
-    most = len(robot.inputs) if len(robot.inputs) <= _MOST_SIGNS else 1
-    counts = ((1,), (2,)) if any(setup.unknown) else (range(1, most + 1),)
-    first, *others = (_turned_joints(robot, setup, rows, count) for count in counts)
-    for trials in (itertools.chain(usual, first), *others):
+    counts_by_search = _counts_of_turned_joints(robot, setup)
+    turned = [_turned_joints(robot, setup, rows, counts) for counts in counts_by_search]
+    searches = [itertools.chain(usual, turned[0]), *turned[1:]]
+    for trials in searches:
         explanations = _explanations(trials, given)
         if explanations:
             return _all_as_good(explanations)
     return None
+
+
+def _some_rows(table: Measurements) -> Measurements:
+    """Copy a table with at most `_ROWS` of its rows, evenly over it."""
+    count = min(len(table), _ROWS)
+    numbers = np.linspace(0, len(table) - 1, count).astype(int)
+    chosen = np.zeros(len(table), dtype=bool)
+    chosen[numbers] = True
+    return table.select(chosen)
+
+
+def _counts_of_turned_joints(robot: Robot, setup: Setup) -> tuple[Sequence[int], ...]:
+    """List how many joints have their sign reversed at a time, for one search after the other.
+
+    An unknown frame makes a trial a hundred times as expensive: then two joints at most, and last.
+
+    Returns:
+        The numbers of joints that each search tries, for one or more searches; the next search is made where none
+        before has explained the rows.
+    """
+    if any(setup.unknown):
+        return (1,), (2,)
+    joints = len(robot.inputs)
+    most = joints if joints <= _MOST_SIGNS else 1
+    return (range(1, most + 1),)
 
 
 def _explanations(trials: Iterable[Trial], given: float) -> list[tuple[float, Reason]]:
@@ -189,11 +212,11 @@ def _explanations(trials: Iterable[Trial], given: float) -> list[tuple[float, Re
         given: The rms error of the input as given [m].
 
     Returns:
-        The weighted error, for ranking, and the reason of each trial whose error is far smaller.
+        The weighted error [m], for ranking, and the reason of each trial whose error is far smaller.
     """
     explanations = []
     for trial in trials:
-        error = _misfit(trial.robot, trial.setup, trial.rows)[0]
+        error, _ = _misfit(trial.robot, trial.setup, trial.rows)
         weighted = trial.factor * error
         if error <= _EXPLAINED and weighted <= _FAR_BETTER * given:
             reason = Reason.of(trial.why, given_m=given, error_m=error, **trial.values)
@@ -202,16 +225,27 @@ def _explanations(trials: Iterable[Trial], given: float) -> list[tuple[float, Re
 
 
 def _all_as_good(explanations: list[tuple[float, Reason]]) -> Reason:
-    """Choose the explanation of the smallest weighted error, with those that the rows cannot tell from it."""
-    ordered = [reason for _, reason in sorted(explanations, key=lambda pair: pair[0])]
-    best = ordered[0]
+    """Choose the explanation of the smallest weighted error, with those that the rows cannot tell from it.
+
+    Args:
+        explanations: Weighted error [m] and reason of one or more trials.
+
+    Returns:
+        The reason; its value ``"others"`` lists codes and values of those that explain the rows as well, if any.
+    """
+    ranked = sorted(explanations, key=lambda pair: pair[0])
+    (_, best), *others = ranked
     limit = _AS_GOOD * best.values["error_m"] + _ROUNDING
-    others = []
-    for reason in ordered[1:]:
-        if reason.values["error_m"] <= limit:
-            values = {name: value for name, value in reason.values.items() if name != "given_m"}
-            others.append({"code": reason.code, **values})
-    return replace(best, values={**best.values, "others": others}) if others else best
+    as_good = [_as_values(reason) for _, reason in others if reason.values["error_m"] <= limit]
+    if not as_good:
+        return best
+    return replace(best, values={**best.values, "others": as_good})
+
+
+def _as_values(reason: Reason) -> dict[str, Any]:
+    """Code and values of a reason that stands behind another, without the error as given, which both share."""
+    values = {name: value for name, value in reason.values.items() if name != "given_m"}
+    return {"code": reason.code, **values}
 
 
 def _naming_only(cell: Cell, table: Measurements) -> Cell:
@@ -222,32 +256,46 @@ def _naming_only(cell: Cell, table: Measurements) -> Cell:
 
 
 def _misfit(robot: Robot, setup: Setup, rows: Rows) -> tuple[float, float]:
-    """Errors of the robot after registration of what the setup leaves unknown, rms [m], [rad]."""
+    """Register what the setup leaves unknown, and return the errors of the robot then.
+
+    Args:
+        robot: The robot.
+        setup: Frames and targets, with what is registered.
+        rows: Rows of points or poses.
+
+    Returns:
+        The rms error of positions [m], and of orientations [rad]; the latter is 0 of points.
+    """
     T_base_tip = robot.poses(rows.joints)
     placed = register(T_base_tip, setup, rows, tolerance=_TOLERANCE)
-    residual = rows.residual(placed.target_poses(T_base_tip, rows.samples))
-    square = np.mean(residual**2, axis=0)
-    return float(np.sqrt(np.sum(square[:LENGTHS]))), float(np.sqrt(np.sum(square[LENGTHS:])))
+    T_frame_target = placed.target_poses(T_base_tip, rows.samples)
+    squares = np.mean(rows.residual(T_frame_target) ** 2, axis=0)
+    error = np.sqrt(np.sum(squares[:LENGTHS]))
+    error_angle = np.sqrt(np.sum(squares[LENGTHS:]))
+    return float(error), float(error_angle)
 
 
 def _other_orientations(robot: Robot, setup: Setup, rows: Rows) -> Reason | None:
-    """Explain orientations that make no sense as given, but do as other software writes them; None if none does."""
+    """Explain orientations that make no sense as given, but do as other software writes them.
+
+    Args:
+        robot: The nominal robot, whose positions are plausible.
+        setup: Frames and targets as given.
+        rows: Rows as measured, points or poses.
+
+    Returns:
+        The mistake, with the rms errors of orientations as given and with it undone [rad]; None if the error is
+        plausible, a row has no orientation, or no mistake explains them.
+    """
     if not np.all(rows.where(lambda kind: kind.orientation)):
         return None
-    given = _misfit(robot, setup, rows)[1]
+    _, given = _misfit(robot, setup, rows)
     if given < _PLAUSIBLE_ANGLE:
         return None
-    turned = Rotation.from_matrix(rows.measured[:, LENGTHS:12].reshape(-1, 3, 3))
-    wxyz = turned.as_quat(scalar_first=True)
-    trials = {
-        "last": Rotation.from_quat(wxyz),
-        "first": Rotation.from_quat(np.roll(wxyz, -2, 1)),
-        "": turned.inv(),
-    }
     best, reason = np.inf, None
-    for scalar, rotation in trials.items():
-        columns = np.hstack([rows.measured[:, :LENGTHS], rotation.as_matrix().reshape(-1, 9)])
-        error = _misfit(robot, setup, replace(rows, measured=columns))[1]
+    for scalar, orientations in _by_other_conventions(rows.measured).items():
+        columns = np.hstack([rows.measured[:, :LENGTHS], orientations])
+        _, error = _misfit(robot, setup, replace(rows, measured=columns))
         if error >= best:
             continue
         best = error
@@ -257,8 +305,35 @@ def _other_orientations(robot: Robot, setup: Setup, rows: Rows) -> Reason | None
     return reason if best < _FAR_BETTER * given else None
 
 
+def _by_other_conventions(poses: Array) -> dict[str, Array]:
+    """Read the orientations of poses by the conventions of other software.
+
+    Args:
+        poses: Position [m] and the nine entries of the rotation matrix, row after row, shape (N, 12).
+
+    Returns:
+        The nine entries of each rotation matrix, shape (N, 9): under ``"last"`` and ``"first"`` if the scalar of the
+        quaternions stands last or first, and was read from the other end; under ``""`` of the inverse rotations.
+    """
+    given = Rotation.from_matrix(poses[:, LENGTHS:12].reshape(-1, 3, 3))
+    wxyz = given.as_quat(scalar_first=True)
+    rotations = {
+        "last": Rotation.from_quat(wxyz),
+        "first": Rotation.from_quat(np.roll(wxyz, -2, 1)),
+        "": given.inv(),
+    }
+    return {scalar: R.as_matrix().reshape(-1, 9) for scalar, R in rotations.items()}
+
+
 def _trials(robot: Robot, cell: Cell, setup: Setup, rows: Rows) -> Iterator[Trial]:
-    """Undo the usual mistakes of targets, frames, joints, the order of rows, and points, one at a time."""
+    """Undo the usual mistakes of targets, frames, joints, the order of rows, and points, one at a time.
+
+    Args:
+        robot: The nominal robot.
+        cell: The cell as given.
+        setup: Its frames and targets.
+        rows: Rows of points.
+    """
     free = _with_unknown_targets(setup)
     if not setup.estimate_target:
         yield Trial(_PLAIN, robot, free, rows, Why.TARGET_ELSEWHERE)
@@ -266,17 +341,35 @@ def _trials(robot: Robot, cell: Cell, setup: Setup, rows: Rows) -> Iterator[Tria
         yield from _bases(robot, free, rows)
     for joints, why, values in _joint_trials(robot, rows.joints):
         yield Trial(_ONE_OF_MANY, robot, free, _with_joints(rows, joints), why, values)
-    after, before = rows.select(slice(1, None)), rows.select(slice(None, -1))
-    for later, kept, joints in ((True, after, rows.joints[:-1]), (False, before, rows.joints[1:])):
-        shifted, values = _with_joints(kept, joints), {"later": later}
-        yield Trial(_ONE_OF_MANY, robot, free, shifted, Why.ROWS_SHIFTED, values)
+    yield from _shifted_rows(robot, free, rows)
     turns = any(len(directions) == len(DIRECTIONS) for directions in setup.unknown)
     for points, why, values in _point_trials(rows.measured, turns=turns):
-        yield Trial(_ONE_OF_MANY, robot, free, replace(rows, measured=points), why, values)
+        other_points = replace(rows, measured=points)
+        yield Trial(_ONE_OF_MANY, robot, free, other_points, why, values)
+
+
+def _shifted_rows(robot: Robot, setup: Setup, rows: Rows) -> Iterator[Trial]:
+    """Take the joint values of the row before, then those of the row behind, for each measurement.
+
+    Args:
+        robot: The nominal robot.
+        setup: Frames and targets, with what is registered anew.
+        rows: N rows of points; the first or last one falls away.
+    """
+    after = _with_joints(rows.select(slice(1, None)), rows.joints[:-1])
+    yield Trial(_ONE_OF_MANY, robot, setup, after, Why.ROWS_SHIFTED, {"later": True})
+    before = _with_joints(rows.select(slice(None, -1)), rows.joints[1:])
+    yield Trial(_ONE_OF_MANY, robot, setup, before, Why.ROWS_SHIFTED, {"later": False})
 
 
 def _bases(robot: Robot, setup: Setup, rows: Rows) -> Iterator[Trial]:
-    """Try other links that are fixed to the base as the frame of the points, and an unknown frame."""
+    """Try other links that are fixed to the base as the frame of the points, and an unknown frame.
+
+    Args:
+        robot: The nominal robot.
+        setup: Frames and targets, with what is registered anew.
+        rows: Rows of points.
+    """
     moving = {joint.name for joint in robot.urdf.joints if joint.type != "fixed"}
     for link in robot.urdf.links:
         between = itertools.chain(*robot.urdf.chain(robot.base, link))
@@ -289,11 +382,18 @@ def _bases(robot: Robot, setup: Setup, rows: Rows) -> Iterator[Trial]:
 
 
 def _tips(robot: Robot, cell: Cell, table: Measurements) -> Iterator[Trial]:
-    """Try other links that carry the target: one for each set of joints that the table has values of."""
+    """Try other links that carry the target: one for each set of joints that the table has values of.
+
+    Args:
+        robot: The nominal robot.
+        cell: The cell as given.
+        table: Points or poses.
+    """
     fixed = {joint.name for joint in robot.urdf.joints if joint.type == "fixed"}
     tried = {frozenset(robot.joint_names)}
     for link in robot.urdf.links:
-        moving = frozenset(itertools.chain(*robot.urdf.chain(robot.base, link))) - fixed
+        between = itertools.chain(*robot.urdf.chain(robot.base, link))
+        moving = frozenset(between) - fixed
         measured = moving <= set(table.joint_names)
         if len(moving) < _FEWEST_JOINTS_OF_TIP or moving in tried or not measured:
             continue
@@ -305,9 +405,16 @@ def _tips(robot: Robot, cell: Cell, table: Measurements) -> Iterator[Trial]:
 
 
 def _constant_joints(robot: Robot, setup: Setup, rows: Rows) -> Iterator[Trial]:
-    """Try joints whose column holds one value at the values that would explain each row."""
+    """Try joints whose column holds one value at the values that would explain each row.
+
+    Args:
+        robot: The nominal robot.
+        setup: Frames and targets as given.
+        rows: Rows of points.
+    """
     free = _with_unknown_targets(setup)
-    for joint in np.flatnonzero(np.ptp(rows.joints, axis=0) == 0.0).tolist():
+    is_constant = np.ptp(rows.joints, axis=0) == 0.0
+    for joint in np.flatnonzero(is_constant).tolist():
         moved = rows
         for reach in _REACHES:
             moved = _nearest_values(robot, free, moved, joint, reach)
@@ -316,15 +423,25 @@ def _constant_joints(robot: Robot, setup: Setup, rows: Rows) -> Iterator[Trial]:
 
 
 def _nearest_values(robot: Robot, setup: Setup, rows: Rows, joint: int, reach: float) -> Rows:
-    """Copy rows with the value of a joint, by its number, that fits each row best, within a reach [rad] or [m]."""
-    count, every = len(rows), np.arange(len(rows))
+    """Copy rows with the value of a joint that fits each row best.
+
+    Args:
+        robot: The nominal robot.
+        setup: Frames and targets, with what is registered.
+        rows: Rows of points.
+        joint: Number of the joint, from 0.
+        reach: Largest change of its value [rad] or [m].
+    """
+    every = np.arange(len(rows))
     T_base_tip = robot.poses(rows.joints)
     placed = register(T_base_tip, setup, rows, tolerance=_TOLERANCE)
     q = np.repeat(rows.joints, _TRIED, axis=0)
-    q[:, joint] += np.tile(np.linspace(-reach, reach, _TRIED), count)
+    changes = np.linspace(-reach, reach, _TRIED)
+    q[:, joint] += np.tile(changes, len(rows))
     repeated = rows.select(np.repeat(every, _TRIED))
-    residual = repeated.residual(placed.target_poses(robot.poses(q), repeated.samples))
-    nearest = np.argmin(np.sum(residual**2, axis=1).reshape(-1, _TRIED), axis=1)
+    T_frame_target = placed.target_poses(robot.poses(q), repeated.samples)
+    squares = np.sum(repeated.residual(T_frame_target) ** 2, axis=1)
+    nearest = np.argmin(squares.reshape(-1, _TRIED), axis=1)
     return _with_joints(rows, q[every * _TRIED + nearest])
 
 
@@ -340,12 +457,19 @@ def _with_unknown_targets(setup: Setup) -> Setup:
 
 def _as_points(rows: Rows) -> Rows:
     """Copy poses as the points of their positions."""
-    kinds = np.full_like(rows.kinds, registry.names().index("point"))
+    point = registry.names().index("point")
+    kinds = np.full_like(rows.kinds, point)
     return replace(rows, kinds=kinds, measured=rows.measured[:, :LENGTHS])
 
 
 def _inverted(robot: Robot, setup: Setup, rows: Rows) -> Iterator[Trial]:
-    """Invert poses, as if they were those of the frame in the target; no trial where not every row is a pose."""
+    """Invert poses, as if they were those of the frame in the target; no trial where not every row is a pose.
+
+    Args:
+        robot: The nominal robot.
+        setup: Frames and targets as given.
+        rows: Rows as measured, points or poses.
+    """
     if not np.all(rows.where(lambda kind: kind.orientation)):
         return
     R = rows.measured[:, LENGTHS:12].reshape(-1, 3, 3)
@@ -365,37 +489,55 @@ def _point_trials(points: Array, *, turns: bool) -> Iterator[tuple[Array, Why, d
     Yields:
         The points, the code of the mistake, and the values of its reason.
     """
-    number = np.arange(3)
     if turns:
         yield -points, Why.POINTS_MIRRORED, {}
     else:
-        orders = ([0, 2, 1], [2, 1, 0], [1, 0, 2])
-        for i, axis in enumerate("xyz"):
-            first, second = (other for other in "xyz" if other != axis)
-            columns = {"first": first, "second": second}
-            yield points[:, orders[i]], Why.COLUMNS_SWAPPED, columns
-            yield points * np.where(number == i, -1.0, 1.0), Why.SIGN_TURNED, {"column": axis}
+        yield from _mirrored_points(points)
     for (unit, header), factor in _LENGTHS.items():
         units = {"unit": unit, "header": header}
         yield factor * points, Why.WRONG_UNIT, {"what": "points", **units}
-        for i, axis in enumerate("xyz"):
-            scaled = points * np.where(number == i, factor, 1.0)
+        for axis in "xyz":
+            scaled = points * _factor_on_axis(axis, factor)
             yield scaled, Why.WRONG_UNIT, {"what": f"values of '{axis}'", **units}
+
+
+def _mirrored_points(points: Array) -> Iterator[tuple[Array, Why, dict[str, Any]]]:
+    """Swap two columns of points, and reverse the sign of one; arguments and yields as of `_point_trials`."""
+    orders = {"x": [0, 2, 1], "y": [2, 1, 0], "z": [1, 0, 2]}
+    for axis, order in orders.items():
+        first, second = (other for other in "xyz" if other != axis)
+        columns = {"first": first, "second": second}
+        yield points[:, order], Why.COLUMNS_SWAPPED, columns
+        turned = points * _factor_on_axis(axis, -1.0)
+        yield turned, Why.SIGN_TURNED, {"column": axis}
+
+
+def _factor_on_axis(axis: str, factor: float) -> Array:
+    """Factors on x, y and z, shape (3,): the given one on one axis, ``"x"``, ``"y"`` or ``"z"``, else 1."""
+    return np.array([factor if other == axis else 1.0 for other in "xyz"])
 
 
 def _turned_joints(
     robot: Robot, setup: Setup, rows: Rows, counts: Iterable[int]
 ) -> Iterator[Trial]:
-    """Reverse the sign of joints, in every combination of each of these numbers of joints at a time."""
+    """Reverse the sign of joints.
+
+    Args:
+        robot: The nominal robot.
+        setup: Frames and targets as given.
+        rows: Rows of points.
+        counts: Numbers of joints that are reversed at a time, each in every combination.
+    """
     every = range(len(robot.inputs))
     free = _with_unknown_targets(setup)
     for count in counts:
+        # The more signs, the more combinations.
+        factor = 1.0 + 0.2 * count
         for joints in itertools.combinations(every, count):
-            q = rows.joints * np.where(np.isin(every, joints), -1.0, 1.0)
+            signs = np.where(np.isin(every, joints), -1.0, 1.0)
+            turned = _with_joints(rows, rows.joints * signs)
             values = {"joints": ", ".join(robot.joint_names[i] for i in joints)}
-            # The more signs, the more combinations.
-            factor = 1.0 + 0.2 * count
-            yield Trial(factor, robot, free, _with_joints(rows, q), Why.JOINTS_TURNED, values)
+            yield Trial(factor, robot, free, turned, Why.JOINTS_TURNED, values)
 
 
 def _joint_trials(robot: Robot, q: Array) -> Iterator[tuple[Array, Why, dict[str, Any]]]:
@@ -410,9 +552,8 @@ def _joint_trials(robot: Robot, q: Array) -> Iterator[tuple[Array, Why, dict[str
     """
     names, count = robot.joint_names, len(robot.inputs)
     turns = np.array([joint.type != "prismatic" for joint in robot.inputs])
-    for i, turn in itertools.product(np.flatnonzero(turns).tolist(), np.radians(_TURNS_DEG)):
-        values = {"add_rad": float(turn), "joint": names[i]}
-        yield q + turn * np.eye(count)[i], Why.JOINT_ZERO, values
+    for i in np.flatnonzero(turns).tolist():
+        yield from _shifted_zeros(names[i], i, q)
     for i, j in itertools.combinations(range(count), 2):
         order = list(range(count))
         order[i], order[j] = j, i
@@ -421,3 +562,19 @@ def _joint_trials(robot: Robot, q: Array) -> Iterator[tuple[Array, Why, dict[str
     for (unit, header), factor in _ANGLES.items():
         values = {"what": "joints", "unit": unit, "header": header}
         yield np.where(turns, factor, 1.0) * q, Why.WRONG_UNIT, values
+
+
+def _shifted_zeros(name: str, joint: int, q: Array) -> Iterator[tuple[Array, Why, dict[str, Any]]]:
+    """Shift the zero of a joint by a quarter turn either way, and by half a turn.
+
+    Args:
+        name: The joint's name.
+        joint: Its number, from 0.
+        q: Joint values of the rows, shape (N, m) [rad] or [m].
+
+    Yields:
+        The joint values, the code of the mistake, and the values of its reason.
+    """
+    for turn in np.radians(_TURNS_DEG):
+        offsets = turn * np.eye(q.shape[1])[joint]
+        yield q + offsets, Why.JOINT_ZERO, {"add_rad": float(turn), "joint": name}

@@ -81,7 +81,7 @@ class Evidence:
     scales: Array
     #: (N, D), which scalars were measured
     used: Mask
-    #: (N, D), the least noise of each scalar by any model tried, over ``scales``; what exceeds it is lack of model.
+    #: (N, D), the least noise of each scalar by any model tried, over ``scales``; what exceeds it is lack of model
     floor: Array
     #: (N,), rows of one number are repeats of one measurement
     repeats: Integers
@@ -89,7 +89,7 @@ class Evidence:
     pairs: Mask
     #: (N,), flagged by the fit to all of them
     outliers: Mask
-    # Errors of nominal and calibrated robot on validation rows, and how many further rows were set aside as outliers
+    #: Errors of nominal and calibrated robot on validation rows, and how many further rows were set aside as outliers
     validation: tuple[Errors, Errors, int]
     #: Number of parameters of the model
     parameters: int
@@ -103,22 +103,25 @@ class Evidence:
     expected: float
     #: That of the nominal robot's predictions [m]
     expected_of_nominal: float
-    full_model_parameters: int = (
-        0  # Of a full geometry, where `auto` may have chosen a smaller one; else 0
-    )
+    #: Number of parameters of a full geometry, where `auto` may have chosen a smaller one; else 0
+    full_model_parameters: int = 0
     #: Findings besides errors
     doubts: tuple[Reason, ...] = ()
     #: Stated last, and decide nothing
     notes: tuple[Reason, ...] = ()
-    hint: Reason | None = (
-        None  # A usual mistake that explains the measurements; None where there is none
-    )
-    # Of the URDF: name and held-out errors of the non-geometric model, if there is one
+    #: A usual mistake that explains the measurements; None where there is none
+    hint: Reason | None = None
+    #: Of the URDF: name and held-out errors of the non-geometric model, if there is one
     non_geometric: tuple[str, Errors] | None = None
 
     def whitened(self, v: CrossValidation) -> Array:
-        """Squared error of each row in units of the noise, summed over its scalars, shape (N,)."""
-        return np.asarray(np.sum(np.where(self.used, v.residual / self.scales, 0.0) ** 2, axis=1))
+        """Squared error of each row in units of the noise (``scales``), summed over its measured scalars, shape (N,).
+
+        Args:
+            v: Held-out residuals of the N rows, by either robot.
+        """
+        scalars = np.where(self.used, v.residual / self.scales, 0.0)
+        return np.asarray(np.sum(scalars**2, axis=1))
 
     def gain(self, *, of_all: bool = False) -> tuple[float, float]:
         """Test the fall of the error on held-out rows from the nominal to the calibrated robot.
@@ -145,12 +148,22 @@ class Evidence:
         return gain, float(stdtr(len(fall) - 1, -gain))
 
     def _by_pose(self, v: CrossValidation, *, of_all: bool) -> Array:
-        """Mean over the repeats of each of K poses of the whitened squared error, or of all rows the error, (K,)."""
+        """Average the whitened errors over the repeats of each pose.
+
+        Args:
+            v: Held-out residuals of the N rows, by either robot.
+            of_all: False: squared errors of the rows that are not flagged are averaged; True: errors of all rows.
+
+        Returns:
+            The mean of each of K poses, in units of the noise or its square, shape (K,).
+        """
         rows = (of_all | ~self.outliers) & np.any(self.used, axis=1)
         _, poses = np.unique(v.poses[rows], return_inverse=True)
         counts = np.maximum(np.bincount(poses), 1)
-        square = self.whitened(v)[rows]
-        return np.asarray(np.bincount(poses, np.sqrt(square) if of_all else square) / counts)
+        errors = self.whitened(v)[rows]
+        if of_all:
+            errors = np.sqrt(errors)
+        return np.asarray(np.bincount(poses, errors) / counts)
 
     @property
     def at_noise_level(self) -> bool:
@@ -159,10 +172,15 @@ class Evidence:
         return bool(square < _AT_THE_NOISE**2 * noise)
 
     def _squares(self, v: CrossValidation) -> tuple[float, float]:
-        """Mean whitened squared error of a scalar, outliers aside, and the part of it that is noise."""
+        """Mean whitened squared error of a scalar, outliers aside, and the part of it that is noise (``floor``).
+
+        Args:
+            v: Held-out residuals of the N rows, by either robot.
+        """
         good = ~self.outliers
         count = max(int(np.sum(self.used[good])), 1)
-        noise = np.sum(np.where(self.used, self.floor, 0.0)[good] ** 2)
+        floor = np.where(self.used, self.floor, 0.0)
+        noise = np.sum(floor[good] ** 2)
         return float(np.sum(self.whitened(v)[good]) / count), float(noise / count)
 
     @property
@@ -170,7 +188,10 @@ class Evidence:
         """True if flagged rows are no further off than with the nominal robot, and the error of all rows falls."""
         before = np.sum(self.whitened(self.nominal)[self.outliers])
         after = np.sum(self.whitened(self.calibrated)[self.outliers])
-        return bool(after < _ALIKE**2 * before and self.gain(of_all=True)[1] < _CHANCE)
+        if not after < _ALIKE**2 * before:
+            return False
+        _, chance = self.gain(of_all=True)
+        return chance < _CHANCE
 
     def remains_everywhere(self) -> float:
         """Share of the nominal robot's error over the joint limits that is expected to remain, 0 to 1."""
@@ -241,9 +262,8 @@ class _Figures:
     accidents: bool
     #: Whether the noise may be the instrument's
     plausible: bool
-    unpredictable: (
-        bool  # Whether the error expected over the joint limits is several times the nominal one
-    )
+    #: Whether the error expected over the joint limits is several times the nominal one
+    unpredictable: bool
     #: Share of the error that remains on held-out rows
     held_out: float
     #: Share of the error that is expected to remain over the joint limits
@@ -251,11 +271,17 @@ class _Figures:
 
     @classmethod
     def of(cls, e: Evidence) -> _Figures:
-        """Work them out."""
+        """Work out the figures that the rules compare.
+
+        Args:
+            e: The figures of the corrected URDF, or of the non-geometric model.
+        """
         gain, chance = e.gain()
         size, flagged = _size(e), int(np.sum(e.outliers))
         before = e.nominal.errors_without_outliers
         many = flagged > _MANY_OUTLIERS * len(e.outliers)
+        # Residuals are noise only if a non-geometric model does not leave far less.
+        not_noise = any(doubt.why in _NOT_NOISE for doubt in e.doubts)
         full = max(e.parameters, e.full_model_parameters)
         return cls(
             before=before,
@@ -272,8 +298,7 @@ class _Figures:
             flagged=flagged,
             many=many,
             accidents=many and e.accidental,
-            # Residuals are noise only if a non-geometric model does not leave far less.
-            plausible=not many and not any(doubt.why in _NOT_NOISE for doubt in e.doubts),
+            plausible=not many and not not_noise,
             unpredictable=e.expected > _FAR_MORE * _typical(before),
             held_out=e.remains_held_out(),
             everywhere=e.remains_everywhere(),
@@ -320,7 +345,8 @@ def verdict(e: Evidence) -> Verdict:
     """
     absurd = _absurd(e)
     if absurd:
-        return Verdict(NO, (absurd[0],))  # nothing else about such a fit means anything
+        # Nothing else about such a fit means anything.
+        return Verdict(NO, (absurd[0],))
     f = _Figures.of(e)
     against = _against(e, f)
     careful = _careful(e, f, against)
@@ -334,8 +360,9 @@ def verdict(e: Evidence) -> Verdict:
         use = CARE
     if against:
         use = NO
+    gains = _gains(e, f)
     information = [doubt for doubt in e.doubts if not _matters(doubt)]
-    return Verdict(use, (*against, *careful, *_gains(e, f), *remaining, *information, *e.notes))
+    return Verdict(use, (*against, *careful, *gains, *remaining, *information, *e.notes))
 
 
 def _against(e: Evidence, f: _Figures) -> list[Reason]:
@@ -369,7 +396,9 @@ def _careful(e: Evidence, f: _Figures, against: list[Reason]) -> list[Reason]:
     doubts = [doubt for doubt in e.doubts if not _improvable(doubt, f) and _matters(doubt)]
     given = [doubt for doubt in doubts if doubt.why in _GIVEN]
     others = [doubt for doubt in doubts if doubt.why not in _GIVEN]
-    return [*given, *_careful_of_gain(e, f, against), *others, *_careful_of_rows(e, f, against)]
+    of_gain = _careful_of_gain(e, f, against)
+    of_rows = _careful_of_rows(e, f, against)
+    return [*given, *of_gain, *others, *of_rows]
 
 
 def _careful_of_gain(e: Evidence, f: _Figures, against: list[Reason]) -> list[Reason]:
@@ -473,12 +502,16 @@ def _better(why: Why, e: Evidence, f: _Figures) -> Reason:
 
 def _matters(doubt: Reason) -> bool:
     """Tell whether a doubt counts: a drift or a step that does not predict held-out rows is information."""
-    return doubt.why not in _INFORMATION and bool(doubt.values.get("falls", 1.0) >= PREDICTS)
+    if doubt.why in _INFORMATION:
+        return False
+    falls = doubt.values.get("falls", 1.0)
+    return bool(falls >= PREDICTS)
 
 
 def _absurd(e: Evidence) -> list[Reason]:
     """Reasons why the input must be wrong: a usual mistake that explains the rows, or errors that no arm has."""
-    before, after = e.nominal.errors_without_outliers, e.calibrated.errors_without_outliers
+    before = e.nominal.errors_without_outliers
+    after = e.calibrated.errors_without_outliers
     turned = bool(after.n_angle) and after.rms_angle > _ABSURD_ANGLE
     far = before.rms > _ABSURD and e.largest > _TOO_FAR
     hints = [e.hint] if e.hint else []

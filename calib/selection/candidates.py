@@ -51,9 +51,8 @@ class Candidate:
     cross_validation: CrossValidation
     #: Estimated std of the errors of each family, in its unit; empty without priors
     prior_std: dict[str, float]
-    evidence: (
-        float  # Penalised log-likelihood; without priors the fall of held-out errors, in steps
-    )
+    #: Penalised log-likelihood; without priors the fall of held-out errors, in steps
+    evidence: float
     #: ``"geometry"``, ``"non_geometric"`` or ``""``
     chosen: str = ""
 
@@ -63,27 +62,58 @@ def candidate_of(fitted: Fitted) -> Candidate:
 
     Args:
         fitted: A named model, fitted with the weights of the reference fit.
+
+    Returns:
+        The candidate, not marked as chosen.
     """
-    name, estimate = str(fitted.task.model), fitted.estimate
-    source = fitted.task.cell.priors.source
+    estimate = fitted.estimate
     # Rows without weight are the same for all candidates, unlike those that each would flag itself.
     validation = linear_cross_validation(fitted, estimate.weights <= 0.0)
-    geometry, *families = name.split("+")
-    rung = LADDER.index(geometry)
-    if source == "off":
-        falls = -_mean_log_error(validation.errors_without_outliers) / CLEARLY
-        evidence = falls - rung - len(families)
+    if fitted.task.cell.priors.source == "off":
+        evidence = _evidence_of_held_out_errors(fitted, validation)
     else:
-        cost = _PRIOR_STD_COST * len(estimate.prior_std) if source == "data" else 0.0
-        evidence = estimate.log_likelihood - cost - _RUNG_COST * rung
+        evidence = _evidence_of_likelihood(fitted)
     return Candidate(
-        name=name,
+        name=str(fitted.task.model),
         parameters=len(fitted.kinematics.model),
         log_likelihood=estimate.log_likelihood,
         cross_validation=validation,
         prior_std=dict(estimate.prior_std),
         evidence=evidence,
     )
+
+
+def _evidence_of_held_out_errors(fitted: Fitted, validation: CrossValidation) -> float:
+    """Return the evidence of a model without priors: the fall of its held-out errors, less a step for each addition.
+
+    Args:
+        fitted: Fit of a named model, without priors.
+        validation: Its cross-validation on the linearised problem.
+
+    Returns:
+        Minus the logarithm of the rms error, in steps of `CLEARLY`; less one step for each rung of the ladder of
+        geometries and for each family of non-geometric errors.
+    """
+    geometry, *families = str(fitted.task.model).split("+")
+    falls = -_mean_log_error(validation.errors_without_outliers) / CLEARLY
+    return falls - LADDER.index(geometry) - len(families)
+
+
+def _evidence_of_likelihood(fitted: Fitted) -> float:
+    """Return the evidence of a model with priors: its log-likelihood, less a penalty.
+
+    The penalty is for each prior standard deviation that is estimated from the data, and for each rung of the ladder
+    of geometries.
+
+    Args:
+        fitted: Fit of a named model, with priors.
+    """
+    estimate = fitted.estimate
+    geometry = str(fitted.task.model).split("+")[0]
+    cost = 0.0
+    if fitted.task.cell.priors.source == "data":
+        cost = _PRIOR_STD_COST * len(estimate.prior_std)
+    return estimate.log_likelihood - cost - _RUNG_COST * LADDER.index(geometry)
 
 
 def _mean_log_error(errors: Errors) -> float:
@@ -97,7 +127,11 @@ def _mean_log_error(errors: Errors) -> float:
 
 
 def held_out_rms(validation: CrossValidation) -> float:
-    """Return the rms error on held-out rows, outliers aside, [m], or [rad] where no length was measured."""
+    """Return the rms error on held-out rows, outliers aside, [m], or [rad] where no length was measured.
+
+    Args:
+        validation: Errors of a model at rows that were held out.
+    """
     errors = validation.errors_without_outliers
     return errors.rms if errors.n else errors.rms_angle
 
@@ -151,7 +185,8 @@ def without_vanished_families(name: str, prior_std: Mapping[str, float]) -> str:
         prior_std: Estimated standard deviation of the errors of each family, in its unit; empty without priors.
     """
     geometry, *families = name.split("+")
-    return model_name(geometry, tuple(f for f in families if not is_vanished(f, prior_std)))
+    remaining = tuple(family for family in families if not is_vanished(family, prior_std))
+    return model_name(geometry, remaining)
 
 
 def is_vanished(family: str, prior_std: Mapping[str, float]) -> bool:
@@ -159,6 +194,8 @@ def is_vanished(family: str, prior_std: Mapping[str, float]) -> bool:
 
     Args:
         family: Name of the family.
-        prior_std: Estimated standard deviation of the errors of each family, in its unit.
+        prior_std: Estimated standard deviation of the errors of each family, in its unit; a family that is missing has
+            not vanished.
     """
-    return prior_std.get(family, np.inf) <= _VANISHED * family_of(family).prior
+    limit = _VANISHED * family_of(family).prior
+    return prior_std.get(family, np.inf) <= limit

@@ -16,6 +16,7 @@ from calib.jobs import Progress
 from calib.numerics.errors import CrossValidation
 from calib.registration.registration import ENOUGH, nominal_setup
 from calib.registration.rows import Rows
+from calib.registration.setup import Setup
 from calib.selection.folds import Folds
 from calib.selection.held_out import held_out_residual, residual_after_registration
 from calib.selection.linear_folds import held_out_residuals_linear
@@ -31,22 +32,29 @@ def cross_validation(
 
     Args:
         fitted: Fit to all N rows.
-        outliers: Rows to leave out of registrations and of the errors without outliers, shape (N,).
-        progress: Called after each fold with the number of folds done and of all.
+        outliers: True for the rows to leave out of registrations and of the errors without outliers, shape (N,).
+        progress: Called after each fold with the number of folds done and of all; None: nothing is called.
+
+    Returns:
+        Residuals of the N rows, measured minus predicted without their fold, shape (N, D), [m] and [rad], and their
+        errors.
 
     Raises:
         MeasurementError: All rows are of one pose, or the others are too few for a fit.
     """
-    task, rows = fitted.task, fitted.estimate.problem.rows
-    folds = Folds.of_task(task, rows)
-    residuals = held_out_residuals_linear(fitted, folds.masks, outliers)
+    rows = fitted.estimate.problem.rows
+    folds = Folds.of_task(fitted.task, rows)
+    by_linear_problem = held_out_residuals_linear(fitted, folds.masks, outliers)
+    residuals = []
     for k, mask in enumerate(folds.masks):
-        if k not in residuals:
-            without_fold = fit(task, rows.select(~mask))
-            residuals[k] = held_out_residual(without_fold, rows, mask, outliers)
+        residual = by_linear_problem.get(k)
+        if residual is None:
+            without_fold = fit(fitted.task, rows.select(~mask))
+            residual = held_out_residual(without_fold, rows, mask, outliers)
+        residuals.append(residual)
         if progress is not None:
             progress(k + 1, len(folds.masks))
-    return folds.joined(rows, [residuals[k] for k in range(len(folds.masks))], outliers)
+    return folds.joined(rows, residuals, outliers)
 
 
 def nominal_cross_validation(task: Task, rows: Rows, outliers: Mask) -> CrossValidation:
@@ -55,21 +63,33 @@ def nominal_cross_validation(task: Task, rows: Rows, outliers: Mask) -> CrossVal
     Args:
         task: The fit of the calibrated robot, which says what is estimated.
         rows: The N rows that were fitted.
-        outliers: Rows that have no part in registrations and in the errors without outliers, shape (N,).
+        outliers: True for the rows that have no part in registrations and in the errors without outliers, shape (N,).
+
+    Returns:
+        Residuals of the N rows, measured minus predicted by the nominal robot, shape (N, D), [m] and [rad], and their
+        errors.
 
     Raises:
         MeasurementError: All rows are of one pose, or the others are too few for the registration.
     """
     folds = Folds.of_task(task, rows)
-    # What is estimated counts as not given here, so that it is registered for the nominal robot too.
-    frame_known = np.array([not directions for directions in task.setup.unknown])
-    setup = replace(task.setup, frame_given=frame_known, target_given=~task.setup.target_unknown)
+    setup = _with_estimated_not_given(task.setup)
     T_base_tip = task.robot.poses(rows.joints)
     good = rows.evenly(ENOUGH) & rows.without(outliers)
     residuals = []
     for mask in folds.masks:
         used = ~mask & good
         placed = nominal_setup(T_base_tip[used], setup, rows.select(used))
-        residual = residual_after_registration(T_base_tip[mask], placed, rows, mask, used, outliers)
+        T_held_out = T_base_tip[mask]
+        residual = residual_after_registration(T_held_out, placed, rows, mask, used, outliers)
         residuals.append(residual)
     return folds.joined(rows, residuals, outliers)
+
+
+def _with_estimated_not_given(setup: Setup) -> Setup:
+    """Copy a setup with every frame and target that a fit estimates marked as not given.
+
+    What is not given is registered for the nominal robot, as what is given would not be.
+    """
+    frame_known = np.array([not directions for directions in setup.unknown])
+    return replace(setup, frame_given=frame_known, target_given=~setup.target_unknown)

@@ -41,7 +41,10 @@ class Folds:
 
     @classmethod
     def of(
-        cls, blocks: Integers, stations: Integers | None = None, measured_rows: int | None = None
+        cls,
+        blocks: Integers,
+        stations: Integers | None = None,
+        measured_rows: int | None = None,
     ) -> Folds:
         """Divide rows into folds: whole stations, or single poses, or tenths of many poses.
 
@@ -69,11 +72,19 @@ class Folds:
 
     @classmethod
     def _of_stations(cls, stations: Integers, numbers: Integers) -> Folds:
-        """Hold out whole stations, several at a time where there are more than `_MOST_FOLDS`."""
+        """Hold out whole stations, several at a time where there are more than `_MOST_FOLDS`.
+
+        Args:
+            stations: Number of the station of each row, shape (N,).
+            numbers: The K numbers that occur, in order, shape (K,).
+        """
         size = -(-len(numbers) // _MOST_FOLDS)  # rounded up
-        starts = range(0, len(numbers), size)
+        masks = []
+        for first in range(0, len(numbers), size):
+            held_out = numbers[first : first + size]
+            masks.append(np.isin(stations, held_out))
         method = "leave-one-station-out" if size == 1 else "leave-stations-out"
-        return cls(method, tuple(np.isin(stations, numbers[k : k + size]) for k in starts))
+        return cls(method, tuple(masks))
 
     @classmethod
     def of_task(cls, task: Task, rows: Rows) -> Folds:
@@ -86,12 +97,16 @@ class Folds:
             task: The fit, of which the setup and the known distances between stations count.
             rows: The N rows that are fitted.
 
+        Returns:
+            Two folds or more.
+
         Raises:
             MeasurementError: All rows are of one pose, so nothing is left to fit.
         """
         stations = joined_stations(rows, task.distances)
         whole = _stations_predict_each_other(task, rows, stations)
-        measured_rows = int(np.sum(np.any(rows.used, axis=1)))
+        is_measured = np.any(rows.used, axis=1)
+        measured_rows = int(np.sum(is_measured))
         folds = cls.of(rows.blocks, stations if whole else None, measured_rows)
         if len(folds.masks) < 2:
             raise MeasurementError(
@@ -145,9 +160,11 @@ def _stations_predict_each_other(task: Task, rows: Rows, stations: Integers) -> 
     oriented = rows.where(lambda kind: kind.orientation)
     targets = rows.samples.target
     for target in np.unique(targets[oriented]):
-        if len(np.unique(stations[oriented & (targets == target)])) < 2:
+        of_target = oriented & (targets == target)
+        if len(np.unique(stations[of_target])) < 2:
             return False
     # No station, or more than one, must be measured in a known frame: one alone determines where the base stands.
     known_frames = np.array([len(unknown) < len(DIRECTIONS) for unknown in task.setup.unknown])
-    in_known_frame = rows.where(lambda kind: kind.position) & known_frames[rows.samples.frame]
+    positions = rows.where(lambda kind: kind.position)
+    in_known_frame = positions & known_frames[rows.samples.frame]
     return len(np.unique(stations[in_known_frame])) != 1

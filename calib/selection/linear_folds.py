@@ -7,7 +7,7 @@ folds for which the linear problem is accurate; there weights, noise and priors 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -44,10 +44,18 @@ def linear_cross_validation(fitted: Fitted, outliers: Mask | None = None) -> Cro
 
     Args:
         fitted: Fit to N rows.
-        outliers: Rows to leave out of the errors without outliers, shape (N,); None: those that the fit flagged.
+        outliers: True for the rows to leave out of the errors without outliers, shape (N,); None: those that the fit
+            flagged.
+
+    Returns:
+        Residuals of the N rows, measured minus predicted without their fold, shape (N, D), [m] and [rad], and their
+        errors.
     """
-    problem, estimate = fitted.estimate.problem, fitted.estimate
+    estimate = fitted.estimate
+    problem = estimate.problem
     rows = problem.rows
+    if outliers is None:
+        outliers = estimate.outliers
     linear = problem.linear(estimate.x)
     folds = Folds.of_task(fitted.task, rows)
     means = fold_posterior_means(fitted, linear, folds.masks)
@@ -57,25 +65,31 @@ def linear_cross_validation(fitted: Fitted, outliers: Mask | None = None) -> Cro
         own_places = seen_only_by(fitted, mask)
         if np.any(own_places):
             x = _with_own_places(part, x, own_places, problem.weights[mask])
-        residuals.append(part.residual(x) * rows.scales[mask])
-    return folds.joined(rows, residuals, estimate.outliers if outliers is None else outliers)
+        whitened = part.residual(x)
+        residuals.append(whitened * rows.scales[mask])
+    return folds.joined(rows, residuals, outliers)
 
 
 def _with_own_places(part: LinearProblem, x: Array, own_places: Mask, weights: Array) -> Array:
     """Return parameters with those of places that only these rows see fitted to these rows.
 
     Args:
-        part: The linear problem of the n held-out rows.
-        x: Parameters by the other rows, shape (p,).
-        own_places: True for the parameters to fit, shape (p,).
-        weights: Weights of the rows, shape (n,). A row without weight must not move the frame of the others.
+        part: The linear problem of the n held-out rows alone.
+        x: The p parameters by the other rows, offsets from the registered start [m, rad, ...], shape (p,).
+        own_places: True for the parameters of places (frames and targets) to fit, shape (p,).
+        weights: Weights of the held-out rows, shape (n,). A row without weight must not move the frame of the others.
+
+    Returns:
+        A copy of ``x`` with the fitted entries replaced, shape (p,).
     """
     row, _ = np.nonzero(part.used)
     root = np.sqrt(weights)[row]
     by_others = part.residual(np.where(own_places, 0.0, x))[part.used]
     columns = part.A[part.used][:, own_places]
+    weighted_columns = columns * root[:, None]
+    own, *_ = np.linalg.lstsq(weighted_columns, by_others * root, rcond=1e-9)
     result = x.copy()
-    result[own_places] = np.linalg.lstsq(columns * root[:, None], by_others * root, rcond=1e-9)[0]
+    result[own_places] = own
     return np.asarray(result)
 
 
@@ -114,31 +128,68 @@ def held_out_residuals_linear(
         Residuals, shape (n, D), [m] and [rad], by the fold's index from 0. Folds that are not in it must be fitted
         anew: too few rows are left, a parameter would exceed its bounds, or the robot is not linear that far.
     """
-    task, estimate = fitted.task, fitted.estimate
-    if task.solver == PAPER or estimate.at_bound:
+    estimate = fitted.estimate
+    if fitted.task.solver == PAPER or estimate.at_bound:
         return {}
-    candidates = [k for k, mask in enumerate(masks) if _leaves_enough_rows(fitted, mask)]
+    candidates = {k: mask for k, mask in enumerate(masks) if _leaves_enough_rows(fitted, mask)}
     if not candidates:
         return {}
     linear = estimate.problem.linear(estimate.x)
-    prior = PriorTerms.of(task, fitted.kinematics.model, fitted.setup)
-    x, freedom = _fold_estimates(fitted, linear, prior, np.array([masks[k] for k in candidates]))
+    residuals = {}
+    for k, x in _admissible_estimates(fitted, linear, candidates).items():
+        residual = _residual_without_fold(fitted, linear, x, masks[k], outliers)
+        if residual is not None:
+            residuals[k] = residual
+    return residuals
+
+
+def _admissible_estimates(
+    fitted: Fitted, linear: LinearProblem, masks: Mapping[int, Mask]
+) -> dict[int, Array]:
+    """Estimate the parameters without each fold; keep estimates within bounds and with enough degrees of freedom.
+
+    Args:
+        fitted: Fit to all N rows with p parameters.
+        linear: Its problem, linearised at its solution.
+        masks: By the index of each of one or more folds, True for the rows that it holds out, shape (N,).
+
+    Returns:
+        Offsets from the registered start like ``fitted.estimate.x``, shape (p,), by the index of the fold.
+    """
+    prior = PriorTerms.of(fitted.task, fitted.kinematics.model, fitted.setup)
+    held_out = np.array(list(masks.values()))
+    x, freedom = _fold_estimates(fitted, linear, prior, held_out)
     low, high = prior.limits.T
-    inside = np.all((x >= low) & (x <= high), axis=1)
-    accepted = np.flatnonzero((freedom > FEWEST_FREEDOM) & inside).tolist()
-    result = {}
-    for i in accepted:
-        k = candidates[i]
-        residual = _accurate_residual(fitted, linear, x[i], masks[k])
-        if residual is None:
-            continue
-        if np.any(seen_only_by(fitted, masks[k])):
-            without_fold = replace(fitted, estimate=replace(estimate, x=x[i]))
-            rows = estimate.problem.rows
-            result[k] = held_out_residual(without_fold, rows, masks[k], outliers)
-        else:
-            result[k] = residual[masks[k]]
-    return result
+    within_bounds = np.all((x >= low) & (x <= high), axis=1)
+    admissible = (freedom > FEWEST_FREEDOM) & within_bounds
+    return {k: x[i] for i, k in enumerate(masks) if admissible[i]}
+
+
+def _residual_without_fold(
+    fitted: Fitted, linear: LinearProblem, x: Array, held_out: Mask, outliers: Mask
+) -> Array | None:
+    """Return the held-out residual of one fold, or None if the linear problem is not accurate at its estimate.
+
+    Frames and targets that only the held-out rows see are registered to these rows.
+
+    Args:
+        fitted: Fit to all N rows with p parameters.
+        linear: Its problem, linearised at its solution.
+        x: Parameters without the fold, offsets like ``fitted.estimate.x``, shape (p,).
+        held_out: True for the n rows of the fold, shape (N,).
+        outliers: True for the rows that have no part in a registration, shape (N,).
+
+    Returns:
+        Measured minus predicted of the held-out rows, shape (n, D), [m] and [rad].
+    """
+    residual = _accurate_residual(fitted, linear, x, held_out)
+    if residual is None:
+        return None
+    if not np.any(seen_only_by(fitted, held_out)):
+        return residual[held_out]
+    estimate = fitted.estimate
+    without_fold = replace(fitted, estimate=replace(estimate, x=x))
+    return held_out_residual(without_fold, estimate.problem.rows, held_out, outliers)
 
 
 def _leaves_enough_rows(fitted: Fitted, mask: Mask) -> bool:
@@ -149,7 +200,8 @@ def _leaves_enough_rows(fitted: Fitted, mask: Mask) -> bool:
         mask: True for the rows that are held out, shape (N,).
     """
     rows = fitted.estimate.problem.rows
-    scalars = np.sum(rows.used & ~mask[:, None], axis=1)
+    kept = rows.used & ~mask[:, None]
+    scalars = np.sum(kept, axis=1)
     if np.sum(scalars) < len(fitted.kinematics.model) + FEWEST_FREEDOM:
         return False
     in_frame = np.bincount(rows.samples.frame, scalars)
@@ -167,17 +219,20 @@ def _fold_estimates(
 
     Args:
         fitted: Fit to all N rows with p parameters.
-        linear: Its problem, linearised.
-        prior: Priors of the fit.
-        masks: True for the rows that each fold holds out, shape (F, N).
+        linear: Its problem, linearised at its solution.
+        prior: Priors of the p parameters as given, before the fit.
+        masks: For each of F folds, True for the rows that it holds out, shape (F, N).
 
     Returns:
-        Offsets x, shape (F, p), and degrees of freedom of each, shape (F,); infinite where they were not counted.
+        Offsets from the registered start like ``fitted.estimate.x``, shape (F, p), and degrees of freedom that each
+        fold leaves for the noise, shape (F,); infinite where they were not counted.
     """
-    task, rows = fitted.task, fitted.estimate.problem.rows
-    if len(rows) >= _MANY and masks.mean(axis=1).max() < _SMALL_SHARE:
-        return fold_posterior_means(fitted, linear, masks), np.full(len(masks), np.inf)
-    weighting = Weighting.of(task.cell.repeats, task.robust, rows)
+    rows = fitted.estimate.problem.rows
+    largest_share = masks.mean(axis=1).max()
+    if len(rows) >= _MANY and largest_share < _SMALL_SHARE:
+        not_counted = np.full(len(masks), np.inf)
+        return fold_posterior_means(fitted, linear, masks), not_counted
+    weighting = Weighting.of(fitted.task.cell.repeats, fitted.task.robust, rows)
     size = max(_AT_A_TIME // len(rows), 1)
     x, freedom = [], []
     for first in range(0, len(masks), size):
@@ -196,18 +251,21 @@ def _accurate_residual(fitted: Fitted, linear: LinearProblem, x: Array, mask: Ma
 
     Args:
         fitted: Fit to all N rows.
-        linear: Its problem, linearised.
-        x: Parameters without the fold, shape (p,).
+        linear: Its problem, linearised at its solution.
+        x: Parameters without the fold, offsets like ``fitted.estimate.x``, shape (p,).
         mask: True for the rows that are held out, shape (N,).
 
     Returns:
         Measured minus predicted of all rows, shape (N, D), [m] and [rad].
     """
-    problem, estimate = fitted.estimate.problem, fitted.estimate
+    estimate = fitted.estimate
+    problem = estimate.problem
     rows = problem.rows
     residual = problem.residual(x)
-    difference = (linear.residual(x) * rows.scales - residual) / problem.scales
+    linear_residual = linear.residual(x) * rows.scales
+    difference = (linear_residual - residual) / problem.scales
     kept_rows = rows.checked & ~mask & (estimate.weights > 0.0)
     kept = rows.used & kept_rows[:, None]
-    accurate = np.sqrt(np.mean(difference[kept] ** 2)) < _LINEAR
-    return residual if accurate else None
+    if np.sqrt(np.mean(difference[kept] ** 2)) < _LINEAR:
+        return residual
+    return None

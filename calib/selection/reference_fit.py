@@ -17,6 +17,7 @@ from calib.robot.urdf_tree import read_only
 from calib.selection.candidates import held_out_rms
 from calib.selection.ladder import determinable_families, model_name
 from calib.selection.linear_folds import linear_cross_validation
+from calib.units import Array, Mask
 
 
 def explains_more_rows(reference: Fitted, fitted: Fitted) -> bool:
@@ -30,14 +31,26 @@ def explains_more_rows(reference: Fitted, fitted: Fitted) -> bool:
         fitted: Fit of another model to the same rows, with its own weights.
     """
     outliers = fitted.estimate.outliers
-    in_both = outliers & reference.estimate.outliers
+    outliers_of_reference = reference.estimate.outliers
+    in_both = outliers & outliers_of_reference
     if np.array_equal(in_both, outliers):
         return False
-    if not np.array_equal(in_both, reference.estimate.outliers):
+    if not np.array_equal(in_both, outliers_of_reference):
         return False
-    by_fitted = held_out_rms(linear_cross_validation(fitted, in_both))
-    by_reference = held_out_rms(linear_cross_validation(reference, in_both))
-    return by_reference < by_fitted
+    return _held_out_rms(reference, in_both) < _held_out_rms(fitted, in_both)
+
+
+def _held_out_rms(fitted: Fitted, outliers: Mask) -> float:
+    """Return the rms error of a fit on held-out rows of its linearised problem.
+
+    Args:
+        fitted: Fit to N rows.
+        outliers: True for the rows that are set aside, shape (N,).
+
+    Returns:
+        The error of a length [m], or of an angle [rad] where no length was measured.
+    """
+    return held_out_rms(linear_cross_validation(fitted, outliers))
 
 
 def with_better_weights(fitted: Fitted, rows: Rows, reference: Fitted) -> Fitted:
@@ -49,24 +62,30 @@ def with_better_weights(fitted: Fitted, rows: Rows, reference: Fitted) -> Fitted
     Args:
         fitted: Fit with its own weights.
         rows: The N rows that it was fitted to.
-        reference: Fit of another model to these rows.
+        reference: Fit of another model to these rows, with its own weights.
 
     Returns:
-        One of the two fits of the model; its scores are at most the reference's if that predicts better.
+        One of the two fits of the model; its scores are at most the reference's if that predicts better, both as
+        shares of the limit from which on a fit flags a row.
     """
     refitted = fit(fitted.task, rows, reference=reference)
     in_both = fitted.estimate.outliers & reference.estimate.outliers
-    by_fitted = held_out_rms(linear_cross_validation(fitted, in_both))
-    by_refitted = held_out_rms(linear_cross_validation(refitted, in_both))
-    by_reference = held_out_rms(linear_cross_validation(reference, in_both))
+    by_fitted = _held_out_rms(fitted, in_both)
+    by_refitted = _held_out_rms(refitted, in_both)
+    by_reference = _held_out_rms(reference, in_both)
     chosen = refitted if by_refitted < by_fitted else fitted
-    estimate = chosen.estimate
-    scores = estimate.scores
+    scores = chosen.estimate.scores
     if by_reference < by_fitted:
-        # In units of the chosen fit's own limit.
-        of_reference = reference.estimate.scores * estimate.flag_limit
-        scores = np.minimum(scores, of_reference / reference.estimate.flag_limit)
-    return replace(chosen, estimate=replace(estimate, scores=read_only(scores)))
+        scores = np.minimum(scores, _scores_at_limit(reference, chosen.estimate.flag_limit))
+    estimate = replace(chosen.estimate, scores=read_only(scores))
+    return replace(chosen, estimate=estimate)
+
+
+def _scores_at_limit(fitted: Fitted, limit: float) -> Array:
+    """Rescale the scores of a fit's N rows to another limit, from which on rows are flagged, shape (N,)."""
+    estimate = fitted.estimate
+    scaled = estimate.scores * limit
+    return np.asarray(scaled / estimate.flag_limit)
 
 
 def fit_with_all_families(fitted: Fitted, rows: Rows) -> Fitted:
@@ -75,7 +94,11 @@ def fit_with_all_families(fitted: Fitted, rows: Rows) -> Fitted:
     Args:
         fitted: Fit of the geometry, from whose registration the new one starts.
         rows: Rows to fit, with the loads on the joints.
+
+    Returns:
+        The fit, with its own weights, of the model such as ``"dh+compliance+gain"``.
     """
-    task = fitted.task
-    name = model_name(str(task.model), determinable_families(task, rows))
-    return fit(replace(task, model=name, allow_absent=True), rows, registered=fitted.setup)
+    families = determinable_families(fitted.task, rows)
+    model = model_name(str(fitted.task.model), families)
+    task = replace(fitted.task, model=model, allow_absent=True)
+    return fit(task, rows, registered=fitted.setup)

@@ -21,16 +21,14 @@ from calib.units import Array
 class Robustness:
     """The fit with the weights of doubtful rows lowered, beside the one with every row in full."""
 
-    lowered: (
-        bool  # True if the calibration has the weights lowered, and the other fit every row in full
-    )
+    #: True if the calibration has the weights lowered, and the other fit every row in full
+    lowered: bool
     #: Distance between both fits' predictions at the measured poses, rms [m]
     moved_rms: float
     #: The largest such distance [m]
     moved_max: float
-    errors_lowered: (
-        Errors  # Of rows not flagged, held out on the linearised problem, with weights lowered
-    )
+    #: Of rows not flagged, held out on the linearised problem, with weights lowered
+    errors_lowered: Errors
     #: The same with every row in full
     errors_full: Errors
 
@@ -68,6 +66,10 @@ def _distances(fitted: Fitted, other: Fitted) -> Array:
     """Return the distances between the points that two fits predict at the measured poses, shape (N,), [m].
 
     Where no row determines where the base stands, a motion as one body is left out.
+
+    Args:
+        fitted: The fit whose N rows are compared.
+        other: Fit of the same model to the same rows, with other weights.
     """
     rows = fitted.estimate.problem.rows
     samples = rows.samples
@@ -75,7 +77,8 @@ def _distances(fitted: Fitted, other: Fitted) -> Array:
     if as_one_body:
         samples = replace(samples, frame=np.zeros_like(samples.frame))
     points = fitted.kinematics.points(fitted.estimate.x, samples)
-    displacements = (other.kinematics.points(other.estimate.x, samples) - points)[:, :, None]
+    other_points = other.kinematics.points(other.estimate.x, samples)
+    displacements = (other_points - points)[:, :, None]
     if as_one_body:
         displacements = without_rigid_motion(points, displacements)
     return np.asarray(np.linalg.norm(displacements[:, :, 0], axis=1))

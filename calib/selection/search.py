@@ -58,8 +58,9 @@ class Search:
         if self.task.cell.priors.source == "off":
             return max(fitted, key=lambda c: c.evidence).name
         estimate = self.reference.estimate
+        scales = estimate.problem.scales
         kept = self.rows.checked & (estimate.weights > 0.0)
-        errors = [pose_errors(c.cross_validation, estimate.problem.scales, kept) for c in fitted]
+        errors = [pose_errors(c.cross_validation, scales, kept) for c in fitted]
         return preferred_geometry(fitted, errors)
 
     def best_non_geometric(self, highest: str, geometry: str) -> str:
@@ -77,15 +78,13 @@ class Search:
             return geometry
         if self.task.cell.priors.source == "off":
             return highest
-        of_geometry = self.tried[geometry]
-        limit = held_out_rms(of_geometry.cross_validation)
-        better = [
-            candidate
-            for candidate in self.tried.values()
-            if "+" in candidate.name and held_out_rms(candidate.cross_validation) < limit
-        ]
-        best = max(better, key=lambda c: c.evidence, default=of_geometry)
-        return best.name if best.evidence > of_geometry.evidence else geometry
+        best = self.tried[geometry]
+        limit = held_out_rms(best.cross_validation)
+        for candidate in self.tried.values():
+            closer = held_out_rms(candidate.cross_validation) < limit
+            if "+" in candidate.name and closer and candidate.evidence > best.evidence:
+                best = candidate
+        return best.name
 
     def evidence(self, name: str) -> float:
         """Return the evidence of a model; minus infinity where the rows are too few for its parameters."""
@@ -120,23 +119,26 @@ class Search:
         for new in self.families:
             if new in families:
                 continue
-            beside = self._named(geometry, {*families, new})
+            with_new = {*families, new}
+            beside = self._named(geometry, with_new)
             if not self._is_fitted(beside) or is_vanished(new, self.tried[beside].prior_std):
                 continue
-            swaps += [self._named(geometry, {*families, new} - {old}) for old in families]
+            swaps += [self._named(geometry, with_new - {old}) for old in families]
         return swaps
 
     def _named(self, geometry: str, families: Iterable[str]) -> str:
-        """Return the name of a geometry with families, in their fixed order."""
+        """Return the name of a geometry with families, in the order of `families` of the search."""
         chosen = set(families)
-        return model_name(geometry, tuple(f for f in self.families if f in chosen))
+        ordered = tuple(family for family in self.families if family in chosen)
+        return model_name(geometry, ordered)
 
     def _is_fitted(self, name: str) -> bool:
         """Fit a model unless it was tried before; False where the rows are too few for it."""
         if name in self.tried:
             return True
+        task = replace(self.task, model=name)
         try:
-            fitted = fit(replace(self.task, model=name), self.rows, reference=self.reference)
+            fitted = fit(task, self.rows, reference=self.reference)
         except MeasurementError:
             return False
         self.tried[name] = candidate_of(fitted)

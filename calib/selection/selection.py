@@ -55,6 +55,9 @@ def select(task: Task, rows: Rows) -> Selection:
         task: The fit; its model does not count.
         rows: Rows to fit.
 
+    Returns:
+        The chosen models, and all that were fitted.
+
     Raises:
         ModelError: The cell names a parameter that no model has.
         MeasurementError: Too few rows.
@@ -64,40 +67,50 @@ def select(task: Task, rows: Rows) -> Selection:
     task = replace(task, allow_absent=True)
     geometries = geometry_parameters(task)
     families = determinable_families(task, some_rows)
-    if task.cell.priors.source == "off":  # then there must be a number for each parameter
-        start = _largest_geometry(geometries, some_rows.count)
+    if task.cell.priors.source == "off":
+        # Without priors there must be a number for each parameter.
+        largest = _largest_geometry(geometries, some_rows.count)
     else:
-        start = model_name(tuple(geometries)[-1], families)
-    reference = fit(replace(task, model=start), some_rows)
-    start = without_vanished_families(start, reference.estimate.prior_std)
+        largest_geometry = tuple(geometries)[-1]
+        largest = model_name(largest_geometry, families)
+    reference = fit(replace(task, model=largest), some_rows)
+    start = without_vanished_families(largest, reference.estimate.prior_std)
     # With the rows of sole postures marked.
     marked_rows = reference.estimate.problem.rows
     search = Search(task, marked_rows, reference, tuple(geometries), families)
     selection = _searched(search, start)
-    if len(some_rows) < len(rows):
-        chosen = selection.reference
-        of_all_rows = fit(chosen.task, rows, registered=chosen.setup)
-        return replace(selection, reference=of_all_rows)
-    return selection
+    if len(some_rows) == len(rows):
+        return selection
+    chosen = selection.reference
+    of_all_rows = fit(chosen.task, rows, registered=chosen.setup)
+    return replace(selection, reference=of_all_rows)
 
 
 def _largest_geometry(geometries: dict[str, int], count: int) -> str:
     """Return the largest geometry with no more parameters than there are scalars, or the smallest of all.
 
     Args:
-        geometries: Number of parameters of each, from the smallest to the largest.
+        geometries: Number of parameters by the geometry's name, from the smallest to the largest.
         count: Number of measured scalars.
+
+    Returns:
+        The geometry's name.
     """
     enough = [name for name, parameters in geometries.items() if parameters <= count]
-    return enough[-1] if enough else next(iter(geometries))
+    if enough:
+        return enough[-1]
+    return next(iter(geometries))
 
 
 def _searched(search: Search, start: str) -> Selection:
     """Search until the weights of the chosen model choose it again, or the reference explains more rows than it does.
 
     Args:
-        search: The first search.
+        search: The first search, in which nothing was tried; a second one has the weights of the model that it chose.
         start: Name of the model with which it begins.
+
+    Returns:
+        The models that the last search chose.
     """
     for number in range(1, _MOST_SEARCHES + 1):
         highest = search.highest_evidence(start)
