@@ -172,13 +172,47 @@ def compensate(
     T_wanted, nominal_solution = _nominal_solution(pair, program, matching)
     limits = column_limits(pair.nominal.robot)
     solution = solve(pair.actual, T_wanted, nominal_solution.q, matching, limits)
-    return _assemble(pair, program, matching, T_wanted, nominal_solution, solution, tolerance)
+    solved = _SolvedProgram(pair, matching, T_wanted, nominal_solution, solution)
+    return _assemble(program, solved, tolerance)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _SolvedProgram:
+    """The N poses of a program, and the joint values that the nominal and the actual robot have for them."""
+
+    #: The nominal and the actual robot, with their tools.
+    pair: Pair
+    #: What of the poses is matched.
+    matching: Matching
+    #: Wanted poses of the tool in the base, shape (N, 4, 4), [m].
+    T_wanted: Array
+    #: The nominal robot at its joint values for them.
+    nominal: Solution
+    #: The actual robot at the joint values to command.
+    actual: Solution
+
+    def misses(self, solution: Solution) -> Array:
+        """Compute distance [m] and angle [rad] of a robot's tool from the wanted poses, shape (N, 2).
+
+        Args:
+            solution: The robot at any joint values for the N poses.
+        """
+        return self.matching.misses(solution.T_base_tool, self.T_wanted)
+
+    def uncorrected(self) -> Solution:
+        """Return the actual robot at the nominal joint values."""
+        q_nominal = self.nominal.q
+        return Solution(q_nominal, *self.pair.actual.motion(q_nominal))
 
 
 def _matching(pair: Pair, program: Program) -> Matching:
     """Return what of the poses is matched: as the program says, else as much as the number of joints allows.
 
     Where all is reached, the length that weighs an angle does not matter: it is the arm's own.
+
+    Args:
+        pair: The nominal and the actual robot.
+        program: The poses to reach.
     """
     count = len(pair.nominal.robot.joint_names)
     if program.match:
@@ -190,46 +224,35 @@ def _matching(pair: Pair, program: Program) -> Matching:
     return Matching(match, pair.reach)
 
 
-def _assemble(
-    pair: Pair,
-    program: Program,
-    matching: Matching,
-    T_wanted: Array,
-    nominal: Solution,
-    solution: Solution,
-    tolerance: tuple[float, float],
-) -> Commands:
+def _assemble(program: Program, solved: _SolvedProgram, tolerance: tuple[float, float]) -> Commands:
     """Return the commands, with what is missed, the expected errors, reasons and warnings.
 
     Args:
-        pair: The nominal and the actual robot.
-        program: The program.
-        matching: What of the poses is matched.
-        T_wanted: Wanted poses in the base, shape (N, 4, 4), [m].
-        nominal: The nominal robot at its joint values for them.
-        solution: The actual robot at the joint values to command.
-        tolerance: Error that a row may keep [m], [rad].
+        program: The N rows to run through.
+        solved: Its poses, and the joint values of both robots for them.
+        tolerance: Error that a row may keep: position [m], angle [rad].
     """
-    T_send, misses_by_pose = _poses_to_send(pair, T_wanted, nominal, solution, matching)
-    actual = Solution(nominal.q, *pair.actual.motion(nominal.q))
-    misses = matching.misses(solution.T_base_tool, T_wanted)
-    reasons = reasons_without_command(pair, matching, actual, solution, misses, tolerance)
+    pair = solved.pair
+    uncorrected = solved.uncorrected()
+    misses = solved.misses(solved.actual)
+    reasons = reasons_without_command(
+        pair, solved.matching, uncorrected, solved.actual, misses, tolerance
+    )
     reached = np.array([reason is None for reason in reasons])
-    nominal_misses = matching.misses(nominal.T_base_tool, T_wanted)
-    nominal_reaches = within(nominal_misses, _NOMINAL)
-    missed = matching.misses(actual.T_base_tool, T_wanted)
+    nominal_reaches = within(solved.misses(solved.nominal), _NOMINAL)
+    T_send, misses_by_pose = _poses_to_send(solved)
     expected = None
     if pair.result and reached.any():
-        expected = expected_errors(pair, solution.q[reached])
+        expected = expected_errors(pair, solved.actual.q[reached])
     without_warnings = Commands(
         pair=pair,
         program=program,
-        match=matching.name,
-        T_wanted=read_only(pair.T_frame_base @ T_wanted),
-        q_nominal=_where(nominal_reaches, nominal.q),
-        q=_where(reached, solution.q),
+        match=solved.matching.name,
+        T_wanted=read_only(pair.T_frame_base @ solved.T_wanted),
+        q_nominal=_where(nominal_reaches, solved.nominal.q),
+        q=_where(reached, solved.actual.q),
         T_send=_where(reached, pair.T_frame_base @ T_send),
-        missed=_where(nominal_reaches, missed),
+        missed=_where(nominal_reaches, solved.misses(uncorrected)),
         left=read_only(misses),
         left_by_pose=_where(reached, misses_by_pose),
         expected=expected,
@@ -240,7 +263,11 @@ def _assemble(
 
 
 def _check_verdict(pair: Pair) -> None:
-    """Refuse commands by a model whose verdict is ``do not use``; raises `VerdictError`."""
+    """Refuse commands by a model whose verdict is ``do not use``; raises `VerdictError`.
+
+    Args:
+        pair: Of a result, whose verdict counts, or of two robots, where the actual one's URDF may state a verdict.
+    """
     if pair.result is None:
         source = pair.actual.robot.urdf.source
         stated = pair.actual.robot.urdf.verdict
@@ -295,7 +322,18 @@ def _nominal_solution(pair: Pair, program: Program, matching: Matching) -> tuple
 def _matched_in_part(
     pair: Pair, T_wanted: Array, solution: Solution, full: Matching, matching: Matching
 ) -> Solution:
-    """Solve the rows again whose full pose the nominal robot misses, for what has to be matched of it."""
+    """Solve the rows again whose full pose the nominal robot misses, for what has to be matched of it.
+
+    Args:
+        pair: Has the nominal robot.
+        T_wanted: Wanted poses of the tool in the base, shape (N, 4, 4), [m].
+        solution: The nominal robot at its joint values for the full poses.
+        full: Matches position and orientation.
+        matching: What of the poses has to be matched.
+
+    Returns:
+        The nominal robot at its joint values for them, those of the rows that it does not miss as they were.
+    """
     misses = np.linalg.norm(full.error(solution.T_base_tool, T_wanted), axis=1)
     again = misses > _PARTLY
     if not again.any():
@@ -306,9 +344,7 @@ def _matched_in_part(
     return Solution(read_only(q), *pair.nominal.motion(q))
 
 
-def _poses_to_send(
-    pair: Pair, T_wanted: Array, nominal: Solution, solution: Solution, matching: Matching
-) -> tuple[Array, Array]:
+def _poses_to_send(solved: _SolvedProgram) -> tuple[Array, Array]:
     """Compute the poses to send.
 
     The controller's own inverse kinematics q = q_nominal(T_send) is taken to stay near the joint values that it has for
@@ -318,47 +354,84 @@ def _poses_to_send(
         T_send <- T_send exp(e),   e: what the actual robot still misses, along the tool's axes
 
     Args:
-        pair: The nominal and the actual robot.
-        T_wanted: Wanted poses in the base, shape (N, 4, 4), [m].
-        nominal: The nominal robot at its joint values for them.
-        solution: The actual robot at the joint values to command.
-        matching: What of the poses is matched.
+        solved: The N wanted poses, and the joint values of the nominal and the actual robot for them.
 
     Returns:
         The poses in the base, shape (N, 4, 4), [m], and how far the actual robot misses then, shape (N, 2), [m], [rad].
     """
-    controller = Matching(POSE, pair.reach)
-    is_redundant = len(pair.nominal.robot.joint_names) > controller.rows
-    limits = column_limits(pair.nominal.robot)
-    T_send = pair.nominal.poses(solution.q)
+    pair, matching = solved.pair, solved.matching
+    T_send = pair.nominal.poses(solved.actual.q)
     T_arrived = np.empty_like(T_send)
     rows = np.arange(len(T_send))
     for _ in range(_CORRECTIONS):
-        q = solve(pair.nominal, T_send[rows], nominal.q[rows], controller, limits).q
+        q = _controller_joint_values(pair, T_send[rows], solved.nominal.q[rows])
         T_arrived[rows] = pair.actual.poses(q)
-        error = matching.error(T_arrived[rows], T_wanted[rows])
-        elsewhere = np.abs(q - solution.q[rows]).max(axis=1) > _ENOUGH
-        correctable = elsewhere & (np.linalg.norm(error, axis=1) > _ENOUGH)
-        if not correctable.any() or not is_redundant:
+        if not _is_redundant(pair):
+            break
+        error = matching.error(T_arrived[rows], solved.T_wanted[rows])
+        is_elsewhere = np.abs(q - solved.actual.q[rows]).max(axis=1) > _ENOUGH
+        correctable = is_elsewhere & (np.linalg.norm(error, axis=1) > _ENOUGH)
+        if not correctable.any():
             break
         rows = rows[correctable]
-        twists = np.zeros((len(rows), 6))  # what is not matched stays
-        twists[:, :3] = error[correctable, :3]
-        twists[:, 3 : error.shape[1]] = error[correctable, 3:] / matching.length
-        T_send[rows] = T_send[rows] @ [pin.exp6(twist).homogeneous for twist in twists]
-    return T_send, matching.misses(T_arrived, T_wanted)
+        T_send[rows] = T_send[rows] @ _motions_by(matching, error[correctable])
+    return T_send, matching.misses(T_arrived, solved.T_wanted)
+
+
+def _is_redundant(pair: Pair) -> bool:
+    """Return whether the robot can hold a pose of its tool and move: it has more joints than a pose has scalars."""
+    return len(pair.nominal.robot.joint_names) > Matching(POSE, pair.reach).rows
+
+
+def _controller_joint_values(pair: Pair, T_send: Array, q_nominal: Array) -> Array:
+    """Return the joint values that a controller with the nominal model has for poses that are sent to it.
+
+    Args:
+        pair: Has the nominal robot.
+        T_send: Poses of the tool in the base, shape (n, 4, 4), [m].
+        q_nominal: Joint values that it stays near, shape (n, m), [rad] or [m].
+
+    Returns:
+        shape (n, m), [rad] or [m].
+    """
+    limits = column_limits(pair.nominal.robot)
+    return solve(pair.nominal, T_send, q_nominal, Matching(POSE, pair.reach), limits).q
+
+
+def _motions_by(matching: Matching, error: Array) -> Array:
+    """Return the motions of the tool, along its own axes, that take away an error: exp(e), shape (n, 4, 4), [m].
+
+    Args:
+        matching: What of the poses is matched; what is not stays as it is.
+        error: Wanted minus present, shape (n, rows), [m], see `Matching.error`.
+    """
+    twists = np.zeros((len(error), 6))
+    twists[:, :3] = error[:, :3]
+    twists[:, 3 : matching.rows] = error[:, 3:] / matching.length
+    return np.array([pin.exp6(twist).homogeneous for twist in twists])
 
 
 def _where(rows: Mask, values: Array) -> Array:
-    """Return the values of some rows, the others NaN; read-only."""
-    mask = rows.reshape(-1, *[1] * (values.ndim - 1))
+    """Return the values of some rows, the others NaN; read-only.
+
+    Args:
+        rows: Which rows keep their values, shape (N,).
+        values: shape (N, ...).
+    """
+    further_axes = [1] * (values.ndim - 1)
+    mask = rows.reshape(-1, *further_axes)
     return read_only(np.where(mask, values, np.nan))
 
 
 def _warnings(
     commands: Commands, tolerance: tuple[float, float]
 ) -> tuple[tuple[CommandWarning, ...], ...]:
-    """Return the warnings of each row; none for a row without a command."""
+    """Return the warnings of each of the N rows; none for a row without a command.
+
+    Args:
+        commands: Complete but for the warnings.
+        tolerance: Error that a row may keep: position [m], angle [rad].
+    """
     reached = np.flatnonzero(commands.reached)
     rows = ReachedRows(
         pair=commands.pair,

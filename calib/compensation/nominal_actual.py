@@ -110,17 +110,14 @@ class Arm:
             T_tip_tool: Pose of the tool in the tip, shape (4, 4), [m].
             payload: What the tip carries; None: what it carried at the calibration.
         """
-        model, x = non_geometric.model, non_geometric.x
-        displacements, _ = model.displacements(x)
-        names = (*(joint.name for joint in nominal.joints), TIP)
-        order = [model.places.index(name) for name in names]
+        model = non_geometric.model
         of_joints = list(model.joint_terms)
         terms = tuple(model.terms[t] for t in of_joints)
+        values = model.values(non_geometric.x)[of_joints]
         load: Callable[[Array], Array] | None = None
         if any(term.factor and term.factor.loaded for term in terms):
             load = partial(_load, non_geometric, nominal, payload)
-        robot = nominal.with_placements(nominal.placements @ displacements[order])
-        return cls.of(robot, T_tip_tool, terms, model.values(x)[of_joints], load)
+        return cls.of(_displaced(nominal, non_geometric), T_tip_tool, terms, values, load)
 
     def poses(self, q: Array) -> Array:
         """Compute T_base_tool, shape (N, 4, 4), [m], at joint values of shape (N, m), [rad] or [m]."""
@@ -150,8 +147,21 @@ class Arm:
         return Samples.at(q, None if self.load is None else self.load(q))
 
 
+def _displaced(nominal: Robot, non_geometric: NonGeometric) -> Robot:
+    """Return the nominal robot with the placements of a non-geometric model, those of joints and of the tip."""
+    displacements, _ = non_geometric.model.displacements(non_geometric.x)
+    names = (*(joint.name for joint in nominal.joints), TIP)
+    order = [non_geometric.model.places.index(name) for name in names]
+    return nominal.with_placements(nominal.placements @ displacements[order])
+
+
 def _motions(robot: Robot, factor: Factor) -> list[Parameter]:
-    """Return a parameter for each measured joint that moves it, and those that follow it."""
+    """Return a parameter for each measured joint that moves it, and those that follow it.
+
+    Args:
+        robot: With the placements as they are.
+        factor: Motion of a joint per change of its value.
+    """
     names = [joint.name for joint in robot.joints]
     directions = dict(zip(names, axis_twists(robot), strict=True))
     motions = []

@@ -122,23 +122,38 @@ def unmodelled_base(result: CalibrationValues, part: FittedModel) -> Array:
         Covariance along and about the base's axes, linear part first [m^2, m rad, rad^2]; zero for a known base.
     """
     robot = result.nominal
-    joint = robot.joints[0].name
     if robot.carriers[0] is None:
         return np.zeros((6, 6))
-    placement = error_model(robot, "placement", target=False).parameters
-    modelled = [term for term in part.model.terms if term.factor is None]
-    modelled += _frozen(result, part)
-    spanned = np.array([t.direction for t in modelled if t.place == joint]).reshape(-1, 6)
-    held_out = np.eye(6) - np.linalg.pinv(spanned) @ spanned
+    joint = robot.joints[0].name
     T_base_joint = rigid_inverse(robot.T_root_base) @ robot.placements[0]
-    into_base = pin.SE3(T_base_joint).toActionMatrix() @ held_out
+    into_base = pin.SE3(T_base_joint).toActionMatrix() @ _left_out(result, part)
     unknown = np.isin(DIRECTIONS, unknown_base_directions(result))
     covariance = np.zeros((6, 6))
-    for error in placement:
+    for error in error_model(robot, "placement", target=False).parameters:
         if error.place == joint:
             motion = unknown * (into_base @ error.direction)
             covariance += np.outer(motion, motion) * _prior_std(result, part, error.family) ** 2
     return covariance
+
+
+def _left_out(result: CalibrationValues, part: FittedModel) -> Array:
+    """Compute the projection onto the motions of the first joint's placement that a model leaves out.
+
+        P = I - D^+ D,    D: directions of its errors and of frozen ones, one a row
+
+    Args:
+        result: The calibration.
+        part: Its geometry or its non-geometric model.
+
+    Returns:
+        shape (6, 6), of twists in the frame of the placement, linear part first.
+    """
+    joint = result.nominal.joints[0].name
+    modelled = [term for term in part.model.terms if term.factor is None]
+    modelled += _frozen(result, part)
+    directions = [term.direction for term in modelled if term.place == joint]
+    spanned = np.array(directions).reshape(-1, 6)
+    return np.asarray(np.eye(6) - np.linalg.pinv(spanned) @ spanned)
 
 
 def _frozen(result: CalibrationValues, part: FittedModel) -> list[Parameter]:

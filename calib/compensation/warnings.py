@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.compensation.inverse import POSE, Matching, Solution
 from calib.compensation.nominal_actual import Pair
@@ -95,32 +96,59 @@ def reasons_without_command(
     Args:
         pair: The nominal and the actual robot.
         matching: What of the poses is matched.
-        nominal: The actual robot at the nominal joint values.
+        nominal: The actual robot at the nominal joint values, N rows.
         solution: The actual robot at the joint values to command.
-        misses: What it misses there, shape (N, 2), [m], [rad].
-        tolerance: What it may miss [m], [rad].
+        misses: What it misses there of the wanted poses, shape (N, 2): position [m], angle [rad].
+        tolerance: What it may miss: position [m], angle [rad].
 
     Returns:
         The last of these reasons that applies to each row; None for a row that has a command.
     """
-    robot = pair.actual.robot
-    low, high = column_limits(robot).T
     reasons: list[CommandWarning | None] = [None] * len(misses)
-    if len(robot.joint_names) == matching.rows:
-        # The determinant has changed its sign: a singularity was passed on the way.
-        sign_before = np.linalg.slogdet(matching.jacobian(nominal.twists))[0]
-        sign_after = np.linalg.slogdet(matching.jacobian(solution.twists))[0]
-        for row in np.flatnonzero(sign_before * sign_after < 0):
-            reasons[row] = CommandWarning("other branch")
-    excess = np.maximum(low - solution.q, solution.q - high)
-    for row in np.flatnonzero(excess.max(axis=1) > _EXACT):
-        joint = int(np.argmax(excess[row]))
-        value = float(solution.q[row, joint])
-        limit = float(low[joint] if value < low[joint] else high[joint])
-        reasons[row] = CommandWarning("beyond limit", (value, limit), robot.joint_names[joint])
+    for row in _rows_in_another_branch(matching, nominal, solution):
+        reasons[row] = CommandWarning("other branch")
+    for row, reason in _rows_beyond_limits(pair.actual.robot, solution.q):
+        reasons[row] = reason
     for row in np.flatnonzero(~within(misses, tolerance)):
         reasons[row] = CommandWarning("unreachable", tuple(misses[row].tolist()))
     return reasons
+
+
+def _rows_in_another_branch(
+    matching: Matching, nominal: Solution, solution: Solution
+) -> NDArray[np.int_]:
+    """Find the rows whose solution lies across a singularity: the determinant of the Jacobian has changed its sign.
+
+    Args:
+        matching: What of the poses is matched.
+        nominal: The actual robot at the nominal joint values.
+        solution: The actual robot at the joint values to command.
+
+    Returns:
+        Numbers of the rows, from 0; none where the Jacobian is not square.
+    """
+    joint_count = solution.q.shape[1]
+    if joint_count != matching.rows:
+        return np.array([], dtype=np.int_)
+    sign_before = np.linalg.slogdet(matching.jacobian(nominal.twists))[0]
+    sign_after = np.linalg.slogdet(matching.jacobian(solution.twists))[0]
+    return np.flatnonzero(sign_before * sign_after < 0)
+
+
+def _rows_beyond_limits(robot: Robot, q: Array) -> Iterator[tuple[int, CommandWarning]]:
+    """Yield the rows with a joint beyond its limit, numbers from 0, and the joint that is farthest beyond.
+
+    Args:
+        robot: Has the joints and their limits.
+        q: Joint values to command, shape (N, m), [rad] or [m].
+    """
+    low, high = column_limits(robot).T
+    excess = np.maximum(low - q, q - high)
+    for row in np.flatnonzero(excess.max(axis=1) > _EXACT).tolist():
+        joint = int(np.argmax(excess[row]))
+        value = float(q[row, joint])
+        limit = float(low[joint] if value < low[joint] else high[joint])
+        yield row, CommandWarning("beyond limit", (value, limit), robot.joint_names[joint])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -151,11 +179,11 @@ def warnings_of(rows: ReachedRows, tolerance: tuple[float, float]) -> list[list[
     """Find what a person should know of the commands.
 
     Args:
-        rows: The rows that have a command.
-        tolerance: What the actual robot may miss [m], [rad].
+        rows: The n rows that have a command.
+        tolerance: What the actual robot may miss: position [m], angle [rad].
 
     Returns:
-        The warnings of each row.
+        The warnings of each of the n rows.
     """
     robot = rows.pair.nominal.robot
     warnings: list[list[CommandWarning]] = [[] for _ in rows.labels]
@@ -165,11 +193,8 @@ def warnings_of(rows: ReachedRows, tolerance: tuple[float, float]) -> list[list[
     _warn_of_joints(warnings, robot, "near singularity", near_singular, joint_motion)
     large_pose = ~within(rows.pose_corrections, _POSE_LIMIT)
     _warn_of_poses(warnings, "large pose correction", large_pose, rows.pose_corrections)
-    changes = np.abs(rows.q - rows.q_nominal)
-    slides = [robot.joint_types[name] == "prismatic" for name in robot.joint_names]
-    allowed = np.where(slides, _SLIDE_LIMIT, _TURN_LIMIT)
-    large_joint = np.any(changes > allowed, axis=1)
-    _warn_of_joints(warnings, robot, "large joint correction", large_joint, changes)
+    large_joint, joint_corrections = _large_joint_corrections(rows)
+    _warn_of_joints(warnings, robot, "large joint correction", large_joint, joint_corrections)
     jumps, moves, previous = _jumps(rows)
     _warn_of_joints(warnings, robot, "jump", jumps, moves, previous)
     ambiguous = ~within(rows.misses_by_pose - rows.misses, tolerance)
@@ -181,7 +206,14 @@ def warnings_of(rows: ReachedRows, tolerance: tuple[float, float]) -> list[list[
 def _warn_of_poses(
     warnings: list[list[CommandWarning]], code: Code, which: Mask, values: Array
 ) -> None:
-    """Add a warning to some rows, with position [m] and angle [rad] of each, values (n, 2)."""
+    """Add a warning to some rows, with position and angle of each.
+
+    Args:
+        warnings: Those of each of the n rows, which are added to.
+        code: Of the warning.
+        which: The rows that it is added to, shape (n,).
+        values: Position [m] and angle [rad], shape (n, 2).
+    """
     for i in np.flatnonzero(which).tolist():
         warnings[i].append(CommandWarning(code, tuple(values[i].tolist())))
 
@@ -197,11 +229,11 @@ def _warn_of_joints(
     """Add a warning to some rows, with the joint of the largest of its values (n, m), [rad] or [m].
 
     Args:
-        warnings: Those of each row, which are added to.
-        robot: Names the joints.
+        warnings: Those of each of the n rows, which are added to.
+        robot: Names the m joints.
         code: Of the warning.
-        which: The rows, shape (n,).
-        values: shape (n, m).
+        which: The rows that it is added to, shape (n,).
+        values: Of each joint, shape (n, m), [rad] or [m].
         others: Label of the other row that it is about, for each row; None: it is about none.
     """
     for i in np.flatnonzero(which).tolist():
@@ -211,8 +243,31 @@ def _warn_of_joints(
         warnings[i].append(CommandWarning(code, (number,), robot.joint_names[joint], other))
 
 
+def _large_joint_corrections(rows: ReachedRows) -> tuple[Mask, Array]:
+    """Find rows with a joint whose correction is larger than real arms need.
+
+    Args:
+        rows: The n rows that have a command, with nominal and commanded joint values.
+
+    Returns:
+        The rows, shape (n,), and the size of each joint's correction, shape (n, m), [rad] or [m].
+    """
+    robot = rows.pair.nominal.robot
+    corrections = np.abs(rows.q - rows.q_nominal)
+    slides = [robot.joint_types[name] == "prismatic" for name in robot.joint_names]
+    allowed = np.where(slides, _SLIDE_LIMIT, _TURN_LIMIT)
+    return np.any(corrections > allowed, axis=1), corrections
+
+
 def _near_singularity(rows: ReachedRows) -> tuple[Mask, Array]:
-    """Find rows near a singularity, shape (n,), and each joint's motion for 1 mm of the tool, shape (n, m)."""
+    """Find rows near a singularity of the actual robot.
+
+    Args:
+        rows: The n rows that have a command, with the joint values to command.
+
+    Returns:
+        The rows, shape (n,), and each joint's largest motion for 1 mm of the tool, shape (n, m), [rad] or [m].
+    """
     _, twists = rows.pair.actual.motion(rows.q)
     jacobian = Matching(rows.match, 1.0).jacobian(twists)
     inverse = np.linalg.pinv(jacobian, rcond=1e-12)
@@ -224,6 +279,9 @@ def _near_singularity(rows: ReachedRows) -> tuple[Mask, Array]:
 
 def _jumps(rows: ReachedRows) -> tuple[Mask, Array, list[str]]:
     """Find rows to which joints jump from the row before that has a command: others are passed over.
+
+    Args:
+        rows: The n rows that have a command, in the order of the program; the first one jumps from none.
 
     Returns:
         The rows, shape (n,); the motion of each joint, shape (n, m), [rad] or [m]; the label of the row before each.
@@ -239,7 +297,12 @@ def _jumps(rows: ReachedRows) -> tuple[Mask, Array, list[str]]:
 
 
 def _warn_of_ranges(warnings: list[list[CommandWarning]], rows: ReachedRows) -> None:
-    """Add a warning for each joint value outside of the range of the fitted rows."""
+    """Add a warning for each joint value to command outside of the range of the rows that a result was fitted to.
+
+    Args:
+        warnings: Those of each of the n rows, which are added to.
+        rows: The n rows that have a command; two robots without a result have no such ranges.
+    """
     if rows.pair.result is None:
         return
     for outside in rows.pair.result.outside_of_measured(rows.q):

@@ -9,7 +9,12 @@ import pytest
 
 from calib.calibration import calibrate
 from calib.compensation.command_table import write_commands
-from calib.compensation.commands import _poses_to_send, compensate
+from calib.compensation.commands import (
+    _motions_by,
+    _poses_to_send,
+    _SolvedProgram,
+    compensate,
+)
 from calib.compensation.expected import expected_errors
 from calib.compensation.inverse import Matching, Solution, solve
 from calib.compensation.nominal_actual import Arm, pair_of
@@ -143,13 +148,22 @@ def test_a_redundant_arm_arrives_with_the_elbow_where_the_controller_puts_it(pan
     wanted = panda.poses(PANDA)
     starts = Solution(PANDA[None], *pair.nominal.motion(PANDA[None]))
     solved = solve(pair.actual, wanted, starts.q, matching)
-    T_send, left = _poses_to_send(pair, wanted, starts, solved, matching)
+    T_send, left = _poses_to_send(_SolvedProgram(pair, matching, wanted, starts, solved))
     assert left[0, 0] < 1e-12
     # Its own choice of the elbow would have cost this much.
     naive = solve(pair.nominal, pair.nominal.poses(solved.q), starts.q, POSE)
     assert matching.misses(pair.actual.poses(naive.q), wanted)[0, 0] > 1e-10
     controlled = solve(pair.nominal, T_send, starts.q, POSE)
     assert matching.misses(true.poses(controlled.q), wanted)[0, 0] < 1e-12
+
+
+@pytest.mark.parametrize("match", ["pose", "axis", "position"])
+def test_a_motion_by_an_error_takes_it_away(match):
+    matching = Matching(match, 0.4)
+    T_now, T_wanted = turned(1, 0.01)[None], turned(2, 0.01)[None]
+    moved = T_now @ _motions_by(matching, matching.error(T_now, T_wanted))
+    before, after = (np.abs(matching.error(T, T_wanted)).max() for T in (T_now, moved))
+    assert after < 0.05 * before
 
 
 def test_what_is_matched_where_nothing_is_said(serial_urdf):

@@ -6,7 +6,15 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.optimize import minimize
 
-from calib.compensation.inverse import Matching, following, solve, start_values
+from calib.compensation.inverse import (
+    Matching,
+    _Attempt,
+    _by_whole_turns,
+    _Task,
+    following,
+    solve,
+    start_values,
+)
 from calib.compensation.nominal_actual import Arm
 from calib.errors import ModelError
 from calib.robot.ranges import column_limits, random_joint_values
@@ -206,3 +214,34 @@ def test_a_start_that_the_chain_does_not_have_is_refused(arm):
         start_values(arm.robot, {"elbow": 0.3})
     with pytest.raises(ModelError, match="'elbow_joint' to start at is a length"):
         start_values(arm.robot, {"elbow_joint": Length(0.3)})
+
+
+def test_joints_at_a_limit_are_pushed_outwards_only(arm):
+    limits = np.tile([-1.0, 1.0], (6, 1))
+    task = _Task(arm, np.eye(4)[None], np.zeros((1, 6)), POSE, limits, pulled=False)
+    q = np.array([[1.0, 1.0, -1.0, -1.0, 0.5, 3.0]])
+    dq = np.array([[0.1, -0.1, 0.1, -0.1, 9.0, 0.0]])
+    assert task.pushes(q, dq).tolist() == [[True, False, False, True, False, False]]
+    assert task.clip(q).tolist() == [[1.0, 1.0, -1.0, -1.0, 0.5, 1.0]]
+
+
+def test_rows_are_exchanged_in_a_copy():
+    zeros = _Attempt(np.zeros((3, 6)), np.zeros((3, 4, 4)), np.zeros((3, 6, 6)), np.zeros((3, 6)))
+    ones = _Attempt(*(values[:1] + 1.0 for values in zeros))
+    exchanged = zeros.with_rows(np.array([1]), ones)
+    assert exchanged.miss == pytest.approx([0.0, np.sqrt(6.0), 0.0])
+    assert exchanged.squared_error == pytest.approx([0.0, 6.0, 0.0])
+    for values, before in zip(exchanged, zeros, strict=True):
+        assert (values[[0, 2]] == 0.0).all()
+        assert (values[1] == 1.0).all()
+        assert (before == 0.0).all()
+
+
+def test_a_joint_turns_by_whole_turns_to_the_seed_unless_a_limit_is_in_the_way(arm):
+    seed = np.full(6, 3.0)
+    q = np.array([[-3.0, -3.0, 3.0 - 4.0 * np.pi, 2.0, 9.0, -2.0]])
+    allowed = np.tile([-7.0, 7.0], (6, 1))
+    allowed[1] = -3.1, 3.1
+    turned_over = _by_whole_turns(arm.robot, q, seed, allowed)
+    wanted = [2.0 * np.pi - 3.0, -3.0, 3.0, 2.0, 9.0 - 2.0 * np.pi, 2.0 * np.pi - 2.0]
+    assert turned_over[0] == pytest.approx(wanted)
