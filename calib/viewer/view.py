@@ -86,9 +86,8 @@ class View:
     instruments: Array = field(default_factory=lambda: np.zeros((0, 4, 4)))
     #: Index of the pose shown first, from 0
     start: int = 0
-    rows: int = (
-        0  #: Number of rows of the table, where those shown are a choice; 0 where all are shown
-    )
+    #: Number of rows of the table, where those shown are a choice; 0 where all are shown
+    rows: int = 0
     #: The page's heading
     title: str = ""
     #: Verdict of the calibration; empty without one
