@@ -24,7 +24,7 @@ class Options:
     robot: str | None = None
     #: Name of an arm of Universal Robots; None: found from the robot.
     ur_model: str | None = None
-    #: The arm's file with the nominal rows of a ``calibration.conf``; None: those of its model.
+    #: The arm's file with the nominal rows of a ``calibration.conf``; None: those of the robot or of ``ur_model``.
     urcontrol: Path | None = None
     #: The robot's own ``kinematics.yaml`` or ``calibration.conf``, whose hash a new ``kinematics.yaml`` keeps.
     hash_from: Path | None = None
