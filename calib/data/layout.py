@@ -82,7 +82,7 @@ class Layout:
         named, groups = name_columns(table, joint_names or (), columns or {})
         joints = _joints(table, named, joint_names, joint_types or {})
         kinds = _kinds(table, named, kind, points_elsewhere=points_elsewhere)
-        present = list(map(registry.get, kinds))
+        present = [registry.get(name) for name in kinds]
         if points_elsewhere:
             _check_kinds_of_points(table, present)
         blocks = {
@@ -96,8 +96,8 @@ class Layout:
             table, named, present, by_column=kind is None, points_elsewhere=points_elsewhere
         )
         layout = cls(words, groups, blocks, kinds)
-        unneeded = _unneeded(table, named, points_elsewhere=points_elsewhere)
-        return replace(layout, ignored=_ignored(table, layout, unneeded))
+        ignored = _ignored(table, named, layout, points_elsewhere=points_elsewhere)
+        return replace(layout, ignored=ignored)
 
 
 # Kinds
@@ -324,21 +324,37 @@ def _words(
 
 def _unneeded(table: Table, named: Named, *, points_elsewhere: bool) -> list[Column]:
     """Return the columns that a plan has and a fit does not need: not worth a warning."""
-    columns = [c for name, c in named.items() if name.startswith(EXPECTED) or name == "point"]
+    columns = []
+    for name, column in named.items():
+        if name.startswith(EXPECTED) or name == "point":
+            columns.append(column)
     if points_elsewhere:  # a plan leaves them empty in all rows
         position = [named[name] for name in (*POINT, *ORIENTATION) if name in named]
         columns += [column for column in position if not any(table.column(column))]
     return columns
 
 
-def _ignored(table: Table, layout: Layout, unneeded: Sequence[Column]) -> tuple[str, ...]:
-    """Return the headers of the columns that a layout does not use, but for unneeded ones."""
-    used = [*layout.words.values(), *layout.groups, *unneeded]
+def _ignored(
+    table: Table, named: Named, layout: Layout, *, points_elsewhere: bool
+) -> tuple[str, ...]:
+    """Return the headers of the columns that a layout does not use, but for those that a fit does not need.
+
+    Args:
+        table: The table.
+        named: Its columns by the names that calib uses.
+        layout: The columns that are used.
+        points_elsewhere: Whether the positions are in a file of their own.
+    """
+    columns = [*layout.words.values(), *layout.groups]
     for block in layout.blocks.values():
-        used += block
-    indices = {column.index for column in used}
-    labels = enumerate(table.header)
-    return tuple(label for i, label in labels if label and i not in indices)
+        columns += block
+    columns += _unneeded(table, named, points_elsewhere=points_elsewhere)
+    indices = {column.index for column in columns}
+    labels = []
+    for i, label in enumerate(table.header):
+        if label and i not in indices:
+            labels.append(label)
+    return tuple(labels)
 
 
 def _needed(table: Table, named: Named, name: str, quantity: Quantity | None, what: str) -> Column:

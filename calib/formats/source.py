@@ -24,9 +24,8 @@ class Options:
     robot: str | None = None
     #: Name of an arm of Universal Robots; None: found from the robot.
     ur_model: str | None = None
-    urcontrol: Path | None = (
-        None  #: The arm's file with the nominal rows of a ``calibration.conf``.
-    )
+    #: The arm's file with the nominal rows of a ``calibration.conf``; None: those of the robot or of ``ur_model``.
+    urcontrol: Path | None = None
     #: The robot's own ``kinematics.yaml`` or ``calibration.conf``, whose hash a new ``kinematics.yaml`` keeps.
     hash_from: Path | None = None
     #: A ``calibration.conf`` whose other lines a new one keeps.

@@ -242,9 +242,8 @@ class UrWritten:
     path: Path
     #: Shape (4, 4), [m], in the controller's base; the identity if nothing is lost.
     T_base: Array
-    T_tool: (
-        Array  #: shape (4, 4), [m], in the controller's flange; the identity if nothing is lost.
-    )
+    #: Shape (4, 4), [m], in the controller's flange; the identity if nothing is lost.
+    T_tool: Array
     #: What the file cannot hold, and what of another file was kept.
     notes: tuple[Note, ...]
 

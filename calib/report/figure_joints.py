@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -44,17 +45,18 @@ def residuals_by_joint(c: CalibrationValues) -> Figure:
     See `along_joints`; a panel for each joint.
     """
     names = base.short_names(c.nominal.joint_names)
-    columns = 2 if len(names) in (2, 4) else min(len(names), 3)
-    lines = -(-len(names) // columns)
+    count = len(names)
+    columns = 2 if count in (2, 4) else min(count, 3)
+    lines = math.ceil(count / columns)
     figure = base.new_figure(1.65 * lines + 0.6)
     panels = figure.subplots(lines, columns, squeeze=False, sharey=True)
-    for ax in panels.ravel()[len(names) :]:
-        ax.remove()
+    for empty in panels.ravel()[count:]:
+        empty.remove()
     parts = 1e3 * along_joints(c)
     parts[~has_joint_parts(c)] = np.nan
-    good = ~flagged_rows(c)
-    reach = max(1.15 * float(np.nanmax(np.abs(parts[good]), initial=0.0)), 1e-3)
-    for j, ax in enumerate(panels.ravel()[: len(names)]):
+    largest = float(np.nanmax(np.abs(parts[~flagged_rows(c)]), initial=0.0))
+    reach = max(1.15 * largest, 1e-3)
+    for j, ax in enumerate(panels.ravel()[:count]):
         _joint_panel(ax, c, j, parts[:, j], reach)
         ax.set_title(names[j], size=8.5)
     for ax in panels[:, 0]:
@@ -75,7 +77,8 @@ def _joint_panel(ax: Axes, c: CalibrationValues, j: int, parts: Array, reach: fl
     """
     is_prismatic = c.nominal.inputs[j].type == "prismatic"
     scale, unit = (1e3, "mm") if is_prismatic else (np.degrees(1.0), "deg")
-    values = scale * c.measurements.joints_for(c.nominal.joint_names)[:, j]
+    joints = c.measurements.joints_for(c.nominal.joint_names)
+    values = scale * joints[:, j]
     as_pixels = len(values) > base.MOST_SHAPES
     ax.axhline(0.0, color=base.INK, lw=0.7, zorder=1.5)
     for kind in base.row_kinds(c):
@@ -84,7 +87,8 @@ def _joint_panel(ax: Axes, c: CalibrationValues, j: int, parts: Array, reach: fl
             style = kind.style(0.8)
             ax.plot(values[kind.mask], shown, rasterized=as_pixels, zorder=2, **style)
     fitted = c.measurements.estimation & has_joint_parts(c) & ~flagged_rows(c)
-    if np.count_nonzero(np.isfinite(parts[fitted])) >= _FEWEST_ROWS:
+    has_part = np.isfinite(parts[fitted])
+    if np.count_nonzero(has_part) >= _FEWEST_ROWS:
         _running_mean(ax, values[fitted], parts[fitted])
     ax.set_ylim(-1.08 * reach, 1.08 * reach)
     ax.set_xlabel(f"joint value [{unit}]")
@@ -96,8 +100,11 @@ def along_joints(c: CalibrationValues) -> Array:
 
         part_ij = r_i . g_ij / |g_ij|,    g_ij = d p_i / d q_ij
 
-    with the predicted position p_i in the measurement frame. Of a distance the part of g along the beam counts, of a
-    plane that along its normal.
+    with the residual r_i, measured minus predicted, and the predicted position p_i in the measurement frame. Of a
+    distance the part of g along the beam counts, of a plane that along its normal.
+
+    Args:
+        c: The result, with N rows of m joint values.
 
     Returns:
         shape (N, m), [m], signed; NaN where the joint moves the target less than 2 mm/rad.
@@ -109,11 +116,24 @@ def along_joints(c: CalibrationValues) -> Array:
     parts = np.full(q.shape, np.nan)
     for j, step in enumerate(_STEP * np.eye(q.shape[1])):
         change = _predicted_positions(c, q + step) - _predicted_positions(c, q - step)
-        motion = _measured_motion(m, positions, change / (2.0 * _STEP))[:, : residual.shape[1]]
-        lever = np.linalg.norm(motion, axis=1)
-        part = np.sum(residual * motion, axis=1) / np.maximum(lever, 1e-12)
-        parts[:, j] = np.where(lever > _LEAST_LEVER, part, np.nan)
+        motion = _measured_motion(m, positions, change / (2.0 * _STEP))
+        parts[:, j] = _parts_along(residual, motion[:, : residual.shape[1]])
     return parts
+
+
+def _parts_along(residual: Array, motion: Array) -> Array:
+    """Return the part of each row's residual along the motion of the target by a joint.
+
+    Args:
+        residual: shape (N, D), measured minus predicted [m]; 0 where nothing was measured.
+        motion: shape (N, D), of what is measured per unit of the joint's value [m/rad] or [m/m].
+
+    Returns:
+        shape (N,), [m], signed; NaN where the joint moves the target less than 2 mm/rad.
+    """
+    lever = np.linalg.norm(motion, axis=1)
+    part = np.sum(residual * motion, axis=1) / np.maximum(lever, 1e-12)
+    return np.where(lever > _LEAST_LEVER, part, np.nan)
 
 
 def _predicted_positions(c: CalibrationValues, q: Array) -> Array:
@@ -135,14 +155,14 @@ def _measured_motion(m: Measurements, positions: Array, motion: Array) -> Array:
         shape (N, 3): of distances the component along the beam, of planes that along z, in the first column; of other
         rows the motion.
     """
-    range_ = np.linalg.norm(positions, axis=1, keepdims=True)
-    beam = positions / np.maximum(range_, 1e-12)
-    distance = m.of_kind("distance")
-    plane = m.of_kind("plane")
+    distances = np.linalg.norm(positions, axis=1, keepdims=True)
+    beam = positions / np.maximum(distances, 1e-12)
+    is_distance = m.of_kind("distance")
+    is_plane = m.of_kind("plane")
     reduced: Array = motion.copy()
-    reduced[distance, 0] = np.sum(beam[distance] * motion[distance], axis=1)
-    reduced[plane, 0] = motion[plane, 2]
-    reduced[distance | plane, 1:] = 0.0
+    reduced[is_distance, 0] = np.sum(beam[is_distance] * motion[is_distance], axis=1)
+    reduced[is_plane, 0] = motion[is_plane, 2]
+    reduced[is_distance | is_plane, 1:] = 0.0
     return reduced
 
 
@@ -160,8 +180,10 @@ def _running_mean(ax: Axes, values: Array, parts: Array) -> None:
     runs = np.array_split(order, count)
     x = np.array([np.mean(values[run]) for run in runs])
     mean = np.array([np.mean(parts[run]) for run in runs])
-    error = np.array([np.std(parts[run], ddof=1) / np.sqrt(len(run)) for run in runs])
+    standard_error = np.array([np.std(parts[run], ddof=1) / np.sqrt(len(run)) for run in runs])
+    low = mean - 2 * standard_error
+    high = mean + 2 * standard_error
     look: dict[str, Any] = {"color": base.CALIBRATED, "zorder": 3}
     label = "mean of the estimation rows ± 2 standard errors"
-    ax.fill_between(x, mean - 2 * error, mean + 2 * error, alpha=0.45, lw=0, label=label, **look)
+    ax.fill_between(x, low, high, alpha=0.45, lw=0, label=label, **look)
     ax.plot(x, mean, lw=1.3, **look)

@@ -147,7 +147,8 @@ def _change_panel(ax: Axes, parameters: Sequence[ParameterEstimate]) -> None:
         ax.errorbar(scale * p.delta, y, xerr=half, **_INTERVAL, **_parameter_look(p))
     names = base.short_names([p.name for p in parameters])
     ax.axvline(0.0, color=NOMINAL, lw=1.2, ls="--")
-    ax.set_yticks(range(len(names)), names, size=7.5 if len(names) <= _MANY_NAMES else 6.5)
+    font_size = 7.5 if len(names) <= _MANY_NAMES else 6.5
+    ax.set_yticks(range(len(names)), names, size=font_size)
     ax.set_ylim(len(names) - 0.4, -0.6)
     ax.xaxis.set_major_locator(base.few_ticks(5))
     ax.set_xlabel(f"change from nominal [{unit_text.replace('urad', 'µrad')}]")
@@ -173,8 +174,7 @@ def correlations(c: CalibrationValues) -> Figure:
     names = base.short_names([c.parameters[k].name for k in chosen], 18)
     count = len(chosen)
     font_size = _matrix_font_size(count)
-    longest = max(len(name) for name in names)
-    room = 0.009 * font_size * longest + 0.25  # for the names [in]
+    room = _room_for_names(names, font_size)
     edge = float(np.clip(0.27 * count, 1.8, base.WIDTH - room - 0.8))
     figure = base.new_figure(edge + room, edge + room + 0.8)
     ax = figure.subplots()
@@ -202,12 +202,18 @@ def _matrix_font_size(count: int) -> float:
     return 6.0 if count <= 50 else 4.6
 
 
+def _room_for_names(names: Sequence[str], font_size: float) -> float:
+    """Return the length of the longest name [in] at a font size [pt], and the space beside it."""
+    longest = max(len(name) for name in names)
+    return 0.009 * font_size * longest + 0.25
+
+
 def singular_values(c: CalibrationValues) -> Figure:
     """Draw the singular values of the scaled Jacobian [mm], and the numerical rank."""
     o = c.observability
     values = 1e3 * o.singular_values
-    least = max(float(values.max(initial=0.0)) * _LEAST_SINGULAR_VALUE, 1e-15)
-    shown = np.maximum(values, least)
+    largest = float(values.max(initial=0.0))
+    shown = np.maximum(values, max(largest * _LEAST_SINGULAR_VALUE, 1e-15))
     at = np.arange(1, len(values) + 1)
     determined = at <= o.rank
     figure = base.new_figure(2.9)

@@ -114,8 +114,7 @@ def _draw_space(
 def uncertainty(c: CalibrationValues) -> Figure:
     """Draw the standard deviation of predicted positions over the joint limits: three views, and its distribution."""
     q = spread_poses(c.nominal, POSES)
-    T_base_tip = c.robot.poses(q)
-    places = 1e3 * (T_base_tip[:, :3, :3] @ c.target + T_base_tip[:, :3, 3])
+    places = 1e3 * _predicted_places(c, q)
     std = 1e3 * c.position_std(q, non_geometric=False)
     limits = limits_of(places)
     measured = _some_measured_places(c)
@@ -135,10 +134,17 @@ def uncertainty(c: CalibrationValues) -> Figure:
     return figure
 
 
+def _predicted_places(c: CalibrationValues, q: Array) -> Array:
+    """Return the calibrated robot's positions of the target in the base, shape (N, 3) [m], at joint values (N, m)."""
+    T_base_tip = c.robot.poses(q)
+    return np.asarray(T_base_tip[:, :3, :3] @ c.target + T_base_tip[:, :3, 3])
+
+
 def _some_measured_places(c: CalibrationValues) -> Array:
     """Return the target's positions in the base frame, (K, 3) [mm]; of many rows every so many-th."""
     places = 1e3 * measured_places(c)
-    return places[:: 1 + len(places) // _MEASURED_POINTS]
+    step = 1 + len(places) // _MEASURED_POINTS
+    return places[::step]
 
 
 def _draw_rings(ax: Axes, places: Array) -> None:
@@ -191,7 +197,8 @@ def limits_of(places: Array) -> Array:
         high = np.maximum(high, 0.0)
     middle = 0.5 * (low + high)
     half = 0.5 * (high - low)
-    half = np.maximum(1.1 * half, 0.3 * max(float(half.max()), 25.0))
+    least = 0.3 * max(float(half.max()), 25.0)
+    half = np.maximum(1.1 * half, least)
     return np.array([middle - half, middle + half])
 
 
@@ -207,13 +214,16 @@ def _cells(ax: Axes, places: Array, std: Array, limits: Array) -> Any:  # noqa: 
     Returns:
         The hexagons; their array holds the values.
     """
-    across, up = _CELLS * (limits[1] - limits[0]) / np.max(limits[1] - limits[0])
+    size = limits[1] - limits[0]
+    across, up = _CELLS * size / np.max(size)
+    columns = max(int(across), 4)
+    rows = max(int(up / np.sqrt(3.0)), 3)
     return ax.hexbin(
         places[:, 0],
         places[:, 1],
         C=std**2,
         reduce_C_function=lambda squares: float(np.sqrt(np.mean(squares))),
-        gridsize=(max(int(across), 4), max(int(up / np.sqrt(3.0)), 3)),
+        gridsize=(columns, rows),
         extent=limits.T.ravel().tolist(),
         cmap="cividis",
         linewidths=0.15,
@@ -242,7 +252,8 @@ def _distribution(ax: Axes, std: Array, c: CalibrationValues) -> None:
     for value, style, meaning in lines:
         label = f"{value:.3f} mm: {meaning}"
         ax.vlines(value, 0, 1, colors=base.SOFT, ls=style, lw=1.1, label=label)
-    ax.set_xlim(0.0, 1.08 * max(float(np.quantile(std, 0.99)), measured, 1e-9))
+    nearly_largest = float(np.quantile(std, 0.99))
+    ax.set_xlim(0.0, 1.08 * max(nearly_largest, measured, 1e-9))
     ax.set_ylim(0.0, 1.45)  # room for the legend above the curve
     percent = [f"{share}" for share in range(0, 101, 20)]
     ax.set_yticks(np.linspace(0.0, 1.0, 6), percent)

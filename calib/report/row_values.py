@@ -12,8 +12,12 @@ from calib.units import Array, Mask
 
 
 def flagged_rows(c: CalibrationValues) -> Mask:
-    """Return the mask of the flagged rows of either set, shape (N,): outliers and suspects."""
-    numbers = [outlier.row for outlier in (*c.outliers, *c.suspects)]
+    """Return the mask of the flagged rows of a calibration, shape (N,).
+
+    They are the outliers among the estimation rows, and the suspects among the validation rows.
+    """
+    flagged = [*c.outliers, *c.suspects]
+    numbers = [outlier.row for outlier in flagged]
     return np.isin(c.measurements.rows, numbers)
 
 
@@ -28,7 +32,8 @@ def lengths_of(residual: Array, used: Mask) -> Array:
     Returns:
         shape (N,), [m]; NaN where no length was measured.
     """
-    return _norms(residual[:, :3], used[:, :3])
+    lengths = slice(3)
+    return _norms(residual[:, lengths], used[:, lengths])
 
 
 def angles_of(residual: Array, used: Mask) -> Array:
@@ -41,13 +46,16 @@ def angles_of(residual: Array, used: Mask) -> Array:
     Returns:
         shape (N,), [rad]; NaN where no orientation was measured.
     """
-    return _norms(residual[:, 3:], used[:, 3:])
+    angles = slice(3, None)
+    return _norms(residual[:, angles], used[:, angles])
 
 
 def _norms(values: Array, used: Mask) -> Array:
-    """Return the norm of each row's used entries, NaN where there are none."""
-    norms = np.linalg.norm(np.where(used, values, 0.0), axis=1)
-    return np.where(np.any(used, axis=1), norms, np.nan)
+    """Return the norm of each row's used entries, shape (N,), NaN where there are none; values and mask (N, K)."""
+    used_values = np.where(used, values, 0.0)
+    norms = np.linalg.norm(used_values, axis=1)
+    is_measured = np.any(used, axis=1)
+    return np.where(is_measured, norms, np.nan)
 
 
 def setup_of_rows(setup: Setup, m: Measurements) -> tuple[Array, Array]:
@@ -78,6 +86,9 @@ def measured_in_base(m: Measurements, T_frame_base: Array) -> Array:
         shape (N, 3), [m]; NaN where no position was measured.
     """
     T_base_frame = rigid_inverse(T_frame_base)
-    turned = np.einsum("nij,nj->ni", T_base_frame[:, :3, :3], np.nan_to_num(m.points))
-    known = m.where(lambda kind: kind.coordinates)
-    return np.where(known[:, None], turned + T_base_frame[:, :3, 3], np.nan)
+    rotation = T_base_frame[:, :3, :3]
+    origin = T_base_frame[:, :3, 3]
+    points = np.nan_to_num(m.points)
+    places = np.einsum("nij,nj->ni", rotation, points) + origin
+    is_measured = m.where(lambda kind: kind.coordinates)
+    return np.where(is_measured[:, None], places, np.nan)

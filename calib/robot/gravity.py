@@ -10,7 +10,7 @@ A joint of compliance c [rad/Nm or m/N] gives way by c load_i.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pinocchio as pin
@@ -30,7 +30,10 @@ _TINY = float(np.finfo(np.float64).tiny)
 
 
 def gravity_loads(
-    robot: Robot, q: ArrayLike, payload: Payload | None = None, gravity: ArrayLike = GRAVITY
+    robot: Robot,
+    q: ArrayLike,
+    payload: Payload | None = None,
+    gravity: ArrayLike = GRAVITY,
 ) -> Array:
     """Return the load of gravity on each joint of the chain, and the lever arms of masses along the chain about it.
 
@@ -61,21 +64,27 @@ def gravity_loads(
     def work(block: slice) -> Array:
         """Return the loads and lever arms of a block of samples, (B, n, n + 3)."""
         block_values = {name: value[block] for name, value in values.items()}
-        torques = [
+        holding = [
             pin.computeGeneralizedGravity(model, data, configuration)
             for configuration in full_configurations(model, block_values)
         ]
-        # Pinocchio's are those that hold the robot against gravity.
-        loads = -np.array(torques).reshape(-1, model.nv)[:, columns, None]
+        # Pinocchio's torques and forces hold the robot against gravity: the loads are opposite.
+        loads = -np.array(holding).reshape(-1, model.nv)[:, columns, None]
         arms = _lever_arms(robot, model, block_values, down)
         return np.concatenate([loads, arms], axis=2)
 
-    count = len(next(iter(values.values())))
-    return np.concatenate(kernel.over_blocks(work, count))
+    first_joint = next(iter(values.values()))
+    return np.concatenate(kernel.over_blocks(work, len(first_joint)))
 
 
 def _loaded_model(robot: Robot, payload: Payload | None, gravity: Array) -> pin.Model:
-    """Return the model of the whole URDF with a payload at the tip, in this gravity, (3,) [m/s^2]."""
+    """Return the model of the whole URDF with a payload at the tip, in a field of gravity.
+
+    Args:
+        robot: The robot, its URDF and tip.
+        payload: Mass [kg] and its centre in the tip [m]; None for none.
+        gravity: Shape (3,), acceleration in the URDF's root link [m/s^2].
+    """
     model = full_model(robot.urdf)
     model.gravity.linear = np.array(gravity)
     model.gravity.angular = np.zeros(3)
@@ -106,14 +115,29 @@ def _lever_arms(robot: Robot, model: pin.Model, values: Mapping[str, Array], dow
     carriers = [*numbers, *(end.parentJoint for end in ends)]
     frames = joint_frames(model, robot.urdf, values, carriers)
     T_root_joint = np.stack([frames[number] for number in numbers], axis=1)
-    axes = (T_root_joint[:, :, :3, :3] @ _urdf_axes(robot)[:, :, None])[..., 0]
+    axes_in_joints = _urdf_axes(robot)[:, :, None]
+    axes = (T_root_joint[:, :, :3, :3] @ axes_in_joints)[..., 0]
     origins = T_root_joint[:, :, :3, 3]
-    points = [origins]
+    points = np.concatenate([origins, _end_origins(ends, frames)], axis=1)
+    depths = _depths_per_unit(robot, axes, origins, points, down)
+    return np.asarray(depths * _bearing(model, numbers, carriers))
+
+
+def _end_origins(ends: Sequence[pin.Frame], frames: Mapping[int, Array]) -> Array:
+    """Return the origins of links in the URDF's root.
+
+    Args:
+        ends: Pinocchio's frames of k links: the joint that carries each, and the link's pose in the joint.
+        frames: Poses (N, 4, 4) [m] of these joints in the root, by Pinocchio's numbers.
+
+    Returns:
+        Shape (N, k, 3), [m].
+    """
+    origins = []
     for end in ends:
-        T_root_end = frames[end.parentJoint] @ end.placement.homogeneous
-        points.append(T_root_end[:, None, :3, 3])
-    arms = _depths_per_unit(robot, axes, origins, np.concatenate(points, axis=1), down)
-    return np.asarray(arms * _bearing(model, numbers, carriers))
+        T_root_link = frames[end.parentJoint] @ end.placement.homogeneous
+        origins.append(T_root_link[:, :3, 3])
+    return np.stack(origins, axis=1)
 
 
 def _joint_numbers(robot: Robot, model: pin.Model) -> list[int]:
@@ -132,8 +156,11 @@ def _bearing(model: pin.Model, numbers: list[int], carriers: list[int]) -> Mask:
     Returns:
         Shape (n, k).
     """
-    bears = [[number in model.supports[carrier] for carrier in carriers] for number in numbers]
-    return np.array(bears)
+    bears = np.zeros((len(numbers), len(carriers)), dtype=np.bool_)
+    for point, carrier in enumerate(carriers):
+        supports = set(model.supports[carrier])
+        bears[:, point] = [number in supports for number in numbers]
+    return bears
 
 
 def _depths_per_unit(
@@ -152,9 +179,11 @@ def _depths_per_unit(
         Shape (N, n, k), [m] per rad or m.
     """
     slopes = np.cross(down, axes)
-    depths: Array = slopes @ points.swapaxes(1, 2) - np.sum(slopes * origins, axis=2)[:, :, None]
+    slopes_at_origins = np.sum(slopes * origins, axis=2)
+    depths: Array = slopes @ points.swapaxes(1, 2) - slopes_at_origins[:, :, None]
     slides = np.array([joint.type == "prismatic" for joint in robot.joints])
-    depths[:, slides] = (axes[:, slides] @ down)[:, :, None]
+    depths_of_sliding = axes[:, slides] @ down
+    depths[:, slides] = depths_of_sliding[:, :, None]
     return depths
 
 

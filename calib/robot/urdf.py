@@ -6,7 +6,7 @@ import difflib
 import hashlib
 import importlib.metadata
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -24,7 +24,8 @@ from calib.units import Array
 
 __all__ = ["Urdf", "UrdfJoint", "find_urdf", "read_only", "read_urdf", "robot_data_urdfs"]
 
-SAME = 1e-14  #: Entries of two poses that differ by no more are the same [m; rotation matrices: 1].
+#: Entries of two poses that differ by no more are the same [m; rotation matrices: 1].
+SAME = 1e-14
 
 #: The beginning of a comment that states the verdict on a corrected URDF.
 _VERDICT = "calib verdict: "
@@ -177,22 +178,34 @@ class Urdf:
         """
         self._check_link(parent)
         joint_name = f"{name}_joint"
-        if not name or name in self.links or joint_name in {joint.name for joint in self.joints}:
+        joint_names = {joint.name for joint in self.joints}
+        if not name or name in self.links or joint_name in joint_names:
             raise UrdfError(
                 f"no link can be added to {self.source} as '{name}': that name is empty or taken, "
                 f"or the name of its joint, '{joint_name}', is; choose another or use with_origins"
             )
-        lines = self._link_lines(name, joint_name, parent, T_parent_link)
+        return self._with_last_lines(self._link_lines(name, joint_name, parent, T_parent_link))
+
+    def _with_last_lines(self, lines: Sequence[tuple[int, bytes]]) -> Urdf:
+        """Return the URDF with lines before ``</robot>``, indented as its last element is.
+
+        Args:
+            lines: The number of steps that each is indented by, and its bytes. They stand in one line where
+                ``</robot>`` shares its line.
+        """
         document = self._document
         close = document.root.close
-        outer = document.line_head(close)
-        if outer is None:  # </robot> shares its line, and so does the new link
-            return self._patched([(close, close, b"".join(line for _, line in lines))])
-        inner = document.line_head(document.root.children[-1].start) or outer + b"  "
-        step = inner[len(outer) :] if inner.startswith(outer) else b"  "
-        before = close - len(outer)
-        new = b"".join(inner + step * depth + line for depth, line in lines)
-        return self._patched([(before, before, new)])
+        robot_indent = document.line_head(close)
+        if robot_indent is None:
+            joined = b"".join(line for _, line in lines)
+            return self._patched([(close, close, joined)])
+        indent = document.line_head(document.root.children[-1].start) or robot_indent + b"  "
+        step = b"  "
+        if indent.startswith(robot_indent):
+            step = indent[len(robot_indent) :]
+        indented = b"".join(indent + step * depth + line for depth, line in lines)
+        before = close - len(robot_indent)
+        return self._patched([(before, before, indented)])
 
     def _link_lines(
         self, name: str, joint_name: str, parent: str, T_parent_link: Array

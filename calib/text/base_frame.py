@@ -45,7 +45,8 @@ def survey_text(survey: Survey, source: str, robot: Robot | None) -> list[str]:
     frame = "z along axis 1, y along axis 2, origin where axis 1 meets the plane"
     if robot is not None:
         frame = f"the link '{robot.base}' of {robot.name}"
-    lines = [fill(f"Base frame from {source}: {frame}."), *_frame_text(survey.frame)]
+    lines = [fill(f"Base frame from {source}: {frame}.")]
+    lines += _frame_text(survey.frame)
     lines += ["", *_sweeps_table(survey)]
     if survey.pairs:
         lines += ["", *_pairs_table(survey)]
@@ -54,52 +55,71 @@ def survey_text(survey: Survey, source: str, robot: Robot | None) -> list[str]:
         return [*lines, "No findings: the residuals look like noise."]
     lines.append("Findings:")
     for finding in survey.findings:
-        text = _FINDINGS[finding.code].format(
-            where=finding.where, value=finding.value, mm=1e3 * finding.value
-        )
+        sentence = _FINDINGS[finding.code]
+        in_mm = 1e3 * finding.value
+        text = sentence.format(where=finding.where, value=finding.value, mm=in_mm)
         lines.append(fill(f"- {text}", "", "  "))
     return lines
 
 
 def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """Write a table whose names are indented."""
-    columns = [name_column(heads[0]), *(Column(head, gap=2) for head in heads[1:])]
-    width = max(len(name) for name in (heads[0], *(row[0] for row in rows)))
-    columns[0] = name_column(heads[0], width + 2)
-    return table_lines(columns, [(f"  {name}", *cells) for name, *cells in rows])
+    """Write a table whose names, the first cell of each row, are indented by two spaces."""
+    names = [heads[0]]
+    names += [row[0] for row in rows]
+    longest = max(map(len, names))
+    columns = [name_column(heads[0], longest + 2)]
+    columns += [Column(head, gap=2) for head in heads[1:]]
+    indented = [(f"  {name}", *cells) for name, *cells in rows]
+    return table_lines(columns, indented)
 
 
 def _frame_text(frame: BaseFrame) -> Iterator[str]:
     """Write the pose of the frame and its uncertainty."""
     T = frame.T_tracker_base
-    place = "  ".join(mm(v, 4) for v in T[:3, 3])
-    rpy = "  ".join(deg(v, 6) for v in pin.rpy.matrixToRpy(T[:3, :3]))
-    tracker = "  ".join(mm(v, 1) for v in frame.T_base_tracker[:3, 3])
+    angles = pin.rpy.matrixToRpy(T[:3, :3])
+    place = "  ".join(mm(length, 4) for length in T[:3, 3])
+    rpy = "  ".join(deg(angle, 6) for angle in angles)
+    tracker = "  ".join(mm(length, 1) for length in frame.T_base_tracker[:3, 3])
     yield "Pose of the base in the tracker's frame:"
     yield f"  x y z           {place} mm"
     yield f"  roll pitch yaw  {rpy} deg"
     yield "Origin of the tracker's frame in the base:"
     yield f"  x y z           {tracker} mm"
     yield ""
-    axes = [*(f"{axis} [mm]" for axis in "xyz"), *(f"about {axis} [mrad]" for axis in "xyz")]
+    yield from _uncertainty_table(frame)
+
+
+def _uncertainty_table(frame: BaseFrame) -> list[str]:
+    """Write the table of standard deviations and 95 % intervals, along and about the axes of the base."""
+    names = [f"{axis} [mm]" for axis in "xyz"]
+    names += [f"about {axis} [mrad]" for axis in "xyz"]
     rows = []
     # Radians in mrad have the same digits as metres in mm.
-    for axis, std, half in zip(axes, frame.std, frame.within(0.95), strict=True):
-        rows.append((axis, mm(std, 4), f"+-{mm(half, 4)}"))
-    yield from _table(("Along and about the axes of the base", "std", "95 % within"), rows)
+    for name, std, half_width in zip(names, frame.std, frame.within(0.95), strict=True):
+        rows.append((name, mm(std, 4), f"+-{mm(half_width, 4)}"))
+    heads = ("Along and about the axes of the base", "std", "95 % within")
+    return _table(heads, rows)
 
 
 def _sweeps_table(survey: Survey) -> list[str]:
     """Write the table of the plane and the circles, with their residuals."""
-    heads = ("Sweep", "points", "radius [mm]", "arc [deg]", "radial rms", "max", "axial rms")
-    figures: list[tuple[str, Plane | Circle]] = [("plane", survey.plane)]
-    figures += [(joint.name, joint.circle) for joint in survey.joints]
-    rows = [_sweep_row(name, figure) for name, figure in figures]
-    return _table((*heads, "max [mm]"), rows)
+    heads = (
+        "Sweep",
+        "points",
+        "radius [mm]",
+        "arc [deg]",
+        "radial rms",
+        "max",
+        "axial rms",
+        "max [mm]",
+    )
+    rows = [_sweep_row("plane", survey.plane)]
+    rows += [_sweep_row(joint.name, joint.circle) for joint in survey.joints]
+    return _table(heads, rows)
 
 
 def _sweep_row(name: str, figure: Plane | Circle) -> list[str]:
-    """Cells of a plane or a circle."""
+    """Cells of a plane or a circle; the residuals of a plane are all axial, those of a circle radial and axial."""
     residuals = figure.residuals[figure.used]
     cells = [name, str(figure.used.sum())]
     if isinstance(figure, Circle):
@@ -107,7 +127,8 @@ def _sweep_row(name: str, figure: Plane | Circle) -> list[str]:
     else:
         cells += ["-"] * 4
     for column in residuals.T:
-        rms, largest = np.sqrt(np.mean(column**2)), np.abs(column).max()
+        rms = np.sqrt(np.mean(column**2))
+        largest = np.abs(column).max()
         cells += [mm(rms, 4), mm(largest)]
     return cells
 
@@ -119,8 +140,10 @@ def _pairs_table(survey: Survey) -> list[str]:
     for pair in survey.pairs:
         angles = (pair.angle, pair.angle_std, pair.angle_nominal)
         distances = (pair.distance, pair.distance_std, pair.distance_nominal)
-        cells = [*(deg(angle, 4) for angle in angles), *(mm(length, 4) for length in distances)]
-        rows.append((pair.joints[0], *cells))
+        cells = [pair.joints[0]]
+        cells += [deg(angle, 4) for angle in angles]
+        cells += [mm(distance, 4) for distance in distances]
+        rows.append(cells)
     return _table(heads, rows)
 
 
@@ -135,9 +158,11 @@ def cell_text(frame: BaseFrame, source: str, **links: str | None) -> str:
     Returns:
         The content of the file.
     """
-    T, std = frame.T_tracker_base, 1e3 * frame.std
-    along = ", ".join(f"{v:.3g}" for v in std[:3])
-    about = ", ".join(f"{v:.3g}" for v in std[3:])
+    T = frame.T_tracker_base
+    rpy_deg = np.degrees(pin.rpy.matrixToRpy(T[:3, :3]))
+    std = 1e3 * frame.std  # [mm], [mrad]
+    along = ", ".join(f"{value:.3g}" for value in std[:3])
+    about = ", ".join(f"{value:.3g}" for value in std[3:])
     lines = [
         f"# The base in the tracker's frame, by calib base-frame from {json.dumps(source)}.",
         f"# Standard deviation along x, y, z of the base: {along} mm, about them: {about} mrad.",
@@ -146,6 +171,6 @@ def cell_text(frame: BaseFrame, source: str, **links: str | None) -> str:
     lines += [
         'frame = "known"',
         f"frame_xyz_mm = {(1e3 * T[:3, 3]).tolist()}",
-        f"frame_rpy_deg = {np.degrees(pin.rpy.matrixToRpy(T[:3, :3])).tolist()}",
+        f"frame_rpy_deg = {rpy_deg.tolist()}",
     ]
     return "\n".join([*lines, ""])

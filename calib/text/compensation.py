@@ -115,8 +115,8 @@ def _written(path: Path | None) -> str:
 
 
 def _reasons(commands: Commands) -> list[tuple[CommandWarning, ...]]:
-    """Why each row has no command; empty for a row that has one."""
-    return [(reason,) if reason else () for reason in commands.reasons]
+    """Why each row has no command, as findings of the row; empty for a row that has one."""
+    return [() if reason is None else (reason,) for reason in commands.reasons]
 
 
 def _warnings(commands: Commands, what: str, rows: Sequence[Sequence[CommandWarning]]) -> str:
@@ -174,7 +174,8 @@ def _verdict(commands: Commands, name: str) -> str:
         return "\n".join(map(fill, lines))
     model = "joint origins"
     if pair.non_geometric:
-        model = f"non-geometric model '{pair.result.part(non_geometric=True).model.name}'"
+        non_geometric = pair.result.part(non_geometric=True)
+        model = f"non-geometric model '{non_geometric.model.name}'"
     verdict = pair.result.verdict_on(non_geometric=pair.non_geometric)
     if verdict is None:
         return f"Verdict: none ({name}, {model}), the result was not validated."
@@ -189,11 +190,13 @@ def _expected_errors(commands: Commands) -> str:
     expected = commands.expected
     if expected is None:
         return ""
-    errors, (low, high) = _MM * expected.errors[:, 0], expected.band
+    errors = _MM * expected.errors[:, 0]
     labels = np.array(commands.program.labels, dtype=object)[commands.reached]
+    worst = labels[int(np.argmax(errors))]
+    low, high = expected.band
     sentence = (
         f"Expect position errors of {_MM * expected.mean:.3f} mm (mean over the rows), {errors.max():.3f} mm at "
-        f"{labels[int(np.argmax(errors))]}. Of ten calibrations like this one, {10 * BAND:.0f} have a mean between "
+        f"{worst}. Of ten calibrations like this one, {10 * BAND:.0f} have a mean between "
         f"{_MM * low:.3f} and {_MM * high:.3f} mm."
     )
     remedies = map(fill, _remedies(commands, expected))
@@ -274,29 +277,42 @@ def _program(commands: Commands) -> str:
 
 def _corrections(commands: Commands) -> str:
     """Write the table of errors with and without compensation, and of corrections of poses and joints."""
-    rows, robot = commands.reached, commands.nominal
-    slides = np.array([robot.joint_types[name] == "prismatic" for name in robot.joint_names])
-    joints = np.abs(commands.joint_corrections[rows])
-    #: Lengths [m] and angles [rad] of each row of the table.
-    values = {
-        "error without compensation": commands.missed[rows].T,
-        "model residual after compensation": commands.left[rows].T,
-        "model residual if sent as a pose": commands.left_by_pose[rows].T,
-        "expected error after compensation": commands.expected_errors[rows].T,
-        "correction of the pose to send": commands.pose_corrections[rows].T,
-        "correction of a joint": (joints[:, slides], joints[:, ~slides]),
-    }
-    title = f"By the calibrated model, rows with commands: {int(rows.sum())}"
+    title = f"By the calibrated model, rows with commands: {int(commands.reached.sum())}"
     columns = [name_column(title, _LABEL)]
     columns += [Column(head, 9) for head in ("max mm", "mean mm", "max deg", "mean deg")]
     cells = []
-    for label, (lengths, angles) in values.items():
+    for label, (lengths, angles) in _errors_and_corrections(commands).items():
         known_lengths = lengths[np.isfinite(lengths)]
         known_angles = angles[np.isfinite(angles)]
         if known_lengths.size or known_angles.size:
             figures = (*_figures(_MM * known_lengths), *_figures(_DEG * known_angles))
             cells.append((label, *figures))
     return "\n".join(table_lines(columns, cells))
+
+
+def _errors_and_corrections(commands: Commands) -> dict[str, tuple[Array, Array]]:
+    """Collect errors and corrections of the K rows that have a command, by their label in the table.
+
+    Args:
+        commands: The commands of a program.
+
+    Returns:
+        Lengths [m] and angles [rad] by label: shapes (K,), of joints (K, prismatic joints) and (K, other joints), all
+        positive or zero; NaN where one is not known.
+    """
+    rows, robot = commands.reached, commands.nominal
+    values = {
+        "error without compensation": commands.missed,
+        "model residual after compensation": commands.left,
+        "model residual if sent as a pose": commands.left_by_pose,
+        "expected error after compensation": commands.expected_errors,
+        "correction of the pose to send": commands.pose_corrections,
+    }
+    pairs = {label: (sizes[rows, 0], sizes[rows, 1]) for label, sizes in values.items()}
+    joints = np.abs(commands.joint_corrections[rows])
+    slides = np.array([robot.joint_types[name] == "prismatic" for name in robot.joint_names])
+    pairs["correction of a joint"] = (joints[:, slides], joints[:, ~slides])
+    return pairs
 
 
 def _figures(values: Array) -> tuple[str, str]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from calib.robot.ranges import spread_poses
 from calib.text.layout.lines import deg, fill, mm
+from calib.units import Array
 
 if TYPE_CHECKING:
     from calib.formats.convert import Conversion
@@ -53,18 +54,19 @@ def text(conversion: Conversion, name: str) -> str:
     """
     from calib.formats.convert import FORMATS
 
-    notes = map(note_text, (*conversion.source.notes, *conversion.notes))
-    parts = [
+    notes = [note_text(note) for note in (*conversion.source.notes, *conversion.notes)]
+    written = FORMATS[conversion.format].what
+    sentences = [
         _read(conversion, name),
         *_verdict(conversion, name),
         _displacement(conversion),
         *dict.fromkeys(notes),  # reader and writer may say the same
-        f"Written: {conversion.path}, {FORMATS[conversion.format].what}.",
+        f"Written: {conversion.path}, {written}.",
     ]
-    printed = "\n\n".join(map(fill, parts))
+    paragraphs = [fill(sentence) for sentence in sentences]
     if conversion.format == "ur-yaml":
-        printed += f"\n\n{_launch(conversion)}"
-    return printed
+        paragraphs.append(_launch(conversion))
+    return "\n\n".join(paragraphs)
 
 
 def _read(conversion: Conversion, name: str) -> str:
@@ -83,18 +85,29 @@ def _read(conversion: Conversion, name: str) -> str:
 def _launch(conversion: Conversion) -> str:
     """Command that starts the ROS driver with the file, in lines of its own, to be copied."""
     model = conversion.source.model
-    ur_type = model.plain if model is not None and model.known else "TYPE"
-    folder = "" if conversion.path.is_absolute() else '"$PWD"/'
+    ur_type = "TYPE"
+    if model is not None and model.known:
+        ur_type = model.plain
+    path = shlex.quote(str(conversion.path))
+    if not conversion.path.is_absolute():
+        path = f'"$PWD"/{path}'
     return (
         f"  ros2 launch ur_robot_driver ur_control.launch.py ur_type:={ur_type} robot_ip:=ADDRESS \\"
-        f"\n    kinematics_params_file:={folder}{shlex.quote(str(conversion.path))}"
+        f"\n    kinematics_params_file:={path}"
     )
 
 
 def note_text(note: Note) -> str:
-    """Word a note, in mm and mrad."""
-    values = [value if isinstance(value, str) else 1e3 * value + 0.0 for value in note.values]
+    """Word a note of a conversion: its lengths [m] and angles [rad] in mm and mrad."""
+    values = [_shown(value) for value in note.values]
     return _NOTES[note.code].format(*values)
+
+
+def _shown(value: str | float) -> str | float:
+    """Return a length [m] in mm or an angle [rad] in mrad, never -0; a word as it is."""
+    if isinstance(value, str):
+        return value
+    return 1e3 * value + 0.0
 
 
 def _verdict(conversion: Conversion, name: str) -> Iterator[str]:
@@ -116,14 +129,24 @@ def _displacement(conversion: Conversion) -> str:
     if source.robot is source.nominal:
         return "Read as a nominal robot: there is no calibration to compare it with."
     q = spread_poses(source.nominal)
-    actual, nominal = source.robot.poses(q), source.nominal.poses(q)
-    difference = actual[:, :3] - nominal[:, :3]
-    lengths = np.linalg.norm(difference[:, :, 3], axis=1)
-    # The Frobenius norm of a difference of rotations is sqrt(8) sin(angle / 2).
-    sines = np.linalg.norm(difference[:, :, :3], axis=(1, 2)) / np.sqrt(8.0)
-    angles = 2.0 * np.arcsin(np.clip(sines, 0.0, 1.0))
+    lengths, angles = _distances(source.robot.poses(q), source.nominal.poses(q))
     return (
         f"Over the joint limits '{source.robot.tip}' lies {mm(lengths.mean())} mm (mean) and at most "
         f"{mm(lengths.max())} mm from where the nominal robot has it, turned by {deg(angles.mean())} deg (mean) and at "
         f"most {deg(angles.max())} deg."
     )
+
+
+def _distances(T_actual: Array, T_nominal: Array) -> tuple[Array, Array]:
+    """Return the distances [m] and the angles [rad] between N pairs of poses, shapes (N,).
+
+    Args:
+        T_actual: Shape (N, 4, 4), [m].
+        T_nominal: Shape (N, 4, 4), in the same frame [m].
+    """
+    difference = T_actual[:, :3] - T_nominal[:, :3]
+    lengths = np.linalg.norm(difference[:, :, 3], axis=1)
+    # The Frobenius norm of a difference of rotations is sqrt(8) sin(angle / 2).
+    sines = np.linalg.norm(difference[:, :, :3], axis=(1, 2)) / np.sqrt(8.0)
+    angles = 2.0 * np.arcsin(np.clip(sines, 0.0, 1.0))
+    return lengths, angles

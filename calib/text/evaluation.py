@@ -107,38 +107,78 @@ def _reasons(e: Assessment, a: Acceptance, robot: str) -> Iterator[str]:
 
 
 def _check_reasons(a: Acceptance, check: Check, robot: str, *, angle: bool) -> Iterator[str]:
-    """Word a figure against its tolerance, and the sum that decides, if that is another number."""
-    poses, unit = a.accuracy.poses, "deg" if angle else "mm"
-    figure, tolerance = _size(check.figure, angle), _size(check.tolerance, angle)
+    """Word a figure against its tolerance, and the sum that decides, if that is another number.
+
+    Args:
+        a: The acceptance test, which has the check.
+        check: The figure, its tolerance and the outcome: of positions [m], or of orientations [rad].
+        robot: The evaluated robot in words.
+        angle: Whether the check is that of orientations.
+
+    Yields:
+        One sentence or two, with numbers in mm or deg.
+    """
+    yield _figure_sentence(a, check, robot, angle=angle)
+    total = check.held
+    if check.outcome == "fail":
+        total = check.figure - check.uncertainty
+    if np.isfinite(check.held) and total != check.figure:
+        yield _sum_sentence(check, total, angle=angle)
+
+
+def _figure_sentence(a: Acceptance, check: Check, robot: str, *, angle: bool) -> str:
+    """Word a figure against its tolerance; the arguments are those of `_check_reasons`."""
+    poses = a.accuracy.poses
     name = _FIGURES[a.criterion]
     if angle:
         name += " of orientation"
     where = ""
     if a.criterion != "mean":
-        worst = int(np.nanargmax([a.size(pose, angle=angle) for pose in poses]))
-        where = f" ({_rows_label(poses[worst])})"
+        sizes = [a.size(pose, angle=angle) for pose in poses]
+        worst = poses[int(np.nanargmax(sizes))]
+        where = f" ({_rows_label(worst)})"
+    figure = _with_unit(check.figure, angle)
+    tolerance = _with_unit(check.tolerance, angle)
     relation = "above" if check.figure > check.tolerance else "within"
-    yield (
-        f"Evaluated: {robot}. The {name} of {plural(len(poses), 'pose')} is {figure} {unit}{where}, {relation} the "
-        f"tolerance of {tolerance} {unit}."
+    return (
+        f"Evaluated: {robot}. The {name} of {plural(len(poses), 'pose')} is {figure}{where}, {relation} the "
+        f"tolerance of {tolerance}."
     )
+
+
+def _sum_sentence(check: Check, total: float, *, angle: bool) -> str:
+    """Write the sum that decides as an equation, against the tolerance.
+
+    A figure that fails is above the tolerance without its guard band, one that passes is within it with its guard band:
+    ISO 14253-1.
+
+    Args:
+        check: The figure, its factor and guard band, and the tolerance [m], or [rad] of orientations.
+        total: The sum, in the same unit.
+        angle: Whether the check is that of orientations.
+    """
     fails = check.outcome == "fail"
-    total = check.figure - check.uncertainty if fails else check.held
-    if not np.isfinite(check.held) or total == check.figure:
-        return
-    terms = figure
+    terms = _size(check.figure, angle)
     if not fails and check.factor != 1.0:
         terms += f" x {check.factor:.3f} (registration)"
     if check.uncertainty > 0.0:
-        guard = _size(check.uncertainty, angle)
-        terms += f" {'-' if fails else '+'} guard band {guard} (k = 2, ISO 14253-1)"
-    sign = ">" if total > check.tolerance else "<="
-    yield f"{terms} = {_size(total, angle)} {unit} {sign} {tolerance} {unit}."
+        sign = "-" if fails else "+"
+        guard_band = _size(check.uncertainty, angle)
+        terms += f" {sign} guard band {guard_band} (k = 2, ISO 14253-1)"
+    relation = ">" if total > check.tolerance else "<="
+    tolerance = _with_unit(check.tolerance, angle)
+    return f"{terms} = {_with_unit(total, angle)} {relation} {tolerance}."
 
 
 def _size(value: float, angle: bool) -> str:
-    """Format a length [m] in mm, or an angle [rad] in deg."""
+    """Format a length [m] in mm, or an angle [rad] in deg, without the unit."""
     return deg(value, 4) if angle else mm(value)
+
+
+def _with_unit(value: float, angle: bool) -> str:
+    """Format a length [m] as ``0.123 mm``, or an angle [rad] as ``0.1234 deg``."""
+    unit = "deg" if angle else "mm"
+    return f"{_size(value, angle)} {unit}"
 
 
 def _rows_reasons(a: Acceptance) -> Iterator[str]:
@@ -166,9 +206,10 @@ def _rows_reasons(a: Acceptance) -> Iterator[str]:
     low, high = accuracy.repeats
     if low < _ISO_REPEATS or count < _ISO_POSES:
         repeats = str(high) if low == high else f"{low} to {high}"
+        times = "times" if high > 1 else "time"
         yield (
             f"ISO 9283 asks for {_ISO_POSES} poses, each {_ISO_REPEATS} times; measured: {count}, each {repeats} "
-            f"{'times' if high > 1 else 'time'}."
+            f"{times}."
         )
     if a.criterion != "mean" and count > 1 and not (a.within and accuracy.seen):
         share = np.floor(100.0 * a.share)
@@ -200,11 +241,12 @@ def _accuracy_table(robots: Mapping[str, Accuracy], title: str, *, angle: bool) 
     """Write a table of accuracies, of positions or of orientations."""
     columns = [name_column(title, 33), Column("poses", 5, gap=0)]
     columns += [Column(head, 9) for head in ("AP max", "mean", "RP max", "mean", "single")]
+    measured = "ap_angle" if angle else "ap"
     rows = []
     for name, accuracy in robots.items():
-        figures = accuracy.figures(angle=angle).values()
-        count = len(accuracy.of("ap_angle" if angle else "ap"))
-        rows.append((f"  {name}", str(count), *(_size(figure, angle) for figure in figures)))
+        count = len(accuracy.of(measured))
+        figures = [_size(figure, angle) for figure in accuracy.figures(angle=angle).values()]
+        rows.append((f"  {name}", str(count), *figures))
     return "\n".join(table_lines(columns, rows))
 
 
@@ -255,11 +297,14 @@ def _pose_row(pose: PoseAccuracy, names: list[str], *, turned: bool) -> list[str
 
 def _rows_label(pose: PoseAccuracy) -> str:
     """Name the rows of a pose: ``row 4``, ``rows 1, 2, 3, ...``; of pairs the first one."""
-    rows = pose.rows[:1] if registry.get(pose.kind).paired else pose.rows
+    rows = pose.rows
+    if registry.get(pose.kind).paired:
+        rows = rows[:1]
     names = [str(row) for row in rows[:_MOST_ROWS]]
     if len(pose.rows) > _MOST_ROWS:
         names.append("...")
-    return f"{'rows' if len(rows) > 1 else 'row'} {', '.join(names)}"
+    noun = "rows" if len(rows) > 1 else "row"
+    return f"{noun} {', '.join(names)}"
 
 
 def _places_text(evaluation: Evaluation, source: str) -> str:
@@ -282,10 +327,10 @@ def _errors_text(robots: Mapping[str, Evaluation], result: str) -> str:
     names = {who: _LONG_NAMES[who].format(result) for who in robots}
     blocks = {names[who]: evaluation for who, evaluation in robots.items()}
     title = error_title(robots["urdf"].used)
-    parts = ["\n".join(error_table(title, _blocks(blocks, "n")))]
+    tables = [error_table(title, _blocks(blocks, "n"))]
     if any(evaluation.errors["all"].n_angle for evaluation in robots.values()):
-        parts.append("\n".join(angle_table(_blocks(blocks, "n_angle"))))
-    return "\n\n".join(parts)
+        tables.append(angle_table(_blocks(blocks, "n_angle")))
+    return "\n\n".join("\n".join(lines) for lines in tables)
 
 
 def _blocks(robots: Mapping[str, Evaluation], count: str) -> Iterator[tuple[str, Errors] | str]:
@@ -301,8 +346,10 @@ def _blocks(robots: Mapping[str, Evaluation], count: str) -> Iterator[tuple[str,
         for key, errors in evaluation.errors.items():
             if not counts[key] or (key == "all" and one_set):
                 continue
-            # Without validation rows nothing says that anything is estimated from these rows.
-            label = "measured" if key == "estimation" and not validated else key
+            label = key
+            if key == "estimation" and not validated:
+                # Nothing says that anything is estimated from these rows.
+                label = "measured"
             yield f"  {label} rows", errors
 
 
@@ -312,10 +359,6 @@ def assessment_table(e: Assessment) -> dict[str, Any]:
     m, setup, robot = urdf.measurements, urdf.setup, urdf.robot
     frames = zip(setup.groups, setup.T_frame_base, strict=True)
     targets = zip(setup.targets, setup.T_tip_target, strict=True)
-    errors = {
-        who: {name: stored_errors(errors) for name, errors in evaluation.errors.items()}
-        for who, evaluation in e.evaluations.items()
-    }
     accepted = None
     if acceptance is not None:
         accepted = {"robot": e.judged, **acceptance_table(acceptance)}
@@ -329,7 +372,7 @@ def assessment_table(e: Assessment) -> dict[str, Any]:
             "set_ups": [{"group": name, **pose_table(T, "frame_base_")} for name, T in frames],
             "targets": [{"target": name, **pose_table(T)} for name, T in targets],
         },
-        "errors": errors,
+        "errors": {who: _errors_table(evaluation) for who, evaluation in e.evaluations.items()},
         "inputs": {
             "urdf": {"name": robot.urdf.source, "sha256": robot.urdf.sha256},
             "measurements": {"name": m.source, "sha256": m.sha256, "rows": len(m)},
@@ -338,6 +381,11 @@ def assessment_table(e: Assessment) -> dict[str, Any]:
         "accuracy": {who: accuracy_table(figures) for who, figures in e.accuracies.items()},
         "acceptance": accepted,
     }
+
+
+def _errors_table(evaluation: Evaluation) -> dict[str, Any]:
+    """Errors of one robot as nested tables in SI units, by the set of rows: ``estimation``, ``validation``, ``all``."""
+    return {name: stored_errors(errors) for name, errors in evaluation.errors.items()}
 
 
 def accuracy_table(accuracy: Accuracy) -> dict[str, Any]:
@@ -375,8 +423,8 @@ def acceptance_table(a: Acceptance) -> dict[str, Any]:
         "angle": None,
     }
     for check, angle in a.checks:
-        unit = "rad" if angle else "m"
-        table["angle" if angle else "length"] = {
+        quantity, unit = ("angle", "rad") if angle else ("length", "m")
+        table[quantity] = {
             f"figure_{unit}": check.figure,
             f"tolerance_{unit}": check.tolerance,
             f"uncertainty_{unit}": check.uncertainty,

@@ -78,13 +78,14 @@ def few_text(robots: int, counted: int, needed: int, kind: str) -> str:
     Returns:
         Two sentences.
     """
-    found = plural(robots, "robot")
+    present = plural(robots, "robot")
     if counted < robots:
-        found += f" with the data of {counted}"
+        present += f" with the data of {counted}"
     if kind:
-        found += f" of the kind '{kind}'"
+        present += f" of the kind '{kind}'"
+    verb = "is" if robots == 1 else "are"
     return (
-        f"Outlier detection needs {needed} robots; there {'is' if robots == 1 else 'are'} {found}. Only data given "
+        f"Outlier detection needs {needed} robots; there {verb} {present}. Only data given "
         "twice are looked for."
     )
 
@@ -134,22 +135,19 @@ def fleet_text(fleet: Mapping[str, Any], kept: int) -> Iterator[str]:
     Yields:
         The paragraphs.
     """
-    outliers = _texts_by_name(one for one in fleet["outliers"] if one["figure"] != "data")
-    copies = _texts_by_name(one for one in fleet["outliers"] if one["figure"] == "data")
+    outliers = _texts_by_name(fleet, of_data=False)
+    copies = _texts_by_name(fleet, of_data=True)
     withheld = [robot["name"] for robot in fleet["robots"] if robot["urdf"] == "withheld"]
-    failed: dict[str, list[str]] = {}
-    for robot in fleet["robots"]:
-        if robot["message"]:
-            failed.setdefault(robot["message"], []).append(robot["name"])
     sections = {
-        _OUTLIERS: [f"{name}: {'; '.join(texts)}" for name, texts in outliers.items()],
-        _COPIES: [f"{name}: {'; '.join(texts)}" for name, texts in copies.items()],
+        _OUTLIERS: _lines_by_name(outliers),
+        _COPIES: _lines_by_name(copies),
         _WITHHELD: [", ".join(withheld)] if withheld else [],
-        _FAILED: [f"{', '.join(names)}: {message}" for message, names in failed.items()],
+        _FAILED: _failures(fleet),
     }
     for head, lines in sections.items():
         if lines:
-            yield "\n".join([head, *(fill(line, "  ", "  ") for line in lines), ""])
+            filled = [fill(line, "  ", "  ") for line in lines]
+            yield "\n".join([head, *filled, ""])
     yield from map(fill, fleet["notes"])
     counts = {
         "by an earlier run": kept,
@@ -160,12 +158,33 @@ def fleet_text(fleet: Mapping[str, Any], kept: int) -> Iterator[str]:
     yield fill(_counts(fleet, counts))
 
 
-def _texts_by_name(outliers: Iterator[Mapping[str, Any]]) -> dict[str, list[str]]:
-    """Collect the texts of each robot."""
+def _texts_by_name(fleet: Mapping[str, Any], *, of_data: bool) -> dict[str, list[str]]:
+    """Collect the texts of a fleet's outliers by the robot's name.
+
+    Args:
+        fleet: The content of ``fleet.json``.
+        of_data: Whether the outliers are robots with the data of others; else those with an unusual figure.
+    """
     texts: dict[str, list[str]] = {}
-    for outlier in outliers:
-        texts.setdefault(outlier["name"], []).append(outlier["text"])
+    for outlier in fleet["outliers"]:
+        if (outlier["figure"] == "data") == of_data:
+            texts.setdefault(outlier["name"], []).append(outlier["text"])
     return texts
+
+
+def _lines_by_name(texts_by_name: Mapping[str, Sequence[str]]) -> list[str]:
+    """Put the texts of each robot behind its name, in a line."""
+    return [f"{name}: {'; '.join(texts)}" for name, texts in texts_by_name.items()]
+
+
+def _failures(fleet: Mapping[str, Any]) -> list[str]:
+    """Write a line for each message of robots that failed, behind their names; ``fleet`` as of ``fleet.json``."""
+    names: dict[str, list[str]] = {}
+    for robot in fleet["robots"]:
+        message = robot["message"]
+        if message:
+            names.setdefault(message, []).append(robot["name"])
+    return [f"{', '.join(failed)}: {message}" for message, failed in names.items()]
 
 
 def _counts(fleet: Mapping[str, Any], counts: Mapping[str, int]) -> str:

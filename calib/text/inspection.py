@@ -35,7 +35,8 @@ def inspection_text(robot: Robot, inspection: Inspection, forecast: Forecast | N
     Returns:
         The chain, its DH rows, the parameters, and the forecast, in lines of 100 columns.
     """
-    parts = ["\n".join(part) for part in (_chain(robot), _dh(robot), _parameters(inspection))]
+    sections = [_chain(robot), _dh(robot), _parameters(inspection)]
+    parts = ["\n".join(lines) for lines in sections]
     if forecast is not None:
         parts.append(fill(_forecast(forecast), hang="  "))
     return "\n\n".join(parts)
@@ -43,14 +44,18 @@ def inspection_text(robot: Robot, inspection: Inspection, forecast: Forecast | N
 
 def _forecast(f: Forecast) -> str:
     """Word a forecast, beside the error that the best poses would leave."""
-    best = f.sigma * (f.workspace_rank / f.poses) ** 0.5
-    values = (f.sigma, f.rms, f.rms_low, f.rms_high, f.max, best)
-    sigma, rms, low, high, worst, bound = (f"{1e3 * value:.3f}" for value in values)
+    best_rms = f.sigma * (f.workspace_rank / f.poses) ** 0.5
     return (
-        f"Forecast for a fit of these {f.poses} poses with a noise of {sigma} mm per coordinate: position error {rms} "
-        f"mm rms over the joint limits (90 % of calibrations: {low} to {high}), {worst} mm where it is worst. The best "
-        f"{f.poses} poses would give about {bound} mm rms; calib plan finds such poses."
+        f"Forecast for a fit of these {f.poses} poses with a noise of {_mm(f.sigma)} mm per coordinate: position error "
+        f"{_mm(f.rms)} mm rms over the joint limits (90 % of calibrations: {_mm(f.rms_low)} to {_mm(f.rms_high)}), "
+        f"{_mm(f.max)} mm where it is worst. The best {f.poses} poses would give about {_mm(best_rms)} mm rms; calib "
+        "plan finds such poses."
     )
+
+
+def _mm(length: float) -> str:
+    """Format a length [m] in mm with three digits."""
+    return f"{1e3 * length:.3f}"
 
 
 def _chain(robot: Robot) -> Iterator[str]:
@@ -63,7 +68,8 @@ def _chain(robot: Robot) -> Iterator[str]:
         Column("limits", left=True),
     ]
     yield from table_lines(columns, [_joint_row(joint) for joint in robot.joints])
-    offsets = robot.chain_values(np.zeros(len(robot.inputs)))[0]
+    all_at_zero = np.zeros(len(robot.inputs))
+    offsets = robot.chain_values(all_at_zero)[0]
     for joint, factors, offset in zip(robot.joints, robot.coupling, offsets, strict=True):
         text = _coupled(robot, joint, factors, float(offset))
         if text:
@@ -93,7 +99,11 @@ def _shown(joint: UrdfJoint) -> tuple[float, str]:
 def _coupled(robot: Robot, joint: UrdfJoint, factors: Array, offset: float) -> str:
     """Word what a joint without a column follows; empty for others.
 
-    ``factors``, shape (m,), are those of the robot's measured joints in its value, ``offset`` is added [rad or m].
+    Args:
+        robot: The robot, with m measured joints.
+        joint: A joint of its chain.
+        factors: Shape (m,), of the measured joints in the joint's value.
+        offset: What is added to them [rad], [m] of a prismatic joint.
     """
     factor, unit = _shown(joint)
     value = f"{factor * offset:g} {unit}"
@@ -111,8 +121,14 @@ def _dh(robot: Robot) -> Iterator[str]:
     """Write the table of DH rows, and the frames before and after them."""
     table = dh_table(robot)
     yield "Standard DH rows, T = Rz(theta + q) Tz(d) Tx(a) Rx(alpha) Ry(beta):"
-    columns = [name_column("  joint", 34), Column("a [mm]", 12, gap=0), Column("alpha [deg]", 12)]
-    columns += [Column("d [mm]", 11), Column("theta [deg]", 12), Column("beta [deg]", 11)]
+    columns = [
+        name_column("  joint", 34),
+        Column("a [mm]", 12, gap=0),
+        Column("alpha [deg]", 12),
+        Column("d [mm]", 11),
+        Column("theta [deg]", 12),
+        Column("beta [deg]", 11),
+    ]
     yield from table_lines(columns, [_dh_row(row) for row in table.rows])
     yield "  beta is given only where axes are nearly parallel (Hayati); there d is set to 0 by convention."
     yield f"  base to DH frame 0: {_place(table.T_base_0)}"
@@ -121,31 +137,34 @@ def _dh(robot: Robot) -> Iterator[str]:
 
 def _dh_row(row: DHRow) -> list[str]:
     """Cells of a DH row, in mm and deg."""
-    beta = number(_DEG * row.beta, 4) if row.near_parallel else "-"
     lengths_and_angles = (1e3 * row.a, _DEG * row.alpha, 1e3 * row.d, _DEG * row.theta)
-    return [f"  {row.joint}", *(number(value, 4) for value in lengths_and_angles), beta]
+    cells = [number(value, 4) for value in lengths_and_angles]
+    beta = number(_DEG * row.beta, 4) if row.near_parallel else "-"
+    return [f"  {row.joint}", *cells, beta]
 
 
 def _place(T: Array) -> str:
-    """Format a pose as position and roll, pitch and yaw."""
-    if np.abs(T - np.eye(4)).max() < _ROUNDING:
+    """Format a pose (4, 4) [m] as position [mm] and roll, pitch and yaw [deg]."""
+    distance_from_identity = np.abs(T - np.eye(4)).max()
+    if distance_from_identity < _ROUNDING:
         return "identity"
-    xyz = " ".join(number(1e3 * v, 4) for v in T[:3, 3])
-    rpy = " ".join(number(_DEG * v, 4) for v in pin.rpy.matrixToRpy(T[:3, :3]))
+    angles = pin.rpy.matrixToRpy(T[:3, :3])
+    xyz = " ".join(number(1e3 * length, 4) for length in T[:3, 3])
+    rpy = " ".join(number(_DEG * angle, 4) for angle in angles)
     return f"xyz {xyz} mm, rpy {rpy} deg"
 
 
 def _parameters(inspection: Inspection) -> Iterator[str]:
     """Write the parameters of the model, and what the poses determine of them."""
     o, names = inspection.observability, inspection.model.names
-    note = "" if all(o.identifiable) else ", * known in combination with others only"
-    yield f"Parameters of the model '{inspection.model.name}' ({len(names)}{note}):"
+    count = f"{len(names)}"
+    if not all(o.identifiable):
+        count += ", * known in combination with others only"
+    yield f"Parameters of the model '{inspection.model.name}' ({count}):"
     yield wrap(_marked(names, o.identifiable), "  ")
     yield ""
-    poses = _poses(inspection)
-    yield wrap(
-        f"Identifiable from {poses}: rank {o.rank} of {o.columns}, condition {o.condition:.1f}"
-    )
+    rank = f"rank {o.rank} of {o.columns}, condition {o.condition:.1f}"
+    yield wrap(f"Identifiable from {_poses(inspection)}: {rank}")
     indices = ", ".join(f"{name} {value:.3g}" for name, value in o.indices.items())
     yield wrap(f"Observability indices: {indices} (in steps of 1 mm, 1 mrad)")
     if o.unidentifiable:
@@ -155,10 +174,11 @@ def _parameters(inspection: Inspection) -> Iterator[str]:
 
 
 def _marked(names: Sequence[str], identifiable: Mask) -> str:
-    """List names, with a star behind those that are known in combination only."""
+    """List names of parameters, with a star behind those that are known in combination only."""
     marked = []
-    for name, alone in zip(names, identifiable, strict=True):
-        marked.append(name if alone else f"{name}*")
+    for name, is_identifiable in zip(names, identifiable, strict=True):
+        mark = "" if is_identifiable else "*"
+        marked.append(name + mark)
     return ", ".join(marked)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -11,7 +11,8 @@ from calib.numerics.errors import rms
 from calib.simulation.scenario import Scenario, Simulated
 from calib.simulation.study import Study
 from calib.simulation.trial import VERIFIED, Trials
-from calib.text.layout.lines import fill, mm, row_ranges
+from calib.simulation.truth import Truth
+from calib.text.layout.lines import fill, mm, plural, row_ranges
 from calib.text.layout.tables import Column, labelled, name_column, table_lines
 from calib.units import Array
 
@@ -37,8 +38,8 @@ def simulated_text(scenario: Scenario, simulated: Simulated) -> str:
     validation = int(table.validation.sum())
     if validation:
         rows += f" ({len(table) - validation} for estimation, {validation} for validation)"
-    lines = [fill(f"Simulated: robot '{robot.name}', {robot.base} to {robot.tip}, {rows}."), ""]
-    for label, text in (
+    title = f"Simulated: robot '{robot.name}', {robot.base} to {robot.tip}, {rows}."
+    labels_and_texts = [
         ("Each row measures", f"the {scenario.kind.words}"),
         ("Targets at each pose", ", ".join(truth.targets)),
         ("Stations in turn", ", ".join(truth.groups)),
@@ -46,7 +47,9 @@ def simulated_text(scenario: Scenario, simulated: Simulated) -> str:
         *_errors(simulated),
         *_places(scenario, simulated),
         *_disturbances(scenario, simulated),
-    ):
+    ]
+    lines = [fill(title), ""]
+    for label, text in labels_and_texts:
         if text:
             lines.append(labelled(label, text, _LABEL))
     return "\n".join(lines)
@@ -55,21 +58,44 @@ def simulated_text(scenario: Scenario, simulated: Simulated) -> str:
 def _errors(simulated: Simulated) -> Iterator[tuple[str, str]]:
     """Label and text of the true errors of each family, and of the nominal robot's position error."""
     truth = simulated.truth
-    families: dict[tuple[int, str, str], dict[str, float]] = {}
-    order = list(FAMILIES)
+    families = _errors_by_family(truth)
+    model = f"model {truth.model.name}"
+    if not families:
+        model += "; all errors are zero"
+    yield "True errors", model
+    for (family, unit), errors in families.items():
+        yield f"  {family}", _family_text(errors, unit)
+    distances = truth.nominal_errors(simulated.q)
+    text = f"{_mm(rms(distances))} mm rms, {_mm(distances.max())} mm at most"
+    yield "  of the nominal robot", text
+
+
+def _errors_by_family(truth: Truth) -> dict[tuple[str, str], dict[str, float]]:
+    """Collect the true errors that are not zero.
+
+    Args:
+        truth: The robot's error model, and the true values of its parameters.
+
+    Returns:
+        From family and unit, in the order of `FAMILIES`, to the value in that unit by the parameter's name.
+    """
+    families: dict[tuple[str, str], dict[str, float]] = {}
     for parameter, value in zip(truth.model.parameters, truth.x, strict=True):
         if value:
-            key = order.index(parameter.family), parameter.family, parameter.unit
-            families.setdefault(key, {})[parameter.name] = float(value)
-    yield "True errors", f"model {truth.model.name}" + ("" if families else "; all errors are zero")
-    for (_, family, unit), values in sorted(families.items()):
-        factor, symbol = unit_of(unit).shown
-        largest = max(values, key=lambda name: abs(values[name]))
-        size = factor * rms(np.array(list(values.values())))
-        text = f"{len(values)}, rms {size:.3g} {symbol}, largest {largest} {factor * values[largest]:.3g} {symbol}"
-        yield f"  {family}", text
-    errors = truth.nominal_errors(simulated.q)
-    yield "  of the nominal robot", f"{_mm(rms(errors))} mm rms, {_mm(errors.max())} mm at most"
+            errors = families.setdefault((parameter.family, parameter.unit), {})
+            errors[parameter.name] = float(value)
+    order = list(FAMILIES)
+    keys = sorted(families, key=lambda key: (order.index(key[0]), key[1]))
+    return {key: families[key] for key in keys}
+
+
+def _family_text(errors: Mapping[str, float], unit: str) -> str:
+    """Word the errors of one family, by the parameter's name, in a unit of parameters: number, rms, the largest."""
+    factor, symbol = unit_of(unit).shown
+    name = max(errors, key=lambda name: abs(errors[name]))
+    size = factor * rms(np.array(list(errors.values())))
+    largest = f"{name} {factor * errors[name]:.3g} {symbol}"
+    return f"{len(errors)}, rms {size:.3g} {symbol}, largest {largest}"
 
 
 def _places(scenario: Scenario, simulated: Simulated) -> Iterator[tuple[str, str]]:
@@ -85,21 +111,21 @@ def _places(scenario: Scenario, simulated: Simulated) -> Iterator[tuple[str, str
         place = f"the base is at {_point(T[:3, 3])} mm in it"
         if np.abs(T - np.eye(4)).max() < _ROUNDING:
             place = "the base frame"
-        yield f"Frame of '{name}'" if name else "Measurement frame", place
+        label = f"Frame of '{name}'" if name else "Measurement frame"
+        yield label, place
 
 
 def _disturbances(scenario: Scenario, simulated: Simulated) -> Iterator[tuple[str, str]]:
     """Label and text of noise, encoder steps, outliers, a moved target and drift; the text is empty without one."""
     kind = scenario.kind
-    yield (
-        f"Noise of a {'length' if kind.lengths == 1 else 'coordinate'}",
-        _noise(scenario, simulated),
-    )
+    noisy = "length" if kind.lengths == 1 else "coordinate"
+    yield f"Noise of a {noisy}", _noise(scenario, simulated)
     if kind.angles:
         yield "Noise of an orientation", f"{np.degrees(scenario.sigma_angle):g} deg about each axis"
     encoder = scenario.encoder
     steps = (f"{np.degrees(encoder.angle):g} deg", f"{1e3 * encoder.length:g} mm")
-    yield "Encoder steps", ", ".join(step for step in steps if not step.startswith("0 "))
+    nonzero_steps = [step for step in steps if not step.startswith("0 ")]
+    yield "Encoder steps", ", ".join(nonzero_steps)
     if simulated.outlier_rows and scenario.outliers is not None:
         size = _mm(scenario.outliers.size)
         yield f"Outliers of {size} mm", f"rows {row_ranges(simulated.outlier_rows)}"
@@ -137,7 +163,8 @@ def study_text(study: Study, trials: Trials) -> str:
     Returns:
         Errors at verification poses, coverage, models, verdicts, outliers and failures, in lines of 100 columns.
     """
-    poses = f"{trials.fitted} {'planned' if trials.planned else 'random'} poses"
+    choice = "planned" if trials.planned else "random"
+    poses = f"{trials.fitted} {choice} poses"
     if trials.poses is not None:
         poses = f"the {trials.fitted} poses given"
     lines = [
@@ -155,7 +182,8 @@ def study_text(study: Study, trials: Trials) -> str:
     lines += _study_counts(study)
     if study.failures:
         seed, reason = study.failures[0]
-        text = f"{len(study.failures)} trials ended with an error; the first, seed {seed}: {reason}"
+        count = plural(len(study.failures), "trial")
+        text = f"{count} ended with an error; the first, seed {seed}: {reason}"
         lines.append(fill(text))
     return "\n".join(lines)
 

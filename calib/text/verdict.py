@@ -223,14 +223,19 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         "beyond": "".join(_sizes(values, "by", ".3g")),
         "chance_p": _p_value(values.get("p", 1.0)),
         "falls_by": _fall(values.get("falls", 0.0)),
-        "outliers_aside": ", outliers excluded" if values.get("outliers") else "",
+        "outliers_aside": "",
         "rows_aside": "",
-        "named": f" '{values['target']}'" if values.get("target") else "",
+        "named": "",
         "ranges": _ranges(values),
         "better": "",
     }
+    if values.get("outliers"):
+        words["outliers_aside"] = ", outliers excluded"
     if values.get("aside"):
-        words["rows_aside"] = f" ({plural(values['aside'], 'outlier')} excluded)"
+        outliers = plural(values["aside"], "outlier")
+        words["rows_aside"] = f" ({outliers} excluded)"
+    if values.get("target"):
+        words["named"] = f" '{values['target']}'"
     if "rows" in values and "joints" in values:
         words |= _sole_postures(values["rows"], values["joints"])
     if "less_m" in values and "model" in values:
@@ -242,12 +247,19 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _sizes(values: Mapping[str, Any], name: str, form: str = ".3f") -> list[str]:
-    """Format the length and the angle, as far as there are any: ``["2.350 mm", "0.573 deg"]``."""
-    return [
-        f"{factor * values[f'{name}_{si}']:{form}} {unit}"
-        for si, factor, unit in _UNITS
-        if f"{name}_{si}" in values
-    ]
+    """Format the length and the angle, as far as there are any: ``["2.350 mm", "0.573 deg"]``.
+
+    Args:
+        values: The values of a reason, in SI units.
+        name: Their common name: of ``"before"`` the length is ``before_m`` and the angle ``before_rad``.
+        form: Format of the numbers.
+    """
+    sizes = []
+    for suffix, factor, unit in _UNITS:
+        key = f"{name}_{suffix}"
+        if key in values:
+            sizes.append(f"{factor * values[key]:{form}} {unit}")
+    return sizes
 
 
 def _change(before: Sequence[str], after: Sequence[str]) -> str:
@@ -280,26 +292,34 @@ def _fall(share: float) -> str:
 
 def _sole_postures(rows: Sequence[int], joints: Sequence[str]) -> dict[str, str]:
     """Word which rows alone determine the errors of which joint; rows and joints correspond."""
+    rows_of_joint: dict[str, list[str]] = {}
+    for row, joint in zip(rows, joints, strict=True):
+        rows_of_joint.setdefault(joint, []).append(str(row))
     parts = []
-    for joint in dict.fromkeys(joints):
-        numbers = [str(row) for row, name in zip(rows, joints, strict=True) if name == joint]
-        if len(numbers) == 1:
-            subject = f"row {numbers[0]} alone determines"
-        else:
-            subject = f"rows {', '.join(numbers[:-1])} and {numbers[-1]} alone determine"
+    for joint, numbers in rows_of_joint.items():
+        *before, last = numbers
+        subject = f"row {last} alone determines"
+        if before:
+            subject = f"rows {', '.join(before)} and {last} alone determine"
         parts.append(f"{subject} the errors of joint '{joint}'")
     text = "; ".join(parts)
     return {
         "sole": text[0].upper() + text[1:],
         "anew": f"row {rows[0]}" if len(rows) == 1 else "them",
-        "those": "this joint" if len(set(joints)) == 1 else "these joints",
+        "those": "this joint" if len(rows_of_joint) == 1 else "these joints",
     }
 
 
 def _alternative(reason: Reason, other: Mapping[str, Any]) -> str:
-    """Word another mistake that explains the rows as well as the one that a reason names."""
+    """Word another mistake that explains the rows as well as the one that a reason names.
+
+    Args:
+        reason: The reason, whose ``given_m`` is the error of the robot as given [m].
+        other: Code of the other mistake, ``error_m`` without it [m], and the values of its sentence.
+    """
     values = {"given_m": reason.values["given_m"], **other}
-    sentence = SENTENCES[Why[str(other["code"]).upper()]].removeprefix(_OFF)
+    why = Why[str(other["code"]).upper()]
+    sentence = SENTENCES[why].removeprefix(_OFF)
     text = _Units().vformat(sentence, (), values)
     return f"Or else ({mm(other['error_m'], 1)} mm): {text}"
 
@@ -311,10 +331,15 @@ def _ranges(values: Mapping[str, Any]) -> str:
     columns = [values[name] for name in ("joints", "shares", "lows", "highs", "slides")]
     parts = []
     for joint, share, low, high, slides in zip(*columns, strict=True):
-        factor, unit = (1e3, "mm") if slides else (_DEG, "deg")
+        factor, unit = _joint_unit(prismatic=slides)
         limits = f"{factor * low:.0f} to {factor * high:.0f} {unit}"
         parts.append(f"'{joint}' from {limits} ({100.0 * share:.0f} %)")
     return ", ".join(parts)
+
+
+def _joint_unit(*, prismatic: bool) -> tuple[float, str]:
+    """Return the unit in which a joint's values are shown, with its factor from SI, before it."""
+    return (1e3, "mm") if prismatic else (_DEG, "deg")
 
 
 def against(verdict: Verdict | None) -> str:
@@ -328,8 +353,10 @@ def against(verdict: Verdict | None) -> str:
     """
     if verdict is None or verdict.use != NO:
         return ""
-    reasons = [f"({first.code}): {reason_text(first)}" for first in verdict.reasons[:1]]
-    return " ".join([NO, *reasons])
+    if not verdict.reasons:
+        return NO
+    first = verdict.reasons[0]
+    return f"{NO} ({first.code}): {reason_text(first)}"
 
 
 def refusal(name: str, verdict: str) -> str:
@@ -381,7 +408,7 @@ def outside_text(rows: Sequence[OutsideRow], numbers: Sequence[int]) -> str:
 
 def _beyond(beyond: Beyond) -> str:
     """Word how far a joint value lies outside of its measured range."""
-    factor, unit = (1e3, "mm") if beyond.prismatic else (_DEG, "deg")
+    factor, unit = _joint_unit(prismatic=beyond.prismatic)
     return f"'{beyond.joint}' {factor * beyond.by:.3g} {unit}"
 
 
@@ -395,14 +422,15 @@ def robustness_text(robustness: Robustness) -> str:
         The effect of the weights that the fit does not use, in a sentence.
     """
     used, other = robustness.errors_full, robustness.errors_lowered
-    weights = "lowered"
+    other_weights = "lowered"
     if robustness.lowered:
         used, other = other, used
-        weights = "full"
+        other_weights = "full"
     text = (
-        f"With {weights} weight these rows would change the prediction by {mm(robustness.moved_rms)} mm rms at the "
-        f"measured poses, {mm(robustness.moved_max)} mm at most"
+        f"With {other_weights} weight these rows would change the prediction by {mm(robustness.moved_rms)} mm rms "
+        f"at the measured poses, {mm(robustness.moved_max)} mm at most"
     )
     if used.n:
-        text += f", and the held-out error of the others from about {mm(used.rms)} to {mm(other.rms)} mm rms"
+        change = f"from about {mm(used.rms)} to {mm(other.rms)} mm rms"
+        text += f", and the held-out error of the others {change}"
     return text + "."

@@ -20,7 +20,7 @@ from calib.result.calibration import CalibrationValues
 from calib.units import Array
 from calib.viewer.html_page import COLOURS, Page, filled_page, floats
 from calib.viewer.puppet import Puppet, Visual, packed, read_visuals, translation
-from calib.viewer.scene import Camera, SceneWindow
+from calib.viewer.scene import Camera, Scene
 from calib.viewer.view import View, view_of
 
 #: Colour and text in the legend of the rows of each kind.
@@ -97,15 +97,15 @@ def view_page(view: View, *, live: bool = False) -> Page:
     visuals, warnings = _read_visuals(view)
     shown = puppets(view, visuals)
     layout = _layout(view, shown)
-    window, grid = _draw(view, shown, layout)
+    scene = _draw(view, shown, layout)
     factor = magnification(view, layout.size)
     names = [name.lower() for name, _ in view.names[: len(shown)]]
     html = filled_page(
         "robots.html",
-        window.scene(),
+        scene.window.scene(),
         title=view.title or f"{view.nominal.name or 'Robot'}: {' and '.join(names)}",
         warnings=warnings,
-        grid=grid,
+        grid=scene.square,
         legend=_legend(view),
         names=names,
         beam=look.BEAM,
@@ -157,21 +157,25 @@ def _layout(view: View, shown: Mapping[str, Puppet]) -> _Layout:
     """Place robots, labels and cameras.
 
     Only the robots count, not the measured positions: a wild measurement must not make the robots small.
+
+    Args:
+        view: The content, of which the pose shown first counts.
+        shown: The robots by ``"nominal"`` and ``"calibrated"``, in the base of the latter.
     """
     first = slice(view.start, view.start + 1)
     at_start = np.concatenate([puppet.outline(first) for puppet in shown.values()])
     outline = np.concatenate([at_start, *(puppet.outline() for puppet in shown.values())])
     size = stage.span(outline)
-    towards_camera = stage.camera_direction(shown["nominal"].poses[view.start, :, :3, 3])
+    origins = shown["nominal"].poses[view.start, :, :3, 3]
+    towards_camera = stage.camera_direction(origins)
+    foot = _foot(at_start, towards_camera, size)
+    overlaid = np.vstack([outline, foot])
     offsets = {"nominal": np.zeros(3)}
     if len(shown) > 1:
-        step = _half_distance(outline, towards_camera, size)
-        offsets = {"nominal": -step, "calibrated": step}
-    foot = _foot(at_start, towards_camera, size)
-    robot = np.vstack([outline, foot])
-    robots = np.concatenate([robot + offset for offset in offsets.values()])
-    side = stage.look_at(robots, towards_camera, _TEXT)
-    over = stage.look_at(robot, towards_camera, _TEXT)
+        offsets = _offsets(outline, towards_camera, size)
+    side_by_side = np.concatenate([overlaid + offset for offset in offsets.values()])
+    side = stage.look_at(side_by_side, towards_camera, _TEXT)
+    over = stage.look_at(overlaid, towards_camera, _TEXT)
     return _Layout(size, offsets, foot, side, over)
 
 
@@ -180,17 +184,21 @@ def _to_the_right(towards_camera: Array) -> Array:
     return np.array([-towards_camera[1], towards_camera[0], 0.0])
 
 
-def _half_distance(outline: Array, towards_camera: Array, size: float) -> Array:
-    """Return the displacement (3,) [m] of the right one of two robots side by side, which then do not overlap.
+def _offsets(outline: Array, towards_camera: Array, size: float) -> dict[str, Array]:
+    """Return the displacements (3,) [m] of two robots side by side, which then do not overlap.
 
     Args:
         outline: shape (K, 3), points that enclose both robots at all poses [m].
         towards_camera: shape (3,), horizontal unit vector.
         size: The scene's size [m].
+
+    Returns:
+        By ``"nominal"``, to the left of the picture, and ``"calibrated"``, to the right.
     """
     right = _to_the_right(towards_camera)
     width = np.ptp(outline @ right) + _GAP * size
-    return np.asarray(0.5 * max(width, _LEAST_DISTANCE * size) * right)
+    half_distance = 0.5 * max(width, _LEAST_DISTANCE * size) * right
+    return {"nominal": -half_distance, "calibrated": half_distance}
 
 
 def _foot(at_start: Array, towards_camera: Array, size: float) -> Array:
@@ -210,15 +218,15 @@ def _foot(at_start: Array, towards_camera: Array, size: float) -> Array:
     return foot
 
 
-def _draw(view: View, shown: Mapping[str, Puppet], layout: _Layout) -> tuple[SceneWindow, float]:
-    """Draw the robots side by side at the first pose; return the scene and the edge of a square of the floor [m]."""
-    window, root, grid = stage.new_scene(layout.side, layout.size, layout.foot[2])
+def _draw(view: View, shown: Mapping[str, Puppet], layout: _Layout) -> Scene:
+    """Draw the robots side by side at the pose shown first; return the scene."""
+    scene = stage.new_scene(layout.side, layout.size, layout.foot[2])
     for name, puppet in shown.items():
-        group = root[stage.SCENE][name]
+        group = scene.root[stage.SCENE][name]
         group.set_transform(translation(layout.offsets[name] - layout.side.centre))
         material = stage.solid(COLOURS[name], front=name == "calibrated")
         stage.draw_puppet(group, puppet, view.start, material, _BALL * layout.size)
-    return window, grid
+    return scene
 
 
 def _labels(view: View, layout: _Layout) -> list[tuple[Array, str, str, str]]:
@@ -321,7 +329,8 @@ def _robot_table(puppet: Puppet, links: Sequence[str]) -> dict[str, Any]:
         where it has none. The last three movers are the frames of base, tip and target.
     """
     count = puppet.poses.shape[1]
-    same = [links.index(link) if link in links else -1 for link in puppet.links]
+    index_of = {link: index for index, link in enumerate(links)}
+    same = [index_of.get(link, -1) for link in puppet.links]
     frames = range(len(links), len(links) + 3)
     target_rod = [count - 2, count - 1]
     return {

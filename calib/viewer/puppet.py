@@ -71,16 +71,28 @@ def read_visuals(urdf: Urdf) -> tuple[tuple[Visual, ...], tuple[str, ...]]:
 
 
 def _triangles(shape: LinkShape, folders: Sequence[Path]) -> tuple[Mesh | None, str]:
-    """Return the triangles of a shape, and what is wrong with them; its mesh is searched for in the folders."""
+    """Return the triangles of a shape, and what is wrong with them.
+
+    Args:
+        shape: A shape of a link: a mesh file, or a box, sphere or cylinder.
+        folders: Where a mesh file is searched for.
+
+    Returns:
+        The triangles, None if there are none to draw; and the end of a sentence on what is wrong, empty if nothing is.
+    """
     if shape.mesh is None:
-        mesh = _solid(shape)
-        return mesh, "" if mesh else "a visual has no geometry that can be drawn"
+        solid = _solid(shape)
+        if solid is None:
+            return None, "a visual has no geometry that can be drawn"
+        return solid, ""
     name, scale = shape.mesh
     path = find_mesh(name, folders)
     if path is None:
         return None, f"the mesh '{name}' was not found; a simple shape stands for it"
     mesh, problem = _mesh_file(path, scale)
-    return mesh, f"the mesh '{name}' {problem}" if problem else ""
+    if problem:
+        problem = f"the mesh '{name}' {problem}"
+    return mesh, problem
 
 
 @lru_cache(maxsize=64)
@@ -101,7 +113,8 @@ def _solid(shape: LinkShape) -> Mesh | None:
     elif shape.geometry.tag == "sphere":
         solid = trimesh.creation.icosphere(3, shape.sizes[0])
     else:
-        solid = trimesh.creation.cylinder(shape.sizes[0], shape.sizes[1])
+        radius, length = shape.sizes[0], shape.sizes[1]
+        solid = trimesh.creation.cylinder(radius, length)
     return creased(solid.vertices, solid.faces)
 
 
@@ -115,8 +128,9 @@ def creased(vertices: NDArray[np.floating], faces: NDArray[np.int64]) -> Mesh:
     Returns:
         The mesh with more vertices; it has the same surface.
     """
-    mesh = trimesh.graph.smooth_shade(trimesh.Trimesh(vertices, faces), _CREASE, facet_minarea=None)
-    return np.asarray(mesh.vertices, dtype=np.float32), np.asarray(mesh.faces)
+    mesh = trimesh.Trimesh(vertices, faces)
+    shaded = trimesh.graph.smooth_shade(mesh, _CREASE, facet_minarea=None)
+    return np.asarray(shaded.vertices, dtype=np.float32), np.asarray(shaded.faces)
 
 
 class Puppet(NamedTuple):
@@ -135,7 +149,12 @@ class Puppet(NamedTuple):
 
     @classmethod
     def of(
-        cls, robot: Robot, q: Array, visuals: Sequence[Visual], T_scene_base: Array, target: Array
+        cls,
+        robot: Robot,
+        q: Array,
+        visuals: Sequence[Visual],
+        T_scene_base: Array,
+        target: Array,
     ) -> Puppet:
         """Place a robot in the scene.
 
@@ -154,29 +173,38 @@ class Puppet(NamedTuple):
         moved = [T_scene_root @ T_root_link[link] for link in links]
         # The robot's own forward kinematics place tip and target: the tables are about those points.
         T_scene_tip = T_scene_base @ robot.poses(q)
-        poses = np.stack([*moved, T_scene_base, T_scene_tip, T_scene_tip @ target], axis=1)
+        T_scene_target = T_scene_tip @ target
+        poses = np.stack([*moved, T_scene_base, T_scene_tip, T_scene_target], axis=1)
         return cls(links, _parts(links, visuals), rods, _rod_radius(T_root_link), poses)
 
     def outline(self, poses: slice = slice(None)) -> Array:
         """Return points that enclose the robot at some poses: origins, and corners of the parts' bounding boxes.
 
         Args:
-            poses: The poses; of more than 60 an even choice is taken.
+            poses: Indices of the poses in ``self.poses``; of more than 60 an even choice is taken.
 
         Returns:
             shape (K, 3), in the scene [m].
         """
-        at = self.poses[poses]
-        evenly = np.linspace(0, len(at) - 1, min(len(at), _MOST_OUTLINED))
-        at = at[evenly.round().astype(int)]
-        points = [at[:, :, :3, 3].reshape(-1, 3)]
+        T_scene_movers = self.poses[poses]
+        count = len(T_scene_movers)
+        evenly = np.linspace(0, count - 1, min(count, _MOST_OUTLINED))
+        T_scene_movers = T_scene_movers[evenly.round().astype(int)]
+        origins = T_scene_movers[:, :, :3, 3]
+        points = [origins.reshape(-1, 3)]
         for mover, (vertices, _), T_mover_shape in self.parts:
-            low = vertices.min(axis=0)
-            high = vertices.max(axis=0)
-            corners = np.c_[0.5 * (low + high) + CORNERS * (high - low), np.ones(8)]
-            placed = at[:, mover] @ T_mover_shape @ corners.T
+            corners = _box_corners(vertices)
+            placed = T_scene_movers[:, mover] @ T_mover_shape @ corners.T
             points.append(placed[:, :3].swapaxes(1, 2).reshape(-1, 3))
         return np.concatenate(points)
+
+
+def _box_corners(vertices: NDArray[np.floating]) -> Array:
+    """Return the corners of the box that bounds vertices (V, 3) [m], shape (8, 4): x, y, z, and 1 behind them."""
+    low = vertices.min(axis=0)
+    high = vertices.max(axis=0)
+    corners = 0.5 * (low + high) + CORNERS * (high - low)
+    return np.c_[corners, np.ones(8)]
 
 
 def _movers(
@@ -203,15 +231,20 @@ def _movers(
 
 
 def _parts(links: Sequence[str], visuals: Sequence[Visual]) -> list[tuple[int, Mesh, Array]]:
-    """Return index of the link, mesh and T_link_shape, (4, 4), [m], of each visual that has a mesh."""
-    drawn = [(v.link, v.mesh, v.T_link_shape) for v in visuals if v.mesh is not None]
-    return [(links.index(link), mesh, T_link_shape) for link, mesh, T_link_shape in drawn]
+    """Return the index of the link, the mesh and T_link_shape, (4, 4), [m], of each visual that has a mesh."""
+    parts: list[tuple[int, Mesh, Array]] = []
+    for visual in visuals:
+        if visual.mesh is not None:
+            index = links.index(visual.link)
+            parts.append((index, visual.mesh, visual.T_link_shape))
+    return parts
 
 
 def _rod_radius(T_root_link: Mapping[str, Array]) -> float:
     """Return the radius of rods [m] by the size of the robot at its first pose; poses (N, 4, 4) by link."""
     origins = [T[0, :3, 3] for T in T_root_link.values()]
-    return _ROD_RADIUS * float(np.linalg.norm(np.ptp(origins, axis=0)))
+    extent = np.ptp(origins, axis=0)
+    return _ROD_RADIUS * float(np.linalg.norm(extent))
 
 
 def root_poses(robot: Robot, q: Array) -> dict[str, Array]:
@@ -228,7 +261,8 @@ def root_poses(robot: Robot, q: Array) -> dict[str, Array]:
     data = model.createData()
     frames = [link_frame(model, link) for link in robot.urdf.links]
     poses = np.empty((len(q), len(frames), 4, 4))
-    for n, configuration in enumerate(full_configurations(model, robot.urdf_values(q))):
+    configurations = full_configurations(model, robot.urdf_values(q))
+    for n, configuration in enumerate(configurations):
         pin.framesForwardKinematics(model, data, configuration)
         poses[n] = [data.oMf[frame].homogeneous for frame in frames]
     return {link: poses[:, k] for k, link in enumerate(robot.urdf.links)}

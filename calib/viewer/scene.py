@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import meshcat
@@ -21,7 +22,7 @@ import calib.report.figure_base as look
 from calib.robot.robot import Robot
 from calib.units import Array
 from calib.viewer.html_page import Key, Page, filled_page
-from calib.viewer.puppet import Puppet, read_visuals, translation
+from calib.viewer.puppet import Mesh, Puppet, read_visuals, translation
 
 #: The scene's node that holds the robots.
 SCENE = "robots"
@@ -157,18 +158,28 @@ def _camera_axes(towards_camera: Array) -> Array:
     return np.stack([right, np.cross(back, right), back])
 
 
-def new_scene(
-    camera: Camera, size: float, floor: float
-) -> tuple[SceneWindow, meshcat.Visualizer, float]:
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """A scene to draw robots in."""
+
+    #: Its commands, which make the page.
+    window: SceneWindow
+    #: meshcat's visualizer of all of it; its origin is the camera's centre.
+    root: meshcat.Visualizer
+    #: Edge of a square of the floor [m].
+    square: float
+
+
+def new_scene(camera: Camera, size: float, floor: float) -> Scene:
     """Make a scene with a camera, lights, background and floor; its origin is the camera's centre.
 
     Args:
         camera: The camera.
         size: Size of the scene's content [m].
-        floor: Height of the floor in the frame of the camera's centre [m].
+        floor: Height of the floor, z, in the frame in which the camera's centre is given [m].
 
     Returns:
-        The scene, meshcat's visualizer of all of it, and the edge of a square of the floor [m].
+        The scene, without robots.
     """
     window = SceneWindow()
     root = meshcat.Visualizer.view_into(window, meshcat.path.Path())
@@ -190,7 +201,7 @@ def new_scene(
     for node, name, value in properties:
         root[node].set_property(name, value)
     square = _draw_floor(root["/Floor/grid"], size, floor - camera.centre[2])
-    return window, root, square
+    return Scene(window, root, square)
 
 
 def _draw_floor(node: meshcat.Visualizer, size: float, height: float) -> float:
@@ -223,21 +234,40 @@ def draw_puppet(
         material: Surface of all parts.
         ball: Radius of the ball at the target [m], which a rod joins to the tip; 0 for none.
     """
-    at = puppet.poses[pose]
+    T_scene_movers = puppet.poses[pose]
     robot = group["robot"]
-    for i, (mover, mesh, T_mover_shape) in enumerate(puppet.parts):
-        node = robot["links"][f"{mover:03d}"]
-        node.set_transform(at[mover])
-        node[f"{i:03d}"].set_object(mc.TriangularMeshGeometry(*mesh), material)
-        node[f"{i:03d}"].set_transform(T_mover_shape)
-    target = len(at) - 1
+    _draw_parts(robot["links"], T_scene_movers, puppet.parts, material)
     rods = [(start, end, puppet.radius) for start, end in puppet.rods]
     if ball:
+        target = len(T_scene_movers) - 1
+        tip = target - 1
         node = robot["links"][f"{target:03d}"]
-        node.set_transform(at[target])
+        node.set_transform(T_scene_movers[target])
         node["ball"].set_object(mc.Sphere(ball), material)
-        rods.append((target - 1, target, _STALK * ball))
-    _draw_rods(robot["rods"], at[:, :3, 3], rods, material)
+        rods.append((tip, target, _STALK * ball))
+    _draw_rods(robot["rods"], T_scene_movers[:, :3, 3], rods, material)
+
+
+def _draw_parts(
+    links: meshcat.Visualizer,
+    T_scene_movers: Array,
+    parts: Sequence[tuple[int, Mesh, Array]],
+    material: mc.MeshPhongMaterial,
+) -> None:
+    """Draw the shapes of a robot, each below the node of its mover.
+
+    Args:
+        links: Node of the movers.
+        T_scene_movers: shape (L, 4, 4), the movers in the scene [m].
+        parts: Of each shape the mover's index, from 0, the mesh, and T_mover_shape, (4, 4), [m].
+        material: Surface of the shapes.
+    """
+    for i, (mover, mesh, T_mover_shape) in enumerate(parts):
+        link = links[f"{mover:03d}"]
+        link.set_transform(T_scene_movers[mover])
+        shape = link[f"{i:03d}"]
+        shape.set_object(mc.TriangularMeshGeometry(*mesh), material)
+        shape.set_transform(T_mover_shape)
 
 
 def _draw_rods(
@@ -266,7 +296,8 @@ def rod_between(start: Array, end: Array) -> Array:
     length = float(np.linalg.norm(end - start))
     T = translation(0.5 * (start + end))
     if length > 0:
-        rotation, _ = Rotation.align_vectors([(end - start) / length], [[0.0, 0.0, 1.0]])
+        direction = (end - start) / length
+        rotation, _ = Rotation.align_vectors([direction], [[0.0, 0.0, 1.0]])
         T[:3, :3] = rotation.as_matrix()
     T[:3, 2] *= max(length, 1e-9)
     return T
@@ -287,8 +318,9 @@ def draw_points(node: meshcat.Visualizer, points: Array, colour: str, radius: fl
     ball = mc.Sphere(radius)
     material = mc.MeshPhongMaterial(color=_number(colour))
     for i, point in enumerate(points):
-        node[f"{i:03d}"].set_object(ball, material)
-        node[f"{i:03d}"].set_transform(translation(point))
+        child = node[f"{i:03d}"]
+        child.set_object(ball, material)
+        child.set_transform(translation(point))
 
 
 def draw_cloud(node: meshcat.Visualizer, points: ArrayLike, colour: str, edge: float) -> None:
@@ -300,9 +332,11 @@ def draw_cloud(node: meshcat.Visualizer, points: ArrayLike, colour: str, edge: f
         colour: ``"#rrggbb"``.
         edge: Edge of a dot [m].
     """
-    at = np.asarray(points, dtype=np.float32).T
-    rgb = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)], dtype=np.float32) / 255
-    node.set_object(mc.PointCloud(at, np.repeat(rgb[:, None], at.shape[1], axis=1), size=edge))
+    positions = np.asarray(points, dtype=np.float32).T
+    levels = [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
+    rgb = np.array(levels, dtype=np.float32) / 255
+    colours = np.repeat(rgb[:, None], positions.shape[1], axis=1)
+    node.set_object(mc.PointCloud(positions, colours, size=edge))
 
 
 def draw_lines(node: meshcat.Visualizer, ends: Array, colour: str, opacity: float = 1.0) -> None:
@@ -314,8 +348,12 @@ def draw_lines(node: meshcat.Visualizer, ends: Array, colour: str, opacity: floa
         colour: ``"#rrggbb"``.
         opacity: From 0 to 1.
     """
-    material = mc.LineBasicMaterial(color=_number(colour), opacity=opacity, transparent=opacity < 1)
-    node.set_object(mc.LineSegments(mc.PointsGeometry(ends.reshape(-1, 3).T), material))
+    is_transparent = opacity < 1
+    material = mc.LineBasicMaterial(
+        color=_number(colour), opacity=opacity, transparent=is_transparent
+    )
+    points = mc.PointsGeometry(ends.reshape(-1, 3).T)
+    node.set_object(mc.LineSegments(points, material))
 
 
 def draw_boxes(
@@ -331,8 +369,9 @@ def draw_boxes(
     """
     for i, (size, T) in enumerate(zip(sizes, poses, strict=True)):
         material = mc.MeshPhongMaterial(color=_number(colour), opacity=0.35, transparent=True)
-        node[f"{i:02d}"].set_object(mc.Box(size.tolist()), material)
-        node[f"{i:02d}"].set_transform(T)
+        child = node[f"{i:02d}"]
+        child.set_object(mc.Box(size.tolist()), material)
+        child.set_transform(T)
 
 
 def solid(colour: str, *, front: bool = False) -> mc.MeshPhongMaterial:
@@ -360,7 +399,8 @@ def _number(colour: str) -> int:
 
 def span(points: Array) -> float:
     """Return the diagonal of the bounding box of points (N, 3) [m]; 1 mm at least."""
-    return max(float(np.linalg.norm(np.ptp(points, axis=0))), 1e-3)
+    extent = np.ptp(points, axis=0)
+    return max(float(np.linalg.norm(extent)), 1e-3)
 
 
 def single_page(
@@ -388,13 +428,13 @@ def single_page(
     visuals, warnings = read_visuals(robot.urdf)
     puppet = Puppet.of(robot, q[None], visuals, np.eye(4)[None], np.eye(4))
     size = span(np.concatenate([puppet.outline(), points]))
-    window, scene, grid = _scene_of_one(puppet, points, size)
-    keys = [Key(legend, look.NOMINAL, "nominal"), *draw(scene, size)]
+    scene, base = _scene_of_one(puppet, points, size)
+    keys = [Key(legend, look.NOMINAL, "nominal"), *draw(base, size)]
     html = filled_page(
         "page.html",
-        window.scene(),
+        scene.window.scene(),
         keys=keys,
-        grid=grid,
+        grid=scene.square,
         title=title,
         text=text,
         warnings=warnings,
@@ -402,9 +442,7 @@ def single_page(
     return Page(html, warnings)
 
 
-def _scene_of_one(
-    puppet: Puppet, points: Array, size: float
-) -> tuple[SceneWindow, meshcat.Visualizer, float]:
+def _scene_of_one(puppet: Puppet, points: Array, size: float) -> tuple[Scene, meshcat.Visualizer]:
     """Make a scene with one robot at its first pose.
 
     Args:
@@ -413,13 +451,15 @@ def _scene_of_one(
         size: Size of the scene's content [m].
 
     Returns:
-        The scene, its node in the robot's base frame, and the edge of a square of the floor [m].
+        The scene, and its node in the robot's base frame.
     """
     outline = puppet.outline()
     everything = np.concatenate([outline, points])
-    camera = look_at(everything, camera_direction(puppet.poses[0, :, :3, 3]))
-    window, root, grid = new_scene(camera, size, float(outline[:, 2].min()))
-    scene = root[SCENE]
-    scene.set_transform(translation(-camera.centre))
-    draw_puppet(scene["nominal"], puppet, 0, solid(look.NOMINAL))
-    return window, scene, grid
+    origins = puppet.poses[0, :, :3, 3]
+    camera = look_at(everything, camera_direction(origins))
+    floor = float(outline[:, 2].min())
+    scene = new_scene(camera, size, floor)
+    base = scene.root[SCENE]
+    base.set_transform(translation(-camera.centre))
+    draw_puppet(base["nominal"], puppet, 0, solid(look.NOMINAL))
+    return scene, base

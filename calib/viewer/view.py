@@ -86,9 +86,8 @@ class View:
     instruments: Array = field(default_factory=lambda: np.zeros((0, 4, 4)))
     #: Index of the pose shown first, from 0
     start: int = 0
-    rows: int = (
-        0  #: Number of rows of the table, where those shown are a choice; 0 where all are shown
-    )
+    #: Number of rows of the table, where those shown are a choice; 0 where all are shown
+    rows: int = 0
     #: The page's heading
     title: str = ""
     #: Verdict of the calibration; empty without one
@@ -278,7 +277,9 @@ def _with_verdict(view: View, c: CalibrationValues) -> View:
     """Return the view with the verdict of a result and its first reason."""
     if c.verdict is None:
         return replace(view, note="No verdict: the result was not cross-validated.")
-    note = " ".join(reason_text(reason) for reason in c.verdict.reasons[:1])
+    note = ""
+    if c.verdict.reasons:
+        note = reason_text(c.verdict.reasons[0])
     return replace(view, verdict=c.verdict.use, note=note)
 
 
@@ -300,15 +301,14 @@ def _at_rows(first: Evaluation, second: Evaluation | None, flagged: Mask) -> Vie
     angles = np.array([angles_of(e.residual, e.used) for e in (first, last)])
     start = _first_shown(errors[0], m.validation, flagged)
     at = _shown_rows(start, flagged)
-    kinds = np.where(flagged, "flagged", np.where(m.validation, "validation", "estimation"))
     _, nominal_target = setup_of_rows(first.setup, m)
     T_frame_base, calibrated_target = setup_of_rows(last.setup, m)
-    return View(
+    view = View(
         nominal=first.robot,
-        calibrated=None if second is None else second.robot,
+        calibrated=None,
         q=m.joints_for(first.robot.joint_names)[at],
-        labels=tuple(f"row {m.rows[k]}" for k in at),
-        kinds=tuple(kinds[at].tolist()),
+        labels=_row_labels(m, at),
+        kinds=_row_kinds(m, flagged, at),
         nominal_target=nominal_target[at],
         calibrated_target=calibrated_target[at],
         T_base_nominal=_bases_of_first(first, last)[at],
@@ -317,14 +317,47 @@ def _at_rows(first: Evaluation, second: Evaluation | None, flagged: Mask) -> Vie
         angles=angles[:, at],
         instruments=_stations(m, T_frame_base),
         start=int(np.searchsorted(at, start)),
-        rows=len(flagged) if len(flagged) > MOST_ROWS else 0,
     )
+    if second is not None:
+        view = replace(view, calibrated=second.robot)
+    if len(at) < len(flagged):
+        view = replace(view, rows=len(flagged))
+    return view
+
+
+def _row_labels(m: Measurements, at: Integers) -> tuple[str, ...]:
+    """Return the labels of the rows with these indices: ``row 31``, by their number in the table."""
+    return tuple(f"row {m.rows[index]}" for index in at)
+
+
+def _row_kinds(m: Measurements, flagged: Mask, at: Integers) -> tuple[str, ...]:
+    """Return ``"estimation"``, ``"validation"`` or ``"flagged"`` of each row that is shown.
+
+    Args:
+        m: N rows.
+        flagged: shape (N,), the flagged rows.
+        at: Indices of the rows that are shown, from 0.
+    """
+    kinds = np.where(m.validation, "validation", "estimation")
+    kinds = np.where(flagged, "flagged", kinds)
+    return tuple(kinds[at].tolist())
 
 
 def _first_shown(errors: Array, validation: Mask, flagged: Mask) -> int:
-    """Return the index of the row with the largest error (N,) [m]: validation rows go before, flagged ones behind."""
-    rank = np.where(flagged, 0.0, np.where(validation, 2e6, 1e6))
-    return int(np.argmax(np.where(np.isfinite(errors), rank + errors, -1.0)))
+    """Return the index of the row that is shown first.
+
+    Args:
+        errors: shape (N,), [m]; NaN where none was measured.
+        validation: shape (N,), the validation rows.
+        flagged: shape (N,), the flagged rows.
+
+    Returns:
+        The index of the largest error; of validation rows before estimation rows, flagged ones behind both.
+    """
+    rank = np.where(validation, 2e6, 1e6)
+    rank = np.where(flagged, 0.0, rank)
+    ranked_errors = np.where(np.isfinite(errors), rank + errors, -1.0)
+    return int(np.argmax(ranked_errors))
 
 
 def _shown_rows(start: int, flagged: Mask) -> Integers:
@@ -333,7 +366,8 @@ def _shown_rows(start: int, flagged: Mask) -> Integers:
     if count <= MOST_ROWS:
         return np.arange(count)
     evenly = np.linspace(0, count - 1, MOST_ROWS - _FLAGGED_ROWS).round().astype(int)
-    return np.unique([start, *np.flatnonzero(flagged)[: _FLAGGED_ROWS - 1], *evenly])
+    first_flagged = np.flatnonzero(flagged)[: _FLAGGED_ROWS - 1]
+    return np.unique([start, *first_flagged, *evenly])
 
 
 def _bases_of_first(first: Evaluation, last: Evaluation) -> Array:
@@ -366,7 +400,8 @@ def _one_joint_after_the_other(robot: Robot) -> tuple[Array, tuple[str, ...]]:
     for k, joint in enumerate(robot.inputs):
         is_prismatic = joint.type == "prismatic"
         scale, unit = (1e3, "mm") if is_prismatic else (np.degrees(1.0), "deg")
-        for value in np.linspace(ranges[k, 0], ranges[k, 1], _POSES_PER_JOINT):
+        low, high = ranges[k]
+        for value in np.linspace(low, high, _POSES_PER_JOINT):
             pose = middle.copy()
             pose[k] = value
             poses.append(pose)

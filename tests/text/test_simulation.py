@@ -117,5 +117,5 @@ def test_the_figures_of_a_study(ur3: Robot, study: Study):
     assert "Models: dh 75 %, dh+gain 25 %" in text.splitlines()
     assert "Verdicts: use 75 %, use with care 25 %" in text.splitlines()
     assert "Outliers: 4 of 8 flagged, and 4 rows flagged wrongly." in text.splitlines()
-    assert "1 trials ended with an error; the first, seed 5: no fit" in text.splitlines()
+    assert "1 trial ended with an error; the first, seed 5: no fit" in text.splitlines()
     assert max(map(len, text.splitlines())) <= 100
