@@ -32,20 +32,27 @@ def fit_rows(A, y, weights):
     return x, np.linalg.inv(flat.T @ flat)
 
 
-@pytest.mark.parametrize("weight", [1.0, 0.4, 0.0])
-def test_the_score_is_the_deleted_residual_over_its_covariance(weight):
-    """Against the fit that really leaves the row out."""
-    A, y, noise = linear_rows(np.random.default_rng(0))
+@pytest.mark.parametrize(
+    ("rows", "size"),
+    [(25, 1.0), (6, 1.0), (25, 300.0)],
+    ids=["many rows", "few rows", "a row of great leverage"],
+)
+@pytest.mark.parametrize("weight", [1.0, 0.4, 1e-3, 0.0])
+def test_the_score_is_the_deleted_residual_over_its_covariance(weight, rows, size):
+    """Against the fit that really leaves the row out, whichever way its leverage is taken."""
+    A, y, noise = linear_rows(np.random.default_rng(0), n=rows)
+    A[4], y[4] = size * A[4], size * y[4]
     weights = np.ones(len(A))
     weights[4] = weight
     x, inverse = fit_rows(A, y, weights)
     found = scores((y - A @ x) / noise, A / noise, inverse * noise**2, weights, every(A))
-    for row in (4, 9):
+    for row in (4, rows - 1):
         left = np.arange(len(A)) != row
         x_left, inverse_left = fit_rows(A[left], y[left], weights[left])
         deleted = y[row] - A[row] @ x_left
         covariance = noise**2 * (np.eye(3) + A[row] @ inverse_left @ A[row].T)
-        assert found[row] == pytest.approx(np.sqrt(deleted @ np.linalg.solve(covariance, deleted)))
+        expected = np.sqrt(deleted @ np.linalg.solve(covariance, deleted))
+        assert found[row] == pytest.approx(expected, rel=1e-5)
 
 
 @pytest.mark.parametrize("d", [1, 2, 6])
