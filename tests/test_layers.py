@@ -103,9 +103,26 @@ def test_no_module_imports_itself_in_a_circle():
     TopologicalSorter(GRAPH).prepare()  # raises CycleError, which names the circle
 
 
+def code_lines(path: Path) -> int:
+    """Count the lines of code: docstrings, comments and blank lines are free."""
+    text = path.read_text(encoding="utf-8")
+    documented = set()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)) and ast.get_docstring(
+            node
+        ):
+            docstring = node.body[0]
+            documented |= set(range(docstring.lineno, (docstring.end_lineno or 0) + 1))
+    numbered = enumerate(map(str.strip, text.splitlines()), start=1)
+    return sum(
+        bool(line) and not line.startswith("#") and number not in documented
+        for number, line in numbered
+    )
+
+
 def test_a_module_is_one_idea():
-    lines = {path: len(path.read_text(encoding="utf-8").splitlines()) for path in MODULES}
-    assert not {module_name(path): n for path, n in lines.items() if n > 525}
+    lines = {module_name(path): code_lines(path) for path in MODULES}
+    assert not {name: count for name, count in lines.items() if count > 325}
 
 
 def test_only_the_command_line_prints():

@@ -188,7 +188,7 @@ class _Task:
         low, high = self.limits.T
         pushes_down = (q <= low) & (dq < 0.0)
         pushes_up = (q >= high) & (dq > 0.0)
-        return pushes_down | pushes_up
+        return np.asarray(pushes_down | pushes_up)
 
     def at(self, q: Array) -> _Attempt:
         """Return the arm at joint values (N, m) [rad] or [m], with the error of its tool there."""

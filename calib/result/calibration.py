@@ -185,7 +185,7 @@ class CalibrationValues(FittedModel):
 
     @property
     def cell(self) -> Cell:
-        """What was given of targets, frames, noise and priors; `ModelError` where the result was read from a file."""
+        """Targets, frames, noise and priors as given; `ModelError` where the result was read from a file."""
         return self.fit_in_memory.cell
 
     @property

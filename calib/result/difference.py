@@ -562,7 +562,7 @@ def _compensation(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _OwnEffects:
-    """What the p own parameters of one result's robot do to the target that no motion of base and target does."""
+    """Effects of the p own parameters of one result's robot on the target, beyond those of a motion of base and target."""
 
     #: Shape (p,), their names
     names: NDArray[Any]

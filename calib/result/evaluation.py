@@ -248,7 +248,7 @@ def _replaced(poses: Array, known: Array, index: Mapping[int, int]) -> Array:
     Returns:
         A copy, shape (n, 4, 4), [m].
     """
-    result = poses.copy()
+    result: Array = poses.copy()
     for k, known_index in index.items():
         result[k] = known[known_index]
     return result
