@@ -562,7 +562,7 @@ def _compensation(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _OwnEffects:
-    """Effects of the p own parameters of one result's robot on the target, beyond those of a motion of base and target."""
+    """Effects of one result's p own parameters on the target, beyond those of a motion of base and target."""
 
     #: Shape (p,), their names
     names: NDArray[Any]
