@@ -82,6 +82,30 @@ def moved(T, twist):
 
 @pytest.mark.usefixtures("own")
 @pytest.mark.parametrize(
+    ("name", "size"),
+    [
+        ("point", 3),
+        ("pose", 12),
+        ("distance", 1),
+        ("pair", 1),
+        ("fixed", 0),
+        ("plane", 0),
+        ("line", 1),
+        ("tilt", 2),
+    ],
+)
+def test_a_row_has_as_many_numbers_as_its_instrument_reads(name, size):
+    """A point is three numbers, a rotation matrix nine; a socket and a plane read none."""
+    kind, T = get(name), poses(6)
+    if kind.paired:
+        T = np.stack([T, poses(6, 1)], axis=1)
+    assert kind.size == size
+    if kind.measure is not None and size:
+        assert kind.measure(T).shape == (6, size)
+
+
+@pytest.mark.usefixtures("own")
+@pytest.mark.parametrize(
     "name", ["point", "pose", "distance", "pair", "fixed", "plane", "line", "tilt"]
 )
 def test_derivatives_against_differences_and_what_is_measured_has_no_residual(name):

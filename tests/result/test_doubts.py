@@ -11,6 +11,7 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Why
 from calib.result.calibrate import calibrate
+from calib.result.doubts import noise_doubts
 from calib.robot.ranges import random_joint_values
 from tests.judged import arm, judged, reasons, table_of
 
@@ -106,6 +107,45 @@ def test_a_joint_that_moves_against_its_load_where_gravity_is_turned(make_scene)
     up, down = (Cell(model="dh+compliance", gravity=(0.0, 0.0, g)) for g in (9.81, -9.81))
     assert Why.COMPLIANCE_NEGATIVE in reasons(calibrate(scene.robot, m, cell=up))
     assert Why.COMPLIANCE_NEGATIVE not in reasons(calibrate(scene.robot, m, cell=down))
+
+
+@pytest.mark.parametrize(
+    ("stated", "codes"), [(None, []), (3e-3, []), (4e-4, [Why.NOISE_ABOVE_SIGMA])]
+)
+def test_the_noise_of_angles_is_held_against_the_stated_one_alone(make_scene, stated, codes):
+    scene = arm(make_scene, 63, noise=3e-5, noise_angle=3e-3)
+    cell = Cell(model="dh", sigma_angle=stated)
+    result = calibrate(scene.robot, scene.poses(40), cell=cell, validate=False)
+    geometry = result.fit_in_memory.geometry
+    found = list(noise_doubts(result, geometry, ()))
+    assert [reason.why for reason in found] == codes
+    for reason in found:
+        # Estimated from 120 angles: within four standard deviations.
+        assert reason.values["after_rad"] == pytest.approx(3e-3, rel=0.3)
+        assert reason.values["before_rad"] == stated
+        assert reason.values["ratio"] == pytest.approx(reason.values["after_rad"] / stated)
+
+
+@pytest.mark.parametrize(
+    ("noise", "stated", "why"),
+    [
+        (3e-5, None, None),
+        (4e-3, None, Why.NOISE_LARGE),
+        (4e-3, 4e-3, None),
+        (4e-3, 2e-4, Why.NOISE_ABOVE_SIGMA),
+    ],
+)
+def test_the_noise_of_lengths_is_held_against_the_stated_or_a_usual_one(
+    make_scene, noise, stated, why
+):
+    scene = arm(make_scene, 63, noise=noise)
+    cell = Cell(model="dh", sigma=stated)
+    result = calibrate(scene.robot, scene.points(60), cell=cell, validate=False)
+    found = list(noise_doubts(result, result.fit_in_memory.geometry, ()))
+    assert [reason.why for reason in found] == ([] if why is None else [why])
+    for reason in found:
+        size = reason.values["noise_m"] if stated is None else reason.values["after_m"]
+        assert size == pytest.approx(noise, rel=0.3)
 
 
 def test_copies_of_rows_are_left_out(make_scene):
