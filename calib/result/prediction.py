@@ -127,8 +127,8 @@ class FittedModel:
         """Expected error at a new point, rms [m]: at poses like those measured, and over the joint limits.
 
         The first is the rms error of held-out rows of ``cross_validation``, outliers aside, and knows what the model
-        lacks. For the second the variance of the prediction at the measured poses, ``expected_measured``^2, is
-        exchanged for that over the limits, ``expected_elsewhere``^2. Without cross-validation, or where no length was
+        lacks. For the second the variance of the prediction at the measured poses, the square of
+        ``expected_measured``, is exchanged for that over the limits, the square of ``expected_elsewhere``. Without cross-validation, or where no length was
         measured, these two are returned, by the covariance alone.
         """
         at_measured, elsewhere = self.expected_measured, self.expected_elsewhere
