@@ -128,8 +128,8 @@ class FittedModel:
 
         The first is the rms error of held-out rows of ``cross_validation``, outliers aside, and knows what the model
         lacks. For the second the variance of the prediction at the measured poses, the square of
-        ``expected_measured``, is exchanged for that over the limits, the square of ``expected_elsewhere``. Without cross-validation, or where no length was
-        measured, these two are returned, by the covariance alone.
+        ``expected_measured``, is exchanged for that over the limits, the square of ``expected_elsewhere``.
+        Without cross-validation, or where no length was measured, these two are returned, by the covariance alone.
         """
         at_measured, elsewhere = self.expected_measured, self.expected_elsewhere
         if self.cross_validation is None or not self.cross_validation.errors_without_outliers.n:
