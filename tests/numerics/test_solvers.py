@@ -103,6 +103,35 @@ def test_papers_damping_follows_the_gain():
         assert following.mu == pytest.approx(entry.mu * factor)
 
 
+@pytest.mark.parametrize("iterations", [1, 4, 5000])
+def test_evaluations_of_the_papers_solver_are_counted(iterations):
+    """At its limit as where it converges."""
+    seen = []
+
+    def counted(x):
+        seen.append(x)
+        return rosenbrock(x)
+
+    solution = paper_levenberg_marquardt(counted, np.array([-1.2, 1.0]), iterations=iterations)
+    assert solution.status == ("converged" if iterations == 5000 else "stopped")
+    assert solution.evaluations == len(seen)
+
+
+def test_steps_of_scipy_are_measured_from_the_best_point_so_far():
+    seen, step_size = [], np.array([0.1, 0.5])
+
+    def recorded(x):
+        r, J = rosenbrock(x)
+        if not seen or not np.array_equal(x, seen[-1]):
+            seen.append(x.copy())
+        return r, J
+
+    x0 = np.array([-1.2, 1.0])
+    solution = scipy_least_squares(recorded, x0, step_size=step_size)
+    expected = np.linalg.norm((seen[1] - x0) / step_size)
+    assert solution.history[0].step == pytest.approx(expected)
+
+
 def test_papers_gain_is_the_usual_one_although_both_signs_are_turned():
     """The printed quotient has the signs of numerator and denominator turned: they cancel."""
     solution = paper_levenberg_marquardt(rosenbrock, np.array([-1.2, 1.0]))

@@ -31,6 +31,15 @@ def test_predictions_are_what_residuals_are_made_of(case):
             assert np.linalg.norm(non_geometric - geometry) > 1e-6
 
 
+def test_the_verdict_is_that_on_the_model_with_which_one_predicts(case):
+    _, c = case
+    assert c.verdict_on(non_geometric=False) is c.verdict
+    of_model = c.non_geometric and c.non_geometric.verdict
+    assert c.verdict_on(non_geometric=True) is (of_model or c.verdict)
+    without = replace(c, non_geometric=None)
+    assert without.verdict_on(non_geometric=True) is c.verdict
+
+
 def test_set_ups_see_the_same_robot(calibrated):
     _, c = calibrated("set-ups")
     q = random_joint_values(c.nominal, 5, 1)
