@@ -203,8 +203,8 @@ def _box_corners(vertices: NDArray[np.floating]) -> Array:
     """Return the corners of the box that bounds vertices (V, 3) [m], shape (8, 4): x, y, z, and 1 behind them."""
     low = vertices.min(axis=0)
     high = vertices.max(axis=0)
-    corners = 0.5 * (low + high) + CORNERS * (high - low)
-    return np.c_[corners, np.ones(8)]
+    corners: Array = 0.5 * (low + high) + CORNERS * (high - low)
+    return np.hstack([corners, np.ones((8, 1))])
 
 
 def _movers(
