@@ -82,7 +82,7 @@ class Layout:
         named, groups = name_columns(table, joint_names or (), columns or {})
         joints = _joints(table, named, joint_names, joint_types or {})
         kinds = _kinds(table, named, kind, points_elsewhere=points_elsewhere)
-        present = [registry.get(name) for name in kinds]
+        present = list(map(registry.get, kinds))
         if points_elsewhere:
             _check_kinds_of_points(table, present)
         blocks = {
@@ -96,8 +96,7 @@ class Layout:
             table, named, present, by_column=kind is None, points_elsewhere=points_elsewhere
         )
         layout = cls(words, groups, blocks, kinds)
-        ignored = _ignored(table, named, layout, points_elsewhere=points_elsewhere)
-        return replace(layout, ignored=ignored)
+        return _with_ignored(layout, table, named, points_elsewhere=points_elsewhere)
 
 
 # Kinds
@@ -334,15 +333,13 @@ def _unneeded(table: Table, named: Named, *, points_elsewhere: bool) -> list[Col
     return columns
 
 
-def _ignored(
-    table: Table, named: Named, layout: Layout, *, points_elsewhere: bool
-) -> tuple[str, ...]:
-    """Return the headers of the columns that a layout does not use, but for those that a fit does not need.
+def _with_ignored(layout: Layout, table: Table, named: Named, *, points_elsewhere: bool) -> Layout:
+    """Return a layout with the headers of the columns that it does not use, but for those that a fit does not need.
 
     Args:
+        layout: The columns that are used.
         table: The table.
         named: Its columns by the names that calib uses.
-        layout: The columns that are used.
         points_elsewhere: Whether the positions are in a file of their own.
     """
     columns = [*layout.words.values(), *layout.groups]
@@ -354,7 +351,7 @@ def _ignored(
     for i, label in enumerate(table.header):
         if label and i not in indices:
             labels.append(label)
-    return tuple(labels)
+    return replace(layout, ignored=tuple(labels))
 
 
 def _needed(table: Table, named: Named, name: str, quantity: Quantity | None, what: str) -> Column:

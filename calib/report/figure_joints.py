@@ -84,8 +84,7 @@ def _joint_panel(ax: Axes, c: CalibrationValues, j: int, parts: Array, reach: fl
     for kind in base.row_kinds(c):
         if np.any(kind.mask & has_joint_parts(c)):
             shown = np.clip(parts[kind.mask], -reach, reach)
-            style = kind.style(0.8)
-            ax.plot(values[kind.mask], shown, rasterized=as_pixels, zorder=2, **style)
+            ax.plot(values[kind.mask], shown, rasterized=as_pixels, zorder=2, **kind.style(0.8))
     fitted = c.measurements.estimation & has_joint_parts(c) & ~flagged_rows(c)
     has_part = np.isfinite(parts[fitted])
     if np.count_nonzero(has_part) >= _FEWEST_ROWS:

@@ -111,16 +111,20 @@ def _lever_arms(robot: Robot, model: pin.Model, values: Mapping[str, Array], dow
         Shape (N, n, n + 2), [m] per rad or m: at the origins of the n joints, the tip and the base.
     """
     numbers = _joint_numbers(robot, model)
-    ends = [model.frames[link_frame(model, link)] for link in (robot.tip, robot.base)]
+    ends = _end_frames(robot, model)
     carriers = [*numbers, *(end.parentJoint for end in ends)]
     frames = joint_frames(model, robot.urdf, values, carriers)
     T_root_joint = np.stack([frames[number] for number in numbers], axis=1)
-    axes_in_joints = _urdf_axes(robot)[:, :, None]
-    axes = (T_root_joint[:, :, :3, :3] @ axes_in_joints)[..., 0]
+    axes = _axes_in_root(robot, T_root_joint)
     origins = T_root_joint[:, :, :3, 3]
     points = np.concatenate([origins, _end_origins(ends, frames)], axis=1)
     depths = _depths_per_unit(robot, axes, origins, points, down)
     return np.asarray(depths * _bearing(model, numbers, carriers))
+
+
+def _end_frames(robot: Robot, model: pin.Model) -> list[pin.Frame]:
+    """Return Pinocchio's frames of the tip and of the base, in this order, in the model of the whole URDF."""
+    return [model.frames[link_frame(model, link)] for link in (robot.tip, robot.base)]
 
 
 def _end_origins(ends: Sequence[pin.Frame], frames: Mapping[int, Array]) -> Array:
@@ -187,6 +191,12 @@ def _depths_per_unit(
     return depths
 
 
-def _urdf_axes(robot: Robot) -> Array:
-    """Return the axes of the chain's joints as the URDF has them, none turned round, shape (n, 3)."""
-    return np.array([robot.urdf.joint(joint.name).axis for joint in robot.joints])
+def _axes_in_root(robot: Robot, T_root_joint: Array) -> Array:
+    """Return the axes of the chain's n joints in the URDF's root, none turned round, shape (N, n, 3).
+
+    Args:
+        robot: The robot, whose URDF has the axes in the frames of the joints.
+        T_root_joint: Shape (N, n, 4, 4), the frames of the joints [m].
+    """
+    axes = np.array([robot.urdf.joint(joint.name).axis for joint in robot.joints])
+    return np.asarray((T_root_joint[:, :, :3, :3] @ axes[:, :, None])[..., 0])

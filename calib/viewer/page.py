@@ -163,8 +163,8 @@ def _layout(view: View, shown: Mapping[str, Puppet]) -> _Layout:
         shown: The robots by ``"nominal"`` and ``"calibrated"``, in the base of the latter.
     """
     first = slice(view.start, view.start + 1)
-    at_start = np.concatenate([puppet.outline(first) for puppet in shown.values()])
-    outline = np.concatenate([at_start, *(puppet.outline() for puppet in shown.values())])
+    at_start = _outline(shown, first)
+    outline = np.concatenate([at_start, _outline(shown, slice(None))])
     size = stage.span(outline)
     origins = shown["nominal"].poses[view.start, :, :3, 3]
     towards_camera = stage.camera_direction(origins)
@@ -177,6 +177,11 @@ def _layout(view: View, shown: Mapping[str, Puppet]) -> _Layout:
     side = stage.look_at(side_by_side, towards_camera, _TEXT)
     over = stage.look_at(overlaid, towards_camera, _TEXT)
     return _Layout(size, offsets, foot, side, over)
+
+
+def _outline(shown: Mapping[str, Puppet], poses: slice) -> Array:
+    """Return points (K, 3) [m] that enclose all robots at some of their poses; see `Puppet.outline`."""
+    return np.concatenate([puppet.outline(poses) for puppet in shown.values()])
 
 
 def _to_the_right(towards_camera: Array) -> Array:

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from calib.report.figure_base import styled
-from calib.report.figure_space import POSES, measured_places, points, uncertainty
+from calib.report.figure_space import (
+    POSES,
+    _predicted_places,
+    measured_places,
+    points,
+    uncertainty,
+)
 from calib.robot.ranges import SPREAD, spread_poses
 
 
@@ -77,3 +83,10 @@ def test_places_that_nobody_measured_are_predicted(calibrations):
     c = calibrations.made("distances")
     T = c.robot.poses(c.measurements.joints)
     np.testing.assert_allclose(measured_places(c), T[:, :3, :3] @ c.target + T[:, :3, 3])
+
+
+def test_predicted_places_are_those_of_the_target(calibrations):
+    c = calibrations.made("paper")
+    q = c.measurements.joints_for(c.nominal.joint_names)
+    homogeneous = c.robot.poses(q) @ np.append(c.target, 1.0)
+    np.testing.assert_allclose(_predicted_places(c, q), homogeneous[:, :3], atol=1e-12)

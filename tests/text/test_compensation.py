@@ -14,7 +14,14 @@ from calib.compensation.expected import Contribution, Source
 from calib.compensation.program import Program
 from calib.compensation.warnings import Code, CommandWarning
 from calib.robot.robot import Robot
-from calib.text.compensation import _REMEDIES, _SOURCES, _TEXTS, finding_text, text
+from calib.text.compensation import (
+    _REMEDIES,
+    _SOURCES,
+    _TEXTS,
+    _errors_and_corrections,
+    finding_text,
+    text,
+)
 from tests.hard_cases import made
 
 
@@ -83,3 +90,14 @@ def test_the_remedy_is_that_of_the_largest_source(found: Commands):
     assert "--poses-in measured (0.123 mm)" in in_frame
     assert "--poses-in" not in said(mainly(found, "base", in_measured_frame=None))
     assert "was not cross-validated" in said(mainly(found, "tool", validated=False))
+
+
+def test_errors_and_corrections_are_lengths_and_angles_of_the_rows_with_a_command(found: Commands):
+    pairs = _errors_and_corrections(found)
+    rows = found.reached
+    lengths, angles = pairs["error without compensation"]
+    np.testing.assert_array_equal(lengths, found.missed[rows, 0])
+    np.testing.assert_array_equal(angles, found.missed[rows, 1])
+    lengths, angles = pairs["correction of a joint"]
+    assert lengths.size == 0  # no joint slides
+    np.testing.assert_array_equal(angles, np.abs(found.joint_corrections[rows]))

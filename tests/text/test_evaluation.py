@@ -92,3 +92,19 @@ def test_the_table_is_in_si_units(assessment: Assessment):
     assert accuracy["ap_max_m"] == pytest.approx(1.2e-3)
     assert accuracy["repeats_min"] == accuracy["repeats_max"] == 3
     assert accuracy["poses"][-1]["ap_m"] == pytest.approx(1.2e-3)
+
+
+def test_what_fails_is_above_the_tolerance_without_the_guard_band(ur3: Robot):
+    limits = {"tolerance": 0.9e-3, "uncertainty": 1e-4}
+    failed = assess(ur3, measured(ur3, 1e-4 * np.arange(1, 13)), KNOWN, limits=limits)
+    said = " ".join(assessment_text(failed, "result.json", "as given").split())
+    figure = failed.accepted.length.figure
+    assert said.startswith("Verdict: fail")
+    assert (
+        f"AP of 12 poses is {mm(figure)} mm (rows 34, 35, 36), above the tolerance of 0.900 mm."
+        in said
+    )
+    equation = (
+        f"{mm(figure)} - guard band 0.100 (k = 2, ISO 14253-1) = {mm(figure - 1e-4)} mm > 0.900 mm."
+    )
+    assert equation in said

@@ -111,3 +111,11 @@ def test_too_few_robots():
     assert few_text(4, 4, 5, "").startswith("Outlier detection needs 5 robots; there are 4 robots.")
     assert "1 robot of the kind 'panda'" in few_text(1, 1, 5, "panda")
     assert "5 robots with the data of 4." in few_text(5, 4, 5, "")
+
+
+def test_outliers_and_copies_stand_below_their_own_headings():
+    outliers = [outlier("SN-1"), outlier("SN-2", "data", "the same measurements")]
+    robots = [robot("SN-1"), robot("SN-2")]
+    unusual, copied, _ = fleet_text(fleet(*robots, outliers=outliers), kept=0)
+    assert unusual.splitlines() == ["Fleet outliers:", "  SN-1: noise 9 mm"]
+    assert copied.splitlines()[1:] == ["  SN-2: the same measurements"]

@@ -56,3 +56,14 @@ def test_sockets_and_anchors_are_points_of_the_base(calibrated, name, word):
         assert line.startswith(f"{word} '{group}': estimated at (")
         found = [float(v) for v in re.findall(r"-?\d+\.\d+", line)]
         np.testing.assert_allclose(found, -1e3 * T[:3, :3].T @ T[:3, 3], atol=5.1e-4)
+
+
+def test_planes_have_their_normal_and_distance_in_the_base(calibrated):
+    _, c = calibrated("planes")
+    for line, group, T in zip(
+        frames(c).splitlines(), c.setup.groups, c.setup.T_frame_base, strict=True
+    ):
+        assert line.startswith(f"Plane '{group}': estimated with the normal (")
+        numbers = [float(v) for v in re.findall(r"-?\d+\.\d+", line)]
+        np.testing.assert_allclose(numbers[:3], T[2, :3], atol=5.1e-6)
+        assert line.endswith(f"{mm(-T[2, 3])} mm along it.")

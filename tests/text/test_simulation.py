@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from calib.data.cell import Cell, TrackerNoise
+from calib.model.families import FAMILIES
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.simulation.disturbances import MovedTarget, Outliers
@@ -16,7 +17,7 @@ from calib.simulation.scenario import Scenario, Simulated
 from calib.simulation.study import Study
 from calib.simulation.trial import Trial, Trials
 from calib.simulation.truth import draw_truth
-from calib.text.simulation import simulated_text, study_text
+from calib.text.simulation import _errors_by_family, simulated_text, study_text
 from tests.simulation.cells import virtual
 
 SETS = ("estimate",) * 15 + ("validate",) * 5
@@ -119,3 +120,14 @@ def test_the_figures_of_a_study(ur3: Robot, study: Study):
     assert "Outliers: 4 of 8 flagged, and 4 rows flagged wrongly." in text.splitlines()
     assert "1 trial ended with an error; the first, seed 5: no fit" in text.splitlines()
     assert max(map(len, text.splitlines())) <= 100
+
+
+def test_families_of_errors_stand_in_their_order(ur3: Robot):
+    truth = draw_truth(ur3, "dh+gain", seed=1)
+    families = _errors_by_family(truth)
+    names = [family for family, _ in families]
+    assert names == sorted(names, key=list(FAMILIES).index)
+    assert len(set(names)) > 1
+    shown = {name: value for errors in families.values() for name, value in errors.items()}
+    given = dict(zip(truth.model.names, truth.x, strict=True))
+    assert shown == {name: value for name, value in given.items() if value}

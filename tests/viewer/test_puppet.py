@@ -10,7 +10,14 @@ import trimesh
 from calib.robot.meshes import mesh_folders
 from calib.robot.robot import Robot, rigid_inverse
 from calib.viewer.page import puppets
-from calib.viewer.puppet import Puppet, creased, read_visuals, root_poses, translation
+from calib.viewer.puppet import (
+    Puppet,
+    _box_corners,
+    creased,
+    read_visuals,
+    root_poses,
+    translation,
+)
 from calib.viewer.view import View
 
 #: The corners of a unit cube and its twelve triangles.
@@ -146,3 +153,11 @@ def test_every_mover_is_where_the_robot_s_forward_kinematics_put_it(request, dis
         np.testing.assert_allclose(
             puppet.poses[:, -1, :3, 3], view.predicted[int(name != "nominal")]
         )
+
+
+def test_corners_enclose_a_mesh():
+    vertices = np.array([[0.1, 0.2, 0.3], [0.5, -0.2, 0.4], [0.2, 0.0, 0.9]])
+    corners = _box_corners(vertices)
+    np.testing.assert_allclose(corners.min(axis=0), [0.1, -0.2, 0.3, 1.0])
+    np.testing.assert_allclose(corners.max(axis=0), [0.5, 0.2, 0.9, 1.0])
+    assert len(np.unique(corners, axis=0)) == 8
