@@ -39,22 +39,24 @@ _RANGE = 0.90
 
 
 class Workspace(NamedTuple):
-    """Poses over which accuracy is forecast, as `Sensitivity` differentiates them."""
+    """Poses over which accuracy is forecast, as `Sensitivity` differentiates them by the p parameters."""
 
-    #: Shape (n, d, p), whitened, see `Sensitivity.measured`.
+    #: Shape (n, d, p), derivative of the d scalars that are measured at each of n poses, whitened, see
+    #: `Sensitivity.measured`.
     measured: Array
-    #: Shape (n, 3 k, p), [m per unit], see `Sensitivity.located`.
+    #: Shape (n, 3 k, p), derivative of the positions of the k targets, [m per unit], see `Sensitivity.located`.
     located: Array
     #: Number of parameters, or combinations, that all these poses determine.
     rank: int
 
     @classmethod
     def of(cls, sensitivity: Sensitivity, q: Array) -> Workspace:
-        """Differentiate at poses.
+        """Differentiate what is measured, and the positions of the targets, at the poses over which accuracy counts.
 
         Args:
-            sensitivity: The robot in its cell.
-            q: shape (n, m), [rad] or [m].
+            sensitivity: The nominal robot in its cell under the error model of the fit.
+            q: Joint values of n poses, shape (n, m), [rad] or for sliding joints [m], columns as
+                ``robot.joint_names``.
         """
         measured = sensitivity.measured(q)
         located = sensitivity.located(q)
@@ -71,7 +73,7 @@ class Forecast:
 
     #: Names of the p parameters.
     names: tuple[str, ...]
-    #: Unit of each.
+    #: Unit of each parameter.
     units: tuple[str, ...]
     #: Shape (p,), expected standard deviation after the fit, in the units.
     parameter_std: Array
@@ -81,9 +83,9 @@ class Forecast:
     poses: int
     #: Expected rms error of a predicted position over the workspace [m].
     rms: float
-    #: The rms of 90 % of calibrations lies between this one
+    #: Lower end of the range in which the rms error of 90 % of calibrations lies [m].
     rms_low: float
-    #: And this one [m].
+    #: Upper end of that range [m].
     rms_high: float
     #: Largest standard deviation of a predicted position over the workspace [m].
     max: float
@@ -95,21 +97,22 @@ class Forecast:
     columns: int
     #: Number that the poses of the whole workspace could determine.
     workspace_rank: int
-    #: Mean over the workspace, in variances of the noise.
+    #: Mean over the workspace of the variance of what is measured at a pose, in variances of the noise.
     mean_variance: float
     #: Largest over the workspace, likewise.
     worst_variance: float
-    #: Observability indices O1 to O5.
+    #: Observability indices by name, ``"O1"`` to ``"O5"``.
     indices: dict[str, float]
 
     @classmethod
     def of(cls, sensitivity: Sensitivity, workspace: Workspace, q: Array) -> Forecast:
-        """Forecast a fit of measurements at poses.
+        """Forecast the accuracy of a fit of measurements at poses.
 
         Args:
-            sensitivity: The robot in its cell.
-            workspace: The poses over which accuracy counts.
-            q: The poses to measure, shape (N, m), [rad] or [m].
+            sensitivity: The nominal robot in its cell under the error model of the fit.
+            workspace: The poses over which accuracy counts, differentiated by the parameters.
+            q: Joint values of the N poses to measure, shape (N, m), [rad] or for sliding joints [m], columns as
+                ``robot.joint_names``.
         """
         measured = sensitivity.measured(q)
         root = covariance_root(measured, sensitivity.precision)
@@ -137,12 +140,16 @@ class Forecast:
 
 
 def _range_of_rms(squares: Array) -> tuple[float, float]:
-    """Return between which rms errors over the workspace 90 % of calibrations lie [m].
+    """Compute between which rms position errors over the workspace 90 % of calibrations lie.
 
-    The squared rms is x^T S x with x ~ N(0, I).
+    The squared rms is x^T S x with x ~ N(0, I): a sum of chi-squares weighted by the eigenvalues of S.
 
     Args:
-        squares: S = root^T B root, shape (p, p) [m^2].
+        squares: S = root^T B root, shape (p, p) [m^2], with a root of the parameters' covariance C = root root^T, and
+            the mean B of J^T J over the positions.
+
+    Returns:
+        The quantiles 0.05 and 0.95 of the rms error [m].
     """
     weights = np.maximum(np.linalg.eigvalsh(squares), 0.0)
     draws = _chi_squares(len(squares)) @ weights
@@ -152,12 +159,21 @@ def _range_of_rms(squares: Array) -> tuple[float, float]:
 
 
 def forecast(robot: Robot, cell: Cell, joints: ArrayLike) -> Forecast:
-    """Forecast a calibration that is measured at poses, over the joint ranges.
+    """Forecast the accuracy of a calibration that is measured at poses, over the joint ranges.
 
     Args:
         robot: The nominal robot.
-        cell: What the fit will use; the model ``"auto"`` is taken as ``"placement"``.
-        joints: The poses, shape (N, m), [rad] or [m].
+        cell: The measurement setup that the fit will use: frames, targets, noise, priors and model; the model
+            ``"auto"`` is taken as ``"placement"``. Its ``ranges`` narrow the joint ranges.
+        joints: Joint values of the N poses to measure, shape (N, m), [rad] or for sliding joints [m], columns as
+            ``robot.joint_names``.
+
+    Returns:
+        The expected standard deviations of the parameters and errors of predicted positions, over 4096 poses that are
+        spread over the joint ranges.
+
+    Raises:
+        ModelError: A kind of measurement, or a parameter, that cannot be planned for.
     """
     sensitivity = Sensitivity.of(robot, cell)
     everywhere = spread_between(planning_ranges(robot, cell.ranges, 0.0), _POSES)
@@ -166,12 +182,14 @@ def forecast(robot: Robot, cell: Cell, joints: ArrayLike) -> Forecast:
 
 
 def forecast_of_table(robot: Robot, cell: Cell, measurements: Measurements) -> Forecast | None:
-    """Forecast a fit of a table's estimation rows, by their poses alone; the target is registered.
+    """Forecast a fit of a table's estimation rows, by their poses alone.
+
+    The measured values serve to register the target, and for distances the anchor: these are where they then are.
 
     Args:
         robot: The nominal robot.
-        cell: What the fit will use.
-        measurements: The table.
+        cell: The measurement setup that the fit will use: frames, targets, noise, priors and model.
+        measurements: The table: joint values and what was measured there; rows of the set ``validate`` do not count.
 
     Returns:
         The forecast; None where rows are of several kinds, targets or stations, or of a kind whose poses are not free.
@@ -201,27 +219,32 @@ def forecast_of_table(robot: Robot, cell: Cell, measurements: Measurements) -> F
 def covariance_root(measured: Array, precision: Array) -> Array:
     """Compute a root of the parameters' covariance after measurements, C = root root^T.
 
+        C = (diag(1 / tau^2) + sum_i A_i^T A_i)^-1
+
     By a QR decomposition of measurements and priors below each other: what a fine instrument determines, and what
-    nothing but the leash holds, are too far apart for their squares.
+    nothing but a weak prior holds, are too far apart for their squares.
 
     Args:
-        measured: Whitened derivative of the measurements, shape (n, d, p).
-        precision: 1 / tau^2 of each parameter's prior, shape (p,).
+        measured: Derivatives A of the d scalars measured at each of n poses by the p parameters, shape (n, d, p), in
+            standard deviations of the noise per unit of the parameter.
+        precision: 1 / tau^2 of each parameter's prior, with its standard deviation tau in its unit, shape (p,).
 
     Returns:
-        The root, shape (p, p), rows in the parameters' units.
+        The root, upper triangular, shape (p, p), rows in the parameters' units.
     """
-    rows = [measured.reshape(-1, measured.shape[2]), np.diag(np.sqrt(precision))]
-    R = np.linalg.qr(np.concatenate(rows), mode="r")
+    by_scalar = measured.reshape(-1, measured.shape[2])
+    by_prior = np.diag(np.sqrt(precision))
+    R = np.linalg.qr(np.concatenate([by_scalar, by_prior]), mode="r")
     return np.asarray(solve_triangular(R, np.eye(len(R))))
 
 
 def _spreads(workspace: Workspace, root: Array) -> tuple[Array, Array, Array]:
-    """Propagate the covariance C = root root^T to a workspace of n poses with k targets.
+    """Propagate the covariance C = root root^T of p parameters to a workspace of n poses with k targets.
 
     Args:
-        workspace: The poses.
-        root: shape (p, p), rows in the parameters' units.
+        workspace: Derivatives by the parameters at the n poses: ``measured``, of what is measured, whitened; and
+            ``located``, of the positions of the targets, [m per unit].
+        root: A root of the covariance, shape (p, p), rows in the parameters' units.
 
     Returns:
         The variance of each target's position, shape (n k,) [m^2]; of what is measured at each pose, shape (n,), in
@@ -242,19 +265,33 @@ def _spreads(workspace: Workspace, root: Array) -> tuple[Array, Array, Array]:
     parts = over_blocks(work, len(workspace.located))
     variances, relatives, squares = zip(*parts, strict=True)
     variance = np.concatenate(variances)
-    return variance, np.concatenate(relatives), np.sum(squares, axis=0) / len(variance)
+    mean_squares = np.sum(squares, axis=0) / len(variance)
+    return variance, np.concatenate(relatives), mean_squares
 
 
 def information(A: Array) -> Array:
-    """Return the information sum_i A_i^T A_i, shape (p, p), of whitened derivatives A, shape (n, d, p)."""
+    """Compute the information matrix sum_i A_i^T A_i of measurements at n poses.
+
+    Args:
+        A: Derivative of the d scalars at each pose by p parameters, whitened by the noise, shape (n, d, p); n may be 0.
+
+    Returns:
+        Shape (p, p), symmetric.
+    """
     flat = A.reshape(-1, A.shape[2])
     return np.asarray(flat.T @ flat)
 
 
 @lru_cache(maxsize=4)
 def _chi_squares(count: int) -> Array:
-    """Return 20,000 draws of ``count`` independent chi-squares, always the same ones.
+    """Return draws of independent chi-squares of one degree of freedom, always the same ones.
 
-    Drawing them takes longer than a forecast.
+    They are kept: drawing them takes longer than a forecast.
+
+    Args:
+        count: Number of chi-squares of each draw.
+
+    Returns:
+        Shape (20000, count).
     """
     return np.random.default_rng(20170401).chisquare(1, size=(20_000, count))

@@ -19,6 +19,7 @@ Code = Literal[
 class Note(NamedTuple):
     """Remark on a plan; `calib.text.plan` makes a sentence of it."""
 
+    #: Word for what is remarked.
     code: Code
     #: In SI units, as listed at the code.
     values: tuple[str | float, ...] = ()

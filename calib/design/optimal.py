@@ -54,21 +54,23 @@ _LEASH = 1e-6
 class Basis(NamedTuple):
     """Directions that a pool of candidates can tell apart, scaled so that a mean candidate's information is I."""
 
-    #: Shape (p, r), a unit of each coordinate in the parameters.
+    #: Shape (p, r), a unit of each of the r coordinates as a change of the p parameters, in their units.
     directions: Array
-    #: Shape (r, r), the information before the first pose.
+    #: Shape (r, r), the information before the first pose is chosen, along the directions.
     known: Array
-    #: Shape (r, r), W or B of the criterion; None for ``D``.
+    #: Shape (r, r), W or B of the criterion, along the directions; None for ``D``.
     target: Array | None
 
     @classmethod
     def of(cls, mean_information: Array, known: Array, weight: Array | None) -> Basis:
-        """Make the basis of a pool.
+        """Find the directions of the p parameters that a pool of candidates can tell apart.
 
         Args:
-            mean_information: The mean of A^T A over the pool, shape (p, p).
-            known: The information of priors and poses taken, shape (p, p).
-            weight: W or B of the criterion, shape (p, p); None for ``D``.
+            mean_information: Mean of A^T A over the candidates, shape (p, p), with the whitened derivative A of what is
+                measured at one pose by the parameters.
+            known: Information of priors and of poses measured already, shape (p, p).
+            weight: T of a criterion tr(T C) with the covariance C, shape (p, p): W of ``A`` or B of ``V``; None for
+                ``D``, which maximises the determinant of the information.
         """
         observable, unobservable = _directions(mean_information)
         # What is known ties directions that the pool does not see to those that it sees: they follow.
@@ -76,18 +78,21 @@ class Basis(NamedTuple):
         follow = stiffness @ (unobservable.T @ known @ observable)
         directions = observable - unobservable @ follow
         before = directions.T @ known @ directions + _LEASH * np.eye(directions.shape[1])
-        target = None if weight is None else directions.T @ weight @ directions
-        return cls(directions, before, target)
+        if weight is None:
+            return cls(directions, before, None)
+        return cls(directions, before, directions.T @ weight @ directions)
 
 
 def _directions(mean_information: Array) -> tuple[Array, Array]:
-    """Split the parameter space by the information of a mean candidate.
+    """Split the space of p parameters into directions that a mean candidate observes, and those that it does not.
 
     Args:
-        mean_information: shape (p, p).
+        mean_information: Mean of A^T A over the candidates, shape (p, p), with the whitened derivative A of what is
+            measured at one pose by the parameters.
 
     Returns:
-        Directions with the information I, shape (p, r); and those without any, shape (p, p - r).
+        Columns in the parameters' units: r directions in which the information is the identity, shape (p, r); and those
+        with less than 1e-10 of the strongest one's information, shape (p, p - r).
     """
     effect = np.sqrt(np.diag(mean_information))
     # What moves nothing but for rounding is not scaled up: a target on an axis does not tell that joint's angle.
@@ -108,20 +113,21 @@ def choose(
     restarts: int = RESTARTS,
     rank: Array | None = None,
 ) -> Indices:
-    """Choose the best design of different candidates that is found.
+    """Choose the best design of different candidates that is found, by the criterion of a basis.
 
     Exchanges on a short list from several random starts; the best of these is then exchanged with all candidates.
 
     Args:
-        blocks: shape (n, d, r), the whitened derivatives of the pool along the basis.
-        basis: The basis.
-        count: Number of poses.
-        seed: Of the random starts.
+        blocks: Whitened derivatives of the d scalars measured at each of n candidates, along the r directions of the
+            basis, shape (n, d, r).
+        basis: The directions, the information that is known before, and the criterion.
+        count: Number of poses of the design.
+        seed: Seed of the random starts.
         restarts: Number of random starts.
-        rank: shape (n,), the pool's `ranking`; None: it is computed.
+        rank: The `ranking` of the candidates, shape (n,), larger for those that matter more; None: it is computed.
 
     Returns:
-        shape (count,), the indices of the candidates in the pool.
+        Indices of the chosen candidates, from 0, all different, shape (count,).
     """
     rng = np.random.default_rng(seed)
     if rank is None:
@@ -145,13 +151,15 @@ def exchange(blocks: Array, basis: Basis, start: Indices, count: int = 0) -> tup
     """Exchange each pose of a design for the best candidate until nothing gets better.
 
     Args:
-        blocks: shape (n, d, r), the whitened derivatives of the candidates along the basis.
-        basis: The basis.
-        start: The design to begin with, indices of candidates.
-        count: To fewer poses than this the best ones are added before.
+        blocks: Whitened derivatives of the d scalars measured at each of n candidates, along the r directions of the
+            basis, shape (n, d, r).
+        basis: The directions, the information that is known before, and the criterion.
+        start: The design to begin with: indices of candidates, from 0, shape (N,).
+        count: Number of poses of the design: the best ones are added before, one by one, where ``start`` has fewer; a
+            longer start keeps its number.
 
     Returns:
-        The design, and its cost, see `_cost`.
+        The design, indices of candidates from 0; and its cost, less for a better one: -log det M, or tr(W C), tr(B C).
     """
     design = start.tolist()
     while len(design) < count:
@@ -176,13 +184,17 @@ def exchange(blocks: Array, basis: Basis, start: Indices, count: int = 0) -> tup
 
 
 def _best_addition(blocks: Array, basis: Basis, design: list[int], *likely: int) -> int:
-    """Find the candidate that gains most beside those of a design.
+    """Find the candidate that improves a design most, by the criterion of the basis.
 
     Args:
-        blocks: shape (n, d, r), the whitened derivatives of the candidates along the basis.
-        basis: The basis.
-        design: Indices of candidates, which are not added again.
-        likely: Candidates that may well be the best: a first guess.
+        blocks: Whitened derivatives of the d scalars measured at each of n candidates, along the r directions of the
+            basis, shape (n, d, r).
+        basis: The directions, the information that is known before, and the criterion.
+        design: Indices of candidates, from 0, that are chosen already and not added again; it may be empty.
+        likely: Indices of candidates that may well be the best: a first guess, which saves time and changes nothing.
+
+    Returns:
+        Index of the candidate, from 0.
     """
     C = np.linalg.inv(basis.known + information(blocks[design]))
     bound = _most(blocks, C, basis.target)
@@ -196,17 +208,19 @@ def _best_addition(blocks: Array, basis: Basis, design: list[int], *likely: int)
 
 
 def ranking(blocks: Array, basis: Basis) -> Array:
-    """Compute the sensitivity of an optimal design without end at each candidate.
+    """Compute how much an optimal design with as many poses as it likes would rely on each candidate.
 
     The multiplicative algorithm (S. Silvey, D. Titterington, B. Torsney, 1978) moves the weights of candidates
-    towards the optimal ones, w_i <- w_i s_i / mean(s); there, s is largest on the support.
+    towards the optimal ones, w_i <- w_i s_i / mean(s); there, the sensitivity s is largest on the support. 25 steps.
 
     Args:
-        blocks: shape (n, d, r), the whitened derivatives of the candidates along the basis.
-        basis: The basis.
+        blocks: Whitened derivatives of the d scalars measured at each of n candidates, along the r directions of the
+            basis, shape (n, d, r).
+        basis: The directions, and the criterion.
 
     Returns:
-        shape (n,); the larger, the more the design relies on a candidate.
+        The sensitivity s of each candidate, shape (n,): tr(A C A^T), or tr(A C T C A^T) with the matrix T of the
+        criterion; the larger, the more the design relies on a candidate.
     """
     n, rows, r = blocks.shape
     flat = blocks.reshape(-1, r)
@@ -228,11 +242,14 @@ def ranking(blocks: Array, basis: Basis) -> Array:
 
 
 def short_list(rank: Array, count: int) -> Indices:
-    """Return the candidates with the largest values of `ranking`, in the pool's order.
+    """Return the candidates with the largest values of `ranking`.
 
     Args:
-        rank: shape (n,).
-        count: Number of candidates.
+        rank: The `ranking` of n candidates, shape (n,), larger for those that matter more.
+        count: Number of candidates to return.
+
+    Returns:
+        Indices of the candidates, from 0, in rising order, shape (count,), or (n,) where there are fewer.
     """
     return np.sort(np.argsort(-rank, kind="stable")[:count])
 
@@ -242,37 +259,46 @@ def _most(blocks: Array, C: NDArray[np.floating[Any]], target: Array | None) -> 
 
         det(I + G) <= (1 + tr G / d)^d,    tr((I + G)^-1 E) <= tr E
 
+    with G = A C A^T and E = A C T C A^T of a candidate's derivative A.
+
     Args:
-        blocks: shape (n, d, r), the whitened derivatives of the candidates along the basis.
-        C: shape (r, r), the covariance of the design without them.
-        target: shape (r, r), W or B, None for ``D``.
+        blocks: Derivatives A of the d scalars measured at each of n candidates, whitened, along the r directions of a
+            `Basis`, shape (n, d, r).
+        C: Covariance of the design without them, along the directions, shape (r, r).
+        target: T of the criterion tr(T C), W or B along the directions, shape (r, r); None for ``D``, the determinant.
 
     Returns:
-        shape (n,), in the unit of `_gains`.
+        Upper bound of what `_gains` returns of each candidate, shape (n,).
     """
     n, d, r = blocks.shape
     K = C if target is None else C @ target @ C
 
     def work(block: slice) -> Array:
-        """Return the traces of A K A^T of a part of the candidates A."""
+        """Return the trace of A K A^T of each candidate of a part of them, shape (part,)."""
         A = blocks[block].reshape(-1, r)
         AK = (A @ K).reshape(-1, d * r)
         return np.asarray(np.einsum("nk,nk->n", AK, A.reshape(-1, d * r)))
 
     trace = np.concatenate(over_blocks(work, n))
-    return np.asarray((1.0 + trace / d) ** d if target is None else trace)
+    if target is None:
+        return np.asarray((1.0 + trace / d) ** d)
+    return trace
 
 
 def _gains(blocks: Array, C: NDArray[np.floating[Any]], target: Array | None) -> Array:
-    """Compute what adding each candidate gains: det(I + G), or by how much tr(W C) falls.
+    """Compute what adding each candidate to a design gains.
+
+    With G = A C A^T and E = A C T C A^T of a candidate's derivative A, det M is multiplied by det(I + G), and tr(T C)
+    falls by tr((I + G)^-1 E).
 
     Args:
-        blocks: shape (n, d, r), the whitened derivatives of the candidates along the basis.
-        C: shape (r, r), the covariance of the design without them.
-        target: shape (r, r), W or B, None for ``D``.
+        blocks: Derivatives A of the d scalars measured at each of n candidates, whitened, along the r directions of a
+            `Basis`, shape (n, d, r).
+        C: Covariance of the design without them, along the directions, shape (r, r).
+        target: T of the criterion tr(T C), W or B along the directions, shape (r, r); None for ``D``, the determinant.
 
     Returns:
-        shape (n,).
+        Shape (n,), larger for a better candidate: det(I + G) for ``D``, else how far tr(T C) falls.
     """
     n, d, r = blocks.shape
     both = C if target is None else np.hstack([C, C @ target @ C])
@@ -287,7 +313,15 @@ def _gains(blocks: Array, C: NDArray[np.floating[Any]], target: Array | None) ->
 
 
 def _cost(M: Array, basis: Basis) -> float:
-    """Return the criterion's value of the information M, shape (r, r): -log det M, or tr(W M^-1); less is better."""
+    """Compute the value of a criterion for a design; less is better.
+
+    Args:
+        M: Information matrix of the design and what is known before, along the r directions of the basis, shape (r, r).
+        basis: Gives the matrix ``target`` of the criterion.
+
+    Returns:
+        -log det M for ``D``; tr(W M^-1) or tr(B M^-1) for ``A`` or ``V``.
+    """
     if basis.target is None:
         return -float(np.linalg.slogdet(M)[1])
     return float(np.trace(np.linalg.solve(M, basis.target)))

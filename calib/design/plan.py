@@ -47,7 +47,7 @@ class Plan:
     cell: Cell
     #: The request.
     request: PlanRequest
-    #: Shape (K, m), [rad] or [m], whole steps of 0.001 deg or mm.
+    #: Shape (K, m), joint values [rad] or [m], whole steps of 0.001 deg or mm, columns as ``robot.joint_names``.
     joints: Array
     #: ``"estimate"`` or ``"validate"`` for each pose.
     sets: tuple[str, ...]
@@ -64,12 +64,12 @@ class Plan:
     model: str
     #: Kind of measurement at each pose.
     kind: str
-    #: Of the fit of taken poses and planned ones.
+    #: Forecast of the fit of taken poses and planned ones.
     forecast: Forecast
-    #: Of a fit of the poses taken alone; None without.
+    #: Forecast of a fit of the poses taken alone; None where none are taken.
     before: Forecast | None
-    #: Of as many poses drawn at random from the same candidates, in place of the planned ones: the median of several
-    #: draws.
+    #: Forecast of as many poses drawn at random from the same candidates, in place of the planned ones: the median of
+    #: several draws.
     at_random: Forecast
     #: Forecasts for other numbers of planned poses, in rising order, that of the plan among them.
     ladder: tuple[tuple[int, Forecast], ...]
@@ -87,13 +87,26 @@ class Plan:
     notes: tuple[Note, ...]
 
     def places(self, q: Array) -> Array:
-        """Predict where each target is in the base at q, shape (N, m), by the nominal robot; (N, targets, 3), [m]."""
+        """Predict the position of each target in the robot's base, by the nominal robot.
+
+        Uses ``robot`` and the poses ``T_tip_target`` of its k targets.
+
+        Args:
+            q: Joint values of N poses, shape (N, m), [rad] or for sliding joints [m], columns as
+                ``robot.joint_names``.
+
+        Returns:
+            Shape (N, k, 3), [m], in the order of ``targets``.
+        """
         by_target = [target_positions(self.robot, T, q) for T in self.T_tip_target]
         return np.stack(by_target, axis=1)
 
     @property
     def estimation(self) -> Array:
-        """The poses to fit, shape (N, m), in the order to drive."""
+        """Joint values of the poses to fit, without those to validate with, in the order to drive.
+
+        Shape (N, m), [rad] or for sliding joints [m].
+        """
         return np.asarray(self.joints[np.array(self.sets) == "estimate"])
 
 
@@ -115,14 +128,17 @@ def plan(
             reflector, joint ranges; None: the default cell. The model ``"auto"`` is planned for as ``"placement"``, the
             largest geometry.
         request: Number of poses, criterion, number of candidates.
-        region: Where the first target is to lie, in the base; None: anywhere.
-        taken: shape (T, m), poses that are measured already [rad] or [m]: the plan adds to them; None: none.
+        region: Voxels of the robot's base frame in which the first target is to lie; None: anywhere.
+        taken: Joint values of poses that are measured already, shape (T, m) or (m,), [rad] or for sliding joints [m]:
+            the plan adds to them; None: none.
         collisions: How poses and moves are checked for collisions of the robot and its targets with the robot itself,
             the cell's boxes and the mounting plane; None: they are not.
-        progress: Called with the stage of the work, how much of it is done, and all of it.
+        progress: Called with the stage of the work, ``"candidates"`` or ``"choice"``, how much of it is done, and all
+            of it; None: nothing is called.
 
     Returns:
-        The plan.
+        The plan: poses to fit and to validate with, in the order to drive, where each target is expected, the moves
+        that are blocked, and the forecast of the fit.
 
     Raises:
         CalibError: Too few poses for the model, no candidate that can be measured, or a cell that does not fit.
@@ -163,14 +179,32 @@ def plan(
 
 
 def _stage(progress: Progress | None, stage: str) -> Callable[[int, int], None] | None:
-    """Return what a stage of the work calls with the work done and all of it; None: nothing."""
-    return None if progress is None else partial(progress, stage)
+    """Return the function that one stage of the work reports its progress to.
+
+    Args:
+        progress: Called with the name of a stage, how much of its work is done, and all of it; None: nothing is called.
+        stage: Name of the stage, such as ``"candidates"``.
+
+    Returns:
+        Function of the work done and all of it; None where nothing is called.
+    """
+    if progress is None:
+        return None
+    return partial(progress, stage)
 
 
 def _collision_model(
     sensitivity: Sensitivity, collisions: CollisionCheck | None
 ) -> CollisionModel | None:
-    """Return the robot with its targets and boxes, to be checked for collisions; None: it is not."""
+    """Return the robot with what it holds and what is around it, to be checked for collisions.
+
+    Args:
+        sensitivity: The nominal robot in its cell, with the boxes around it and the targets that it holds.
+        collisions: Clearance, radius of what holds the targets, and folders of meshes; None: nothing is checked.
+
+    Returns:
+        Tests poses and moves; None where nothing is checked.
+    """
     if collisions is None:
         return None
     setup = sensitivity.setup
@@ -186,7 +220,18 @@ def _draw(
     body: CollisionModel | None,
     progress: Callable[[int, int], None] | None,
 ) -> Pool:
-    """Draw candidates that can be measured."""
+    """Draw candidates that can be measured: in the region, in the tracker's sight and free of collision.
+
+    Args:
+        sensitivity: The nominal robot in its cell.
+        request: Gives the number of candidates, the seed, and the margin to the joint limits.
+        region: Voxels of the robot's base frame in which the first target must lie; None: anywhere.
+        body: Tests poses for collisions; None: they are not tested.
+        progress: Called with the number of candidates so far and the number wanted; None: nothing is called.
+
+    Returns:
+        Joint values of the candidates, and of poses in the region that need not be measurable, [rad] or [m].
+    """
     robot = sensitivity.kinematics.robot
     ranges = planning_ranges(robot, sensitivity.cell.ranges, request.margin)
     conditions = list(_conditions(sensitivity, region, body))
@@ -199,12 +244,13 @@ def _conditions(
     """Yield what a candidate must pass, the cheap conditions first; the tracker must see every target.
 
     Args:
-        sensitivity: The robot in its cell.
-        region: Where the first target must lie, in the robot's base; None: anywhere.
-        body: Checks collisions of the links and of the tracker's beam with them; None: neither is checked.
+        sensitivity: The nominal robot in its cell, with its targets, and the tracker and reflector if they are known.
+        region: Voxels of the robot's base frame in which the first target must lie; None: anywhere.
+        body: Tests collisions of the links and of the tracker's beam with them; None: neither is tested.
 
     Yields:
-        Conditions of joint values, shape (n, m), that return True for those that pass, shape (n,).
+        A word for the reason of refusal, and a function of joint values, shape (n, m), [rad] or [m], that returns True
+        for poses that pass, shape (n,).
     """
     robot, cell = sensitivity.kinematics.robot, sensitivity.cell
     T_tip_target = sensitivity.setup.T_tip_target
@@ -234,7 +280,19 @@ def _route(
     choice: Choice,
     body: CollisionModel | None,
 ) -> Route:
-    """Order the chosen poses."""
+    """Find the order to drive the chosen poses, those to fit and those to validate with mixed.
+
+    Args:
+        sensitivity: The nominal robot in its cell.
+        request: Gives the margin to the joint limits, and the robot's pose before the first move.
+        pool: Gives poses in the region, of which a blocked move may be driven by one that is free of collision.
+        choice: The poses to fit, and those to validate with.
+        body: Tests moves for collisions; None: all are free.
+
+    Returns:
+        The poses in order; ``indices`` are their places, from 0, among ``choice.planned`` followed by
+        ``choice.validation``.
+    """
     robot = sensitivity.kinematics.robot
     # With errors that change with a joint's value, a pose one turn on is another pose.
     turns = not sensitivity.kinematics.model.joint_terms
@@ -244,9 +302,11 @@ def _route(
         start = np.asarray(request.start, dtype=np.float64)
 
     def stops() -> Array:
-        # Nothing need see the target on the way.
-        poses = pool.workspace[:_STOPS]
-        return poses if body is None else poses[body.free(poses)]
+        """Return poses of the region that are free of collision; nothing need see the target there."""
+        in_region = pool.workspace[:_STOPS]
+        if body is None:
+            return in_region
+        return in_region[body.free(in_region)]
 
     poses = np.concatenate([choice.planned, choice.validation])
     free_path = None if body is None else body.path_free
@@ -254,7 +314,12 @@ def _route(
 
 
 def _notes(cell: Cell, body: CollisionModel | None) -> list[Note]:
-    """Return remarks on what was checked, and what was not."""
+    """Return remarks on what was checked of poses and moves, and what was not.
+
+    Args:
+        cell: The measurement setup, with a reflector and the tracker that it must face, where these are known.
+        body: The test for collisions, with remarks on what it checks; None: nothing was checked.
+    """
     notes = []
     if cell.reflector is not None and cell.tracker is None:
         notes.append(Note("reflector_not_checked"))

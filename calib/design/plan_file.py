@@ -53,13 +53,14 @@ def write_plan(
     The columns of what is measured are empty; ``expected`` columns are what the nominal robot would give.
 
     Args:
-        plan: The plan.
+        plan: The plan: joint values of the poses [rad] or [m], in the order to drive, and where each target is
+            expected in the measurement frame [m].
         path: The file.
         overwrite: Whether an existing file is replaced.
         first_row: Number of the first row: where rows are to be added to a table, one more than its last.
 
     Returns:
-        The file.
+        The path of the file.
 
     Raises:
         FileError: It cannot be written.
@@ -72,62 +73,91 @@ def write_plan(
 class _Column(NamedTuple):
     """Column of numbers: its header with the unit, and the number of that unit in one SI unit."""
 
+    #: Name and unit, ``"x [mm]"``.
     header: str
+    #: Number of the unit in one SI unit: 1000 for mm.
     scale: float
 
     @classmethod
     def of(cls, name: str, quantity: str) -> _Column:
-        """Return the column of a ``"length"`` or an ``"angle"``."""
+        """Return the column of a quantity, in the unit that tables are written in: mm or deg.
+
+        Args:
+            name: Name of the column, without a unit.
+            quantity: ``"length"`` or ``"angle"``.
+        """
         unit, scale = _WRITTEN[quantity]
         return cls(f"{name} [{unit}]", scale)
 
     def cell(self, value: float) -> str:
-        """Return the text of a value in SI units; there is no minus before a zero."""
+        """Return the text of a number in the unit of the column, with three decimals and no minus before a zero.
+
+        Args:
+            value: The number in SI units [m] or [rad].
+        """
         return f"{self.scale * value + 0.0:.{_DIGITS}f}"
+
+    def expected(self) -> _Column:
+        """Return the column, in the same unit, of what the nominal robot would give in place of what is measured."""
+        return _Column(EXPECTED + self.header, self.scale)
 
 
 @dataclass(frozen=True, slots=True)
 class _Columns:
     """Columns of a plan's table, besides row, set, point and target."""
 
+    #: Columns of the joint values.
     joints: list[_Column]
-    #: Headers of what is to be measured
+    #: Headers of what is to be measured.
     empty: list[str]
-    #: What the nominal robot would give
+    #: Columns of what the nominal robot would give.
     expected: list[_Column]
-    #: Which of the kind's numbers these are
+    #: Index of each of these among the numbers that a row of the kind measures, from 0.
     measured: list[int]
 
     @classmethod
     def of(cls, plan: Plan) -> _Columns:
-        """Return the columns for a plan's robot and kind of measurement."""
+        """Return the columns for a plan's robot and kind of measurement.
+
+        Args:
+            plan: Gives the robot, whose joints have a column each, and the name of the kind, which says what is
+                measured: a position, an orientation, other readings.
+        """
         kind = registry.get(plan.kind)
-        joints = []
-        for name, joint_type in plan.robot.joint_types.items():
-            quantity = "length" if joint_type == "prismatic" else "angle"
-            joints.append(_Column.of(name, quantity))
         lengths = [_Column.of(axis, "length") for axis in POINT] if kind.position else []
         readings = [_Column.of(reading.name, reading.quantity) for reading in kind.readings]
-        orientation = [*QUATERNION] if kind.orientation else []
-        headers = [
-            *(column.header for column in lengths),
-            *orientation,
-            *(column.header for column in readings),
-        ]
-        expected = [
-            _Column(EXPECTED + column.header, column.scale) for column in (*lengths, *readings)
-        ]
+        empty = [column.header for column in lengths]
+        if kind.orientation:
+            empty += QUATERNION
+        empty += [column.header for column in readings]
         first_reading = kind.size - len(readings)
-        measured = [*range(len(lengths)), *range(first_reading, kind.size)]
-        return cls(joints, headers, expected, measured)
+        return cls(
+            joints=_joint_columns(plan.robot),
+            empty=empty,
+            expected=[column.expected() for column in (*lengths, *readings)],
+            measured=[*range(len(lengths)), *range(first_reading, kind.size)],
+        )
+
+
+def _joint_columns(robot: Robot) -> list[_Column]:
+    """Return the columns of the joint values, degrees or for sliding joints millimetres, in the order of the joints."""
+    columns = []
+    for name, joint_type in robot.joint_types.items():
+        quantity = "length" if joint_type == "prismatic" else "angle"
+        columns.append(_Column.of(name, quantity))
+    return columns
 
 
 def _rows(plan: Plan, number: int) -> Iterator[dict[str, str]]:
-    """Yield the cells of each target at each pose, by their columns.
+    """Yield the rows of a plan's table: one for each target at each pose, in the order to drive.
 
     Args:
         plan: The plan.
-        number: That of the first row.
+        number: Number of the first row; a point is named after its row.
+
+    Yields:
+        Texts of the cells by the headers of their columns, the same headers in the same order for all rows; empty for
+        what is to be measured.
     """
     columns = _Columns.of(plan)
     for q, set_name, places in zip(plan.joints, plan.sets, plan.expected, strict=True):
@@ -143,14 +173,29 @@ def _rows(plan: Plan, number: int) -> Iterator[dict[str, str]]:
 
 
 def _cells(columns: list[_Column], values: Array) -> dict[str, str]:
-    """Return the cells of values in SI units, by their columns."""
-    return {
-        column.header: column.cell(value) for column, value in zip(columns, values, strict=True)
-    }
+    """Return the texts of numbers, by the headers of their columns.
+
+    Args:
+        columns: One column for each number, with its unit.
+        values: The numbers in SI units [m] or [rad], as many as columns.
+    """
+    cells = {}
+    for column, value in zip(columns, values, strict=True):
+        cells[column.header] = column.cell(value)
+    return cells
 
 
 def _expected_cells(kind_name: str, columns: _Columns, place: Array) -> dict[str, str]:
-    """Return the cells of what would be measured of a target at a place in the frame, (3,) [m]."""
+    """Return the texts of what a perfect instrument would measure of a target, by the headers of their columns.
+
+    Args:
+        kind_name: Name of the kind of measurement, such as ``"point"``.
+        columns: The columns of the plan's table for this kind.
+        place: Position of the target in the measurement frame, shape (3,), [m].
+
+    Returns:
+        The cells of the ``expected`` columns; none of a kind that measures nothing, such as a ball in a socket.
+    """
     kind = registry.get(kind_name)
     if kind.measure is None:
         return {}
@@ -175,13 +220,14 @@ def read_poses(path: str | Path, robot: Robot, *, taken: bool = False) -> Poses:
     """Read the poses of a table in which measurements may be missing; several targets at one pose are one pose.
 
     Args:
-        path: The table.
-        robot: The chain whose joints it has.
+        path: Path of the table.
+        robot: The robot, whose joints have a column each in the table.
         taken: Whether only those are read that a fit would estimate from, measured and of the set ``estimate``; a table
             in which nothing is measured, such as a plan that is still to be driven, counts whole.
 
     Returns:
-        The poses, in the table's order.
+        The poses in the table's order: joint values, shape (N, m), [rad] or for sliding joints [m], columns as
+        ``robot.joint_names``; ``"estimate"`` or ``"validate"`` for each; and the largest row number of the table.
 
     Raises:
         MeasurementError: No row is left.
@@ -202,7 +248,15 @@ def read_poses(path: str | Path, robot: Robot, *, taken: bool = False) -> Poses:
 
 
 def _measured_rows(table: Table, robot: Robot) -> Mask:
-    """Return which rows of a table measure something, by the cells alone, shape (N,)."""
+    """Find the rows of a table that measure something: a cell of a measured column has text, or the kind needs none.
+
+    Args:
+        table: The table, its cells as text.
+        robot: The robot, whose joints have a column each in the table.
+
+    Returns:
+        True for rows that measure something, shape (N,).
+    """
     named, _ = name_columns(table, robot.joint_names, {})
     columns = [named[name].index for name in (*POINT, "distance", "pair") if name in named]
     kinds = [""] * len(table.cells)
@@ -216,9 +270,16 @@ def _measured_rows(table: Table, robot: Robot) -> Mask:
 
 
 def _first_of_each_pose(rows: Measurements, chosen: Mask) -> list[int]:
-    """Return one row for each pose, from 0.
+    """Return the first row of each pose.
 
     Rows with the same joint values are as many poses as there are rows of one target among them.
+
+    Args:
+        rows: N rows of a table: joint values and the name of the target of each.
+        chosen: Rows that count, shape (N,).
+
+    Returns:
+        Indices of rows, from 0, in rising order.
     """
     repeats: Counter[tuple[bytes, str]] = Counter()
     first: dict[tuple[bytes, int], int] = {}
@@ -233,9 +294,19 @@ def _first_of_each_pose(rows: Measurements, chosen: Mask) -> list[int]:
 
 
 def plan_table(plan: Plan) -> dict[str, Any]:
-    """Return a plan as nested tables in SI units, the unit in each key's suffix; docs/planning.md describes them."""
+    """Return a plan as nested tables for a JSON file, in SI units; docs/planning.md describes them.
+
+    Args:
+        plan: The plan.
+
+    Returns:
+        Values by their keys, whose suffix names the unit; values are texts, numbers, arrays, lists or tables of these.
+    """
     request = plan.request
-    poses = zip(plan.joints, plan.sets, plan.expected, strict=True)
+    poses = []
+    for set_name, q, places in zip(plan.sets, plan.joints, plan.expected, strict=True):
+        poses.append({"set": set_name, "joints": q, "expected_xyz_m": places})
+    blocked = [{"from": move.start, "to": move.end, "by": move.by} for move in plan.blocked]
     return {
         "schema": SCHEMA,
         "calib": __version__,
@@ -248,31 +319,23 @@ def plan_table(plan: Plan) -> dict[str, Any]:
             "seed": request.seed,
             "taken": len(plan.taken),
         },
-        "poses": [
-            {"set": set_name, "joints": q, "expected_xyz_m": places}
-            for q, set_name, places in poses
-        ],
+        "poses": poses,
         "candidates": {"drawn": plan.drawn, "kept": plan.candidates, "refused": plan.refused},
         "forecast": forecast_table(plan.forecast),
         "before": None if plan.before is None else forecast_table(plan.before),
         "at_random": forecast_table(plan.at_random),
         "ladder": [{"planned": n, **forecast_table(forecast)} for n, forecast in plan.ladder],
-        "travel": {
-            "largest_joint_moves": plan.travel,
-            "blocked": [
-                {"from": move.start, "to": move.end, "by": move.by} for move in plan.blocked
-            ],
-        },
+        "travel": {"largest_joint_moves": plan.travel, "blocked": blocked},
         "notes": [note._asdict() for note in plan.notes],
     }
 
 
 def _robot_table(robot: Robot) -> dict[str, Any]:
-    """Return the robot's URDF, chain and joints."""
-    units = ["m" if joint.type == "prismatic" else "rad" for joint in robot.inputs]
-    joints = [
-        {"name": name, "unit": unit} for name, unit in zip(robot.joint_names, units, strict=True)
-    ]
+    """Return the URDF, the chain and the joints of a robot, with the unit of each, as tables for a JSON file."""
+    joints = []
+    for name, joint_type in robot.joint_types.items():
+        unit = "m" if joint_type == "prismatic" else "rad"
+        joints.append({"name": name, "unit": unit})
     return {
         "name": robot.name,
         "urdf": robot.urdf.source,
@@ -284,7 +347,15 @@ def _robot_table(robot: Robot) -> dict[str, Any]:
 
 
 def forecast_table(forecast: Forecast) -> dict[str, Any]:
-    """Return a forecast as nested tables in SI units."""
+    """Return a forecast as nested tables for a JSON file, in SI units.
+
+    Args:
+        forecast: Expected accuracy of a fit, over the workspace and of each parameter.
+
+    Returns:
+        Counts; lengths, whose keys end in ``_m``; the observability indices by name; and for each parameter its name,
+        unit, standard deviation and whether it is identifiable.
+    """
     counts = ("poses", "rank", "workspace_rank", "columns")
     lengths = ("rms", "rms_low", "rms_high", "max", "sigma")
     parameters = zip(

@@ -20,7 +20,7 @@ from calib.units import Array
 #: Whole turns are tried of at most this many joints at once.
 _MOST_JOINTS = 2
 
-#: Ways between two stretches that are tried.
+#: Ways between two stretches that are tried, the shortest ones.
 _TRIES = 60
 
 #: Poses to drive by that are tried for one move.
@@ -40,15 +40,21 @@ def route(
     """Order poses; where a move is blocked, turn some joints once more, or name a pose to drive by.
 
     Args:
-        robot: The robot.
-        joints: The poses, shape (K, m), [rad] or [m].
-        limits: Lowest and highest joint values, shape (m, 2), between which poses stay.
-        start: The robot's pose before the first move, shape (m,); None: the route begins at any pose.
-        free_path: Tests a straight move; None: all are free.
-        stops: Returns free poses to drive by, shape (n, m); None: there are none.
+        robot: The robot, with m measured joints.
+        joints: Joint values of the poses, shape (K, m), [rad] or for sliding joints [m], columns as
+            ``robot.joint_names``.
+        limits: Lowest and highest value of each joint, shape (m, 2), [rad] or [m], between which poses stay.
+        start: The robot's joint values before the first move, shape (m,), [rad] or [m]; None: the route begins at any
+            pose.
+        free_path: Function of the joint values of two poses, shape (m,) each, that returns whether the straight move
+            between them is free, the same there and back; None: all moves are free.
+        stops: Function that returns joint values of free poses to drive by, shape (n, m), called only where moves
+            remain blocked; None: there are none.
 
     Returns:
-        The route.
+        The poses in the order to drive, some turned by whole turns of joints; the index in ``joints`` of each, from 0;
+        the sum over all moves of the largest move of a joint [rad or m]; and the moves that remain blocked, each with a
+        pose to drive by if there is one.
     """
     tour = order(joints, start, free_path)
     if free_path is None or not tour.blocked:
@@ -60,7 +66,10 @@ def route(
     blocked = []
     for first, end, _ in tour.blocked:
         is_first_move = first == 0 and start is not None
-        before = start if is_first_move else tour.joints[first - 1]
+        if is_first_move:
+            before = start
+        else:
+            before = tour.joints[first - 1]
         assert before is not None
         by = detour(before, tour.joints[end - 1], by_poses, free_path)
         blocked.append(Blocked(first, end, by))
@@ -75,7 +84,20 @@ def _with_turns(
     free_path: FreePath,
     tour: Route,
 ) -> Route:
-    """Return the route with whole turns of joints if it has fewer blocked moves, else the route as it is."""
+    """Return the route with whole turns of joints if it has fewer blocked moves, else the route as it is.
+
+    Args:
+        robot: The robot, with m measured joints.
+        joints: Joint values of the poses, shape (K, m), [rad] or for sliding joints [m].
+        limits: Lowest and highest value of each joint, shape (m, 2), [rad] or [m], between which poses stay.
+        start: The robot's joint values before the first move, shape (m,); None: the route begins at any pose.
+        free_path: Function of the joint values of two poses, shape (m,) each, that returns whether the straight move
+            between them is free.
+        tour: The poses in order, with moves that are blocked.
+
+    Returns:
+        The better of the two routes; its ``indices`` are those of ``joints``, from 0.
+    """
     cuts = [move.end - 1 for move in tour.blocked]
     stretches = [part for part in np.split(tour.indices, cuts) if len(part)]
     turned = with_whole_turns(joints, stretches, limits, turning(robot, limits), free_path)
@@ -84,16 +106,19 @@ def _with_turns(
 
 
 def detour(start: Array, end: Array, poses: Array, free_path: FreePath) -> Array | None:
-    """Find the pose by which the way between two others is free, and shortest of the 300 that are tried.
+    """Find a pose by which the way between two others is free: the shortest such way, of the 300 shortest.
+
+    The length of a move is the largest move of a joint.
 
     Args:
-        start: shape (m,), [rad] or [m].
-        end: shape (m,).
-        poses: Free poses, shape (n, m).
-        free_path: Tests a straight move.
+        start: Joint values of the pose to leave, shape (m,), [rad] or for sliding joints [m].
+        end: Joint values of the pose to reach, shape (m,), likewise.
+        poses: Joint values of free poses to drive by, shape (n, m), likewise; n may be 0.
+        free_path: Function of the joint values of two poses, shape (m,) each, that returns whether the straight move
+            between them is free.
 
     Returns:
-        shape (m,), read-only; None where none is found.
+        Joint values of the pose to drive by, shape (m,), read-only; None where none is found.
     """
     first_part = np.max(np.abs(poses - start), axis=1)
     second_part = np.max(np.abs(poses - end), axis=1)
@@ -105,16 +130,16 @@ def detour(start: Array, end: Array, poses: Array, free_path: FreePath) -> Array
 
 
 def turning(robot: Robot, ranges: Array) -> NDArray[np.bool_]:
-    """Return which columns of q have room for more than one turn.
+    """Find the joints that can be turned by a whole turn, after which the tip is where it was.
 
-    A joint that others follow is none: they would end elsewhere.
+    They turn, their range is more than one turn, and no other joint follows them, which would end elsewhere.
 
     Args:
-        robot: The robot.
-        ranges: Lowest and highest joint values, shape (m, 2).
+        robot: The robot, with m measured joints.
+        ranges: Lowest and highest value of each joint, shape (m, 2), [rad] or for sliding joints [m].
 
     Returns:
-        shape (m,).
+        True for such joints, shape (m,), in the order of ``robot.joint_names``.
     """
     slides = np.array([joint.type == "prismatic" for joint in robot.inputs])
     is_alone = np.sum(robot.coupling != 0.0, axis=0) <= 1
@@ -128,17 +153,19 @@ def with_whole_turns(
     turns: NDArray[np.bool_],
     free_path: FreePath,
 ) -> Array:
-    """Turn whole stretches of poses so that a free way leads to them from the longest one.
+    """Add whole turns of joints to stretches of poses, so that a free way leads to them from the longest stretch.
 
     Args:
-        q: The poses, shape (N, m), [rad] or [m].
-        stretches: Indices of poses between which ways are free.
-        ranges: Lowest and highest joint values, shape (m, 2), between which poses stay.
-        turns: Which columns may turn, shape (m,), see `turning`.
-        free_path: Tests a straight move.
+        q: Joint values of the poses, shape (N, m), [rad] or for sliding joints [m]; they are not changed.
+        stretches: Indices of poses, from 0, in the order driven; within each stretch all moves are free.
+        ranges: Lowest and highest value of each joint, shape (m, 2), [rad] or [m], between which poses stay.
+        turns: Which joints may be turned by whole turns, shape (m,), see `turning`.
+        free_path: Function of the joint values of two poses, shape (m,) each, that returns whether the straight move
+            between them is free.
 
     Returns:
-        The poses, shape (N, m); a stretch to which no turn leads stays as it is.
+        The joint values with the turns added, shape (N, m), in the order of ``q``; a stretch to which no turn leads
+        stays as it is.
     """
     turned_q: Array = q.copy()
     longest = reached = max(stretches, key=len)
@@ -157,7 +184,15 @@ def with_whole_turns(
 
 
 def _shifts(turns: NDArray[np.bool_]) -> list[Array]:
-    """Return the whole turns that are tried, shape (m,) each, fewest joints first, none at all among them."""
+    """Return the whole turns that are tried, of at most two joints at once.
+
+    Args:
+        turns: Which joints may be turned by whole turns, shape (m,).
+
+    Returns:
+        Changes of the joint values, shape (m,) each, 0 or plus or minus 2 pi [rad]; the fewest joints first, and before
+        them no turn at all.
+    """
     joints = np.flatnonzero(turns).tolist()
     shifts: list[Array] = []
     for count in range(min(_MOST_JOINTS, len(joints)) + 1):
@@ -170,7 +205,14 @@ def _shifts(turns: NDArray[np.bool_]) -> list[Array]:
 
 
 def _is_reached(reached: Array, turned: Array, free_path: FreePath) -> bool:
-    """Test whether one of the shortest ways from poses that are reached to those of a stretch is free."""
+    """Test whether one of the 60 shortest straight ways from poses that are reached to those of a stretch is free.
+
+    Args:
+        reached: Joint values of poses between which free ways lead, shape (a, m), [rad] or for sliding joints [m].
+        turned: Joint values of the poses of the stretch, shape (b, m), likewise.
+        free_path: Function of the joint values of two poses, shape (m,) each, that returns whether the straight move
+            between them is free.
+    """
     length = np.max(np.abs(reached[:, None] - turned[None]), axis=2)
     shortest = np.argsort(length, axis=None, kind="stable")[:_TRIES]
     ways = [divmod(int(k), len(turned)) for k in shortest]

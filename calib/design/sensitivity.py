@@ -48,12 +48,13 @@ _USUAL_DISTANCE = 3.0
 class Sensitivity:
     """Model of a robot in a cell, as the fit will use it; p is the number of parameters, k that of targets."""
 
+    #: The measurement setup that the fit will use: noise, tracker, payload, priors.
     cell: Cell
-    #: Kind of measurement at each pose.
+    #: Kind of measurement at each pose, by its name.
     kind: str
     #: Frames and targets; a target that was not given is at a general place.
     setup: Setup
-    #: Of the nominal robot, under the error model of the fit.
+    #: Poses and derivatives of the nominal robot, under the error model of the fit.
     kinematics: Kinematics
     #: Shape (p,), 1 / tau^2 of each parameter's prior, its own or its family's, or of the leash.
     precision: Array
@@ -62,11 +63,12 @@ class Sensitivity:
 
     @classmethod
     def of(cls, robot: Robot, cell: Cell) -> Sensitivity:
-        """Make the model of a robot in a cell.
+        """Make the model of a robot in a cell, as the fit will use it.
 
         Args:
             robot: The nominal robot.
-            cell: What the fit will use; the model ``"auto"`` is taken as `PLANNED_FOR_AUTO`.
+            cell: The measurement setup that the fit will use: frames, targets, noise, priors and the error model, of
+                which ``"auto"`` is taken as ``"placement"``. Known distances between groups do not count.
 
         Raises:
             ModelError: A kind of measurement, or a parameter, that cannot be planned for.
@@ -89,33 +91,44 @@ class Sensitivity:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the parameters."""
+        """Names of the p parameters, in the order of the columns of all derivatives."""
         return self.kinematics.model.names
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Unit of each parameter."""
+        """Unit of each of the p parameters, ``"m"``, ``"rad"`` or another symbol, in the order of the names."""
         return self.kinematics.model.units
 
     def expected(self, q: Array) -> Array:
-        """Predict where each target is in the measurement frame, by the nominal robot.
+        """Predict where each of the k targets is in the measurement frame, by the nominal robot.
 
         A measurement frame that is not known counts as the base.
 
         Args:
-            q: shape (N, m), [rad] or [m].
+            q: Joint values of N poses, shape (N, m), [rad] or for sliding joints [m], columns as
+                ``robot.joint_names``.
 
         Returns:
-            shape (N, k, 3), [m].
+            Positions, shape (N, k, 3), [m].
         """
         T_frame_target = self.kinematics.poses(np.zeros(len(self.names)), self._samples(q))
         return np.asarray(T_frame_target[:, :3, 3].reshape(len(q), -1, 3))
 
     def _samples(self, q: Array) -> Samples:
-        """Return every target at every pose (N, m), pose by pose."""
-        robot, targets = self.kinematics.robot, len(self.setup.targets)
+        """Return every target at every pose, seen from the only measurement frame.
+
+        Gravity's loads on the joints are computed only where a parameter needs them.
+
+        Args:
+            q: Joint values of N poses, shape (N, m), [rad] or for sliding joints [m].
+
+        Returns:
+            N k samples: the k targets at the first pose, then those at the second, ...
+        """
+        targets = len(self.setup.targets)
         load = None
-        if any(p.factor and p.factor.loaded for p in self.kinematics.model.parameters):
+        if _needs_loads(self.kinematics.model):
+            robot = self.kinematics.robot
             of_poses = gravity_loads(robot, q, self.cell.payload, self.cell.gravity)
             load = np.repeat(of_poses, targets, axis=0)
         frame = np.zeros(targets * len(q), dtype=np.int_)
@@ -130,10 +143,12 @@ class Sensitivity:
         which rows are independent, makes no use of that.
 
         Args:
-            q: Poses, shape (n, m), [rad] or [m].
+            q: Joint values of n poses, shape (n, m), [rad] or for sliding joints [m], columns as
+                ``robot.joint_names``.
 
         Returns:
-            shape (n, d, p), d scalars a pose, in standard deviations of the noise per unit of a parameter.
+            Derivative of the prediction, shape (n, d, p), of the d scalars that are measured of all targets at a pose
+            by the p parameters, in standard deviations of the noise per unit of a parameter.
         """
         noise = self.noise(q)
         slopes = self._whitened_slopes(q, noise)
@@ -152,11 +167,12 @@ class Sensitivity:
         """Differentiate the rows of every target at every pose, as if all of them were independent.
 
         Args:
-            q: Poses, shape (n, m), [rad] or [m].
-            noise: Standard deviation of a coordinate or length at each, shape (n,), [m].
+            q: Joint values of n poses, shape (n, m), [rad] or for sliding joints [m].
+            noise: Standard deviation of a measured coordinate or length at each pose, shape (n,), [m].
 
         Returns:
-            The whitened derivative of the prediction, pose by pose, shape (n k, D, p).
+            Derivative of the prediction, whitened by the noise, shape (n k, D, p): D scalars of the k targets at the
+            first pose, then of those at the second, ..., by the p parameters.
         """
         samples = self._samples(q)
         T_frame_target, twists = self.kinematics.twists(np.zeros(len(self.names)), samples)
@@ -175,15 +191,17 @@ class Sensitivity:
         return np.asarray(slopes / rows.scales[:, :, None])
 
     def located(self, q: Array) -> Array:
-        """Differentiate the predicted positions of the targets by the parameters.
+        """Differentiate the predicted positions of the k targets, in the measurement frame, by the p parameters.
 
-        Distances do not tell where the base is: what one rigid motion of all these positions explains is left out.
+        Where no position is measured, as with distances, the pose of the base cannot be known: what one rigid motion of
+        all these positions explains is left out.
 
         Args:
-            q: Poses, shape (n, m), [rad] or [m].
+            q: Joint values of n poses, shape (n, m), [rad] or for sliding joints [m], columns as
+                ``robot.joint_names``.
 
         Returns:
-            shape (n, 3 k, p), [m per unit].
+            Shape (n, 3 k, p), x, y, z of each target, [m per unit of the parameter].
         """
         zero = np.zeros(len(self.names))
         poses, slopes = self.kinematics.twists(zero, self._samples(q), rotation=False)
@@ -192,19 +210,21 @@ class Sensitivity:
         return np.asarray(slopes.reshape(len(q), -1, len(self.names)))
 
     def noise(self, q: Array) -> Array:
-        """Return the standard deviation of one coordinate, or of the length from the anchor.
+        """Return the standard deviation of one measured coordinate, or of the length from the anchor.
 
-        It is the cell's, or else that of its tracker, or of a usual one, at the distance of the (first) target.
+        It is the cell's ``sigma``, or else that of its tracker, or of a usual one, at the distance of the first target.
+        Without a tracker this is 3 m for positions; of a length it is the distance to the anchor.
 
         Args:
-            q: Poses, shape (n, m), [rad] or [m].
+            q: Joint values of n poses, shape (n, m), [rad] or for sliding joints [m], columns as
+                ``robot.joint_names``.
 
         Returns:
-            shape (n,), [m].
+            Shape (n,), [m].
         """
-        tracker = self.cell.tracker
         if self.cell.sigma is not None:
             return np.full(len(q), self.cell.sigma)
+        tracker = self.cell.tracker
         if not registry.get(self.kind).position:
             distance = np.linalg.norm(self.expected(q)[:, 0], axis=1)
         elif tracker is None:
@@ -215,19 +235,39 @@ class Sensitivity:
         return np.asarray((tracker or _USUAL).noise.std(distance))
 
     def analysed(self, q: Array, measured: Array) -> Observability:
-        """Analyse rank and observability indices of poses, in metres, as a fit does.
+        """Analyse which of the p parameters poses determine, in metres, as a fit does.
 
         Args:
-            q: Poses, shape (n, m), [rad] or [m].
-            measured: What `measured` returns of them, shape (n, d, p).
+            q: Joint values of n poses, shape (n, m), [rad] or for sliding joints [m], columns as
+                ``robot.joint_names``.
+            measured: What the method `measured` returns of these poses, shape (n, d, p): the derivative of what is
+                measured by the parameters, whitened by the noise.
+
+        Returns:
+            Rank, unobservable combinations of parameters, and observability indices.
         """
         sigma = np.repeat(self.noise(q), measured.shape[1])[:, None]
         jacobian = measured.reshape(len(sigma), -1) * sigma
         return analyse(jacobian, self.names, self.units)
 
 
+def _needs_loads(model: ErrorModel) -> bool:
+    """Test whether a parameter of an error model multiplies a load on a joint, as a compliance does."""
+    factors = [parameter.factor for parameter in model.parameters]
+    return any(factor is not None and factor.loaded for factor in factors)
+
+
 def _checked_kind(cell: Cell) -> str:
-    """Return the kind that is planned for: one whose poses can be chosen freely, at one station."""
+    """Return the name of the kind of measurement that is planned for.
+
+    Its poses can be chosen freely, at one station; a frame of its own, as that of distances, is given.
+
+    Args:
+        cell: Gives the kind (None: ``"point"``) and the frames that are known.
+
+    Raises:
+        ModelError: Poses cannot be planned for this kind or these frames.
+    """
     name = cell.kind or "point"
     kind = registry.get(name)
     unplaced = kind.own_frame and cell.T_frame_base is None and not cell.frames
@@ -242,7 +282,13 @@ def _checked_kind(cell: Cell) -> str:
 
 
 def _one_pose(robot: Robot, cell: Cell, kind: str) -> Measurements:
-    """Return a table that has one pose, with a row for each target."""
+    """Return a table of one pose, all joints at 0, with a row for each target of the cell.
+
+    Args:
+        robot: The nominal robot.
+        cell: Gives the names of the targets, and that of the station.
+        kind: Name of the kind of measurement, such as ``"point"``.
+    """
     targets = tuple(cell.targets) or (DEFAULT_TARGET,)
     groups = (next(iter(cell.frames), ""),) * len(targets)
     table = table_of_poses(robot, kind, np.zeros((len(targets), len(robot.inputs))))
@@ -250,14 +296,27 @@ def _one_pose(robot: Robot, cell: Cell, kind: str) -> Measurements:
 
 
 def _with_generic_targets(setup: Setup) -> Setup:
-    """Return the setup with targets that were not given at a general place."""
+    """Return the setup with the targets that were not given at a general place, off all axes of the tip.
+
+    Args:
+        setup: Frames and targets, and which of these were given.
+    """
     T_tip_target = setup.T_tip_target.copy()
     T_tip_target[~setup.target_given, :3, 3] = GENERIC_TARGET
     return setup.placed(setup.T_frame_base, T_tip_target)
 
 
 def _error_model(robot: Robot, cell: Cell, setup: Setup) -> ErrorModel:
-    """Return the error model of the fit; raises `ModelError` for an unknown parameter of the cell."""
+    """Return the error model of the fit, with parameters for the frames and targets that are estimated.
+
+    Args:
+        robot: The nominal robot.
+        cell: Gives the name of the model, ``"auto"`` for the largest geometry, and the parameters with priors or bounds.
+        setup: Frames and targets, and which of these are estimated.
+
+    Raises:
+        ModelError: A prior or a bound is given for a parameter that the model does not have, or there is no such model.
+    """
     is_auto = cell.model == AUTO
     name = PLANNED_FOR_AUTO if is_auto else cell.model
     model = setup.aligned(Task(robot, cell, setup, name, allow_absent=is_auto).error_model())
@@ -268,7 +327,17 @@ def _error_model(robot: Robot, cell: Cell, setup: Setup) -> ErrorModel:
 
 
 def _prior_precision(cell: Cell, model: ErrorModel) -> Array:
-    """Return 1 / tau^2 of each parameter's prior, its own or its family's, or of the leash, shape (p,)."""
+    """Return the precision 1 / tau^2 of each parameter's prior.
+
+    The standard deviation tau is the parameter's own, or else its family's, or else 1 in the parameter's unit.
+
+    Args:
+        cell: Gives the priors, of single parameters and of families.
+        model: The p parameters.
+
+    Returns:
+        Shape (p,), in the inverse squares of the parameters' units.
+    """
     precision = np.zeros(len(model))
     for k, parameter in enumerate(model.parameters):
         prior_std = LEASH

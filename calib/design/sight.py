@@ -14,11 +14,11 @@ def target_positions(robot: Robot, T_tip_target: Array, q: Array) -> Array:
 
     Args:
         robot: The nominal robot.
-        T_tip_target: Pose of the target in the tip, shape (4, 4), [m].
-        q: shape (N, m), [rad] or [m].
+        T_tip_target: Pose of the target in the tip, shape (4, 4), [m]; its orientation does not matter.
+        q: Joint values of N poses, shape (N, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.
 
     Returns:
-        shape (N, 3), [m].
+        Positions in the robot's base, shape (N, 3), [m].
     """
     return np.asarray((robot.poses(q) @ T_tip_target)[:, :3, 3])
 
@@ -28,12 +28,13 @@ def in_range(robot: Robot, T_tip_target: Array, tracker: Tracker, q: Array) -> M
 
     Args:
         robot: The nominal robot.
-        T_tip_target: Pose of the target in the tip, shape (4, 4), [m].
-        tracker: Its position is in the robot's base.
-        q: shape (N, m), [rad] or [m].
+        T_tip_target: Pose of the target in the tip, shape (4, 4), [m]; its orientation does not matter.
+        tracker: A laser tracker: its position in the robot's base, and the least and largest distance that it measures
+            [m].
+        q: Joint values of N poses, shape (N, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.
 
     Returns:
-        shape (N,).
+        True where the distance is within the tracker's range, both ends among it, shape (N,).
     """
     towards = tracker.position - target_positions(robot, T_tip_target, q)
     distance = np.linalg.norm(towards, axis=1)
@@ -47,13 +48,14 @@ def in_cone(
 
     Args:
         robot: The nominal robot.
-        T_tip_target: Pose of the target in the tip, shape (4, 4), [m].
-        tracker: Its position is in the robot's base.
-        reflector: Its normal is in the tip.
-        q: shape (N, m), [rad] or [m].
+        T_tip_target: Pose of the target, the reflector's centre, in the tip, shape (4, 4), [m]; its orientation does
+            not matter.
+        tracker: A laser tracker, with its position in the robot's base [m].
+        reflector: The unit vector in the tip along which its opening faces, and the half angle of its cone [rad].
+        q: Joint values of N poses, shape (N, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.
 
     Returns:
-        shape (N,).
+        True where the tracker is in the reflector's cone, shape (N,).
     """
     towards = tracker.position - target_positions(robot, T_tip_target, q)
     normal = robot.poses(q)[:, :3, :3] @ reflector.normal

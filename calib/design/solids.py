@@ -36,26 +36,30 @@ class Solid(NamedTuple):
 
     #: Name of the link, target, box or plane that it belongs to.
     owner: str
+    #: Kind of the owner.
     kind: Literal["link", "target", "box", "plane"]
-    #: Link that it is fixed to.
+    #: Name of the link that it is fixed to.
     link: str
-    #: Shape (4, 4), [m].
+    #: Shape (4, 4), pose of the shape in that link [m].
     T_link_shape: Array
-    #: Of coal, which has no types.
+    #: Shape of coal, which has no types.
     geometry: Any
 
 
 def read_solids(
     urdf: Urdf, package_dirs: Iterable[str | Path] = ()
 ) -> tuple[list[Solid], list[str]]:
-    """Read the shapes of all links; each mesh file is read once.
+    """Read the shapes of all links of a robot, to check them for collisions; each mesh file is read once.
+
+    A link has the shapes of its ``<collision>`` elements, or without any of its ``<visual>``.
 
     Args:
-        urdf: The URDF.
+        urdf: The URDF of the whole robot.
         package_dirs: Folders in which ``package://`` meshes are looked for before all others.
 
     Returns:
-        The solids, and the links of which not all shapes can be used, or that carry a mass and have no shape.
+        The solids, each with its link and its pose there; and the names of the links of which not all shapes can be
+        used, or that carry a mass and have no shape.
 
     Raises:
         UrdfError: A mesh is missing or cannot be read, or no link has a shape.
@@ -86,7 +90,10 @@ def read_solids(
 
 
 def _links_with_mass(urdf: Urdf) -> set[str]:
-    """Return the links that carry a mass: Pinocchio keeps the inertias of joints, not of links."""
+    """Return the names of the links that carry a mass.
+
+    By the URDF's text, for Pinocchio keeps the inertias of joints, not of links.
+    """
     bodies = set()
     for link in urdf.elements().findall("link"):
         masses = [mass.get("value", "0") for mass in link.findall("inertial/mass")]
@@ -98,11 +105,11 @@ def _links_with_mass(urdf: Urdf) -> set[str]:
 def target_solids(
     robot: Robot, targets: Mapping[str, ArrayLike], holder_radius: float
 ) -> list[Solid]:
-    """Return a capsule from the tip to each target.
+    """Return a capsule from the origin of the tip to each target, which stands for the target and what holds it.
 
     Args:
-        robot: The robot.
-        targets: Places in the tip by name, shape (3,), [m].
+        robot: The robot, to whose tip link the capsules are fixed.
+        targets: Positions of the targets in the tip by name, shape (3,), [m].
         holder_radius: Radius of the capsules [m].
     """
     solids = []
@@ -116,21 +123,31 @@ def target_solids(
 
 
 def box_solids(robot: Robot, boxes: Iterable[Box]) -> list[Solid]:
-    """Return the boxes of a cell, which are fixed to the robot's base."""
-    return [
-        Solid(box.name, "box", robot.base, box.T_base_box, hppfcl.Box(*box.size)) for box in boxes
-    ]
+    """Return the boxes of a cell as solids that are fixed to the robot's base.
+
+    Args:
+        robot: The robot.
+        boxes: Obstacles, each with its name, the lengths of its edges [m] and the pose of its centre in the robot's
+            base [m].
+    """
+    solids = []
+    for box in boxes:
+        geometry = hppfcl.Box(*box.size)
+        solids.append(Solid(box.name, "box", robot.base, box.T_base_box, geometry))
+    return solids
 
 
 def rods(starts: Array, ends: Array) -> tuple[Array, Array]:
     """Place rods between pairs of points.
 
     Args:
-        starts: shape (n, 3), [m].
-        ends: shape (n, 3), [m]; at its start, a rod of no length is upright.
+        starts: First end of each rod in some frame, shape (n, 3), [m].
+        ends: Second end of each in the same frame, shape (n, 3), [m]; where both are the same point, the rod has no
+            length and points along z.
 
     Returns:
-        Poses of their middles, z along them, shape (n, 4, 4), and half their lengths, shape (n,), [m].
+        Pose of the middle of each rod in that frame, z from its first end to its second, shape (n, 4, 4), [m]; and half
+        its length, shape (n,), [m].
     """
     along = ends - starts
     lengths = np.linalg.norm(along, axis=1)
@@ -145,13 +162,20 @@ def rods(starts: Array, ends: Array) -> tuple[Array, Array]:
 def _geometry(
     urdf: Urdf, shape: LinkShape, folders: tuple[Path, ...], meshes: dict[Any, Any]
 ) -> Any:  # noqa: ANN401  coal has no types
-    """Return a shape as coal has it; None for a kind or a size that is none.
+    """Return the geometry of a link's shape as coal has it.
 
     Args:
-        urdf: For messages.
-        shape: As the URDF states it.
-        folders: Where meshes are looked for.
-        meshes: Those that were read, by name and scale; what is read is added to them.
+        urdf: The URDF, which messages name.
+        shape: One ``<visual>`` or ``<collision>`` of a link: a box, cylinder, capsule or sphere with its sizes [m], or
+            the file name and scale of a mesh.
+        folders: Folders in which meshes are looked for.
+        meshes: The meshes that were read already, by name and scale; a mesh that is read here is added.
+
+    Returns:
+        The geometry; None for a kind of shape that coal does not have, or sizes that are missing or not positive.
+
+    Raises:
+        UrdfError: The mesh is missing or cannot be read.
     """
     if shape.mesh is None:
         tag = shape.geometry.tag.capitalize()
@@ -173,16 +197,22 @@ def _geometry(
 
 
 def clusters(urdf: Urdf, joints: Iterable[UrdfJoint]) -> dict[str, str]:
-    """Return for each link the topmost one of those that joints hold together.
+    """Group the links that joints hold together.
 
     Args:
-        urdf: The URDF.
+        urdf: The URDF of the whole robot.
         joints: Joints that do not move.
+
+    Returns:
+        For the name of each link that of the topmost link of its group, nearest to the URDF's root.
     """
     parents = {joint.child: joint.parent for joint in joints}
 
     def top(link: str) -> str:
-        return top(parents[link]) if link in parents else link
+        """Return the topmost link that still joints connect with a link."""
+        while link in parents:
+            link = parents[link]
+        return link
 
     return {link: top(link) for link in urdf.links}
 
@@ -190,13 +220,18 @@ def clusters(urdf: Urdf, joints: Iterable[UrdfJoint]) -> dict[str, str]:
 def mounting_plane(
     robot: Robot, links: Sequence[Solid], rigid: Mapping[str, str], configuration: Array
 ) -> Solid:
-    """Return all below z = 0 of the base, or below the lowest link that is fixed to the base.
+    """Return a large box that stands for all below the mounting plane.
+
+    The plane is z = 0 of the base, or touches the lowest link that is fixed to the base where that is lower.
 
     Args:
-        robot: The robot; where its base moves, the URDF's root counts as the base.
-        links: The solids of the links.
-        rigid: For each link the topmost one of those that never move against it.
-        configuration: Pinocchio's, of the whole robot, shape (nq,).
+        robot: The robot; where its base link moves, the URDF's root counts as the base.
+        links: The solids of the robot's links.
+        rigid: For the name of each link that of the topmost link of those that never move against it.
+        configuration: Any configuration of Pinocchio's, of the whole robot, shape (nq,).
+
+    Returns:
+        The box, fixed to the base, with its top in the plane.
     """
     base = robot.urdf.root if robot.base_moves else robot.base
     model = full_model(robot.urdf)
@@ -217,7 +252,12 @@ def mounting_plane(
 
 
 def _lowest(geometry: Any, T_base_shape: pin.SE3) -> float:  # noqa: ANN401  coal has no types
-    """Return the least z of a shape in the base [m]."""
+    """Return the least z of a shape in the base [m].
+
+    Args:
+        geometry: The shape, a mesh or one of coal's simple shapes.
+        T_base_shape: Pose of the shape in the base [m].
+    """
     rotation, translation = T_base_shape.rotation, T_base_shape.translation
     if isinstance(geometry, hppfcl.BVHModelBase):
         return float(np.min(geometry.vertices() @ rotation[2] + translation[2]))
