@@ -66,10 +66,7 @@ def route(
     blocked = []
     for first, end, _ in tour.blocked:
         is_first_move = first == 0 and start is not None
-        if is_first_move:
-            before = start
-        else:
-            before = tour.joints[first - 1]
+        before = start if is_first_move else tour.joints[first - 1]
         assert before is not None
         by = detour(before, tour.joints[end - 1], by_poses, free_path)
         blocked.append(Blocked(first, end, by))

@@ -311,7 +311,7 @@ def _error_model(robot: Robot, cell: Cell, setup: Setup) -> ErrorModel:
 
     Args:
         robot: The nominal robot.
-        cell: Gives the name of the model, ``"auto"`` for the largest geometry, and the parameters with priors or bounds.
+        cell: The name of its model, ``"auto"`` for the largest geometry, and the parameters with priors or bounds.
         setup: Frames and targets, and which of these are estimated.
 
     Raises:
