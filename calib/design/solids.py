@@ -209,10 +209,11 @@ def clusters(urdf: Urdf, joints: Iterable[UrdfJoint]) -> dict[str, str]:
     parents = {joint.child: joint.parent for joint in joints}
 
     def top(link: str) -> str:
-        """Return the topmost link that still joints connect with a link."""
-        while link in parents:
-            link = parents[link]
-        return link
+        """Return the topmost link that is held to a link."""
+        topmost = link
+        while topmost in parents:
+            topmost = parents[topmost]
+        return topmost
 
     return {link: top(link) for link in urdf.links}
 

@@ -63,28 +63,28 @@ class Region:
     voxel: float
     #: Shape (nx, ny, nz), whether a voxel belongs to the region.
     cells: Mask
-    #: Share of the samples that was asked for, 0 to 1.
+    #: Share of the samples that the region was made for, 0 to 1.
     share: float
     #: Share of the samples that the voxels hold: not less than ``share``.
     held: float
 
     @property
     def volume(self) -> float:
-        """Volume of all voxels [m^3]."""
+        """Volume of all voxels of the region [m^3]."""
         return float(np.count_nonzero(self.cells) * self.voxel**3)
 
     @property
     def bounds(self) -> Array:
-        """Least and greatest corner of the box about the region, shape (2, 3), [m]."""
+        """Least and greatest corner of the box about the region, in the base frame, shape (2, 3), [m]."""
         index = np.argwhere(self.cells)
         corners = np.array([index.min(axis=0), index.max(axis=0) + 1])
         return self.origin + self.voxel * corners
 
     def contains(self, points: ArrayLike) -> Mask:
-        """Test which points lie in the region.
+        """Test which points lie in one of the region's voxels.
 
         Args:
-            points: shape (N, 3), in the base frame [m].
+            points: Positions in the robot's base frame, shape (N, 3), [m].
 
         Returns:
             True inside, shape (N,).
@@ -104,21 +104,23 @@ class Density:
     voxel: float
     #: Shape (nx, ny, nz), samples in each voxel.
     counts: NDArray[np.int64]
-    #: The counts smoothed over neighbours, 0 where there is no sample.
+    #: Shape (nx, ny, nz), the counts smoothed over neighbours, 0 where there is no sample.
     smooth: Array
-    #: Shape (nx, ny, nz), the smallest share whose region has a voxel, infinite without a sample.
+    #: Shape (nx, ny, nz), the smallest share of the samples, 0 to 1, whose region has a voxel; infinite without a
+    #: sample.
     needed: Array
 
     @classmethod
     def of(cls, points: ArrayLike, voxel: float | None = None) -> Density:
-        """Count samples.
+        """Count samples of a workspace in the voxels of a grid.
 
         Args:
-            points: shape (N, 3), in the base frame [m].
-            voxel: Edge of a voxel [m]; None: chosen, see the module.
+            points: Positions of a target in the robot's base frame, shape (N, 3), [m].
+            voxel: Edge of a voxel [m]; None: the smallest round length for which a smoothed count rests on 300 samples
+                in the mean.
 
         Returns:
-            The density on a grid about the points.
+            The counts, as they are and smoothed, on a grid that lies evenly about the points.
 
         Raises:
             CalibError: The grid would have more than `MOST_VOXELS` voxels.
@@ -135,12 +137,15 @@ class Density:
 
     @property
     def samples(self) -> int:
-        """Number of points that were counted."""
+        """Number of samples in all voxels together."""
         return int(self.counts.sum())
 
     @property
     def extent(self) -> Array:
-        """Least and greatest corner of the voxels that hold samples, shape (2, 3), [m]."""
+        """Least and greatest corner of the box about all voxels that hold samples.
+
+        In the base frame, shape (2, 3), [m].
+        """
         return Region(self.origin, self.voxel, self.counts > 0, 1.0, 1.0).bounds
 
     def region(self, share: float = 0.95) -> Region:
@@ -150,10 +155,11 @@ class Density:
         share and be a few fewer.
 
         Args:
-            share: Of the samples, greater than 0 and at most 1.
+            share: Share of the samples, greater than 0 and at most 1.
 
         Returns:
-            The region; its ``held`` is the share that its voxels hold.
+            The voxels, on the same grid in the robot's base frame; ``held`` is the share of the samples in them, not
+            less than ``share``.
 
         Raises:
             CalibError: The share is outside of that range.
@@ -168,13 +174,13 @@ class Density:
         return Region(self.origin, self.voxel, self.needed <= held, float(share), held)
 
     def share_of(self, points: ArrayLike) -> Array:
-        """Return the smallest share whose region holds each point.
+        """Return for each point the smallest share of the samples, 0 to 1, whose region holds it.
 
         Args:
-            points: shape (N, 3), in the base frame [m].
+            points: Positions in the robot's base frame, shape (N, 3), [m].
 
         Returns:
-            shape (N,): near 0 where the target is most often, 1 at the rim of the workspace, infinite where no sample
+            Shape (N,): near 0 where the target is most often, 1 at the rim of the workspace, infinite where no sample
             came.
         """
         index, in_grid = _voxel_of(np.asarray(points), self.origin, self.voxel, self.counts.shape)
@@ -184,17 +190,17 @@ class Density:
 def _voxel_of(
     points: Array, origin: Array, voxel: float, shape: tuple[int, ...]
 ) -> tuple[NDArray[np.intp], Mask]:
-    """Find the voxel of each point.
+    """Find the voxel of each point in a grid.
 
     Args:
-        points: shape (N, 3), in the base frame [m].
-        origin: The grid's least corner [m].
+        points: Positions in the robot's base frame, shape (N, 3), [m].
+        origin: The grid's corner with the least x, y, z, in the same frame, shape (3,), [m].
         voxel: Edge of a voxel [m].
-        shape: Number of voxels along each axis.
+        shape: Number of voxels along x, y and z.
 
     Returns:
-        Indices of the voxels, shape (N, 3), of a point outside the grid those of the nearest one; and whether a point
-        lies in the grid or on its faces, shape (N,).
+        Indices of the voxels along x, y and z, from 0, shape (N, 3), of a point outside the grid those of the nearest
+        one; and whether a point lies in the grid or on its faces, shape (N,).
     """
     place = (points - origin) / voxel
     last = np.array(shape)
@@ -208,11 +214,12 @@ def _count(points: Array, voxel: float) -> tuple[Array, NDArray[np.int64]]:
     """Count points in the voxels of a grid that lies evenly about them.
 
     Args:
-        points: shape (N, 3), in the base frame [m].
+        points: Positions in the robot's base frame, shape (N, 3), [m].
         voxel: Edge of a voxel [m].
 
     Returns:
-        The grid's least corner [m], shape (3,), and the counts, shape (nx, ny, nz).
+        The grid's corner with the least x, y, z in the base frame, shape (3,), [m]; and the number of points in each
+        voxel, shape (nx, ny, nz).
 
     Raises:
         CalibError: The grid would have more than `MOST_VOXELS` voxels.
@@ -237,14 +244,16 @@ def _count(points: Array, voxel: float) -> tuple[Array, NDArray[np.int64]]:
 
 
 def _smooth(counts: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Average each reached voxel's count with those of its reached neighbours.
+    """Average the count of each voxel that holds samples with those of its neighbours that do.
+
+    The weights are (1, 2, 1) / 4 along each axis.
 
     Args:
-        counts: shape (nx, ny, nz).
+        counts: Number of samples in each voxel of a grid, shape (nx, ny, nz).
 
     Returns:
-        The weighted means, 0 where there is no sample; and the number of voxels that each mean stands for, by its
-        variance: (sum w)^2 / sum w^2. Both of the shape of the counts.
+        The weighted means, shape (nx, ny, nz), 0 where there is no sample; and the number of voxels that each mean
+        stands for, by its variance: (sum w)^2 / sum w^2, of the same shape, 0 likewise.
     """
     reached = (counts > 0).astype(np.float64)
     weight = _spread(reached, _WEIGHTS)
@@ -255,17 +264,30 @@ def _smooth(counts: NDArray[np.int64]) -> tuple[Array, Array]:
 
 
 def _spread(values: Array, weights: Array) -> Array:
-    """Convolve values of a grid with weights along each of its axes."""
+    """Convolve values of a grid with weights along each of its axes; outside the grid values are 0.
+
+    Args:
+        values: Shape (nx, ny, nz).
+        weights: Weights of a voxel and its two neighbours along an axis, shape (3,), symmetric.
+
+    Returns:
+        Shape (nx, ny, nz).
+    """
+    spread = values
     for axis in range(3):
-        values = ndimage.convolve1d(values, weights, axis=axis, mode="constant")
-    return values
+        spread = ndimage.convolve1d(spread, weights, axis=axis, mode="constant")
+    return spread
 
 
 def _chosen_voxel(points: Array) -> float:
-    """Return the smallest round length for which a smoothed count rests on enough samples [m].
+    """Choose the edge of a voxel, the smallest round length for which smoothed counts rest on 300 samples in the mean.
 
     Args:
-        points: shape (N, 3), in the base frame [m].
+        points: Positions in the robot's base frame, shape (N, 3), [m].
+
+    Returns:
+        The edge [m]; there are no more than 128 voxels along an axis. Where no length is enough, the first round one
+        that is as long as the points' extent; 1 mm for points that are all the same.
     """
     longest = float(np.ptp(points, axis=0).max())
     if longest < _SPOT:

@@ -24,16 +24,17 @@ SCHEMA = "region 1"
 
 
 def write_region(view: RegionView, path: str | Path, seed: int, *, overwrite: bool = False) -> Path:
-    """Write a region, and what it was made from.
+    """Write a region as a JSON file, with the robot, the target and the samples that it was made from.
 
     Args:
-        view: The region and its robot.
+        view: The region, voxels of the robot's base frame; the robot with the ranges of its joints; the target in the
+            tip; and the density of the samples.
         path: The file.
-        seed: Seed of the samples.
+        seed: Seed that the samples of the workspace were drawn with.
         overwrite: Whether an existing file is replaced.
 
     Returns:
-        The file.
+        The path of the file.
 
     Raises:
         FileError: It cannot be written.
@@ -63,7 +64,11 @@ def write_region(view: RegionView, path: str | Path, seed: int, *, overwrite: bo
 
 
 def _joint_table(view: RegionView) -> list[dict[str, Any]]:
-    """Return the ranges of the joints, the unit in the keys."""
+    """Return name, lowest and highest value of each joint, the unit in the keys: ``low_rad`` or ``low_m``.
+
+    Args:
+        view: Gives the robot, and the ranges of its m measured joints, shape (m, 2), [rad] or [m].
+    """
     table = []
     for joint, (low, high) in zip(view.robot.inputs, view.ranges, strict=True):
         unit = "m" if joint.type == "prismatic" else "rad"
@@ -72,7 +77,15 @@ def _joint_table(view: RegionView) -> list[dict[str, Any]]:
 
 
 def _runs(cells: Mask) -> list[int]:
-    """Return a grid as lengths of runs: outside, inside, outside, ..., voxels in the order of the last index first."""
+    """Encode which voxels of a grid are inside by the lengths of runs: outside, inside, outside, ...
+
+    Args:
+        cells: True for voxels inside, shape (nx, ny, nz).
+
+    Returns:
+        Numbers of voxels in a row, in the order in which the last index varies fastest. The first run is outside, of 0
+        voxels where the first voxel is inside.
+    """
     flat = cells.ravel()
     changes = np.flatnonzero(np.diff(flat)) + 1
     lengths: list[int] = np.diff([0, *changes, flat.size]).tolist()
@@ -82,25 +95,30 @@ def _runs(cells: Mask) -> list[int]:
 class _Origin(NamedTuple):
     """Chain and target that a region was made for."""
 
+    #: Name of the base link.
     base: str
+    #: Name of the tip link.
     tip: str
+    #: Names of the measured joints.
     joints: list[str]
-    #: In the tip [m], shape (3,)
+    #: Shape (3,), position of the target in the tip [m].
     target: Array
 
 
 def read_region(
     path: str | Path, robot: Robot | None = None, target: Array | None = None
 ) -> Region:
-    """Read a region.
+    """Read a region from a JSON file, and check that it was made for a robot and a target.
 
     Args:
         path: The file.
-        robot: The chain that it is to be used for; None: it is not checked.
-        target: In the tip [m], shape (3,); None: it is not checked.
+        robot: The robot that the region is to be used for: base, tip and measured joints must be those of the file;
+            None: they are not checked.
+        target: Position of the target in the tip, shape (3,), [m], at most a voxel from that of the file; None: it is
+            not checked.
 
     Returns:
-        The region.
+        The region, voxels of the robot's base frame.
 
     Raises:
         FileError: It cannot be read, or is damaged.
@@ -123,7 +141,15 @@ def read_region(
 
 
 def _region_of(table: Mapping[str, Any]) -> Region:
-    """Return the region of a file's table; raises what damage to it causes."""
+    """Return the region that a file describes.
+
+    Args:
+        table: Values of the file by their keys, in SI units; lengths of runs outside and inside say which voxels belong
+            to the region.
+
+    Raises:
+        KeyError, TypeError, ValueError, OverflowError: A value is missing, or of the wrong kind or shape.
+    """
     runs = np.asarray(table["runs"], dtype=np.int64)
     is_inside = np.arange(len(runs)) % 2 == 1
     return Region(
@@ -136,7 +162,14 @@ def _region_of(table: Mapping[str, Any]) -> Region:
 
 
 def _origin_of(table: Mapping[str, Any]) -> _Origin:
-    """Return what a file's region was made for; raises what damage to it causes."""
+    """Return the base, tip, joints and target that the region of a file was made for.
+
+    Args:
+        table: Values of the file by their keys, in SI units.
+
+    Raises:
+        KeyError, TypeError, ValueError, OverflowError: A value is missing, or of the wrong kind or shape.
+    """
     robot = table["robot"]
     return _Origin(
         base=robot["base"],
@@ -147,11 +180,31 @@ def _origin_of(table: Mapping[str, Any]) -> _Origin:
 
 
 def _check_origin(
-    path: str | Path, origin: _Origin, region: Region, robot: Robot | None, target: Array | None
+    path: str | Path,
+    origin: _Origin,
+    region: Region,
+    robot: Robot | None,
+    target: Array | None,
 ) -> None:
-    """Refuse a region of another chain, or of a target more than a voxel away."""
-    same_chain = robot is None or origin[:3] == (robot.base, robot.tip, list(robot.joint_names))
-    distance = 0.0 if target is None else np.linalg.norm(target - origin.target)
+    """Refuse a region that was made for another chain, or for a target more than a voxel away.
+
+    Args:
+        path: The file, which the message names.
+        origin: Base, tip, joints and target that the region was made for.
+        region: Gives the edge of a voxel [m].
+        robot: The robot that the region is to be used for; None: it is not checked.
+        target: Position of the target in the tip, shape (3,), [m]; None: it is not checked.
+
+    Raises:
+        CalibError: It was made for others.
+    """
+    same_chain = True
+    if robot is not None:
+        chain = (robot.base, robot.tip, list(robot.joint_names))
+        same_chain = origin[:3] == chain
+    distance = 0.0
+    if target is not None:
+        distance = float(np.linalg.norm(target - origin.target))
     if same_chain and distance <= region.voxel:
         return
     place = ", ".join(f"{1e3 * value:.6g}" for value in origin.target)

@@ -22,10 +22,11 @@ from calib.units import Array, Mask
 class Checked(NamedTuple):
     """Rows of a table that are compared with a region."""
 
+    #: The N rows.
     rows: Measurements
-    #: Shape (N, 3), the target of each row in the base [m].
+    #: Shape (N, 3), position of the target of each row in the base [m].
     points: Array
-    #: Shape (N,), whether that was measured, or else predicted.
+    #: Shape (N,), True where that was measured; elsewhere it is predicted.
     measured: Mask
 
 
@@ -33,12 +34,15 @@ class Checked(NamedTuple):
 class RegionView:
     """Region of a robot's workspace as it is printed and drawn."""
 
+    #: The robot.
     robot: Robot
-    #: Shape (3,), in the tip [m].
+    #: Shape (3,), position of the target in the tip [m].
     target: Array
-    #: Shape (m, 2), of the joints [rad] or [m].
+    #: Shape (m, 2), lowest and highest value of each joint, from which the workspace was sampled, [rad] or [m].
     ranges: Array
+    #: Counts of the samples of the workspace.
     density: Density
+    #: Voxels that hold a share of the samples.
     region: Region
     #: Rows that are compared with the region; None: none are.
     checked: Checked | None = None
@@ -53,13 +57,14 @@ def read_rows(
     """Read a table whose positions may be missing: a list of poses, or a plan that is not filled in.
 
     Args:
-        path: The table.
-        robot: The chain whose joints it has.
-        columns: Names that calib uses, by the table's names; None: they are the same.
-        kind: What every row measures; None: as the table says, and nothing where no position is in it.
+        path: Path of the table.
+        robot: The robot, whose joints have a column each in the table.
+        columns: Names of columns that calib uses, by the names in the table; None: they are the same.
+        kind: Name of the kind of measurement of all rows, such as ``"point"``; None: as the table says, or where it has
+            no positions none at all, so that rows have joint values alone.
 
     Returns:
-        The rows.
+        The rows: joint values, and what was measured there.
     """
     table = Table.read(path)
     named, _ = name_columns(table, (), columns or {})
@@ -73,16 +78,17 @@ def read_rows(
 
 
 def row_points(robot: Robot, rows: Measurements, cell: Cell, target: Array) -> tuple[Array, Mask]:
-    """Return where the target of each row was in the base.
+    """Return where the target of each row was in the robot's base, as measured or else as predicted.
 
     Args:
-        robot: The nominal robot, which predicts where that was not measured.
-        rows: N rows.
-        cell: Names targets and measurement frames; positions in a frame that is estimated do not count as measured.
-        target: A target that the cell does not name, in the tip [m], shape (3,).
+        robot: The nominal robot, which predicts where the position was not measured.
+        rows: N rows: joint values and the measured positions in the measurement frame, where there are any.
+        cell: Gives the targets by name, and the poses of the base in the measurement frames; positions in a frame that
+            is estimated do not count as measured.
+        target: Position in the tip of a target that the cell does not name, shape (3,), [m].
 
     Returns:
-        Points [m], shape (N, 3), and whether each was measured, shape (N,).
+        Positions in the robot's base, shape (N, 3), [m]; and True where they were measured, shape (N,).
     """
     T_base_tip = robot.poses(rows.joints_for(robot.joint_names))
     targets = [cell.targets.get(name, target) for name in rows.targets]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,32 +32,49 @@ def workspace(
     Joint values are drawn evenly by a scrambled Sobol sequence.
 
     Args:
-        robot: The robot.
-        target: shape (3,), the target in the tip [m].
-        ranges: shape (m, 2), lowest and highest value of each joint [rad] or [m]; None: those of
-            `calib.robot.readback.joint_ranges`.
+        robot: The robot, with m measured joints.
+        target: Position of the target in the tip, shape (3,), [m].
+        ranges: Lowest and highest value of each joint, shape (m, 2), [rad] or for sliding joints [m], in the order of
+            ``robot.joint_names``; None: those of `calib.robot.ranges.joint_ranges`.
         count: Number of samples; a power of two is spread the most evenly.
-        seed: The same seed gives the same points.
-        progress: Called with the samples done and all.
+        seed: Seed of the sequence: the same one gives the same points.
+        progress: Called with the number of samples done and of all; None: nothing is called.
 
     Returns:
-        Positions of the target in the base frame [m], shape (count, 3), read-only.
+        Positions of the target in the base frame, shape (count, 3), [m], read-only.
+    """
+    p_tip_target = vector(target, "target's position in the tip")
+    limits = joint_ranges(robot) if ranges is None else np.asarray(ranges)
+    points = np.empty((count, 3))
+    done = 0
+    for q in _even_joint_values(limits, count, seed):
+        T_base_tip = robot.poses(q)
+        positions = T_base_tip[:, :3, :3] @ p_tip_target + T_base_tip[:, :3, 3]
+        points[done : done + len(q)] = positions
+        done += len(q)
+        if progress is not None:
+            progress(done, count)
+    points.setflags(write=False)
+    return points
+
+
+def _even_joint_values(ranges: Array, count: int, seed: int) -> Iterator[Array]:
+    """Yield joint values that a scrambled Sobol sequence spreads evenly over their ranges, piece by piece.
+
+    Args:
+        ranges: Lowest and highest value of each joint, shape (m, 2), [rad] or for sliding joints [m].
+        count: Number of samples of all pieces together.
+        seed: Seed of the scrambling.
+
+    Yields:
+        Joint values, [rad] or [m], shape (32768, m), or fewer in the last piece.
     """
     # Not above: SciPy's distributions take as long to import as the rest of calib.
     from scipy.stats import qmc
 
-    p_tip_target = vector(target, "target's position in the tip")
-    limits = joint_ranges(robot) if ranges is None else np.asarray(ranges)
-    low, high = limits.T
+    low, high = ranges.T
     sequence = qmc.Sobol(len(low), scramble=True, seed=np.random.default_rng(seed))
-    points = np.empty((count, 3))
     for start in range(0, count, _CHUNK):
         # The first piece is a power of two long, as SciPy asks.
         unit = sequence.random(_CHUNK)[: count - start]
-        T_base_tip = robot.poses(low + unit * (high - low))
-        positions = T_base_tip[:, :3, :3] @ p_tip_target + T_base_tip[:, :3, 3]
-        points[start : start + _CHUNK] = positions
-        if progress is not None:
-            progress(start + len(unit), count)
-    points.setflags(write=False)
-    return points
+        yield low + unit * (high - low)
