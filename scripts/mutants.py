@@ -48,6 +48,9 @@ ORDERS = {"<": ["<=", ">="], "<=": ["<", ">"], ">": [">=", "<="], ">=": [">", "<
 EQUALITIES = {"==": ["!="], "!=": ["=="], "is": ["is not"], "is not": ["is"]}
 REPLACEMENTS = SUMS | BOOLEANS | ORDERS | EQUALITIES | {"in": ["not in"], "not in": ["in"]}
 
+#: Functions whose value is the same with swapped arguments.
+SYMMETRIC = ("min", "max", "np.minimum", "np.maximum", "np.hypot", "np.array_equal")
+
 #: Factors on constants; whole numbers up to 2, which are indices and counts, change by one.
 FACTORS = (0.1, 0.5, 2.0, 10.0)
 
@@ -125,7 +128,7 @@ def places(path: str) -> Iterator[Place]:
             yield Place(path, kind, start, start + (3 if isinstance(node.op, ast.Not) else 1), [""])
         elif isinstance(node, ast.Constant):
             yield Place(path, kind, start, end, _other_numbers(node.value))
-        elif isinstance(node, ast.Call):
+        elif isinstance(node, ast.Call) and not ast.unparse(node.func) not in SYMMETRIC:
             for (first, comma), (second, last) in pairwise(map(span, node.args)):
                 swapped = data[second:last] + data[comma:second] + data[first:comma]
                 yield Place(path, kind, first, last, [swapped.decode()])
