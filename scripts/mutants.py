@@ -128,7 +128,7 @@ def places(path: str) -> Iterator[Place]:
             yield Place(path, kind, start, start + (3 if isinstance(node.op, ast.Not) else 1), [""])
         elif isinstance(node, ast.Constant):
             yield Place(path, kind, start, end, _other_numbers(node.value))
-        elif isinstance(node, ast.Call) and not ast.unparse(node.func) not in SYMMETRIC:
+        elif isinstance(node, ast.Call) and ast.unparse(node.func) not in SYMMETRIC:
             for (first, comma), (second, last) in pairwise(map(span, node.args)):
                 swapped = data[second:last] + data[comma:second] + data[first:comma]
                 yield Place(path, kind, first, last, [swapped.decode()])
