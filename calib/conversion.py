@@ -17,7 +17,11 @@ __all__ = ["convert"]
 
 
 def convert(
-    source: str, path: str | Path, options: Options | None = None, *, accept: bool = False
+    source: str,
+    path: str | Path,
+    options: Options | None = None,
+    *,
+    accept: bool = False,
 ) -> Conversion:
     """Read a file or the name of a robot, and write it in another format.
 

@@ -29,7 +29,10 @@ _LONG = 500
 
 
 def read_json(
-    path: str | os.PathLike[str], what: str, schema: object, expected: str
+    path: str | os.PathLike[str],
+    what: str,
+    schema: object,
+    expected: str,
 ) -> dict[str, Any]:
     """Read a table that has the right ``schema``.
 

@@ -198,7 +198,12 @@ _GROUP = re.compile(rf"((?:{NUMBER.pattern}[\s,]*)+?)([A-Za-zµμ]+(?:/[A-Za-z]+
 
 
 def parse_quantities(
-    text: str, option: str, counts: Mapping[str, int], example: str, *, signed: bool = True
+    text: str,
+    option: str,
+    counts: Mapping[str, int],
+    example: str,
+    *,
+    signed: bool = True,
 ) -> dict[str, list[float]]:
     """Return numbers with units, such as ``10 mm 2 deg``, in SI units by their quantity; 0 alone needs no unit.
 
@@ -261,7 +266,12 @@ def _values_by_quantity(
 
 
 def parse_amount(
-    text: str, option: str, quantity: str, example: str, *, signed: bool = False
+    text: str,
+    option: str,
+    quantity: str,
+    example: str,
+    *,
+    signed: bool = False,
 ) -> float:
     """Return a number with its unit, such as ``0.5 mm``, in SI units; 0 alone needs no unit.
 

@@ -49,7 +49,10 @@ class SweepFinding:
 
 
 def with_positive_sense(
-    circle: Circle, values: Array | None, joint: int, joint_names: tuple[str, ...]
+    circle: Circle,
+    values: Array | None,
+    joint: int,
+    joint_names: tuple[str, ...],
 ) -> Circle:
     """Orient a circle so that the joint's positive sense turns about its normal.
 

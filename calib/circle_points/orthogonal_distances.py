@@ -94,7 +94,10 @@ def nearest_circle(points: Array, weights: Array, used: Mask) -> FittedFigure:
 
 
 def circle_residuals(
-    points: Array, center: Array, basis: Array, radius: float
+    points: Array,
+    center: Array,
+    basis: Array,
+    radius: float,
 ) -> tuple[Array, Array]:
     """Compute radial and axial distances of points from a circle, and their derivatives.
 

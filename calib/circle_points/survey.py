@@ -112,7 +112,11 @@ class Survey:
 
 
 def base_frame(
-    sweeps: Sweeps, robot: Robot | None = None, *, plane_offset: float = 0.0, robust: bool = True
+    sweeps: Sweeps,
+    robot: Robot | None = None,
+    *,
+    plane_offset: float = 0.0,
+    robust: bool = True,
 ) -> Survey:
     """Estimate the base frame and all axes from sweeps.
 

@@ -275,7 +275,10 @@ def _angle_columns(named: Mapping[str, Column]) -> tuple[str, ...]:
 
 
 def _filled_cells(
-    table: Table, layout: Layout, sweep_column: Column, joint_names: tuple[str, ...]
+    table: Table,
+    layout: Layout,
+    sweep_column: Column,
+    joint_names: tuple[str, ...],
 ) -> tuple[list[str], ...]:
     """Return the cells of a table, with zeros for empty joint values of the plane's rows."""
     joint_columns = {column.index for column in layout.blocks["joints"]}

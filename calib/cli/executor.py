@@ -15,7 +15,11 @@ if TYPE_CHECKING:
 
 @contextmanager
 def executor_of(
-    workers: int | None, dask: str | None, count: int | None, *, default: int | None = None
+    workers: int | None,
+    dask: str | None,
+    count: int | None,
+    *,
+    default: int | None = None,
 ) -> Iterator[Executor | None]:
     """Provide an executor for the jobs of the block.
 

@@ -56,7 +56,11 @@ class Intervals:
                 )
 
     def compute(
-        self, result: Calibration, executor: Executor | None, *, quiet: bool
+        self,
+        result: Calibration,
+        executor: Executor | None,
+        *,
+        quiet: bool,
     ) -> tuple[list[str], dict[str, Any]]:
         """Compute the intervals that were asked for.
 

@@ -29,7 +29,10 @@ OPTIONAL = (*_SETUP, "points", "points_unit", "columns")
 
 
 def read_manifest(
-    path: Path, setup: FitOptions, columns: Sequence[str], points_unit: str | None
+    path: Path,
+    setup: FitOptions,
+    columns: Sequence[str],
+    points_unit: str | None,
 ) -> tuple[FleetRobot, ...]:
     """Read a manifest; the robots themselves are read later, where they are calibrated.
 
@@ -96,7 +99,10 @@ class _Defaults:
 
 
 def _load(
-    where: str, cells: Mapping[str, str], defaults: _Defaults, urdf_of: Callable[[str], Urdf]
+    where: str,
+    cells: Mapping[str, str],
+    defaults: _Defaults,
+    urdf_of: Callable[[str], Urdf],
 ) -> FleetInputs:
     """Read the robot of a row.
 

@@ -110,7 +110,11 @@ class Outputs:
         check_outputs(files, inputs, force=self.force)
 
     def write(
-        self, result: Calibration, tables: Mapping[str, Any], *, quiet: bool
+        self,
+        result: Calibration,
+        tables: Mapping[str, Any],
+        *,
+        quiet: bool,
     ) -> Iterator[Path | str]:
         """Write the outputs that were asked for, one after the other.
 

@@ -320,7 +320,11 @@ def _nominal_solution(pair: Pair, program: Program, matching: Matching) -> tuple
 
 
 def _matched_in_part(
-    pair: Pair, T_wanted: Array, solution: Solution, full: Matching, matching: Matching
+    pair: Pair,
+    T_wanted: Array,
+    solution: Solution,
+    full: Matching,
+    matching: Matching,
 ) -> Solution:
     """Solve the rows again whose full pose the nominal robot misses, for what has to be matched of it.
 

@@ -139,7 +139,10 @@ def expected_errors(pair: Pair, q: Array) -> ExpectedErrors:
 
 
 def _views(
-    pair: Pair, result: CalibrationValues, part: FittedModel, q: Array
+    pair: Pair,
+    result: CalibrationValues,
+    part: FittedModel,
+    q: Array,
 ) -> tuple[View, View, View]:
     """Return three views of the program's poses.
 

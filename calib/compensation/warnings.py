@@ -204,7 +204,10 @@ def warnings_of(rows: ReachedRows, tolerance: tuple[float, float]) -> list[list[
 
 
 def _warn_of_poses(
-    warnings: list[list[CommandWarning]], code: Code, which: Mask, values: Array
+    warnings: list[list[CommandWarning]],
+    code: Code,
+    which: Mask,
+    values: Array,
 ) -> None:
     """Add a warning to some rows, with position and angle of each.
 

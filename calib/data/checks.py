@@ -179,7 +179,11 @@ def checked_numbers(
 
 
 def _check_range(
-    labels: RowLabels, name: str, array: Array, rows: Mask, limits: tuple[float, float]
+    labels: RowLabels,
+    name: str,
+    array: Array,
+    rows: Mask,
+    limits: tuple[float, float],
 ) -> None:
     """Refuse a number out of ``limits`` in the chosen rows of an array (N, ...), see `checked_numbers`."""
     least, largest = limits

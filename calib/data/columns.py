@@ -155,7 +155,11 @@ def _fail_on_two(table: Table, first: Column, second: Column) -> NoReturn:
 
 
 def with_unit(
-    table: Table, column: Column, quantity: Quantity | None, what: str = "", proposed: str = ""
+    table: Table,
+    column: Column,
+    quantity: Quantity | None,
+    what: str = "",
+    proposed: str = "",
 ) -> Column:
     """Return a column if it is in a unit of the right quantity.
 

@@ -103,7 +103,11 @@ class Layout:
 
 
 def _kinds(
-    table: Table, named: Named, kind: str | None, *, points_elsewhere: bool
+    table: Table,
+    named: Named,
+    kind: str | None,
+    *,
+    points_elsewhere: bool,
 ) -> tuple[str, ...]:
     """Return the kinds of the rows: as given, by the column ``kind``, or by the columns there are."""
     if kind is not None:
@@ -164,7 +168,11 @@ def _check_kinds_of_points(table: Table, present: Sequence[Kind]) -> None:
 
 
 def _positions(
-    table: Table, named: Named, present: Sequence[Kind], *, points_elsewhere: bool
+    table: Table,
+    named: Named,
+    present: Sequence[Kind],
+    *,
+    points_elsewhere: bool,
 ) -> dict[str, Columns]:
     """Return the columns of measured positions and orientations, and of the noise of angles."""
     blocks: dict[str, Columns] = {}
@@ -238,7 +246,10 @@ def slides(joint: Column) -> bool:
 
 
 def _joints(
-    table: Table, named: Named, joint_names: Sequence[str] | None, types: Mapping[str, str]
+    table: Table,
+    named: Named,
+    joint_names: Sequence[str] | None,
+    types: Mapping[str, str],
 ) -> Columns:
     """Return the columns of joints, in the order of ``joint_names``.
 
@@ -258,7 +269,10 @@ def _joints(
 
 
 def _fail_on_missing_joints(
-    table: Table, missing: Sequence[str], others: Sequence[str], types: Mapping[str, str]
+    table: Table,
+    missing: Sequence[str],
+    others: Sequence[str],
+    types: Mapping[str, str],
 ) -> NoReturn:
     """Refuse a table without columns of joints; ``others`` are the columns that could be meant."""
     listed = [f"'{name}'{did_you_mean(name, others)}" for name in missing[:_LISTED_JOINTS]]

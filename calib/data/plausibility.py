@@ -107,7 +107,11 @@ def check_units(table: Table, layout: Layout, numbers: Mapping[str, Array]) -> N
 
 
 def _check_block(
-    table: Table, layout: Layout, name: str, columns: Sequence[Column], values: Array
+    table: Table,
+    layout: Layout,
+    name: str,
+    columns: Sequence[Column],
+    values: Array,
 ) -> None:
     """Refuse columns of one quantity whose numbers (N, columns) cannot be in their units."""
     complete = np.isfinite(values).all(axis=1)

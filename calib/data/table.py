@@ -195,7 +195,11 @@ class Table:
             )
 
     def fail(
-        self, row: int, column: Column, what: str, row_numbers: Column | None = None
+        self,
+        row: int,
+        column: Column,
+        what: str,
+        row_numbers: Column | None = None,
     ) -> NoReturn:
         """Refuse a cell.
 

@@ -330,7 +330,10 @@ def _rungs(request: PlanRequest, fewest: int, candidates: int) -> list[int]:
 
 
 def _ladder(
-    search: _Search, request: PlanRequest, planned: Forecast, progress: Progress | None
+    search: _Search,
+    request: PlanRequest,
+    planned: Forecast,
+    progress: Progress | None,
 ) -> tuple[tuple[int, Forecast], ...]:
     """Forecast other numbers of poses than the plan's; each design starts from the one before it.
 

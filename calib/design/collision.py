@@ -450,7 +450,11 @@ def _choose_pairs(
 
 
 def _check_of_owners(
-    samples: _Samples, pairs: Sequence[tuple[int, int]], clearance: float, *, is_box: bool
+    samples: _Samples,
+    pairs: Sequence[tuple[int, int]],
+    clearance: float,
+    *,
+    is_box: bool,
 ) -> _OwnersCheck:
     """Choose how the pairs of shapes of two owners are checked, by how often they touch over the joints' ranges.
 
@@ -544,7 +548,10 @@ def _pairs_by_owners(
 
 
 def _notes(
-    solids: Sequence[Solid], check: CollisionCheck, unchecked: list[str], chosen: _ChosenPairs
+    solids: Sequence[Solid],
+    check: CollisionCheck,
+    unchecked: list[str],
+    chosen: _ChosenPairs,
 ) -> tuple[Note, ...]:
     """Return remarks on what is checked for collisions, and what is not.
 

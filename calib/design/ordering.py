@@ -160,7 +160,10 @@ def _costs(poses: Array, count: int) -> Array:
 
 
 def _around_blocked_moves(
-    path: Indices, costs: Array, poses: Array, free_path: FreePath
+    path: Indices,
+    costs: Array,
+    poses: Array,
+    free_path: FreePath,
 ) -> tuple[Indices, dict[tuple[int, int], bool]]:
     """Improve a path with a penalty on the moves of it that are blocked, until it has no untested ones.
 

@@ -46,7 +46,11 @@ _WITHOUT_CELLS = ("fixed", "plane")
 
 
 def write_plan(
-    plan: Plan, path: str | Path, *, overwrite: bool = False, first_row: int = 1
+    plan: Plan,
+    path: str | Path,
+    *,
+    overwrite: bool = False,
+    first_row: int = 1,
 ) -> Path:
     """Write a plan as a CSV table, degrees and millimetres, in the order to drive; several targets have a row each.
 

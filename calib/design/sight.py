@@ -42,7 +42,11 @@ def in_range(robot: Robot, T_tip_target: Array, tracker: Tracker, q: Array) -> M
 
 
 def in_cone(
-    robot: Robot, T_tip_target: Array, tracker: Tracker, reflector: Reflector, q: Array
+    robot: Robot,
+    T_tip_target: Array,
+    tracker: Tracker,
+    reflector: Reflector,
+    q: Array,
 ) -> Mask:
     """Test whether the angle from the reflector's normal to the tracker is at most its acceptance.
 

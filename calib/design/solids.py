@@ -160,7 +160,10 @@ def rods(starts: Array, ends: Array) -> tuple[Array, Array]:
 
 
 def _geometry(
-    urdf: Urdf, shape: LinkShape, folders: tuple[Path, ...], meshes: dict[Any, Any]
+    urdf: Urdf,
+    shape: LinkShape,
+    folders: tuple[Path, ...],
+    meshes: dict[Any, Any],
 ) -> Any:  # noqa: ANN401  coal has no types
     """Return the geometry of a link's shape as coal has it.
 
@@ -219,7 +222,10 @@ def clusters(urdf: Urdf, joints: Iterable[UrdfJoint]) -> dict[str, str]:
 
 
 def mounting_plane(
-    robot: Robot, links: Sequence[Solid], rigid: Mapping[str, str], configuration: Array
+    robot: Robot,
+    links: Sequence[Solid],
+    rigid: Mapping[str, str],
+    configuration: Array,
 ) -> Solid:
     """Return a large box that stands for all below the mounting plane.
 

@@ -39,7 +39,10 @@ class OutsideRow:
 
 
 def outside(
-    measured: Array, queried: Array, names: Sequence[str], types: Sequence[str]
+    measured: Array,
+    queried: Array,
+    names: Sequence[str],
+    types: Sequence[str],
 ) -> tuple[OutsideRow, ...]:
     """Find the queried rows with joint values outside the measured range.
 

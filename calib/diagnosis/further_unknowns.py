@@ -238,7 +238,10 @@ def _error_of_blocks(fitted: Fitted, linear: LinearProblem, weights: Array) -> f
 
 
 def _residuals_without_blocks(
-    fitted: Fitted, linear: LinearProblem, weights: Array, masks: Mask
+    fitted: Fitted,
+    linear: LinearProblem,
+    weights: Array,
+    masks: Mask,
 ) -> Array:
     """Return the residuals of fits without one block of rows each, at noise and priors of the fit to all rows.
 
@@ -446,7 +449,10 @@ def _significant_motion(
 
 
 def _p_values_of_motion(
-    fitted: Fitted, joint: FurtherUnknowns, of_first: Mask, directions: _FirstJointDirections
+    fitted: Fitted,
+    joint: FurtherUnknowns,
+    of_first: Mask,
+    directions: _FirstJointDirections,
 ) -> tuple[float, float, float]:
     """Test for no motion of the base across the first joint's axis, along it, and about it.
 
@@ -472,7 +478,10 @@ def _p_values_of_motion(
 
 
 def _p_of_offset(
-    offset: float, joint: FurtherUnknowns, family: Mask, names: tuple[str, ...]
+    offset: float,
+    joint: FurtherUnknowns,
+    family: Mask,
+    names: tuple[str, ...],
 ) -> float:
     """Test a joint's offset against those of the other joints, by Student's t.
 

@@ -372,7 +372,10 @@ def _gain_of_moves(residuals: Residuals, order: Order) -> float:
 
 
 def _moved_target(
-    residuals: Residuals, stack: Stack, target: int, order: Order
+    residuals: Residuals,
+    stack: Stack,
+    target: int,
+    order: Order,
 ) -> tuple[Reason, Array] | None:
     """Find the row from which on a target is displaced in the tip.
 

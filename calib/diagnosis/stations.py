@@ -192,7 +192,10 @@ class _FitToOthers:
 
 
 def unpredicted(
-    squares: Array, freedoms: Array, noises: Array, noise_freedoms: Array
+    squares: Array,
+    freedoms: Array,
+    noises: Array,
+    noise_freedoms: Array,
 ) -> list[tuple[int, float]]:
     """Find the stations whose errors exceed the noise, beyond chance and by the factor `_MATTERS`.
 

@@ -518,7 +518,10 @@ def _factor_on_axis(axis: str, factor: float) -> Array:
 
 
 def _turned_joints(
-    robot: Robot, setup: Setup, rows: Rows, counts: Iterable[int]
+    robot: Robot,
+    setup: Setup,
+    rows: Rows,
+    counts: Iterable[int],
 ) -> Iterator[Trial]:
     """Reverse the sign of joints.
 

@@ -93,7 +93,10 @@ def problem_at_stage(problem: Problem, stage: Stage) -> Problem:
 
 
 def estimate_at_stage(
-    problem: Problem, stage: Stage, solution: Solution, covariance_factor: float = 1.0
+    problem: Problem,
+    stage: Stage,
+    solution: Solution,
+    covariance_factor: float = 1.0,
 ) -> Estimate:
     """Make the estimate from the last stage of a fit and the solution of its problem.
 
@@ -135,7 +138,10 @@ def estimate_at_stage(
 
 
 def _covariance(
-    problem: Problem, stage: Stage, linear: LinearProblem, covariance_factor: float
+    problem: Problem,
+    stage: Stage,
+    linear: LinearProblem,
+    covariance_factor: float,
 ) -> Array:
     """Covariance of the parameters, with the uncertainty of the arm's size where that is held.
 

@@ -182,7 +182,11 @@ def _with_new_places(fitted: Setup, held_out: Setup, registered: Setup) -> Setup
 
 @one_blas_thread()
 def fit(
-    task: Task, rows: Rows, *, registered: Setup | None = None, reference: Fitted | None = None
+    task: Task,
+    rows: Rows,
+    *,
+    registered: Setup | None = None,
+    reference: Fitted | None = None,
 ) -> Fitted:
     """Register frames and targets on the nominal robot, and estimate all parameters from there.
 

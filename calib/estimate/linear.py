@@ -196,7 +196,10 @@ class LinearProblem:
         return products, count
 
     def _equations_of(
-        self, products: Array, count: Array, log_det: Array | float
+        self,
+        products: Array,
+        count: Array,
+        log_det: Array | float,
     ) -> NormalEquations:
         """The normal equations of A x = y, with y = r + A x0, from the products of [A r].
 
@@ -257,7 +260,11 @@ class LinearProblem:
         return np.asarray(np.sum(of_blocks, axis=0))
 
     def fit(
-        self, weights: Array, rho: Array, noise: Array, priors: GaussianPriors
+        self,
+        weights: Array,
+        rho: Array,
+        noise: Array,
+        priors: GaussianPriors,
     ) -> tuple[Array, Array, Array]:
         """Fit the parameters B times, at given weights, noise and priors.
 

@@ -80,7 +80,10 @@ class Problem:
 
     @classmethod
     def initial(
-        cls, kinematics: Kinematics, rows: Rows, distances: tuple[KnownDistance, ...] = ()
+        cls,
+        kinematics: Kinematics,
+        rows: Rows,
+        distances: tuple[KnownDistance, ...] = (),
     ) -> Problem:
         """Make the problem before any estimate: weights of one, noise as given, no priors.
 

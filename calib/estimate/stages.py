@@ -107,7 +107,11 @@ class Stage:
 
     @classmethod
     def initial(
-        cls, prior: PriorTerms, kept: Mask, instruments: int, weights: Array | float = 1.0
+        cls,
+        prior: PriorTerms,
+        kept: Mask,
+        instruments: int,
+        weights: Array | float = 1.0,
     ) -> Stage:
         """Return the first stage: noise and priors as given.
 

@@ -187,7 +187,11 @@ class Stops:
         return changes, log_det
 
     def _correction(
-        self, X: Array, weights: Array, c: int, rho: Array
+        self,
+        X: Array,
+        weights: Array,
+        c: int,
+        rho: Array,
     ) -> tuple[Array, tuple[float, float]]:
         """Correct the normal equations of one instrument in one fit for what the targets of a stop share.
 

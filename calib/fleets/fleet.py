@@ -139,7 +139,11 @@ class _Run:
     """A run of `fleet`: reads the robots, writes their files, and collects their rows in any order."""
 
     def __init__(
-        self, folder: Path, options: FleetOptions, count: int, progress: Progress | None
+        self,
+        folder: Path,
+        options: FleetOptions,
+        count: int,
+        progress: Progress | None,
     ) -> None:
         """Begin a run; ``count`` is the number of all robots, the others are as of `fleet`."""
         self._folder = folder

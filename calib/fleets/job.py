@@ -132,7 +132,10 @@ def failed_row(name: str, error: Exception) -> FleetRow:
 
 
 def _write_files(
-    calibration: Calibration, row: FleetRow, options: FleetOptions, folder: Path
+    calibration: Calibration,
+    row: FleetRow,
+    options: FleetOptions,
+    folder: Path,
 ) -> None:
     """Write a robot's files into a folder: result, summary, and by row and options the URDF and the report."""
     if row.urdf != WITHHELD:

@@ -204,7 +204,10 @@ def _is_shared(figure: _Figure, counted: Mask) -> bool:
 
 
 def _flagged(
-    rows: Sequence[FleetRow], figure: _Figure, counted: Mask, bound: float
+    rows: Sequence[FleetRow],
+    figure: _Figure,
+    counted: Mask,
+    bound: float,
 ) -> Iterator[FleetOutlier]:
     """Yield the robots whose |z| of a figure exceeds ``bound``."""
     z = scores(figure.values, figure.stds, figure.floor, counted)

@@ -241,7 +241,10 @@ def _csv(tables: DHTables) -> bytes:
 
 
 def _csv_lines(
-    name: str, table: DHTable, formulas: list[str], heads: Mapping[str, str]
+    name: str,
+    table: DHTable,
+    formulas: list[str],
+    heads: Mapping[str, str],
 ) -> Iterator[list[object]]:
     """Return the lines of a table: its constant pose before the rows, the rows, that behind them.
 

@@ -113,7 +113,10 @@ def read_ur(
 
 
 def _read_yaml(
-    path: PathLike, urcontrol: PathLike | None, model: UrModel | str | None, robot: Robot | None
+    path: PathLike,
+    urcontrol: PathLike | None,
+    model: UrModel | str | None,
+    robot: Robot | None,
 ) -> Source:
     """Read a ``kinematics.yaml``, see `read_ur`."""
     chain, hash = read_kinematics(path)
@@ -130,7 +133,10 @@ def _read_yaml(
 
 
 def _read_conf(
-    path: PathLike, urcontrol: PathLike | None, model: UrModel | str | None, robot: Robot | None
+    path: PathLike,
+    urcontrol: PathLike | None,
+    model: UrModel | str | None,
+    robot: Robot | None,
 ) -> Source:
     """Read a ``calibration.conf``, see `read_ur`."""
     conf = Conf.read(path)
@@ -286,7 +292,11 @@ def write_ur_yaml(
 
 
 def write_ur_conf(
-    source: Source, path: PathLike, update: PathLike | None = None, *, overwrite: bool = False
+    source: Source,
+    path: PathLike,
+    update: PathLike | None = None,
+    *,
+    overwrite: bool = False,
 ) -> UrWritten:
     """Write a robot as the DH deltas of a ``calibration.conf``.
 
@@ -418,7 +428,11 @@ def _chain_of(source: Source, path: PathLike) -> tuple[Mount, Array]:
 
 
 def _check(
-    robot: Robot, mount: Mount, path: PathLike, parts: tuple[Array, Array, Array], exact: float
+    robot: Robot,
+    mount: Mount,
+    path: PathLike,
+    parts: tuple[Array, Array, Array],
+    exact: float,
 ) -> None:
     """Compare a file that was read back with the robot.
 

@@ -90,7 +90,11 @@ class RowNumbers(NamedTuple):
 
 
 def row_to(
-    T: Array, point: Array, axis: Array, reference: Reference | None, rule: Rule
+    T: Array,
+    point: Array,
+    axis: Array,
+    reference: Reference | None,
+    rule: Rule,
 ) -> RowNumbers:
     """Return the row from a frame to the axis of the next joint.
 

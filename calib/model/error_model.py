@@ -150,7 +150,10 @@ def frame_and_target_model(
 
 
 def _placed_parameters(
-    prefix: str, family: str, name: str, directions: Iterable[str]
+    prefix: str,
+    family: str,
+    name: str,
+    directions: Iterable[str],
 ) -> list[Parameter]:
     """Return the parameters of one frame or target in some of `DIRECTIONS`.
 
@@ -251,7 +254,12 @@ def _dh_parameters(robot: Robot, *, hayati: bool = False) -> list[Parameter]:
 
 
 def _after_joint(
-    robot: Robot, i: int, row: DHRow, T_next_row: Array, *, with_beta: bool
+    robot: Robot,
+    i: int,
+    row: DHRow,
+    T_next_row: Array,
+    *,
+    with_beta: bool,
 ) -> list[Parameter]:
     """Return a, alpha and, if wanted, beta of a DH row, which act on the placement after its joint.
 
@@ -294,7 +302,12 @@ def _along_joint(robot: Robot, i: int, row: DHRow, *, with_d: bool) -> list[Para
 
 
 def _before_joint(
-    robot: Robot, i: int, name: str, twist: Array, family: str, nominal: float = 0.0
+    robot: Robot,
+    i: int,
+    name: str,
+    twist: Array,
+    family: str,
+    nominal: float = 0.0,
 ) -> Parameter:
     """Return a parameter at a joint's placement, or at the next where no <origin> carries that.
 

@@ -113,7 +113,10 @@ def _joint_twist(joint: UrdfJoint) -> Array:
 
 
 def joint_displacements(
-    robot: Robot, terms: Sequence[Parameter], q: Array, load: Array | None
+    robot: Robot,
+    terms: Sequence[Parameter],
+    q: Array,
+    load: Array | None,
 ) -> Array:
     """Return how far a unit of each term moves each joint of the chain.
 

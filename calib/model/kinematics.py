@@ -105,7 +105,11 @@ class Kinematics:
         return self.poses(x, samples)[:, :3, 3]
 
     def twists(
-        self, x: Array, samples: SamplesOrValues, *, rotation: bool = True
+        self,
+        x: Array,
+        samples: SamplesOrValues,
+        *,
+        rotation: bool = True,
     ) -> tuple[Array, Array]:
         """Return T_frame_target and its Jacobian: the target's velocity per unit of each parameter.
 

@@ -131,7 +131,10 @@ def _condition(values: Array) -> float:
 
 
 def _combination(
-    members: list[int], changes: Array, names: Sequence[str], units: Sequence[str]
+    members: list[int],
+    changes: Array,
+    names: Sequence[str],
+    units: Sequence[str],
 ) -> Combination:
     """Return the combination of some of p parameters.
 

@@ -117,7 +117,10 @@ class NormalEquations:
         return np.asarray(np.maximum(self.yy + change, 0.0))
 
     def log_likelihood(
-        self, noise: Array, priors: GaussianPriors, family_precision: Array
+        self,
+        noise: Array,
+        priors: GaussianPriors,
+        family_precision: Array,
     ) -> Array:
         """Compute the restricted log-likelihood of noise and priors, but for a constant of the flat parameters.
 

@@ -260,7 +260,10 @@ def _scoring_step(posterior: _LogPosterior, bounds: _LogBounds, logs: Array) -> 
 
 
 def score_and_information(
-    data: NormalEquations, members: Array, priors: GaussianPriors, logs: Array
+    data: NormalEquations,
+    members: Array,
+    priors: GaussianPriors,
+    logs: Array,
 ) -> tuple[Array, Array]:
     """Differentiate the restricted log-likelihood of B fits by log noise and log prior standard deviation.
 

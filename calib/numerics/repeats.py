@@ -90,7 +90,12 @@ class _Moments(NamedTuple):
 
 
 def scatter_of_repeats(
-    residual: Array, used: Mask, poses: Integers, weights: Array, *, fitted: float = 0.0
+    residual: Array,
+    used: Mask,
+    poses: Integers,
+    weights: Array,
+    *,
+    fitted: float = 0.0,
 ) -> Repeats:
     """Estimate the scatter within repeats, which does not depend on the model, and the correlation of repeats.
 

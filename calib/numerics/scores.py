@@ -81,7 +81,11 @@ class Limits:
 
 
 def deleted_norms(
-    residual: Array, jacobian: Array, covariance: Array, weights: Array, factors: Array
+    residual: Array,
+    jacobian: Array,
+    covariance: Array,
+    weights: Array,
+    factors: Array,
 ) -> Array:
     """Compute the norms of the deleted residuals of N rows in B fits; the module's text has the equation.
 

@@ -246,7 +246,10 @@ def levenberg_marquardt(
 
 
 def _solution(
-    at: _Reduced, history: list[Iteration], message: str, status: str = "converged"
+    at: _Reduced,
+    history: list[Iteration],
+    message: str,
+    status: str = "converged",
 ) -> Solution:
     """The result of `levenberg_marquardt`, which calls the system at the start and once for each trial step.
 

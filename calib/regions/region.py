@@ -188,7 +188,10 @@ class Density:
 
 
 def _voxel_of(
-    points: Array, origin: Array, voxel: float, shape: tuple[int, ...]
+    points: Array,
+    origin: Array,
+    voxel: float,
+    shape: tuple[int, ...],
 ) -> tuple[NDArray[np.intp], Mask]:
     """Find the voxel of each point in a grid.
 

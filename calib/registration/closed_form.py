@@ -244,7 +244,10 @@ def _frame_fitted(
 
 
 def _mean_shift(
-    T_frame_base: Array, directions: tuple[str, ...], measured: Array, points: Array
+    T_frame_base: Array,
+    directions: tuple[str, ...],
+    measured: Array,
+    points: Array,
 ) -> Array:
     """Mean of measured minus predicted points, zero along directions that are not estimated, shape (3,) [m].
 

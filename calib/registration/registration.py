@@ -69,7 +69,11 @@ def register(T_base_tip: Array, setup: Setup, rows: Rows, *, tolerance: float = 
 
 
 def register_all_rows(
-    T_base_tip: Array, setup: Setup, rows: Rows, *, tolerance: float = 1e-12
+    T_base_tip: Array,
+    setup: Setup,
+    rows: Rows,
+    *,
+    tolerance: float = 1e-12,
 ) -> Setup:
     """Estimate the unknown frames and targets on given poses of the robot, by every row, few as they are.
 
@@ -303,7 +307,11 @@ def _subsample(rows: Rows) -> Mask:
 
 
 def _system(
-    model: ErrorModel, T_base_tip: Array, rows: Rows, setup: Setup, x: Array
+    model: ErrorModel,
+    T_base_tip: Array,
+    rows: Rows,
+    setup: Setup,
+    x: Array,
 ) -> tuple[Array, Array]:
     """The residual of a registration and its Jacobian, in units of each scalar's sigma.
 
@@ -329,7 +337,11 @@ def _system(
 
 
 def _twists(
-    model: ErrorModel, directions: Array, setup: Setup, T_frame_target: Array, rows: Rows
+    model: ErrorModel,
+    directions: Array,
+    setup: Setup,
+    T_frame_target: Array,
+    rows: Rows,
 ) -> Array:
     """Motion of each row's target by each parameter, along the frame's axes, shape (p, 6, N): v, then omega.
 

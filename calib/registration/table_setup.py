@@ -94,7 +94,10 @@ def _frame(cell: Cell, group: str, kinds: Integers) -> _Frame:
 
 
 def _check_names(
-    measurements: Measurements, column: str, given: Collection[str], present: tuple[str, ...]
+    measurements: Measurements,
+    column: str,
+    given: Collection[str],
+    present: tuple[str, ...],
 ) -> None:
     """Raise `ModelError` for names that a cell gives and the table's column lacks.
 

@@ -187,7 +187,10 @@ def by_row(c: CalibrationValues, quantity: Quantity = LENGTH) -> Figure:
 
 
 def _draw_calibrated_errors(
-    ax: Axes, c: CalibrationValues, quantity: Quantity, sizes: Array
+    ax: Axes,
+    c: CalibrationValues,
+    quantity: Quantity,
+    sizes: Array,
 ) -> float:
     """Mark each row's error after calibration, and its held-out error as a dash.
 
@@ -270,7 +273,11 @@ def _sets_with_axes(c: CalibrationValues, quantity: Quantity) -> list[tuple[str,
 
 
 def _draw_boxes(
-    upper: Axes, lower: Axes, c: CalibrationValues, quantity: Quantity, mask: Mask
+    upper: Axes,
+    lower: Axes,
+    c: CalibrationValues,
+    quantity: Quantity,
+    mask: Mask,
 ) -> None:
     """Draw the boxes of the rows of a mask (N,): both robots above, the calibrated one without outliers below."""
     before = quantity.scale * c.residual_nominal[:, quantity.columns]

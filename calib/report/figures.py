@@ -195,7 +195,11 @@ def write_figures(
 
 
 def figure_files(
-    made: Sequence[Drawing], folder: Path, kind: str, *, overwrite: bool = False
+    made: Sequence[Drawing],
+    folder: Path,
+    kind: str,
+    *,
+    overwrite: bool = False,
 ) -> tuple[Path, ...]:
     """Return the files that `write_figures` writes: the figures', in their order, and that of their captions.
 

@@ -40,7 +40,11 @@ _LONGEST_WORD = 24
 
 
 def write_report(
-    calibration: CalibrationValues, path: str | Path, *, command: str = "", overwrite: bool = False
+    calibration: CalibrationValues,
+    path: str | Path,
+    *,
+    command: str = "",
+    overwrite: bool = False,
 ) -> Path:
     """Write the report of a calibration as one HTML page.
 

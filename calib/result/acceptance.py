@@ -267,7 +267,11 @@ def _sizes(judged: Accuracy, criterion: str, *, angle: bool) -> Array:
 
 
 def _check(
-    judged: Accuracy, criterion: str, sizes: Array, tolerance: float, uncertainty: float
+    judged: Accuracy,
+    criterion: str,
+    sizes: Array,
+    tolerance: float,
+    uncertainty: float,
 ) -> Check:
     """Compare the errors of poses with a tolerance, all in m or all in rad.
 
@@ -444,7 +448,10 @@ def _judged_name(judge: str | None, evaluations: Mapping[str, Evaluation]) -> st
 
 
 def _outside(
-    table: Measurements, calibration: CalibrationValues | None, figures: Accuracy, judged: str
+    table: Measurements,
+    calibration: CalibrationValues | None,
+    figures: Accuracy,
+    judged: str,
 ) -> tuple[tuple[OutsideRow, ...], tuple[int, ...]]:
     """List judged rows whose joint values lie outside of the ranges that the calibration was fitted to.
 

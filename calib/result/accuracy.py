@@ -420,7 +420,10 @@ def judged_rows(
 
 
 def fitted_rows(
-    calibration: CalibrationValues, robot: Robot, measurements: Measurements, cell: Cell
+    calibration: CalibrationValues,
+    robot: Robot,
+    measurements: Measurements,
+    cell: Cell,
 ) -> Mask:
     """Find the rows of a table that a result was fitted to, in any file, in any order and under any number.
 

@@ -509,7 +509,11 @@ def _scored(measurements: Measurements, fits: Fits) -> _Scored:
 
 
 def _flagged(
-    measurements: Measurements, fits: Fits, scored: _Scored, chosen: Mask, limit: float
+    measurements: Measurements,
+    fits: Fits,
+    scored: _Scored,
+    chosen: Mask,
+    limit: float,
 ) -> tuple[Outlier, ...]:
     """List the rows of a set whose score is beyond its limit.
 

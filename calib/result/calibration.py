@@ -474,7 +474,10 @@ def _with_origins_of(source: Robot, robot: Robot) -> Robot:
 
 
 def _repeated_index(
-    what: str, name: str | None, names: tuple[str, ...], count: int
+    what: str,
+    name: str | None,
+    names: tuple[str, ...],
+    count: int,
 ) -> NDArray[np.int_]:
     """Return the index of a name among names, once for each sample.
 

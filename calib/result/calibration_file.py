@@ -365,7 +365,11 @@ def _origins_table(robot: Robot) -> list[dict[str, Any]]:
 
 
 def write_result(
-    c: CalibrationValues, path: str | Path, *, overwrite: bool = False, extra: Json | None = None
+    c: CalibrationValues,
+    path: str | Path,
+    *,
+    overwrite: bool = False,
+    extra: Json | None = None,
 ) -> Path:
     """Write a calibration as JSON.
 

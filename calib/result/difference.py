@@ -445,7 +445,10 @@ class _Compensation:
 
     @classmethod
     def of(
-        cls, inside: _Predictions, estimates: tuple[Estimate, Estimate], joint: Array
+        cls,
+        inside: _Predictions,
+        estimates: tuple[Estimate, Estimate],
+        joint: Array,
     ) -> _Compensation:
         """Fit the motion of base and target to the difference of two results' predictions, by least squares.
 
@@ -575,7 +578,10 @@ class _OwnEffects:
 
     @classmethod
     def of(
-        cls, result: CalibrationValues, effect: Array, compensation: _Compensation
+        cls,
+        result: CalibrationValues,
+        effect: Array,
+        compensation: _Compensation,
     ) -> _OwnEffects:
         """Take from effects what a motion of base and target explains.
 

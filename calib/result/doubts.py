@@ -417,7 +417,10 @@ def noise_doubts(
 
 
 def _length_noise(
-    result: CalibrationValues, rows: Rows, of_instrument: Integers, ratio: float
+    result: CalibrationValues,
+    rows: Rows,
+    of_instrument: Integers,
+    ratio: float,
 ) -> Iterator[Reason]:
     """Doubt the noise of an instrument for lengths.
 
@@ -441,7 +444,10 @@ def _length_noise(
 
 
 def _angle_noise(
-    result: CalibrationValues, rows: Rows, of_instrument: Integers, ratio: float
+    result: CalibrationValues,
+    rows: Rows,
+    of_instrument: Integers,
+    ratio: float,
 ) -> Iterator[Reason]:
     """Doubt the noise of an instrument for angles.
 

@@ -344,7 +344,11 @@ def _with_open(cell: Cell, place: str) -> Cell:
 
 
 def _registered_error(
-    robot: Robot, measurements: Measurements, cell: Cell, known: Setup, which: tuple[str, ...]
+    robot: Robot,
+    measurements: Measurements,
+    cell: Cell,
+    known: Setup,
+    which: tuple[str, ...],
 ) -> float | None:
     """Return the rms error of a robot after frames or targets were registered to the rows.
 

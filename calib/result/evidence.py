@@ -254,7 +254,11 @@ def _validation_errors(result: CalibrationValues, part: FittedModel) -> tuple[Er
 
 
 def validation_errors(
-    validation: Mask, suspects: Mask, nominal: Array, calibrated: Array, used: Mask
+    validation: Mask,
+    suspects: Mask,
+    nominal: Array,
+    calibrated: Array,
+    used: Mask,
 ) -> tuple[Errors, Errors, int]:
     """Compare errors on the validation rows, without suspects if they are few.
 

@@ -224,7 +224,10 @@ def _draws(problem: Problem, count: int, seed: int) -> Iterator[tuple[Array, Arr
 
 
 def bootstrap_counts(
-    blocks: NDArray[np.generic], count: int, seed: int, strata: NDArray[np.generic]
+    blocks: NDArray[np.generic],
+    count: int,
+    seed: int,
+    strata: NDArray[np.generic],
 ) -> Integers:
     """Draw blocks of rows with replacement, as many as there are, for each sample of a bootstrap.
 

@@ -222,7 +222,10 @@ def pinocchio_chain(joints: Sequence[UrdfJoint], placements: Array) -> pin.Model
 
 
 def farthest_link(
-    urdf: Urdf, base: str, measured: Collection[str] | None = None, held: Collection[str] = ()
+    urdf: Urdf,
+    base: str,
+    measured: Collection[str] | None = None,
+    held: Collection[str] = (),
 ) -> str:
     """Return the link with the most moving joints between it and the base: the default tip.
 
@@ -259,7 +262,10 @@ def _fixed_ancestor(urdf: Urdf, link: str) -> str:
 
 
 def _moving_joints_to(
-    urdf: Urdf, start: str, known: Collection[str], held: Collection[str]
+    urdf: Urdf,
+    start: str,
+    known: Collection[str],
+    held: Collection[str],
 ) -> dict[str, int]:
     """Return the number of known moving joints from a link to each link below it that these, fixed and held lead to."""
     below: dict[str, list[UrdfJoint]] = {}
@@ -347,7 +353,10 @@ def checked_held(urdf: Urdf, held: Mapping[str, float] | None) -> tuple[tuple[st
 
 
 def all_values(
-    urdf: Urdf, columns: Mapping[str, Array], held: Mapping[str, float], count: int
+    urdf: Urdf,
+    columns: Mapping[str, Array],
+    held: Mapping[str, float],
+    count: int,
 ) -> dict[str, Array]:
     """Return the value of every joint of a URDF that has one coordinate.
 
@@ -388,7 +397,10 @@ class _Rule:
 
 
 def _rule(
-    source: str, by_name: Mapping[str, UrdfJoint], name: str, held: Mapping[str, float]
+    source: str,
+    by_name: Mapping[str, UrdfJoint],
+    name: str,
+    held: Mapping[str, float],
 ) -> _Rule:
     """Return how a joint follows the joint at the end of its chain of mimics.
 

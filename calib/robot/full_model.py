@@ -89,7 +89,10 @@ def full_configurations(model: pin.Model, values: Mapping[str, Array]) -> Array:
 
 
 def joint_frames(
-    model: pin.Model, urdf: Urdf, values: Mapping[str, Array], numbers: Collection[int]
+    model: pin.Model,
+    urdf: Urdf,
+    values: Mapping[str, Array],
+    numbers: Collection[int],
 ) -> dict[int, Array]:
     """Return the poses of joints, after they moved, in the URDF's root.
 

@@ -168,7 +168,11 @@ def _bearing(model: pin.Model, numbers: list[int], carriers: list[int]) -> Mask:
 
 
 def _depths_per_unit(
-    robot: Robot, axes: Array, origins: Array, points: Array, down: Array
+    robot: Robot,
+    axes: Array,
+    origins: Array,
+    points: Array,
+    down: Array,
 ) -> Array:
     """Return how much deeper a unit of each joint would move each point if it carried it.
 

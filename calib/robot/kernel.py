@@ -112,7 +112,11 @@ def poses(geometry: Geometry, samples: ChainSamples) -> Array:
 
 
 def twists(
-    geometry: Geometry, directions: Directions, samples: ChainSamples, *, rotation: bool = True
+    geometry: Geometry,
+    directions: Directions,
+    samples: ChainSamples,
+    *,
+    rotation: bool = True,
 ) -> tuple[Array, Array]:
     """Return T_frame_target and its Jacobian: the target's velocity per unit of each parameter.
 
@@ -158,7 +162,11 @@ def twists(
             jacobian[:, 3:, block] = part
 
     def add_outer_columns(
-        part: Array, moves: Array, components: slice, joint_moves: Array, block: slice
+        part: Array,
+        moves: Array,
+        components: slice,
+        joint_moves: Array,
+        block: slice,
     ) -> None:
         """Add to (p, 3, B) the columns of measurement frames, targets and errors of the joints' state."""
         bases = directions.bases[:, components]

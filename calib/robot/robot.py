@@ -149,7 +149,10 @@ class Robot:
         )
 
     def rebuilt(
-        self, urdf: Urdf | None = None, base: str | None = None, tip: str | None = None
+        self,
+        urdf: Urdf | None = None,
+        base: str | None = None,
+        tip: str | None = None,
     ) -> Robot:
         """Return the robot read anew from another URDF or between other links, with the same joints held.
 

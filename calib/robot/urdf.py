@@ -208,7 +208,11 @@ class Urdf:
         return self._patched([(before, before, indented)])
 
     def _link_lines(
-        self, name: str, joint_name: str, parent: str, T_parent_link: Array
+        self,
+        name: str,
+        joint_name: str,
+        parent: str,
+        T_parent_link: Array,
     ) -> list[tuple[int, bytes]]:
         """Return the lines of a new link and its fixed joint, each with the number of steps that it is indented by."""
         document = self._document

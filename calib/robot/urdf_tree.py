@@ -191,7 +191,10 @@ def _check_limit(document: Document, element: Element, kind: str) -> None:
 
 
 def _fault(
-    document: Document, element: Element, text: str, part: Element | None = None
+    document: Document,
+    element: Element,
+    text: str,
+    part: Element | None = None,
 ) -> UrdfError:
     """Return an error about a joint, with the line of one of its parts; None: of the joint itself."""
     return document.at(part or element, f"joint '{element.attributes['name']}'{text}")
@@ -215,7 +218,11 @@ def _link(document: Document, element: Element, tag: str, key: str = "link") -> 
 
 
 def _numbers(
-    document: Document, element: Element, tag: str, key: str, default: tuple[float, ...]
+    document: Document,
+    element: Element,
+    tag: str,
+    key: str,
+    default: tuple[float, ...],
 ) -> tuple[float, ...]:
     """Return the finite numbers of ``<tag key="...">`` of a joint.
 

@@ -44,7 +44,10 @@ def preferred_geometry(candidates: Sequence[Candidate], errors: Sequence[Array])
 
 
 def _contradicts(
-    candidates: Sequence[Candidate], errors: Sequence[Array], best: int, other: int
+    candidates: Sequence[Candidate],
+    errors: Sequence[Array],
+    best: int,
+    other: int,
 ) -> bool:
     """Tell if held-out poses prefer another candidate, clearly and beyond chance.
 

@@ -166,7 +166,11 @@ def _admissible_estimates(
 
 
 def _residual_without_fold(
-    fitted: Fitted, linear: LinearProblem, x: Array, held_out: Mask, outliers: Mask
+    fitted: Fitted,
+    linear: LinearProblem,
+    x: Array,
+    held_out: Mask,
+    outliers: Mask,
 ) -> Array | None:
     """Return the held-out residual of one fold, or None if the linear problem is not accurate at its estimate.
 
@@ -211,7 +215,10 @@ def _leaves_enough_rows(fitted: Fitted, mask: Mask) -> bool:
 
 
 def _fold_estimates(
-    fitted: Fitted, linear: LinearProblem, prior: PriorTerms, masks: Mask
+    fitted: Fitted,
+    linear: LinearProblem,
+    prior: PriorTerms,
+    masks: Mask,
 ) -> tuple[Array, Array]:
     """Return the parameters by the rows outside of each fold.
 

@@ -373,7 +373,12 @@ class VirtualCell:
         return displacement
 
     def _readings(
-        self, T: Array, tour: _Tour, instrument: Array, outliers: Array, seed: int
+        self,
+        T: Array,
+        tour: _Tour,
+        instrument: Array,
+        outliers: Array,
+        seed: int,
     ) -> Array:
         """Draw what the instrument reads in each row, as `calib.data.kinds.Kind` has it.
 

@@ -55,7 +55,10 @@ class ScenarioWords:
 
 
 def read_scenario(
-    robot: Robot, cell: Cell, path: Path | None = None, words: ScenarioWords | None = None
+    robot: Robot,
+    cell: Cell,
+    path: Path | None = None,
+    words: ScenarioWords | None = None,
 ) -> Scenario:
     """Read a scenario.
 

@@ -334,7 +334,10 @@ def _draw_errors(
 
 
 def _draw_error(
-    parameter: Parameter, sizes: Mapping[str, float], cell: Cell, unit_normal: float
+    parameter: Parameter,
+    sizes: Mapping[str, float],
+    cell: Cell,
+    unit_normal: float,
 ) -> float:
     """Return one error: a standard normal number times its standard deviation, inside of its bounds."""
     family = FAMILIES[parameter.family]

@@ -29,7 +29,11 @@ _ROW = ("row", "target", "group", "joints", "xyz_m", "sigma_m")
 
 
 def write_truth(
-    scenario: Scenario, simulated: Simulated, path: str | Path, *, overwrite: bool = False
+    scenario: Scenario,
+    simulated: Simulated,
+    path: str | Path,
+    *,
+    overwrite: bool = False,
 ) -> Path:
     """Write the truth of a simulated table.
 

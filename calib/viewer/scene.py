@@ -357,7 +357,10 @@ def draw_lines(node: meshcat.Visualizer, ends: Array, colour: str, opacity: floa
 
 
 def draw_boxes(
-    node: meshcat.Visualizer, sizes: Sequence[Array], poses: Sequence[Array], colour: str
+    node: meshcat.Visualizer,
+    sizes: Sequence[Array],
+    poses: Sequence[Array],
+    colour: str,
 ) -> None:
     """Draw translucent boxes.
 

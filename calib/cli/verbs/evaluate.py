@@ -143,7 +143,10 @@ def evaluate(
 
 
 def _with_target(
-    arm: Robot, cell: Cell, setup: SetupOptions, result: CalibrationValues | None
+    arm: Robot,
+    cell: Cell,
+    setup: SetupOptions,
+    result: CalibrationValues | None,
 ) -> tuple[Cell, str]:
     """Return the cell with the URDF's target where nothing else gives one, and words for where targets are from."""
     if result is not None:

@@ -191,7 +191,10 @@ def _refuse_given(options: Mapping[str, Any], reason: str) -> None:
 
 
 def _prepare(
-    robot: str, setup: ModelOptions, errors: ScenarioOptions, poses: PoseOptions
+    robot: str,
+    setup: ModelOptions,
+    errors: ScenarioOptions,
+    poses: PoseOptions,
 ) -> _Simulation:
     """Load the robot, and read the scenario and the poses."""
     import calib.simulation.study  # noqa: F401  while the workers import it too

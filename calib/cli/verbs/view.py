@@ -116,7 +116,10 @@ def view(
 
 
 def _load(
-    robot: str, cell: Cell, data: Path | None, table: TableOptions
+    robot: str,
+    cell: Cell,
+    data: Path | None,
+    table: TableOptions,
 ) -> tuple[Robot, Measurements | None]:
     """Load the robot, and the table if there is one."""
     if data is None:
@@ -146,7 +149,10 @@ def _view_of_result(
 
 
 def _view_of_robots(
-    arm: Robot, other: str | None, measurements: Measurements | None, cell: Cell
+    arm: Robot,
+    other: str | None,
+    measurements: Measurements | None,
+    cell: Cell,
 ) -> View:
     """Return the view of one URDF or of two."""
     from calib.viewer.view import view_of_robots

@@ -127,7 +127,12 @@ def workspace(
 
 
 def _region_view(
-    robot: str, cell: Cell, ranges: RangeOptions, sampling: SamplingOptions, *, quiet: bool
+    robot: str,
+    cell: Cell,
+    ranges: RangeOptions,
+    sampling: SamplingOptions,
+    *,
+    quiet: bool,
 ) -> RegionView:
     """Sample the workspace, find the region, and check the rows of a table, if there is one."""
     from calib.regions.region import Density
@@ -167,7 +172,10 @@ def _load_with_tables(
 
 
 def _joint_ranges(
-    arm: Robot, cell: Cell, ranges: RangeOptions, tables: Mapping[Path, Measurements]
+    arm: Robot,
+    cell: Cell,
+    ranges: RangeOptions,
+    tables: Mapping[Path, Measurements],
 ) -> Array:
     """Return the lowest and highest value of each joint, shape (m, 2), [rad] or [m]."""
     from calib.design.candidates import margins_by_joint
@@ -194,7 +202,10 @@ def _target(cell: Cell) -> Array:
 
 
 def _checked_rows(
-    arm: Robot, cell: Cell, ranges: RangeOptions, tables: Mapping[Path, Measurements]
+    arm: Robot,
+    cell: Cell,
+    ranges: RangeOptions,
+    tables: Mapping[Path, Measurements],
 ) -> Checked | None:
     """Return the points of the table that is checked; None without a table."""
     from calib.regions.region_rows import Checked, row_points
