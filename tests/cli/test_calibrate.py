@@ -124,9 +124,9 @@ def test_solvers_priors_and_weights(call, shop, reference, words: tuple[str, ...
     if words[-1] != "paper":
         assert 11 in [outlier["row"] for outlier in result["outliers"]]
     noise = result["noise"]
-    assert (noise["sizes"] == {}) == (words[-1] in ("off", "paper"))
+    assert (noise["prior_std"] == {}) == (words[-1] in ("off", "paper"))
     if words[-1] == "given":
-        assert noise["sizes"] == {"length_m": 0.003, "angle_rad": 0.015, "zero_rad": 0.015}
+        assert noise["prior_std"] == {"length_m": 0.003, "angle_rad": 0.015, "zero_rad": 0.015}
     if words[-1] == "scipy":
         assert result["solver"]["name"] == "scipy"
         assert values(result) == pytest.approx(values(reference), abs=1e-5)

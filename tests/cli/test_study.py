@@ -66,7 +66,7 @@ def test_the_same_seed_in_any_number_of_processes(simulate):
     one, two = simulate(*words, "--workers", "1"), simulate(*words, "--workers", "2")
     assert one.out == two.out
     assert one.out != simulate(*words[:-1], "6", "--workers", "1").out
-    assert "Fitted: dh 100 %" in one.out
+    assert "Models: dh 100 %" in one.out
 
 
 @pytest.mark.slow
