@@ -41,7 +41,7 @@ _HEADER = """\
 class JointOrigin(NamedTuple):
     """The ``<origin>`` of a joint, as a URDF states it: R = Rz(yaw) Ry(pitch) Rx(roll)."""
 
-    #: X, y, z of the joint's frame in the parent link [m].
+    #: x, y, z of the joint's frame in the parent link [m].
     xyz: tuple[float, ...]
     #: Roll, pitch, yaw [rad].
     rpy: tuple[float, ...]

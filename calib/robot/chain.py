@@ -291,7 +291,7 @@ class Coupling:
     inputs: tuple[UrdfJoint, ...]
     #: A, shape (n, m): 1 where a joint is its own column, the multiplier where it mimics another.
     matrix: Array
-    #: B, shape (n,), offsets of mimic joints and held values [rad or m].
+    #: b, shape (n,), offsets of mimic joints and held values [rad or m].
     offset: Array
 
 

@@ -71,7 +71,7 @@ class Robot:
     inputs: tuple[UrdfJoint, ...] = field(compare=False)
     #: A of q_chain = A q + b, shape (n, m): how the joints of the chain follow the columns of q.
     coupling: Array = field(compare=False)
-    #: B, shape (n,), [rad] or [m].
+    #: b of q_chain = A q + b, shape (n,): offsets of mimic joints and held values [rad] or [m].
     _offset: Array = field(compare=False)
 
     @classmethod
