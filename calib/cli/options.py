@@ -42,8 +42,8 @@ Target = Annotated[
     str | None,
     typer.Option(
         metavar='"X Y Z UNIT"',
-        help='Target in the tip, such as "70 -70 22.5 mm". A fit starts there; without it, the '
-        "target is estimated from scratch.",
+        help='Stated position of the target in the tip, such as "70 -70 22.5 mm". The nominal robot '
+        "is judged with it, and the estimate is checked against it.",
     ),
 ]
 ResultTarget = Annotated[
@@ -187,7 +187,12 @@ TargetLink = Annotated[
     ),
 ]
 Robust = Annotated[bool, typer.Option(help="Give outliers no weight.")]
-Validate = Annotated[bool, typer.Option(help="Cross-validate; without it there is no verdict.")]
+Validate = Annotated[
+    bool,
+    typer.Option(
+        help="Cross-validate; without it there is no verdict, unless the input is plainly wrong."
+    ),
+]
 Seed = Annotated[int, typer.Option(min=0, metavar="S", help="The same seed gives the same result.")]
 Accept = Annotated[
     bool,

@@ -217,8 +217,8 @@ class Cell:
 
     #: shape (3,), position of the target in the tip [m]; None: not known.
     target: Array | None = None
-    #: Whether the targets are estimated with the robot. Then ``target`` is where they start; those
-    #: that are not given start where the measurements put them.
+    #: Whether the targets are estimated with the robot. A fit registers them first; ``target`` is then one of several
+    #: starts where that is not linear, the nominal robot is judged with it, and the estimate is checked against it.
     estimate_target: bool = True
     #: shape (4, 4), pose of the base in the measurement frame [m]. None: not given; then it is
     #: estimated if ``estimate_frame``, else the measurements are in the base frame itself.

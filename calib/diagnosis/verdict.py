@@ -109,8 +109,6 @@ class Evidence:
     doubts: tuple[Reason, ...] = ()
     #: Stated last, and decide nothing
     notes: tuple[Reason, ...] = ()
-    #: A usual mistake that explains the measurements; None where there is none
-    hint: Reason | None = None
     #: Of the URDF: name and held-out errors of the non-geometric model, if there is one
     non_geometric: tuple[str, Errors] | None = None
 
@@ -509,13 +507,12 @@ def _matters(doubt: Reason) -> bool:
 
 
 def _absurd(e: Evidence) -> list[Reason]:
-    """Reasons why the input must be wrong: a usual mistake that explains the rows, or errors that no arm has."""
+    """Reasons why the input must be wrong: errors that no arm has."""
     before = e.nominal.errors_without_outliers
     after = e.calibrated.errors_without_outliers
     turned = bool(after.n_angle) and after.rms_angle > _ABSURD_ANGLE
     far = before.rms > _ABSURD and e.largest > _TOO_FAR
-    hints = [e.hint] if e.hint else []
-    return hints + _applicable(
+    return _applicable(
         (far, Reason.of(Why.PARAMETER_ABSURD, before=before, largest=e.largest)),
         (e.noise > _ABSURD, Reason.of(Why.NOISE_ABSURD, noise_m=e.noise)),
         (turned, Reason.of(Why.ORIENTATION_ABSURD, after=after)),

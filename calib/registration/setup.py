@@ -32,11 +32,11 @@ class Setup:
     T_tip_target: Array
     #: For each frame the directions that are estimated: "x" ... "rz"
     unknown: tuple[tuple[str, ...], ...]
-    #: (F,), frames whose pose the user gave; of others it is registered
+    #: (F,), frames whose pose the user gave: the nominal robot is judged with it, of others it is registered
     frame_given: Mask
     #: (T,), targets that are estimated
     target_unknown: Mask
-    #: (T,), targets whose place the user gave, to be kept or as a start
+    #: (T,), targets whose place the user gave: kept, or what the nominal robot is judged with and the estimate checked
     target_given: Mask
     #: Whether targets have an orientation to estimate, because one was measured; else they are points
     rotation: bool

@@ -47,7 +47,7 @@ class Candidate:
     parameters: int
     #: Restricted log-likelihood
     log_likelihood: float
-    #: On the linearised problem; outliers: rows without weight
+    #: On the linearised problem; as outliers count the rows to which the reference fit gives no weight
     cross_validation: CrossValidation
     #: Estimated std of the errors of each family, in its unit; empty without priors
     prior_std: dict[str, float]

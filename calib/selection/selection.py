@@ -41,7 +41,8 @@ class Selection:
     non_geometric: str
     #: All that were fitted, in order
     candidates: tuple[Candidate, ...]
-    #: Fit of the non-geometric model, or of the geometry where there is none, with its own weights
+    #: Fit of the non-geometric model, or of the geometry where there is none; with its own weights, or with those of
+    #: the search's reference fit if that explains more rows
     reference: Fitted
 
 

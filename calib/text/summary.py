@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,9 +22,6 @@ from calib.text.places import frame_sentences, target_sentences
 from calib.text.verdict import reason_text, robustness_text
 from calib.units import Mask
 from calib.version import __version__
-
-if TYPE_CHECKING:
-    pass
 
 #: Rows, or combinations of parameters, that are listed; the others are counted.
 _MOST_ROWS = 12

@@ -51,7 +51,6 @@ LOUD = Reason.of(Why.NOISE_LARGE, noise_m=4e-3)
 LACKS = Reason.of(Why.MODEL_LACKS, model="dh", non_geometric="placement", noise_m=1e-4, less_m=2e-5)
 STILL = Reason.of(Why.JOINTS_STILL, joints="elbow_joint")
 FAR = Reason.of(Why.TARGET_FAR, target="", far_m=0.282)
-HINT = Reason.of(Why.OTHER_BASE, given_m=0.5, error_m=2e-3, link="base")
 
 
 SEVEN = np.repeat(np.arange(ROWS)[:, None] >= ROWS - 7, 3, axis=1)
@@ -94,7 +93,6 @@ def test_a_good_calibration_is_to_be_used_and_says_by_how_much():
         ({"calibrated": GOOD.nominal}, "do not use", Why.NO_BETTER),
         ({"validation": (errors(2.7e-3), errors(3e-3), 0)}, "do not use", Why.VALIDATION_NO_BETTER),
         ({"noise": 0.05}, "do not use", Why.NOISE_ABSURD),
-        ({"noise": 0.05, "hint": HINT, "doubts": (STILL,)}, "do not use", Why.OTHER_BASE),
         ({"nominal": validated(0.3), "largest": 0.4}, "do not use", Why.PARAMETER_ABSURD),
         (
             {"nominal": validated(0.61e-3, 2), "calibrated": validated(0.59e-3, 1)},

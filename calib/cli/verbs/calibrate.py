@@ -45,7 +45,7 @@ Examples:
 The table holds one row a pose: a column for each joint, such as "joint_1 [deg]", and the measured point "x [mm]",
 "y [mm]", "z [mm]". Orientations, distances, balls in sockets and touched planes can be measured too; see
 docs/data-format.md. An optional column "set" says which rows are for estimation ("estimate") and which for validation
-("validate"). Where the verdict is "do not use", no URDF is written, and the exit status is 3; --accept writes it.
+("validate"). Where the verdict is "do not use", -o writes no URDF, and the exit status is 3; --accept writes it.
 """)
 def calibrate(
     robot: RobotFile,
@@ -65,10 +65,10 @@ def calibrate(
         cell = read_cell(**asdict(setup))
         arm, measurements = load_with_data(robot, cell, data, **asdict(table))
 
-        from calib.calibration import calibrate as fit
+        from calib.calibration import calibrate as calibrate_robot
 
         with progress_bar("cross-validation", quiet=quiet) as progress:
-            result = fit(
+            result = calibrate_robot(
                 arm,
                 measurements,
                 cell=cell,
