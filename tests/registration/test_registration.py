@@ -5,15 +5,19 @@ The nominal robot is 3 mm and 10 mrad a parameter off, frames lie anywhere withi
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.data.cell import Cell
+from calib.data.measurements import Measurements
 from calib.errors import MeasurementError
 from calib.model.error_model import frame_and_target_model
 from calib.model.parameters import FRAME
-from calib.registration.registration import _system, register
+from calib.registration.registration import _settled, _subsample, _system, register
+from calib.registration.rows import Rows
 from calib.registration.table_rows import rows_and_setup
 
 FREE = Cell(estimate_frame=True)
@@ -210,3 +214,51 @@ def test_the_derivative_in_every_frame_and_target_against_differences(make_scene
 
         numeric = (8 * (at(x + e) - at(x - e)) - (at(x + 2 * e) - at(x - 2 * e))) / 12e-3
         np.testing.assert_allclose(J[:, k] / scale, numeric, atol=1e-7)
+
+
+def test_only_planes_that_rows_touch_and_that_are_wholly_unknown_are_settled(make_scene, join):
+    """Of others the directions that no row determines are not the settlement's to choose."""
+    places = [np.eye(4) for _ in range(5)]
+    for k, T in enumerate(places):
+        T[:3, :3] = Rotation.random(random_state=k).as_matrix()
+        T[:3, 3] = 0.1, 0.2, 0.3
+    scene = make_scene(3, frames=places)
+    table = join(*(scene.points(4, f) for f in range(5)))
+    kinds = ("plane",) * 16 + ("point",) * 4
+    rows, setup = rows_and_setup(scene.robot, replace(table, kinds=kinds), FREE)
+    plane = ("z", "rx", "ry")
+    setup = replace(
+        setup.placed(np.array(places), setup.T_tip_target),
+        unknown=(plane, ("z", "rx"), plane, plane, plane),
+        own_axes=np.array([True, True, False, True, True]),
+    )
+    touched = rows.select(rows.samples.frame != 3)
+    found = _settled(setup, touched)
+    np.testing.assert_array_equal(found.T_frame_base[1:], setup.T_frame_base[1:])
+    # The same plane up to its side, with its origin where the base's is nearest.
+    assert np.abs(found.T_frame_base[0, 2] @ places[0][2]) == pytest.approx(1.0 + 0.3**2)
+    np.testing.assert_allclose(found.T_frame_base[0, :2, 3], 0.0, atol=1e-12)
+
+
+def numbered_rows(ur3, frame, target) -> Rows:
+    """Points at random poses, with these numbers of frame and target."""
+    count = len(frame)
+    rng = np.random.default_rng(2)
+    table = Measurements(ur3.joint_names, rng.uniform(-3, 3, (count, 6)), np.zeros((count, 3)))
+    rows, _ = rows_and_setup(ur3, table, Cell())
+    return replace(rows, samples=replace(rows.samples, frame=frame, target=target))
+
+
+def test_a_registration_takes_as_many_rows_of_each_pair_of_a_frame_and_a_target(ur3):
+    """200 rows for all four pairs, evenly spaced from the first to the last; not less than 20 of each."""
+    frame = np.repeat([0, 0, 1, 1], [250, 100, 40, 10])
+    target = np.repeat([0, 1, 0, 1], [250, 100, 40, 10])
+    drawn = _subsample(numbered_rows(ur3, frame, target))
+    assert np.bincount(2 * frame + target, drawn).tolist() == [50, 50, 40, 10]
+    of_first = np.flatnonzero(drawn[:250])
+    assert (of_first[0], of_first[-1]) == (0, 249)
+    assert set(np.diff(of_first)) == {5, 6}
+    assert np.sum(_subsample(numbered_rows(ur3, frame[:20], target[:20]))) == 20
+    many = np.arange(600) % 12
+    drawn = _subsample(numbered_rows(ur3, many, np.zeros(600, dtype=int)))
+    assert np.bincount(many, drawn).tolist() == [20] * 12

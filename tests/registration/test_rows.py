@@ -209,3 +209,18 @@ def test_an_even_sample_keeps_pairs_whole():
     drawn = rows.evenly(200)
     np.testing.assert_array_equal(drawn[::2], drawn[1::2])
     assert np.sum(drawn) == 200
+
+
+def test_an_even_sample_has_a_row_of_each_target_though_they_be_more_than_asked_for():
+    rows = some_rows(np.random.default_rng(12), [POINT] * 10)
+    target = np.arange(10) // 2
+    rows = replace(rows, samples=replace(rows.samples, target=target))
+    assert np.bincount(target[rows.evenly(3)]).tolist() == [1] * 5
+
+
+def test_rows_of_sole_postures_are_not_checked():
+    rows = some_rows(np.random.default_rng(13), [POINT] * 3)
+    assert rows.checked.tolist() == [True] * 3
+    sole = replace(rows, sole=np.array([True, False, False]))
+    assert sole.checked.tolist() == [False, True, True]
+    assert sole.select(slice(0, 2)).checked.tolist() == [False, True]
