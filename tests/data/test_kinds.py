@@ -106,6 +106,68 @@ def test_a_row_has_as_many_numbers_as_its_instrument_reads(name, size):
 
 @pytest.mark.usefixtures("own")
 @pytest.mark.parametrize(
+    ("name", "measures_length", "free", "coordinates"),
+    [
+        ("point", True, True, True),
+        ("pose", True, True, True),
+        ("distance", True, True, False),
+        ("pair", True, False, False),
+        ("fixed", False, False, True),
+        ("plane", False, False, False),
+        ("line", True, True, False),
+        ("tilt", False, True, False),
+    ],
+)
+def test_what_a_row_says_of_lengths_and_places(name, measures_length, free, coordinates):
+    """A socket and a plane know no unit of length and hold the target; a pair takes two rows."""
+    kind = get(name)
+    assert kind.measures_length == measures_length
+    assert kind.free == free
+    assert kind.coordinates == coordinates
+
+
+#: Normals, and the least turns that bring them, or their opposites, to z.
+PLANES = {
+    "slope": ([0.0, 0.6, 0.8], [[1.0, 0.0, 0.0], [0.0, 0.8, -0.6], [0.0, 0.6, 0.8]]),
+    "overhang": ([0.0, 0.8, -0.6], [[1.0, 0.0, 0.0], [0.0, -0.6, -0.8], [0.0, 0.8, -0.6]]),
+    "wall": ([1.0, 0.0, 0.0], [[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]),
+    "floor": ([0.0, 0.0, 1.0], np.eye(3)),
+}
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("case", PLANES)
+def test_a_planes_frame_is_as_near_to_the_base_as_can_be(case, side):
+    """Whichever side its normal was on, however its frame stood in it: by a fit, and settled after another."""
+    normal, turn = PLANES[case]
+    expected = np.eye(4)
+    expected[:3, :3], expected[2, 3] = turn, -0.3
+    kind, along_plane = get("plane"), np.eye(4)
+    along_plane[:3, :3] = Rotation.from_euler("z", 1.1).as_matrix()
+    along_plane[:2, 3] = 0.4, -0.7
+    over = np.diag([1.0, side, side, 1.0])
+    np.testing.assert_allclose(kind.settle(over @ along_plane @ expected), expected, atol=1e-14)
+    in_plane = np.random.default_rng(1).uniform(-1.0, 1.0, (6, 2))
+    points = 0.3 * np.array(normal) + in_plane @ np.array(turn)[:2]
+    found = kind.locate(points, np.zeros((6, 0)), np.eye(4))
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_sockets_and_anchors_are_found_in_frames_turned_as_they_are():
+    place, points = np.array([0.3, -0.2, 0.6]), poses(8)[:, :3, 3]
+    guess = poses(1, 3)[0]
+    expected = guess.copy()
+    expected[:3, 3] = -guess[:3, :3] @ place
+    lengths = np.linalg.norm(points - place, axis=1)[:, None]
+    anchor = get("distance").locate(points, lengths, guess)
+    np.testing.assert_allclose(anchor, expected, atol=1e-12)
+    around = place + np.array([[0.1, 0.0, 0.0], [-0.1, 0.2, 0.0], [0.0, -0.2, 0.0]])
+    socket = get("fixed").locate(around, np.zeros((3, 0)), guess)
+    np.testing.assert_allclose(socket, expected, atol=1e-14)
+
+
+@pytest.mark.usefixtures("own")
+@pytest.mark.parametrize(
     "name", ["point", "pose", "distance", "pair", "fixed", "plane", "line", "tilt"]
 )
 def test_derivatives_against_differences_and_what_is_measured_has_no_residual(name):

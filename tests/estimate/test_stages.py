@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from calib.estimate.problem import Problem
-from calib.estimate.stages import Stage
+from calib.estimate.stages import FEWEST_FREEDOM, Stage, Weighting, run_stages
 from calib.model.kinematics import Samples
 from calib.numerics.likelihood import GaussianPriors
 from tests.estimate.priors_of import prior_terms
@@ -104,3 +104,29 @@ def test_the_noise_is_kept_near_the_given_one_by_a_prior_of_a_factor_of_ten(virt
     found = stage.by_likelihood(linear, robust=False).noise[0, 0]
     best = minimize_scalar(loss, bounds=(0.0, 6.0), method="bounded", options={"xatol": 1e-6})
     assert np.log(found) == pytest.approx(best.x, abs=1e-3)
+
+
+@pytest.mark.parametrize(("count", "robust"), [(40, True), (40, False), (8, True)])
+def test_outliers_lose_their_weight_where_it_is_asked_for_and_freedom_is_left(
+    virtual, count, robust
+):
+    """Of 24 scalars 21 parameters leave too few."""
+    linear, stage = first_stage(virtual, count, 1e-4, outliers=(3,))
+    stage, freedom = run_stages(
+        stage, lambda _: linear, np.arange(count), Weighting("independent", robust, 1.0)
+    )
+    enough = count == 40
+    assert (freedom[0] > FEWEST_FREEDOM) == enough
+    if robust and enough:
+        assert stage.weights[0, 3] < 0.01
+        assert np.all(np.delete(stage.weights[0], 3) > 0.3)
+    else:
+        np.testing.assert_array_equal(stage.weights, 1.0)
+
+
+def test_rows_keep_their_weight_where_most_of_them_would_lose_it(virtual):
+    """Outliers of 5 mm beside noise of 0.1 mm: of 40 rows one loses its weight, and of 24 none."""
+    linear, stage = first_stage(virtual, 40, 1e-4, outliers=[0])
+    assert stage._row_weights(linear)[0, 0] == 0.0
+    linear, stage = first_stage(virtual, 40, 1e-4, outliers=range(24))
+    np.testing.assert_array_equal(stage._row_weights(linear), 1.0)

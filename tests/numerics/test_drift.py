@@ -110,6 +110,30 @@ def test_the_covariance_under_other_priors_is_that_of_the_normal_equations():
     )
 
 
+def test_neither_units_nor_a_tight_prior_drown_other_parameters():
+    """Two parameters that are nearly one, units of 1e-8 to 1e4, and another prior of 1e-9 on the third."""
+    A = design(1)
+    A[:, 1] = A[:, 0] + 1e-2 * A[:, 1]
+    units = np.array([1e-8, 1.0, 1e-4, 1e4, 1.0])
+    C = np.linalg.inv(A.T @ A + np.eye(5))
+    change = np.array([0.0, 1.0, 1e18, 0.5, 2.0])
+    free = np.ones(5, dtype=bool)
+    found = covariance_under(C * np.outer(units, units), change / units**2, free)
+    found /= np.outer(units, units)
+    rest = [0, 1, 3, 4]
+    others = np.linalg.inv((A.T @ A + np.diag(1.0 + change))[np.ix_(rest, rest)])
+    np.testing.assert_allclose(found[np.ix_(rest, rest)], others, rtol=1e-6, atol=1e-12)
+    assert found[2, 2] == pytest.approx(1e-18)
+
+
+def test_what_two_estimates_share_is_the_wider_of_their_priors():
+    a = Estimate(np.eye(1), np.array([[0.5]]), np.array([[0.2]]), np.array([1.0]), 9.0, np.zeros(1))
+    b = Estimate(np.eye(1), np.array([[0.7]]), np.array([[0.3]]), np.array([4.0]), 9.0, np.zeros(1))
+    expected = [[0.5 + 4.0 * 0.2**2, 4.0 * 0.2 * 0.3], [4.0 * 0.2 * 0.3, 0.7 + 4.0 * 0.3**2]]
+    np.testing.assert_allclose(joint_covariance(a, b, alike=True), expected)
+    np.testing.assert_allclose(joint_covariance(b, a, alike=True), np.flip(expected))
+
+
 def test_parameters_that_are_held_have_no_covariance():
     A = design(1)[:, :4]
     C = np.zeros((5, 5))
@@ -128,3 +152,52 @@ def test_nothing_is_tested_where_nothing_differs_in_any_direction():
         np.zeros(0), (empty, empty), (a, a), joint_covariance(a, a, alike=True), FLOOR
     )
     assert (found.combinations, found.p, found.drifted) == (0, 1.0, False)
+
+
+def of_one(variance: float, prior: float, freedom: float) -> Estimate:
+    """One parameter, as far as the test of a difference looks at it."""
+    C = np.array([[variance]])
+    return Estimate(C, C, C / prior, np.array([prior]), freedom, np.zeros(1))
+
+
+def judged_alone(a: Estimate, b: Estimate, difference: float, covariance: float = 0.0) -> DriftTest:
+    """Of one prediction, which the second robot's parameter moves twice as far, with a rounding of 3."""
+    joint = np.array([[1.0, covariance], [covariance, 1.0]])
+    effects = np.array([[1.0]]), np.array([[2.0]])
+    return drift_test(np.array([difference]), effects, (a, b), joint, floor=3.0)
+
+
+def test_one_prediction_by_hand():
+    """Variance: 1 + 2^2 - 2 2 c and 3^2 of the rounding; freedom by Welch, of variances 1 and 8."""
+    a, b = of_one(1.0, 100.0, 5.0), of_one(2.0, 100.0, 10.0)
+    found = judged_alone(a, b, 12.0, covariance=0.5)
+    assert found.combinations == 1
+    assert found.chi_square == pytest.approx(12.0**2 / (1.0 + 4.0 - 2.0 + 9.0))
+    assert found.freedom == pytest.approx(9.0**2 / (1.0 / 5.0 + 8.0**2 / 10.0))
+    assert found.p == pytest.approx(stats.f.sf(found.chi_square, 1, found.freedom))
+    assert found.sigma == pytest.approx(stats.norm.isf(found.p))
+    # Without a full degree of freedom there is one.
+    unsure = judged_alone(a, replace(b, freedom=0.2), 12.0, covariance=0.5)
+    assert unsure.freedom == pytest.approx(9.0**2 / (1.0 / 5.0 + 8.0**2))
+
+
+def test_a_difference_of_less_than_chance_is_none_in_standard_deviations():
+    a, b = of_one(1.0, 100.0, 1e6), of_one(2.0, 100.0, 1e6)
+    small, large = judged_alone(a, b, 0.1), judged_alone(a, b, 40.0)
+    assert small.p > 0.5
+    assert (small.sigma, small.drifted) == (0.0, False)
+    assert large.sigma == pytest.approx(np.sqrt(40.0**2 / 14.0), rel=0.02)
+    assert large.drifted
+    assert judged_alone(a, b, 1e9).sigma == pytest.approx(stats.norm.isf(1e-300))
+
+
+def test_one_unchanged_robot_in_a_hundred_is_said_to_have_drifted():
+    assert DriftTest(1, 7.0, 100.0, p=0.0099, sigma=2.3).drifted
+    assert not DriftTest(1, 6.0, 100.0, p=0.0101, sigma=2.3).drifted
+
+
+@pytest.mark.parametrize(("prior", "combinations"), [(3.0, 0), (5.0, 1)])
+def test_what_the_prior_knows_better_is_not_tested(prior, combinations):
+    """The data's variance is 1 + 8 + 3^2 = 18, the prior's (prior + 2^2 8) / 2."""
+    found = judged_alone(of_one(1.0, prior, 9.0), of_one(2.0, 8.0, 9.0), 1.0)
+    assert found.combinations == combinations

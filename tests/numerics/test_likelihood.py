@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
 import pytest
 
-from calib.numerics.likelihood import GaussianPriors
+from calib.numerics.likelihood import GaussianPriors, pseudo_inverse
 from tests.numerics.linear_models import (
     FAMILIES,
     FLAT,
@@ -103,3 +104,22 @@ def test_posterior_is_the_ridge_solution_and_survives_a_singular_matrix():
     assert np.all(np.isfinite(mean))
     np.testing.assert_allclose(mean[0], mean[1])
     assert np.all(np.isfinite(covariance))
+
+
+def test_the_determinant_of_the_scalars_own_covariance_takes_half_its_logarithm():
+    data = linearised(*data_of(np.random.default_rng(2), 10, 0.1, (0.05, 0.05)))
+    of_both = [
+        log_likelihood_at(replace(data, log_det=log_det), FLAT, (0.1,), (0.05, 0.05))
+        for log_det in (0.0, 3.0)
+    ]
+    assert of_both[1] - of_both[0] == pytest.approx(-1.5)
+
+
+def test_a_direction_of_no_more_than_rounding_has_no_inverse():
+    """Of two parameters that are one to rounding, as of a matrix that is singular, or regular, or empty."""
+    for rounding in (0.0, 1e-15):
+        M = np.array([[1.0, 1.0 - rounding], [1.0 - rounding, 1.0]])
+        np.testing.assert_allclose(pseudo_inverse(M), np.full((2, 2), 0.25), rtol=1e-9)
+    regular = np.array([[1.0, 0.6], [0.6, 1.0]])
+    np.testing.assert_allclose(pseudo_inverse(regular), np.array([[1.0, -0.6], [-0.6, 1.0]]) / 0.64)
+    assert pseudo_inverse(np.zeros((0, 0))).shape == (0, 0)

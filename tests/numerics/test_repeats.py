@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.numerics.repeats import scatter_of_repeats
+from calib.numerics.repeats import pose_means, scatter_of_repeats
 
 
 def measured(rng, counts, *, shared=1.0, noise=1.0, columns=3):
@@ -67,6 +67,62 @@ def test_parameters_of_the_fit_are_allowed_for():
     assert np.mean(right) == pytest.approx(0.6, abs=0.02)
 
 
+def test_rows_count_by_their_weights():
+    """By hand: two poses of two repeats; of the first pose one counts half, and outliers not at all."""
+    y = np.array([0.0, 4.0, 11.0, 13.0, 1e3, 1e3])[:, None]
+    weights = np.array([1.0, 0.5, 1.0, 1.0, 0.0, 0.0])
+    poses = np.array([0, 0, 1, 1, 1, 2])
+    used = np.ones(y.shape, dtype=bool)
+    found = scatter_of_repeats(y, used, poses, weights)
+    # The first pose has the mean 4/3 with squares of 16/3 where 2/3 are expected of a unit variance.
+    variance = (16 / 3 + 2) / (2 / 3 + 1)
+    assert found.within[0] == pytest.approx(np.sqrt(variance))
+    assert found.freedom == pytest.approx(1.5**2 / 1.25 - 1 + 1)
+    between = 1.5 * 2 / 3.5 * (12 - 4 / 3) ** 2
+    noise = 1.25 / 1.5 + 2 / 2 - 3.25 / 3.5
+    shared = (between - noise * variance) / (3.5 - (1.5**2 + 2**2) / 3.5)
+    assert found.rho == pytest.approx(shared / (shared + variance))
+    # Only how the weights compare counts.
+    light = scatter_of_repeats(y, used, poses, 0.1 * weights)
+    assert light.within[0] == pytest.approx(found.within[0])
+    assert light.freedom == pytest.approx(found.freedom)
+    assert light.rho == pytest.approx(found.rho)
+
+
+def test_repeats_without_any_residual_share_nothing():
+    y = np.zeros((4, 3))
+    used, weights = everything(y)
+    found = scatter_of_repeats(y, used, np.array([0, 0, 1, 1]), weights)
+    assert (found.within.tolist(), found.freedom, found.rho) == ([0.0], 6.0, 0.0)
+
+
+def test_without_repeats_nothing_is_known_of_their_scatter():
+    y = np.random.default_rng(0).normal(size=(4, 3))
+    used, weights = everything(y)
+    found = scatter_of_repeats(y, used, np.arange(4), weights)
+    assert np.isnan(found.within[0])
+    assert (found.freedom, found.rho) == (0.0, 0.0)
+
+
+def test_a_fit_that_reproduces_the_mean_of_every_pose_leaves_no_correlation_to_see():
+    e, poses = measured(np.random.default_rng(1), [3] * 10, shared=2.0, columns=1)
+    used, weights = everything(e)
+    assert scatter_of_repeats(e, used, poses, weights, fitted=9).rho > 0.1
+    assert scatter_of_repeats(e, used, poses, weights, fitted=10).rho == 0.0
+
+
+def test_the_mean_of_repeats_has_the_variance_of_one_row():
+    """Sum of w v over the root of the sum of w, in the order of the poses' numbers."""
+    values = np.array([[1.0, 2.0], [5.0, 6.0], [3.0, -4.0]])
+    weights, poses = np.array([0.25, 1.0, 0.5]), np.array([7, 2, 7])
+    expected = [[5.0, 6.0], np.array([0.25 + 1.5, 0.5 - 2.0]) / np.sqrt(0.75)]
+    means, first = pose_means(values, weights, poses)
+    np.testing.assert_allclose(means, expected)
+    np.testing.assert_array_equal(first, [1, 0])
+    stacked, _ = pose_means(values[:, :, None], weights, poses)
+    np.testing.assert_array_equal(stacked, means[:, :, None])
+
+
 def test_correlation_does_not_depend_on_the_units_of_lengths_and_angles():
     rng = np.random.default_rng(5)
     e, poses = measured(rng, [3] * 20, shared=1.0, noise=0.5, columns=6)
@@ -78,6 +134,20 @@ def test_correlation_does_not_depend_on_the_units_of_lengths_and_angles():
     np.testing.assert_allclose(
         two_units.within, scatter_of_repeats(e, used, poses, weights).within * units[[0, 3]]
     )
+
+
+def test_lengths_and_angles_count_alike_towards_the_correlation():
+    """As two lengths do that were divided by their weighted rms."""
+    rng = np.random.default_rng(6)
+    e, poses = measured(rng, [3] * 8, columns=2)
+    e *= [1e-3, 20.0]
+    weights = rng.uniform(0.2, 1.0, len(e))
+    nothing = np.zeros((len(e), 2))
+    both = np.column_stack([e[:, 0], nothing, e[:, 1], nothing])
+    found = scatter_of_repeats(both, both != 0.0, poses, weights)
+    alike = e / np.sqrt(np.average(e**2, axis=0, weights=weights))
+    expected = scatter_of_repeats(alike, alike != 0.0, poses, weights)
+    assert found.rho == pytest.approx(expected.rho)
 
 
 def _mean_squares(e):

@@ -109,3 +109,43 @@ def test_weights_fall_in_a_straight_line_between_the_limits():
     # Of two tables at once, each by its own.
     both = Limits(np.array([[2.0], [1.0]]), np.array([[4.0], [5.0]]))
     np.testing.assert_allclose(both.weights(np.array([[3.0], [2.0]])), [[0.5], [0.75]])
+
+
+def test_a_row_that_nothing_else_checks_is_not_judged():
+    """It alone determines a parameter, with a leverage of one, or of more by rounding, and so leaves no residual."""
+    jacobian = np.array([[[1.0, 0.0]], [[0.0, 1.0]], [[0.0, 1.0]]])
+    for rounding in (0.0, 1e-13, -1e-13):
+        covariance = np.diag([1.0 + rounding, 0.5])[None]
+        residual, ones = np.array([[[0.0], [0.3], [-0.3]]]), np.ones((1, 3, 1))
+        found = deleted_norms(residual, jacobian, covariance, np.ones((1, 3)), ones)
+        # The others are 0.6 apart, and twice their variance is that of the difference.
+        np.testing.assert_allclose(
+            found, [[0.0, 0.6 / np.sqrt(2.0), 0.6 / np.sqrt(2.0)]], atol=1e-9
+        )
+
+
+def test_the_median_noise_is_of_the_rows_that_a_fit_has_and_that_measure_something():
+    """The median of a normal number's size is 0.6745; of an even number of rows the middle two are averaged."""
+    norms = np.array([[5.0, 1.0, 2.0, 4.0, 9.0], [5.0, 1.0, 2.0, 4.0, 9.0]])
+    used = np.array([[True], [True], [True], [True], [False]])
+    kept = np.array([[True, True, True, True, True], [True, False, True, True, True]])
+    found = median_noise(norms, used, kept)
+    np.testing.assert_allclose(found, np.array([3.0, 4.0]) / 0.67448975, rtol=1e-7)
+
+
+def test_scores_of_points_stay_and_those_of_rows_without_scalars_are_zero():
+    norms, scalars = np.array([3.0, 9.0, 7.0]), np.array([3, 1, 0])
+    found = point_scores(norms, scalars)
+    assert chi2.logsf(found[1] ** 2, 3) == pytest.approx(chi2.logsf(9.0**2, 1))
+    np.testing.assert_array_equal(found[[0, 2]], [3.0, 0.0])
+
+
+def test_scores_grow_as_norms_do_where_no_tail_is_left():
+    found = point_scores(np.array([100.0, 110.0]), np.array([1, 1]))
+    assert found[1] - found[0] == pytest.approx(10.0)
+    assert found[0] == pytest.approx(100.0, abs=1.0)
+
+
+def test_fewer_than_ten_rows_and_no_freedom_have_the_limits_of_ten_rows_and_one():
+    assert Limits.of(3, 60.0).flagged == Limits.of(10, 60.0).flagged < Limits.of(11, 60.0).flagged
+    assert Limits.of(30, 0.2).flagged == Limits.of(30, 1.0).flagged > Limits.of(30, 1.9).flagged

@@ -5,15 +5,27 @@ The nominal robot is 3 mm and 10 mrad a parameter off, frames lie anywhere withi
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.data.cell import Cell
+from calib.data.measurements import Measurements
 from calib.errors import MeasurementError
 from calib.model.error_model import frame_and_target_model
 from calib.model.parameters import FRAME
-from calib.registration.registration import _system, register
+from calib.registration.registration import (
+    _near_rows,
+    _settled,
+    _subsample,
+    _system,
+    nominal_setup,
+    register,
+    register_held_out,
+)
+from calib.registration.rows import Rows
 from calib.registration.table_rows import rows_and_setup
 
 FREE = Cell(estimate_frame=True)
@@ -210,3 +222,169 @@ def test_the_derivative_in_every_frame_and_target_against_differences(make_scene
 
         numeric = (8 * (at(x + e) - at(x - e)) - (at(x + 2 * e) - at(x - 2 * e))) / 12e-3
         np.testing.assert_allclose(J[:, k] / scale, numeric, atol=1e-7)
+
+
+def test_only_planes_that_rows_touch_and_that_are_wholly_unknown_are_settled(make_scene, join):
+    """Of others the directions that no row determines are not the settlement's to choose."""
+    places = [np.eye(4) for _ in range(5)]
+    for k, T in enumerate(places):
+        T[:3, :3] = Rotation.random(random_state=k).as_matrix()
+        T[:3, 3] = 0.1, 0.2, 0.3
+    scene = make_scene(3, frames=places)
+    table = join(*(scene.points(4, f) for f in range(5)))
+    kinds = ("plane",) * 16 + ("point",) * 4
+    rows, setup = rows_and_setup(scene.robot, replace(table, kinds=kinds), FREE)
+    plane = ("z", "rx", "ry")
+    setup = replace(
+        setup.placed(np.array(places), setup.T_tip_target),
+        unknown=(plane, ("z", "rx"), plane, plane, plane),
+        own_axes=np.array([True, True, False, True, True]),
+    )
+    touched = rows.select(rows.samples.frame != 3)
+    found = _settled(setup, touched)
+    np.testing.assert_array_equal(found.T_frame_base[1:], setup.T_frame_base[1:])
+    # The same plane up to its side, with its origin where the base's is nearest.
+    assert np.abs(found.T_frame_base[0, 2] @ places[0][2]) == pytest.approx(1.0 + 0.3**2)
+    np.testing.assert_allclose(found.T_frame_base[0, :2, 3], 0.0, atol=1e-12)
+
+
+def numbered_rows(ur3, frame, target) -> Rows:
+    """Points at random poses, with these numbers of frame and target."""
+    count = len(frame)
+    rng = np.random.default_rng(2)
+    table = Measurements(ur3.joint_names, rng.uniform(-3, 3, (count, 6)), np.zeros((count, 3)))
+    rows, _ = rows_and_setup(ur3, table, Cell())
+    return replace(rows, samples=replace(rows.samples, frame=frame, target=target))
+
+
+def test_a_registration_takes_as_many_rows_of_each_pair_of_a_frame_and_a_target(ur3):
+    """200 rows for all four pairs, evenly spaced from the first to the last; not less than 20 of each."""
+    frame = np.repeat([0, 0, 1, 1], [250, 100, 40, 10])
+    target = np.repeat([0, 1, 0, 1], [250, 100, 40, 10])
+    drawn = _subsample(numbered_rows(ur3, frame, target))
+    assert np.bincount(2 * frame + target, drawn).tolist() == [50, 50, 40, 10]
+    of_first = np.flatnonzero(drawn[:250])
+    assert (of_first[0], of_first[-1]) == (0, 249)
+    assert set(np.diff(of_first)) == {5, 6}
+    assert np.sum(_subsample(numbered_rows(ur3, frame[:20], target[:20]))) == 20
+    many = np.arange(600) % 12
+    drawn = _subsample(numbered_rows(ur3, many, np.zeros(600, dtype=int)))
+    assert np.bincount(many, drawn).tolist() == [20] * 12
+
+
+RIGHT = {"length": 0.0, "angle": 0.0}
+
+SPOILT = {
+    "points": lambda s: (s.points(24), [3, 10]),
+    "pairs": lambda s: (s.pairs(25), [4, 22]),
+}
+
+
+@pytest.mark.parametrize("case", SPOILT)
+def test_outliers_are_left_out_of_a_registration(make_scene, case):
+    """It is as without them and, of pairs, without the rows that they share a length with."""
+    scene = make_scene(4, **RIGHT, noise=1e-4)
+    table, wrong = SPOILT[case](scene)
+    rows, setup = rows_and_setup(scene.robot, table, FREE)
+    measured = rows.measured.copy()
+    measured[wrong] += 0.5
+    T_base_tip = scene.robot.poses(rows.joints)
+    found = nominal_setup(T_base_tip, setup, replace(rows, measured=measured))
+    good = ~np.isin(np.arange(len(rows)), [*wrong, *rows.partner[wrong]])
+    expected = register(T_base_tip[good], setup, rows.select(good))
+    np.testing.assert_allclose(found.T_tip_target, expected.T_tip_target, atol=1e-7)
+    np.testing.assert_allclose(found.T_frame_base, expected.T_frame_base, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("counts", "wrong", "rejected"),
+    [
+        ([11], [0, 2, 3, 7], True),
+        # Fewer than 60 percent of all rows would be left, or fewer than half of the second frame's.
+        ([11], [0, 2, 3, 7, 8], False),
+        ([16, 4], [1, 16, 17], True),
+        ([16, 4], [16, 17, 18], False),
+    ],
+)
+def test_no_rows_are_outliers_where_they_are_too_many(make_scene, join, counts, wrong, rejected):
+    scene = make_scene(4, frames=2, **RIGHT, noise=1e-4)
+    table = join(*(scene.points(count, f) for f, count in enumerate(counts)))
+    rows, setup = rows_and_setup(scene.robot, table, FREE)
+    setup = setup.placed(
+        scene.kinematics.T_frame_base[: len(counts)], scene.kinematics.T_tip_target
+    )
+    measured = rows.measured.copy()
+    measured[wrong] += 0.5
+    near = _near_rows(setup, scene.robot.poses(rows.joints), replace(rows, measured=measured))
+    if rejected:
+        assert near is not None
+        assert np.flatnonzero(~near).tolist() == wrong
+    else:
+        assert near is None
+
+
+def test_what_was_given_stays_in_the_nominal_setup(make_scene):
+    scene = make_scene(5, **RIGHT)
+    rows, setup = rows_and_setup(scene.robot, scene.points(8), FREE)
+    T_base_tip = scene.robot.poses(rows.joints)
+    given = setup.placed(scene.kinematics.T_frame_base, setup.T_tip_target)
+    given = replace(given, frame_given=np.array([True]))
+    found = nominal_setup(T_base_tip, given, rows)
+    np.testing.assert_array_equal(found.T_frame_base, given.T_frame_base)
+    target = scene.kinematics.T_tip_target
+    np.testing.assert_allclose(found.T_tip_target[:, :3, 3], target[:, :3, 3], atol=1e-9)
+    both = replace(given, target_given=np.array([True]))
+    np.testing.assert_array_equal(
+        nominal_setup(T_base_tip, both, rows).T_tip_target, given.T_tip_target
+    )
+
+
+def test_a_frame_that_only_held_out_rows_see_is_added_to_the_fitted_ones(make_scene, join):
+    """The other frame stays as fitted, and rows off by what it is off do not excuse an outlier of this one."""
+    scene = make_scene(6, frames=2, **RIGHT)
+    table = join(scene.points(20, 0), scene.points(20, 1))
+    rows, setup = rows_and_setup(scene.robot, table, FREE)
+    measured = rows.measured.copy()
+    measured[25] += 0.2
+    rows = replace(rows, measured=measured)
+    moved = scene.kinematics.T_frame_base.copy()
+    moved[0, :3, 3] += 0.1
+    moved[1] = np.eye(4)
+    fitted = setup.placed(moved, scene.kinematics.T_tip_target)
+    held_out = replace(
+        setup.with_fixed(np.array([True, False]), np.array([True])),
+        unknown=((), setup.unknown[1]),
+    )
+    found = register_held_out(scene.robot.poses(rows.joints), fitted, held_out, rows)
+    np.testing.assert_array_equal(found.T_frame_base[0], moved[0])
+    np.testing.assert_array_equal(found.T_tip_target, fitted.T_tip_target)
+    truth = scene.kinematics.T_frame_base[1]
+    np.testing.assert_allclose(found.T_frame_base[1], truth, atol=1e-9)
+    assert found.unknown == fitted.unknown
+
+
+def test_as_many_numbers_as_unknowns_are_enough(make_scene, join):
+    """One point for a target in a known frame, two for it too, and two poses at a further station."""
+    known = make_scene(13, frames=[np.eye(4)], **RIGHT)
+    for count in (1, 2):
+        found, _, _ = registered(known, known.points(count), Cell())
+        assert off(known, found)[0] < 1e-9
+    scene = make_scene(13, frames=2, **RIGHT)
+    found, _, _ = registered(scene, join(scene.poses(8, 0), scene.poses(2, 1)), FREE)
+    assert off(scene, found)[0] < 1e-7
+
+
+def test_with_too_many_outliers_every_row_counts(make_scene):
+    """Four of nine rows, which outweigh each other: they move no frame that is only shifted."""
+    frame = np.eye(4)
+    frame[:3, 3] = 0.5, -0.2, 0.8
+    scene = make_scene(7, frames=[frame], **RIGHT)
+    cell = Cell(estimate_frame=True, frame_directions=("x", "y", "z"))
+    rows, setup = rows_and_setup(scene.robot, scene.points(9), cell)
+    setup = setup.placed(setup.T_frame_base, scene.kinematics.T_tip_target)
+    setup = setup.with_fixed(np.array([False]), np.array([True]))
+    measured = rows.measured.copy()
+    measured[:4] += np.array([0.5, -0.5, 0.3, -0.3])[:, None]
+    rows = replace(rows, measured=measured)
+    found = nominal_setup(scene.robot.poses(rows.joints), setup, rows)
+    np.testing.assert_allclose(found.T_frame_base[0], frame, atol=1e-9)

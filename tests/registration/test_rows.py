@@ -83,6 +83,50 @@ def test_each_kind_has_an_instrument_and_orientations_have_their_own():
     np.testing.assert_array_equal(index, [[0], [-1]])
 
 
+def test_a_selection_numbers_partners_anew():
+    rows = some_rows(np.random.default_rng(8), [PAIR, NONE, POINT, PAIR, NONE], [1, -1, -1, 4, -1])
+    chosen = rows.select(np.array([False, False, True, True, True]))
+    np.testing.assert_array_equal(chosen.partner, [-1, 2, -1])
+    np.testing.assert_array_equal(chosen.kinds, [POINT, PAIR, NONE])
+    np.testing.assert_array_equal(chosen.sigma, rows.sigma[2:])
+    np.testing.assert_array_equal(rows.select(slice(0, 2)).partner, [1, -1])
+
+
+def test_a_perfect_instrument_reads_what_is_there():
+    rng = np.random.default_rng(9)
+    rows = some_rows(rng, ALL, [-1, -1, -1, 6, -1, -1, -1])
+    T = np.tile(np.eye(4), (len(ALL), 1, 1))
+    T[:, :3, :3] = Rotation.random(len(ALL), random_state=4).as_matrix()
+    T[:, :3, 3] = rng.uniform(-1, 1, (len(ALL), 3))
+    expected = np.zeros((len(ALL), 12))
+    expected[:2, :3] = T[:2, :3, 3]
+    expected[1, 3:] = T[1, :3, :3].ravel()
+    expected[2, 0] = np.linalg.norm(T[2, :3, 3])
+    expected[3, 0] = np.linalg.norm(T[3, :3, 3] - T[6, :3, 3])
+    np.testing.assert_allclose(rows.as_measured_at(T).measured, expected, atol=1e-15)
+
+
+def test_a_frame_that_loses_more_than_half_of_its_rows_keeps_all():
+    """Of frames with four and two rows, the partner of a pair stays with it."""
+    partner = [-1, -1, 3, -1, -1, -1]
+    rows = some_rows(np.random.default_rng(10), [POINT, POINT, PAIR, NONE, POINT, POINT], partner)
+    rows = replace(rows, samples=replace(rows.samples, frame=np.array([0, 0, 0, 0, 1, 1])))
+
+    def kept(*outliers):
+        return np.flatnonzero(rows.without(np.isin(np.arange(6), outliers))).tolist()
+
+    assert kept(0, 1, 4) == [2, 3, 5]
+    assert kept(3) == [0, 1, 2, 3, 4, 5]
+    assert kept(0, 1, 2) == [0, 1, 2, 3, 4, 5]
+    assert kept(4, 5) == [0, 1, 2, 3, 4, 5]
+
+
+def test_rows_with_pairs_are_one_part():
+    rng = np.random.default_rng(11)
+    assert some_rows(rng, [POINT] * 5).parts(2) == [slice(0, 2), slice(2, 4), slice(4, 6)]
+    assert some_rows(rng, [PAIR, NONE, POINT], [1, -1, -1]).parts(2) == [slice(0, 3)]
+
+
 MAKERS = {
     "point": lambda s: s.points(6),
     "pose": lambda s: s.poses(6),
@@ -165,3 +209,18 @@ def test_an_even_sample_keeps_pairs_whole():
     drawn = rows.evenly(200)
     np.testing.assert_array_equal(drawn[::2], drawn[1::2])
     assert np.sum(drawn) == 200
+
+
+def test_an_even_sample_has_a_row_of_each_target_though_they_be_more_than_asked_for():
+    rows = some_rows(np.random.default_rng(12), [POINT] * 10)
+    target = np.arange(10) // 2
+    rows = replace(rows, samples=replace(rows.samples, target=target))
+    assert np.bincount(target[rows.evenly(3)]).tolist() == [1] * 5
+
+
+def test_rows_of_sole_postures_are_not_checked():
+    rows = some_rows(np.random.default_rng(13), [POINT] * 3)
+    assert rows.checked.tolist() == [True] * 3
+    sole = replace(rows, sole=np.array([True, False, False]))
+    assert sole.checked.tolist() == [False, True, True]
+    assert sole.select(slice(0, 2)).checked.tolist() == [False, True]

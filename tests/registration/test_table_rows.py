@@ -65,3 +65,38 @@ def test_noise_is_the_rows_the_cells_or_a_first_guess(four_frames, ur3):
     rows, _ = rows_and_setup(ur3, told, Cell(sigma=2e-4, sigma_angle=3e-3))
     np.testing.assert_array_equal(rows.sigma, [4e-5, 5e-5, 6e-5])
     np.testing.assert_array_equal(rows.sigma_angle, [3e-3] * 3)
+
+
+def test_repeats_are_of_one_pose_target_frame_and_kind(ur3):
+    """Of six rows at one pose the first three are repeats; another kind, target or frame makes another number."""
+    q = np.zeros((7, 6))
+    q[6] = 0.5
+    table = Measurements(
+        ur3.joint_names,
+        q,
+        np.zeros((7, 3)),
+        kinds=("point",) * 3 + ("fixed",) + ("point",) * 3,
+        targets=("a", "a", "a", "a", "b", "a", "a"),
+        groups=("s",) * 5 + ("t", "s"),
+    )
+    rows, _ = rows_and_setup(ur3, table, Cell())
+    assert rows.poses[0] == rows.poses[1] == rows.poses[2]
+    assert len(set(rows.poses[2:])) == 5
+    np.testing.assert_array_equal(rows.blocks, [0] * 6 + [1])
+
+
+def test_repeats_of_a_pair_repeat_both_its_rows(ur3):
+    """Poses 0 to 1, again 0 to 1, and 0 to 2."""
+    q = np.array([0.0, 0.5, 0.0, 0.5, 0.0, 1.0])[:, None] * np.ones(6)
+    table = Measurements(
+        ur3.joint_names,
+        q,
+        np.full((6, 3), np.nan),
+        kinds=("pair",) * 6,
+        pairs=("a", "a", "b", "b", "c", "c"),
+        distances=np.full(6, 0.2),
+    )
+    rows, _ = rows_and_setup(ur3, table, Cell())
+    first_rows = rows.poses[::2]
+    assert first_rows[0] == first_rows[1] != first_rows[2]
+    np.testing.assert_array_equal(rows.blocks, [0] * 6)
