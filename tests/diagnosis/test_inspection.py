@@ -7,6 +7,8 @@ import pytest
 
 from calib.data.cell import Cell
 from calib.diagnosis.inspection import inspect
+from calib.robot.robot import read_only
+from tests.fits import place
 
 
 @pytest.mark.parametrize(
@@ -52,4 +54,8 @@ def test_what_was_assumed(ur3, table):
     assert (found.poses, found.source, found.assumed) == (200, None, ("target",))
     assert inspect(ur3, Cell(target=np.array([0.0, 0.0, 0.1]))).assumed == ()
     assert inspect(ur3, Cell(kind="distance")).assumed == ("target", "anchor")
+    known = Cell(kind="distance", T_frame_base=read_only(place([-0.5, 0.2, -0.3])))
+    assert inspect(ur3, known).assumed == ("target",)
+    # An instrument that measures positions has its frame anywhere.
+    assert inspect(ur3, Cell(estimate_frame=True)).assumed == ("target",)
     assert (inspect(ur3, Cell(), table).poses, inspect(ur3, Cell(), table).assumed) == (30, ())

@@ -12,10 +12,16 @@ from calib.diagnosis.patterns import (
     FALSE_ALARM,
     Explained,
     Stack,
+    _between,
+    _combined,
+    _levelled,
+    _within,
     drift,
+    even_factors,
     f_test,
     functions_of_joint,
     joint_patterns,
+    lag,
     norms_of,
     range_of,
     step,
@@ -53,6 +59,89 @@ def test_the_f_test_against_the_textbook():
     assert test.share == pytest.approx(1 - large / small, rel=1e-10)
     assert (test.columns, test.freedom) == (3, 32)
     assert test.chance == pytest.approx(3 / 35)
+
+
+def test_the_f_test_counts_degrees_of_freedom_that_were_used_elsewhere():
+    rng = np.random.default_rng(0)
+    A, Z, y = rng.normal(size=(40, 5)), rng.normal(size=(40, 3)), rng.normal(size=40)
+    plain = explained(A, y, Z)
+    used = f_test(range_of(A), y, Z, norms_of(Z), used=7)
+    np.testing.assert_allclose(used.F, plain.F * 25 / 32)
+    assert (used.columns, used.freedom, used.chance) == (3, 25, pytest.approx(3 / 28))
+
+
+@pytest.mark.parametrize(
+    ("rows", "columns", "exact", "before"),
+    [
+        (8, 3, False, 3),  # no degree of freedom remains
+        (40, 3, True, 35),  # the fit explains all
+        (40, 0, False, 35),  # nothing further
+    ],
+)
+def test_without_anything_to_test_there_is_no_evidence(rows, columns, exact, before):
+    rng = np.random.default_rng(0)
+    A, Z = rng.normal(size=(rows, 5)), rng.normal(size=(rows, columns))
+    y = A @ np.ones(5) if exact else rng.normal(size=rows)
+    assert explained(A, y, Z) == Explained(0.0, 1.0, 0.0, 0.0, 0, before)
+
+
+def test_one_degree_of_freedom_that_remains_is_enough():
+    rng = np.random.default_rng(0)
+    A, Z, y = rng.normal(size=(9, 5)), rng.normal(size=(9, 3)), rng.normal(size=9)
+    test = explained(A, y, Z)
+    assert (test.columns, test.freedom) == (3, 1)
+    assert test.p == pytest.approx(stats.f.sf(test.F, 3, 1))
+
+
+def test_components_are_levelled_by_their_variance_about_the_fit():
+    """Each with a constant of its own: about it the sample variance is one then."""
+    rng = np.random.default_rng(0)
+    component = np.array([0] * 10 + [1] * 25)
+    r = rng.normal(size=35) * np.where(component, 5.0, 1.0) + 3.0
+    factors = even_factors(np.eye(2)[component], r, component)
+    std = [np.std(r[component == k], ddof=1) for k in range(2)]
+    np.testing.assert_allclose(factors, 1.0 / np.array(std)[component])
+    # There is nothing to level in a single one.
+    one = even_factors(np.ones((35, 1)), r, np.zeros(35, dtype=int))
+    np.testing.assert_array_equal(one, np.ones(35))
+
+
+def test_factors_that_level_sums_of_squares():
+    squares, freedom = np.array([18.0, 8.0, 1e-9, 5.0]), np.array([2.0, 2.0, 2.0, 0.0])
+    # The third is taken as at least a hundredth of the largest std, the fourth, unknown, as like the largest.
+    np.testing.assert_allclose(_levelled(squares, freedom), 1.0 / np.array([3.0, 2.0, 0.03, 3.0]))
+    np.testing.assert_array_equal(_levelled(np.zeros(2), np.ones(2)), [1.0, 1.0])
+    np.testing.assert_array_equal(_levelled(np.ones(2), np.zeros(2)), [1.0, 1.0])
+
+
+def test_repeats_are_compared_about_the_mean_of_their_pose():
+    """By least squares with a constant for each cell; a component with fewer repeats has lost more to its means."""
+    rng = np.random.default_rng(5)
+    # Component 0 was measured at both repeats of a pose, component 1 at the four of another one.
+    poses = np.r_[np.repeat(np.arange(6), 2), np.repeat(np.arange(6, 12), 4)]
+    component = np.where(poses < 6, 0, 1)
+    size = np.where(component, 6.0, 1.0)
+    r, order = rng.normal(size=36) * size, rng.normal(size=36)
+    A = rng.normal(size=(36, 2))
+    Z = np.column_stack([order * (component == 0), order * (component == 1)])
+    stack = Stack(A, r, np.arange(36), component, np.eye(2)[component], poses)
+    cells = np.eye(12)[poses]
+    about_mean = r - cells @ np.linalg.lstsq(cells, r, rcond=None)[0]
+    squares = np.bincount(component, about_mean**2)
+    level = np.sqrt(np.array([6.0, 18.0]) / squares)[component]
+
+    def left(*columns: np.ndarray) -> float:
+        X = np.column_stack(columns) * level[:, None]
+        return float(np.linalg.lstsq(X, level * r, rcond=None)[1][0])
+
+    small, large = left(cells, A), left(cells, A, Z)
+    F = (small - large) / 2 / (large / (36 - 12 - 2 - 2))
+    test = _within(stack)(Z)
+    np.testing.assert_allclose(test.F, F, rtol=1e-9)
+    assert (test.columns, test.freedom) == (2, 20)
+    # Without repeats there is nothing to compare.
+    alone = Stack(A, r, np.arange(36), component, np.eye(2)[component], np.arange(36))
+    assert _within(alone)(Z) == Explained(0.0, 1.0, 0.0, 0.0, 0, 0)
 
 
 def test_functions_of_a_joint_are_centred_and_of_size_one():
@@ -188,6 +277,63 @@ def test_a_step_is_found_at_its_row_where_rows_near_it_are_as_improbable():
     found = table.step((np.arange(1500) >= 637)[:, None] * by)
     assert (found.row, found.test.p) == (637, 0.0)
     assert found.size == pytest.approx(5000.0, abs=1.0)
+
+
+def test_a_step_is_as_sure_as_the_best_of_all_rows_tried():
+    table = Table(np.random.default_rng(12), 30, columns=10)
+    pattern = (np.arange(30) >= 17)[:, None] * np.array([4.0, 0.0, -3.0])
+    found = table.step(pattern)
+    alone = _between(table.stack(pattern))(found.Z)
+    # 30 rows, with three or more before and after each step.
+    assert 0.0 < found.test.p == pytest.approx(25 * alone.p)
+    assert (found.test.F, found.test.share) == (alone.F, alone.share)
+
+
+@pytest.mark.parametrize("row", [3, 27])
+def test_a_step_has_three_rows_before_and_after_it(row):
+    def found(at: int):
+        table = Table(np.random.default_rng(12), 30, columns=10)
+        return table.step((np.arange(30) >= at)[:, None] * np.array([20.0, 0.0, -15.0]))
+
+    assert found(row).row == row
+    assert found(row + int(np.sign(row - 15))).row == row
+
+
+def test_a_step_is_looked_for_among_the_given_rows_alone():
+    """Rows of one target, in their order: the step begins at one of these, and is of all later ones."""
+    table = Table(np.random.default_rng(12), 60, columns=10)
+    stack = table.stack((np.arange(60) >= 31)[:, None] * np.array([20.0, 0.0, -15.0]))
+    along = np.tile(np.eye(3), (60, 1))
+    assert step(stack, np.arange(0, 60, 2), along).row in (30, 32)
+    assert step(stack, np.arange(28, 33), along) is None
+    assert step(stack, np.arange(28, 34), along).row == 31
+
+
+def test_a_lag_is_the_share_of_a_move_that_is_missed():
+    """Where joints stop short the target is behind the prediction: positive shares, negative effects."""
+    rng = np.random.default_rng(4)
+    table = Table(rng, 40, columns=10)
+    moves, shares = 30.0 * rng.normal(size=(120, 2)), np.array([0.2, -0.3])
+    found = lag(table.stack(-(moves @ shares).reshape(40, 3)), moves)
+    assert found is not None
+    np.testing.assert_allclose(found[0], shares, atol=0.02)
+    assert found[1].p < 1e-9
+    assert lag(table.stack(), moves) is None
+
+
+def test_between_poses_and_within_repeats_are_combined_by_fisher():
+    table = Table(np.random.default_rng(10), 20, repeats=3, columns=10)
+    stack = table.stack(1.5 * table.order[:, None] * np.array([1.0, 0.0, 0.5]))
+    Z = stack.times(table.order[:, None], stack.ones)
+    between, within = _between(stack)(Z), _within(stack)(Z)
+    assert between.columns == within.columns == 3
+    combined = _combined(stack)(Z)
+    assert combined.p == pytest.approx(stats.combine_pvalues([between.p, within.p]).pvalue)
+    surest = min(between, within, key=lambda one: one.p)
+    assert (combined.F, combined.freedom) == (surest.F, surest.freedom)
+    # What is the same at all repeats of a pose is tested between poses alone.
+    of_pose = stack.times(table.joints[:, :1], stack.ones)
+    assert _combined(stack)(of_pose) == _between(stack)(of_pose)
 
 
 def points(robot: Robot, q: np.ndarray, target: np.ndarray) -> np.ndarray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from scipy import stats
 
 from calib.diagnosis.reasons import Why
@@ -75,3 +76,59 @@ def test_stations_that_agree_raise_no_alarms_and_the_one_that_differs_is_named_f
         (number, ratio), *_ = compared(rng, changed=1.0)[0]
         assert number == 2
         assert ratio > 1.5
+
+
+def test_stations_far_above_the_noise_are_named_the_surest_first():
+    """F is 9, 16, 2 and 2.5; the third is sure, but below the 1.5 times that matter."""
+    squares = 2.0 * 50.0 * np.array([9.0, 16.0, 2.0, 2.5])
+    found = unpredicted(squares, np.full(4, 50.0), np.full(4, 2.0), np.full(4, 1e3))
+    assert found == [(1, 4.0), (0, 3.0), (3, np.sqrt(2.5))]
+    # The same ratios may be chance where a station has two degrees of freedom, or the others have three.
+    few = unpredicted(squares / 25.0, np.full(4, 2.0), np.full(4, 2.0), np.full(4, 1e3))
+    assert few == [(1, 4.0), (0, 3.0)]
+    assert unpredicted(squares, np.full(4, 50.0), np.full(4, 2.0), np.full(4, 3.0)) == []
+
+
+def test_the_surest_station_is_that_of_the_smallest_probability_then_of_the_largest_errors():
+    def found(F: list[float], freedoms: list[float]) -> list[int]:
+        tests = np.array([np.multiply(F, freedoms), freedoms, np.ones(2), np.full(2, 1e3)])
+        return [number for number, _ in unpredicted(*tests)]
+
+    assert found([16.0, 9.0], [2.0, 50.0]) == [1, 0]
+    # Both probabilities are zero in floating point.
+    assert found([1e4, 2e4], [50.0, 50.0]) == [1, 0]
+
+
+def test_as_many_stations_as_are_compared_share_the_false_alarms():
+    """F of 7 with 2 and 1000 degrees of freedom has p = 0.001: enough among nine stations, not among eleven."""
+    F = stats.f.isf(1e-3, 2, 1000)
+
+    def found(stations: int) -> int:
+        squares = np.full(stations, 2.0) * np.where(np.arange(stations) == 0, F, 1.0)
+        freedoms = np.full((2, stations), [[2.0], [1000.0]])
+        return len(unpredicted(squares, freedoms[0], np.ones(stations), freedoms[1]))
+
+    assert (found(9), found(11)) == (1, 0)
+
+
+def test_a_station_is_compared_where_it_and_the_others_have_degrees_of_freedom():
+    """Those that are not compared take no part in the false alarms either."""
+    squares = np.full(4, 2.0 * 50.0 * 9.0)
+    freedoms = np.array([50.0, 0.0, 50.0, 50.0])
+    noises = np.array([2.0, 2.0, 0.0, 2.0])
+    of_noise = np.array([1e3, 1e3, 1e3, 0.0])
+    assert unpredicted(squares, freedoms, noises, of_noise) == [(0, 3.0)]
+    assert unpredicted(squares, np.zeros(4), noises, of_noise) == []
+
+
+def test_a_residual_is_held_against_the_uncertainty_of_its_prediction():
+    """r^T W r by the inverse of I + A C A^T, and of what the nuisance cannot explain by generalised least squares."""
+    rng = np.random.default_rng(3)
+    r, A, B = rng.normal(size=12), rng.normal(size=(12, 4)), rng.normal(size=(12, 3))
+    root = rng.normal(size=(4, 4))
+    W = np.linalg.inv(np.eye(12) + A @ root @ root.T @ A.T)
+    square, freedom = prediction_square(r, A, root @ root.T, np.zeros((12, 0)))
+    assert (freedom, square) == (12, pytest.approx(r @ W @ r))
+    left = r - B @ np.linalg.solve(B.T @ W @ B, B.T @ W @ r)
+    square, freedom = prediction_square(r, A, root @ root.T, B)
+    assert (freedom, square) == (9, pytest.approx(left @ W @ left))

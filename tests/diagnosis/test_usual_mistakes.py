@@ -14,10 +14,17 @@ from scipy.spatial.transform import Rotation
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.diagnosis.reasons import Why
-from calib.diagnosis.usual_mistakes import check_positions, find_usual_mistake
+from calib.diagnosis.reasons import Reason, Why
+from calib.diagnosis.usual_mistakes import (
+    _all_as_good,
+    _counts_of_turned_joints,
+    _some_rows,
+    check_positions,
+    find_usual_mistake,
+)
 from calib.errors import MeasurementError
 from calib.example import PAPER_TARGET, paper_urdf
+from calib.registration.rows import Rows
 from calib.registration.table_rows import rows_and_setup
 from calib.result.calibrate import calibrate
 from calib.robot.ranges import random_joint_values
@@ -161,6 +168,87 @@ def test_orientations_that_are_written_otherwise(ur3: Robot, change, why, values
     assert told.why == why
     assert values.items() <= told.values.items()
     assert told.values["error_rad"] < 0.05 < 1.0 < told.values["given_rad"]
+
+
+def test_poses_of_the_frame_in_the_target(ur3: Robot):
+    truth, q = draw_truth(ur3, "dh", {}, 1), random_joint_values(ur3, 20, 1)
+    T = np.linalg.inv(truth.poses(q))
+    table = Measurements(
+        ur3.joint_names, q, T[:, :3, 3], kinds=("pose",) * 20, rotations=T[:, :3, :3]
+    )
+    told = find_usual_mistake(ur3, Cell(), table)
+    assert told.why == Why.POSES_INVERSE
+    assert told.values["error_m"] < 5e-3 < 0.2 < told.values["given_m"]
+
+
+@pytest.mark.parametrize("later", [True, False])
+def test_measurements_that_stand_a_row_away_from_their_joint_values(
+    ur3: Robot, thirty: Measurements, later: bool
+):
+    points = np.roll(thirty.points, 1 if later else -1, axis=0)
+    told = find_usual_mistake(ur3, Cell(), replace(thirty, points=points))
+    assert (told.why, told.values["later"]) == (Why.ROWS_SHIFTED, later)
+    assert 2e-3 < told.values["error_m"] < 3e-3
+
+
+def test_one_axis_in_another_unit(ur3: Robot, thirty: Measurements):
+    told = find_usual_mistake(ur3, Cell(), spoilt(thirty, points=[1.0, 1e-3, 1.0]))
+    assert (told.why, told.values["what"]) == (Why.WRONG_UNIT, "values of 'y'")
+    assert (told.values["unit"], told.values["header"]) == ("m", "mm")
+
+
+def test_all_signs_of_few_joints_are_tried_and_single_ones_of_many(
+    ur3: Robot, thirty: Measurements, serial_urdf
+):
+    _, setup = rows_and_setup(ur3, thirty, Cell())
+    assert _counts_of_turned_joints(ur3, setup) == (range(1, 7),)
+    joint = ("revolute", (0.1, 0.0, 0.0), (0, 0, 0), (0, 0, 1))
+    for joints, most in ((7, 7), (8, 1)):
+        robot = Robot.from_urdf(serial_urdf([joint] * joints))
+        assert _counts_of_turned_joints(robot, setup) == (range(1, most + 1),)
+    # An unknown frame makes each trial expensive.
+    _, free = rows_and_setup(ur3, thirty, Cell(estimate_frame=True))
+    assert _counts_of_turned_joints(ur3, free) == ((1,), (2,))
+
+
+def test_sixty_rows_evenly_over_a_long_table_are_looked_at(ur3: Robot):
+    q = random_joint_values(ur3, 178, 1)
+    table = Measurements(ur3.joint_names, q, ur3.poses(q)[:, :3, 3])
+    np.testing.assert_array_equal(_some_rows(table).joints, q[::3])
+    short = table.select(np.arange(178) < 60)
+    np.testing.assert_array_equal(_some_rows(short).joints, q[:60])
+
+
+def test_explanations_as_good_as_the_best_are_named_with_it():
+    """Ranked by the weighted error, and told apart by the error itself."""
+
+    def explanation(factor: float, error_m: float, why: Why) -> tuple[float, Reason]:
+        return factor * error_m, Reason.of(why, given_m=0.5, error_m=error_m)
+
+    best = explanation(1.0, 2e-3, Why.OTHER_BASE)
+    as_good = explanation(2.0, 1.9e-3, Why.OWN_FRAME)
+    found = _all_as_good([explanation(1.2, 3.1e-3, Why.COLUMNS_REVERSED), as_good, best])
+    assert (found.why, found.values["error_m"]) == (Why.OTHER_BASE, 2e-3)
+    assert found.values["others"] == [{"code": "own_frame", "error_m": 1.9e-3}]
+    # Of an exact table errors are rounding.
+    exact = explanation(1.0, 1e-12, Why.OTHER_BASE), explanation(1.0, 5e-7, Why.OWN_FRAME)
+    assert len(_all_as_good(list(exact)).values["others"]) == 1
+
+
+def positions_while_a_base_joint_turns(robot: Robot, by: float, apart: float) -> Rows:
+    """Four rows: the tip is turned by so much about the base [rad], positions are so far apart on each axis [m]."""
+    q = np.tile([0.3, -1.2, 1.4, -0.8, 0.6, 0.2], (4, 1))
+    q[:, 0] += np.linspace(0.0, by, 4)
+    points = np.array([0.1, 0.2, 0.3]) + np.linspace(0.0, apart, 4)[:, None]
+    return rows_and_setup(robot, Measurements(robot.joint_names, q, points), Cell())[0]
+
+
+def test_positions_are_all_one_where_only_the_tip_moved(ur3: Robot):
+    with pytest.raises(MeasurementError):
+        check_positions(ur3, positions_while_a_base_joint_turns(ur3, 0.2, 5e-7), "")
+    check_positions(ur3, positions_while_a_base_joint_turns(ur3, 0.2, 2e-6), "")
+    # Some millimetres of a tip may be play of the socket.
+    check_positions(ur3, positions_while_a_base_joint_turns(ur3, 0.01, 0.0), "")
 
 
 @pytest.mark.slow

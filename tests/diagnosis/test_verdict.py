@@ -218,6 +218,26 @@ def test_orientations_that_no_instrument_measures_are_a_wrong_set_up():
     assert np.degrees(reason.values["after_rad"]) == pytest.approx(99.24, abs=0.01)
 
 
+def test_orientations_as_an_instrument_measures_them_are_no_wrong_set_up():
+    turned = np.hstack([GOOD.calibrated.residual, np.full((ROWS, 3), 1e-3)])
+    off = Errors.of(turned)
+    calibrated = replace(GOOD.calibrated, errors=off, errors_without_outliers=off)
+    assert off.n_angle == ROWS
+    assert verdict(replace(GOOD, calibrated=calibrated)).use == "use"
+
+
+def test_that_no_urdf_holds_what_a_larger_model_does_is_said_before_that_rows_are_few():
+    e = replace(
+        GOOD,
+        nominal=validated(6e-4, 2),
+        calibrated=validated(5.8e-4, 5),
+        parameters=60,
+        non_geometric=GAINS,
+    )
+    assert codes(verdict(e))[0] == Why.NO_URDF_HOLDS
+    assert codes(verdict(replace(e, non_geometric=None)))[0] == Why.TOO_FEW
+
+
 def test_a_larger_model_and_rows_outside_are_said_last_and_decide_nothing():
     notes = (
         Reason.of(Why.LARGER_MODEL, model="dh+gain", after=errors(5e-5)),

@@ -14,7 +14,7 @@ from calib.registration.setup import Setup
 from calib.result.acceptance import assess
 from calib.result.accuracy import accuracy
 from calib.result.calibrate import calibrate
-from calib.result.evaluation import _replaced, evaluate, moved_place
+from calib.result.evaluation import _not_given, _replaced, evaluate, moved_place
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from tests.fits import FREE, TARGETS, TRACKERS
@@ -118,6 +118,31 @@ def test_rows_that_found_a_set_up_do_not_judge_it_free_of_charge(calibrated):
 def test_the_usual_mistakes_are_looked_for_in_points_only(calibrated):
     _, c = calibrated("planes")
     assert assess(c.nominal, c.measurements, Cell()).hint is None
+
+
+@pytest.mark.parametrize(
+    ("unknown", "given", "registered"),
+    [(True, False, True), (True, True, False), (False, True, False), (False, False, False)],
+)
+def test_what_is_unknown_and_not_given_is_registered(
+    calibrated, unknown: bool, given: bool, registered: bool
+):
+    _, c = calibrated("targets")
+    # Of two targets the second, and of a frame one direction.
+    known = replace(
+        c.setup,
+        target_unknown=np.array([False, False]),
+        target_given=np.array([True, True]),
+        unknown=((),),
+        frame_given=np.array([True]),
+    )
+    assert _not_given(known) == ()
+    target = replace(
+        known, target_unknown=np.array([False, unknown]), target_given=np.array([True, given])
+    )
+    assert _not_given(target) == (("target",) if registered else ())
+    frame = replace(known, unknown=(("x",) if unknown else (),), frame_given=np.array([given]))
+    assert _not_given(frame) == (("frame",) if registered else ())
 
 
 TARGET = np.array([0.05, 0.06, 0.07])
