@@ -178,6 +178,27 @@ def test_what_is_matched_where_nothing_is_said(serial_urdf):
         assert found.reached.all()
 
 
+@pytest.mark.parametrize("match", ["axis", "position"])
+def test_what_is_left_free_stays_as_the_program_has_it(ur3, match):
+    """The nominal robot takes the full pose, from joint values near it, though the true one need not."""
+    wanted = ur3.poses(START)
+    program = replace(Program.of_poses(wanted, START + 0.1), match=match)
+    found = compensate(off(ur3), program, nominal=ur3)
+    assert found.match == match
+    assert POSE.misses(ur3.poses(found.q_nominal), wanted).max() < 1e-9
+    assert POSE.misses(off(ur3).poses(found.q), wanted).max() > 1e-4
+
+
+def test_a_program_of_points_leaves_the_nominal_robot_as_it_is_turned(ur3):
+    points = ur3.poses(START + 0.01)[:, :3, 3]
+    found = compensate(off(ur3), Program.of_points(points, START), nominal=ur3)
+    assert np.abs(found.q_nominal - START).max() < 0.02
+    arrived = ur3.poses(found.q_nominal)
+    assert arrived[:, :3, 3] == pytest.approx(points, abs=1e-9)
+    # A pose to send has the orientation that the nominal robot has there.
+    assert found.T_wanted == pytest.approx(arrived, abs=1e-9)
+
+
 def test_commands_are_not_made_by_what_is_not_to_be_used(ur3):
     stated = off(ur3)
     stated = replace(stated, urdf=stated.urdf.with_verdict("do not use (no_better): Worse."))

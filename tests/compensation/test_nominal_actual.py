@@ -157,6 +157,32 @@ def test_what_does_not_fit_the_calibration_is_refused(ur3, arguments, said):
         pair_of(made("paper"), **{"nominal": ur3, **arguments})
 
 
+@pytest.mark.parametrize("what", ["tool", "frame"])
+@pytest.mark.parametrize(
+    "value",
+    [
+        np.eye(3),
+        np.zeros(4),
+        np.diag([1.0, 1.0, 2.0, 1.0]),
+        np.diag([1.0, 1.0, -1.0, 1.0]),
+        [0.0, 0.0, np.nan],
+        [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, np.nan], [0, 0, 0, 1]],
+    ],
+    ids=["rotation", "numbers", "scaled", "mirrored", "position of NaN", "pose of NaN"],
+)
+def test_a_tool_or_frame_that_is_no_pose_is_refused(ur3, what, value):
+    with pytest.raises(ModelError, match=f"The {what} is a pose"):
+        pair_of(off(ur3), ur3, **{what: value})
+
+
+def test_a_position_is_a_pose_without_a_turn(ur3):
+    pair = pair_of(off(ur3), ur3, tool=[0.1, -0.2, 0.3])
+    T = np.eye(4)
+    T[:3, 3] = 0.1, -0.2, 0.3
+    q = random_joint_values(ur3, 2)
+    assert pair.nominal.poses(q) == pytest.approx(ur3.poses(q) @ T, abs=1e-12)
+
+
 def test_two_robots_are_one_robot_and_know_no_targets(ur3):
     renamed = ur3.urdf.data.replace(b"elbow_joint", b"elbow")
     strange = Robot.from_urdf(type(ur3.urdf).from_bytes(renamed, "x.urdf"), "base", "tool0")

@@ -175,6 +175,22 @@ def test_what_the_model_leaves_out_of_the_first_joint_has_its_prior():
     assert not unmodelled_base(known, known).any()
 
 
+def test_a_larger_model_leaves_out_of_the_first_joint_what_its_geometry_does():
+    """The compliance of a joint places nothing; and what is frozen is exact for both."""
+    found = made("non_geometric")
+    part = found.non_geometric
+    # As if no frame had been known: all of the base is unknown then.
+    setup = replace(found.setup, unknown=(DIRECTIONS,))
+    free = replace(found, setup=setup)
+    same_sizes = replace(part, prior_std=found.prior_std)
+    covariance = unmodelled_base(free, same_sizes)
+    assert np.linalg.matrix_rank(covariance, tol=1e-12) == 4
+    assert covariance == pytest.approx(unmodelled_base(free, free), abs=1e-15)
+    names = tuple(f"shoulder_pan_joint.{direction}" for direction in DIRECTIONS)
+    frozen = replace(free, frozen=names)
+    assert np.abs(unmodelled_base(frozen, same_sizes)).max() < 1e-15
+
+
 def test_sizes_that_the_model_lacks_are_those_of_the_largest_candidate():
     tried = [
         Candidate("dh", 29, 0.0, made("paper").cross_validation, {"angle": 1e-3}, 0.0),

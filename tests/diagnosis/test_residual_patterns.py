@@ -10,6 +10,12 @@ import pytest
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Why
+from calib.diagnosis.residual_patterns import (
+    FEWEST_FREEDOM,
+    ROUNDING_NOISE,
+    Order,
+    residual_patterns,
+)
 from calib.result.calibrate import calibrate
 from calib.robot.ranges import random_joint_values
 from tests.judged import arm, judged, reasons, table_of
@@ -45,6 +51,32 @@ def test_a_drift_matters_where_it_predicts_rows(make_scene):
     assert reasons(drifting)[Why.DRIFT]["falls"] > 0.3
     knocked = np.where(np.arange(90)[:, None] < 89, 0.0, [0.0, 0.0, 4e-4])
     assert Why.DRIFT not in reasons(judged(make_scene, 63, rows=90, bias=knocked))
+
+
+@pytest.mark.parametrize(
+    ("model", "rows", "way", "looked"),
+    [
+        ("dh", 90, 2e-5, True),
+        ("dh", 90, 2e-6, False),
+        ("zeros", 6, 1e-4, True),
+        ("zeros", 5, 1e-4, False),
+    ],
+)
+def test_no_pattern_is_looked_for_in_rounding_or_where_a_fit_is_nearly_exact(
+    make_scene, model: str, rows: int, way: float, looked: bool
+):
+    """A drift of which a hundredth is noise."""
+    scene = arm(make_scene, 66, model=model, noise=way / 100.0)
+    m = scene.points(rows)
+    drift = np.linspace(0.0, way, rows)[:, None] * [1.0, -0.7, 0.5]
+    fitted = calibrate(
+        scene.robot, replace(m, points=m.points + drift), model=model, validate=False
+    ).fitted
+    noise = np.median(fitted.estimate.problem.scales)
+    assert (fitted.estimate.freedom > FEWEST_FREEDOM and noise > ROUNDING_NOISE) == looked
+    order = Order(np.arange(rows), np.diff(m.joints, axis=0, prepend=m.joints[:1]))
+    found = [reason.why for reason in residual_patterns(fitted, order)]
+    assert found == [Why.DRIFT] * looked
 
 
 def test_a_joint_whose_error_follows_its_angle(make_scene):

@@ -8,8 +8,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from calib.data.cell import Cell
 from calib.diagnosis.reasons import Why
-from calib.diagnosis.stations import disagreeing_stations, prediction_square, unpredicted
+from calib.diagnosis.stations import (
+    disagreeing_stations,
+    flagged_station,
+    prediction_square,
+    unpredicted,
+)
 from calib.result.calibrate import calibrate
 from tests.judged import reasons
 
@@ -25,6 +31,52 @@ def test_a_station_that_the_others_do_not_predict(calibrated):
     assert slipped.verdict.use == "use with care"
     assert Why.SETUP_UNPREDICTED not in reasons(good)
     assert len(disagreeing_stations(good.fitted)) == 0
+
+
+def test_of_two_stations_either_is_compared_with_the_other(calibrated):
+    scene, good = calibrated("known set-ups")
+    m = good.measurements
+    joints = m.joints.copy()
+    joints[np.array(m.groups) == "1", 2] += 2e-4
+    table = replace(m, joints=joints)
+    slipped = calibrate(scene.robot, table, cell=good.cell, model="dh", validate=False)
+    found = disagreeing_stations(slipped.fitted)
+    assert {reason.why for reason in found} == {Why.SETUP_UNPREDICTED}
+    assert {reason.values["setup"] for reason in found} <= {"0", "1"}
+    assert all(reason.values["ratio"] > 1.5 for reason in found)
+    assert disagreeing_stations(good.fitted) == ()
+    # A single one has none to be compared with.
+    alone = table.select(np.array(m.groups) == "1")
+    one = calibrate(scene.robot, alone, cell=Cell(estimate_frame=True), model="dh", validate=False)
+    assert disagreeing_stations(one.fitted) == ()
+
+
+@pytest.mark.parametrize(
+    ("flagged", "others", "told"),
+    [
+        (10, 0, True),
+        (4, 0, False),  # no more than a quarter of the rows
+        (10, 7, False),  # nor three times as many as elsewhere
+        (10, 5, True),
+    ],
+)
+def test_a_station_is_flagged_by_its_share_of_outliers(
+    calibrated, flagged: int, others: int, told: bool
+):
+    """Of 20 rows of one station, and of 40 of two others."""
+    _, c = calibrated("set-ups")
+    fitted = c.fitted
+    frame = fitted.estimate.problem.rows.samples.frame
+    chosen = np.concatenate([np.flatnonzero(frame == k)[:20] for k in range(3)])
+    rows = fitted.estimate.problem.rows.select(chosen)
+    scores = np.zeros(60)
+    scores[20 : 20 + flagged] = scores[40 : 40 + others] = 2.0 * fitted.estimate.flag_limit
+    problem = replace(fitted.estimate.problem, rows=rows)
+    estimate = replace(fitted.estimate, problem=problem, scores=scores)
+    found = list(flagged_station(replace(fitted, estimate=estimate)))
+    assert [reason.why for reason in found] == [Why.SETUP_FLAGGED] * told
+    for reason in found:
+        assert reason.values == {"flagged": flagged, "rows": 20, "setup": "1"}
 
 
 def test_a_station_whose_rows_are_flagged(calibrated):

@@ -173,6 +173,32 @@ def test_the_tables(ur3: Robot):
     assert figures["poses"][1]["ap_xyz_m"] == pytest.approx([0.2e-3, 0.0, 0.0], abs=1e-12)
 
 
+COMMANDS = ("correction position [mm]",)
+
+
+@pytest.mark.parametrize(
+    ("lengths", "ignored", "refused"),
+    [
+        ([0.0] * 8, COMMANDS, True),
+        ([0.0] * 8, (), False),
+        ([0.0] * 8, ("temperature [C]",), False),
+        # Measured there, or too few rows for a frame and a target.
+        ([0.01, -0.01] * 4, COMMANDS, False),
+        ([0.0] * 3, COMMANDS, False),
+        ([0.0], COMMANDS, False),
+    ],
+)
+def test_commands_are_refused_where_the_nominal_robot_predicts_them(
+    ur3: Robot, lengths: list[float], ignored: tuple[str, ...], refused: bool
+):
+    table = table_of(ur3, lengths, ignored=ignored)
+    if refused:
+        with pytest.raises(MeasurementError, match="'calib compensate' wrote"):
+            assess(ur3, table, KNOWN)
+    else:
+        assert assess(ur3, table, KNOWN).judged == "urdf"
+
+
 @pytest.mark.parametrize(
     ("options", "error", "message"),
     [

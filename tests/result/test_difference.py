@@ -16,6 +16,7 @@ from calib.result.difference import (
     _own_steps,
     _OwnEffects,
     _shared_precision,
+    _unknown_places,
     differences_of,
     own_names,
     unknown_frame,
@@ -37,6 +38,21 @@ def test_the_frame_is_unknown_where_it_was_estimated_or_no_row_determines_it(
     calibrated, case, directions
 ):
     assert unknown_frame(calibrated(case)[1]) == directions
+
+
+def test_places_are_unknown_where_either_result_estimated_them(calibrated):
+    """The base, then position and orientation of the target, which counts only with orientations."""
+    _, points = calibrated("points")
+    _, poses = calibrated("poses")
+    known = replace(points, setup=replace(points.setup, target_unknown=np.zeros(1, dtype=bool)))
+    base_known, base_unknown = [False] * 6, [True] * 6
+    position, both, neither = [True] * 3 + [False] * 3, [True] * 6, [False] * 6
+    assert _unknown_places(points, points, turns=False) == base_known + position
+    assert _unknown_places(points, points, turns=True) == base_known + both
+    assert _unknown_places(known, known, turns=True) == base_known + neither
+    for a, b in ((known, poses), (poses, known)):
+        assert _unknown_places(a, b, turns=True) == base_unknown + both
+        assert _unknown_places(a, b, turns=False) == base_unknown + position
 
 
 def test_a_displacement_without_its_noise():

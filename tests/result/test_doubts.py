@@ -9,10 +9,20 @@ import pytest
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.diagnosis.reasons import Why
+from calib.diagnosis.reasons import Reason, Why
+from calib.numerics.repeats import Repeats
 from calib.result.calibrate import calibrate
-from calib.result.doubts import noise_doubts
+from calib.result.calibration import CalibrationValues
+from calib.result.doubts import (
+    _agreeing_repeats,
+    _all_stated,
+    _hardly_moved,
+    _negative_compliances,
+    _sole_postures,
+    noise_doubts,
+)
 from calib.robot.ranges import random_joint_values
+from tests.hard_cases import made
 from tests.judged import arm, judged, reasons, table_of
 
 
@@ -146,6 +156,109 @@ def test_the_noise_of_lengths_is_held_against_the_stated_or_a_usual_one(
     for reason in found:
         size = reason.values["noise_m"] if stated is None else reason.values["after_m"]
         assert size == pytest.approx(noise, rel=0.3)
+
+
+def test_residuals_that_a_model_lacks_or_that_follow_a_joint_are_no_noise(make_scene, calibrated):
+    """The latter only where no non-geometric model was tried: neither by a name nor by the data."""
+    scene = arm(make_scene, 63, noise=4e-3)
+    named = calibrate(scene.robot, scene.points(60), model="dh", validate=False)
+    lacks = Reason.of(Why.MODEL_LACKS, model="dh", less_m=1e-3, noise_m=4e-3)
+    follows = Reason.of(Why.JOINT_PATTERN)
+
+    def found(result: CalibrationValues, doubt: Reason) -> list[Why]:
+        fitted = named.fit_in_memory.geometry
+        return [reason.why for reason in noise_doubts(result, fitted, (doubt,))]
+
+    assert found(named, lacks) == []
+    assert found(named, follows) == []
+    assert found(named, Reason.of(Why.DRIFT)) == [Why.NOISE_LARGE]
+    chosen = replace(named, candidates=calibrated("points")[1].candidates)
+    assert found(chosen, follows) == [Why.NOISE_LARGE]
+    tried = replace(named, non_geometric=calibrated("gain")[1].non_geometric)
+    assert found(tried, follows) == [Why.NOISE_LARGE]
+
+
+@pytest.mark.parametrize(
+    ("share", "freedom", "noise", "told"),
+    [
+        (0.45, 20.0, 3e-5, True),
+        (0.55, 20.0, 3e-5, False),
+        (0.45, 10.0, 3e-5, True),
+        (0.45, 9.0, 3e-5, False),  # too few to say
+        (0.45, 20.0, 0.0, False),  # rounding
+    ],
+)
+def test_repeats_that_agree_better_with_each_other_than_with_the_model(
+    make_scene, share: float, freedom: float, noise: float, told: bool
+):
+    scene = arm(make_scene, 63, noise=noise)
+    result = calibrate(scene.robot, scene.points(40), model="dh", validate=False)
+    left = result.sigma
+    repeats = Repeats(within=np.array([share * left]), freedoms=np.array([freedom]), rho=0.9)
+    found = list(_agreeing_repeats(replace(result, repeats=repeats), result.fitted))
+    assert [reason.why for reason in found] == [Why.REPEATS_AGREE] * told
+    for reason in found:
+        assert reason.values["within_m"] == share * left
+        assert reason.values["noise_m"] == pytest.approx(left)
+    assert list(_agreeing_repeats(replace(result, repeats=None), result.fitted)) == []
+
+
+def test_a_sole_posture_is_named_by_its_row_and_the_joint_that_it_alone_moves(make_scene):
+    """Repeats of the posture do not check it; its number is that of the table, whose first rows validate."""
+    scene = arm(make_scene, 62)
+    q = random_joint_values(scene.robot, 40, 3)
+    q[:, 3] = 0.9
+    q[[17, 18]] = q[17]
+    q[[17, 18], 3] = -0.9
+    table = table_of(scene, q, np.random.default_rng(2))
+    table = replace(table, sets=("validate",) * 5 + ("estimate",) * 35)
+    result = calibrate(scene.robot, table, model="dh", validate=False)
+    (reason,) = _sole_postures(result, result.fitted.estimate.problem.rows)
+    assert reason.why == Why.SOLE_POSTURE
+    assert reason.values == {"rows": [18], "joints": ["wrist_1_joint"]}
+
+
+def test_a_joint_hardly_moved_below_a_third_of_a_radian_or_five_centimetres():
+    """Three joints slide, the fourth turns: spans in metres and radians."""
+    result = made("prismatic")
+    rows = result.fitted.estimate.problem.rows
+
+    def still(*spans: float) -> list[bool]:
+        q = np.linspace(0.0, 1.0, len(rows))[:, None] * spans
+        moved = replace(rows, samples=replace(rows.samples, q=q))
+        return _hardly_moved(result.nominal, moved).tolist()
+
+    assert still(0.045, 0.055, 0.3, 0.3) == [True, False, False, True]
+    assert still(0.3, 0.3, 0.045, 0.4) == [False, False, True, False]
+
+
+@pytest.mark.parametrize(
+    ("value", "half", "negative"),
+    [(-3e-5, 1e-5, True), (-1.5e-5, 1e-5, False), (3e-5, 1e-5, False)],
+)
+def test_a_compliance_is_negative_where_twice_its_interval_does_not_reach_zero(
+    value: float, half: float, negative: bool
+):
+    result = made("non_geometric")
+    part = result.non_geometric
+    changed = tuple(
+        replace(p, value=value, low=value - half, high=value + half)
+        if p.name in ("elbow_joint.compliance", "a2")
+        else p
+        for p in part.parameters
+    )
+    found = _negative_compliances(replace(result, non_geometric=replace(part, parameters=changed)))
+    joints = [reason.values["joint"] for reason in found]
+    assert joints == ["elbow_joint"] * negative
+
+
+def test_noise_is_stated_where_every_chosen_row_states_it():
+    """Among the fitted rows, which are those of the table but for the second."""
+    sigma = np.array([1e-4, np.nan, np.nan, 2e-4])
+    fitted = np.array([True, False, True, True])
+    assert _all_stated(sigma, fitted, np.array([0, 2]))
+    assert not _all_stated(sigma, fitted, np.array([0, 1]))
+    assert not _all_stated(None, fitted, np.array([0]))
 
 
 def test_copies_of_rows_are_left_out(make_scene):

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from calib.result.evidence import _mean_variance, validation_errors
+from calib.result.evidence import _full_model_parameters, _mean_variance, validation_errors
 
 ALL = np.ones((10, 3), dtype=bool)
 
@@ -33,3 +35,13 @@ def test_the_variance_of_a_position_is_the_sum_over_its_axes_and_the_mean_over_p
     J[0, 0, 0], J[0, 2, 1] = 2.0, 3.0
     covariance = np.array([[1.0, 0.5], [0.5, 4.0]])
     assert _mean_variance(J, covariance) == pytest.approx((4.0 + 36.0) / 2.0)
+
+
+@pytest.mark.parametrize(("name", "places"), [("points", 3), ("set-ups", 3 * 6 + 3), ("poses", 12)])
+def test_a_full_geometry_has_four_parameters_a_joint_besides_frames_and_targets(
+    calibrated, name: str, places: int
+):
+    _, c = calibrated(name)
+    assert _full_model_parameters(c, c.fitted) == 6 * 4 + places
+    # None is asked for where the model was named.
+    assert _full_model_parameters(replace(c, candidates=()), c.fitted) == 0

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Why
 from calib.estimate.fitting import fit
 from calib.model.parameters import FRAME
+from calib.result import fits as module
 from calib.result.fits import fit_table
 from calib.robot.payload import Payload
 from tests.fits import TARGETS, every_sixth_validates
@@ -20,7 +23,9 @@ from tests.fits import TARGETS, every_sixth_validates
 
 def test_a_named_geometry_is_fitted_alone(calibrated):
     scene, c = calibrated("points")
+    began = time.perf_counter()
     fits = fit_table(scene.robot, c.measurements, replace(c.cell, model="dh"))
+    assert 0.0 < fits.seconds <= time.perf_counter() - began
     assert fits.geometry.task.model == "dh"
     assert fits.non_geometric is None
     assert (fits.candidates, fits.mistake) == ((), None)
@@ -57,6 +62,29 @@ def test_of_a_usual_mistake_only_joint_zeros_are_fitted(ur3, table):
     assert fits.mistake.why == Why.COLUMNS_SWAPPED
     assert fits.geometry.task.model == "zeros"
     assert fits.candidates == ()
+
+
+@pytest.mark.parametrize(
+    ("name", "model", "swapped", "confirmed"),
+    [
+        ("points", "dh", False, True),
+        ("points", "auto", False, False),
+        ("gain", "dh+gain", False, False),
+        ("points", "zeros", True, False),
+    ],
+)
+def test_outliers_are_confirmed_where_a_named_geometry_alone_was_fitted(
+    calibrated, name: str, model: str, swapped: bool, confirmed: bool
+):
+    """Non-geometric models were tried already where the data chose, and nothing is right of a usual mistake."""
+    scene, c = calibrated(name)
+    order = [1, 0, 2, 3, 4, 5] if swapped else range(6)
+    table = replace(c.measurements, joints=c.measurements.joints[:, order])
+    real = module._with_outliers_confirmed
+    with mock.patch.object(module, "_with_outliers_confirmed", wraps=real) as asked:
+        fits = fit_table(scene.robot, table, c.cell, model=model)
+    assert asked.called == confirmed
+    assert (fits.mistake is not None) == swapped
 
 
 def test_frames_that_only_validation_rows_see_are_registered_to_them(make_scene, join):

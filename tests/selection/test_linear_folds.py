@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 from unittest import mock
 
@@ -19,7 +20,7 @@ from calib.selection.linear_folds import (
     held_out_residuals_linear,
     linear_cross_validation,
 )
-from tests.selection.models import fitted_to, with_outlying_points
+from tests.selection.models import fitted_to, task_of, with_outlying_points
 
 
 def both(fitted: Fitted) -> tuple[Any, Any]:
@@ -68,6 +69,21 @@ def test_folds_are_fitted_from_the_beginning_where_the_linear_problem_is_not_acc
     assert held_out_residuals_linear(fitted, masks, fitted.estimate.outliers) == {}
     linear, refitted = both(fitted)
     np.testing.assert_array_equal(linear.residual, refitted.residual)
+
+
+def test_no_fold_of_a_fit_at_a_bound_or_by_the_paper_s_solver_is_linear(make_scene):
+    """Not even where the folds lie within the bounds, and where the robot is linear within so much noise."""
+    scene = make_scene(93, frames=[np.eye(4)], length=3e-4, angle=3e-3, noise=1e-3)
+    table, masks, none = scene.points(40), tuple(np.eye(40, dtype=bool)), np.zeros(40, dtype=bool)
+    free = fitted_to(scene, table, Cell())
+    assert len(held_out_residuals_linear(free, masks, none)) == 40
+    a2 = free.estimate.x[free.kinematics.model.index("a2")]
+    bounded = fitted_to(scene, table, Cell(bounds={"a2": (a2 - 1e-3, a2 - 1e-7)}))
+    assert bounded.estimate.at_bound
+    assert held_out_residuals_linear(bounded, masks, none) == {}
+    task, rows = task_of(scene, table, Cell())
+    papers = fit(replace(task, solver="paper"), rows)
+    assert held_out_residuals_linear(papers, masks, none) == {}
 
 
 def test_the_linear_one_agrees_with_the_refitted_one(case):
