@@ -80,8 +80,8 @@ class Check:
     def held(self) -> float:
         """The sum f A + U [m] or [rad], which must be within the tolerance for a pass.
 
-        A is the judged error ``figure``, U its expanded measuring ``uncertainty``, and f >= 1 the ``factor`` by which
-        errors were larger before frames or targets were registered to the same rows.
+        A is the judged error ``figure``, U its expanded measuring ``uncertainty``, in the same unit, and f >= 1 the
+        ``factor`` by which random errors were larger before frames or targets were registered to the judged rows.
         """
         return self.figure * self.factor + self.uncertainty
 
@@ -113,7 +113,7 @@ class Acceptance:
 
     @property
     def outcome(self) -> Outcome:
-        """``"pass"``, ``"undecided"`` or ``"fail"``: the worst outcome of ``checks``, of positions and orientations."""
+        """``"pass"``, ``"undecided"`` or ``"fail"``: the worst outcome of the one or two ``checks``."""
         outcomes = [check.outcome for check, _ in self.checks]
         return max(outcomes, key=OUTCOMES.index)
 
@@ -167,10 +167,10 @@ def error_of(pose: PoseAccuracy, criterion: str, *, angle: bool) -> float:
     """Return the error of a pose that a criterion of acceptance looks at.
 
     Args:
-        pose: Accuracy and repeatability at one pose, over its repeats.
-        criterion: One of `CRITERIA`: ``"single"`` looks at the largest error of a single repeat; ``"max"`` and
-            ``"mean"`` at the pose accuracy AP, the norm of the mean error over the repeats.
-        angle: True for the error of the orientation [rad], False for that of the position [m].
+        pose: Accuracy and repeatability at one pose, over its repeats: measured minus predicted.
+        criterion: ``"single"`` looks at the largest error of a single repeat; ``"max"`` and ``"mean"`` at the pose
+            accuracy AP, the norm of the mean error over the repeats.
+        angle: True for the error of the orientation [rad], False for that of the position or length [m].
 
     Returns:
         The error [m] or [rad], 0 or more; NaN if it was not measured at the pose.
@@ -440,9 +440,9 @@ def _judged_name(judge: str | None, evaluations: Mapping[str, Evaluation]) -> st
     """Return the name of the robot that is judged.
 
     Args:
-        judge: The name that the user chose; None: ``"calibration"`` if there is one, else ``"urdf"``. An empty name is
-            taken as none.
-        evaluations: Residuals of each robot, by the names to choose from.
+        judge: The name that the user chose; None or empty: ``"calibration"`` if there is one, else ``"urdf"``.
+        evaluations: Errors of each robot, by the names to choose from: ``"urdf"``, and with a result ``"nominal"``,
+            ``"calibration"`` and perhaps ``"non_geometric"``.
 
     Returns:
         A key of ``evaluations``.
@@ -494,12 +494,12 @@ def _refuse_commands(
 ) -> None:
     """Refuse a table of commands, whose poses the nominal robot predicts: any tolerance would seem to be kept.
 
-    Commands are recognised by a column that 'calib compensate' writes, and by errors of the nominal robot below
-    `_EXACT` in more scalars than the registration of frame and target has unknowns.
+    Commands are recognised by a column that 'calib compensate' writes, together with errors of the nominal robot below
+    `_EXACT` [m] in all rows, which hold more scalars than the registration of frame and target has unknowns.
 
     Args:
         robot: The robot as its URDF is, nominal or corrected.
-        table: The rows, measured or commanded.
+        table: The rows, measured or commanded; ``ignored`` are the headers of columns that are not used otherwise.
         calibration: The result with the nominal joint origins of this robot; None: the robot is taken to be nominal.
 
     Raises:

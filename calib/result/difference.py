@@ -213,6 +213,7 @@ def _estimate(result: CalibrationValues, other: CalibrationValues) -> Estimate:
     common[indices] = shared
     common[bounded] = 0.0
 
+    # Covariance C_q of all p parameters under the common priors, (p, p), zero for those at a bound.
     C = covariance_under(result.covariance, common - precision, ~bounded)
     of_own = C[np.ix_(indices, indices)]
     noise = C - (C * common) @ C
@@ -394,6 +395,7 @@ def _prediction(result: CalibrationValues, first: CalibrationValues, q: Array) -
     kinematics = Kinematics(result.nominal, result.model.without(others), frames, targets)
     # Effects at the nominal robot, from which both count: elsewhere they would differ by what is of second order, and
     # that would look like combinations of their own.
+    # Poses, (N, 4, 4), and their derivatives, (N, 6, k).
     nominal, effect = kinematics.twists(np.zeros(len(indices)), q)
     calibrated, slope = kinematics.twists(result.x[indices], q)
     return _Prediction(nominal, calibrated, effect, slope)
@@ -557,8 +559,8 @@ class _Compensation:
             [rad], NaN where orientations do not count.
         """
         moved = self.difference(at).reshape(-1, at.coordinates)
-        points, angles = moved[:, :3], moved[:, 3:] / _LEVER
-        J = self.jacobian(at)[:, :3]
+        points, angles = moved[:, :3], moved[:, 3:] / _LEVER  # b less a, (N, 3) [m] and [rad]
+        J = self.jacobian(at)[:, :3]  # (N, 3, p_a + p_b)
         count = len(points)
         noise = float(np.einsum("ndp,pq,ndq->", J, self.joint, J)) / count
         square = np.sum(points**2, axis=1)
@@ -606,6 +608,7 @@ def _compensation(
     """
     estimates = (_estimate(first, second), _estimate(second, first))
     alike = same_start and _same_parameters(first, second)
+    # Covariance of the parameters of both results together, (p_a + p_b, p_a + p_b).
     joint = joint_covariance(*estimates, alike=alike)
     ranges = _common_ranges(first.ranges, second.ranges)
     inside = _predictions(first, second, spread_between(ranges, _POSES))
@@ -706,6 +709,7 @@ def differences_of(
     own_a = _OwnEffects.of(first, inside.effects[0], compensation)
     own_b = _OwnEffects.of(second, inside.effects[1], compensation)
     basis = _basis(own_a, own_b, _NOTHING if same_start else _NOTHING_APART)
+    # In the r coordinates of the basis, (r, p_a) and (r, p_b), [m] a unit of each parameter.
     effect_a, effect_b = own_a.along(basis), own_b.along(basis)
     test = drift_test(
         basis.T @ compensation.difference(inside),

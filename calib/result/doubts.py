@@ -191,9 +191,10 @@ def _scale(fitted: Fitted, *, certified: bool) -> Iterator[Reason]:
         certified: Whether the user states that the scale was certified or checked.
 
     Yields:
-        At most one reason. Either all measured lengths are longer or shorter by a share ``scale``, with its standard
-        deviation ``std`` and p-value ``p``, that no arm is off by; or ``scale`` is the largest share that lengths of
-        the arm may hide, with its effect ``effect_m`` at ``reach_m``, the rms distance of the target from the base [m].
+        At most one reason. Either all measured lengths are too long by a share ``scale``, below 0 too short, with its
+        standard deviation ``std`` and p-value ``p``, that no arm is off by; or ``scale`` is the largest share that
+        lengths of the arm may hide, with its effect ``effect_m`` at ``reach_m``, the rms distance of the target from
+        the base [m].
     """
     scale = instrument_scale(fitted)
     if scale is None:
@@ -526,7 +527,7 @@ def _corner(fitted: Fitted) -> Iterator[Reason]:
 
     Args:
         fitted: A fit: its robot, and the joint values and robust weights of its rows; those without weight do not
-            count, except that a joint which only these move has moved.
+            count in spread and shares.
 
     Yields:
         At most one reason: ``spread``, the rms distance of the tips from their mean over that in the whole workspace,

@@ -223,6 +223,7 @@ def _over_joint_limits(result: CalibrationValues, part: FittedModel) -> tuple[fl
         the nominal robot.
     """
     samples = result.samples(spread_poses(result.nominal))
+    # T_frame_target, (N, 4, 4), and the derivatives of its position by the p parameters, (N, 3, p).
     poses, columns = part.kinematics.twists(part.x, samples, rotation=False)
     T_base_tip = result.nominal.poses(samples.q)
     nominal_points = result.nominal_setup.target_poses(T_base_tip, samples)[:, :3, 3]

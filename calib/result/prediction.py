@@ -256,6 +256,7 @@ def pose_std(
             twists[:, 3:] -= base_motion[3:]
     else:
         _, twists = kinematics.twists(x, samples)
+    # Twists are of the shape (N, 6, p), linear [m] then angular [rad] a unit of each parameter.
     JC = (twists.reshape(-1, len(x)) @ covariance).reshape(twists.shape)
     variance_by_axis = np.sum(JC * twists, axis=2)
     variance = variance_by_axis.reshape(-1, 2, 3).sum(axis=2)
@@ -412,6 +413,7 @@ def _data_gradient(fitted: Fitted) -> Array:
     if fitted.task.solver == PAPER:  # not at the least of squares, and without priors
         return np.asarray(problem.precision * (x - problem.centre))
     without_priors = replace(problem, precision=np.zeros(len(x)))
+    # Measured minus predicted in standard deviations, (m,), and its derivative by the parameters, (m, p).
     residual, jacobian = without_priors.system(x)
     return -residual @ jacobian
 

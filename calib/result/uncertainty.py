@@ -70,7 +70,7 @@ class Bootstrap:
     x: Array
     #: Seed of the draws
     seed: int
-    #: Number of samples whose fits reached the solver's limit of iterations
+    #: Number of draws whose fits reached the solver's limit of iterations
     stopped: int
 
     @property
@@ -153,6 +153,7 @@ class Bootstrap:
             _, scatter = self._scatter(samples)
         else:
             measured = _in_first_frame(_evenly(problem.rows.samples))
+            # Mean positions, (N, 3), and each draw's differences from them, (N, 3, count) [m].
             points, scatter = self._scatter(_in_first_frame(samples))
             scatter = without_rigid_motion(points, scatter, self._scatter(measured))
         return np.asarray(np.sqrt(np.sum(np.var(scatter, axis=2, ddof=1), axis=1)))
