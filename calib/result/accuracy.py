@@ -164,7 +164,7 @@ class Accuracy:
 
     @property
     def repeats(self) -> tuple[int, int]:
-        """The smallest and the largest number of repeats, measured rows, of one of the judged ``poses``."""
+        """The smallest and the largest number of repeats of a judged pose: ``rows`` of each of ``poses``."""
         counts = [len(pose.rows) for pose in self.poses]
         return min(counts), max(counts)
 
@@ -275,8 +275,8 @@ def _name_of(judged: Mask, measured: Mask, validation: Mask) -> JudgedRows:
         validation: True for the rows of the table's set ``validate``, shape (N,).
 
     Returns:
-        ``"all"`` if all measured rows are judged, ``"validation"`` if the measured validation rows are, else
-        ``"fresh"``.
+        ``"all"`` if all measured rows are judged; ``"validation"`` if just the measured validation rows are; else
+        ``"fresh"``, rows that no calibration was fitted to.
     """
     if np.array_equal(judged, measured):
         return "all"
@@ -336,8 +336,8 @@ def _of_pose(evaluation: Evaluation, residual: Array, repeats: NDArray[np.intp])
     """Return accuracy and repeatability at one pose, as ISO 9283 defines them.
 
     Args:
-        evaluation: Errors of the robot at the N rows of a table: ``used``, which scalars each row measures, shape (N,
-            D), and the table itself, for kind, station and target of the pose.
+        evaluation: Errors of the robot at the N rows of a table: ``used``, which scalars each row measures, shape
+            (N, D), and the table itself, for kind, station and target of the pose.
         residual: Measured minus predicted of all N rows, shape (N, D): lengths [m] in the first three columns, rotation
             vectors [rad] behind; three components are along the base's axes.
         repeats: Indices of the pose's rows in the table, from 0, shape (n,).

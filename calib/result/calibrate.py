@@ -68,21 +68,24 @@ def calibrate(
     """Calibrate a robot from measurements of a target on its tip.
 
     Args:
-        robot: The nominal robot.
-        measurements: Rows of the set ``estimate`` are fitted, those of ``validate`` only predicted.
+        robot: The nominal robot, a chain of the URDF from base to tip.
+        measurements: Rows of joint values and of what was measured of the target there. Rows of the set ``estimate``
+            are fitted, those of ``validate`` only predicted; rows that are copies of others are left out.
         cell: What is known of targets, frames, noise and priors; default: the measurements are in the base frame, the
             target is estimated. Measurements in a tracker's own frame: ``Cell(estimate_frame=True)``.
         model: Name of the parameter set, with families behind it: ``"auto"`` (the data choose), ``"dh"``, ``"paper"``,
-            ``"hayati"``, ``"placement"``, ``"zeros"`` or ``"frames"``, such as ``"dh+compliance"``; default the
-            cell's. See docs/parameters.md. Or the robot's parameters themselves, each a twist at a placement.
+            ``"hayati"``, ``"placement"``, ``"zeros"`` or ``"frames"``, such as ``"dh+compliance"``; default the cell's.
+            See docs/parameters.md. Or the robot's parameters themselves, each a twist at a placement.
         solver: ``"lm"`` (default), ``"scipy"`` (the same problem by SciPy), or ``"paper"`` (the paper's algorithm,
             without priors and robust weights); or a function like those of `calib.numerics.solvers.SOLVERS`.
         robust: Whether outliers lose their weight; they are named either way.
-        validate: Whether to cross-validate; one fold a row up to 60 rows, ten folds above.
-        progress: Called after each fit of the cross-validation.
+        validate: Whether to cross-validate; one fold a row or pose up to 60, ten folds above.
+        progress: Called after each fold of the cross-validations with the number of folds done and of all; None:
+            nothing is called.
 
     Returns:
-        The calibration, with a verdict if it was cross-validated or a usual mistake explains the measurements better.
+        The calibration: parameters with covariance, corrected robot, frames and targets, and residuals of all rows;
+        with a verdict if it was cross-validated or a usual mistake explains the measurements better.
 
     Raises:
         ModelError: An unknown parameter set, parameter or solver, or measurements that the model does not cover.
@@ -153,7 +156,7 @@ def _part_of(progress: Progress | None, part: int, parts: int) -> Progress | Non
         return None
 
     def report(done: int, folds: int) -> None:
-        """Report the folds of this part, behind those of the parts before it.
+        """Report the folds of this part, behind those of the parts before it, to ``progress``.
 
         Args:
             done: Number of folds of this part that are done.
@@ -570,10 +573,10 @@ def _fitted_ranges(joints: Array) -> Array:
     """Return the smallest and the largest value of each joint.
 
     Args:
-        joints: Joint values of the rows with weight in the fit, shape (n, m), [rad] or [m].
+        joints: Joint values of the n rows with weight in the fit, shape (n, m), [rad] or [m].
 
     Returns:
-        shape (m, 2), [rad] or [m], read-only; of no rows from infinity down to minus infinity.
+        Smallest and largest, shape (m, 2), [rad] or [m], read-only; infinity and minus infinity where n is 0.
     """
     low = joints.min(axis=0, initial=np.inf)
     high = joints.max(axis=0, initial=-np.inf)

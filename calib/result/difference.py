@@ -488,8 +488,8 @@ class _Compensation:
                 ``gauge``, shape (N D, g) [m], is what a unit of each of g directions of base and target does, those
                 that either result had to estimate; it may have no columns.
             estimates: Results a and b under common priors, of which the change of their parameters is used.
-            joint: Covariance of the parameters of both results together, those of the robots, shape (p_a + p_b, p_a +
-                p_b), which is only stored.
+            joint: Covariance of the parameters of both results together, those of the robots, shape
+                (p_a + p_b, p_a + p_b), which is only stored.
 
         Returns:
             The fitted motion, shape (g,), [m] and [rad], with what it was fitted to.
@@ -501,8 +501,8 @@ class _Compensation:
     def remaining(self, effect: Array) -> Array:
         """Return effects of parameters without what a motion of base and target explains of each.
 
-        The motion is fitted by ``to_motion``, shape (g, N D), the least-squares inverse of ``inside.gauge``, shape (N
-        D, g), which is what g directions of base and target do.
+        The motion is fitted by ``to_motion``, shape (g, N D), the least-squares inverse of ``inside.gauge``, shape
+        (N D, g), which is what g directions of base and target do.
 
         Args:
             effect: Displacements of the target by a unit of each of p parameters, shape (N D, p), [m]: D coordinates at
@@ -785,8 +785,8 @@ def _not_spanned(effect: Array, other: Array, names: NDArray[Any]) -> tuple[str,
     """List the parameters of one result whose effects those of the other result cannot have.
 
     Args:
-        effect: Displacements of the target by typical errors of the result's p parameters, in r coordinates, shape (r,
-            p), [m].
+        effect: Displacements of the target by typical errors of the result's p parameters, in r coordinates, shape
+            (r, p), [m].
         other: Those by the other result's parameters, in the same coordinates, shape (r, p_other), [m].
         names: Names of the result's parameters, shape (p,).
 

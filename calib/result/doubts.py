@@ -526,8 +526,8 @@ def _corner(fitted: Fitted) -> Iterator[Reason]:
     Joints that hardly moved are named by another reason.
 
     Args:
-        fitted: A fit: its robot, and the joint values and robust weights of its rows; those without weight do not
-            count in spread and shares.
+        fitted: A fit: its robot, and the joint values and robust weights of its rows; those without weight do not count
+            in spread and shares.
 
     Yields:
         At most one reason: ``spread``, the rms distance of the tips from their mean over that in the whole workspace,
