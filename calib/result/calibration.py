@@ -259,7 +259,7 @@ class CalibrationValues(FittedModel):
 
     @property
     def tells_place(self) -> bool:
-        """True if some row, by its kind in ``rows``, determines where the base stands, such as a measured point.
+        """True if some row, by its kind in ``rows.kinds``, determines where the base stands, such as a measured point.
 
         If none does, as where only sockets, planes, anchors or pairs were measured, predictions are in the base.
         """
@@ -390,9 +390,9 @@ class CalibrationValues(FittedModel):
     ) -> Array:
         """Return the standard deviation of positions by `predict`, sqrt(trace(J C J^T)).
 
-        C is the covariance of the parameters and J the derivative of the position by them. Where only sockets, planes,
-        anchors or pairs were measured, and no group is named, it leaves out what moves all positions as one body. It
-        knows nothing of errors that the model lacks.
+        C is the ``covariance`` of the p parameters of the chosen model and J, shape (3, p), the derivative of the
+        position by them. Where only sockets, planes, anchors or pairs were measured, and no group is named, it leaves
+        out what moves all positions as one body. It knows nothing of errors that the model lacks.
 
         Args:
             q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
@@ -402,7 +402,7 @@ class CalibrationValues(FittedModel):
             non_geometric: Whether to use the non-geometric model, if there is one; else the geometry of the URDF.
 
         Returns:
-            shape (N,), [m].
+            shape (N,), [m], of the three axes together.
 
         Raises:
             ModelError: There is no such target or station.

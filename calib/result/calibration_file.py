@@ -116,7 +116,7 @@ def _values_table(values: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return the values of a verdict's reason as a list for the file, in their order.
 
     Args:
-        values: Numbers, in SI units, and names by their own names, see `calib.diagnosis.reasons.Reason`.
+        values: Numbers, in SI units, and words of a reason, by name, such as ``"noise_m"``.
 
     Returns:
         One table ``{"name": ..., "value": ...}`` for each.
@@ -478,7 +478,8 @@ def _nominal(table: Json, folder: Path) -> Robot:
     """Return the nominal robot from the tables of a result file.
 
     Args:
-        table: All tables of the file; they hold the text of the nominal URDF, base, tip and held joint values.
+        table: All tables of the file. Used are ``"robot"``, with base, tip and held joint values, [rad] or [m], and
+            ``"inputs"."urdf"``, with the nominal URDF's name and text.
         folder: The folder where the URDF is looked for, if only for the meshes beside it.
 
     Returns:
@@ -580,7 +581,9 @@ def _model_of(table: Json, names: Sequence[str]) -> ErrorModel:
     """Return an error model from its table in the file.
 
     Args:
-        table: The table, as `_model_table` makes it.
+        table: The table, as `_model_table` makes it: ``"set"``, the model's name; ``"places"``; ``"terms"``, a table
+            for each error at a place; and ``"mixing"``, shape (terms, p), by which the terms follow the parameters, or
+            None.
         names: Names of the p parameters in the order of the parameter vector x; the other terms are tied to these.
 
     Returns:
