@@ -58,7 +58,7 @@ class ComparisonValues:
     only_b: tuple[str, ...]
 
     def __repr__(self) -> str:
-        """One line with the names of both results, the outcome, and the p-value of the difference."""
+        """One line with the ``names`` of both results, the ``outcome``, and the p-value of the ``test``."""
         first, second = self.names
         return f"Comparison({first!r}, {second!r}, {self.outcome}, p = {self.test.p:.2g})"
 
@@ -159,7 +159,8 @@ def _robot_to_show(given: Robot | str | Path | None, nominal: Robot) -> Robot:
     """Return the robot to show, with base and tip of the results' nominal one.
 
     Args:
-        given: The robot, or the path of its URDF; None: the nominal robot is shown.
+        given: The robot, or the path of its URDF, nominal or corrected, such as one with meshes; None: the nominal
+            robot is shown.
         nominal: The nominal robot of the first result, with its base, tip and held joint values.
 
     Returns:

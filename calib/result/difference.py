@@ -520,8 +520,8 @@ class _Compensation:
         difference at other joint values, those that both data cover: g directions of base and target, [m] and [rad].
 
         Args:
-            at: Predictions of both results at any N joint values, D coordinates each, with what the g directions do
-                there.
+            at: Predictions of both results at any N joint values, D coordinates each, with ``gauge``, shape (N D, g),
+                the displacements of the target by a unit of each direction.
 
         Returns:
             b less a, shape (N D,), [m], along the base's axes: of each joint value the position, then, with D = 6, the
@@ -533,10 +533,12 @@ class _Compensation:
         """Return the derivative of `difference` by the parameters of both results' robots.
 
         The motion of base and target follows the parameters: ``to_motion``, shape (g, M), takes displacements at the
-        joint values of ``inside``, with M coordinates together, to the motion.
+        joint values of ``inside``, M coordinates together, to the motion in g directions that explains them best.
 
         Args:
-            at: Predictions of both results at any N joint values, D coordinates each.
+            at: Predictions of both results at any N joint values, D coordinates each: ``signed``, shape
+                (N D, p_a + p_b), the derivative of b's prediction less a's by the parameters of both, and ``gauge``,
+                shape (N D, g), that by the motion.
 
         Returns:
             shape (N, D, p_a + p_b), [m] a unit of each parameter of a, then of b.

@@ -194,7 +194,8 @@ def _scale(fitted: Fitted, *, certified: bool) -> Iterator[Reason]:
         At most one reason. Either all measured lengths are too long by a share ``scale``, below 0 too short, with its
         standard deviation ``std`` and p-value ``p``, that no arm is off by; or ``scale`` is the largest share that
         lengths of the arm may hide, with its effect ``effect_m`` at ``reach_m``, the rms distance of the target from
-        the base [m].
+        the base [m]. None where no length of the arm is estimated, nothing measures a length, or the scale is certified
+        and not off.
     """
     scale = instrument_scale(fitted)
     if scale is None:

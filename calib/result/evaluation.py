@@ -251,12 +251,12 @@ def _replaced(poses: Array, known: Array, index: Mapping[int, int]) -> Array:
     """Return poses of a table's frames or targets, some of them replaced by those of a result.
 
     Args:
-        poses: Of the table, shape (n, 4, 4), [m].
-        known: Of the result, shape (k, 4, 4), [m].
+        poses: Of the table's n frames or targets, T_frame_base or T_tip_target, shape (n, 4, 4), [m].
+        known: The same of the result's k frames or targets, shape (k, 4, 4), [m].
         index: Index in the result, by the index in the table, of those to replace; from 0.
 
     Returns:
-        A copy, shape (n, 4, 4), [m].
+        A copy of ``poses``, shape (n, 4, 4), [m].
     """
     result: Array = poses.copy()
     for k, known_index in index.items():
@@ -293,9 +293,9 @@ def _matches(
     """Match frames or targets of a table with those of a result, by name or the only one with the only one.
 
     Args:
-        names: Names in the table.
-        known: Names in the result.
-        by_name: Match by name also where there is only one of each.
+        names: Names of all stations, or of all targets, in the table.
+        known: Those in the result.
+        by_name: True to match by name also where there is only one of each.
 
     Returns:
         Index in the result, by the index in the table, both from 0; without those that the result lacks.

@@ -245,7 +245,7 @@ def _mean_variance(J: Array, covariance: Array) -> float:
     """Return the variance of a predicted position, trace(J C J^T), mean over N positions [m^2].
 
     Args:
-        J: Derivatives of the positions by p parameters, shape (N, 3, p), [m] a unit of each.
+        J: Derivatives of N positions by p parameters, shape (N, 3, p), [m] a unit of each.
         covariance: Covariance C of the parameters, shape (p, p).
     """
     variances = np.einsum("nip,pq,niq->n", J, covariance, J, optimize=True)

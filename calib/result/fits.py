@@ -147,8 +147,10 @@ def fit_table(
         robust: Whether outliers lose their weight.
 
     Returns:
-        The fits. A usual mistake in the table is not raised but returned as their ``mistake``; the model ``"auto"`` is
-        then ``"zeros"``, since no larger one of such measurements means anything.
+        The fits of the geometry and, if the model has one or the data ask for it, of a non-geometric model; the
+        candidates of the choice; and the rows as arrays. A usual mistake in the table is not raised but returned as
+        their ``mistake``; the model ``"auto"`` is then ``"zeros"``, since no larger one of such measurements means
+        anything.
 
     Raises:
         ModelError: An unknown parameter set, parameter or solver, or measurements that the model does not cover.

@@ -239,15 +239,16 @@ def pose_std(
 
     Args:
         kinematics: The nominal robot under its error model of p parameters, with frames and targets at x = 0.
-        x: Parameters, shape (p,), in their units.
+        x: Parameters, shape (p,), in their units, offsets from there.
         covariance: Of the parameters, shape (p, p).
         samples: N joint values, with the frame, the target and the loads of each.
-        base_motion: Compensating motion of the base, shape (6, p), see `compensating_base_motion`; None: no motion.
-            It counts in the base only.
-        in_base: True to predict in the base, False in each sample's own frame.
+        base_motion: Rigid motion of the base that compensates a unit of each parameter, shape (6, p), linear [m] then
+            angular [rad], which is subtracted from its effect; None: no motion. It counts in the base only.
+        in_base: True to predict in the base, False in each sample's own measurement frame.
 
     Returns:
-        Of the position [m] and of the orientation [rad], shape (N, 2), read-only.
+        Of the position [m] and of the orientation [rad], shape (N, 2), read-only: the root of the sum of the variances
+        along three axes.
     """
     if in_base:
         poses, twists = twists_in_base(kinematics, x, samples)

@@ -392,13 +392,13 @@ def profile(
     least = cost_at(value)
 
     def above(x: float) -> float:
-        """Return the cost at a value of the parameter, less the highest one allowed within the interval.
+        """Return the cost at a value of the parameter, less the highest one allowed within the interval [1].
 
         Args:
             x: The value, in the parameter's unit.
 
         Returns:
-            Negative within the interval; finite, for the root finder.
+            Negative within the interval; at most 1e6 times the allowed rise, so that it is finite for the root finder.
         """
         over = cost_at(x) - least - rise
         if not np.isfinite(over):
@@ -409,10 +409,10 @@ def profile(
     from scipy.optimize import brentq
 
     def end(step: float) -> float:
-        """Find where the cost crosses the limit, on one side of the estimate.
+        """Find where the cost crosses the highest one allowed, on one side of the estimate ``value``.
 
         Args:
-            step: Standard deviation of the parameter, negative for the lower end.
+            step: Standard deviation of the parameter, in its unit; negative for the lower end.
 
         Returns:
             The value of the parameter there; infinite, with the sign of the step, where the cost stays below.
@@ -488,10 +488,10 @@ def _least_cost(fitted: Fitted, k: int, value: float) -> float:
 
 
 def _check_solver(fitted: Fitted) -> None:
-    """Refuse a fit by the paper's solver: it is not the least cost of its own problem.
+    """Refuse a fit by the paper's solver: its solution is not the least cost of the problem.
 
     Args:
-        fitted: The fit, whose task names its solver.
+        fitted: The fit, of which ``task.solver`` is used, a name or a function.
 
     Raises:
         ModelError: It is the paper's.
@@ -514,7 +514,7 @@ def _evenly(samples: Samples) -> Samples:
 
 
 def _in_first_frame(samples: Samples) -> Samples:
-    """Return samples as seen from the first measurement frame.
+    """Return samples as seen from the first measurement frame, so that one rigid motion can be fitted to all positions.
 
     Args:
         samples: N joint values, with the frame, the target and the loads of each.
